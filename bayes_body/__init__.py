@@ -1,0 +1,38 @@
+"""Bayesian 3D human pose and motion, with honest uncertainty, from calibrated video.
+
+Everything here is imported when it is first asked for (PEP 562): `import bayes_body` costs nothing and sets no JAX configuration; call `configure()`
+before the first computation.
+"""
+
+from importlib import import_module
+from importlib.metadata import version
+from typing import Any
+
+__version__ = version("bayes-body")
+
+_HOME = {
+    "configure": "config",
+    "load_session": "session",
+    "load_definition": "definition",
+    "load_model": "model",
+    "read_frame": "observation.frames",
+    "track": "track",
+    "to_datatree": "posterior",
+    "save_posterior": "posterior",
+    "summarise": "metrics",
+    "draw_overlay": "view.overlay",
+}
+_MODULES = ("kernels", "posterior", "metrics")
+__all__ = sorted({*_HOME, *_MODULES})  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(import_module(f"bayes_body.{_HOME[name]}"), name)
+    if name in _MODULES:
+        return import_module(f"bayes_body.{name}")
+    raise AttributeError(f"module 'bayes_body' has no attribute '{name}'; it has {', '.join(__all__)}")
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

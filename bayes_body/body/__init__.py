@@ -1,0 +1,1 @@
+"""Bodies: joints, solids, and what a body file may say."""

@@ -1,0 +1,126 @@
+"""From what a body file says to the arrays of one subject's body: metres, radians."""
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from bayes_body.body.check import WORLD
+from bayes_body.body.schema import BodySchema, Dof, Offset
+from bayes_body.body.skeleton import Markers, Motion, Skeleton, Topology, preset_rotation
+from bayes_body.body.solids import Body, PartTopology
+from bayes_body.errors import nearest, wrong
+
+
+class Shape(NamedTuple):
+    """A subject's measures, by name; what is missing follows from the height by the body file's proportions."""
+
+    height_m: float | None = None
+    lengths_m: Mapping[str, float] = {}
+    radii_m: Mapping[str, tuple[float, float]] = {}
+    sections: Mapping[str, tuple[float, float]] = {}
+
+
+def build_body(name: str, schema: BodySchema, shape: Shape = Shape()) -> Body:
+    """The body of one subject.
+
+    Raises:
+        InputError: the shape names a length or a part that the body does not have.
+    """
+    _check_names(name, schema, shape)
+    height = shape.height_m or schema.height_m
+    lengths = {key: share * height for key, share in schema.lengths_of_height.items()} | dict(shape.lengths_m)
+    joint_index = {joint.name: j for j, joint in enumerate(_parents_first(schema))}
+    parts = schema.parts
+    return Body(
+        name=name,
+        topology=PartTopology(
+            names=tuple(part.name for part in parts),
+            joints=tuple(joint_index[part.joint] for part in parts),
+            is_sphere=tuple(part.kind == "sphere" for part in parts),
+            penetration=_pairs(schema),
+            spheres_per_part=schema.spheres_per_part,
+        ),
+        skeleton=_skeleton(schema, lengths),
+        markers=Markers(
+            names=tuple(schema.markers),
+            joints=tuple(joint_index[marker.joint] for marker in schema.markers.values()),
+            offsets=jnp.asarray([_vector(marker.offset, lengths) for marker in schema.markers.values()]).reshape(-1, 3),
+        ),
+        presets=jnp.stack([preset_rotation(part.preset) for part in parts]),
+        offsets=jnp.asarray([_vector(part.offset, lengths) for part in parts]),
+        lengths=jnp.asarray([lengths[part.length] for part in parts]),
+        radii=jnp.asarray([shape.radii_m.get(part.name, tuple(r * height for r in part.radius_of_height)) for part in parts]),
+        sections=jnp.asarray([shape.sections.get(part.name, part.section) for part in parts]),
+    )
+
+
+def _check_names(name: str, schema: BodySchema, shape: Shape) -> None:
+    parts = [part.name for part in schema.parts]
+    for field, given, known in (
+        ("lengths_m", shape.lengths_m, schema.lengths_of_height),
+        ("radii_m", shape.radii_m, parts),
+        ("sections", shape.sections, parts),
+    ):
+        for key in given:
+            if key not in known:
+                raise wrong(f"subject.{field}.{key}", "no such name", f"a name of the body '{name}'", nearest(key, known))
+
+
+def _parents_first(schema: BodySchema) -> list:
+    placed, waiting = [], list(schema.joints)
+    while waiting:
+        names = {joint.name for joint in placed} | {WORLD}
+        placed += [joint for joint in waiting if joint.parent in names]
+        waiting = [joint for joint in waiting if joint.parent not in names]
+    return placed
+
+
+def _pairs(schema: BodySchema) -> tuple[tuple[int, int], ...]:
+    index = {part.name: p for p, part in enumerate(schema.parts)}
+    return tuple((index[a], index[b]) for a, b in schema.penetration)
+
+
+def _skeleton(schema: BodySchema, lengths: Mapping[str, float]) -> Skeleton:
+    joints = _parents_first(schema)
+    index = {joint.name: j for j, joint in enumerate(joints)} | {WORLD: -1}
+    dofs = [dof for joint in joints for dof in joint.dofs]
+    order = {dof.name: k for k, dof in enumerate(dofs)}
+    topology = Topology(
+        joint_names=tuple(joint.name for joint in joints),
+        parents=tuple(index[joint.parent] for joint in joints),
+        motions=tuple(tuple(_motion(order[dof.name], dof) for dof in joint.dofs) for joint in joints),
+        dof_names=tuple(order),
+        dof_units=tuple("m" if dof.is_shift else "rad" for dof in dofs),
+    )
+    low, high = np.array([_limits(dof) for dof in dofs]).reshape(-1, 2).T
+    return Skeleton(
+        topology=topology,
+        presets=jnp.stack([preset_rotation(joint.preset) for joint in joints]),
+        offsets=jnp.asarray([_vector(joint.offset, lengths) for joint in joints]),
+        low=jnp.asarray(low),
+        high=jnp.asarray(high),
+    )
+
+
+def _motion(index: int, dof: Dof) -> Motion:
+    return Motion(dof=index, axis="xyz".index(dof.axis[-1]), sign=-1 if dof.axis.startswith("-") else 1, is_shift=dof.is_shift)
+
+
+def _limits(dof: Dof) -> tuple[float, float]:
+    low, high = dof.limits
+    if low is None or high is None:
+        return (-math.inf, math.inf)
+    return (low, high) if dof.is_shift else (math.radians(low), math.radians(high))
+
+
+def _vector(offset: Offset, lengths: Mapping[str, float]) -> list[float]:
+    def metres(value: float | str) -> float:
+        if not isinstance(value, str):
+            return value
+        sign = -1.0 if value.startswith("-") else 1.0
+        return sign * lengths[value.lstrip("+-")]
+
+    return [metres(offset.x), metres(offset.y), metres(offset.z)]

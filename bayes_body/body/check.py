@@ -1,0 +1,68 @@
+"""What can be wrong with a body file beyond its types: names that mean nothing, names given twice, a joint tree that is none."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+from bayes_body.errors import nearest
+
+if TYPE_CHECKING:
+    from bayes_body.body.schema import BodySchema, Offset
+
+WORLD = "world"
+
+
+def faults(body: "BodySchema") -> list[str]:
+    """All that is wrong, a sentence each; empty for a sound body."""
+    return [*_repeated(body), *_dangling(body), *_cycles(body)]
+
+
+def _repeated(body: "BodySchema") -> Iterator[str]:
+    for kind, names in (
+        ("joint", [joint.name for joint in body.joints]),
+        ("part", [part.name for part in body.parts]),
+        ("dof", [dof.name for joint in body.joints for dof in joint.dofs]),
+    ):
+        for name, count in Counter(names).items():
+            if count > 1:
+                yield f"{kind} '{name}' is defined {count} times; give each {kind} a name of its own"
+
+
+def _dangling(body: "BodySchema") -> Iterator[str]:
+    joints = {joint.name for joint in body.joints}
+    parts = {part.name for part in body.parts}
+    for joint in body.joints:
+        if joint.parent not in joints | {WORLD}:
+            yield f"joint '{joint.name}': parent '{joint.parent}' is no joint; {nearest(joint.parent, joints | {WORLD})}"
+        yield from _unknown_lengths(body, f"joint '{joint.name}'", joint.offset)
+    for kind, item in [("part", part) for part in body.parts] + [("marker", marker) for marker in body.markers.items()]:
+        name, thing = item if isinstance(item, tuple) else (item.name, item)
+        if thing.joint not in joints:
+            yield f"{kind} '{name}': joint '{thing.joint}' does not exist; {nearest(thing.joint, joints)}"
+        yield from _unknown_lengths(body, f"{kind} '{name}'", thing.offset)
+    for part in body.parts:
+        if part.length not in body.lengths_of_height:
+            yield f"part '{part.name}': length '{part.length}' is not in lengths_of_height; {nearest(part.length, body.lengths_of_height)}"
+    for name in {name for pair in body.penetration for name in pair} - parts:
+        yield f"penetration: '{name}' is no part; {nearest(name, parts)}"
+
+
+def _unknown_lengths(body: "BodySchema", owner: str, offset: "Offset") -> Iterator[str]:
+    entries: Iterable[tuple[str, float | str]] = offset
+    for axis, value in entries:
+        if isinstance(value, str) and value.lstrip("+-") not in body.lengths_of_height:
+            yield f"{owner}: offset {axis} = '{value}' names no length; {nearest(value.lstrip('+-'), body.lengths_of_height)}"
+
+
+def _cycles(body: "BodySchema") -> Iterator[str]:
+    parent = {joint.name: joint.parent for joint in body.joints}
+    reported: set[str] = set()
+    for start in parent:
+        path = [start]
+        while path[-1] in parent and parent[path[-1]] not in path:
+            path.append(parent[path[-1]])
+        if path[-1] in parent and start not in reported:
+            loop = path[path.index(parent[path[-1]]) :]
+            if not reported & set(loop):
+                yield f"joints {' -> '.join([*loop, loop[0]])} hang on each other in a cycle; one of them must have the parent '{WORLD}'"
+            reported |= set(path)

@@ -1,0 +1,178 @@
+r"""Parts as solids, and what a camera sees of them.
+
+A tapered cylinder has the ends $e_0, e_1 = e_0 + \ell a$, radii $r_0, r_1$ and an elliptical section of semi-axes $(r s_x, r s_y)$ along its own x
+and y. Seen along $c$ (in the part's frame), the point of a section whose normal is perpendicular to the view is
+
+$$p_\pm = e \pm r\,(s_x \cos\theta,\ s_y \sin\theta), \qquad (\cos\theta, \sin\theta) \propto (c_y / s_y,\ -c_x / s_x),$$
+
+which for a circular section is the occluding contour of Poon & Fleet (2002, 3.2), $e \pm r (a \times c)/\|a \times c\|$. Both ends have their own
+view direction. A sphere is seen as the disc through its centre, perpendicular to the view.
+
+Every point that a likelihood looks at is then a sum of four vectors of its part, $V_0 + \alpha V_1 + \beta V_2 + \gamma V_3$, with fixed
+coefficients: $(1, t, s, ts)$ on a cylinder, with $t \in [0, 1]$ along and $s \in [-1, 1]$ across it. The outline is $s = \pm 1$; the surface
+samples are the points between, on the patch that faces the camera.
+"""
+
+from dataclasses import dataclass
+from functools import partial, reduce
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_body import geometry
+from bayes_body.body.skeleton import Markers, Skeleton, forward_kinematics
+from bayes_body.geometry import Transform
+from bayes_body.shapes import Pose, Vector3
+
+
+@dataclass(frozen=True)
+class PartTopology:
+    """The static side of the parts: names, the joint each hangs on, which are spheres, which pairs must not penetrate."""
+
+    names: tuple[str, ...]
+    joints: tuple[int, ...]
+    is_sphere: tuple[bool, ...]
+    penetration: tuple[tuple[int, int], ...]
+    spheres_per_part: int
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    meta_fields=["name", "topology"],
+    data_fields=["skeleton", "markers", "presets", "offsets", "lengths", "radii", "sections"],
+)
+@dataclass(frozen=True)
+class Body:
+    """A body of one subject: skeleton, markers, solids. Lengths, offsets and radii (base, tip) in metres; sections are scale factors of x and y."""
+
+    name: str
+    topology: PartTopology
+    skeleton: Skeleton
+    markers: Markers
+    presets: Float[Array, "part 3 3"]
+    offsets: Float[Array, "part 3"]
+    lengths: Float[Array, " part"]
+    radii: Float[Array, "part 2"]
+    sections: Float[Array, "part 2"]
+
+    @property
+    def dof_names(self) -> tuple[str, ...]:
+        """Names of the entries of a pose."""
+        return self.skeleton.topology.dof_names
+
+
+def part_transforms(body: Body, pose: Pose) -> Transform:
+    """`T_world_part` of every part, stacked: each column of the result is (part, 3), metres."""
+    joints = forward_kinematics(body.skeleton, pose)
+    parts = [geometry.compose(joints[j], body.presets[p], body.offsets[p]) for p, j in enumerate(body.topology.joints)]
+    return Transform(*(jnp.stack(column) for column in zip(*parts, strict=True)))
+
+
+class Patches(NamedTuple):
+    """The four vectors V0..V3 of every part for one view point, metres: `V0 + t V1 + s V2 + t s V3` is a point of the patch that faces it."""
+
+    start: Float[Array, "part 3"]
+    along: Float[Array, "part 3"]
+    across: Float[Array, "part 3"]
+    taper: Float[Array, "part 3"]
+
+
+def patches(body: Body, T_world_part: Transform, viewpoint: Vector3) -> Patches:
+    """The visible patch of every part, seen from `viewpoint` (metres, world)."""
+    base = T_world_part.origin
+    tip = base + body.lengths[:, None] * T_world_part.z
+    side_base = _side(body, T_world_part, base - viewpoint) * body.radii[:, :1]
+    side_tip = _side(body, T_world_part, tip - viewpoint) * body.radii[:, 1:]
+    cylinders = Patches(base, tip - base, side_base, side_tip - side_base)
+    if not any(body.topology.is_sphere):
+        return cylinders
+    discs = _discs(body, T_world_part, viewpoint)
+    is_sphere = jnp.array(body.topology.is_sphere)[:, None]
+    return Patches(*(jnp.where(is_sphere, disc, cylinder) for disc, cylinder in zip(discs, cylinders, strict=True)))
+
+
+def _side(body: Body, T_world_part: Transform, view: Float[Array, "part 3"]) -> Float[Array, "part 3"]:
+    """From the axis to the occluding contour, for a section of radius one (see the module's formula)."""
+    sx, sy = body.sections[:, 0], body.sections[:, 1]
+    nx, ny = geometry.dot(view, T_world_part.y) / sy, -geometry.dot(view, T_world_part.x) / sx
+    # Seen exactly end-on the contour is undefined; the clamp keeps it finite, and such a part shows no side anyway.
+    scale = jax.lax.rsqrt(jnp.maximum(nx * nx + ny * ny, 1e-12))
+    return (nx * scale * sx)[:, None] * T_world_part.x + (ny * scale * sy)[:, None] * T_world_part.y
+
+
+def _discs(body: Body, T_world_part: Transform, viewpoint: Vector3) -> Patches:
+    centre = T_world_part.origin + 0.5 * body.lengths[:, None] * T_world_part.z
+    view = geometry.unit(centre - viewpoint)
+    right = geometry.unit(jnp.cross(T_world_part.z, view))
+    up = jnp.cross(view, right)
+    radius = body.radii[:, :1]
+    # t runs over a diameter: with (t, s) as on a cylinder, V0 + t V1 goes from -r to r and the samples' s is shortened to the circle.
+    return Patches(centre - radius * up, 2 * radius * up, radius * right, jnp.zeros_like(centre))
+
+
+class Samples(NamedTuple):
+    """Where a likelihood looks: coefficients (t, s) of points on every part's patch."""
+
+    t: Float[Array, "part sample"]
+    s: Float[Array, "part sample"]
+
+
+def outline_samples(body: Body, per_side: int) -> Samples:
+    """Points on both sides of every part's occluding contour, `2 * per_side` a part, evenly spaced."""
+    return _samples(body, (np.arange(per_side) + 0.5) / per_side, np.array([-1.0, 1.0]))
+
+
+def surface_samples(body: Body, along: int, across: int) -> Samples:
+    """A grid of `along * across` points on the patch that faces the camera, away from its edge by half a step."""
+    return _samples(body, (np.arange(along) + 0.5) / along, (2 * np.arange(across) + 1) / across - 1)
+
+
+def _samples(body: Body, t: np.ndarray, s: np.ndarray) -> Samples:
+    grid_t, grid_s = (axis.ravel() for axis in np.meshgrid(t, s))
+    # A sphere's outline is the circle: at the height t its half width is that of the chord.
+    chord = 2 * np.sqrt(grid_t * (1 - grid_t)) * grid_s
+    rows = [chord if sphere else grid_s for sphere in body.topology.is_sphere]
+    dtype = body.lengths.dtype
+    return Samples(jnp.asarray(np.broadcast_to(grid_t, (len(rows), grid_t.size)), dtype), jnp.asarray(np.stack(rows), dtype))
+
+
+class Spheres(NamedTuple):
+    """A part as a row of spheres (Sigal et al. 2011, (7)): centres in the world and radii, metres."""
+
+    centres: Float[Array, "part sphere 3"]
+    radii: Float[Array, "part sphere"]
+
+
+def sphere_approximation(body: Body, T_world_part: Transform) -> Spheres:
+    """Spheres strung along every part's axis, inscribed in the narrower half-axis of its section."""
+    count = body.topology.spheres_per_part
+    t = (jnp.arange(count, dtype=body.lengths.dtype) + 0.5) / count
+    t = jnp.where(jnp.array(body.topology.is_sphere)[:, None], 0.5, t)
+    centres = T_world_part.origin[:, None] + (body.lengths[:, None] * t)[..., None] * T_world_part.z[:, None]
+    radii = body.radii[:, :1] * (1 - t) + body.radii[:, 1:] * t
+    return Spheres(centres, radii * jnp.min(body.sections, axis=1, keepdims=True))
+
+
+def penetration_depths(body: Body, T_world_part: Transform) -> Float[Array, " pair"]:
+    """How deep the spheres of each pair of `topology.penetration` stand in one another at the worst place, metres; negative where they are apart."""
+    if not body.topology.penetration:
+        return jnp.zeros((0,), body.lengths.dtype)
+    spheres = sphere_approximation(body, T_world_part)
+    # (x y z r, sphere, part), so that each pair of spheres below is a plain elementwise sum over the pairs of parts: as a reduction over two small
+    # axes XLA runs it unvectorised, at ten times the cost.
+    table = jnp.concatenate([jnp.transpose(spheres.centres, (2, 1, 0)), spheres.radii.T[None]])
+    first, second = (
+        jax.lax.optimization_barrier(jnp.stack([table[:, :, pair[side]] for pair in body.topology.penetration], axis=-1)) for side in (0, 1)
+    )
+    count = body.topology.spheres_per_part
+    depths = [_depth(first[:, i], second[:, j]) for i in range(count) for j in range(count)]
+    return reduce(jnp.maximum, depths)
+
+
+def _depth(a: Float[Array, "4 pair"], b: Float[Array, "4 pair"]) -> Float[Array, " pair"]:
+    x, y, z = (a[k] - b[k] for k in range(3))
+    # sqrt of a clamped square: its gradient at coinciding centres would be infinite.
+    return a[3] + b[3] - jnp.sqrt(jnp.maximum(x * x + y * y + z * z, 1e-12))

@@ -1,0 +1,101 @@
+r"""A pinhole camera with Bouguet's (OpenCV's) distortion.
+
+$x = X/Z,\ y = Y/Z,\ r^2 = x^2 + y^2$ in the camera's frame; $x_d = x (1 + k_1 r^2 + k_2 r^4 + k_3 r^6) + 2 p_1 x y + p_2 (r^2 + 2 x^2)$ and likewise
+$y_d$; $u = f_x (x_d + \alpha y_d) + c_x,\ v = f_y y_d + c_y$, pixels, the first pixel's centre at (0, 0).
+
+The radial polynomial turns back at some radius: points far outside the field of view would land inside the image again. `radius_max` is where
+it turns; what lies beyond it, or behind the camera, is not visible.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from numpy.typing import NDArray
+
+from bayes_body.shapes import Rotation, Scalar, Vector3
+
+# Nearer than this to the plane of the camera (metres) a point counts as behind it, and the division stays finite.
+NEAR = 0.05
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    meta_fields=[],
+    data_fields=["rotation", "translation", "focal", "centre", "skew", "distortion", "radius_max", "size"],
+)
+@dataclass(frozen=True)
+class Camera:
+    """One camera: `X_camera = rotation @ X_world + translation` (metres), intrinsics in pixels, `size` = (width, height).
+
+    A rig is a Camera whose leaves have a leading camera axis; functions here take one camera and are vmapped over it.
+    """
+
+    rotation: Rotation
+    translation: Vector3
+    focal: Float[Array, "2"]
+    centre: Float[Array, "2"]
+    skew: Scalar
+    distortion: Float[Array, "5"]
+    radius_max: Scalar
+    size: Float[Array, "2"]
+
+    @property
+    def viewpoint(self) -> Vector3:
+        """The camera's centre in the world, metres."""
+        return -jnp.sum(self.rotation * self.translation[:, None], axis=0)
+
+
+class Pixels[T](NamedTuple):
+    """Projected points: column `u`, row `v`, and whether the point can be seen at all (before, not behind; not past the lens's turning point)."""
+
+    u: T
+    v: T
+    visible: T
+
+
+def to_camera(camera: Camera, vector: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+    """A direction of the world in the camera's frame."""
+    R = camera.rotation
+    return vector[..., 0, None] * R[:, 0] + vector[..., 1, None] * R[:, 1] + vector[..., 2, None] * R[:, 2]
+
+
+def project_components(camera: Camera, X: Array, Y: Array, Z: Array) -> Pixels[Array]:
+    """Pixels of points given by their components in the camera's frame (metres, any equal shapes)."""
+    before = Z > NEAR
+    # where before the division: a point behind the camera gets no infinite gradient.
+    inverse = 1 / jnp.where(before, Z, 1.0)
+    x, y = X * inverse, Y * inverse
+    k1, k2, p1, p2, k3 = (camera.distortion[i] for i in range(5))
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    xy2 = 2 * x * y
+    xd = x * radial + p1 * xy2 + p2 * (r2 + 2 * x * x)
+    yd = y * radial + p2 * xy2 + p1 * (r2 + 2 * y * y)
+    u = camera.focal[0] * (xd + camera.skew * yd) + camera.centre[0]
+    v = camera.focal[1] * yd + camera.centre[1]
+    return Pixels(u, v, before & (r2 < camera.radius_max**2))
+
+
+def project(camera: Camera, points: Float[Array, "*batch 3"]) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
+    """Pixel coordinates (column, row) of world points (metres), and whether each is visible; equal to `cv2.projectPoints` where it is."""
+    p = to_camera(camera, points) + camera.translation
+    pixels = project_components(camera, p[..., 0], p[..., 1], p[..., 2])
+    return jnp.stack([pixels.u, pixels.v], axis=-1), pixels.visible
+
+
+def turning_radius(distortion: NDArray[np.floating], limit: float = 1e3) -> float:
+    r"""The radius $\sqrt{x^2 + y^2}$ at which $r (1 + k_1 r^2 + k_2 r^4 + k_3 r^6)$ stops growing, at most `limit` (a lens that never turns)."""
+    k1, k2, _, _, k3 = np.asarray(distortion, float)
+    roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])
+    real = roots[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)].real
+    return float(min(np.sqrt(real.min()), limit)) if real.size else limit
+
+
+def stack(cameras: list[Camera]) -> Camera:
+    """A rig: the cameras' leaves stacked along a leading camera axis."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *cameras)

@@ -1,0 +1,60 @@
+"""`bayes-body`: the verbs, and what happens when something is wrong: one sentence a fault on standard error, exit status 2, never a traceback."""
+
+import os
+import sys
+import tempfile
+import traceback
+from collections.abc import Sequence
+
+import typer
+
+from bayes_body import __version__
+from bayes_body.cli import import_, models, track
+from bayes_body.errors import FaultyFileError, InputError
+
+WRONG_INPUT, OUR_FAULT, INTERRUPTED = 2, 1, 130
+
+app = typer.Typer(
+    help="Bayesian 3D human pose and motion, with honest uncertainty, from calibrated video.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+app.add_typer(import_.app, name="import")
+app.command("track")(track.track)
+app.add_typer(models.app, name="models")
+
+
+@app.callback(invoke_without_command=True)
+def _common(version: bool = typer.Option(False, "--version", help="Print the version and exit.")) -> None:
+    if version:
+        typer.echo(f"bayes-body {__version__}")
+        raise typer.Exit
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit with its status."""
+    try:
+        app(args=list(arguments) if arguments is not None else None)
+    except InputError as error:
+        for sentence in error.sentences if isinstance(error, FaultyFileError) else [str(error)]:
+            typer.secho(f"bayes-body: {sentence}", err=True, fg="red")
+        sys.exit(WRONG_INPUT)
+    except KeyboardInterrupt:
+        typer.secho("bayes-body: interrupted.", err=True, fg="red")
+        sys.exit(INTERRUPTED)
+    except Exception as error:
+        typer.secho(f"bayes-body: {_internal(error)}", err=True, fg="red")
+        sys.exit(OUR_FAULT)
+
+
+def _internal(error: Exception) -> str:
+    handle, path = tempfile.mkstemp(prefix="bayes-body-", suffix=".log")
+    with os.fdopen(handle, "w") as log:
+        log.write("".join(traceback.format_exception(error)))
+    return f"an internal error, {type(error).__name__}: {error}; this is a fault of the program: report it with the details in {path}."
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,171 @@
+"""Model definitions: the schema of models/*.toml, found by name or by path, read and validated.
+
+A definition names terms; what a term's table may hold is the term's own schema, found through the registry. Nothing here builds arrays.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from bayes_body.body.schema import BodySchema
+from bayes_body.errors import FaultyFileError, InputError, nearest, wrong
+from bayes_body.registry import Room, find
+from bayes_body.schema import Schema
+from bayes_body.toml_file import read_toml, validate
+
+
+class TermTable(BaseModel):
+    """A table that names a term by `kind`; its other keys are the term's options."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+    kind: str
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """All but the kind."""
+        return dict(self.model_extra or {})
+
+
+class _File(Schema):
+    """A whole definition, its terms still unread."""
+
+    title: str
+    source: str
+    body: dict[str, Any]
+    dynamics: TermTable
+    likelihoods: tuple[TermTable, ...] = Field(alias="likelihood", min_length=1)
+    constraints: tuple[TermTable, ...] = Field(alias="constraint", default=())
+    kernel: TermTable
+
+
+@dataclass(frozen=True)
+class TermDefinition:
+    """One term: its kind, and its validated options (a pydantic model of the term's own)."""
+
+    kind: str
+    options: Any
+
+
+@dataclass(frozen=True)
+class LikelihoodDefinition(TermDefinition):
+    """A likelihood and how its observation is prepared."""
+
+    observation: Any
+
+
+@dataclass(frozen=True)
+class Definition:
+    """A model as declared: the file's own text, titles, a body, and terms with validated options."""
+
+    name: str
+    text: str
+    title: str
+    source: str
+    body_name: str
+    body: BodySchema
+    dynamics: TermDefinition
+    likelihoods: tuple[LikelihoodDefinition, ...]
+    constraints: tuple[TermDefinition, ...]
+    kernel: TermDefinition
+
+
+def definitions_folder() -> Path:
+    """Where the shipped definitions lie: inside the package in a wheel, beside it in a checkout."""
+    inside = Path(__file__).parent / "_models"
+    return inside if inside.is_dir() else Path(__file__).parent.parent / "models"
+
+
+def definition_names(folder: str = "") -> tuple[str, ...]:
+    """Names of the shipped models, or with `folder` = "bodies" of the shipped bodies."""
+    return tuple(sorted(path.stem for path in (definitions_folder() / folder).glob("*.toml")))
+
+
+def load_definition(name: str | Path) -> Definition:
+    """A shipped definition by name, or a user's by path.
+
+    Raises:
+        InputError: there is none of that name, or the file is no TOML.
+        FaultyFileError: one sentence for each thing in it that is wrong.
+    """
+    path = _locate(str(name), "", "model")
+    where = path.name if path.parent == definitions_folder() else str(path)
+    file = validate(_File, read_toml(path), where)
+    collect = _Collector(where)
+    body_name, body = collect.body(file.body)
+    likelihoods = tuple(collect.likelihood(index, table) for index, table in enumerate(file.likelihoods))
+    constraints = tuple(collect.term("potential", f"constraint #{index + 1}", table) for index, table in enumerate(file.constraints))
+    dynamics, kernel = collect.term("dynamics", "dynamics", file.dynamics), collect.term("kernel", "kernel", file.kernel)
+    if collect.sentences:
+        raise FaultyFileError(collect.sentences)
+    return Definition(
+        path.stem, path.read_text(encoding="utf-8-sig"), file.title, file.source, body_name, body, dynamics, likelihoods, constraints, kernel
+    )
+
+
+def load_body(name: str) -> BodySchema:
+    """A shipped body by name, or a user's by path.
+
+    Raises:
+        InputError: as `load_definition`.
+    """
+    path = _locate(name, "bodies", "body")
+    return validate(BodySchema, read_toml(path), path.name if path.parent.parent == definitions_folder() else str(path))
+
+
+def _locate(name: str, folder: str, kind: str) -> Path:
+    shipped = definitions_folder() / folder / f"{name}.toml"
+    if shipped.is_file():
+        return shipped
+    if name.endswith(".toml") or Path(name).exists():
+        return Path(name)
+    known = definition_names(folder)
+    raise InputError(f"{kind} '{name}' does not exist; {nearest(name, known)} (or give the path of a .toml file)")
+
+
+class _Collector:
+    """Reads the terms of one file and gathers what is wrong, so that a user sees all of it at once."""
+
+    def __init__(self, where: str):
+        self.where = where
+        self.sentences: list[str] = []
+
+    def body(self, table: Mapping[str, Any]) -> tuple[str, Any]:
+        """The body by name, or written out in the model itself."""
+        if "name" not in table:
+            return "written out in the model", self._try(lambda: validate(BodySchema, table, f"{self.where}: body"))
+        name = table["name"]
+        for key in table:
+            if key != "name":
+                self.sentences.append(f"{self.where}: body.{key}: unknown key beside a body's name; {nearest(key, ['name'])}")
+        if not isinstance(name, str):
+            self.sentences.append(str(wrong(f"{self.where}: body.name", str(name), "a text", "put the name of a body in double quotes")))
+            return "", None
+        return name, self._try(lambda: load_body(name), f"{self.where}: body.name: ")
+
+    def term(self, room: Room, place: str, table: TermTable) -> TermDefinition:
+        """A term with its options, held against the schema that its kind registered."""
+        return TermDefinition(table.kind, self._options(room, place, table.kind, table.options))
+
+    def likelihood(self, index: int, table: TermTable) -> LikelihoodDefinition:
+        """A likelihood; its sub-table `observation` belongs to the observation of the same kind."""
+        place, options = f"likelihood #{index + 1}", table.options
+        observation = options.pop("observation", {})
+        read = self._options("likelihood", place, table.kind, options)
+        prepared = self._options("observation", f"{place}.observation", table.kind, observation) if read is not None else None
+        return LikelihoodDefinition(table.kind, read, prepared)
+
+    def _options(self, room: Room, place: str, kind: str, options: Any) -> Any:
+        term = self._try(lambda: find(room, kind), f"{self.where}: {place}.kind: ")
+        return self._try(lambda: validate(term.options, options, f"{self.where}: {place}")) if term else None
+
+    def _try(self, action: Any, prefix: str = "") -> Any:
+        try:
+            return action()
+        except FaultyFileError as error:
+            self.sentences += error.sentences
+        except InputError as error:
+            self.sentences.append(f"{prefix}{error}")
+        return None

@@ -1,0 +1,1 @@
+"""One file a motion prior, in JAX: the previous state becomes a Transition."""

@@ -1,0 +1,90 @@
+"""A box of joint limits as the support of a distribution; sides may be infinite, and each dof has its own.
+
+numpyro's `interval` has a sigmoid for its bijector, which is NaN on an infinite side; here a dof without limits keeps its own coordinate.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from numpyro.distributions import biject_to, constraints
+from numpyro.distributions.transforms import ParameterFreeTransform, Transform
+
+from bayes_body.shapes import Pose
+
+
+class Box(constraints.Constraint):
+    """low ≤ x ≤ high along the last axis; radians or metres, ±inf where there is no limit."""
+
+    event_dim = 1
+
+    def __init__(self, low: Pose, high: Pose):
+        self.low, self.high = low, high
+
+    def __call__(self, x: Float[Array, "*batch dof"]) -> Any:
+        """Whether x lies in the box."""
+        return jnp.all((x >= self.low) & (x <= self.high), axis=-1)
+
+    def feasible_like(self, prototype: Array) -> Array:
+        """A point inside."""
+        return BoxTransform(self.low, self.high)(jnp.zeros_like(prototype))
+
+    def tree_flatten(self) -> Any:
+        """As numpyro's constraints have it."""
+        return (self.low, self.high), (("low", "high"), {})
+
+
+class BoxTransform(Transform):
+    r"""$s = \mathrm{low} + (\mathrm{high} - \mathrm{low})\,\sigma(x)$ where both sides are finite, $s = x$ elsewhere."""
+
+    domain = constraints.real_vector  # pyright: ignore[reportAssignmentType, reportIncompatibleMethodOverride]
+
+    def __init__(self, low: Pose, high: Pose):
+        self.low, self.high = low, high
+
+    @property
+    def codomain(self) -> Box:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The box."""
+        return Box(self.low, self.high)
+
+    @property
+    def _finite(self) -> Array:
+        return jnp.isfinite(self.low) & jnp.isfinite(self.high)
+
+    @property
+    def _safe(self) -> tuple[Pose, Pose]:
+        # Reverse mode differentiates both branches of a where: the unused one must be finite too.
+        return jnp.where(self._finite, self.low, 0.0), jnp.where(self._finite, self.high, 1.0)
+
+    def __call__(self, x: Array) -> Array:
+        """From the real line into the box."""
+        low, high = self._safe
+        return jnp.where(self._finite, low + (high - low) * jax.nn.sigmoid(x), x)
+
+    def _inverse(self, y: Array) -> Array:
+        low, high = self._safe
+        share = jnp.where(self._finite, (y - low) / (high - low), 0.5)
+        tiny = jnp.finfo(y.dtype).eps
+        return jnp.where(self._finite, jax.scipy.special.logit(jnp.clip(share, tiny, 1 - tiny)), y)
+
+    def log_abs_det_jacobian(self, x: Array, y: Array, intermediates: Any = None) -> Array:
+        """Sum over dofs of log |ds/dx|."""
+        del y, intermediates
+        low, high = self._safe
+        bounded = jnp.log(high - low) + jax.nn.log_sigmoid(x) + jax.nn.log_sigmoid(-x)
+        return jnp.sum(jnp.where(self._finite, bounded, 0.0), axis=-1)
+
+    def tree_flatten(self) -> Any:
+        """As numpyro's transforms have it."""
+        return (self.low, self.high), (("low", "high"), {})
+
+    def __eq__(self, other: object) -> Any:
+        return isinstance(other, BoxTransform) and jnp.array_equal(self.low, other.low) & jnp.array_equal(self.high, other.high)
+
+    __hash__ = ParameterFreeTransform.__hash__
+
+
+@biject_to.register(Box)
+def _biject_to_box(constraint: Box) -> BoxTransform:
+    return BoxTransform(constraint.low, constraint.high)

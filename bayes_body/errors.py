@@ -1,0 +1,28 @@
+"""What a user reads when an input is wrong: which thing, its value, what was expected, and the remedy, in one sentence."""
+
+import difflib
+from collections.abc import Iterable
+
+
+class InputError(ValueError):
+    """A user's input that cannot be used. The command line prints it as one sentence and exits with status 2."""
+
+
+class FaultyFileError(InputError):
+    """All that is wrong with one file, a sentence each."""
+
+    def __init__(self, sentences: Iterable[str]):
+        self.sentences = tuple(sentences)
+        super().__init__("\n".join(self.sentences))
+
+
+def wrong(subject: object, found: str, expected: str, remedy: str) -> InputError:
+    """The error `subject: found; expected ...; remedy.`, with its parts in the order in which a reader needs them."""
+    return InputError(f"{subject}: {found}; expected {expected}; {remedy}.")
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """`did you mean 'x'?` where a known name is close, else the list of the known names."""
+    known = sorted(known)
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    return f"did you mean '{close[0]}'?" if close else f"known: {', '.join(known) or 'none'}"

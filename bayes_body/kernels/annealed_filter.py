@@ -1,0 +1,155 @@
+r"""The annealed particle filter (Deutscher & Reid 2005).
+
+**A mode seeker, not a posterior sampler**: its particles gather at high values of the likelihood, their spread says nothing about uncertainty, and it
+estimates no evidence (reported as NaN).
+
+Layers $r = R \ldots 1$; at each, particles are resampled, crossed over, moved by the noise of the prior shrunk to $\tau^{R-r}$ of its standard
+deviation (Darby et al. 2008, (10)), and weighted by $w^{\beta_r}$, with $\beta_r$ such that the survival rate $1 / (N \sum_n \pi_n^2)$ is $\tau$:
+found by bisection. The noise of the layers is a proposal that no weight corrects: that is what makes a mode seeker of it.
+
+Crossover: a particle takes an interval of its parameters, from one end of a chain of joints to another, from a second parent drawn by weight.
+"""
+
+from typing import Annotated, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Int
+from pydantic import Field
+
+from bayes_body.factor import FilterInfo, FrameDensity, Kernel, Particles, State
+from bayes_body.kernels.batching import over_particles
+from bayes_body.kernels.resampling import Resample, Scheme, resampler
+from bayes_body.kernels.weights import LogWeights, effective_sample_size, normalise
+from bayes_body.registry import register
+from bayes_body.schema import Schema
+from bayes_body.shapes import Key, Scalar
+
+# Powers of the likelihood between which the survival rate is met, and how often their ratio's logarithm is halved: to 1e-7.
+LOWEST_POWER, HIGHEST_POWER = 1e-6, 1e6
+BISECTIONS = 28
+
+type Share = Annotated[float, Field(gt=0, lt=1)]
+
+
+class Options(Schema):
+    """Options of `[kernel] kind = "annealed"`."""
+
+    particles: Annotated[int, Field(gt=0)] = 1000
+    layers: Annotated[int, Field(gt=0)] = 5
+    survival_rate: Share = 0.5
+    crossover_rate: Annotated[float, Field(ge=0, le=1)] = 0.5
+    resampling: Scheme = "systematic"
+
+
+class _Layer(NamedTuple):
+    """What a layer hands to the next: particles, which of the frame before each descends from, and whether any explained the image."""
+
+    states: State
+    log_weights: LogWeights
+    ancestors: Int[Array, " particle"]
+    lost: Bool[Array, ""]
+
+
+def build_kernel(layers: int = 5, survival_rate: float = 0.5, crossover_rate: float = 0.5, resampling: Scheme = "systematic") -> Kernel:
+    """One frame of the filter.
+
+    Args:
+        layers: R, annealing runs a frame.
+        survival_rate: τ, the share of particles that a layer keeps; also the factor by which its noise shrinks.
+        crossover_rate: the share of particles that get an interval of a second parent's parameters, from the second layer on.
+        resampling: how ancestors are drawn.
+    """
+    resample = resampler(resampling)
+    scales = survival_rate ** jnp.arange(layers)
+
+    def kernel(key: Key, particles: Particles, density: FrameDensity) -> tuple[Particles, FilterInfo]:
+        count = particles.log_weights.shape[0]
+
+        def layer(before: _Layer, step: tuple[Key, Scalar, Scalar]) -> tuple[_Layer, tuple[Scalar, Scalar]]:
+            layer_key, index, scale = step
+            select_key, cross_key, move_key = jax.random.split(layer_key, 3)
+            chosen = resample(select_key, before.log_weights)
+            parents = jax.tree.map(lambda leaf: leaf[chosen], before.states)
+            rate = jnp.where(index > 0, crossover_rate, 0.0)
+            parents = _cross_over(cross_key, parents, before, resample, rate)
+            ancestors = before.ancestors[chosen]
+            previous = jax.tree.map(lambda leaf: leaf[ancestors], particles.states)
+            keys = jax.random.split(move_key, count)
+            states, raw = over_particles(_move_and_weigh, (keys, parents, previous), (density, index, scale))
+            beta = _power_for_survival(raw, survival_rate)
+            weights = normalise(beta * raw[0] + raw[1])
+            rate_reached = effective_sample_size(weights.log_weights) / count
+            return _Layer(states, weights.log_weights, ancestors, before.lost | weights.lost), (beta, rate_reached)
+
+        keys = jax.random.split(key, layers)
+        start = _Layer(particles.states, particles.log_weights, jnp.arange(count), jnp.array(False))
+        final, (betas, rates) = jax.lax.scan(layer, start, (keys, jnp.arange(layers), scales))
+        info = FilterInfo(
+            ancestors=final.ancestors,
+            ess=rates[-1] * count,
+            survival_rate=rates,
+            inverse_temperatures=betas,
+            log_evidence=jnp.full((), jnp.nan),
+            lost=final.lost,
+        )
+        return Particles(final.states, final.log_weights), info
+
+    return kernel
+
+
+def _move_and_weigh(particle: tuple[Key, State, State], shared: tuple[FrameDensity, Scalar, Scalar]) -> tuple[State, tuple[Scalar, Scalar]]:
+    """The moved particle, its likelihood (whose power the layers choose) and what holds at full power.
+
+    The first layer draws from the motion prior, the others move by its noise, shrunk.
+    """
+    key, parent, previous = particle
+    density, index, scale = shared
+    transition = density.transition
+    state = jax.lax.cond(index == 0, lambda: transition.sample(key, previous), lambda: transition.perturb(key, parent, previous, scale))
+    # Without the barrier XLA draws the noise anew wherever the state is read.
+    state = jax.lax.optimization_barrier(state)
+    return state, (density.log_likelihood(state, previous), density.log_constraint(state, previous))
+
+
+def _cross_over(key: Key, parents: State, before: _Layer, resample: Resample, rate: Scalar) -> State:
+    second_key, shuffle_key, interval_key, share_key = jax.random.split(key, 4)
+    # Systematic draws come in the order of the particles: without the shuffle a particle would be crossed with itself.
+    second = jax.random.permutation(shuffle_key, resample(second_key, before.log_weights))
+    takes_part = jax.random.uniform(share_key, second.shape) < rate
+
+    def cross(name_key: Key, first: Array, other: Array) -> Array:
+        ends = jnp.sort(jax.random.randint(name_key, (first.shape[0], 2), 0, first.shape[1] + 1), axis=1)
+        place = jnp.arange(first.shape[1])
+        swapped = (place >= ends[:, :1]) & (place < ends[:, 1:]) & takes_part[:, None]
+        return jnp.where(swapped, other, first)
+
+    keys = dict(zip(sorted(parents), jax.random.split(interval_key, len(parents)), strict=True))
+    return {name: cross(keys[name], leaf, before.states[name][second]) for name, leaf in parents.items()}
+
+
+def _power_for_survival(raw: tuple[LogWeights, LogWeights], survival_rate: float) -> Scalar:
+    """β at which the survival rate is met, by bisection on its logarithm; the survival rate falls as β grows."""
+    log_likelihood, log_constraint = raw
+    # The maximum taken out first: in float32 large powers of raw values would lose what distinguishes them.
+    clean = jnp.where(jnp.isnan(log_likelihood) | jnp.isneginf(log_constraint), -jnp.inf, log_likelihood)
+    relative = clean - jnp.max(jnp.where(jnp.isfinite(clean), clean, -jnp.inf))
+    count = log_likelihood.shape[0]
+
+    def halve(_: int, ends: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+        low, high = ends
+        middle = (low + high) / 2
+        too_cold = effective_sample_size(jnp.exp(middle) * relative + log_constraint) < survival_rate * count
+        return jnp.where(too_cold, low, middle), jnp.where(too_cold, middle, high)
+
+    ends = (jnp.log(jnp.asarray(LOWEST_POWER, relative.dtype)), jnp.log(jnp.asarray(HIGHEST_POWER, relative.dtype)))
+    return jnp.exp(jax.lax.fori_loop(0, BISECTIONS, halve, ends)[0])
+
+
+NOTE = "a mode seeker: it finds the pose, but the spread of its particles is no uncertainty; coverage and evidence are left out."
+
+
+@register("kernel", "annealed", Options, NOTE)
+def build(options: Options, **_: Any) -> Kernel:
+    """The kernel of a definition."""
+    return build_kernel(options.layers, options.survival_rate, options.crossover_rate, options.resampling)

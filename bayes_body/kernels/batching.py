@@ -1,0 +1,69 @@
+"""A function of one particle, applied to all of them: in small batches, spread over the devices.
+
+On a CPU a batch should fit the cache and the program should run on every core: a `vmap` over all particles at once is half as fast (docs/decisions).
+On an accelerator one `vmap` is best.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+BATCH = 32
+
+
+def over_particles(function: Callable[..., Any], particles: Any, shared: Any, batch: int = BATCH) -> Any:
+    """`vmap(function, (0, None))(particles, shared)`, fast.
+
+    Args:
+        function: `(particle, shared) -> pytree`, for one particle.
+        particles: pytree whose leaves have a leading particle axis.
+        shared: what is the same for all particles. Arrays that are traced must come in here, not through a closure.
+        batch: particles computed at once on one device.
+    """
+    vmapped = jax.vmap(function, (0, None))
+    if jax.default_backend() != "cpu":
+        return vmapped(particles, shared)
+    count = jax.tree.leaves(particles)[0].shape[0]
+    # A run of a few particles gains nothing from a second device, and padding it would cost more.
+    devices = jax.devices() if count > batch else jax.devices()[:1]
+    batch = min(batch, count)
+    padded = jax.tree.map(lambda leaf: _pad(leaf, len(devices) * batch), particles)
+    spread = _in_batches(vmapped, batch)
+    if len(devices) > 1:
+        mesh = Mesh(np.array(devices), ("particle",))
+        split = PartitionSpec("particle")
+        spread = jax.shard_map(spread, mesh=mesh, in_specs=(split, PartitionSpec()), out_specs=split)
+    results = spread(padded, shared)
+    if len(devices) > 1:
+        # Gathered once: left spread, every sum over particles that follows would stop all devices to exchange a number.
+        results = jax.lax.with_sharding_constraint(results, whole())
+    return jax.tree.map(lambda leaf: leaf[:count], results)
+
+
+def _pad(leaf: jax.Array, multiple: int) -> jax.Array:
+    missing = -leaf.shape[0] % multiple
+    # Repeating a real particle keeps the padding's arithmetic finite.
+    return jnp.concatenate([leaf, jnp.broadcast_to(leaf[-1:], (missing, *leaf.shape[1:]))]) if missing else leaf
+
+
+def _in_batches(vmapped: Callable[..., Any], batch: int) -> Callable[..., Any]:
+    def run(particles: Any, shared: Any) -> Any:
+        batches = jax.tree.map(lambda leaf: leaf.reshape(-1, batch, *leaf.shape[1:]), particles)
+        results = jax.lax.map(lambda some: vmapped(some, shared), batches)
+        return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
+
+    return run
+
+
+def everywhere[Tree](tree: Tree) -> Tree:
+    """The tree's arrays, whole, on every device: what one program that spreads its particles takes and gives."""
+    return jax.device_put(tree, whole())
+
+
+def whole() -> NamedSharding:
+    """The sharding of an array that every device holds whole."""
+    return NamedSharding(Mesh(np.array(jax.devices()), ("particle",)), PartitionSpec())

@@ -1,0 +1,51 @@
+r"""How much of an image a body covers: the share of the points of a coarse grid that lie in the projection of any part.
+
+A grid point's membership of a part's quadrilateral is soft over one step of the grid, $\prod$ of sigmoids of the distances to its four sides, so
+that the area has a gradient; the union over parts is $1 - \prod_p (1 - m_p)$.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_body.body.solids import Body, Samples
+from bayes_body.camera import Camera, Pixels
+from bayes_body.likelihood.patch_pixels import rig_pixels
+from bayes_body.shapes import Pose, Scalar
+
+
+def projected_area(body: Body, rig: Camera, pose: Pose, grid: tuple[int, int]) -> Float[Array, " camera"]:
+    """The covered share of each camera's image, in [0, 1]; a part with a corner that is not visible covers nothing.
+
+    Args:
+        body: the body.
+        rig: cameras.
+        pose: radians and metres.
+        grid: columns and rows of the grid that is stretched over each image.
+    """
+    parts = len(body.topology.names)
+    t, s = (np.tile(np.array(row), (parts, 1)) for row in ([0.0, 1.0, 1.0, 0.0], [-1.0, -1.0, 1.0, 1.0]))
+    corners = rig_pixels(body, rig, Samples(jnp.asarray(t, pose.dtype), jnp.asarray(s, pose.dtype)), pose)
+    return jax.vmap(lambda c, size: _covered(c, size, *grid))(corners, rig.size)
+
+
+def _covered(corners: Pixels[Float[Array, "part 4"]], size: Float[Array, "2"], columns: int, rows: int) -> Scalar:
+    u = (jnp.arange(columns) + 0.5) / columns * size[0] - 0.5
+    v = (jnp.arange(rows) + 0.5) / rows * size[1] - 0.5
+    softness = size[0] / columns
+    inside = jnp.ones((corners.u.shape[0], rows, columns), corners.u.dtype)
+    signed_area = _signed_area(corners)
+    for i in range(4):
+        j = (i + 1) % 4
+        along_u, along_v = corners.u[:, j] - corners.u[:, i], corners.v[:, j] - corners.v[:, i]
+        length = jnp.sqrt(along_u**2 + along_v**2 + 1e-6)
+        du, dv = u - corners.u[:, i, None, None], v[:, None] - corners.v[:, i, None, None]
+        distance = (along_u[:, None, None] * dv - along_v[:, None, None] * du) / length[:, None, None]
+        inside *= jax.nn.sigmoid(4 * jnp.sign(signed_area)[:, None, None] * distance / softness)
+    inside *= jnp.all(corners.visible, axis=1)[:, None, None]
+    return jnp.mean(1 - jnp.prod(1 - inside, axis=0))
+
+
+def _signed_area(corners: Pixels[Float[Array, "part 4"]]) -> Float[Array, " part"]:
+    return jnp.sum(corners.u * jnp.roll(corners.v, -1, axis=1) - jnp.roll(corners.u, -1, axis=1) * corners.v, axis=1)

@@ -1,0 +1,98 @@
+"""Pixels of points on the parts' patches: the inner loop of every likelihood that looks at fixed points of a body.
+
+Two thousand points an evaluation pass here, so its derivative is written by hand: with it a gradient costs a third less than with the one that
+reverse mode finds (docs/decisions). Reverse mode only; `camera.project` is the same map with every derivative.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayes_body import camera as cameras
+from bayes_body.body.solids import Body, Patches, Samples, part_transforms, patches
+from bayes_body.camera import Camera, Pixels
+from bayes_body.geometry import Transform
+from bayes_body.shapes import Pose
+
+
+def rig_pixels(body: Body, rig: Camera, samples: Samples, pose: Pose) -> Pixels[Float[Array, "camera part sample"]]:
+    """Where each camera of a rig sees each sample of each part of a posed body."""
+    T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, pose))))
+    seen = jax.vmap(lambda camera: _camera_patches(body, T_world_part, camera))(rig)
+    # The barrier keeps XLA from computing the patches anew for every sample.
+    seen = jax.lax.optimization_barrier(seen)
+    return jax.vmap(_pixels, in_axes=(0, 0, None))(rig, seen, samples)
+
+
+def _camera_patches(body: Body, T_world_part: Transform, camera: Camera) -> Float[Array, "4 part 3"]:
+    world = patches(body, T_world_part, camera.viewpoint)
+    start, *directions = (cameras.to_camera(camera, vector) for vector in world)
+    return jnp.stack([start + camera.translation, *directions])
+
+
+def _pixels(camera: Camera, seen: Float[Array, "4 part 3"], samples: Samples) -> Pixels[Float[Array, "part sample"]]:
+    X, Y, Z = _spread(seen, samples)
+    u, v = _project(camera, X, Y, Z)
+    # `visible` carries no derivative, so it stays outside; XLA merges what the two have in common.
+    return Pixels(u, v, cameras.project_components(camera, X, Y, Z).visible)
+
+
+type Components = tuple[Float[Array, "part sample"], Float[Array, "part sample"], Float[Array, "part sample"]]
+
+
+@jax.custom_vjp
+def _spread(seen: Float[Array, "4 part 3"], samples: Samples) -> Components:
+    """V0 + t V1 + s V2 + t s V3, by components of the camera's frame."""
+    patch = Patches(*seen)
+    t, s = samples
+    X, Y, Z = (
+        patch.start[:, k, None] + patch.along[:, k, None] * t + patch.across[:, k, None] * s + patch.taper[:, k, None] * (t * s) for k in range(3)
+    )
+    return X, Y, Z
+
+
+def _spread_forward(seen: Float[Array, "4 part 3"], samples: Samples) -> tuple[Components, Samples]:
+    return _spread(seen, samples), samples
+
+
+def _spread_backward(samples: Samples, cotangents: Components) -> tuple[Array, Samples]:
+    t, s = samples
+    # As a product of matrices: twelve separate sums would each compute the cotangents anew.
+    basis = jnp.stack([jnp.ones_like(t), t, s, t * s])
+    back = [jnp.einsum("kpn,pn->kp", basis, component) for component in jax.lax.optimization_barrier(cotangents)]
+    return jnp.stack(back, axis=-1), jax.tree.map(jnp.zeros_like, samples)
+
+
+_spread.defvjp(_spread_forward, _spread_backward)
+
+
+@jax.custom_vjp
+def _project(camera: Camera, X: Array, Y: Array, Z: Array) -> tuple[Array, Array]:
+    pixels = cameras.project_components(camera, X, Y, Z)
+    return pixels.u, pixels.v
+
+
+def _project_forward(camera: Camera, X: Array, Y: Array, Z: Array) -> tuple[tuple[Array, Array], tuple[Camera, Array, Array, Array]]:
+    return _project(camera, X, Y, Z), (camera, X, Y, Z)
+
+
+def _project_backward(saved: tuple[Camera, Array, Array, Array], cotangents: tuple[Array, Array]) -> tuple[Camera, Array, Array, Array]:
+    camera, X, Y, Z = saved
+    before = cameras.NEAR < Z
+    inverse = jnp.where(before, 1 / jnp.where(before, Z, 1.0), 0.0)
+    x, y = X * inverse, Y * inverse
+    k1, k2, p1, p2, k3 = (camera.distortion[i] for i in range(5))
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))
+    # The Jacobian of the distortion is symmetric: one mixed entry.
+    mixed = x * y * slope + 2 * (p1 * x + p2 * y)
+    a = camera.focal[0] * cotangents[0]
+    b = camera.focal[1] * cotangents[1] + camera.skew * a
+    back_X = (a * (radial + x * x * slope + 2 * p1 * y + 6 * p2 * x) + b * mixed) * inverse
+    back_Y = (a * mixed + b * (radial + y * y * slope + 2 * p2 * x + 6 * p1 * y)) * inverse
+    # A rig is calibrated, not inferred: its cotangent is never used.
+    return jax.tree.map(jnp.zeros_like, camera), back_X, back_Y, -(back_X * x + back_Y * y)
+
+
+_project.defvjp(_project_forward, _project_backward)

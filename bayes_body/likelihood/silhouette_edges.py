@@ -1,0 +1,121 @@
+r"""Silhouettes and edge proximity (Darby, Li & Costen 2008, (8) and (9)), any number of cameras:
+
+$$-\log p(z \mid s) = \rho \sum_c \Big[ \frac{1}{W_c\,|\xi|} \sum_{\xi \in \text{surface}} (1 - V^{\text{silhouette}}_c(\xi))^2
+  + \frac{1}{|\xi|} \sum_{\xi \in \text{outline}} (1 - V^{\text{edge}}_c(\xi))^2 \Big]$$
+
+$$W_c = \Big(1 - \frac{|g_z - g_x|}{\max(g_z, g_x)}\Big)^\gamma, \qquad g = \text{foreground pixels} / \text{background pixels}.$$
+
+The maps that are looked up hold $(1 - V)^2$ (observation/silhouette_edges.py). The paper gives the left side up to a constant: $\rho$ is
+`precision`, 1 as printed; an annealing kernel that chooses its own powers does not see it, a posterior sampler does. This is a sum of squares, not
+a distribution over images: it can be sampled from, but not simulated.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from pydantic import Field
+
+from bayes_body.body.solids import Body, Samples, outline_samples, surface_samples
+from bayes_body.camera import Camera
+from bayes_body.factor import Factor, Variable, Variables
+from bayes_body.likelihood.coverage import projected_area
+from bayes_body.likelihood.patch_pixels import rig_pixels
+from bayes_body.maps import EDGES, SILHOUETTE, Lookup, SilhouetteEdgeMaps, look_up
+from bayes_body.registry import register
+from bayes_body.schema import Positive, Schema
+from bayes_body.shapes import Pose, Scalar
+
+POSE = Variable("pose")
+Count = Annotated[int, Field(ge=1, le=200)]
+
+
+class Options(Schema):
+    """Options of `[[likelihood]] kind = "silhouette_edges"`."""
+
+    precision: Positive = 1.0
+    gamma: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    terms: Annotated[tuple[Literal["silhouette", "edges"], ...], Field(min_length=1)] = ("silhouette", "edges")
+    lookup: Lookup = "bilinear"
+    surface_samples: tuple[Count, Count] = (6, 4)
+    outline_samples: Count = 12
+    area_grid: tuple[Count, Count] = (80, 60)
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    meta_fields=["lookup", "gamma", "area_grid"],
+    data_fields=["body", "rig", "samples", "map_index", "weights", "precision"],
+)
+@dataclass(frozen=True)
+class SilhouetteEdges:
+    """The log-potential as a pytree: what is static chooses the program, what is an array does not.
+
+    Attributes:
+        lookup: nearest or bilinear.
+        gamma: of (9).
+        area_grid: columns and rows of the grid on which projected area is measured.
+        body: the body.
+        rig: the cameras.
+        samples: surface samples, then outline samples, so that all are projected at once.
+        map_index: for each sample, the map it looks at.
+        weights: (term, sample): 1/|ξ| where the sample belongs to the term.
+        precision: ρ.
+    """
+
+    lookup: Lookup
+    gamma: float
+    area_grid: tuple[int, int]
+    body: Body
+    rig: Camera
+    samples: Samples
+    map_index: Int[Array, " sample"]
+    weights: Float[Array, "2 sample"]
+    precision: Scalar
+
+    def __call__(self, values: Variables, maps: SilhouetteEdgeMaps) -> Scalar:
+        """log p(z | pose), up to a constant."""
+        pose = values[POSE]
+        pixels = rig_pixels(self.body, self.rig, self.samples, pose)
+        errors = look_up(maps.errors, self.map_index, self.lookup, self.rig, pixels)
+        if self.gamma == 0:
+            error = jnp.sum(errors * (self.weights[SILHOUETTE] + self.weights[EDGES]))
+        else:
+            silhouette, edges = (jnp.sum(errors * weight, axis=(1, 2)) for weight in self.weights)
+            error = jnp.sum(silhouette / self._area_agreement(maps, pose) + edges)
+        # A nearest look-up turns NaN into pixel 0 and would hide it.
+        return jnp.where(jnp.isfinite(jnp.sum(pose)), -self.precision * error, jnp.nan)
+
+    def _area_agreement(self, maps: SilhouetteEdgeMaps, pose: Pose) -> Float[Array, " camera"]:
+        """W of (9), kept above 1e-3: a body that a camera does not see would divide by zero."""
+        share = projected_area(self.body, self.rig, pose, self.area_grid)
+        seen, projected = (jnp.clip(s, 1e-6, 1 - 1e-6) / (1 - jnp.clip(s, 1e-6, 1 - 1e-6)) for s in (maps.foreground, share))
+        agreement = 1 - jnp.abs(seen - projected) / jnp.maximum(seen, projected)
+        return jnp.maximum(agreement, 1e-3) ** self.gamma
+
+
+@register("likelihood", "silhouette_edges", Options)
+def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
+    """The factor of one rig and body."""
+    surface, outline = surface_samples(body, *options.surface_samples), outline_samples(body, options.outline_samples)
+    counts = (surface.t.shape[1], outline.t.shape[1])
+    parts = len(body.topology.names)
+    weights = np.zeros((2, sum(counts)))
+    weights[SILHOUETTE, : counts[0]] = ("silhouette" in options.terms) / (parts * counts[0])
+    weights[EDGES, counts[0] :] = ("edges" in options.terms) / (parts * counts[1])
+    potential = SilhouetteEdges(
+        lookup=options.lookup,
+        gamma=options.gamma,
+        area_grid=options.area_grid,
+        body=body,
+        rig=rig,
+        samples=Samples(*(jnp.concatenate(pair, axis=1) for pair in zip(surface, outline, strict=True))),
+        map_index=jnp.asarray(np.repeat([SILHOUETTE, EDGES], counts)),
+        weights=jnp.asarray(weights, body.lengths.dtype),
+        precision=jnp.asarray(options.precision, body.lengths.dtype),
+    )
+    return Factor(name=name, side="likelihood", scope=(POSE,), log_potential=potential)

@@ -1,0 +1,1 @@
+"""Host side: a frame's images become the arrays that likelihoods look at."""

@@ -1,0 +1,71 @@
+"""Error maps of silhouettes and edges (Darby, Li & Costen 2008, 6.1): prepared on the host while the device works on the frame before.
+
+Silhouette: the mask, smoothed. Edges: the gradient's magnitude, thresholded, smoothed by a Gaussian, rescaled to [0, 1], "giving each pixel a
+measure of proximity to an edge". Both are stored as (1 − V)², which is what the likelihood averages.
+"""
+
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from bayes_body.errors import wrong
+from bayes_body.maps import SilhouetteEdgeMaps, pack
+from bayes_body.observation.frames import Frame
+from bayes_body.registry import register
+from bayes_body.schema import Positive, Schema
+
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class Options(Schema):
+    """Options of `[likelihood.observation]` of `silhouette_edges`.
+
+    A sample outside an image says nothing: it counts `unseen_error`, wherever it is; 0.5 lies half way between full agreement and none.
+    """
+
+    silhouette_smooth_px: Positive = 2.0
+    edge_threshold: Positive = 20.0
+    edge_smooth_px: Positive = 3.0
+    unseen_error: Share = 0.5
+
+
+def edge_proximity(grey: NDArray[np.uint8], threshold: float, smooth_px: float) -> NDArray[np.float32]:
+    """Closeness to an edge, in [0, 1], 1 where edges are densest; zero everywhere in an image without any.
+
+    Args:
+        grey: image (row, column).
+        threshold: grey levels a pixel that the gradient must exceed.
+        smooth_px: standard deviation of the Gaussian.
+    """
+    # Sobel's mask sums to 8 on a ramp of one level a pixel.
+    magnitude = cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8
+    proximity = cv2.GaussianBlur((magnitude > threshold).astype(np.float32), (0, 0), smooth_px)
+    highest = float(proximity.max())
+    return np.asarray(proximity / highest if highest > 0 else proximity, np.float32)
+
+
+def smooth_silhouette(mask: NDArray[np.bool_], smooth_px: float) -> NDArray[np.float32]:
+    """The mask (row, column), smoothed by a Gaussian: in [0, 1]."""
+    return np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), smooth_px), np.float32)
+
+
+@register("observation", "silhouette_edges", Options)
+def build(options: Options, **_: Any) -> Callable[[Frame], SilhouetteEdgeMaps]:
+    """From a frame's images and masks to the likelihood's maps, as NumPy arrays."""
+
+    def observe(frame: Frame) -> SilhouetteEdgeMaps:
+        if frame.masks is None:
+            raise wrong("session.toml", "its cameras have no masks", "a silhouette for every image", "give each [[camera]] its `masks`")
+        rows, columns = (max(image.shape[axis] for image in frame.images) for axis in (0, 1))
+        stacks = []
+        for image, mask in zip(frame.images, frame.masks, strict=True):
+            silhouette = smooth_silhouette(mask, options.silhouette_smooth_px)
+            edges = edge_proximity(image, options.edge_threshold, options.edge_smooth_px)
+            stacks.append(np.stack([pack((1 - value) ** 2, options.unseen_error, (rows, columns)) for value in (silhouette, edges)]))
+        return SilhouetteEdgeMaps(np.stack(stacks), np.array([mask.mean() for mask in frame.masks], np.float32))
+
+    return observe

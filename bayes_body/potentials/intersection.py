@@ -1,0 +1,58 @@
+r"""Parts do not stand in one another.
+
+Darby, Li & Costen (2008, 6.1) give such poses "a zero weighting"; by the sphere approximations of Sigal et al. (2011, (7)), with $d$ the depth of the
+worst pair of spheres of two parts beyond what flesh yields,
+
+$$\log C = -\infty \text{ if any } d > 0 \quad (\text{hard}), \qquad
+\log C = -\tfrac12 \sum_{\text{pairs}} \big(\max(d, 0) / \sigma\big)^2 \quad (\text{soft}).$$
+
+A constraint: it holds at full power at every temperature. It has no normaliser of its own: what it cuts off the prediction belongs to the evidence
+estimate of a kernel. The soft form is for kernels that need a gradient.
+"""
+
+from typing import Annotated, Any, Literal
+
+import jax
+import jax.numpy as jnp
+from pydantic import Field
+
+from bayes_body.body.solids import Body, part_transforms, penetration_depths
+from bayes_body.factor import Factor, Variable, Variables
+from bayes_body.geometry import Transform
+from bayes_body.registry import register
+from bayes_body.schema import Positive, Schema
+from bayes_body.shapes import Scalar
+
+POSE = Variable("pose")
+
+
+class Options(Schema):
+    """Options of `[[constraint]] kind = "intersection"`; which pairs are tested stands in the body's `penetration`."""
+
+    mode: Literal["hard", "soft"] = "hard"
+    yield_m: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.03
+    soft_sd_m: Positive = 0.01
+
+
+def _depths(body: Body, yield_m: Scalar, values: Variables) -> jax.Array:
+    T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, values[POSE]))))
+    return penetration_depths(body, T_world_part) - yield_m
+
+
+def _hard(body: Body, yield_m: Scalar, soft_sd: Scalar, values: Variables, data: None) -> Scalar:
+    del soft_sd, data
+    return jnp.where(jnp.any(_depths(body, yield_m, values) > 0), -jnp.inf, 0.0)
+
+
+def _soft(body: Body, yield_m: Scalar, soft_sd: Scalar, values: Variables, data: None) -> Scalar:
+    del data
+    return -0.5 * jnp.sum((jnp.maximum(_depths(body, yield_m, values), 0.0) / soft_sd) ** 2)
+
+
+@register("potential", "intersection", Options)
+def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
+    """The factor of one body."""
+    dtype = body.lengths.dtype
+    arrays = (body, jnp.asarray(options.yield_m, dtype), jnp.asarray(options.soft_sd_m, dtype))
+    potential = jax.tree_util.Partial(_hard if options.mode == "hard" else _soft, *arrays)
+    return Factor(name=name, side="constraint", scope=(POSE,), log_potential=potential)

@@ -1,0 +1,1 @@
+"""Readers of what laboratories have: calibrations, images."""

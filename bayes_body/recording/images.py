@@ -1,0 +1,98 @@
+"""Image files as grey values and silhouettes, through OpenCV; a file that is missing, cut short or of the wrong size is a sentence, not a crash."""
+
+import struct
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_body.errors import InputError, wrong
+
+# Above it a grey value of a silhouette image belongs to the subject.
+MASK_THRESHOLD = 127
+# OpenCV's log level belongs to the whole process: two threads that each put it back could leave it silent for good.
+_LOG_LEVEL = threading.Lock()
+
+
+def read_grey(path: Path, size_px: tuple[int, int] | None = None) -> NDArray[np.uint8]:
+    """An image's grey values, (height, width), 0 to 255; colours are weighted as OpenCV does.
+
+    Args:
+        path: the file, of any format that OpenCV reads.
+        size_px: the (width, height) that it must have; None takes any.
+
+    Raises:
+        InputError: missing, unreadable, cut short, no image, or of another size.
+    """
+    image = _decode(path)
+    height, width = image.shape
+    if size_px is not None and (width, height) != tuple(size_px):
+        remedy = "use the images that the camera was calibrated with, or scale focal_px, centre_px and size_px to these"
+        raise wrong(path, f"{width} x {height} pixels", f"{size_px[0]} x {size_px[1]} as its camera has", remedy)
+    return image
+
+
+def read_mask(path: Path, size_px: tuple[int, int] | None = None) -> NDArray[np.bool_]:
+    """A silhouette, (height, width): true where the image is brighter than 127. Arguments and errors are those of `read_grey`."""
+    return read_grey(path, size_px) > MASK_THRESHOLD
+
+
+def _decode(path: Path) -> NDArray[np.uint8]:
+    content = _content(path)
+    missing = _missing_bytes(content)
+    if missing:
+        raise wrong(path, f"cut short, {missing} of {len(content) + missing} bytes are missing", "a whole image", "copy the file again")
+    with _silent():
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise wrong(
+            path, f"no image that OpenCV can read, or cut short ({len(content)} bytes)", "a whole bmp, png, jpg or tiff", "copy the file again"
+        )
+    return np.asarray(image, np.uint8)
+
+
+def _content(path: Path) -> bytes:
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise _unreadable(path, error) from None
+    if not content:
+        # OpenCV fails an assertion on it.
+        raise wrong(path, "empty", "an image", "copy the file again")
+    return content
+
+
+def _unreadable(path: Path, error: OSError) -> InputError:
+    if isinstance(error, FileNotFoundError):
+        return wrong(path, "no such file", "an image", "restore it, or correct the session's image paths, first_frame and frames")
+    return wrong(path, f"cannot be read ({error.strerror})", "an image", "check the path and its permissions")
+
+
+def _missing_bytes(content: bytes) -> int:
+    """How many bytes a BMP lacks by its own header; 0 for other formats. Some OpenCVs fill the missing rows silently."""
+    if content[:2] != b"BM":
+        return 0
+    if len(content) < 34:
+        return 34 - len(content)
+    (whole,) = struct.unpack_from("<I", content, 2)
+    start, header, width, height, _, bits, compression = struct.unpack_from("<IIiiHHI", content, 10)
+    # Writers are careless with the file size of the header, so it counts only where the rows cannot be counted; rows are padded to 4 bytes.
+    if header >= 40 and compression == 0:
+        whole = start + (abs(width) * bits + 31) // 32 * 4 * abs(height)
+    return max(0, whole - len(content))
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Without OpenCV's own complaints on stderr: the error that follows says what they say."""
+    with _LOG_LEVEL:
+        level = cv2.utils.logging.getLogLevel()
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+        try:
+            yield
+        finally:
+            cv2.utils.logging.setLogLevel(level)

@@ -1,0 +1,97 @@
+"""The text files of PARSEC's bodytrack: plain numbers, millimetres and radians, here turned into metres.
+
+`CameraC.cal` holds 25: focal length (2), principal point (2), skew, k1 k2 p1 p2 k3, R by rows (9), T (3), and R again as a Rodrigues vector (3);
+$X_{camera} = R X_{world} + T$.
+"""
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_body.errors import wrong
+from bayes_body.recording.faults import Faults
+from bayes_body.session_schema import rotation_fault
+
+CALIBRATION = "focal length (2), principal point (2), skew, distortion (5), rotation (9), translation (3), Rodrigues vector (3)"
+# Between R and its Rodrigues vector: both are written with ten digits, so anything above rounding is another camera's.
+RODRIGUES_TOLERANCE = 1e-3
+MM = 1e-3
+
+
+class Calibration(NamedTuple):
+    """What a `.cal` file says of a camera: pixels and metres; `rotation` (3, 3) and `translation_m` (3,) take the world to the camera."""
+
+    focal_px: tuple[float, float]
+    centre_px: tuple[float, float]
+    skew: float
+    distortion: tuple[float, float, float, float, float]
+    rotation: NDArray[np.float64]
+    translation_m: NDArray[np.float64]
+
+
+def read_calibration(path: Path) -> Calibration:
+    """A camera's calibration.
+
+    Raises:
+        InputError: not 25 finite numbers.
+        FaultyFileError: a focal length that is not positive, a matrix that is no rotation or contradicts its Rodrigues vector.
+    """
+    numbers = read_numbers(path, 25, CALIBRATION)
+    rotation = numbers[10:19].reshape(3, 3)
+    faults = Faults()
+    for axis, focal in zip("xy", numbers[:2], strict=True):
+        with faults.collect():
+            if focal <= 0:
+                raise wrong(path, f"focal length {axis} = {focal:g}", "a positive number of pixels", "copy it from the calibration again")
+    with faults.collect():
+        _check_rotation(path, rotation, numbers[22:])
+    faults.raise_any()
+    fx, fy, cx, cy, skew, k1, k2, p1, p2, k3 = numbers[:10].tolist()
+    return Calibration((fx, fy), (cx, cy), skew, (k1, k2, p1, p2, k3), rotation, numbers[19:22] * MM)
+
+
+def _check_rotation(path: Path, rotation: NDArray[np.float64], vector: NDArray[np.float64]) -> None:
+    fault = rotation_fault(rotation)
+    if fault:
+        raise wrong(f"{path}: numbers 11 to 19", fault.split("; ")[0], "a rotation, by rows", fault.split("; ")[-1])
+    off = float(np.linalg.norm(cv2.Rodrigues(vector)[0] - rotation))
+    if off > RODRIGUES_TOLERANCE:
+        found = f"the Rodrigues vector (numbers 23 to 25) contradicts the matrix (numbers 11 to 19) by {off:.2g}"
+        raise wrong(path, found, "the same rotation twice", "find out which is right, and write the other anew from it")
+
+
+def read_numbers(path: Path, count: int, layout: str) -> NDArray[np.float64]:
+    """The numbers of a text file, (count,), in any arrangement of lines.
+
+    Args:
+        path: the file.
+        count: how many there must be.
+        layout: what they are, for the reader of an error.
+
+    Raises:
+        InputError: no file, something that is no finite number, or another count.
+    """
+    remedy = "restore the file from the recording"
+    try:
+        lines = path.read_text(encoding="ascii", errors="replace").splitlines()
+    except OSError as error:
+        found = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror})"
+        raise wrong(path, found, f"a text file of {count} numbers: {layout}", remedy) from None
+    numbers = [_number(path, line, token) for line, text in enumerate(lines, 1) for token in text.split()]
+    if len(numbers) != count:
+        raise wrong(path, f"{len(numbers)} numbers", f"{count}: {layout}", remedy)
+    return np.array(numbers)
+
+
+def _number(path: Path, line: int, token: str) -> float:
+    try:
+        value = float(token)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise wrong(f"{path}: line {line}", f"'{token}'", "a finite number", "correct it, or restore the file from the recording")
+    return value

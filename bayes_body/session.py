@@ -1,0 +1,176 @@
+"""What a recording is: calibrated cameras, their images frame by frame, the subject's measures and the first pose.
+
+Plain data: metres, radians, pixels. On disk a session is a folder with a `session.toml` (metres, degrees, pixels), which a person can read and edit.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import tomlkit
+from numpy.typing import NDArray
+
+from bayes_body.errors import wrong
+from bayes_body.session_document import document
+from bayes_body.session_schema import CameraTable, SessionFile, SubjectTable, to_radians
+from bayes_body.toml_file import read_toml, validate
+
+FILE_NAME = "session.toml"
+
+
+@dataclass(frozen=True, eq=False)
+class CameraSpec:
+    """One calibrated camera, Bouguet's (OpenCV's) model.
+
+    Attributes:
+        name: its name within the session.
+        size_px: (width, height) of its images.
+        focal_px: focal lengths (x, y).
+        centre_px: the principal point (column, row); the first pixel's centre is (0, 0).
+        skew: alpha_c, 0 for nearly every camera.
+        distortion: (k1, k2, p1, p2, k3).
+        rotation: (3, 3), `X_camera = rotation @ X_world + translation_m`.
+        translation_m: (3,), metres.
+    """
+
+    name: str
+    size_px: tuple[int, int]
+    focal_px: tuple[float, float]
+    centre_px: tuple[float, float]
+    skew: float
+    distortion: tuple[float, float, float, float, float]
+    rotation: NDArray[np.float64]
+    translation_m: NDArray[np.float64]
+
+    def __eq__(self, other: object) -> bool:
+        """Whether every number is the same (dataclass's own comparison fails on arrays)."""
+        if not isinstance(other, CameraSpec):
+            return NotImplemented
+        return all(np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
+
+
+@dataclass(frozen=True)
+class View:
+    """What one camera recorded: printf patterns of its images and of its silhouettes (None: there are none), such as `.../CAM1/image%04d.bmp`."""
+
+    camera: CameraSpec
+    images: str
+    masks: str | None = None
+
+
+@dataclass(frozen=True)
+class Subject:
+    """The person: measures that are known, by the names of the body; what is missing follows from the body's proportions.
+
+    Attributes:
+        body: the body that names and dofs belong to; None leaves it to the model.
+        height_m: stature.
+        lengths_m: segment lengths.
+        radii_m: (base, tip) of a part.
+        sections: (x, y) scale factors of a part's section.
+        motion_sd: standard deviation of the change from one frame to the next, by dof, radians or metres.
+    """
+
+    body: str | None = None
+    height_m: float | None = None
+    lengths_m: Mapping[str, float] = field(default_factory=dict)
+    radii_m: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    sections: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    motion_sd: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Session:
+    """A recording. Frames are counted from 0; frame k is in the files numbered `first_frame + k`.
+
+    Attributes:
+        folder: where `session.toml` lies; relative image patterns start here.
+        title: one line for people.
+        up: the world's axis that points up.
+        fps: frames a second.
+        frames: how many there are.
+        first_frame: number of the first frame in file names.
+        views: one for each camera.
+        subject: the person.
+        initial: the pose of frame 0 as far as it is known, by dof, radians or metres.
+        positions: names of those dofs in `initial` and `subject.motion_sd` that are positions (metres); all others are angles.
+    """
+
+    folder: Path
+    title: str
+    up: Literal["x", "y", "z"]
+    fps: float
+    frames: int
+    first_frame: int
+    views: tuple[View, ...]
+    subject: Subject = Subject()
+    initial: Mapping[str, float] = field(default_factory=dict)
+    positions: frozenset[str] = frozenset()
+
+    def image_path(self, view: View, frame: int) -> Path:
+        """The file of a frame's image, frames counted from 0."""
+        return self.folder / (view.images % (self.first_frame + frame))
+
+    def mask_path(self, view: View, frame: int) -> Path | None:
+        """The file of a frame's silhouette, or None where the session has none."""
+        return None if view.masks is None else self.folder / (view.masks % (self.first_frame + frame))
+
+
+def load_session(path: Path | str) -> Session:
+    """The session of a folder that holds `session.toml`, or of that file.
+
+    Raises:
+        InputError: no such file, or not TOML.
+        FaultyFileError: one sentence for each thing in it that is wrong.
+    """
+    path = Path(path)
+    path = path / FILE_NAME if path.is_dir() else path
+    table = validate(SessionFile, read_toml(path), str(path))
+    return Session(
+        folder=path.resolve().parent,
+        title=table.title,
+        up=table.up,
+        fps=table.fps,
+        frames=table.frames,
+        first_frame=table.first_frame,
+        views=tuple(_view(camera) for camera in table.cameras),
+        subject=_subject(table.subject),
+        initial=to_radians(table.initial.angles_deg) | table.initial.positions_m,
+        positions=table.positions,
+    )
+
+
+def _view(table: CameraTable) -> View:
+    camera = CameraSpec(
+        name=table.name,
+        size_px=table.size_px,
+        focal_px=table.focal_px,
+        centre_px=table.centre_px,
+        skew=table.skew,
+        distortion=table.distortion,
+        rotation=np.array(table.rotation),
+        translation_m=np.array(table.translation_m),
+    )
+    return View(camera, table.images, table.masks)
+
+
+def _subject(table: SubjectTable) -> Subject:
+    motion_sd = to_radians(table.motion_sd_deg) | table.motion_sd_m
+    return Subject(table.body, table.height_m, table.lengths_m, table.radii_m, table.sections, motion_sd)
+
+
+def save_session(session: Session) -> Path:
+    """Write `session.toml` into the session's folder, which is made if need be; angles and metres are rounded to 1e-9.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    path = session.folder / FILE_NAME
+    try:
+        session.folder.mkdir(parents=True, exist_ok=True)
+        path.write_text(tomlkit.dumps(document(session)), encoding="utf-8")
+    except OSError as error:
+        raise wrong(path, f"cannot be written ({error.strerror})", "a folder for the session", "name a folder that you may write to") from None
+    return path

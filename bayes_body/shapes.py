@@ -1,0 +1,12 @@
+"""The shape vocabulary. Axes: `dof` degrees of freedom, `joint`, `part`, `camera`, `row` and `column` of an image, `particle`."""
+
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+type Key = PRNGKeyArray
+type Scalar = Float[Array, ""]
+type Flag = Bool[Array, ""]
+type Vector3 = Float[Array, "3"]
+type Rotation = Float[Array, "3 3"]
+type Pose = Float[Array, " dof"]
+type Image = Float[Array, "row column"]
+type Index = Int[Array, ""]

@@ -1,0 +1,41 @@
+"""The bar of a run: frames, seconds a frame, ESS, survival rate, time left."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
+
+from bayes_body.track import Progress
+
+
+@contextmanager
+def progress_bar(visible: bool = True) -> Iterator[Callable[[Progress], None]]:
+    """A function that takes each frame's progress, drawn on standard error; with `visible` false it draws nothing."""
+    columns = (
+        TextColumn("frame"),
+        MofNCompleteColumn(),
+        BarColumn(),
+        TextColumn("{task.fields[speed]}  ESS {task.fields[ess]}  survival {task.fields[survival]}  left"),
+        TimeRemainingColumn(),
+        TextColumn("[yellow]{task.fields[lost]}"),
+    )
+    lost = 0
+    with Bar(*columns, console=Console(stderr=True), disable=not visible) as bar:
+        task = bar.add_task("", total=None, speed="compiling", ess="-", survival="-", lost="")
+
+        def show(progress: Progress) -> None:
+            nonlocal lost
+            lost += progress.lost
+            bar.update(
+                task,
+                completed=progress.frame,
+                total=progress.frames,
+                speed=f"{progress.seconds_per_frame:.2f} s/frame",
+                ess=f"{progress.ess:.0f}",
+                survival=f"{progress.survival_rate:.2f}",
+                lost=f"{lost} lost" if lost else "",
+            )
+
+        yield show

@@ -1,0 +1,84 @@
+"""A posed body as a camera sees it: the outline of every part, and the silhouette of the whole.
+
+A tapered cylinder's outline is the convex hull of its two end sections; a sphere's, of the circle that faces the camera.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from numpy.typing import NDArray
+
+from bayes_body import geometry
+from bayes_body.body.solids import Body, part_transforms
+from bayes_body.camera import Camera, project
+from bayes_body.model import Model
+from bayes_body.session import Session
+from bayes_body.shapes import Pose
+
+POINTS = 24
+
+
+class Outline(NamedTuple):
+    """A part's outline in one image: a convex polygon of (column, row) pixels."""
+
+    part: str
+    polygon: Float[NDArray, "corner 2"]
+
+
+def outlines(model: Model, pose: Float[NDArray, " dof"]) -> list[list[Outline]]:
+    """For each camera, the outline of every part of which it sees all; pose in radians and metres."""
+    pixels, visible = (np.asarray(out) for out in _project_rims(model.body, model.rig, jnp.asarray(pose)))
+    names = model.body.topology.names
+    return [
+        [Outline(name, cv2.convexHull(camera[p].astype(np.float32))[:, 0]) for p, name in enumerate(names) if seen[p].all()]
+        for camera, seen in zip(pixels, visible, strict=True)
+    ]
+
+
+def projected_masks(model: Model, pose: Float[NDArray, " dof"], session: Session) -> list[Bool[NDArray, "row column"]]:
+    """The silhouette of a posed body in each camera's image."""
+    return [fill(polygons, view.camera.size_px) for polygons, view in zip(outlines(model, pose), session.views, strict=True)]
+
+
+def fill(polygons: list[Outline], size_px: tuple[int, int]) -> Bool[NDArray, "row column"]:
+    """The union of outlines as a mask of an image of `size_px` (width, height)."""
+    mask = np.zeros(size_px[::-1], np.uint8)
+    # Four bits of a pixel's fraction, so that small parts do not jump by whole pixels.
+    for outline in polygons:
+        cv2.fillConvexPoly(mask, np.round(outline.polygon * 16).astype(np.int32), 1, shift=4)
+    return mask.astype(bool)
+
+
+def intersection_over_union(a: Bool[NDArray, "row column"], b: Bool[NDArray, "row column"]) -> float:
+    """|a ∩ b| / |a ∪ b|; NaN if both are empty."""
+    union = np.count_nonzero(a | b)
+    return np.count_nonzero(a & b) / union if union else float("nan")
+
+
+@jax.jit
+def _project_rims(body: Body, rig: Camera, pose: Pose) -> tuple[Array, Array]:
+    T_world_part = part_transforms(body, pose)
+    return jax.vmap(lambda camera: project(camera, _rims(body, T_world_part, camera)))(rig)
+
+
+def _rims(body: Body, T_world_part: geometry.Transform, camera: Camera) -> Float[Array, "part point 3"]:
+    angle = jnp.arange(POINTS) * (2 * jnp.pi / POINTS)
+    cos, sin = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
+    ends = []
+    for end in (0, 1):
+        centre = T_world_part.origin + end * body.lengths[:, None] * T_world_part.z
+        across_x = (body.radii[:, end] * body.sections[:, 0])[:, None] * T_world_part.x
+        across_y = (body.radii[:, end] * body.sections[:, 1])[:, None] * T_world_part.y
+        ends.append(centre[:, None] + cos * across_x[:, None] + sin * across_y[:, None])
+    cylinders = jnp.concatenate(ends, axis=1)
+    middle = T_world_part.origin + 0.5 * body.lengths[:, None] * T_world_part.z
+    view = geometry.unit(middle - camera.viewpoint)
+    right = geometry.unit(jnp.cross(T_world_part.z, view))
+    up = jnp.cross(view, right)
+    disc = middle[:, None] + body.radii[:, :1, None] * (cos * right[:, None] + sin * up[:, None])
+    is_sphere = jnp.array(body.topology.is_sphere)[:, None, None]
+    return jnp.where(is_sphere, jnp.concatenate([disc, disc], axis=1), cylinders)

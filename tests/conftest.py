@@ -1,0 +1,91 @@
+"""What every test stands on: two host devices, the compilation cache, shape checks, and the real recordings where they are."""
+
+import hashlib
+import os
+import platform
+import sys
+import types
+from importlib.metadata import version
+from pathlib import Path
+
+import platformdirs
+import pytest
+
+
+def _cache_folder() -> Path:
+    # Compiled code is for one processor and one jax.
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    processor = "".join(sorted({line for line in lines if line.startswith(("model name", "flags"))})) or platform.processor()
+    digest = hashlib.sha256((platform.machine() + sys.platform + processor).encode()).hexdigest()[:12]
+    return Path(platformdirs.user_cache_dir("bayes_body")) / f"tests-jax-{version('jax')}-{digest}"
+
+
+# Read by JAX when it is imported, here and in the programs that tests start: nothing above this line may import it.
+os.environ.setdefault("XLA_FLAGS", "--xla_force_host_platform_device_count=2")
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_cache_folder()))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+
+import beartype  # noqa: E402
+import jaxtyping  # noqa: E402
+from beartype.roar import BeartypeDecorHintException  # noqa: E402
+
+
+def _check_shapes(function):
+    """Beartype, except where a value may rightly not have its annotated shape or beartype does not know the annotation.
+
+    A dataclass is rebuilt by every `vmap` and `tree.map`, with batched leaves: its `__init__` is left alone, functions that take it are not.
+    """
+    if function.__name__ == "__init__":
+        return function
+    try:
+        return beartype.beartype(function)
+    except BeartypeDecorHintException:
+        return function
+
+
+# jaxtyping takes its checker as the name of something importable.
+_checks = types.ModuleType("bayes_body_shape_checks")
+_checks.check = _check_shapes
+sys.modules[_checks.__name__] = _checks
+jaxtyping.install_import_hook("bayes_body", f"{_checks.__name__}.check")
+
+
+@pytest.fixture(scope="session")
+def data_dir():
+    """The folder of a set of real recordings: `data_dir("bodytrack_4cam")`, or a skip that says which set is wanted."""
+
+    def folder(name: str) -> Path:
+        root = os.environ.get("BAYES_BODY_DATA")
+        if not root or not (Path(root) / name).is_dir():
+            pytest.skip(f"set BAYES_BODY_DATA to the folder that holds {name}")
+        return Path(root) / name
+
+    return folder
+
+
+@pytest.fixture(scope="session")
+def bodytrack(data_dir) -> Path:
+    """One man walking, four calibrated grey cameras, four frames with silhouettes."""
+    return data_dir("bodytrack_4cam")
+
+
+@pytest.fixture(scope="session")
+def cmu_mocap(data_dir) -> Path:
+    """Motion capture: asf and amc."""
+    return data_dir("cmu_mocap")
+
+
+@pytest.fixture(scope="session")
+def pose2sim_beam(data_dir) -> Path:
+    """One man on a beam, four colour cameras, laid out as a Pose2Sim project."""
+    return data_dir("pose2sim_beam")
+
+
+@pytest.fixture(scope="session")
+def sports2d_walk(data_dir) -> Path:
+    """One walker seen by one camera."""
+    return data_dir("sports2d_walk")

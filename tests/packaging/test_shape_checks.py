@@ -1,0 +1,27 @@
+"""The annotations' shapes hold while tests run: a wrong one is an error where it enters."""
+
+import jax
+import jax.numpy as jnp
+import jaxtyping
+import pytest
+
+from bayes_body import camera
+
+
+def _camera() -> camera.Camera:
+    return camera.Camera(jnp.eye(3), jnp.zeros(3), jnp.ones(2), jnp.zeros(2), jnp.zeros(()), jnp.zeros(5), jnp.ones(()), jnp.ones(2))
+
+
+def test_a_wrong_shape_is_refused():
+    with pytest.raises(jaxtyping.TypeCheckError, match="points"):
+        camera.project(_camera(), jnp.zeros(4))
+
+
+def test_a_batch_passes_through_vmap():
+    rig = camera.stack([_camera(), _camera()])
+    pixels, _ = jax.vmap(camera.project, (0, None))(rig, jnp.ones((4, 3)))
+    assert pixels.shape == (2, 4, 2)
+
+
+def test_two_host_devices():
+    assert len(jax.devices("cpu")) == 2
