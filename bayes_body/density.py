@@ -48,7 +48,7 @@ class Density:
         """The same frame after other particles."""
         return replace(self, previous=previous)
 
-    def ancestor(self, index: Index) -> State:
+    def ancestor(self, index: int | Index) -> State:
         """One particle of the frame before."""
         return jax.tree.map(lambda leaf: leaf[index], self.previous.states)
 
@@ -76,7 +76,7 @@ class Density:
 
     def parts(self, state: State, previous: State | None = None) -> dict[str, Scalar]:
         """The log-potential of each factor by name, and the transition's. Without `previous` the first particle of the frame before is taken."""
-        before = self.ancestor(jnp.array(0)) if previous is None else previous
+        before = self.ancestor(0) if previous is None else previous
         values = variables(state, before)
         terms = {factor.name: factor(values, self.data) for factor in self.factors}
         return {"transition": self.transition.log_density(state, before)} | terms
@@ -87,7 +87,7 @@ class Density:
 
     # -- the views ----------------------------------------------------------------------------------------------------------------------
 
-    def extended(self, ancestor: Index, state: State, inverse_temperature: float | Scalar = 1.0) -> Scalar:
+    def extended(self, ancestor: int | Index, state: State, inverse_temperature: float | Scalar = 1.0) -> Scalar:
         r"""$\ell(i, s_t)$, with $\beta$ = `inverse_temperature` on the likelihood side only."""
         before = self.ancestor(ancestor)
         prior = self.previous.log_weights[ancestor] + self.transition.log_density(state, before)
@@ -117,7 +117,7 @@ class Density:
             return log_weight + self.transition.log_density(state, before) + powered(own, before)
 
         each = jax.vmap(one)(self.previous.log_weights, self.previous.states)
-        return each, powered(shared, self.ancestor(jnp.array(0)))
+        return each, powered(shared, self.ancestor(0))
 
     def reading(self, variable: Variable) -> tuple[Factor, ...]:
         """The factors in whose scope a variable is: what a belief-propagation node multiplies."""
@@ -125,7 +125,7 @@ class Density:
 
     def unconstrained(self) -> "Unconstrained":
         """The marginal view over coordinates without limits, for gradient-based kernels."""
-        supports = self.transition.conditional(self.ancestor(jnp.array(0)))
+        supports = self.transition.conditional(self.ancestor(0))
         return Unconstrained(self, {name: biject_to(distribution.support) for name, distribution in supports.items()})
 
 

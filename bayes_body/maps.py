@@ -6,7 +6,7 @@ value that counts where nothing is seen, one pixel wide, and a point outside is 
 """
 
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bayes_body.camera import Camera, Pixels
 
 type Lookup = Literal["nearest", "bilinear"]
-type Packed = UInt32[Array | NDArray[np.uint32], "camera map row column"]
+type Packed = UInt32[Array | np.ndarray, "camera map row column"]
 
 BORDER = 1
 _OUTSIDE = -9.0
@@ -30,7 +30,7 @@ class SilhouetteEdgeMaps(NamedTuple):
     """Of one frame: the error maps (1 − V)² of silhouette and edges, packed, and the share of foreground pixels of each silhouette."""
 
     errors: Packed
-    foreground: Float[Array | NDArray[np.float32], " camera"]
+    foreground: Float[Array | np.ndarray, " camera"]
 
 
 def pack(values: NDArray[np.floating], outside: float, shape: tuple[int, int]) -> NDArray[np.uint32]:
@@ -102,7 +102,8 @@ def _bilinear(columns: int, words: UInt32[Array, " word"], first: Int[Array, "ca
 
 
 @_bilinear.defjvp
-def _bilinear_jvp(columns: int, primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
+def _bilinear_jvp(columns: int, primals: tuple[Array, ...], tangents: tuple[Any, ...]) -> tuple[Array, Array]:
+    # The tangents of the whole-number words and offsets have a type of their own and say nothing.
     words, first, u, v = primals
     value, along_u, along_v = _interpolate(words, first, columns, u, v)
     return value, along_u * tangents[2] + along_v * tangents[3]

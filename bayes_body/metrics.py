@@ -15,7 +15,7 @@ from bayes_body.track import Draws
 from bayes_body.view.silhouette import intersection_over_union, projected_masks
 
 
-def silhouette_overlap(session: Session, draws: Draws) -> Float[NDArray, "run frame camera"]:
+def silhouette_overlap(session: Session, draws: Draws) -> Float[np.ndarray, "run frame camera"]:
     """Overlap of the projected mean body of each run with the silhouettes; NaN where the session has none."""
     poses = mean_poses(draws)
     runs, frames = poses.shape[:2]

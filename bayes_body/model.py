@@ -1,5 +1,6 @@
 """A definition and a session make a model: arrays in metres and radians, one density for every frame."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,13 +57,13 @@ class Model:
             observation: from `observe`.
             previous: the particles of the frame before; by default one, the initial state.
         """
-        alone = Particles(jax.tree.map(lambda leaf: leaf[None], dict(self.initial)), jnp.zeros(1))
+        alone = Particles(jax.tree.map(lambda leaf: leaf[None], dict(self.initial)), jnp.zeros(1, self.body.lengths.dtype))
         return Density(self.transition, self.factors, jax.tree.map(jnp.asarray, observation), alone if previous is None else previous)
 
     def start(self, count: int) -> Particles:
         """`count` equal particles at the initial state; the first frame's transition spreads them."""
         states = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *leaf.shape)), dict(self.initial))
-        return Particles(states, jnp.full((count,), -jnp.log(count)))
+        return Particles(states, jnp.full((count,), -math.log(count), self.body.lengths.dtype))
 
     def markers(self, pose: Pose) -> Float[Array, "marker 3"]:
         """World positions of the body's virtual markers, metres."""

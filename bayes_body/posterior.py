@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from bayes_body.errors import wrong
 from bayes_body.model import Model
@@ -66,21 +65,21 @@ def save_posterior(tree: "xr.DataTree", path: Path) -> None:
         raise wrong(path, f"cannot be written ({error.strerror or error})", "a folder with room", "free some space or name another folder") from None
 
 
-def mean_poses(draws: Draws) -> Float[NDArray, "run frame dof"]:
+def mean_poses(draws: Draws) -> Float[np.ndarray, "run frame dof"]:
     """The weighted posterior mean of each run and frame, radians and metres."""
     weights = np.exp(draws.log_weights - draws.log_weights.max(axis=-1, keepdims=True))
     weights /= weights.sum(axis=-1, keepdims=True)
     return np.einsum("rfp,rfpd->rfd", weights, draws.states["pose"])
 
 
-def markers(model: Model, poses: Float[NDArray, "*batch dof"]) -> Float[NDArray, "*batch marker 3"]:
+def markers(model: Model, poses: Float[np.ndarray, "*batch dof"]) -> Float[np.ndarray, "*batch marker 3"]:
     """The 15 virtual markers of any array of poses, metres, computed when asked for."""
     flat = jnp.asarray(poses.reshape(-1, poses.shape[-1]))
     positions = np.asarray(jax.jit(jax.vmap(model.markers))(flat))
     return positions.reshape(*poses.shape[:-1], *positions.shape[1:])
 
 
-def equal_weight_draws(draws: Draws, count: int | None = None, seed: int = RESAMPLING_SEED) -> Float[NDArray, "run frame draw dof"]:
+def equal_weight_draws(draws: Draws, count: int | None = None, seed: int = RESAMPLING_SEED) -> Float[np.ndarray, "run frame draw dof"]:
     """Draws of equal weight, by systematic resampling in random order; as many as there are particles, or `count`."""
     rng = np.random.default_rng(seed)
     runs, frames, particles = draws.log_weights.shape
@@ -96,7 +95,7 @@ def equal_weight_draws(draws: Draws, count: int | None = None, seed: int = RESAM
     return out
 
 
-def rhat(draws: Draws) -> Float[NDArray, "frame dof"]:
+def rhat(draws: Draws) -> Float[np.ndarray, "frame dof"]:
     """Rank-normalised split R-hat over the runs (Vehtari et al. 2021); NaN with a single run. A dof that never moves has none either."""
     import arviz as az
     import xarray as xr

@@ -30,7 +30,9 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
 import beartype  # noqa: E402
+import cv2  # noqa: E402
 import jaxtyping  # noqa: E402
+import numpy as np  # noqa: E402
 from beartype.roar import BeartypeDecorHintException  # noqa: E402
 
 
@@ -52,6 +54,8 @@ _checks = types.ModuleType("bayes_body_shape_checks")
 _checks.check = _check_shapes
 sys.modules[_checks.__name__] = _checks
 jaxtyping.install_import_hook("bayes_body", f"{_checks.__name__}.check")
+
+from bayes_body.session import CameraSpec, Session, Subject, View  # noqa: E402
 
 
 @pytest.fixture(scope="session")
@@ -89,3 +93,30 @@ def pose2sim_beam(data_dir) -> Path:
 def sports2d_walk(data_dir) -> Path:
     """One walker seen by one camera."""
     return data_dir("sports2d_walk")
+
+
+def _camera(name, azimuth, size):
+    """A camera three metres from the z axis, 1.2 m up, looking horizontally at it."""
+    forward = np.array([-np.cos(azimuth), -np.sin(azimuth), 0.0])
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    centre = np.array([3 * np.cos(azimuth), 3 * np.sin(azimuth), 1.2])
+    return CameraSpec(name, size, (200.0, 205.0), (size[0] / 2, size[1] / 2), 0.0, (-0.1, 0.02, 0.001, -0.001, 0.0), rotation, -rotation @ centre)
+
+
+@pytest.fixture(scope="session")
+def textured_session(tmp_path_factory):
+    """Two cameras of different sizes, five frames of drifting blobs: images and masks that come from no body."""
+    folder = tmp_path_factory.mktemp("textured")
+    rng = np.random.default_rng(7)
+    views = []
+    for name, azimuth, size in (("a", 0.3, (160, 120)), ("b", 1.9, (128, 144))):
+        (folder / name).mkdir()
+        field = cv2.GaussianBlur(rng.normal(size=size[::-1]).astype(np.float32), (0, 0), 9)
+        for frame in range(5):
+            moved = np.roll(field, 2 * frame, axis=1)
+            level = (moved - moved.min()) / (moved.max() - moved.min())
+            cv2.imwrite(str(folder / name / f"image{frame:04d}.png"), (level * 255).astype(np.uint8))
+            cv2.imwrite(str(folder / name / f"mask{frame:04d}.png"), ((level > 0.5) * 255).astype(np.uint8))
+        views.append(View(_camera(name, azimuth, size), f"{name}/image%04d.png", f"{name}/mask%04d.png"))
+    return Session(folder, "blobs", "z", 60.0, 5, 0, tuple(views), Subject(height_m=1.7))

@@ -1,8 +1,16 @@
 """`bayes-body models`: what definitions there are, and what is wrong with a user's own."""
 
+from typing import TYPE_CHECKING
+
 import typer
 from rich.console import Console
 from rich.table import Table
+
+if TYPE_CHECKING:
+    from bayes_body.definition import Definition
+
+# Any will do: it scales the noise and nothing that could be wrong depends on it.
+SOME_FPS = 60.0
 
 app = typer.Typer(help="List the model definitions, or check one.", invoke_without_command=True)
 
@@ -28,8 +36,28 @@ def list_models(context: typer.Context) -> None:
 @app.command()
 def check(file: str = typer.Argument(help="A definition's name or the path of your own .toml file.")) -> None:
     """Say in one sentence each what is wrong with a definition."""
-    from bayes_body.definition import load_definition
-
-    definition = load_definition(file)
+    definition = checked_definition(file)
     terms = ", ".join(term.kind for term in (*definition.likelihoods, *definition.constraints))
     typer.echo(f"{file}: sound: {definition.title} (body {definition.body_name}; {definition.dynamics.kind}; {terms}; {definition.kernel.kind}).")
+
+
+def checked_definition(name: str) -> "Definition":
+    """The definition, once it is known to fit its body: what its terms say of single dofs is read only when they are built.
+
+    Raises:
+        InputError: anything in the file is wrong; each sentence names it.
+    """
+    from bayes_body.body.build import build_body
+    from bayes_body.definition import load_definition
+    from bayes_body.errors import InputError
+    from bayes_body.registry import find
+
+    definition = load_definition(name)
+    try:
+        body = build_body(definition.body_name, definition.body)
+        find("dynamics", definition.dynamics.kind).build(options=definition.dynamics.options, body=body, fps=SOME_FPS, subject_sd={})
+        for term in definition.constraints:
+            find("potential", term.kind).build(name=term.kind, options=term.options, body=body)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+    return definition

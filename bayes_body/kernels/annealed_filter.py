@@ -23,7 +23,7 @@ from bayes_body.kernels.resampling import Resample, Scheme, resampler
 from bayes_body.kernels.weights import LogWeights, effective_sample_size, normalise
 from bayes_body.registry import register
 from bayes_body.schema import Schema
-from bayes_body.shapes import Key, Scalar
+from bayes_body.shapes import Index, Key, Scalar
 
 # Powers of the likelihood between which the survival rate is met, and how often their ratio's logarithm is halved: to 1e-7.
 LOWEST_POWER, HIGHEST_POWER = 1e-6, 1e6
@@ -66,7 +66,7 @@ def build_kernel(layers: int = 5, survival_rate: float = 0.5, crossover_rate: fl
     def kernel(key: Key, particles: Particles, density: FrameDensity) -> tuple[Particles, FilterInfo]:
         count = particles.log_weights.shape[0]
 
-        def layer(before: _Layer, step: tuple[Key, Scalar, Scalar]) -> tuple[_Layer, tuple[Scalar, Scalar]]:
+        def layer(before: _Layer, step: tuple[Key, Index, Scalar]) -> tuple[_Layer, tuple[Scalar, Scalar]]:
             layer_key, index, scale = step
             select_key, cross_key, move_key = jax.random.split(layer_key, 3)
             chosen = resample(select_key, before.log_weights)
@@ -98,7 +98,7 @@ def build_kernel(layers: int = 5, survival_rate: float = 0.5, crossover_rate: fl
     return kernel
 
 
-def _move_and_weigh(particle: tuple[Key, State, State], shared: tuple[FrameDensity, Scalar, Scalar]) -> tuple[State, tuple[Scalar, Scalar]]:
+def _move_and_weigh(particle: tuple[Key, State, State], shared: tuple[FrameDensity, Index, Scalar]) -> tuple[State, tuple[Scalar, Scalar]]:
     """The moved particle, its likelihood (whose power the layers choose) and what holds at full power.
 
     The first layer draws from the motion prior, the others move by its noise, shrunk.
@@ -136,7 +136,7 @@ def _power_for_survival(raw: tuple[LogWeights, LogWeights], survival_rate: float
     relative = clean - jnp.max(jnp.where(jnp.isfinite(clean), clean, -jnp.inf))
     count = log_likelihood.shape[0]
 
-    def halve(_: int, ends: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+    def halve(_: Index, ends: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
         low, high = ends
         middle = (low + high) / 2
         too_cold = effective_sample_size(jnp.exp(middle) * relative + log_constraint) < survival_rate * count

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from cv2.typing import MatLike
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from bayes_body.errors import wrong
 from bayes_body.model import Model
@@ -51,14 +50,14 @@ def draw_overlay(session: Session, draws: Draws, folder: Path) -> list[Path]:
     return [folder / "overlay.mp4", *written]
 
 
-def _fans(draws: Draws) -> Float[NDArray, "frame draw dof"]:
+def _fans(draws: Draws) -> Float[np.ndarray, "frame draw dof"]:
     """A few draws a frame, from all runs alike."""
     runs = draws.log_weights.shape[0]
     sample = equal_weight_draws(draws, max(1, FAN // runs))
     return np.concatenate(list(sample), axis=1)[:, :FAN]
 
 
-def mosaic(session: Session, model: Model, frame: Frame, mean: Float[NDArray, " dof"], fan: Float[NDArray, "draw dof"]) -> MatLike:
+def mosaic(session: Session, model: Model, frame: Frame, mean: Float[np.ndarray, " dof"], fan: Float[np.ndarray, "draw dof"]) -> MatLike:
     """One frame, all cameras in a grid: the mean body and a fan of draws over the images."""
     drawn = [outlines(model, pose) for pose in fan]
     strong = outlines(model, mean)

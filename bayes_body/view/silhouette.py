@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
-from numpy.typing import NDArray
 
 from bayes_body import geometry
 from bayes_body.body.solids import Body, part_transforms
@@ -26,10 +25,10 @@ class Outline(NamedTuple):
     """A part's outline in one image: a convex polygon of (column, row) pixels."""
 
     part: str
-    polygon: Float[NDArray, "corner 2"]
+    polygon: Float[np.ndarray, "corner 2"]
 
 
-def outlines(model: Model, pose: Float[NDArray, " dof"]) -> list[list[Outline]]:
+def outlines(model: Model, pose: Float[np.ndarray, " dof"]) -> list[list[Outline]]:
     """For each camera, the outline of every part of which it sees all; pose in radians and metres."""
     pixels, visible = (np.asarray(out) for out in _project_rims(model.body, model.rig, jnp.asarray(pose)))
     names = model.body.topology.names
@@ -39,12 +38,12 @@ def outlines(model: Model, pose: Float[NDArray, " dof"]) -> list[list[Outline]]:
     ]
 
 
-def projected_masks(model: Model, pose: Float[NDArray, " dof"], session: Session) -> list[Bool[NDArray, "row column"]]:
+def projected_masks(model: Model, pose: Float[np.ndarray, " dof"], session: Session) -> list[Bool[np.ndarray, "row column"]]:
     """The silhouette of a posed body in each camera's image."""
     return [fill(polygons, view.camera.size_px) for polygons, view in zip(outlines(model, pose), session.views, strict=True)]
 
 
-def fill(polygons: list[Outline], size_px: tuple[int, int]) -> Bool[NDArray, "row column"]:
+def fill(polygons: list[Outline], size_px: tuple[int, int]) -> Bool[np.ndarray, "row column"]:
     """The union of outlines as a mask of an image of `size_px` (width, height)."""
     mask = np.zeros(size_px[::-1], np.uint8)
     # Four bits of a pixel's fraction, so that small parts do not jump by whole pixels.
@@ -53,7 +52,7 @@ def fill(polygons: list[Outline], size_px: tuple[int, int]) -> Bool[NDArray, "ro
     return mask.astype(bool)
 
 
-def intersection_over_union(a: Bool[NDArray, "row column"], b: Bool[NDArray, "row column"]) -> float:
+def intersection_over_union(a: Bool[np.ndarray, "row column"], b: Bool[np.ndarray, "row column"]) -> float:
     """|a ∩ b| / |a ∪ b|; NaN if both are empty."""
     union = np.count_nonzero(a | b)
     return np.count_nonzero(a & b) / union if union else float("nan")

@@ -1,0 +1,89 @@
+"""What holds for every shipped definition: it loads, its factors keep to their scopes, its transition is a distribution, its density finite."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_body.definition import definition_names, load_definition
+from bayes_body.density import Density
+from bayes_body.factor import Variable, variables
+from bayes_body.model import load_model
+from bayes_body.observation.frames import read_frame
+
+
+@pytest.fixture(params=definition_names())
+def model(request, textured_session):
+    return load_model(request.param, textured_session)
+
+
+@pytest.fixture
+def density(model, textured_session) -> Density:
+    return model.density(model.observe(read_frame(textured_session, 0)))
+
+
+def test_it_says_what_it_is(model):
+    definition = model.definition
+    assert definition == load_definition(definition.name)
+    assert len(definition.title) > 20 and len(definition.source) > 20
+
+
+def test_the_density_of_the_initial_state_is_finite(model, density):
+    parts = density.parts(model.initial)
+    assert np.isfinite(list(parts.values())).all(), parts
+    assert np.isclose(density(model.initial), sum(parts.values()), rtol=1e-5)
+
+
+def test_gradients_are_finite_everywhere_a_particle_may_go(model, density):
+    view = density.unconstrained()
+    at = view.unconstrain(model.initial)["pose"]
+    positions = at + jax.random.normal(jax.random.key(0), (200, at.size))
+    values, gradients = jax.jit(jax.vmap(jax.value_and_grad(lambda x: view({"pose": x}))))(positions)
+    # A hard constraint makes a value minus infinity, never a NaN.
+    assert not np.isnan(values).any()
+    assert np.isfinite(gradients).all()
+
+
+def test_no_factor_reads_outside_its_scope(model, density):
+    stranger = Variable("stranger")
+    values = variables(model.initial, model.initial) | {stranger: jnp.ones(3)}
+    for factor in density.factors:
+        gradient = jax.grad(lambda v, f=factor: jnp.where(jnp.isfinite(r := f(v, density.data)), r, 0.0))(values)
+        for variable in values:
+            if variable not in factor.scope:
+                assert (gradient[variable] == 0).all(), (factor.name, variable)
+
+
+def test_no_factor_reads_another_factors_data(model, density):
+    for factor in density.factors:
+        own = {factor.name: density.data[factor.name]} if factor.name in density.data else {}
+        values = variables(model.initial, model.initial)
+        assert factor(values, own) == factor(values, density.data)
+
+
+def test_each_dof_of_the_transition_integrates_to_one(model):
+    """The dofs are independent: varying one alone leaves the others' log-density constant, which is divided out."""
+    with jax.enable_x64(True):
+        double = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), (model.transition, dict(model.initial)))
+        transition, state = double
+        distribution = transition.conditional(state)["pose"]
+        for k in range(state["pose"].size):
+            low, high = (jnp.clip(side[k], state["pose"][k] - 12 * distribution.scale[k], state["pose"][k] + 12 * distribution.scale[k])
+                         for side in (distribution.low, distribution.high))  # fmt: skip
+            points = low + (high - low) * (jnp.arange(20_000) + 0.5) / 20_000
+            alone = jax.vmap(lambda x, k=k: distribution.log_prob(state["pose"].at[k].set(x)))(points)
+            one = transition.log_density(state, state) - _own(distribution, state["pose"], k)
+            mass = jnp.sum(jnp.exp(alone - one)) * (high - low) / 20_000
+            assert abs(mass - 1) < 1e-6, model.body.dof_names[k]
+
+
+def _own(distribution, pose, k):
+    part = type(distribution)(*(leaf[k : k + 1] for leaf in (distribution.loc, distribution.scale, distribution.low, distribution.high)))
+    return part.log_prob(pose[k : k + 1])
+
+
+def test_particles_of_the_transition_stay_inside_the_limits(model):
+    states = jax.vmap(lambda key: model.transition.sample(key, model.initial))(jax.random.split(jax.random.key(1), 500))
+    skeleton = model.body.skeleton
+    assert (states["pose"] >= skeleton.low).all() and (states["pose"] <= skeleton.high).all()
+    assert np.isfinite(jax.vmap(lambda s: model.transition.log_density(s, model.initial))(states)).all()

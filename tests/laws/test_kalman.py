@@ -1,0 +1,78 @@
+"""The particle filter against the Kalman filter: means, covariances and evidence, within four Monte Carlo standard errors over five keys."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_body.kernels import particle_filter
+from bayes_body.kernels.particle_filter import build_kernel
+
+# The means of five keys are tested; the spread of one frame's estimate is known well enough only from more.
+KEYS, SPREAD_KEYS, PARTICLES = 5, 25, 8000
+
+
+def _filters(model, ys, kernel):
+    """Means, covariances and log-evidences: each (key, frame, ...)."""
+    step = jax.jit(lambda k, particles, y: kernel(k, particles, model.density(y, particles)))
+
+    def one(key):
+        particles, out = model.start(jax.random.fold_in(key, 99), PARTICLES), []
+        for frame, y in enumerate(ys):
+            particles, info = step(jax.random.fold_in(key, frame), particles, jnp.asarray(y))
+            w, x = np.exp(np.asarray(particles.log_weights, float)), np.asarray(particles.states["x"], float)
+            mean = w @ x
+            out.append((mean, (x - mean).T @ ((x - mean) * w[:, None]), float(info.log_evidence)))
+        return [np.array(column) for column in zip(*out, strict=True)]
+
+    return [np.array(column) for column in zip(*(one(jax.random.key(seed)) for seed in range(SPREAD_KEYS)), strict=True)]
+
+
+def _check_against_kalman(model, ys, kernel):
+    exact = model.kalman(ys)
+    runs = _filters(model, ys, kernel)
+    for k, name in enumerate(("mean", "covariance", "log-evidence")):
+        mcse = runs[k].std(axis=0, ddof=1) / np.sqrt(KEYS)
+        distance = np.abs(runs[k][:KEYS].mean(axis=0) - exact[k]) / mcse
+        assert distance.max() < 4, f"{name}: {distance.max():.1f} MCSE from the Kalman filter"
+
+
+@pytest.mark.parametrize("scheme", ["systematic", "stratified", "multinomial", "residual"])
+def test_sir_equals_the_kalman_filter(linear_gaussian, observations, scheme):
+    _check_against_kalman(linear_gaussian, observations, build_kernel(scheme))
+
+
+def test_a_filter_that_forgets_the_weights_is_found_out(linear_gaussian, observations, monkeypatch):
+    monkeypatch.setattr(particle_filter, "resampler", lambda scheme: lambda key, log_weights: jnp.arange(log_weights.shape[0]))
+    with pytest.raises(AssertionError, match="MCSE from the Kalman filter"):
+        _check_against_kalman(linear_gaussian, observations, build_kernel())
+
+
+def test_a_filter_that_keeps_its_weights_after_resampling_is_found_out(linear_gaussian, observations):
+    honest = build_kernel()
+
+    def twice_weighted(key, particles, density):
+        after, info = honest(key, particles, density)
+        carried = after.log_weights + particles.log_weights[info.ancestors]
+        return after._replace(log_weights=carried - jax.nn.logsumexp(carried)), info
+
+    with pytest.raises(AssertionError, match="MCSE from the Kalman filter"):
+        _check_against_kalman(linear_gaussian, observations, twice_weighted)
+
+
+def test_the_evidence_is_unbiased(linear_gaussian, observations):
+    """E[Z_hat] = Z for any number of particles: here few, many times."""
+    ys, kernel, runs = observations[:3], build_kernel(), 400
+    exact = linear_gaussian.kalman(ys)[2].sum()
+
+    def once(key):
+        particles, total = linear_gaussian.start(jax.random.fold_in(key, 99), 200), 0.0
+        for frame, y in enumerate(ys):
+            particles, info = kernel(jax.random.fold_in(key, frame), particles, linear_gaussian.density(y, particles))
+            total += info.log_evidence
+        return total
+
+    # One after the other: the kernel spreads its own particles over the devices.
+    ratios = np.exp(np.asarray(jax.lax.map(once, jax.random.split(jax.random.key(3), runs)), float) - exact)
+    assert ratios.std() < 0.7
+    assert abs(ratios.mean() - 1) < 3 * ratios.std(ddof=1) / np.sqrt(runs)

@@ -1,0 +1,54 @@
+"""The figures of a run."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from bayes_body.kernels.particle_filter import build_kernel
+from bayes_body.metrics import marker_disagreement, silhouette_overlap, summarise
+from bayes_body.model import load_model
+from bayes_body.posterior import markers
+from bayes_body.track import track
+from bayes_body.view.silhouette import intersection_over_union
+
+
+@pytest.fixture(scope="module")
+def draws(textured_session):
+    return track(textured_session, load_model("arm", textured_session), build_kernel(), jax.random.key(2), particles=50, runs=2)
+
+
+def test_intersection_over_union():
+    a, b = np.zeros((4, 4), bool), np.zeros((4, 4), bool)
+    assert np.isnan(intersection_over_union(a, b))
+    a[:2], b[1:3] = True, True
+    assert intersection_over_union(a, b) == 4 / 12
+    assert intersection_over_union(a, a) == 1
+
+
+def test_overlap_has_a_figure_for_each_run_frame_and_camera(textured_session, draws):
+    overlap = silhouette_overlap(textured_session, draws)
+    assert overlap.shape == (2, 5, 2)
+    assert ((overlap >= 0) & (overlap <= 1)).all() and overlap.max() > 0
+
+
+def test_marker_disagreement_is_a_distance(draws):
+    still = np.broadcast_to(draws.states["pose"][:1, :, :1], draws.states["pose"].shape)
+    same = dataclasses.replace(draws, states={"pose": still})
+    assert marker_disagreement(same) < 1e-6
+    bent = still.copy()
+    bent[1, ..., 3] = -0.2
+    apart = dataclasses.replace(draws, states={"pose": bent})
+    a, b = (markers(draws.model, bent[run, :, 0]) for run in (0, 1))
+    assert np.isclose(marker_disagreement(apart), np.linalg.norm(a - b, axis=-1).mean(), rtol=1e-4)
+
+
+def test_a_figure_that_does_not_exist_is_null(textured_session, draws):
+    single = track(textured_session, draws.model, build_kernel(), jax.random.key(0), particles=20)
+    summary = summarise(textured_session, single, kernel="sir", layers=1, seed=0)
+    assert summary["rhat_max"] is None and summary["marker_disagreement_mm"] is None
+    views = tuple(dataclasses.replace(view, masks=None) for view in textured_session.views)
+    blind = summarise(dataclasses.replace(textured_session, views=views), draws, kernel="sir", layers=1, seed=0)
+    assert blind["iou_median"] is None
+    assert blind["rhat_max"] > 0.9

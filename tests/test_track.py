@@ -1,0 +1,82 @@
+"""Tracking: one program for all frames, keys by run and frame, what is said of bad arguments and of broken recordings."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from bayes_body.errors import InputError
+from bayes_body.kernels.particle_filter import build_kernel
+from bayes_body.model import load_model
+from bayes_body.registry import find, names
+from bayes_body.track import track
+
+KEY = jax.random.key(11)
+
+
+@pytest.fixture(scope="module")
+def arm(textured_session):
+    return load_model("arm", textured_session)
+
+
+@pytest.mark.parametrize("name", names("kernel"))
+def test_a_new_frame_never_retraces(name, textured_session, arm):
+    term, traces = find("kernel", name), []
+    kernel = term.build(options=term.options())
+
+    def counted(key, particles, density):
+        traces.append(1)
+        return kernel(key, particles, density)
+
+    draws = track(textured_session, arm, counted, KEY, particles=40, runs=2)
+    assert draws.log_weights.shape == (2, 5, 40)
+    assert len(traces) == 1
+
+
+def test_runs_and_frames_do_not_depend_on_how_many_there_are(textured_session, arm):
+    whole = track(textured_session, arm, build_kernel(), KEY, particles=40, runs=2)
+    part = track(textured_session, arm, build_kernel(), KEY, particles=40, runs=1, frames=3)
+    assert (part.states["pose"][0] == whole.states["pose"][0, :3]).all()
+    assert not (whole.states["pose"][0] == whole.states["pose"][1]).all()
+
+
+def test_progress_is_told_frame_by_frame(textured_session, arm):
+    told = []
+    track(textured_session, arm, build_kernel(), KEY, particles=40, on_frame=told.append)
+    assert [(progress.frame, progress.frames) for progress in told] == [(frame + 1, 5) for frame in range(5)]
+    assert all(0 < progress.ess <= 40 and progress.seconds_per_frame > 0 for progress in told)
+
+
+def test_ancestors_connect_the_frames(textured_session, arm):
+    """A particle is its ancestor moved by one frame's noise: no further than eight standard deviations."""
+    draws = track(textured_session, arm, build_kernel(), KEY, particles=40)
+    sd = np.asarray(arm.transition.conditional(arm.initial)["pose"].scale)
+    for frame in range(1, 5):
+        before = draws.states["pose"][0, frame - 1][draws.info.ancestors[0, frame]]
+        assert (np.abs(draws.states["pose"][0, frame] - before) < 8 * sd).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"particles": 0}, "particles: 0; expected a whole number from 1 up"),
+        ({"runs": -1}, "runs: -1"),
+        ({"frames": 6}, "frames: 6; expected a whole number from 1 to 5"),
+    ],
+)
+def test_sizes_that_make_no_sense(textured_session, arm, arguments, said):
+    with pytest.raises(InputError, match=said):
+        track(textured_session, arm, build_kernel(), KEY, **arguments)
+
+
+def test_a_frame_that_cannot_be_read_stops_with_its_name(textured_session, arm):
+    longer = dataclasses.replace(textured_session, frames=7)
+    with pytest.raises(InputError, match=r"image0005\.png"):
+        track(longer, arm, build_kernel(), KEY, particles=10)
+
+
+def test_a_session_without_masks_is_told_what_it_lacks(textured_session, arm):
+    views = tuple(dataclasses.replace(view, masks=None) for view in textured_session.views)
+    with pytest.raises(InputError, match="have no masks"):
+        track(dataclasses.replace(textured_session, views=views), arm, build_kernel(), KEY, particles=10)
