@@ -1,11 +1,15 @@
-"""What every table of a TOML file has in common: frozen, finite, and an unknown key is an error."""
+"""What every table of a TOML file has in common: frozen, an unknown key is an error, numbers are numbers (no text, no true) and finite."""
 
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(strict=True, ge=0, le=1)]
+ProperShare = Annotated[float, Field(strict=True, gt=0, lt=1)]
+Count = Annotated[int, Field(strict=True, ge=1)]
 
 
 class Schema(BaseModel):

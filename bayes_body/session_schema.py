@@ -8,7 +8,9 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
+
+from bayes_body.schema import Count, Finite, Positive, Schema
 
 # Beyond these a number in metres is taken for one in millimetres (or centimetres).
 FARTHEST_M = 1000.0
@@ -51,9 +53,6 @@ def _pattern(text: str) -> str:
     return text
 
 
-Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
-Count = Annotated[int, Field(strict=True, ge=1)]
 Far = Annotated[Finite, _metres(FARTHEST_M)]
 Length = Annotated[Positive, _metres(LONGEST_M)]
 Pattern = Annotated[str, AfterValidator(_pattern)]
@@ -61,13 +60,7 @@ type Row = tuple[Finite, Finite, Finite]
 type Rows = tuple[Row, Row, Row]
 
 
-class Table(BaseModel):
-    """A table of the file: frozen, and an unknown key is an error."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class CameraTable(Table):
+class CameraTable(Schema):
     """`[[camera]]`: one calibrated camera and where its images are."""
 
     name: Annotated[str, Field(min_length=1)]
@@ -82,7 +75,7 @@ class CameraTable(Table):
     masks: Pattern | None = None
 
 
-class SubjectTable(Table):
+class SubjectTable(Schema):
     """`[subject]`: what is known of the person."""
 
     body: str | None = None
@@ -94,14 +87,14 @@ class SubjectTable(Table):
     motion_sd_m: dict[str, Length] = {}
 
 
-class InitialTable(Table):
+class InitialTable(Schema):
     """`[initial]`: the first pose as far as it is known."""
 
     angles_deg: dict[str, Finite] = {}
     positions_m: dict[str, Far] = {}
 
 
-class SessionFile(Table):
+class SessionFile(Schema):
     """The whole file."""
 
     title: str

@@ -63,11 +63,17 @@ def test_equals_opencv_in_double_precision(x64, distortion):
     np.testing.assert_allclose(pixels, opencv(seen_points(), distortion), atol=1e-9)
 
 
-def test_skew_is_the_matrix_of_the_camera(x64):
+@pytest.mark.parametrize("distortion", [PLAIN, ALL_FIVE])
+def test_skew_is_the_matrix_of_the_camera(x64, distortion):
     alpha, points = 0.013, seen_points()
     K = np.array([[FOCAL[0], alpha * FOCAL[0], CENTRE[0]], [0, FOCAL[1], CENTRE[1]], [0, 0, 1]])
-    homogeneous = (points @ ROTATION.T + TRANSLATION) @ K.T
-    pixels, _ = project(camera(skew=alpha), jnp.asarray(points))
+    if distortion == PLAIN:
+        bent = points @ ROTATION.T + TRANSLATION
+    else:
+        normalised = cv2.projectPoints(points, cv2.Rodrigues(ROTATION)[0], TRANSLATION, np.eye(3), np.array(distortion))[0][:, 0]
+        bent = np.column_stack([normalised, np.ones(len(points))])
+    homogeneous = bent @ K.T
+    pixels, _ = project(camera(distortion, alpha), jnp.asarray(points))
     np.testing.assert_allclose(pixels, homogeneous[:, :2] / homogeneous[:, 2:], atol=1e-9)
 
 

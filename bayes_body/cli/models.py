@@ -1,10 +1,11 @@
 """`bayes-body models`: what definitions there are, and what is wrong with a user's own."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 from rich.console import Console
 from rich.table import Table
+from typer.core import TyperGroup
 
 if TYPE_CHECKING:
     from bayes_body.definition import Definition
@@ -12,14 +13,20 @@ if TYPE_CHECKING:
 # Any will do: it scales the noise and nothing that could be wrong depends on it.
 SOME_FPS = 60.0
 
-app = typer.Typer(help="List the model definitions, or check one.", invoke_without_command=True)
+
+class _ListByDefault(TyperGroup):
+    """`bayes-body models` alone is `bayes-body models list`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, args or ["list"])
 
 
-@app.callback()
-def list_models(context: typer.Context) -> None:
+app = typer.Typer(cls=_ListByDefault, help="List the model definitions (what it does without a command), or check one.")
+
+
+@app.command("list")
+def list_models() -> None:
     """List the shipped definitions, a line each."""
-    if context.invoked_subcommand:
-        return
     from bayes_body.definition import definition_names, definitions_folder, load_definition
 
     table = Table("model", "dofs", "kernel", "what it is", box=None, pad_edge=False)

@@ -10,35 +10,32 @@ found by bisection. The noise of the layers is a proposal that no weight correct
 Crossover: a particle takes an interval of its parameters, from one end of a chain of joints to another, from a second parent drawn by weight.
 """
 
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
-from pydantic import Field
 
 from bayes_body.factor import FilterInfo, FrameDensity, Kernel, Particles, State
 from bayes_body.kernels.batching import over_particles
 from bayes_body.kernels.resampling import Resample, Scheme, resampler
 from bayes_body.kernels.weights import LogWeights, effective_sample_size, normalise
 from bayes_body.registry import register
-from bayes_body.schema import Schema
+from bayes_body.schema import Count, ProperShare, Schema, Share
 from bayes_body.shapes import Index, Key, Scalar
 
 # Powers of the likelihood between which the survival rate is met, and how often their ratio's logarithm is halved: to 1e-7.
 LOWEST_POWER, HIGHEST_POWER = 1e-6, 1e6
 BISECTIONS = 28
 
-type Share = Annotated[float, Field(gt=0, lt=1)]
-
 
 class Options(Schema):
     """Options of `[kernel] kind = "annealed"`."""
 
-    particles: Annotated[int, Field(gt=0)] = 1000
-    layers: Annotated[int, Field(gt=0)] = 5
-    survival_rate: Share = 0.5
-    crossover_rate: Annotated[float, Field(ge=0, le=1)] = 0.5
+    particles: Count = 1000
+    layers: Count = 5
+    survival_rate: ProperShare = 0.5
+    crossover_rate: Share = 0.5
     resampling: Scheme = "systematic"
 
 

@@ -7,25 +7,24 @@ The estimate of the evidence is unbiased; the particles are a weighted sample of
 survive a frame: the price of sampling from the prior.
 """
 
-from typing import Annotated, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-from pydantic import Field
 
 from bayes_body.factor import FilterInfo, FrameDensity, Kernel, Particles, State
 from bayes_body.kernels.batching import over_particles
 from bayes_body.kernels.resampling import Scheme, resampler
 from bayes_body.kernels.weights import effective_sample_size, normalise
 from bayes_body.registry import register
-from bayes_body.schema import Schema
+from bayes_body.schema import Count, Schema
 from bayes_body.shapes import Key, Scalar
 
 
 class Options(Schema):
     """Options of `[kernel] kind = "sir"`."""
 
-    particles: Annotated[int, Field(gt=0)] = 4000
+    particles: Count = 4000
     resampling: Scheme = "systematic"
 
 

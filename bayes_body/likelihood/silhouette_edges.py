@@ -27,18 +27,17 @@ from bayes_body.likelihood.coverage import projected_area
 from bayes_body.likelihood.patch_pixels import rig_pixels
 from bayes_body.maps import EDGES, SILHOUETTE, Lookup, SilhouetteEdgeMaps, look_up
 from bayes_body.registry import register
-from bayes_body.schema import Positive, Schema
+from bayes_body.schema import Count, NonNegative, Positive, Schema
 from bayes_body.shapes import Pose, Scalar
 
 POSE = Variable("pose")
-Count = Annotated[int, Field(ge=1, le=200)]
 
 
 class Options(Schema):
     """Options of `[[likelihood]] kind = "silhouette_edges"`."""
 
     precision: Positive = 1.0
-    gamma: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    gamma: NonNegative = 0.0
     terms: Annotated[tuple[Literal["silhouette", "edges"], ...], Field(min_length=1)] = ("silhouette", "edges")
     lookup: Lookup = "bilinear"
     surface_samples: tuple[Count, Count] = (6, 4)

@@ -5,20 +5,17 @@ measure of proximity to an edge". Both are stored as (1 − V)², which is what 
 """
 
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from bayes_body.errors import wrong
 from bayes_body.maps import SilhouetteEdgeMaps, pack
 from bayes_body.observation.frames import Frame
 from bayes_body.registry import register
-from bayes_body.schema import Positive, Schema
-
-Share = Annotated[float, Field(ge=0, le=1)]
+from bayes_body.schema import Positive, Schema, Share
 
 
 class Options(Schema):

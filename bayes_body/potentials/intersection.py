@@ -10,17 +10,16 @@ A constraint: it holds at full power at every temperature. It has no normaliser 
 estimate of a kernel. The soft form is for kernels that need a gradient.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
-from pydantic import Field
 
 from bayes_body.body.solids import Body, part_transforms, penetration_depths
 from bayes_body.factor import Factor, Variable, Variables
 from bayes_body.geometry import Transform
 from bayes_body.registry import register
-from bayes_body.schema import Positive, Schema
+from bayes_body.schema import NonNegative, Positive, Schema
 from bayes_body.shapes import Scalar
 
 POSE = Variable("pose")
@@ -30,7 +29,7 @@ class Options(Schema):
     """Options of `[[constraint]] kind = "intersection"`; which pairs are tested stands in the body's `penetration`."""
 
     mode: Literal["hard", "soft"] = "hard"
-    yield_m: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.03
+    yield_m: NonNegative = 0.03
     soft_sd_m: Positive = 0.01
 
 
