@@ -11,12 +11,13 @@ from typing import Any
 __version__ = version("bayes-body")
 
 _HOME = {
+    "InputError": "errors",
     "configure": "config",
     "load_session": "session",
     "load_definition": "definition",
     "load_model": "model",
     "read_frame": "observation.frames",
-    "track": "track",
+    "track": "tracking",
     "to_datatree": "posterior",
     "save_posterior": "posterior",
     "summarise": "metrics",

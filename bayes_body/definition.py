@@ -3,7 +3,7 @@
 A definition names terms; what a term's table may hold is the term's own schema, found through the registry. Nothing here builds arrays.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from bayes_body.body.schema import BodySchema
 from bayes_body.errors import FaultyFileError, InputError, nearest, wrong
-from bayes_body.registry import Room, find
+from bayes_body.registry import Room, find, names
 from bayes_body.schema import Schema
 from bayes_body.toml_file import read_toml, validate
 
@@ -65,6 +65,7 @@ class Definition:
     title: str
     source: str
     body_name: str
+    body_text: str
     body: BodySchema
     dynamics: TermDefinition
     likelihoods: tuple[LikelihoodDefinition, ...]
@@ -90,60 +91,71 @@ def load_definition(name: str | Path) -> Definition:
         InputError: there is none of that name, or the file is no TOML.
         FaultyFileError: one sentence for each thing in it that is wrong.
     """
-    path = _locate(str(name), "", "model")
+    path = _locate(str(name), "", "model", Path())
     where = path.name if path.parent == definitions_folder() else str(path)
-    file = validate(_File, read_toml(path), where)
-    collect = _Collector(where)
-    body_name, body = collect.body(file.body)
-    likelihoods = tuple(collect.likelihood(index, table) for index, table in enumerate(file.likelihoods))
-    constraints = tuple(collect.term("potential", f"constraint #{index + 1}", table) for index, table in enumerate(file.constraints))
-    dynamics, kernel = collect.term("dynamics", "dynamics", file.dynamics), collect.term("kernel", "kernel", file.kernel)
-    if collect.sentences:
+    data = read_toml(path)
+    collect = _Collector(where, path.parent)
+    file = collect.attempt(lambda: validate(_File, data, where))
+    # Read from the tables themselves, so that a fault in one place does not hide those in another.
+    body_name, body_text, body = collect.body(data.get("body"))
+    likelihoods = tuple(collect.likelihood(index, table) for index, table in _tables(data.get("likelihood")))
+    constraints = tuple(collect.term("potential", f"constraint #{index + 1}", table) for index, table in _tables(data.get("constraint")))
+    (dynamics, kernel) = (next((collect.term(room, room, table) for _, table in _tables([data.get(room)])), None) for room in ("dynamics", "kernel"))
+    if collect.sentences or file is None or dynamics is None or kernel is None or body is None:
         raise FaultyFileError(collect.sentences)
-    return Definition(
-        path.stem, path.read_text(encoding="utf-8-sig"), file.title, file.source, body_name, body, dynamics, likelihoods, constraints, kernel
-    )
+    text = path.read_text(encoding="utf-8-sig")
+    return Definition(path.stem, text, file.title, file.source, body_name, body_text, body, dynamics, likelihoods, constraints, kernel)
 
 
-def load_body(name: str) -> BodySchema:
-    """A shipped body by name, or a user's by path.
+def _tables(value: Any) -> Iterator[tuple[int, TermTable]]:
+    """Those of a list that name a term; what is wrong with the others the schema of the file says."""
+    for index, table in enumerate(value if isinstance(value, list) else []):
+        if isinstance(table, dict) and isinstance(table.get("kind"), str):
+            yield index, TermTable(**table)
+
+
+def load_body(name: str, beside: Path = Path()) -> BodySchema:
+    """A shipped body by name, or a user's by path, from the folder `beside` on.
 
     Raises:
         InputError: as `load_definition`.
     """
-    path = _locate(name, "bodies", "body")
+    path = _locate(name, "bodies", "body", beside)
     return validate(BodySchema, read_toml(path), path.name if path.parent.parent == definitions_folder() else str(path))
 
 
-def _locate(name: str, folder: str, kind: str) -> Path:
+def _locate(name: str, folder: str, kind: str, beside: Path) -> Path:
     shipped = definitions_folder() / folder / f"{name}.toml"
     if shipped.is_file():
         return shipped
-    if name.endswith(".toml") or Path(name).exists():
-        return Path(name)
-    known = definition_names(folder)
-    raise InputError(f"{kind} '{name}' does not exist; {nearest(name, known)} (or give the path of a .toml file)")
+    if name.endswith(".toml") or (beside / name).exists():
+        return beside / name
+    raise InputError(f"{kind} '{name}' does not exist; {nearest(name, definition_names(folder))} (or give the path of a .toml file)")
 
 
 class _Collector:
     """Reads the terms of one file and gathers what is wrong, so that a user sees all of it at once."""
 
-    def __init__(self, where: str):
-        self.where = where
+    def __init__(self, where: str, folder: Path):
+        self.where, self.folder = where, folder
         self.sentences: list[str] = []
 
-    def body(self, table: Mapping[str, Any]) -> tuple[str, Any]:
-        """The body by name, or written out in the model itself."""
+    def body(self, table: Any) -> tuple[str, str, BodySchema | None]:
+        """The body's name, the text of its file, and the body: by name, or written out in the model itself (which has no text of its own)."""
+        if not isinstance(table, dict):
+            return "", "", None
         if "name" not in table:
-            return "written out in the model", self._try(lambda: validate(BodySchema, table, f"{self.where}: body"))
+            return "written out in the model", "", self.attempt(lambda: validate(BodySchema, table, f"{self.where}: body"))
         name = table["name"]
         for key in table:
             if key != "name":
                 self.sentences.append(f"{self.where}: body.{key}: unknown key beside a body's name; {nearest(key, ['name'])}")
         if not isinstance(name, str):
             self.sentences.append(str(wrong(f"{self.where}: body.name", str(name), "a text", "put the name of a body in double quotes")))
-            return "", None
-        return name, self._try(lambda: load_body(name), f"{self.where}: body.name: ")
+            return "", "", None
+        body = self.attempt(lambda: load_body(name, self.folder), f"{self.where}: body.name: ")
+        text = _locate(name, "bodies", "body", self.folder).read_text(encoding="utf-8-sig") if body else ""
+        return name, text, body
 
     def term(self, room: Room, place: str, table: TermTable) -> TermDefinition:
         """A term with its options, held against the schema that its kind registered."""
@@ -154,14 +166,17 @@ class _Collector:
         place, options = f"likelihood #{index + 1}", table.options
         observation = options.pop("observation", {})
         read = self._options("likelihood", place, table.kind, options)
-        prepared = self._options("observation", f"{place}.observation", table.kind, observation) if read is not None else None
+        # A kind that does not exist is said once.
+        known = table.kind in names("likelihood")
+        prepared = self._options("observation", f"{place}.observation", table.kind, observation) if known else None
         return LikelihoodDefinition(table.kind, read, prepared)
 
     def _options(self, room: Room, place: str, kind: str, options: Any) -> Any:
-        term = self._try(lambda: find(room, kind), f"{self.where}: {place}.kind: ")
-        return self._try(lambda: validate(term.options, options, f"{self.where}: {place}")) if term else None
+        term = self.attempt(lambda: find(room, kind), f"{self.where}: {place}.kind: ")
+        return self.attempt(lambda: validate(term.options, options, f"{self.where}: {place}")) if term else None
 
-    def _try(self, action: Any, prefix: str = "") -> Any:
+    def attempt[Result](self, action: Callable[[], Result], prefix: str = "") -> Result | None:
+        """The action's result; None if an input is wrong, and then the sentences are kept."""
         try:
             return action()
         except FaultyFileError as error:

@@ -24,7 +24,7 @@ from bayes_body.shapes import Index, Scalar
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=[], data_fields=["transition", "factors", "data", "previous"])
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Density:
     """The posterior of one frame: a pytree, so that a new frame's images or particles never retrace what consumes it.
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bayes_body.observation.frames import read_frame
 from bayes_body.posterior import markers, mean_poses, rhat
 from bayes_body.session import Session
-from bayes_body.track import Draws
+from bayes_body.tracking import Draws
 from bayes_body.view.silhouette import intersection_over_union, projected_masks
 
 

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from bayes_body.errors import wrong
 from bayes_body.model import Model
-from bayes_body.track import Draws
+from bayes_body.tracking import Draws
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -60,6 +60,7 @@ def _filter_group(draws: Draws) -> "xr.Dataset":
 def save_posterior(tree: "xr.DataTree", path: Path) -> None:
     """Write the tree as NetCDF; `xarray.open_datatree` or `arviz.from_netcdf` reads it."""
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         tree.to_netcdf(path, engine="h5netcdf")
     except OSError as error:
         raise wrong(path, f"cannot be written ({error.strerror or error})", "a folder with room", "free some space or name another folder") from None

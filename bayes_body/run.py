@@ -22,11 +22,12 @@ from bayes_body.posterior import save_posterior, to_datatree
 from bayes_body.registry import find
 from bayes_body.session import load_session
 from bayes_body.toml_file import validate
-from bayes_body.track import track
+from bayes_body.tracking import track
 from bayes_body.view.overlay import draw_overlay
 from bayes_body.view.progress import progress_bar
 
-LEFT_BY_A_RUN = ("run.toml", "posterior.nc", "summary.json")
+# A folder with run.toml alone is a run that stopped before it had anything to keep: it may be tried again.
+LEFT_BY_A_RUN = ("posterior.nc", "summary.json")
 PACKAGES = ("bayes-body", "jax", "jaxlib", "numpyro", "blackjax", "arviz", "opencv-python-headless", "numpy")
 
 
@@ -124,7 +125,8 @@ def _write_run_file(settings: Settings, definition: Definition, kind: str, optio
     document["kernel"] = {"kind": kind, **options}
     document["versions"] = {"python": platform.python_version(), **{package: version(package) for package in PACKAGES}}
     document["machine"] = {"platform": platform.platform(), "devices": [str(device) for device in jax.devices()]}
-    document["definition"] = {"title": definition.title, "text": tomlkit.string(definition.text, multiline=True)}
+    texts = {"text": definition.text, "body_text": definition.body_text}
+    document["definition"] = {"title": definition.title, **{key: tomlkit.string(text, multiline=True) for key, text in texts.items() if text}}
     (settings.out / "run.toml").write_text(tomlkit.dumps(document), encoding="utf-8")
 
 

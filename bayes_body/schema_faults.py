@@ -108,6 +108,8 @@ def _describe(where: str, data: Mapping[str, Any], path: tuple[str | int, ...], 
         yield f"{subject}.{_discriminator(error)} = {shown(tag)}: no such choice; {nearest(tag, known)}"
     elif kind == "union_tag_not_found":
         yield str(wrong(f"{subject}.{_discriminator(error)}", "missing", "the name of a kind", "add it"))
+    elif kind in ("tuple_type", "list_type") and isinstance(error["input"], Mapping):
+        yield str(wrong(subject, "one table", "a list of tables", f"write its header with two brackets on each side, [[{name}]]"))
     else:
         expected = " or ".join(dict.fromkeys(_expectation(each.error) for each in group))
         yield str(wrong(where, f"{name} = {shown(error['input'])}", expected, PLAIN_WORDS.get(kind, ("", "correct the value"))[1]))

@@ -10,7 +10,7 @@ from bayes_body.kernels.particle_filter import build_kernel
 from bayes_body.metrics import marker_disagreement, silhouette_overlap, summarise
 from bayes_body.model import load_model
 from bayes_body.posterior import markers
-from bayes_body.track import track
+from bayes_body.tracking import track
 from bayes_body.view.silhouette import intersection_over_union
 
 

@@ -11,7 +11,7 @@ import xarray as xr
 from bayes_body.kernels.particle_filter import build_kernel
 from bayes_body.model import load_model
 from bayes_body.posterior import equal_weight_draws, markers, mean_poses, rhat, save_posterior, to_datatree
-from bayes_body.track import track
+from bayes_body.tracking import track
 
 RUNS, FRAMES, PARTICLES = 3, 5, 400
 

@@ -5,8 +5,8 @@ and y. Seen along $c$ (in the part's frame), the point of a section whose normal
 
 $$p_\pm = e \pm r\,(s_x \cos\theta,\ s_y \sin\theta), \qquad (\cos\theta, \sin\theta) \propto (c_y / s_y,\ -c_x / s_x),$$
 
-which for a circular section is the occluding contour of Poon & Fleet (2002, 3.2), $e \pm r (a \times c)/\|a \times c\|$. Both ends have their own
-view direction. A sphere is seen as the disc through its centre, perpendicular to the view.
+which for a circular section is the occluding contour of Poon & Fleet (2002, 3.2), $e \pm r (a \times c)/\|a \times c\|$. Only the view across the
+axis enters, and it is the same from both ends. A sphere is seen as the disc through its centre, perpendicular to the view.
 
 Every point that a likelihood looks at is then a sum of four vectors of its part, $V_0 + \alpha V_1 + \beta V_2 + \gamma V_3$, with fixed
 coefficients: $(1, t, s, ts)$ on a cylinder, with $t \in [0, 1]$ along and $s \in [-1, 1]$ across it. The outline is $s = \pm 1$; the surface
@@ -83,10 +83,9 @@ class Patches(NamedTuple):
 def patches(body: Body, T_world_part: Transform, viewpoint: Vector3) -> Patches:
     """The visible patch of every part, seen from `viewpoint` (metres, world)."""
     base = T_world_part.origin
-    tip = base + body.lengths[:, None] * T_world_part.z
-    side_base = _side(body, T_world_part, base - viewpoint) * body.radii[:, :1]
-    side_tip = _side(body, T_world_part, tip - viewpoint) * body.radii[:, 1:]
-    cylinders = Patches(base, tip - base, side_base, side_tip - side_base)
+    # Base and tip differ along the axis only, which the side does not see: one side serves both ends.
+    side = _side(body, T_world_part, base - viewpoint)
+    cylinders = Patches(base, body.lengths[:, None] * T_world_part.z, side * body.radii[:, :1], side * (body.radii[:, 1:] - body.radii[:, :1]))
     if not any(body.topology.is_sphere):
         return cylinders
     discs = _discs(body, T_world_part, viewpoint)
@@ -104,13 +103,28 @@ def _side(body: Body, T_world_part: Transform, view: Float[Array, "part 3"]) -> 
 
 
 def _discs(body: Body, T_world_part: Transform, viewpoint: Vector3) -> Patches:
+    disc = facing_discs(body, T_world_part, viewpoint)
+    radius = body.radii[:, :1]
+    # t runs over a diameter: V0 + t V1 goes from -r to r, and the samples' s is shortened to the circle.
+    return Patches(disc.centre - radius * disc.up, 2 * radius * disc.up, radius * disc.right, jnp.zeros_like(disc.centre))
+
+
+class Discs(NamedTuple):
+    """Of every part taken as a sphere: its centre (metres, world) and two unit vectors that span the disc facing a viewpoint."""
+
+    centre: Float[Array, "part 3"]
+    right: Float[Array, "part 3"]
+    up: Float[Array, "part 3"]
+
+
+def facing_discs(body: Body, T_world_part: Transform, viewpoint: Vector3) -> Discs:
+    """The discs through the middle of every part, perpendicular to the view from `viewpoint`."""
     centre = T_world_part.origin + 0.5 * body.lengths[:, None] * T_world_part.z
     view = geometry.unit(centre - viewpoint)
-    right = geometry.unit(jnp.cross(T_world_part.z, view))
-    up = jnp.cross(view, right)
-    radius = body.radii[:, :1]
-    # t runs over a diameter: with (t, s) as on a cylinder, V0 + t V1 goes from -r to r and the samples' s is shortened to the circle.
-    return Patches(centre - radius * up, 2 * radius * up, radius * right, jnp.zeros_like(centre))
+    # Seen along the part's own z the disc is spanned from its x: the vectors turn, the disc stays what it is.
+    along = (jnp.abs(geometry.dot(view, T_world_part.z)) > 0.9)[:, None]
+    right = geometry.unit(jnp.cross(jnp.where(along, T_world_part.x, T_world_part.z), view))
+    return Discs(centre, right, jnp.cross(view, right))
 
 
 class Samples(NamedTuple):

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import typer
 
+from bayes_body.errors import wrong
+
 app = typer.Typer(help="Make a session from a laboratory's files.", no_args_is_help=True)
 
 
@@ -16,10 +18,14 @@ def _group() -> None:
 def parsec(
     source: Path = typer.Argument(help="Folder of the PARSEC suite's bodytrack: CALIB, CAM1.., FG1.., BodyShapeParameters.txt, InitialPose.txt."),
     session: Path = typer.Argument(help="Folder to write session.toml and check.png into."),
+    overwrite: bool = typer.Option(False, "--overwrite", help="Replace a session.toml that is there already, with what was edited in it."),
 ) -> None:
     """Cameras, images, masks, body shape and initial pose of the PARSEC suite's bodytrack."""
     from bayes_body.recording.parsec import import_parsec
+    from bayes_body.session import FILE_NAME
 
+    if (session / FILE_NAME).exists() and not overwrite:
+        raise wrong(session, f"holds a {FILE_NAME} already", "a folder without one", "name another, or replace it with --overwrite")
     recording, remarks = import_parsec(source, session)
     for remark in remarks:
         typer.echo(f"note: {remark}")

@@ -41,9 +41,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for sentence in error.sentences if isinstance(error, FaultyFileError) else [str(error)]:
             typer.secho(f"bayes-body: {sentence}", err=True, fg="red")
         sys.exit(WRONG_INPUT)
-    except KeyboardInterrupt:
-        typer.secho("bayes-body: interrupted.", err=True, fg="red")
-        sys.exit(INTERRUPTED)
+    except SystemExit as stopped:
+        # typer makes this status of an interruption, without a word.
+        if stopped.code == INTERRUPTED:
+            typer.secho("bayes-body: interrupted.", err=True, fg="red")
+        raise
     except Exception as error:
         typer.secho(f"bayes-body: {_internal(error)}", err=True, fg="red")
         sys.exit(OUR_FAULT)

@@ -23,6 +23,7 @@ from bayes_body.kernels.weights import LogWeights, effective_sample_size, normal
 from bayes_body.registry import register
 from bayes_body.schema import Count, ProperShare, Schema, Share
 from bayes_body.shapes import Index, Key, Scalar
+from bayes_body.toml_file import validate
 
 # Powers of the likelihood between which the survival rate is met, and how often their ratio's logarithm is halved: to 1e-7.
 LOWEST_POWER, HIGHEST_POWER = 1e-6, 1e6
@@ -56,7 +57,12 @@ def build_kernel(layers: int = 5, survival_rate: float = 0.5, crossover_rate: fl
         survival_rate: τ, the share of particles that a layer keeps; also the factor by which its noise shrinks.
         crossover_rate: the share of particles that get an interval of a second parent's parameters, from the second layer on.
         resampling: how ancestors are drawn.
+
+    Raises:
+        InputError: an argument outside its range.
     """
+    # Called from a script the arguments come unchecked; the schema says what they may be.
+    validate(Options, {"layers": layers, "survival_rate": survival_rate, "crossover_rate": crossover_rate, "resampling": resampling}, "annealed()")
     resample = resampler(resampling)
     scales = survival_rate ** jnp.arange(layers)
 

@@ -4,6 +4,8 @@ A grid point's membership of a part's quadrilateral is soft over one step of the
 that the area has a gradient; the union over parts is $1 - \prod_p (1 - m_p)$.
 """
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,8 +26,10 @@ def projected_area(body: Body, rig: Camera, pose: Pose, grid: tuple[int, int]) -
         pose: radians and metres.
         grid: columns and rows of the grid that is stretched over each image.
     """
-    parts = len(body.topology.names)
-    t, s = (np.tile(np.array(row), (parts, 1)) for row in ([0.0, 1.0, 1.0, 0.0], [-1.0, -1.0, 1.0, 1.0]))
+    # Corners of each part's patch; a disc's square is shrunk to the disc's area.
+    shrink = np.where(np.array(body.topology.is_sphere), math.sqrt(math.pi) / 2, 1.0)[:, None]
+    t = 0.5 + shrink * np.array([[-0.5, 0.5, 0.5, -0.5]])
+    s = shrink * np.array([[-1.0, -1.0, 1.0, 1.0]])
     corners = rig_pixels(body, rig, Samples(jnp.asarray(t, pose.dtype), jnp.asarray(s, pose.dtype)), pose)
     return jax.vmap(lambda c, size: _covered(c, size, *grid))(corners, rig.size)
 

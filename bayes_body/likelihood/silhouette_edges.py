@@ -94,7 +94,7 @@ class SilhouetteEdges:
         share = projected_area(self.body, self.rig, pose, self.area_grid)
         seen, projected = (jnp.clip(s, 1e-6, 1 - 1e-6) / (1 - jnp.clip(s, 1e-6, 1 - 1e-6)) for s in (maps.foreground, share))
         agreement = 1 - jnp.abs(seen - projected) / jnp.maximum(seen, projected)
-        return jnp.maximum(agreement, 1e-3) ** self.gamma
+        return jnp.maximum(agreement**self.gamma, 1e-3)
 
 
 @register("likelihood", "silhouette_edges", Options)

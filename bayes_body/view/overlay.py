@@ -16,7 +16,7 @@ from bayes_body.model import Model
 from bayes_body.observation.frames import Frame, read_frame
 from bayes_body.posterior import equal_weight_draws, mean_poses
 from bayes_body.session import Session
-from bayes_body.track import Draws
+from bayes_body.tracking import Draws
 from bayes_body.view.silhouette import Outline, outlines
 
 # BGR, as OpenCV has it.

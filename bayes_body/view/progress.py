@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
-from bayes_body.track import Progress
+from bayes_body.tracking import Progress
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from bayes_body import geometry
-from bayes_body.body.solids import Body, part_transforms
+from bayes_body.body.solids import Body, facing_discs, part_transforms
 from bayes_body.camera import Camera, project
 from bayes_body.model import Model
 from bayes_body.session import Session
@@ -74,10 +74,7 @@ def _rims(body: Body, T_world_part: geometry.Transform, camera: Camera) -> Float
         across_y = (body.radii[:, end] * body.sections[:, 1])[:, None] * T_world_part.y
         ends.append(centre[:, None] + cos * across_x[:, None] + sin * across_y[:, None])
     cylinders = jnp.concatenate(ends, axis=1)
-    middle = T_world_part.origin + 0.5 * body.lengths[:, None] * T_world_part.z
-    view = geometry.unit(middle - camera.viewpoint)
-    right = geometry.unit(jnp.cross(T_world_part.z, view))
-    up = jnp.cross(view, right)
-    disc = middle[:, None] + body.radii[:, :1, None] * (cos * right[:, None] + sin * up[:, None])
+    facing = facing_discs(body, T_world_part, camera.viewpoint)
+    disc = facing.centre[:, None] + body.radii[:, :1, None] * (cos * facing.right[:, None] + sin * facing.up[:, None])
     is_sphere = jnp.array(body.topology.is_sphere)[:, None, None]
     return jnp.where(is_sphere, jnp.concatenate([disc, disc], axis=1), cylinders)

@@ -13,7 +13,7 @@ from bayes_body.kernels.particle_filter import build_kernel
 from bayes_body.model import load_model
 from bayes_body.observation.frames import read_frame
 from bayes_body.session import Subject
-from bayes_body.track import track
+from bayes_body.tracking import track
 from bayes_body.view.overlay import LEFT, MIDDLE, RIGHT, colour, draw_overlay, grid
 from bayes_body.view.rig_check import draw_check
 from bayes_body.view.silhouette import outlines, projected_masks

@@ -10,7 +10,7 @@ from bayes_body.errors import InputError
 from bayes_body.kernels.particle_filter import build_kernel
 from bayes_body.model import load_model
 from bayes_body.registry import find, names
-from bayes_body.track import track
+from bayes_body.tracking import track
 
 KEY = jax.random.key(11)
 

@@ -1,0 +1,174 @@
+"""Forward kinematics against a chain of 4x4 matrices written out in NumPy from what the body file says."""
+
+import math
+import tomllib
+from itertools import product
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_body import geometry
+from bayes_body.body.build import build_body
+from bayes_body.body.schema import BodySchema
+from bayes_body.body.skeleton import forward_kinematics, marker_positions, preset_rotation
+from bayes_body.body.solids import Body
+from bayes_body.definition import definitions_folder
+
+BODIES = ["arm_4", "deutscher_31"]
+
+
+def document(name: str) -> dict:
+    return tomllib.loads((definitions_folder() / "bodies" / f"{name}.toml").read_text())
+
+
+def build(table: dict) -> Body:
+    return build_body("a test's", BodySchema.model_validate(table))
+
+
+def rotation(axis: str, angle: float) -> np.ndarray:
+    """Right-handed, about a coordinate axis."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array({"x": [[1, 0, 0], [0, c, -s], [0, s, c]], "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]], "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]]}[axis])
+
+
+def homogeneous(R=np.eye(3), p=(0, 0, 0)) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, p
+    return T
+
+
+def chain(table: dict, pose: dict[str, float]) -> dict[str, np.ndarray]:
+    """`T_world_joint` of every joint by name."""
+    found = {"world": np.eye(4)}
+    waiting = list(table["joint"])
+    while waiting:
+        joint = waiting.pop(0)
+        if joint["parent"] not in found:
+            waiting.append(joint)
+            continue
+        T = found[joint["parent"]] @ homogeneous(p=vector(table, joint.get("offset", {})))
+        for preset in joint.get("preset", []):
+            T = T @ homogeneous(rotation(preset[0], math.radians(int(preset[1:]))))
+        for dof in joint.get("dofs", []):
+            axis, value = dof["axis"], pose[dof["name"]]
+            if axis.startswith("t"):
+                T = T @ homogeneous(p=value * np.eye(3)["xyz".index(axis[1])])
+            else:
+                T = T @ homogeneous(rotation(axis[-1], -value if axis[0] == "-" else value))
+        found[joint["name"]] = T
+    del found["world"]
+    return found
+
+
+def vector(table: dict, offset: dict) -> list[float]:
+    def metres(entry) -> float:
+        if not isinstance(entry, str):
+            return entry
+        return (-1 if entry[0] == "-" else 1) * table["lengths_of_height"][entry.lstrip("-")] * table["height_m"]
+
+    return [metres(offset.get(axis, 0.0)) for axis in "xyz"]
+
+
+def random_pose(body: Body, seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-2, 2, len(body.dof_names))
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", BODIES)
+def test_equals_a_chain_of_matrices(x64, name, seed):
+    table = document(name)
+    body = build(table)
+    pose = random_pose(body, seed)
+    found = dict(zip(body.skeleton.topology.joint_names, forward_kinematics(body.skeleton, jnp.asarray(pose)), strict=True))
+    expected = chain(table, dict(zip(body.dof_names, pose, strict=True)))
+    assert set(found) == set(expected)
+    for joint, T in expected.items():
+        np.testing.assert_allclose(geometry.matrix(found[joint]), T, atol=1e-12, err_msg=joint)
+
+
+def test_parents_after_their_children(x64):
+    table = document("deutscher_31")
+    backwards = table | {"joint": table["joint"][::-1]}
+    body, turned = build(table), build(backwards)
+    assert body.dof_names != turned.dof_names
+    pose = dict(zip(body.dof_names, random_pose(body, 4), strict=True))
+    expected = body_markers(body, pose)
+    found = body_markers(turned, pose)
+    for name, position in expected.items():
+        np.testing.assert_allclose(found[name], position, atol=1e-12, err_msg=name)
+
+
+def body_markers(body: Body, pose: dict[str, float]) -> dict[str, np.ndarray]:
+    values = jnp.array([pose[name] for name in body.dof_names])
+    return dict(zip(body.markers.names, np.asarray(marker_positions(body.skeleton, body.markers, values)), strict=True))
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_a_minus_is_the_inverse_turn(x64, axis):
+    table = document("arm_4")
+    for dof in table["joint"][1]["dofs"]:
+        dof["axis"] = axis
+    plus = build(table)
+    for dof in table["joint"][1]["dofs"]:
+        dof["axis"] = f"-{axis}"
+    minus = build(table)
+    pose = jnp.array([0.2, -0.4, 0.3, 0.7])
+    with_plus, with_minus, opposite = (
+        geometry.matrix(forward_kinematics(b.skeleton, p)[-1]) for b, p in ((plus, pose), (minus, pose), (minus, pose.at[-1].multiply(-1)))
+    )
+    np.testing.assert_allclose(with_plus, opposite, atol=1e-15)
+    assert np.abs(np.asarray(with_plus) - np.asarray(with_minus)).max() > 0.1
+    # One after the other they undo each other: back at the elbow's unturned frame.
+    T_elbow = geometry.matrix(forward_kinematics(plus.skeleton, pose.at[-1].set(0))[-1])
+    R_start, R_plus, R_minus = (np.asarray(T)[:3, :3] for T in (T_elbow, with_plus, with_minus))
+    np.testing.assert_allclose(R_start.T @ R_plus @ R_start.T @ R_minus, np.eye(3), atol=1e-14)
+
+
+@pytest.mark.parametrize("names", list(product("xyz", ("90", "180", "270"))))
+def test_presets_are_exact(names):
+    axis, degrees = names
+    R = np.asarray(preset_rotation([axis + degrees]))
+    assert np.array_equal(R, np.rint(rotation(axis, math.radians(int(degrees)))))
+
+
+def test_presets_multiply_in_order_and_exactly():
+    names = ["x270", "z180", "y270", "z90"]
+    expected = np.eye(3)
+    for name in names:
+        expected = expected @ np.rint(rotation(name[0], math.radians(int(name[1:]))))
+    assert np.array_equal(preset_rotation(names), expected)
+    assert not np.array_equal(preset_rotation(names[::-1]), expected)
+
+
+def test_markers_of_a_man_who_stands(x64):
+    table = document("deutscher_31")
+    body = build(table)
+    length = {name: share * table["height_m"] for name, share in table["lengths_of_height"].items()}
+    torso, head = length["torso"], length["head"]
+    found = body_markers(body, dict.fromkeys(body.dof_names, 0.0))
+    expected = {"pelvis": (0, 0, 0), "thorax": (0, 0, torso), "head": (0, 0, torso + head)}
+    for side, sign in (("l", 1), ("r", -1)):
+        thigh, calf = length[f"{side}_thigh"], length[f"{side}_calf"]
+        hip = sign * length[f"{side}_pelvis"]
+        expected |= {f"{side}_hip": (0, hip, 0), f"{side}_knee": (0, hip, -thigh), f"{side}_ankle": (0, hip, -thigh - calf)}
+        upper, fore = length[f"{side}_upper_arm"], length[f"{side}_forearm"]
+        shoulder = sign * length[f"{side}_clavicle"]
+        # In this chart the arms stretch along -x.
+        expected |= {f"{side}_shoulder": (0, shoulder, torso), f"{side}_elbow": (-upper, shoulder, torso)}
+        expected |= {f"{side}_wrist": (-upper - fore, shoulder, torso)}
+    assert set(found) == set(expected)
+    for name, position in expected.items():
+        np.testing.assert_allclose(found[name], position, atol=1e-12, err_msg=name)
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_the_derivative_is_that_of_the_chain(x64, name):
+    body = build(document(name))
+    pose = jnp.asarray(random_pose(body, 7))
+    jacobian = jax.jacrev(lambda p: marker_positions(body.skeleton, body.markers, p))(pose)
+    step = 1e-6
+    for k in range(pose.size):
+        ahead, behind = (marker_positions(body.skeleton, body.markers, pose.at[k].add(sign * step)) for sign in (1, -1))
+        np.testing.assert_allclose(jacobian[:, :, k], (ahead - behind) / (2 * step), atol=1e-8)

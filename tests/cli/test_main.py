@@ -1,0 +1,63 @@
+"""The verbs as a whole: help, version, interruption, and an error of our own."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from bayes_body import __version__
+from bayes_body.cli import models
+
+HELP_SECONDS = 10.0
+
+
+def test_help_comes_at_once_and_imports_no_jax():
+    started = time.perf_counter()
+    done = subprocess.run([sys.executable, "-X", "importtime", "-m", "bayes_body.cli.main", "--help"], capture_output=True, text=True, check=False)
+    seconds = time.perf_counter() - started
+    print(f"--help: {seconds:.2f} s")
+    assert done.returncode == 0
+    assert "Traceback" not in done.stdout + done.stderr
+    assert {"track", "import", "models"} <= set(done.stdout.split())
+    assert not [line for line in done.stderr.splitlines() if line.split("|")[-1].strip() in ("jax", "cv2", "arviz", "numpy")]
+    assert seconds < HELP_SECONDS
+
+
+@pytest.mark.parametrize("verb", ["", "track", "import", "import parsec", "models", "models list", "models check"])
+def test_every_verb_has_help(cli, verb):
+    outcome = cli(*verb.split(), "--help")
+    assert outcome.status == 0
+    assert "Usage" in outcome.out
+
+
+def test_version(cli):
+    assert cli("--version").out == f"bayes-body {__version__}\n"
+
+
+@pytest.mark.parametrize("arguments", [["trak"], ["track"], ["track", "walk"], ["track", "walk", "--out", "x", "--runs", "two"], ["models", "chek"]])
+def test_a_mistyped_command_is_a_usage_error(cli, arguments):
+    outcome = cli(*arguments)
+    assert outcome.status == 2
+    assert "Usage" in outcome.err
+    assert "Traceback" not in outcome.err
+
+
+def test_a_fault_of_the_program_is_a_sentence_that_names_a_file_with_the_details(cli, monkeypatch):
+    monkeypatch.setattr(models, "checked_definition", lambda name: 1 / 0)
+    outcome = cli("models", "check", "arm")
+    assert outcome.status == 1
+    assert "Traceback" not in outcome.err
+    log = Path(outcome.err.split("details in ")[1].strip().rstrip("."))
+    assert "ZeroDivisionError" in log.read_text()
+    log.unlink()
+
+
+def test_interruption(cli, monkeypatch):
+    def interrupted(name):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(models, "checked_definition", interrupted)
+    outcome = cli("models", "check", "arm")
+    assert (outcome.status, outcome.err) == (130, "bayes-body: interrupted.\n")

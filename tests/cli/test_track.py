@@ -1,0 +1,210 @@
+"""`bayes-body track`: what a run leaves behind, that it can be repeated from that alone, and sentences about wrong input."""
+
+import json
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import xarray as xr
+
+FRAMES, PARTICLES, LAYERS, RUNS, DOFS = 4, 100, 2, 2, 31
+KEYS = {
+    *("frames", "frames_lost", "cameras", "dof", "particles", "layers", "runs", "kernel", "model", "seed"),
+    *("seconds_total", "seconds_compile", "seconds_per_frame", "evaluations_per_second", "peak_memory_mb"),
+    *("ess_min", "ess_median", "rhat_max", "iou_median"),
+}
+
+
+@pytest.fixture(scope="module")
+def run(walk, tmp_path_factory) -> Path:
+    """The folder of one whole run, in a process of its own: its figures of time and memory are that of a user's."""
+    out = tmp_path_factory.mktemp("runs") / "run"
+    command = ["track", str(walk), "--out", str(out), "--particles", str(PARTICLES), "--layers", str(LAYERS), "--runs", str(RUNS), "--seed", "3"]
+    done = subprocess.run([sys.executable, "-m", "bayes_body.cli.main", *command], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert "mode seeker" in done.stdout
+    return out
+
+
+@pytest.fixture
+def again(cli, walk, tmp_path):
+    """`again(seed=3)`: the posterior of the same run, anew."""
+
+    def call(name: str, *arguments):
+        out = tmp_path / name
+        options = ["--particles", PARTICLES, "--layers", LAYERS, "--runs", RUNS]
+        outcome = cli("track", walk, "--out", out, *options, *arguments)
+        assert outcome.status == 0, outcome.err
+        return posterior(out)
+
+    return call
+
+
+def posterior(folder: Path) -> xr.DataTree:
+    with xr.open_datatree(folder / "posterior.nc") as tree:
+        return tree.load()
+
+
+def same(a: xr.DataTree, b: xr.DataTree) -> bool:
+    """Bit for bit, in every group."""
+    return all(a[group].to_dataset().equals(b[group].to_dataset()) for group in ("posterior", "sample_stats", "filter"))
+
+
+def test_a_run_leaves_its_files_and_no_others(run):
+    assert {path.name for path in run.iterdir()} == {"run.toml", "posterior.nc", "summary.json", "overlay.mp4", "overlay"}
+
+
+def test_the_posterior_opens_as_an_arviz_tree(run):
+    tree = posterior(run)
+    pose = tree["posterior"]["pose"]
+    assert dict(pose.sizes) == {"chain": RUNS, "draw": PARTICLES, "frame": FRAMES, "dof": DOFS}
+    assert pose.dims == ("chain", "draw", "frame", "dof")
+    assert set(pose.unit.values) == {"rad", "m"}
+    for name in ("log_weight", "ancestor"):
+        assert tree["sample_stats"][name].dims == ("chain", "draw", "frame")
+    np.testing.assert_allclose(np.exp(tree["sample_stats"]["log_weight"]).sum("draw"), 1, rtol=1e-5)
+    assert tree["sample_stats"]["ancestor"].values.min() >= 0
+    assert tree["sample_stats"]["ancestor"].values.max() < PARTICLES
+    assert tree["filter"]["survival_rate"].sizes["layer"] == LAYERS
+
+
+def test_the_summary(run):
+    summary = json.loads((run / "summary.json").read_text())
+    assert set(summary) >= KEYS
+    expected = {"frames": FRAMES, "frames_lost": 0, "cameras": 4, "dof": DOFS, "particles": PARTICLES, "layers": LAYERS, "runs": RUNS, "seed": 3}
+    assert {key: summary[key] for key in expected} == expected
+    assert (summary["kernel"], summary["model"]) == ("annealed", "deutscher_apf")
+    assert 0 < summary["seconds_compile"] < summary["seconds_total"]
+    working = summary["seconds_total"] - summary["seconds_compile"]
+    assert summary["seconds_per_frame"] == pytest.approx(working / FRAMES)
+    assert summary["evaluations_per_second"] == pytest.approx(RUNS * FRAMES * PARTICLES * LAYERS / working)
+    assert 1 <= summary["ess_min"] <= summary["ess_median"] <= PARTICLES
+    assert 0.4 < summary["iou_median"] < 1
+    assert summary["rhat_max"] > 0.9
+    assert 50 < summary["peak_memory_mb"] < 1e5
+
+
+def test_the_video_and_the_stills(run):
+    video = cv2.VideoCapture(str(run / "overlay.mp4"))
+    assert video.isOpened()
+    frames = 0
+    while video.read()[0]:
+        frames += 1
+    assert frames == FRAMES
+    stills = sorted((run / "overlay").iterdir())
+    assert len(stills) == FRAMES
+    for still in stills:
+        picture = cv2.imread(str(still))
+        assert picture is not None
+        # Lines were drawn: the recording is grey, they are not.
+        assert (picture.max(axis=-1) != picture.min(axis=-1)).any()
+
+
+def test_the_same_seed_gives_the_same_posterior_and_another_seed_another(again):
+    first = again("first", "--seed", 5)
+    assert same(first, again("second", "--seed", 5))
+    assert not same(first, again("third", "--seed", 6))
+
+
+def test_fewer_frames_are_the_first_ones_of_the_whole(again):
+    whole, part = again("whole"), again("part", "--frames", 2)
+    np.testing.assert_array_equal(whole["posterior"]["pose"].isel(frame=slice(2)), part["posterior"]["pose"])
+
+
+def test_the_run_file_alone_is_enough_to_repeat_the_run(run, tmp_path):
+    record = tomllib.loads((run / "run.toml").read_text(encoding="utf-8"))
+    settings, kernel = record["run"], record["kernel"]
+    # By its own name: the posterior carries it.
+    definition = tmp_path / f"{Path(settings['model']).stem}.toml"
+    definition.write_text(record["definition"]["text"], encoding="utf-8")
+    command = ["track", settings["session"], "--model", str(definition), "--kernel", kernel["kind"], "--out", str(tmp_path / "again")]
+    command += ["--particles", str(kernel["particles"]), "--layers", str(kernel["layers"])]
+    command += ["--runs", str(settings["runs"]), "--seed", str(settings["seed"])]
+    done = subprocess.run(
+        [sys.executable, "-m", "bayes_body.cli.main", *command], capture_output=True, text=True, check=False, cwd=tmp_path, env=os.environ
+    )
+    assert done.returncode == 0, done.stderr
+    assert same(posterior(run), posterior(tmp_path / "again"))
+    assert record["versions"]["jax"]
+    assert record["machine"]["devices"]
+
+
+def test_another_kernel_than_the_model_s_own(cli, walk, tmp_path):
+    outcome = cli("track", walk, "--out", tmp_path / "run", "--kernel", "sir", "--particles", 50, "--frames", 2)
+    assert outcome.status == 0
+    assert "mode seeker" not in outcome.out
+    assert np.isfinite(posterior(tmp_path / "run")["filter"]["log_evidence"]).all()
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["rhat_max"] is None
+
+
+OPTIONS = {
+    "no such kernel": (["--kernel", "aneealed"], ["kernel 'aneealed' does not exist", "did you mean 'annealed'?"]),
+    "no such model": (["--model", "deutscher_afp"], ["model 'deutscher_afp' does not exist", "did you mean 'deutscher_apf'?"]),
+    "no such file": (["--model", "nowhere/mine.toml"], ["nowhere/mine.toml", "no such file", "check the path"]),
+    "no particles": (["--particles", "0"], ["--particles: 0", "expected a whole number from 1 up", "give another"]),
+    "negative particles": (["--particles", "-5"], ["--particles: -5", "expected a whole number from 1 up", "give another"]),
+    "no layers": (["--layers", "0"], ["--layers: 0", "expected a whole number from 1 up", "give another"]),
+    "no runs": (["--runs", "0"], ["--runs: 0", "expected a whole number from 1 up", "give another"]),
+    "no frames": (["--frames", "0"], ["--frames: 0", "expected a whole number from 1 to 4", "give another"]),
+    "too many frames": (["--frames", "99"], ["--frames: 99", "expected a whole number from 1 to 4", "give another"]),
+    "a seed too large": (["--seed", str(10**30)], ["--seed: 1000000", "expected a whole number from 0 to"]),
+    "layers of sir": (["--kernel", "sir", "--layers", "3"], ["--layers", "'sir' has no such option", "expected one of particles", "leave it out"]),
+}
+
+
+@pytest.mark.parametrize("fault", OPTIONS)
+def test_options_that_cannot_be_used(cli, walk, tmp_path, fault):
+    options, parts = OPTIONS[fault]
+    cli("track", walk, "--out", tmp_path / "run", *options).refuses(*parts)
+    # So that the same command, corrected, is not refused for what this one left.
+    assert not list((tmp_path / "run").glob("*"))
+
+
+def test_a_folder_that_holds_another_run(cli, walk, run):
+    before = (run / "posterior.nc").read_bytes()
+    cli("track", walk, "--out", run).refuses(str(run), "holds another run", "expected", "--out")
+    assert (run / "posterior.nc").read_bytes() == before
+
+
+def test_an_out_that_is_a_file(cli, walk, tmp_path):
+    (tmp_path / "run").write_text("mine")
+    cli("track", walk, "--out", tmp_path / "run").refuses(str(tmp_path / "run"), "cannot be made", "expected a folder", "--out")
+    assert (tmp_path / "run").read_text() == "mine"
+
+
+def test_a_session_folder_without_a_session(cli, tmp_path):
+    (tmp_path / "empty").mkdir()
+    cli("track", tmp_path / "empty", "--out", tmp_path / "run").refuses(str(tmp_path / "empty"), "no session.toml", "`bayes-body import`")
+    cli("track", tmp_path / "none", "--out", tmp_path / "run").refuses(str(tmp_path / "none"), "no such folder", "check the path")
+
+
+SESSIONS = {
+    "syntax": (("fps = 60.0", "fps = = 60"), ["line ", "fps = = 60", "expected TOML"]),
+    "unknown key": (("fps = 60.0", "fps = 60.0\ntitel = 1"), ["titel", "unknown key", "did you mean 'title'?"]),
+    "NaN": (("fps = 60.0", "fps = nan"), ["fps = nan", "expected a"]),
+    "millimetres": (("torso = 0.578571268", "torso = 578.5"), ["torso", "578.5", "millimetres", "divide by 1000"]),
+    "no such dof": (("[initial.angles_deg]\n", "[initial.angles_deg]\nl_kneee = 1.0\n"), ["'l_kneee'", "no dof", "did you mean 'l_knee'?"]),
+    "outside the limits": (("l_knee = ", "l_knee = 200.0 # "), ["'l_knee'", "expected a value between", "limits"]),
+}
+
+
+@pytest.mark.parametrize("fault", SESSIONS)
+def test_a_session_that_cannot_be_used(cli, walk, tmp_path, fault):
+    (old, new), parts = SESSIONS[fault]
+    text = (walk / "session.toml").read_text(encoding="utf-8")
+    head, sep, initial = text.partition("[initial.angles_deg]") if fault == "outside the limits" else ("", "", text)
+    assert old in initial
+    (tmp_path / "session.toml").write_text(head + sep + initial.replace(old, new, 1), encoding="utf-8")
+    cli("track", tmp_path, "--out", tmp_path / "run").refuses("session.toml", *parts)
+
+
+def test_a_session_without_masks(cli, walk, tmp_path):
+    lines = (walk / "session.toml").read_text(encoding="utf-8").splitlines()
+    (tmp_path / "session.toml").write_text("\n".join(line for line in lines if not line.startswith("masks")), encoding="utf-8")
+    cli("track", tmp_path, "--out", tmp_path / "run").refuses("session.toml", "no masks", "expected a silhouette", "give each [[camera]] its `masks`")

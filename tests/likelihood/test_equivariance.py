@@ -1,0 +1,92 @@
+"""The world's frame is a convention: body and cameras moved together give the same pixels, the same likelihood and the same constraint."""
+
+from dataclasses import replace
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_body import geometry
+from bayes_body.body.skeleton import forward_kinematics, marker_positions
+from bayes_body.camera import Camera, project
+from bayes_body.factor import Variable
+from bayes_body.likelihood.patch_pixels import rig_pixels
+
+POSE = Variable("pose")
+R_NEW_OLD = cv2.Rodrigues(np.array([0.5, -0.7, 1.9]))[0]
+P_NEW_OLD = np.array([0.7, -1.3, 0.4])
+
+
+def moved_rig(rig: Camera) -> Camera:
+    """The cameras in the new world: what they see of a moved point is what they saw of the point."""
+    rotation = np.asarray(rig.rotation) @ R_NEW_OLD.T
+    translation = np.asarray(rig.translation) - rotation @ P_NEW_OLD
+    return replace(rig, rotation=jnp.asarray(rotation, rig.focal.dtype), translation=jnp.asarray(translation, rig.focal.dtype))
+
+
+def moved_pose(body, pose) -> jax.Array:
+    """The pose whose root is the moved one, T(x, y, z) Rz(yaw) Rx(roll) Ry(pitch)."""
+    names = body.dof_names
+    assert names[:6] == ("root_x", "root_y", "root_z", "root_yaw", "root_roll", "root_pitch")
+    root = np.asarray(geometry.matrix(forward_kinematics(body.skeleton, pose)[0]), float)
+    M, p = R_NEW_OLD @ root[:3, :3], R_NEW_OLD @ root[:3, 3] + P_NEW_OLD
+    angles = [np.arctan2(-M[0, 1], M[1, 1]), np.arcsin(M[2, 1]), np.arctan2(-M[2, 0], M[2, 2])]
+    return pose.at[:6].set(jnp.asarray([*p, *angles], pose.dtype))
+
+
+@pytest.fixture(params=["float32", "float64"])
+def case(request, scene):
+    """A man, and how far pixels may differ."""
+    with jax.enable_x64(request.param == "float64"):
+        man = scene("deutscher_31")
+        assert man.pose.dtype == request.param
+        yield man, {"float32": 1e-3, "float64": 1e-8}[request.param]
+
+
+def test_markers_move_with_the_world(x64, scene):
+    body, _, _, pose = scene("deutscher_31")
+    before, after = (marker_positions(body.skeleton, body.markers, p) for p in (pose, moved_pose(body, pose)))
+    np.testing.assert_allclose(after, before @ R_NEW_OLD.T + P_NEW_OLD, atol=1e-12)
+    assert np.abs(np.asarray(after - before)).max() > 1
+
+
+def test_pixels_stay(case):
+    man, tolerance = case
+    body, rig, pose = man.body, man.rig, man.pose
+    samples = man.factor().log_potential.samples
+    before = rig_pixels(body, rig, samples, pose)
+    after = rig_pixels(body, moved_rig(rig), samples, moved_pose(body, pose))
+    for a, b in zip(after[:2], before[:2], strict=True):
+        np.testing.assert_allclose(a, b, atol=tolerance)
+    np.testing.assert_array_equal(after.visible, before.visible)
+    # Neither alone.
+    assert jnp.abs(rig_pixels(body, rig, samples, moved_pose(body, pose)).u - before.u).max() > 10
+    # Markers go through `camera.project`, not through the patches.
+    seen = [
+        jax.vmap(project, (0, None))(r, marker_positions(body.skeleton, body.markers, p))[0]
+        for r, p in ((rig, pose), (moved_rig(rig), moved_pose(body, pose)))
+    ]
+    np.testing.assert_allclose(*seen, atol=tolerance)
+
+
+@pytest.mark.parametrize("gamma", [0.0, 5.0])
+def test_the_likelihood_stays(case, gamma):
+    man, tolerance = case
+    data = {"images": man.maps()}
+    moved = man._replace(rig=moved_rig(man.rig))
+    before, after = man.factor(gamma=gamma)({POSE: man.pose}, data), moved.factor(gamma=gamma)({POSE: moved_pose(man.body, man.pose)}, data)
+    # An error map changes by less than one a pixel; W of a small area may magnify it.
+    assert after == pytest.approx(float(before), rel=10 * tolerance)
+    assert abs(float(man.factor(gamma=gamma)({POSE: moved_pose(man.body, man.pose)}, data) - before)) > 1e-2
+
+
+def test_the_cameras_have_no_order(x64, scene):
+    man = scene("deutscher_31")
+    maps = man.maps()
+    swap = lambda tree: jax.tree.map(lambda leaf: leaf[::-1], tree)  # noqa: E731
+    before = man.factor()({POSE: man.pose}, {"images": maps})
+    both = man._replace(rig=swap(man.rig)).factor()({POSE: man.pose}, {"images": swap(maps)})
+    assert both == pytest.approx(float(before), rel=1e-12)
+    assert abs(float(man.factor()({POSE: man.pose}, {"images": swap(maps)}) - before)) > 1e-3

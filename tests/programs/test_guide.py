@@ -1,0 +1,159 @@
+"""What README.md and the guide say, held against the program: their examples run, their tables are whole."""
+
+import json
+import re
+import shlex
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from bayes_body.body import schema
+from bayes_body.cli.main import main
+from bayes_body.definition import definition_names, load_definition
+from bayes_body.registry import Room, find, names
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+FIRST_RUN = (ROOT / "docs" / "guide" / "first_run.md").read_text(encoding="utf-8")
+DEFINITIONS = (ROOT / "docs" / "guide" / "definitions.md").read_text(encoding="utf-8")
+
+SETTING_UP = ["python3 -m pip install uv && python3 -m uv run pytest", "python3 -m pip install uv && python3 -m uv run bayes-body --help"]
+
+
+def blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+
+
+def sections(text: str) -> dict[str, str]:
+    """Headings and what stands below each, up to the next."""
+    parts = re.split(r"^#+ (.*)$", text, flags=re.MULTILINE)[1:]
+    return dict(zip(parts[::2], parts[1::2], strict=True))
+
+
+def keys(table: str) -> set[str]:
+    """What the first column of a table names."""
+    cells = [line.split("|")[1] for line in table.splitlines() if line.startswith("| `")]
+    return {key for cell in cells for key in re.findall(r"`([^`]*)`", cell)}
+
+
+def test_the_readme_opens_with_the_lines_that_set_it_up():
+    assert [block.strip() for block in blocks(README, "sh")[:2]] == SETTING_UP
+
+
+def test_the_readme_names_every_model():
+    table = sections(README)["Models"]
+    assert keys(table) == set(definition_names())
+    for name in definition_names():
+        (row,) = [line for line in table.splitlines() if line.startswith(f"| `{name}`")]
+        assert row.split("|")[-2].strip() == f"`{load_definition(name).kernel.kind}`"
+
+
+@pytest.mark.parametrize("text", [README, FIRST_RUN], ids=["README", "first_run"])
+def test_links_lead_somewhere(text):
+    folder = ROOT if text is README else ROOT / "docs" / "guide"
+    for target in re.findall(r"\]\(([^)#]+)\)", text):
+        assert (folder / target).exists(), target
+
+
+@pytest.fixture(scope="module")
+def walked(walk) -> Path:
+    """The folder in which the guide's commands were given."""
+    (command,) = [line for line in "".join(blocks(FIRST_RUN, "sh")).splitlines() if line.startswith("bayes-body track")]
+    folder = walk.parent
+    arguments = [str(folder / each) if each in ("walk", "walk_run") else each for each in shlex.split(command)[1:]]
+    with pytest.raises(SystemExit) as stopped:
+        main([*arguments, "--particles", "50"])
+    assert stopped.value.code == 0
+    return folder
+
+
+def test_the_guide_s_commands_are_the_readme_s():
+    for command in [line for line in "".join(blocks(FIRST_RUN, "sh")).splitlines() if line.startswith("bayes-body")]:
+        assert command in README
+
+
+@pytest.mark.parametrize("number", range(len(blocks(FIRST_RUN, "python"))))
+def test_python_of_the_guide_runs(walked, monkeypatch, number):
+    monkeypatch.chdir(walked)
+    exec(compile(blocks(FIRST_RUN, "python")[number], f"first_run.md #{number}", "exec"), {})
+
+
+def test_python_of_the_readme_runs(walk, monkeypatch, capsys):
+    monkeypatch.chdir(walk.parent)
+    (block,) = blocks(README, "python")
+    assert "density = model.density(model.observe(bb.read_frame(session, 0)))" in block
+    exec(compile(block.replace("particles=2000", "particles=50"), "README.md", "exec"), {})
+    assert "silhouette_edges" in capsys.readouterr().out
+
+
+def test_every_key_of_the_summary_is_explained(walked):
+    summary = json.loads((walked / "walk_run" / "summary.json").read_text())
+    assert keys(sections(FIRST_RUN)["What is in the run's folder"]) == set(summary)
+
+
+def test_every_option_of_the_command_line_is_explained(capsys):
+    with pytest.raises(SystemExit):
+        main(["track", "--help"])
+    shown = set(re.findall(r"--\w+", capsys.readouterr().out)) - {"--help"}
+    assert keys(sections(FIRST_RUN)["Track"]) == shown
+
+
+TERMS: list[tuple[Room, str, str]] = [
+    ("dynamics", "dynamics", '`[dynamics] kind = "{}"`'),
+    ("likelihood", "likelihood", '`[[likelihood]] kind = "{}"`'),
+    ("observation", "observation", "`[likelihood.observation]` of `{}`"),
+    ("potential", "constraint", '`[[constraint]] kind = "{}"`'),
+    ("kernel", "kernel", '`[kernel] kind = "{}"`'),
+]
+DOCUMENTED = [(room, name, heading.format(name)) for room, _, heading in TERMS for name in names(room)]
+
+
+@pytest.mark.parametrize(("room", "name", "heading"), DOCUMENTED, ids=[f"{room}-{name}" for room, name, _ in DOCUMENTED])
+def test_every_option_of_every_term_is_explained_with_its_default(room, name, heading):
+    table = sections(DEFINITIONS)[heading]
+    options = find(room, name).options.model_fields
+    assert keys(table) == set(options)
+    for key, field in options.items():
+        (row,) = [line for line in table.splitlines() if line.startswith(f"| `{key}`")]
+        default = row.split("|")[2].strip().strip("`")
+        expected = field.get_default(call_default_factory=True)
+        written = {"none": {}, "true": True}.get(default)
+        assert (written if written is not None else _value(default)) == (list(expected) if isinstance(expected, tuple) else expected), key
+
+
+def _value(text: str) -> object:
+    return tomllib.loads(f"value = {text}")["value"]
+
+
+@pytest.mark.parametrize(
+    ("heading", "table"),
+    [("The body itself", schema.BodySchema), ("`[[joint]]`", schema.Joint), ("A dof", schema.Dof), ("`[[part]]`", schema.Part)],
+)
+def test_every_key_of_a_body_is_explained(heading, table):
+    explained = keys(sections(DEFINITIONS)[heading])
+    assert explained == {field.alias or name for name, field in table.model_fields.items()}
+
+
+@pytest.mark.parametrize("example", ["whole file", "named body", "body file"])
+def test_toml_of_the_guide_is_sound(tmp_path, example, capsys):
+    model, named, pendulum = blocks(DEFINITIONS, "toml")
+    (tmp_path / "pendulum.toml").write_text(pendulum, encoding="utf-8")
+    if example != "whole file":
+        # Neither body has knees or shifts.
+        model = model.replace('[dynamics.sd_m]\n"root_*" = 0.015\n', "").replace('"?_knee" = 8.0\n', "")
+        body = named if example == "named body" else f'[body]\nname = "{tmp_path}/pendulum.toml"\n'
+        model = model.replace('[body]\nname = "deutscher_31"\n', body)
+    (tmp_path / "mine.toml").write_text(model, encoding="utf-8")
+    with pytest.raises(SystemExit) as stopped:
+        main(["models", "check", str(tmp_path / "mine.toml")])
+    assert stopped.value.code == 0, capsys.readouterr().err
+
+
+def test_public_names_mean_the_same_whatever_was_imported_before():
+    # A module that has the name of a function takes its place in the package once it is imported.
+    import bayes_body as bb
+    import bayes_body.run
+
+    functions = set(bb.__all__) - {"kernels", "metrics", "posterior"}
+    assert {name for name in functions if not callable(getattr(bb, name))} == set()

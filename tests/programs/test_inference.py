@@ -1,0 +1,71 @@
+"""Every program of inference/: short, runs with --quick on its default model, and says in one sentence what is wrong with its input."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import pytest
+import xarray as xr
+
+ROOT = Path(__file__).parents[2]
+PROGRAMS = sorted((ROOT / "inference").glob("*.py"))
+LONGEST = 80
+PUBLIC = {"bayes_body", "bayes_body.errors"}
+
+
+def run(program: Path, *arguments) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, str(program), *map(str, arguments)], capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(params=PROGRAMS, ids=lambda path: path.stem)
+def program(request) -> Path:
+    return request.param
+
+
+def test_there_are_programs():
+    assert {"annealed_filter", "particle_filter"} <= {path.stem for path in PROGRAMS}
+
+
+def test_it_is_short_and_uses_the_public_package_only(program):
+    text = program.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= LONGEST
+    assert set(re.findall(r"^(?:from|import) (bayes_body[\w.]*)", text, re.MULTILINE)) <= PUBLIC
+
+
+def test_quick(program, walk, tmp_path):
+    done = run(program, "--session", walk, "--out", tmp_path / "run", "--quick", "--runs", 2)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert re.search(r"^l_knee +-?\d+\.\d ± \d+\.\d .* deg$", done.stdout, re.MULTILINE)
+    assert re.search(r"^root_x +-?\d+\.\d ± \d+\.\d .* mm$", done.stdout, re.MULTILINE)
+    assert "effective particles" in done.stdout
+    assert "seconds" in done.stdout
+    if program.stem == "annealed_filter":
+        assert "mode seeker" in done.stdout
+        assert "no uncertainty" in done.stdout
+    else:
+        assert re.search(r"log-evidence: -?\d+\.\d\d \(by run: -?\d+\.\d\d, -?\d+\.\d\d\)", done.stdout)
+        assert "log p(images | model)" in done.stdout
+    with xr.open_datatree(tmp_path / "run" / "posterior.nc") as tree:
+        assert dict(tree["posterior"]["pose"].sizes) == {"chain": 2, "draw": 64, "frame": 2, "dof": 31}
+    assert cv2.VideoCapture(str(tmp_path / "run" / "overlay.mp4")).get(cv2.CAP_PROP_FRAME_COUNT) == 2
+
+
+WRONG = {
+    "no session": (["--session", "nowhere"], "nowhere: no such file"),
+    "no particles": (["--session", ".", "--particles", "0"], "--particles: 0; expected a whole number from 1"),
+    "no such model": (["--model", "deutscher_afp"], "did you mean 'deutscher_apf'?"),
+    "an out that is a file": (["--out", __file__], __file__),
+}
+
+
+@pytest.mark.parametrize("fault", WRONG)
+def test_a_wrong_input_is_a_sentence(program, walk, tmp_path, fault):
+    arguments, part = WRONG[fault]
+    done = run(program, "--session", walk, "--out", tmp_path / "run", *arguments)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert part in done.stderr.splitlines()[-1]
+    assert done.stdout == ""
