@@ -87,8 +87,10 @@ def _project_backward(saved: tuple[Camera, Array, Array, Array], cotangents: tup
     slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))
     # The Jacobian of the distortion is symmetric: one mixed entry.
     mixed = x * y * slope + 2 * (p1 * x + p2 * y)
-    a = camera.focal[0] * cotangents[0]
-    b = camera.focal[1] * cotangents[1] + camera.skew * a
+    # The barrier keeps XLA from looking the maps up anew for each of the three components.
+    along_u, along_v = jax.lax.optimization_barrier(cotangents)
+    a = camera.focal[0] * along_u
+    b = camera.focal[1] * along_v + camera.skew * a
     back_X = (a * (radial + x * x * slope + 2 * p1 * y + 6 * p2 * x) + b * mixed) * inverse
     back_Y = (a * mixed + b * (radial + y * y * slope + 2 * p2 * x + 6 * p1 * y)) * inverse
     # A rig is calibrated, not inferred: its cotangent is never used.
