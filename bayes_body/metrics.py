@@ -12,15 +12,16 @@ from bayes_body.observation.frames import read_frame
 from bayes_body.posterior import markers, mean_poses, rhat
 from bayes_body.session import Session
 from bayes_body.tracking import Draws
+from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.silhouette import intersection_over_union, projected_masks
 
 
-def silhouette_overlap(session: Session, draws: Draws) -> Float[np.ndarray, "run frame camera"]:
+def silhouette_overlap(session: Session, draws: Draws, watch: Watch = unwatched) -> Float[np.ndarray, "run frame camera"]:
     """Overlap of the projected mean body of each run with the silhouettes; NaN where the session has none."""
     poses = mean_poses(draws)
     runs, frames = poses.shape[:2]
     out = np.full((runs, frames, len(session.views)), np.nan)
-    for frame in range(frames):
+    for frame in watch(range(frames)):
         seen = read_frame(session, frame).masks
         if seen is None:
             return out
@@ -38,7 +39,7 @@ def marker_disagreement(draws: Draws) -> float:
     return float(np.mean(pairs)) if pairs else float("nan")
 
 
-def summarise(session: Session, draws: Draws, *, kernel: str, layers: int, seed: int) -> dict[str, Any]:
+def summarise(session: Session, draws: Draws, *, kernel: str, layers: int, seed: int, watch: Watch = unwatched) -> dict[str, Any]:
     """The stable keys of `summary.json`; a figure that does not exist is null.
 
     Seconds are wall-clock, all runs together; `seconds_per_frame` and `evaluations_per_second` leave the compilation out. An evaluation is the
@@ -48,7 +49,7 @@ def summarise(session: Session, draws: Draws, *, kernel: str, layers: int, seed:
     working = draws.timing.total - draws.timing.compile
     ess = np.asarray(draws.info.ess)
     worst = rhat(draws)
-    overlap = silhouette_overlap(session, draws)
+    overlap = silhouette_overlap(session, draws, watch)
     figures = {
         "frames": frames,
         "frames_lost": len(draws.frames_lost),

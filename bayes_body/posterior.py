@@ -54,7 +54,9 @@ def _filter_group(draws: Draws) -> "xr.Dataset":
     by_frame = {"ess": info.ess, "log_evidence": info.log_evidence, "lost": info.lost}
     by_layer = {"survival_rate": info.survival_rate, "inverse_temperature": info.inverse_temperatures}
     variables = {name: (("chain", "frame"), np.asarray(value)) for name, value in by_frame.items()}
-    return xr.Dataset(variables | {name: (("chain", "frame", "layer"), np.asarray(value)) for name, value in by_layer.items()})
+    variables |= {name: (("chain", "frame", "layer"), np.asarray(value)) for name, value in by_layer.items()}
+    runs, frames, layers = np.shape(info.survival_rate)
+    return xr.Dataset(variables, {"chain": np.arange(runs), "frame": np.arange(frames), "layer": np.arange(layers)})
 
 
 def save_posterior(tree: "xr.DataTree", path: Path) -> None:

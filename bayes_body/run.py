@@ -24,7 +24,7 @@ from bayes_body.session import load_session
 from bayes_body.toml_file import validate
 from bayes_body.tracking import track
 from bayes_body.view.overlay import draw_overlay
-from bayes_body.view.progress import progress_bar
+from bayes_body.view.progress import progress_bar, watched
 
 # A folder with run.toml alone is a run that stopped before it had anything to keep: it may be tried again.
 LEFT_BY_A_RUN = ("posterior.nc", "summary.json")
@@ -81,9 +81,9 @@ def run(settings: Settings, show: Callable[[str], None], bar: bool) -> dict[str,
         draws = track(session, model, kernel, jax.random.key(settings.seed), options.particles, settings.runs, settings.frames, on_frame)
     save_posterior(to_datatree(draws, {"kernel": kind, "seed": settings.seed}), settings.out / "posterior.nc")
     layers = getattr(options, "layers", 1)
-    summary = summarise(session, draws, kernel=kind, layers=layers, seed=settings.seed)
+    summary = summarise(session, draws, kernel=kind, layers=layers, seed=settings.seed, watch=watched("overlap", bar))
     (settings.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
-    draw_overlay(session, draws, settings.out)
+    draw_overlay(session, draws, settings.out, watched("pictures", bar))
     show(_figures(summary))
     return summary
 

@@ -17,6 +17,7 @@ from bayes_body.observation.frames import Frame, read_frame
 from bayes_body.posterior import equal_weight_draws, mean_poses
 from bayes_body.session import Session
 from bayes_body.tracking import Draws
+from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.silhouette import Outline, outlines
 
 # BGR, as OpenCV has it.
@@ -26,8 +27,14 @@ FAN = 20
 STILLS = 5
 
 
-def draw_overlay(session: Session, draws: Draws, folder: Path) -> list[Path]:
+def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = unwatched) -> list[Path]:
     """Write `overlay.mp4` and up to five stills `overlay/frame_NNNNNN.png`, evenly spaced, the first and the last among them.
+
+    Args:
+        session: the recording.
+        draws: what was tracked.
+        folder: of the run.
+        watch: takes the frames and gives them back, as a bar does.
 
     Raises:
         InputError: the folder cannot be written, or an image of the session is gone.
@@ -38,7 +45,7 @@ def draw_overlay(session: Session, draws: Draws, folder: Path) -> list[Path]:
     written, video = [], None
     (folder / "overlay").mkdir(parents=True, exist_ok=True)
     try:
-        for index in range(frames):
+        for index in watch(range(frames)):
             picture = mosaic(session, draws.model, read_frame(session, index), means[index], fans[index])
             video = video or _open_video(folder / "overlay.mp4", session.fps, picture)
             video.write(picture)

@@ -1,13 +1,26 @@
 """The bar of a run: frames, seconds a frame, ESS, survival rate, time left."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
+from rich.progress import track as follow
 
 from bayes_body.tracking import Progress
+
+type Watch = Callable[[Sequence[int]], Iterable[int]]
+
+
+def unwatched(frames: Sequence[int]) -> Iterable[int]:
+    """The frames, without a bar."""
+    return frames
+
+
+def watched(what: str, visible: bool = True) -> Watch:
+    """A bar over the frames that it is given, for work without figures of its own, such as drawing."""
+    return lambda frames: follow(frames, what, console=Console(stderr=True), disable=not visible, transient=True)
 
 
 @contextmanager
