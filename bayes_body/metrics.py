@@ -39,6 +39,14 @@ def marker_disagreement(draws: Draws) -> float:
     return float(np.mean(pairs)) if pairs else float("nan")
 
 
+def log_evidence(draws: Draws) -> float:
+    """log p(all images), up to the likelihood's constant: the runs' estimates averaged before the logarithm; NaN from a mode seeker."""
+    by_run = np.asarray(draws.info.log_evidence, float).sum(axis=1)
+    if np.isnan(by_run).any():
+        return float("nan")
+    return float(np.logaddexp.reduce(by_run) - np.log(len(by_run)))
+
+
 def summarise(session: Session, draws: Draws, *, kernel: str, layers: int, seed: int, watch: Watch = unwatched) -> dict[str, Any]:
     """The stable keys of `summary.json`; a figure that does not exist is null.
 
@@ -69,6 +77,7 @@ def summarise(session: Session, draws: Draws, *, kernel: str, layers: int, seed:
         "ess_min": float(ess.min()),
         "ess_median": float(np.median(ess)),
         "rhat_max": _largest(worst),
+        "log_evidence": log_evidence(draws),
         "iou_median": float(np.nanmedian(overlap)) if np.isfinite(overlap).any() else None,
         "marker_disagreement_mm": 1000 * marker_disagreement(draws),
     }

@@ -6,8 +6,9 @@ import jax
 import numpy as np
 import pytest
 
+from bayes_body.kernels import annealed
 from bayes_body.kernels.particle_filter import build_kernel
-from bayes_body.metrics import marker_disagreement, silhouette_overlap, summarise
+from bayes_body.metrics import log_evidence, marker_disagreement, silhouette_overlap, summarise
 from bayes_body.model import load_model
 from bayes_body.posterior import markers
 from bayes_body.tracking import track
@@ -52,3 +53,11 @@ def test_a_figure_that_does_not_exist_is_null(textured_session, draws):
     blind = summarise(dataclasses.replace(textured_session, views=views), draws, kernel="sir", layers=1, seed=0)
     assert blind["iou_median"] is None
     assert blind["rhat_max"] > 0.9
+
+
+def test_evidence_is_averaged_before_the_logarithm_and_null_of_a_mode_seeker(textured_session, draws):
+    by_run = np.array([[-3.0, -4.0], [-3.5, -6.0]])
+    made = dataclasses.replace(draws, info=draws.info._replace(log_evidence=by_run))
+    assert np.isclose(log_evidence(made), np.log((np.exp(-7.0) + np.exp(-9.5)) / 2))
+    sought = track(textured_session, draws.model, annealed(layers=2), jax.random.key(0), particles=20)
+    assert summarise(textured_session, sought, kernel="annealed", layers=2, seed=0)["log_evidence"] is None

@@ -60,6 +60,30 @@ def test_a_filter_that_keeps_its_weights_after_resampling_is_found_out(linear_ga
         _check_against_kalman(linear_gaussian, observations, twice_weighted)
 
 
+@pytest.mark.slow
+def test_the_error_falls_with_the_root_of_the_particles(linear_gaussian, observations):
+    """The slope of log error over log N is -1/2, within four of its standard errors, once N is large enough for the data's outlier."""
+    exact, kernel, sizes, keys = linear_gaussian.kalman(observations)[0], build_kernel(), (4000, 64_000), 60
+    step = jax.jit(lambda key, particles, y: kernel(key, particles, linear_gaussian.density(y, particles)))
+
+    def squared_error(size, seed):
+        key, total = jax.random.key(seed), 0.0
+        particles = linear_gaussian.start(jax.random.fold_in(key, 99), size)
+        for frame, y in enumerate(observations):
+            particles, _ = step(jax.random.fold_in(key, frame), particles, jnp.asarray(y))
+            mean = np.exp(np.asarray(particles.log_weights, float)) @ np.asarray(particles.states["x"], float)
+            total += float(((mean - exact[frame]) ** 2).sum())
+        return total
+
+    errors = np.array([[squared_error(size, seed) for seed in range(keys)] for size in sizes])
+    log_rmse, octaves = 0.5 * np.log(errors.mean(axis=1)), np.log(sizes[1] / sizes[0])
+    # By the delta method, from the spread of the squared errors over keys.
+    se = 0.5 * errors.std(axis=1, ddof=1) / errors.mean(axis=1) / np.sqrt(keys)
+    slope_se = np.hypot(*se) / octaves
+    assert slope_se < 0.05
+    assert abs((log_rmse[1] - log_rmse[0]) / octaves + 0.5) < 4 * slope_se
+
+
 def test_the_evidence_is_unbiased(linear_gaussian, observations):
     """E[Z_hat] = Z for any number of particles: here few, many times."""
     ys, kernel, runs = observations[:3], build_kernel(), 400
