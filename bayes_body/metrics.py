@@ -39,6 +39,18 @@ def marker_disagreement(draws: Draws) -> float:
     return float(np.mean(pairs)) if pairs else float("nan")
 
 
+def lost_frames(draws: Draws) -> str:
+    """Which frames were lost, and what to do, in a sentence; runs of frames as `7-9`."""
+    ranges: list[list[int]] = []
+    for frame in draws.frames_lost:
+        if ranges and ranges[-1][1] == frame - 1:
+            ranges[-1][1] = frame
+        else:
+            ranges.append([frame, frame])
+    named = ", ".join(str(first) if first == last else f"{first}-{last}" for first, last in ranges)
+    return f"lost        frames {named}: no particle explained them, the filter went on from its prediction; look at the images, or raise --particles"
+
+
 def log_evidence(draws: Draws) -> float:
     """log p(all images), up to the likelihood's constant: the runs' estimates averaged before the logarithm; NaN from a mode seeker."""
     by_run = np.asarray(draws.info.log_evidence, float).sum(axis=1)

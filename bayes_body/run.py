@@ -16,7 +16,7 @@ import tomlkit
 
 from bayes_body.definition import Definition, load_definition
 from bayes_body.errors import wrong
-from bayes_body.metrics import summarise
+from bayes_body.metrics import lost_frames, summarise
 from bayes_body.model import load_model
 from bayes_body.posterior import save_posterior, to_datatree
 from bayes_body.registry import find
@@ -85,6 +85,8 @@ def run(settings: Settings, show: Callable[[str], None], bar: bool) -> dict[str,
     (settings.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
     draw_overlay(session, draws, settings.out, watched("pictures", bar))
     show(_figures(summary))
+    if draws.frames_lost:
+        show(lost_frames(draws))
     return summary
 
 

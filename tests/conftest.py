@@ -3,8 +3,10 @@
 import hashlib
 import os
 import platform
+import shutil
 import sys
 import types
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
@@ -93,6 +95,48 @@ def pose2sim_beam(data_dir) -> Path:
 def sports2d_walk(data_dir) -> Path:
     """One walker seen by one camera."""
     return data_dir("sports2d_walk")
+
+
+class Copy:
+    """A folder like the recording: text files copied, image folders linked until a test asks to own one."""
+
+    def __init__(self, original: Path, folder: Path):
+        self.folder = folder
+        (folder / "CALIB").mkdir(parents=True)
+        for path in [*original.glob("*.txt"), *original.glob("CALIB/*.cal")]:
+            shutil.copyfile(path, folder / path.relative_to(original))
+        for path in [*original.glob("CAM*"), *original.glob("FG*")]:
+            (folder / path.name).symlink_to(path)
+
+    def own(self, name: str) -> Path:
+        """The image folder `name`, with images that can be replaced."""
+        link = self.folder / name
+        original = link.resolve()
+        link.unlink()
+        link.mkdir()
+        for path in original.iterdir():
+            (link / path.name).symlink_to(path)
+        return link
+
+    def image(self, name: str) -> Path:
+        """The image `name`, such as `FG2/image0001.bmp`, as a file that may be damaged; the others of its folder stay links."""
+        path = self.own(name.split("/")[0]) / name.split("/")[1]
+        content = path.read_bytes()
+        path.unlink()
+        path.write_bytes(content)
+        return path
+
+    def edit(self, name: str, change: Callable[[list[str]], list[str]]) -> Path:
+        """Rewrite a text file as `change` of its numbers."""
+        path = self.folder / name
+        path.write_text("\n".join(change(path.read_text().split())))
+        return path
+
+
+@pytest.fixture
+def copy(bodytrack: Path, tmp_path: Path) -> Copy:
+    """A damageable copy of the real recording."""
+    return Copy(bodytrack, tmp_path / "source")
 
 
 def _camera(name, azimuth, size):

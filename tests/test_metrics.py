@@ -8,7 +8,7 @@ import pytest
 
 from bayes_body.kernels import annealed
 from bayes_body.kernels.particle_filter import build_kernel
-from bayes_body.metrics import log_evidence, marker_disagreement, silhouette_overlap, summarise
+from bayes_body.metrics import log_evidence, lost_frames, marker_disagreement, silhouette_overlap, summarise
 from bayes_body.model import load_model
 from bayes_body.posterior import markers
 from bayes_body.tracking import track
@@ -61,3 +61,10 @@ def test_evidence_is_averaged_before_the_logarithm_and_null_of_a_mode_seeker(tex
     assert np.isclose(log_evidence(made), np.log((np.exp(-7.0) + np.exp(-9.5)) / 2))
     sought = track(textured_session, draws.model, annealed(layers=2), jax.random.key(0), particles=20)
     assert summarise(textured_session, sought, kernel="annealed", layers=2, seed=0)["log_evidence"] is None
+
+
+def test_lost_frames_are_named(draws):
+    lost = np.zeros((2, 12), bool)
+    lost[0, [3, 7, 8]] = lost[1, [8, 9, 11]] = True
+    said = lost_frames(dataclasses.replace(draws, info=draws.info._replace(lost=lost)))
+    assert "frames 3, 7-9, 11: no particle explained them" in said

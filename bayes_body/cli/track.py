@@ -40,10 +40,8 @@ def track(
     checked_definition(model)
     overrides = {"particles": particles, "layers": layers}
     settings = Settings(session, model, kernel, {k: v for k, v in overrides.items() if v is not None}, runs, frames, seed, out)
-    summary = run(settings, show=lambda line: typer.echo(line), bar=sys.stderr.isatty())
+    run(settings, show=lambda line: typer.echo(line), bar=sys.stderr.isatty())
     typer.echo(f"{out}: posterior.nc, summary.json, overlay.mp4, overlay/, run.toml")
-    if summary["frames_lost"]:
-        typer.secho(f"{summary['frames_lost']} of {summary['frames']} frames were lost: no particle explained them; raise --particles.", fg="yellow")
 
 
 def _frames_of(folder: Path) -> int:

@@ -1,7 +1,6 @@
-"""The command line in-process, and recordings that a test may damage."""
+"""The command line in-process, the real recording's session, and a user's own model."""
 
 import re
-import shutil
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,37 +34,6 @@ class Outcome(NamedTuple):
             assert part in sentence
 
 
-class Recording:
-    """A folder like the recording's: text files copied, image folders linked until a test asks to own one."""
-
-    def __init__(self, original: Path, folder: Path):
-        self.folder = folder
-        (folder / "CALIB").mkdir(parents=True)
-        for path in [*original.glob("*.txt"), *original.glob("CALIB/*.cal")]:
-            shutil.copyfile(path, folder / path.relative_to(original))
-        for path in [*original.glob("CAM*"), *original.glob("FG*")]:
-            (folder / path.name).symlink_to(path)
-
-    def image(self, name: str) -> Path:
-        """An image that may be replaced; the others of its folder are links."""
-        path = self.folder / name
-        original = path.parent.resolve()
-        path.parent.unlink()
-        path.parent.mkdir()
-        for other in original.iterdir():
-            (path.parent / other.name).symlink_to(other)
-        content = path.read_bytes()
-        path.unlink()
-        path.write_bytes(content)
-        return path
-
-    def calibration(self, change) -> Path:
-        """The first camera's, rewritten as `change` of its numbers."""
-        path = self.folder / "CALIB" / "Camera1.cal"
-        path.write_text("\n".join(change(path.read_text().split())))
-        return path
-
-
 @pytest.fixture
 def cli(capsys):
     """`cli("track", folder, "--runs", 2)`: the command's outcome."""
@@ -78,11 +46,6 @@ def cli(capsys):
         return Outcome(stopped.value.code, out, re.sub(r"\x1b\[\d*m", "", err))
 
     return call
-
-
-@pytest.fixture
-def recording(bodytrack, tmp_path) -> Recording:
-    return Recording(bodytrack, tmp_path / "source")
 
 
 @pytest.fixture(scope="session")

@@ -41,10 +41,10 @@ CALIBRATIONS = {
 
 
 @pytest.mark.parametrize("fault", CALIBRATIONS)
-def test_a_calibration_that_cannot_be_used(cli, recording, tmp_path, fault):
+def test_a_calibration_that_cannot_be_used(cli, copy, tmp_path, fault):
     change, parts = CALIBRATIONS[fault]
-    path = recording.calibration(change)
-    cli("import", "parsec", recording.folder, tmp_path / "walk").refuses(str(path), *parts)
+    path = copy.edit("CALIB/Camera1.cal", change)
+    cli("import", "parsec", copy.folder, tmp_path / "walk").refuses(str(path), *parts)
     assert not (tmp_path / "walk").exists()
 
 
@@ -76,10 +76,10 @@ IMAGES = {
 
 
 @pytest.mark.parametrize("fault", IMAGES)
-def test_images_that_cannot_be_used(cli, recording, tmp_path, fault):
+def test_images_that_cannot_be_used(cli, copy, tmp_path, fault):
     name, damage, parts = IMAGES[fault]
-    damage(recording.image(name))
-    cli("import", "parsec", recording.folder, tmp_path / "walk").refuses(*parts)
+    damage(copy.image(name))
+    cli("import", "parsec", copy.folder, tmp_path / "walk").refuses(*parts)
 
 
 LATER = {
@@ -92,11 +92,11 @@ LATER = {
 
 
 @pytest.mark.parametrize("fault", LATER)
-def test_images_damaged_after_the_import(cli, recording, tmp_path, fault):
+def test_images_damaged_after_the_import(cli, copy, tmp_path, fault):
     from bayes_body.recording.parsec import import_parsec
 
     name, damage, parts = LATER[fault]
-    path = recording.image(name)
-    import_parsec(recording.folder, tmp_path / "walk")
+    path = copy.image(name)
+    import_parsec(copy.folder, tmp_path / "walk")
     damage(path)
     cli("track", tmp_path / "walk", "--out", tmp_path / "run", "--particles", 4, "--layers", 1).refuses(*parts)
