@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.errors import wrong
+from bayes_body.files import make_folder
 from bayes_body.model import Model
 from bayes_body.tracking import Draws
 
@@ -61,8 +62,8 @@ def _filter_group(draws: Draws) -> "xr.Dataset":
 
 def save_posterior(tree: "xr.DataTree", path: Path) -> None:
     """Write the tree as NetCDF; `xarray.open_datatree` or `arviz.from_netcdf` reads it."""
+    make_folder(path.parent)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         tree.to_netcdf(path, engine="h5netcdf")
     except OSError as error:
         raise wrong(path, f"cannot be written ({error.strerror or error})", "a folder with room", "free some space or name another folder") from None

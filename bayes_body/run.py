@@ -16,6 +16,7 @@ import tomlkit
 
 from bayes_body.definition import Definition, load_definition
 from bayes_body.errors import wrong
+from bayes_body.files import make_folder, write_text
 from bayes_body.metrics import lost_frames, summarise
 from bayes_body.model import load_model
 from bayes_body.posterior import save_posterior, to_datatree
@@ -82,7 +83,7 @@ def run(settings: Settings, show: Callable[[str], None], bar: bool) -> dict[str,
     save_posterior(to_datatree(draws, {"kernel": kind, "seed": settings.seed}), settings.out / "posterior.nc")
     layers = getattr(options, "layers", 1)
     summary = summarise(session, draws, kernel=kind, layers=layers, seed=settings.seed, watch=watched("overlap", bar))
-    (settings.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+    write_text(settings.out / "summary.json", json.dumps(summary, indent=2) + "\n")
     draw_overlay(session, draws, settings.out, watched("pictures", bar))
     show(_figures(summary))
     if draws.frames_lost:
@@ -109,10 +110,7 @@ def _refuse_another_run(out: Path) -> None:
     for name in LEFT_BY_A_RUN:
         if (out / name).exists():
             raise wrong(out, f"holds another run ({name})", "a folder without one", "name another with --out, or remove this one")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise wrong(out, f"cannot be made ({error.strerror})", "a folder for the run", "name another with --out") from None
+    make_folder(out)
 
 
 def _write_run_file(settings: Settings, definition: Definition, kind: str, options: Mapping[str, Any]) -> None:
@@ -129,7 +127,7 @@ def _write_run_file(settings: Settings, definition: Definition, kind: str, optio
     document["machine"] = {"platform": platform.platform(), "devices": [str(device) for device in jax.devices()]}
     texts = {"text": definition.text, "body_text": definition.body_text}
     document["definition"] = {"title": definition.title, **{key: tomlkit.string(text, multiline=True) for key, text in texts.items() if text}}
-    (settings.out / "run.toml").write_text(tomlkit.dumps(document), encoding="utf-8")
+    write_text(settings.out / "run.toml", tomlkit.dumps(document))
 
 
 def _figures(summary: Mapping[str, Any]) -> str:

@@ -12,6 +12,7 @@ from cv2.typing import MatLike
 from jaxtyping import Float
 
 from bayes_body.errors import wrong
+from bayes_body.files import make_folder
 from bayes_body.model import Model
 from bayes_body.observation.frames import Frame, read_frame
 from bayes_body.posterior import equal_weight_draws, mean_poses
@@ -43,7 +44,7 @@ def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = un
     stills = set(np.unique(np.linspace(0, frames - 1, min(STILLS, frames)).round().astype(int)))
     means, fans = mean_poses(draws).mean(axis=0), _fans(draws)
     written, video = [], None
-    (folder / "overlay").mkdir(parents=True, exist_ok=True)
+    make_folder(folder / "overlay")
     try:
         for index in watch(range(frames)):
             picture = mosaic(session, draws.model, read_frame(session, index), means[index], fans[index])

@@ -10,6 +10,7 @@ from cv2.typing import MatLike
 
 from bayes_body.camera import Camera, project
 from bayes_body.errors import wrong
+from bayes_body.files import make_folder
 from bayes_body.model import Model
 from bayes_body.observation.frames import read_frame
 from bayes_body.session import Session
@@ -37,7 +38,7 @@ def draw_check(session: Session, model: Model, path: Path) -> Path:
         if frame.masks is not None:
             note = f"  IoU with its mask {intersection_over_union(silhouettes[c], frame.masks[c]):.2f}{note}"
         tiles.append(label(fit(picture), f"{view.camera.name}{note}"))
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     if not cv2.imwrite(str(path), grid(tiles)):
         raise wrong(path, "cannot be written", "a folder that can be written", "check its permissions and free space")
     return path

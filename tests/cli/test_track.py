@@ -174,7 +174,7 @@ def test_a_folder_that_holds_another_run(cli, walk, run):
 
 def test_an_out_that_is_a_file(cli, walk, tmp_path):
     (tmp_path / "run").write_text("mine")
-    cli("track", walk, "--out", tmp_path / "run").refuses(str(tmp_path / "run"), "cannot be made", "expected a folder", "--out")
+    cli("track", walk, "--out", tmp_path / "run").refuses(str(tmp_path / "run"), "cannot be made", "expected a folder", "name another folder")
     assert (tmp_path / "run").read_text() == "mine"
 
 

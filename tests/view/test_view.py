@@ -11,11 +11,9 @@ import pytest
 from bayes_body.errors import InputError
 from bayes_body.kernels.particle_filter import build_kernel
 from bayes_body.model import load_model
-from bayes_body.observation.frames import read_frame
-from bayes_body.session import Subject
 from bayes_body.tracking import track
 from bayes_body.view.overlay import LEFT, MIDDLE, RIGHT, colour, draw_overlay, grid
-from bayes_body.view.rig_check import draw_check
+from bayes_body.view.rig_check import AXIS_COLOURS, draw_check
 from bayes_body.view.silhouette import outlines, projected_masks
 
 
@@ -73,15 +71,29 @@ def test_tiles_of_any_width_make_a_grid():
     assert grid(tiles).shape == (960, 334, 3)
 
 
-def test_the_import_picture_shows_axes(model, textured_session, tmp_path):
-    low = dataclasses.replace(textured_session, subject=Subject(height_m=1.2))
-    picture = cv2.imread(str(draw_check(low, load_model("arm", low), tmp_path / "made" / "check.png")))
+def _lowered(session):
+    """The session with its cameras a metre lower: the world's origin, at their feet, comes into view."""
+    views = []
+    for view in session.views:
+        camera = dataclasses.replace(view.camera, translation_m=view.camera.translation_m + view.camera.rotation @ [0, 0, 1.0])
+        views.append(dataclasses.replace(view, camera=camera))
+    return dataclasses.replace(session, views=tuple(views))
+
+
+def _count(picture, ink):
+    return int((np.abs(picture.astype(int) - ink).max(axis=-1) < 40).sum())
+
+
+@pytest.mark.parametrize("origin_in_view", [True, False])
+def test_the_import_picture_shows_the_axes_where_the_origin_is_in_view(textured_session, tmp_path, origin_in_view):
+    session = _lowered(textured_session) if origin_in_view else textured_session
+    picture = cv2.imread(str(draw_check(session, load_model("arm", session), tmp_path / "made" / "check.png")))
     assert picture.shape[0] == 480
-    image = read_frame(textured_session, 0).images[0]
-    assert image.shape == (120, 160)
+    for ink in AXIS_COLOURS:
+        assert (_count(picture, ink) > 30) == origin_in_view
 
 
 def test_a_folder_that_cannot_be_written_is_said(model, textured_session, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises((InputError, OSError)):
+    with pytest.raises(InputError, match="cannot be made"):
         draw_check(textured_session, model, tmp_path / "file" / "check.png")
