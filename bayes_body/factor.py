@@ -129,6 +129,10 @@ class FilterInfo(NamedTuple):
         inverse_temperatures: the power of the likelihood at each layer.
         log_evidence: log of the estimate of p(z_t | z_1..t-1); NaN from a mode seeker.
         lost: no particle explained the frame; the filter went on from its prediction.
+        acceptance_rate: share of a layer's Markov moves that were accepted, one value a layer; NaN from a kernel that makes none.
+        evaluations: likelihoods of a whole pose that the frame took; one with its gradient counts as one.
+
+    A kernel that chooses its number of layers pads what is one value a layer with NaN.
     """
 
     ancestors: Array
@@ -137,6 +141,8 @@ class FilterInfo(NamedTuple):
     inverse_temperatures: Array
     log_evidence: Scalar
     lost: Array
+    acceptance_rate: Array
+    evaluations: Array
 
 
 class FrameDensity(Protocol):

@@ -53,11 +53,44 @@ class CameraSpec:
 
 @dataclass(frozen=True)
 class View:
-    """What one camera recorded: printf patterns of its images and of its silhouettes (None: there are none), such as `.../CAM1/image%04d.bmp`."""
+    """What one camera recorded, as image files or as a video (exactly one of the two). Relative paths start at the session's folder.
+
+    Attributes:
+        camera: its calibration.
+        images: printf pattern of its image files, such as `CAM1/image%04d.bmp`.
+        video: path of its video.
+        masks: printf pattern of its silhouettes; None where they are to be computed from the background.
+        background: path of an image or a video of the empty scene; None where the background is to be learned from the recording.
+        offset: frames by which this camera's numbering is ahead: the session's frame k is its own k + offset.
+    """
 
     camera: CameraSpec
-    images: str
+    images: str | None = None
     masks: str | None = None
+    video: str | None = None
+    background: str | None = None
+    offset: int = 0
+
+
+@dataclass(frozen=True)
+class Segmentation:
+    """How silhouettes are told from the background, where a session brings no masks.
+
+    Attributes:
+        threshold: squared Mahalanobis distance from the background at which a pixel is as likely foreground as background.
+        learning_frames: frames, evenly spaced, from which the background is learned.
+        shadows: whether darker pixels of the background's own colour count as background.
+        follow_exposure: whether the image's brightness is first brought to the background's.
+    """
+
+    threshold: float = 16.0
+    learning_frames: int = 200
+    shadows: bool = True
+    follow_exposure: bool = True
+
+
+# Of one camera: a keypoint's name -> column, row (pixels) and confidence, between 0 and 1.
+type Keypoints = Mapping[str, tuple[float, float, float]]
 
 
 @dataclass(frozen=True)
@@ -95,6 +128,11 @@ class Session:
         views: one for each camera.
         subject: the person.
         initial: the pose of frame 0 as far as it is known, by dof, radians or metres.
+        initial_markers: world positions of virtual markers in frame 0, metres, by name.
+        initial_keypoints: where keypoints are in frame 0, by camera.
+        fit_lengths: whether the body's lengths are fitted with the first pose.
+        segmentation: how silhouettes are found without masks.
+        truth: path of an .npz file with true markers, from the session's folder on.
         positions: names of those dofs in `initial` and `subject.motion_sd` that are positions (metres); all others are angles.
     """
 
@@ -108,14 +146,36 @@ class Session:
     subject: Subject = Subject()
     initial: Mapping[str, float] = field(default_factory=dict)
     positions: frozenset[str] = frozenset()
+    initial_markers: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    initial_keypoints: Mapping[str, Keypoints] = field(default_factory=dict)
+    fit_lengths: bool = False
+    segmentation: Segmentation = Segmentation()
+    truth: str | None = None
 
-    def image_path(self, view: View, frame: int) -> Path:
-        """The file of a frame's image, frames counted from 0."""
-        return self.folder / (view.images % (self.first_frame + frame))
+    def number(self, view: View, frame: int) -> int:
+        """The number of a frame (counted from 0) in a camera's own files: in its images' names, or from a video's beginning."""
+        return self.first_frame + frame + view.offset
+
+    def image_path(self, view: View, frame: int) -> Path | None:
+        """The file of a frame's image, or None where the camera has a video."""
+        return None if view.images is None else self.folder / (view.images % self.number(view, frame))
 
     def mask_path(self, view: View, frame: int) -> Path | None:
         """The file of a frame's silhouette, or None where the session has none."""
-        return None if view.masks is None else self.folder / (view.masks % (self.first_frame + frame))
+        return None if view.masks is None else self.folder / (view.masks % self.number(view, frame))
+
+    def video_path(self, view: View) -> Path | None:
+        """The camera's video, or None where it has image files."""
+        return None if view.video is None else self.folder / view.video
+
+    def background_path(self, view: View) -> Path | None:
+        """The image or video of the empty scene, or None where there is none."""
+        return None if view.background is None else self.folder / view.background
+
+    @property
+    def truth_path(self) -> Path | None:
+        """The file of true markers, or None where they are unknown."""
+        return None if self.truth is None else self.folder / self.truth
 
 
 def load_session(path: Path | str) -> Session:
@@ -139,6 +199,11 @@ def load_session(path: Path | str) -> Session:
         subject=_subject(table.subject),
         initial=to_radians(table.initial.angles_deg) | table.initial.positions_m,
         positions=table.positions,
+        initial_markers=table.initial.markers_m,
+        initial_keypoints=table.initial.keypoints_px,
+        fit_lengths=table.initial.fit_lengths,
+        segmentation=Segmentation(**table.segmentation.model_dump()),
+        truth=table.truth,
     )
 
 
@@ -153,7 +218,7 @@ def _view(table: CameraTable) -> View:
         rotation=np.array(table.rotation),
         translation_m=np.array(table.translation_m),
     )
-    return View(camera, table.images, table.masks)
+    return View(camera, table.images, table.masks, table.video, table.background, table.offset)
 
 
 def _subject(table: SubjectTable) -> Subject:

@@ -9,7 +9,7 @@ import tomlkit
 from tomlkit.items import Array, Table
 
 if TYPE_CHECKING:
-    from bayes_body.session import Session, Subject, View
+    from bayes_body.session import Segmentation, Session, Subject, View
 
 # Decimals of what is converted on writing (degrees, metres): beyond any measurement, and a file that is read and written again stays the same.
 DECIMALS = 9
@@ -24,8 +24,12 @@ def document(session: "Session") -> tomlkit.TOMLDocument:
     _add(text, "fps", float(session.fps), "frames a second")
     _add(text, "frames", session.frames)
     _add(text, "first_frame", session.first_frame, "the number of the first frame in the files' names")
+    if session.truth is not None:
+        _add(text, "truth", session.truth, "an .npz with the true `markers` (frame, marker, 3), metres, and their `names`")
     text.add("subject", _subject_table(session.subject, session.positions))
     text.add("initial", _initial_table(session))
+    if session.segmentation != type(session.segmentation)():
+        text.add("segmentation", _segmentation_table(session.segmentation))
     cameras = tomlkit.aot()
     for view in session.views:
         cameras.append(_camera_table(view))
@@ -56,7 +60,25 @@ def _subject_table(subject: "Subject", positions: frozenset[str]) -> Table:
 def _initial_table(session: "Session") -> Table:
     table = tomlkit.table()
     table.add(tomlkit.comment("The pose of the first frame, as far as it is known."))
+    if session.fit_lengths:
+        _add(table, "fit_lengths", True, "segment lengths are fitted with the pose")
     _add_motions(table, "angles_deg", "positions_m", None, session.initial, session.positions)
+    _add_mapping(table, "markers_m", "x, y, z in the world", session.initial_markers, lambda point: [_metres(value) for value in point])
+    if session.initial_keypoints:
+        cameras = tomlkit.table(is_super_table=True)
+        for camera, keypoints in session.initial_keypoints.items():
+            _add_mapping(cameras, camera, "column, row, confidence", keypoints, lambda point: [float(value) for value in point])
+        table.add("keypoints_px", cameras)
+    return table
+
+
+def _segmentation_table(segmentation: "Segmentation") -> Table:
+    table = tomlkit.table()
+    table.add(tomlkit.comment("How silhouettes are told from the background."))
+    _add(table, "threshold", float(segmentation.threshold), "squared Mahalanobis distance at which a pixel is as likely foreground as background")
+    _add(table, "learning_frames", segmentation.learning_frames, "evenly spaced frames from which the background is learned")
+    _add(table, "shadows", segmentation.shadows, "darker pixels of the background's own colour count as background")
+    _add(table, "follow_exposure", segmentation.follow_exposure, "each image's brightness is first brought to the background's")
     return table
 
 
@@ -89,9 +111,16 @@ def _camera_table(view: "View") -> Table:
     rows.extend(np.asarray(camera.rotation, float).tolist())
     table.add("rotation", rows.multiline(True).comment("X_camera = rotation X_world + translation"))
     _add(table, "translation_m", [_metres(value) for value in camera.translation_m])
-    _add(table, "images", view.images, "%04d: the frame's number in four digits")
+    if view.images is not None:
+        _add(table, "images", view.images, "%04d: the frame's number in four digits")
+    if view.video is not None:
+        _add(table, "video", view.video)
     if view.masks is not None:
         _add(table, "masks", view.masks, "white where the subject is")
+    if view.background is not None:
+        _add(table, "background", view.background, "the empty scene: an image or a video")
+    if view.offset:
+        _add(table, "offset", view.offset, "the session's frame k is this camera's own k + offset")
     return table
 
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
-from bayes_body.schema import Count, Finite, Positive, Schema
+from bayes_body.errors import nearest
+from bayes_body.schema import Count, Finite, Positive, Schema, Share
 
 # Beyond these a number in metres is taken for one in millimetres (or centimetres).
 FARTHEST_M = 1000.0
@@ -71,8 +72,11 @@ class CameraTable(Schema):
     distortion: tuple[Finite, Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 0.0, 0.0)
     rotation: Annotated[Rows, AfterValidator(_rotation)]
     translation_m: tuple[Far, Far, Far]
-    images: Pattern
+    images: Pattern | None = None
+    video: Annotated[str, Field(min_length=1)] | None = None
     masks: Pattern | None = None
+    background: Annotated[str, Field(min_length=1)] | None = None
+    offset: Annotated[int, Field(strict=True)] = 0
 
 
 class SubjectTable(Schema):
@@ -88,10 +92,22 @@ class SubjectTable(Schema):
 
 
 class InitialTable(Schema):
-    """`[initial]`: the first pose as far as it is known."""
+    """`[initial]`: the first pose as far as it is known: of a body's dofs, of markers in the world, or of keypoints in the images."""
 
     angles_deg: dict[str, Finite] = {}
     positions_m: dict[str, Far] = {}
+    markers_m: dict[str, tuple[Far, Far, Far]] = {}
+    keypoints_px: dict[str, dict[str, tuple[Finite, Finite, Share]]] = {}
+    fit_lengths: Annotated[bool, Field(strict=True)] = False
+
+
+class SegmentationTable(Schema):
+    """`[segmentation]`: how silhouettes are told from the background, where there are no masks."""
+
+    threshold: Positive = 16.0
+    learning_frames: Count = 200
+    shadows: Annotated[bool, Field(strict=True)] = True
+    follow_exposure: Annotated[bool, Field(strict=True)] = True
 
 
 class SessionFile(Schema):
@@ -105,6 +121,8 @@ class SessionFile(Schema):
     cameras: Annotated[tuple[CameraTable, ...], Field(alias="camera", min_length=1)]
     subject: SubjectTable = SubjectTable()
     initial: InitialTable = InitialTable()
+    segmentation: SegmentationTable = SegmentationTable()
+    truth: Annotated[str, Field(min_length=1)] | None = None
 
     @property
     def positions(self) -> frozenset[str]:
@@ -113,7 +131,7 @@ class SessionFile(Schema):
 
     @model_validator(mode="after")
     def _check_whole(self) -> "SessionFile":
-        sentences = [*self._repeated(), *self._half_masked(), *self._ambiguous()]
+        sentences = [*self._repeated(), *self._sources(), *self._half_masked(), *self._ambiguous(), *self._strangers()]
         if sentences:
             raise ValueError("\n".join(sentences))
         return self
@@ -122,6 +140,21 @@ class SessionFile(Schema):
         for name, count in Counter(camera.name for camera in self.cameras).items():
             if count > 1:
                 yield f"camera '{name}': the name of {count} cameras; expected each name once; rename all but one."
+
+    def _sources(self) -> Iterator[str]:
+        for camera in self.cameras:
+            if (camera.images is None) == (camera.video is None):
+                found = "neither images nor video" if camera.images is None else "both images and video"
+                yield f"camera '{camera.name}': {found}; expected one of the two; give the pattern of its image files or the path of its video."
+            if self.first_frame + camera.offset < 0:
+                found = f"{camera.offset}, its frames would begin at number {self.first_frame + camera.offset}"
+                yield f"camera '{camera.name}'.offset: {found}; expected 0 or later; raise first_frame, and lower frames by as much."
+
+    def _strangers(self) -> Iterator[str]:
+        known = [camera.name for camera in self.cameras]
+        for name in self.initial.keypoints_px:
+            if name not in known:
+                yield f"initial.keypoints_px.{name}: no camera of that name; {nearest(name, known)}"
 
     def _half_masked(self) -> Iterator[str]:
         if any(camera.masks for camera in self.cameras):

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayes_body.errors import InputError
-from bayes_body.session import CameraSpec, Session, Subject, View, load_session, save_session
+from bayes_body.session import CameraSpec, Segmentation, Session, Subject, View, load_session, save_session
 
 SOUND = """\
 title = "one man"
@@ -89,6 +89,31 @@ def test_frames_count_from_the_first_file(path):
     assert session.mask_path(left, 0) is None
 
 
+def test_a_camera_with_a_video_and_one_that_started_earlier(path):
+    path.write_text(SOUND.replace('images = "left/%04d.png"', 'video = "left.mp4"\nbackground = "empty.png"\noffset = -3', 1))
+    session = load_session(path)
+    left, right = session.views
+    assert session.video_path(left) == path.parent / "left.mp4" and session.video_path(right) is None
+    assert session.background_path(left) == path.parent / "empty.png"
+    assert session.image_path(left, 0) is None
+    assert (session.number(left, 5), session.number(right, 5)) == (9, 12)
+
+
+def test_sources_of_images(path):
+    line = 'images = "left/%04d.png"'
+    (sentence,) = refused(path, line, "")
+    assert sentence.startswith("camera 'left': neither images nor video; expected one of the two")
+    (sentence,) = refused(path, line, f'{line}\nvideo = "left.mp4"')
+    assert sentence.startswith("camera 'left': both images and video")
+    (sentence,) = refused(path, line, f"{line}\noffset = -8")
+    assert sentence.startswith("camera 'left'.offset: -8, its frames would begin at number -1; expected 0 or later")
+
+
+def test_first_keypoints_belong_to_a_camera(path):
+    (sentence,) = refused(path, "[[camera]]", "[initial.keypoints_px.lefd]\nnose = [1, 2, 0.5]\n\n[[camera]]")
+    assert sentence == "initial.keypoints_px.lefd: no camera of that name; did you mean 'left'?"
+
+
 def test_sessions_differ_by_any_number(path):
     session = load_session(path)
     turned = replace(session.views[0].camera, rotation=np.eye(3))
@@ -104,13 +129,20 @@ def test_save_and_load_is_the_same(tmp_path_factory, hip, x, length, sd, title):
     camera = CameraSpec("c", (4, 3), (1e3 + sd, 7.25), (x, hip), sd, (x, hip, sd, 0.0, 1e-12), np.eye(3)[[1, 2, 0]], np.array([x, hip, 999.0]))
     subject = Subject("b", length, {"a b": length}, {"p": (length, 0.5)}, {"p": (sd, length)}, {"hip": 1e-6 + sd, "x": 1e-6 + sd})
     folder = tmp_path_factory.mktemp("session")
-    view = View(camera, "%03d.png", "m%03d.png")
-    session = Session(folder, title, "z", 29.97, 5, 0, (view,), subject, {"hip": hip, "x": x}, frozenset({"x"}))
+    view = View(camera, "%03d.png", "m%03d.png", background="empty.mp4", offset=2)
+    first = {"initial_markers": {"head": (hip, x, 1.5)}, "initial_keypoints": {"c": {"l knee": (x, hip, 0.5)}}, "fit_lengths": sd > 0.5}
+    segmentation = Segmentation(sd + 1, 7, sd > 0.5, hip > 0)
+    session = Session(
+        folder, title, "z", 29.97, 5, 0, (view,), subject, {"hip": hip, "x": x}, frozenset({"x"}), **first, segmentation=segmentation, truth="t.npz"
+    )
     once = load_session(save_session(session))
     assert once.initial == pytest.approx(session.initial, abs=1e-9)
     assert once.subject.motion_sd == pytest.approx(subject.motion_sd, abs=1e-9)
     assert (once.title, once.views[0].camera.distortion) == (title, camera.distortion)
     np.testing.assert_allclose(once.views[0].camera.translation_m, camera.translation_m, atol=1e-9)
+    assert once.initial_markers["head"] == pytest.approx((hip, x, 1.5), abs=1e-9)
+    assert (once.initial_keypoints, once.segmentation, once.truth) == (session.initial_keypoints, segmentation, "t.npz")
+    assert (once.views[0].background, once.views[0].offset, once.fit_lengths) == ("empty.mp4", 2, sd > 0.5)
     assert load_session(save_session(once)) == once
 
 

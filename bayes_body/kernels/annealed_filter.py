@@ -95,6 +95,8 @@ def build_kernel(layers: int = 5, survival_rate: float = 0.5, crossover_rate: fl
             inverse_temperatures=betas,
             log_evidence=jnp.full((), jnp.nan),
             lost=final.lost,
+            acceptance_rate=jnp.full_like(rates, jnp.nan),
+            evaluations=jnp.asarray(layers * count),
         )
         return Particles(final.states, final.log_weights), info
 

@@ -54,6 +54,8 @@ def build_kernel(resampling: Scheme = "systematic") -> Kernel:
             inverse_temperatures=jnp.ones((1,), ess.dtype),
             log_evidence=weights.log_sum - normalise(log_constraints).log_sum,
             lost=weights.lost,
+            acceptance_rate=jnp.full((1,), jnp.nan, ess.dtype),
+            evaluations=jnp.asarray(ancestors.shape[0]),
         )
         return Particles(states, weights.log_weights), info
 

@@ -1,0 +1,6 @@
+"""Draws as an ArviZ DataTree, and what respects their weights."""
+
+from bayes_body.posterior.tree import save_posterior, to_datatree
+from bayes_body.posterior.weighted import equal_weight_draws, markers, mean_poses, rhat
+
+__all__ = ["equal_weight_draws", "markers", "mean_poses", "rhat", "save_posterior", "to_datatree"]
