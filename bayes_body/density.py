@@ -52,6 +52,16 @@ class Density:
         """One particle of the frame before."""
         return jax.tree.map(lambda leaf: leaf[index], self.previous.states)
 
+    @property
+    def reads_previous(self) -> bool:
+        """Whether any factor depends on the frame before."""
+        return any(factor.reads_previous for factor in self.factors)
+
+    @property
+    def without_gradient(self) -> tuple[str, ...]:
+        """The likelihoods that have none: a gradient-based kernel would move blindly."""
+        return tuple(factor.name for factor in self.factors if factor.side == "likelihood" and not factor.has_gradient)
+
     # -- the sides ----------------------------------------------------------------------------------------------------------------------
 
     def side(self, side: Side, state: State, previous: State) -> Scalar:

@@ -41,7 +41,7 @@ def variables(state: State, previous: State | None = None) -> dict[Variable, Arr
     return now if previous is None else now | {Variable(name, -1): value for name, value in previous.items()}
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=["name", "side", "scope"], data_fields=["log_potential"])
+@partial(jax.tree_util.register_dataclass, meta_fields=["name", "side", "scope", "has_gradient"], data_fields=["log_potential"])
 @dataclass(frozen=True)
 class Factor:
     """One term of the model.
@@ -51,12 +51,14 @@ class Factor:
         side: what a tempering kernel may do to it: only a likelihood is tempered, a constraint always holds at full power.
         scope: the variables that it reads, and no others reach it.
         log_potential: `(variables, data) -> scalar`; a `jax.tree_util.Partial`, so that its arrays are leaves of the model.
+        has_gradient: whether its gradient tells where it grows; that of a nearest look-up is zero everywhere.
     """
 
     name: str
     side: Side
     scope: tuple[Variable, ...]
     log_potential: Callable[[Variables, Any], Scalar]
+    has_gradient: bool = True
 
     def __call__(self, values: Variables, data: Data) -> Scalar:
         """The log-potential of the scoped part of `values`, given the frame's data."""
@@ -151,6 +153,16 @@ class FrameDensity(Protocol):
     @property
     def transition(self) -> Transition:
         """The motion prior."""
+        ...
+
+    @property
+    def reads_previous(self) -> bool:
+        """Whether any factor depends on the frame before."""
+        ...
+
+    @property
+    def without_gradient(self) -> tuple[str, ...]:
+        """The likelihoods that have none."""
         ...
 
     def log_weight(self, state: State, previous: State) -> Scalar:

@@ -35,6 +35,7 @@ _BUILT_IN: dict[tuple[Room, str], str] = {
     ("potential", "intersection"): "bayes_body.potentials.intersection",
     ("kernel", "sir"): "bayes_body.kernels.particle_filter",
     ("kernel", "annealed"): "bayes_body.kernels.annealed_filter",
+    ("kernel", "tempered"): "bayes_body.kernels.tempered_smc",
 }
 _terms: dict[tuple[Room, str], Term] = {}
 

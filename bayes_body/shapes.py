@@ -1,8 +1,9 @@
 """The shape vocabulary. Axes: `dof` degrees of freedom, `joint`, `part`, `camera`, `row` and `column` of an image, `particle`."""
 
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 type Key = PRNGKeyArray
+type Keys = Shaped[PRNGKeyArray, " particle"]
 type Scalar = Float[Array, ""]
 type Flag = Bool[Array, ""]
 type Vector3 = Float[Array, "3"]

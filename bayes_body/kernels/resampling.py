@@ -1,7 +1,7 @@
-"""Resampling schemes, from blackjax. Each draws the ancestors of N particles from their weights; all are unbiased, they differ in variance."""
+"""Resampling schemes, from blackjax. Each draws the ancestors of particles from their weights; all are unbiased, they differ in variance."""
 
 from collections.abc import Callable
-from typing import Literal, cast
+from typing import Literal, Protocol, cast
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -9,11 +9,16 @@ from jaxtyping import Array, Float, Int
 from bayes_body.shapes import Key
 
 type Scheme = Literal["systematic", "stratified", "multinomial", "residual"]
-type Resample = Callable[[Key, Float[Array, " particle"]], Int[Array, " particle"]]
+
+
+class Resample(Protocol):
+    """From log-weights (normalised or not) to as many ancestors, or `count`."""
+
+    def __call__(self, key: Key, log_weights: Float[Array, " particle"], count: int | None = None) -> Int[Array, " drawn"]: ...  # noqa: D102
 
 
 def resampler(scheme: Scheme) -> Resample:
-    """From log-weights (normalised or not) to as many ancestors.
+    """A scheme by name.
 
     Args:
         scheme: `systematic` and `stratified` spread the draws evenly, `residual` keeps the whole parts of N w, `multinomial` draws independently.
@@ -23,8 +28,8 @@ def resampler(scheme: Scheme) -> Resample:
     # blackjax declares no types for its resampling functions: cast once, here.
     function = cast(Callable[[Key, Array, int], Array], getattr(schemes, scheme))
 
-    def resample(key: Key, log_weights: Float[Array, " particle"]) -> Int[Array, " particle"]:
+    def resample(key: Key, log_weights: Float[Array, " particle"], count: int | None = None) -> Int[Array, " drawn"]:
         weights = jnp.exp(log_weights - jnp.max(log_weights))
-        return function(key, weights / jnp.sum(weights), log_weights.shape[0])
+        return function(key, weights / jnp.sum(weights), log_weights.shape[0] if count is None else count)
 
     return resample

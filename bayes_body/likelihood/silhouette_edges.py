@@ -90,11 +90,11 @@ class SilhouetteEdges:
         return jnp.where(jnp.isfinite(jnp.sum(pose)), -self.precision * error, jnp.nan)
 
     def _area_agreement(self, maps: SilhouetteEdgeMaps, pose: Pose) -> Float[Array, " camera"]:
-        """W of (9), kept above 1e-3: a body that a camera does not see would divide by zero."""
+        """W of (9), kept above 1e-3: a body that a camera does not see would divide by zero; 1 where the camera did not see the frame."""
         share = projected_area(self.body, self.rig, pose, self.area_grid)
         seen, projected = (jnp.clip(s, 1e-6, 1 - 1e-6) / (1 - jnp.clip(s, 1e-6, 1 - 1e-6)) for s in (maps.foreground, share))
         agreement = 1 - jnp.abs(seen - projected) / jnp.maximum(seen, projected)
-        return jnp.maximum(agreement**self.gamma, 1e-3)
+        return jnp.where(maps.foreground >= 0, jnp.maximum(agreement**self.gamma, 1e-3), 1.0)
 
 
 @register("likelihood", "silhouette_edges", Options)
@@ -117,4 +117,4 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
         weights=jnp.asarray(weights, body.lengths.dtype),
         precision=jnp.asarray(options.precision, body.lengths.dtype),
     )
-    return Factor(name=name, side="likelihood", scope=(POSE,), log_potential=potential)
+    return Factor(name=name, side="likelihood", scope=(POSE,), log_potential=potential, has_gradient=options.lookup != "nearest")
