@@ -1,0 +1,98 @@
+r"""Lengths that are fitted with the pose: $\ell_k = \bar\ell_k e^{\sigma z_{g(k)}}$, $z \sim N(0, 1)$, one z for a left and right pair.
+
+A body is affine in its lengths: offsets of joints, markers and parts are constants plus named lengths with a sign. What each length contributes
+is read off by building the body with that length alone.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_body.body.build import Shape, build_body
+from bayes_body.body.schema import BodySchema
+from bayes_body.body.solids import Body
+
+# Of a length's logarithm: how far a person's segments lie from the proportions of all.
+SPREAD = 0.1
+
+
+class Fields(NamedTuple):
+    """The arrays of a body that its lengths enter, metres; in `Contributions` with a leading axis of lengths."""
+
+    joints: Float[Array, "*length joint 3"]
+    markers: Float[Array, "*length marker 3"]
+    parts: Float[Array, "*length part 3"]
+    lengths: Float[Array, "*length part"]
+
+
+class Scaling(NamedTuple):
+    """How a body changes with its lengths.
+
+    Attributes:
+        values: the body's lengths, metres; none if they are not fitted.
+        groups: 1 where a length (row) follows a parameter (column).
+        contributions: what each length adds to the body's arrays.
+    """
+
+    values: Float[Array, " length"]
+    groups: Float[Array, "length group"]
+    contributions: Fields
+
+
+def fixed(body: Body) -> Scaling:
+    """A body whose lengths stay: no parameter."""
+    none = jax.tree.map(lambda leaf: jnp.zeros((0, *leaf.shape), leaf.dtype), fields(body))
+    return Scaling(jnp.zeros(0, body.lengths.dtype), jnp.zeros((0, 0), body.lengths.dtype), none)
+
+
+def scaling(body: Body, schema: BodySchema) -> Scaling:
+    """All lengths of a body as parameters, left and right tied."""
+    names = tuple(schema.lengths_of_height)
+    none = dict.fromkeys(names, 0.0)
+    constant = _flat(build_body(body.name, schema, Shape(1.0, none)))
+    rows = np.stack([_flat(build_body(body.name, schema, Shape(1.0, none | {name: 1.0}))) - constant for name in names])
+    # The lengths that this body was built with; one that enters nothing comes out as 0.
+    values = np.linalg.lstsq(rows.T, _flat(body) - constant, rcond=None)[0]
+    dtype = body.lengths.dtype
+    return Scaling(jnp.asarray(values, dtype), jnp.asarray(_groups(names), dtype), _unflat(values[:, None] * rows, body))
+
+
+def scaled(body: Body, change: Scaling, z: Float[Array, " group"]) -> Body:
+    """The body with its lengths at the parameters z."""
+    if not change.values.shape[0]:
+        return body
+    growth = factors(change, z) - 1
+    now = jax.tree.map(lambda base, each: base + jnp.tensordot(growth, each, 1), fields(body), change.contributions)
+    skeleton, markers = replace(body.skeleton, offsets=now.joints), replace(body.markers, offsets=now.markers)
+    return replace(body, skeleton=skeleton, markers=markers, offsets=now.parts, lengths=now.lengths)
+
+
+def factors(change: Scaling, z: Float[Array, " group"]) -> Float[Array, " length"]:
+    """By how much each length is multiplied."""
+    return jnp.exp(SPREAD * (change.groups @ z))
+
+
+def fields(body: Body) -> Fields:
+    """The arrays of a body that its lengths enter."""
+    return Fields(body.skeleton.offsets, body.markers.offsets, body.offsets, body.lengths)
+
+
+def _flat(body: Body) -> Float[np.ndarray, " entry"]:
+    return np.concatenate([np.asarray(field, float).ravel() for field in fields(body)])
+
+
+def _unflat(rows: Float[np.ndarray, "length entry"], body: Body) -> Fields:
+    shapes = fields(body)
+    cuts = np.cumsum([field.size for field in shapes])[:-1]
+    pieces = np.split(rows, cuts, axis=1)
+    return Fields(*(jnp.asarray(piece.reshape(-1, *field.shape), field.dtype) for piece, field in zip(pieces, shapes, strict=True)))
+
+
+def _groups(names: tuple[str, ...]) -> Float[np.ndarray, "length group"]:
+    stems = [name[2:] if name.startswith(("l_", "r_")) else name for name in names]
+    kinds = list(dict.fromkeys(stems))
+    return np.array([[float(stem == kind) for kind in kinds] for stem in stems])

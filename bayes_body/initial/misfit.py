@@ -1,0 +1,152 @@
+r"""How badly a posed body explains what is known of the first pose: robust distances and a weak prior.
+
+$$U = \sum_i w_i \Bigl[\tfrac{\nu + d_i}{2} \log\bigl(1 + \tfrac{r_i^2}{\nu \sigma_i^2}\bigr) + d_i \log \sigma_i\Bigr]
+    + \tfrac12 \sum_k \bigl(\tfrac{s_k - m_k}{\tau_k}\bigr)^2 + \tfrac{1 - \cos\theta}{\tau_\theta^2} + \tfrac12 \|z\|^2,$$
+
+$\theta$ is the body's tilt against the world's up. Student's t with $\nu = 3$ of the d-vectors r, metres of markers (d = 3) and pixels of keypoints
+(d = 2). $\sigma$ is the detector's own error and, across the image at the point's depth, the distance between its point and the body's. Lange et al.
+1989, Robust statistical modeling using the t distribution.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayes_body import geometry
+from bayes_body.body.skeleton import forward_kinematics, marker_positions
+from bayes_body.body.solids import Body
+from bayes_body.camera import NEAR, Camera, project, to_camera
+from bayes_body.dynamics.limits import BoxTransform
+from bayes_body.initial.evidence import Evidence
+from bayes_body.initial.lengths import Scaling, scaled
+from bayes_body.initial.points import Points, as_markers
+from bayes_body.shapes import Pose, Scalar, Vector3
+
+NU = 3.0
+DETECTOR_PX = 10.0
+# What a point that a camera cannot see counts as, pixels: far off, and finite.
+UNSEEN_PX = 3000.0
+
+
+class Prior(NamedTuple):
+    """Independent normal distributions of the dofs, radians and metres, with an infinite sd where nothing is known; and how people stand.
+
+    Attributes:
+        mean: of each dof.
+        sd: of each dof.
+        up: the world's direction that points up.
+        upright: how strongly the root's z is drawn there, 1 / sd^2 of its angle; 0 for a body that is fixed to the world.
+        weights: of the body's points, per metre: how strongly each is pulled down.
+    """
+
+    mean: Pose
+    sd: Pose
+    up: Vector3
+    upright: Scalar
+    weights: Float[Array, " point"]
+
+
+class Problem(NamedTuple):
+    """Everything that the misfit of a pose depends on.
+
+    Attributes:
+        body: of the model.
+        scaling: how its lengths may change.
+        rig: the cameras.
+        points: which points of the body the evidence is about; its weights hold theirs.
+        evidence: where they are.
+        tolerance: how far a point of the evidence may lie from the body's, metres.
+        prior: of the dofs.
+    """
+
+    body: Body
+    scaling: Scaling
+    rig: Camera
+    points: Points
+    evidence: Evidence
+    tolerance: Float[Array, " point"]
+    prior: Prior
+
+
+type Parameters = Float[Array, " parameter"]
+type Places = Float[Array, "point 3"]
+
+
+def split(problem: Problem, parameters: Parameters) -> tuple[Pose, Float[Array, " group"]]:
+    """The pose, within its limits, and the lengths' parameters that unconstrained parameters stand for."""
+    count, skeleton = len(problem.body.dof_names), problem.body.skeleton
+    return BoxTransform(skeleton.low, skeleton.high)(parameters[:count]), parameters[count:]
+
+
+class Distances(NamedTuple):
+    """Between the evidence and the body's points, and what they may be (one standard deviation)."""
+
+    metres: Float[Array, " point"]
+    metres_sd: Float[Array, " point"]
+    pixels: Float[Array, "camera point"]
+    pixels_sd: Float[Array, "camera point"]
+
+
+def distances(problem: Problem, places: Places) -> Distances:
+    """Of every point, those without evidence too."""
+
+    def in_image(camera: Camera, pixels: Float[Array, "point 2"]) -> tuple[Float[Array, " point"], Float[Array, " point"]]:
+        seen, visible = project(camera, places)
+        depth = jnp.maximum(to_camera(camera, places)[:, 2] + camera.translation[2], NEAR)
+        # Without a gradient: no pose fits better for being farther away.
+        sd = jnp.hypot(DETECTOR_PX, jax.lax.stop_gradient(camera.focal[0] * problem.tolerance / depth))
+        return jnp.where(visible, _norm(seen - pixels), UNSEEN_PX), sd
+
+    pixels, pixels_sd = jax.vmap(in_image)(problem.rig, problem.evidence.pixels)
+    return Distances(_norm(places - problem.evidence.markers), problem.tolerance, pixels, pixels_sd)
+
+
+def potential(problem: Problem, places: Places, far: Distances, pose: Pose, z: Float[Array, " group"], width: Scalar | float) -> Scalar:
+    """U of a pose whose points are at `places`, `far` from the evidence, with every sd `width` times as wide: wide, a fit that starts far off sees where to go."""
+    evidence = problem.evidence
+    markers = _robust(far.metres, width * far.metres_sd, evidence.marker_weights, 3)
+    keypoints = _robust(far.pixels, width * far.pixels_sd, evidence.pixel_weights, 2)
+    return markers + keypoints + _surprise(problem, places, pose) + 0.5 * jnp.sum(z * z)
+
+
+def _surprise(problem: Problem, places: Places, pose: Pose) -> Scalar:
+    prior = problem.prior
+    fall = jnp.sum(prior.weights * (places @ prior.up))
+    tilt = 1 - geometry.dot(forward_kinematics(problem.body.skeleton, pose)[0].z, prior.up)
+    return 0.5 * jnp.sum(((pose - prior.mean) / prior.sd) ** 2) + prior.upright * tilt + fall
+
+
+class Explained(NamedTuple):
+    """A posed body against the evidence: its misfit, what it is, where its points are and how far off."""
+
+    misfit: Scalar
+    pose: Pose
+    z: Float[Array, " group"]
+    places: Places
+    distances: Distances
+
+
+def explain(problem: Problem, parameters: Parameters, width: Scalar | float) -> tuple[Scalar, Explained]:
+    """U of unconstrained parameters (see `potential`), and all that comes with it."""
+    pose, z = split(problem, parameters)
+    places = places_of(problem, pose, z)
+    far = distances(problem, places)
+    value = potential(problem, places, far, pose, z, width)
+    return value, Explained(value, pose, z, places, far)
+
+
+def places_of(problem: Problem, pose: Pose, z: Float[Array, " group"]) -> Places:
+    """Where the points of the posed body are, metres."""
+    body = scaled(problem.body, problem.scaling, z)
+    return marker_positions(body.skeleton, as_markers(body, problem.points), pose)
+
+
+def _robust(distance: Array, sd: Array, weight: Array, dimensions: int) -> Scalar:
+    return jnp.sum(weight * (0.5 * (NU + dimensions) * jnp.log1p((distance / sd) ** 2 / NU) + dimensions * jnp.log(sd)))
+
+
+def _norm(v: Float[Array, "*batch axis"]) -> Float[Array, "*batch"]:
+    # sqrt's slope at 0 is infinite.
+    return jnp.sqrt(jnp.maximum(jnp.sum(v * v, axis=-1), 1e-12))

@@ -1,0 +1,124 @@
+"""Which point of a body a marker or a keypoint of that name is.
+
+A name is one of the body's virtual markers, or another word for one, or a point of the face. Points of the face are told from the crown and the
+shoulders: the body knows its left and right, the head's axis is up, and so the nose says where it looks. They are shares of the distance from the
+head's joint to the crown, of ANSUR II (Gordon et al. 2014): means of 4082 men, tragion to top of head 130 mm, bitragion breadth 145 mm, between
+the pupils 64 mm.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_body import geometry
+from bayes_body.body.skeleton import Markers, forward_kinematics
+from bayes_body.body.solids import Body
+from bayes_body.initial.quick import QUICK
+
+# What detectors call points that are joint centres of the body.
+OTHER_NAMES = {"neck": "thorax", "mid_hip": "pelvis"}
+# Forward, left and up, as shares of the distance from the head's joint to the crown.
+FACE = {
+    "nose": (0.38, 0.0, 0.48),
+    "l_eye": (0.30, 0.10, 0.63),
+    "r_eye": (0.30, -0.10, 0.63),
+    "l_ear": (0.05, 0.23, 0.58),
+    "r_ear": (0.05, -0.23, 0.58),
+}
+# Networks put hips outside and above the joint's centre; a crown and a face are no joints at all. Metres.
+LOOSE_M = {"l_hip": 0.04, "r_hip": 0.04, "pelvis": 0.04, "thorax": 0.04, "head": 0.04, **dict.fromkeys(FACE, 0.06)}
+TIGHT_M = 0.02
+FACE_WEIGHT = 0.3
+# What is below what in a person who stands at rest, on the left, on the right or in the middle.
+HANGING = (("elbow", "shoulder"), ("wrist", "elbow"), ("knee", "hip"), ("ankle", "knee"), ("pelvis", "thorax"), ("thorax", "head"))
+
+
+@partial(jax.tree_util.register_dataclass, meta_fields=["names", "joints", "crown"], data_fields=["face"])
+@dataclass(frozen=True)
+class Points:
+    """The points of one body that evidence may be about.
+
+    Attributes:
+        names: of the body's virtual markers, then of its face.
+        joints: each point's joint.
+        crown: which marker is the crown, 0 for a body without a head.
+        face: offsets of the face in the head joint's frame, as shares of the crown's distance; no rows for a body without a head.
+    """
+
+    names: tuple[str, ...]
+    joints: tuple[int, ...]
+    crown: int
+    face: Float[Array, "face 3"]
+
+    @property
+    def tolerance_m(self) -> Float[np.ndarray, " point"]:
+        """How far the same point of two sources may lie apart, metres."""
+        return np.array([LOOSE_M.get(name, TIGHT_M) for name in self.names])
+
+    @property
+    def weight(self) -> Float[np.ndarray, " point"]:
+        """How much a point counts."""
+        return np.array([FACE_WEIGHT if name in FACE else 1.0 for name in self.names])
+
+    @property
+    def hanging(self) -> Float[np.ndarray, " point"]:
+        """How a person at rest pulls on each point, down (above 0) or up: 1 for what hangs, -1 for what it hangs from."""
+        pulls = np.zeros(len(self.names))
+        for end, base in HANGING:
+            for side in ("l_", "r_", ""):
+                if side + end in self.names and side + base in self.names:
+                    pulls[self.names.index(side + end)] += 1
+                    pulls[self.names.index(side + base)] -= 1
+        return pulls
+
+    def index(self, name: str) -> int | None:
+        """Which point has that name, in a detector's words or the body's; None if the body has none."""
+        name = OTHER_NAMES.get(name, name)
+        return self.names.index(name) if name in self.names else None
+
+
+def body_points(body: Body) -> Points:
+    """The points of a body; a face only where it has a marker `head`, above its joint, and a pair of markers `l_...`, `r_...`."""
+    markers = body.markers
+    frame = _facing(body)
+    if frame is None:
+        return Points(markers.names, markers.joints, 0, jnp.zeros((0, 3), body.lengths.dtype))
+    crown = markers.names.index("head")
+    shares = jnp.asarray([list(share) for share in FACE.values()], body.lengths.dtype)
+    face = jnp.sum(shares[:, :, None] * frame[None], axis=1)
+    return Points((*markers.names, *FACE), (*markers.joints, *[markers.joints[crown]] * len(FACE)), crown, face)
+
+
+def as_markers(body: Body, points: Points) -> Markers:
+    """The points as markers of this body, whose lengths may have changed since `body_points`."""
+    if not points.face.shape[0]:
+        return body.markers
+    crown = body.markers.offsets[points.crown]
+    face = points.face * jnp.sqrt(geometry.dot(crown, crown))
+    return replace(body.markers, names=points.names, joints=points.joints, offsets=jnp.concatenate([body.markers.offsets, face]))
+
+
+def _facing(body: Body) -> Float[Array, "3 3"] | None:
+    """Rows: forward, left and up in the head joint's frame, in the pose in which all angles are 0."""
+    names = body.markers.names
+    pairs = [(name, "r_" + name[2:]) for name in names if name.startswith("l_") and "r_" + name[2:] in names]
+    if "head" not in names or not pairs:
+        return None
+    left, right = (names.index(name) for name in pairs[0])
+    return _head_frame(body, names.index("head"), left, right)
+
+
+@partial(jax.jit, static_argnames=("crown", "left", "right"), compiler_options=QUICK)
+def _head_frame(body: Body, crown: int, left: int, right: int) -> Float[Array, "3 3"]:
+    markers, transforms = body.markers, forward_kinematics(body.skeleton, jnp.zeros(len(body.dof_names), body.lengths.dtype))
+    places = [geometry.apply(transforms[markers.joints[m]], markers.offsets[m]) for m in (crown, left, right)]
+    T_world_head = transforms[markers.joints[crown]]
+    up = geometry.unit(places[0] - T_world_head.origin)
+    across = places[1] - places[2]
+    aside = geometry.unit(across - geometry.dot(across, up) * up)
+    rows = [jnp.cross(aside, up), aside, up]
+    return jnp.stack([jnp.stack([geometry.dot(axis, row) for axis in (T_world_head.x, T_world_head.y, T_world_head.z)]) for row in rows])

@@ -1,0 +1,58 @@
+"""A session and a model as the problem that the fit solves: evidence in arrays, and what is expected where it says nothing."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bayes_body.body.solids import Body
+from bayes_body.initial.evidence import Evidence
+from bayes_body.initial.fit import rest
+from bayes_body.initial.lengths import fixed, scaling
+from bayes_body.initial.misfit import Prior, Problem
+from bayes_body.initial.points import Points
+from bayes_body.model import Model
+from bayes_body.session import Session
+
+# How sure an angle or a position is that a session gives beside markers or keypoints: radians, metres.
+GIVEN_SD = {True: 0.35, False: 0.2}
+# How far from upright people stand, radians, and how far a joint is from its rest, as a share of its range, as one camera needs it.
+TILT_SD = 0.4
+RANGE_SHARE = 0.25
+# With more to go by than one camera the prior only decides what nothing else tells: its sds are this many times as wide.
+LOOSER = 8.0
+
+
+def build_problem(model: Model, session: Session, points: Points, evidence: Evidence) -> Problem:
+    """The problem of a session's first pose, in the model's precision; angles are drawn to how the body rests, or to what the session says."""
+    body, dtype = model.body, model.body.lengths.dtype
+    weighted = evidence._replace(marker_weights=evidence.marker_weights * points.weight, pixel_weights=evidence.pixel_weights * points.weight)
+    problem = Problem(
+        body=body,
+        scaling=scaling(body, model.definition.body) if session.fit_lengths else fixed(body),
+        rig=model.rig,
+        points=points,
+        evidence=jax.tree.map(lambda leaf: leaf.astype(dtype), weighted),
+        tolerance=jnp.asarray(points.tolerance_m, dtype),
+        prior=_prior(body, session, points),
+    )
+    mean = rest(problem)
+    given = jnp.array([name in session.initial for name in body.dof_names])
+    return problem._replace(prior=problem.prior._replace(mean=jnp.where(given, problem.prior.mean, mean)))
+
+
+def _prior(body: Body, session: Session, points: Points) -> Prior:
+    low, high = np.asarray(body.skeleton.low, float), np.asarray(body.skeleton.high, float)
+    width = LOOSER if session.initial_markers or len(session.initial_keypoints) > 1 else 1.0
+    mean, sd = np.clip(0.0, low, high), np.where(np.isfinite(high - low), width * RANGE_SHARE * (high - low), np.inf)
+    topology = body.skeleton.topology
+    root = topology.motions[0]
+    # A body whose root can be anywhere may face anywhere, and stands upright; one that is fixed to the world stands as its angles say.
+    floats = any(motion.is_shift for motion in root)
+    if floats:
+        sd[[motion.dof for motion in root]] = np.inf
+    for name, value in session.initial.items():
+        k = body.dof_names.index(name)
+        mean[k], sd[k] = value, GIVEN_SD[topology.angular[k]]
+    up, upright = np.eye(3)["xyz".index(session.up)], floats / (width * TILT_SD) ** 2
+    arrays = (jnp.asarray(each, body.lengths.dtype) for each in (mean, sd, up, upright, np.zeros(len(points.names))))
+    return Prior(*arrays)

@@ -1,0 +1,114 @@
+"""What a fitted first pose is told as: residuals by name, outliers, and sentences for the user."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_body.initial.evidence import Evidence
+from bayes_body.initial.misfit import Distances
+from bayes_body.initial.points import FACE, Points
+from bayes_body.session import Session
+
+# Times the larger of its sd and the robust spread of its camera: farther off, a point is taken for wrong.
+OUTLIER = 4.0
+# Times its sd: if the median point of a camera is farther off, the camera as a whole does not fit.
+BAD = 3.0
+# From the median of an absolute normal variable to its standard deviation.
+NORMAL = 1.4826
+
+
+class FirstPose(NamedTuple):
+    """A session's first pose and how well it explains what the session says.
+
+    Attributes:
+        pose: radians and metres, in the order of the body's dofs.
+        marker_residuals_m: by name, metres.
+        keypoint_residuals_px: by camera and name, pixels; keypoints with confidence 0 are left out.
+        median_m: of the markers' residuals; NaN without markers.
+        median_px: of the keypoints' residuals, the face's left out; NaN without keypoints.
+        outliers: (camera, name) of the points that were taken for wrong; the camera is None for a marker.
+        lengths_m: the body's lengths if they were fitted, else empty.
+        remarks: sentences for the user.
+    """
+
+    pose: Float[Array, " dof"]
+    marker_residuals_m: Mapping[str, float] = {}
+    keypoint_residuals_px: Mapping[str, Mapping[str, float]] = {}
+    median_m: float = float("nan")
+    median_px: float = float("nan")
+    outliers: tuple[tuple[str | None, str], ...] = ()
+    lengths_m: Mapping[str, float] = {}
+    remarks: tuple[str, ...] = ()
+
+
+class _Row(NamedTuple):
+    """One point of the evidence: its residual and sd, metres of a marker (camera None), pixels of a keypoint."""
+
+    camera: str | None
+    name: str
+    residual: float
+    sd: float
+
+
+def tell(session: Session, points: Points, evidence: Evidence, far: Distances, pose: Float[Array, " dof"], lengths: Mapping[str, float]) -> FirstPose:
+    """The report of a fit; remarks on points that were taken for wrong, and on markers or a camera that fit badly as a whole."""
+    markers, cameras = _marker_rows(points, evidence, far), _keypoint_rows(session, points, evidence, far)
+    groups = [markers, *cameras.values()]
+    return FirstPose(
+        pose=pose,
+        marker_residuals_m={row.name: row.residual for row in markers},
+        keypoint_residuals_px={camera: {row.name: row.residual for row in rows} for camera, rows in cameras.items()},
+        median_m=_median([row.residual for row in _bones(markers)]),
+        median_px=_median([row.residual for rows in cameras.values() for row in _bones(rows)]),
+        outliers=tuple((row.camera, row.name) for rows in groups for row in _outliers(rows)),
+        lengths_m=lengths,
+        remarks=tuple(remark for rows in groups for remark in _remarks(rows)),
+    )
+
+
+def _marker_rows(points: Points, evidence: Evidence, far: Distances) -> list[_Row]:
+    metres, sd = np.asarray(far.metres), np.asarray(far.metres_sd)
+    return [_Row(None, points.names[k], float(metres[k]), float(sd[k])) for k in np.flatnonzero(evidence.marker_weights)]
+
+
+def _keypoint_rows(session: Session, points: Points, evidence: Evidence, far: Distances) -> dict[str, list[_Row]]:
+    pixels, sd = np.asarray(far.pixels), np.asarray(far.pixels_sd)
+    return {
+        view.camera.name: [
+            _Row(view.camera.name, points.names[k], float(pixels[c, k]), float(sd[c, k])) for k in np.flatnonzero(evidence.pixel_weights[c])
+        ]
+        for c, view in enumerate(session.views)
+        if view.camera.name in session.initial_keypoints
+    }
+
+
+def _bones(rows: list[_Row]) -> list[_Row]:
+    return [row for row in rows if row.name not in FACE]
+
+
+def _outliers(rows: list[_Row]) -> list[_Row]:
+    spread = NORMAL * _median([row.residual for row in rows])
+    return [row for row in rows if row.residual > OUTLIER * max(row.sd, spread)]
+
+
+def _remarks(rows: list[_Row]) -> list[str]:
+    if _median([row.residual / row.sd for row in _bones(rows)]) > BAD:
+        whose = "the markers" if rows[0].camera is None else f"camera {rows[0].camera}'s keypoints"
+        median = _amount(rows[0].camera, _median([row.residual for row in _bones(rows)]))
+        return [f"{whose} fit badly, median {median} off: check the calibration, the subject's height, and that all show one person at one time"]
+    return [_wrong_point(row) for row in _outliers(rows)]
+
+
+def _wrong_point(row: _Row) -> str:
+    off = f"{row.name} is {_amount(row.camera, row.residual)} off: taken for"
+    return f"marker {off} wrong" if row.camera is None else f"camera {row.camera}'s {off} a wrong detection"
+
+
+def _amount(camera: str | None, residual: float) -> str:
+    return f"{1000 * residual:.0f} mm" if camera is None else f"{residual:.0f} px"
+
+
+def _median(values: list[float]) -> float:
+    return float(np.median(values)) if values else float("nan")
