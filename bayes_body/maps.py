@@ -24,10 +24,15 @@ _OUTSIDE = -9.0
 
 # The two maps of a camera in SilhouetteEdgeMaps, in the order of the stack.
 SILHOUETTE, EDGES = 0, 1
+# In place of the share of foreground where there is no silhouette.
+UNSEEN_SHARE = -1.0
 
 
 class SilhouetteEdgeMaps(NamedTuple):
-    """Of one frame: the error maps (1 − V)² of silhouette and edges, packed, and the share of foreground pixels of each silhouette."""
+    """Of one frame: the error maps (1 − V)² of silhouette and edges, packed, and the share of foreground pixels of each silhouette.
+
+    A camera that did not see the frame has one error everywhere, and the share `UNSEEN_SHARE`.
+    """
 
     errors: Packed
     foreground: Float[Array | np.ndarray, " camera"]

@@ -6,7 +6,7 @@ Plain data: metres, radians, pixels. On disk a session is a folder with a `sessi
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import tomlkit
@@ -187,9 +187,18 @@ def load_session(path: Path | str) -> Session:
     """
     path = Path(path)
     path = path / FILE_NAME if path.is_dir() else path
-    table = validate(SessionFile, read_toml(path), str(path))
+    return parse_session(read_toml(path), path.resolve().parent, str(path))
+
+
+def parse_session(tables: Mapping[str, Any], folder: Path, where: str) -> Session:
+    """The session that the tables of a `session.toml` describe; relative paths start at `folder`, sentences call the file `where`.
+
+    Raises:
+        FaultyFileError: one sentence for each thing that is wrong.
+    """
+    table = validate(SessionFile, tables, where)
     return Session(
-        folder=path.resolve().parent,
+        folder=folder,
         title=table.title,
         up=table.up,
         fps=table.fps,

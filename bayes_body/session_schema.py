@@ -24,7 +24,8 @@ PATTERN = re.compile(r"([^%]|%%)*%0?\d*d([^%]|%%)*")
 
 def rotation_fault(R: NDArray[np.float64]) -> str | None:
     """What keeps a (3, 3) matrix from being a rotation, as the middle of a sentence; None for a rotation."""
-    off = float(np.linalg.norm(R @ R.T - np.eye(3)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = float(np.linalg.norm(R @ R.T - np.eye(3)))
     if not off <= ROTATION_TOLERANCE:
         return f"no rotation, R R^T is {off:.2g} away from the identity; expected orthonormal rows; copy R again with at least six digits"
     if np.linalg.det(R) < 0:

@@ -28,15 +28,32 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise wrong(path, f"cannot be read ({error.strerror})", "a TOML file", "check the path and its permissions") from None
     try:
         # Some editors put a byte order mark first; tomllib would stumble over it.
-        return tomllib.loads(content.decode("utf-8-sig"))
+        return parse_toml(content.decode("utf-8-sig"), path)
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
         raise wrong(f"{path}: line {line}", f"the byte 0x{content[error.start]:02x}", "text in UTF-8", "save the file as UTF-8") from None
+
+
+def parse_toml(text: str, where: object) -> dict[str, Any]:
+    """The tables of a TOML text.
+
+    Args:
+        text: the file's content.
+        where: the file, as the sentence shall call it.
+
+    Raises:
+        InputError: not TOML (line and column are named).
+    """
+    try:
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise _syntax_error(path, content.decode("utf-8-sig"), str(error)) from None
+        raise _syntax_error(where, text, str(error)) from None
+    except (ValueError, RecursionError) as error:
+        # A whole number with thousands of digits; lists in lists in lists.
+        raise wrong(where, f"cannot be read ({error})", "TOML, such as key = value or [table]", "restore the file") from None
 
 
-def _syntax_error(path: Path, text: str, message: str) -> InputError:
+def _syntax_error(where: object, text: str, message: str) -> InputError:
     lines = text.split("\n")
     place = re.search(r"\s*\(at (?:line (\d+), column (\d+)|end of document)\)$", message)
     reason = message[: place.start()] if place else message
@@ -46,7 +63,7 @@ def _syntax_error(path: Path, text: str, message: str) -> InputError:
         line, column = len(lines), len(lines[-1]) + 1
     line_text = shown(lines[line - 1].strip()).strip('"')
     found = f"{reason[:1].lower()}{reason[1:]} in the line `{line_text}`"
-    return wrong(f"{path}: line {line}, column {column}", found, "TOML, such as key = value or [table]", "correct that line")
+    return wrong(f"{where}: line {line}, column {column}", found, "TOML, such as key = value or [table]", "correct that line")
 
 
 def validate[Schema: BaseModel](schema: type[Schema], data: Mapping[str, Any], where: str) -> Schema:

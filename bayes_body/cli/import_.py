@@ -1,40 +1,206 @@
 """`bayes-body import`: a laboratory's files become a session."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from bayes_body.errors import wrong
 
+if TYPE_CHECKING:
+    from bayes_body.recording.options import Options
+    from bayes_body.session import Session
+
+    type Importer = Callable[[Path, Path, Options], tuple[Session, list[str]]]
+
 app = typer.Typer(help="Make a session from a laboratory's files.", no_args_is_help=True)
 
+FILES, SUBJECT, TIME, SPACE = "Beside the source", "Subject and picture", "Time", "Space"
 
-@app.callback()
-def _group() -> None:
-    """Keeps `parsec` a sub-command while it is the only one."""
+Target = Annotated[Path, typer.Argument(help="Folder to write session.toml and check.png into.", show_default=False)]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace a session.toml that is there already, with what was edited in it.")]
+Masks = Annotated[
+    Path | None, typer.Option("--masks", help="Folder with CAMERA/ of numbered silhouettes, numbered as the frames.", rich_help_panel=FILES)
+]
+Background = Annotated[Path | None, typer.Option("--background", help="Folder with CAMERA.mp4, .png ... of the empty scene.", rich_help_panel=FILES)]
+Truth = Annotated[
+    Path | None, typer.Option("--truth", help="An .npz with true `markers` (frame, 15, 3), metres, and their `names`.", rich_help_panel=FILES)
+]
+Height = Annotated[float | None, typer.Option("--height", help="The subject's stature, metres.", rich_help_panel=SUBJECT)]
+Model = Annotated[str, typer.Option("--model", help="Definition whose body is drawn in check.png.", rich_help_panel=SUBJECT)]
+Fps = Annotated[float | None, typer.Option("--fps", help="Frames a second, if the recording does not say it, or wrongly.", rich_help_panel=TIME)]
+Offset = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--offset", metavar="CAMERA=FRAMES", help="The camera's own frame k + FRAMES is the others' frame k; repeatable.", rich_help_panel=TIME
+    ),
+]
+Unit = Annotated[str | None, typer.Option("--unit", help="Of the calibration's translations: m, cm or mm.", rich_help_panel=SPACE)]
+Up = Annotated[str | None, typer.Option("--up", help="The axis of the calibration's world that points up: x, y or z.", rich_help_panel=SPACE)]
+Layout = Annotated[
+    str | None,
+    typer.Option(
+        "--layout", help="Order of the keypoints: BODY_25, BODY_25B, COCO_17, COCO_18 or HALPE_26; found out by default.", rich_help_panel=FILES
+    ),
+]
+DEFAULT_MODEL = "deutscher_apf"
 
 
 @app.command()
 def parsec(
-    source: Path = typer.Argument(help="Folder of the PARSEC suite's bodytrack: CALIB, CAM1.., FG1.., BodyShapeParameters.txt, InitialPose.txt."),
-    session: Path = typer.Argument(help="Folder to write session.toml and check.png into."),
-    overwrite: bool = typer.Option(False, "--overwrite", help="Replace a session.toml that is there already, with what was edited in it."),
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="Folder of the PARSEC suite's bodytrack: CALIB, CAM1.., FG1.., BodyShapeParameters.txt, InitialPose.txt.", show_default=False
+        ),
+    ],
+    session: Target,
+    overwrite: Overwrite = False,
+    masks: Masks = None,
+    background: Background = None,
+    truth: Truth = None,
+    height: Height = None,
+    model: Model = DEFAULT_MODEL,
+    fps: Fps = None,
+    offset: Offset = None,
 ) -> None:
     """Cameras, images, masks, body shape and initial pose of the PARSEC suite's bodytrack."""
+    from bayes_body.recording.options import Options
     from bayes_body.recording.parsec import import_parsec
+
+    options = Options(None, None, fps, height, masks, background, truth, _offsets(offset))
+    _import(import_parsec, source, session, options, model, overwrite)
+
+
+@app.command()
+def pose2sim(
+    source: Annotated[
+        Path, typer.Argument(help="A Pose2Sim project: calibration/*.toml or *.qca.txt, videos/CAMERA.mp4, pose/CAMERA_json.", show_default=False)
+    ],
+    session: Target,
+    overwrite: Overwrite = False,
+    masks: Masks = None,
+    background: Background = None,
+    truth: Truth = None,
+    layout: Layout = None,
+    height: Height = None,
+    model: Model = DEFAULT_MODEL,
+    fps: Fps = None,
+    offset: Offset = None,
+    unit: Unit = None,
+    up: Up = None,
+) -> None:
+    """A Pose2Sim project as it lies: cameras, videos or images, and the first frame's keypoints if there are any."""
+    from bayes_body.recording.options import Options
+    from bayes_body.recording.pose2sim import import_pose2sim
+
+    options = Options(unit, up, fps, height, masks, background, truth, _offsets(offset), layout)
+    _import(import_pose2sim, source, session, options, model, overwrite)
+
+
+@app.command()
+def opencv(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="Folder with CAMERA.yml (xml, json) of each camera, or intri.yml and extri.yml, or Anipose's toml; and CAMERA.mp4 or CAMERA/.",
+            show_default=False,
+        ),
+    ],
+    session: Target,
+    overwrite: Overwrite = False,
+    masks: Masks = None,
+    background: Background = None,
+    truth: Truth = None,
+    height: Height = None,
+    model: Model = DEFAULT_MODEL,
+    fps: Fps = None,
+    offset: Offset = None,
+    unit: Unit = None,
+    up: Up = None,
+) -> None:
+    """Cameras calibrated with OpenCV, EasyMocap or Anipose, and their videos or images; --unit and --up must be given."""
+    from bayes_body.recording.opencv import import_opencv
+    from bayes_body.recording.options import Options
+
+    options = Options(unit, up, fps, height, masks, background, truth, _offsets(offset))
+    _import(import_opencv, source, session, options, model, overwrite)
+
+
+@app.command()
+def qualisys(
+    source: Annotated[
+        Path, typer.Argument(help="Folder with one *.qca.txt (or xml) of Qualisys Track Manager, and a video of each camera.", show_default=False)
+    ],
+    session: Target,
+    overwrite: Overwrite = False,
+    masks: Masks = None,
+    background: Background = None,
+    truth: Truth = None,
+    height: Height = None,
+    model: Model = DEFAULT_MODEL,
+    fps: Fps = None,
+    offset: Offset = None,
+    up: Up = None,
+) -> None:
+    """Video cameras of Qualisys Track Manager; z points up unless --up says otherwise."""
+    from bayes_body.recording.options import Options
+    from bayes_body.recording.qualisys import import_qualisys
+
+    options = Options(None, up, fps, height, masks, background, truth, _offsets(offset))
+    _import(import_qualisys, source, session, options, model, overwrite)
+
+
+def _offsets(texts: list[str] | None) -> dict[str, int]:
+    offsets: dict[str, int] = {}
+    for text in texts or []:
+        name, _, number = text.rpartition("=")
+        try:
+            frames = int(number)
+        except ValueError:
+            frames = None
+        if not name or frames is None or abs(frames) > 10**9:
+            raise wrong("--offset", f"'{text}'", "CAMERA=FRAMES, such as cam02=3", "give a camera's name and a whole number of frames")
+        if name in offsets:
+            raise wrong("--offset", f"camera '{name}' twice", "an offset for each camera", "leave one of them out")
+        offsets[name] = frames
+    return offsets
+
+
+def _import(importer: "Importer", source: Path, folder: Path, options: "Options", model: str, overwrite: bool) -> None:
+    """Run an importer, tell its remarks, and draw the picture by which a person checks the session."""
+    from bayes_body.cli.models import checked_definition
+    from bayes_body.config import configure
     from bayes_body.session import FILE_NAME
 
-    if (session / FILE_NAME).exists() and not overwrite:
-        raise wrong(session, f"holds a {FILE_NAME} already", "a folder without one", "name another, or replace it with --overwrite")
-    recording, remarks = import_parsec(source, session)
+    if (folder / FILE_NAME).exists() and not overwrite:
+        raise wrong(folder, f"holds a {FILE_NAME} already", "a folder without one", "name another, or replace it with --overwrite")
+    if model != DEFAULT_MODEL:
+        # Told before anything is written.
+        configure()
+        checked_definition(model)
+    session, remarks = importer(source, folder, options)
     for remark in remarks:
         typer.echo(f"note: {remark}")
+    picture = _draw(session, model, folder / "check.png")
+    typer.echo(f"{len(session.views)} cameras, {session.frames} frames at {session.fps:g} frames a second: {folder / FILE_NAME}")
+    typer.echo(f"Look at {picture}: the body should cover the person in every view, and the axes should stand where the world's origin is.")
+
+
+def _draw(session: "Session", name: str, path: Path) -> Path:
     from bayes_body.config import configure
 
     configure()
     from bayes_body.model import load_model
     from bayes_body.view.rig_check import draw_check
 
-    picture = draw_check(recording, load_model("deutscher_apf", recording), session / "check.png")
-    typer.echo(f"{len(recording.views)} cameras, {recording.frames} frames at {recording.fps:g} frames a second: {session / 'session.toml'}")
-    typer.echo(f"Look at {picture}: the body should cover the person in every view, and the axes should stand where the world's origin is.")
+    model = load_model(name, session)
+    if session.initial_markers or session.initial_keypoints:
+        from bayes_body.initial import apply_first_pose, first_pose
+
+        found = first_pose(model, session)
+        for remark in found.remarks:
+            typer.echo(f"note: first pose: {remark}")
+        model = apply_first_pose(model, session, found)
+    return draw_check(session, model, path)

@@ -1,41 +1,109 @@
 """A session's frames: what all cameras saw at one instant, and reading ahead of whoever works on them."""
 
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from functools import cached_property
+from typing import NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_body.errors import wrong
-from bayes_body.recording.images import read_grey, read_mask
-from bayes_body.session import Session
+from bayes_body.observation.pictures import check_index, read_colour, read_greys
+from bayes_body.observation.segmentation import EVEN
+from bayes_body.observation.silhouettes import has_silhouettes, silhouette_levels
+from bayes_body.recording.images import NotSeenError, read_mask
+from bayes_body.session import Session, View
 
 
 class Frame(NamedTuple):
-    """One instant, an entry for each view: `images` (height, width) of grey values, `masks` (height, width), or None where the session has none."""
+    """One instant, an entry for each view; None in place of what a camera did not see.
+
+    `images` are grey values (height, width). `masks` (height, width) are the session's files, or computed from the background; `foreground` is the
+    probability of foreground, in [0, 1], float32: 0 and 1 where masks are files. Both are made when an entry is first looked at, and may raise an
+    InputError then. An image that cannot be brought to the background's exposure has no silhouette, though it is there. Both are None as a whole
+    where the session can have no silhouettes: without masks, without an empty scene and with too few frames to learn the background from.
+    `sizes_px` are (width, height) of every camera's images, those that are not there included; () stands for those of `images`.
+    """
 
     index: int  # pyright: ignore[reportIncompatibleMethodOverride]
-    images: tuple[NDArray[np.uint8], ...]
-    masks: tuple[NDArray[np.bool_], ...] | None
+    images: tuple[NDArray[np.uint8] | None, ...]
+    masks: Sequence[NDArray[np.bool_] | None] | None
+    foreground: Sequence[NDArray[np.float32] | None] | None = None
+    sizes_px: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def seen(self) -> tuple[bool, ...]:
+        """Which cameras have an image of this frame."""
+        return tuple(image is not None for image in self.images)
+
+    @property
+    def largest(self) -> tuple[int, int]:
+        """(rows, columns) that hold an image of any camera: the same in every frame, whoever sees it."""
+        sizes = self.sizes_px or [image.shape[::-1] for image in self.images if image is not None]
+        return max(rows for _, rows in sizes), max(columns for columns, _ in sizes)
 
 
 def read_frame(session: Session, index: int) -> Frame:
     """Frame `index` of a session, counted from 0.
 
     Raises:
-        InputError: no such frame; an image is missing, cut short or not of its camera's size.
+        InputError: no such frame, no video, or an image that is not of its camera's size.
     """
-    if not 0 <= index < session.frames:
-        raise wrong(session.title, f"frame {index}", f"0 to {session.frames - 1}", "choose a frame of the session")
-    images = tuple(read_grey(session.image_path(view, index), view.camera.size_px) for view in session.views)
-    masks = []
-    for view in session.views:
-        path = session.mask_path(view, index)
+    check_index(session, index)
+    images = tuple(read_greys(session, index, view) for view in session.views)
+    sizes = tuple(view.camera.size_px for view in session.views)
+    if not has_silhouettes(session):
+        return Frame(index, images, None, None, sizes)
+    silhouettes = [_Silhouette(session, index, view, image is not None) for view, image in zip(session.views, images, strict=True)]
+    masks = _OnDemand([lambda s=s: s.mask for s in silhouettes])
+    return Frame(index, images, masks, _OnDemand([lambda s=s: s.foreground for s in silhouettes]), sizes)
+
+
+class _Silhouette:
+    """What a camera's image says of the person, computed once it is asked for."""
+
+    def __init__(self, session: Session, index: int, view: View, seen: bool):
+        self._session, self._index, self._view, self._seen = session, index, view, seen
+
+    @cached_property
+    def mask(self) -> NDArray[np.bool_] | None:
+        if not self._seen:
+            return None
+        path = self._session.mask_path(self._view, self._index)
         if path is None:
-            return Frame(index, images, None)
-        masks.append(read_mask(path, view.camera.size_px))
-    return Frame(index, images, tuple(masks))
+            return None if self._levels is None else self._levels > EVEN
+        try:
+            return read_mask(path, self._view.camera.size_px)
+        except NotSeenError:
+            return None
+
+    @cached_property
+    def foreground(self) -> NDArray[np.float32] | None:
+        if self._view.masks is not None:
+            return None if self.mask is None else self.mask.astype(np.float32)
+        return None if self._levels is None else self._levels * np.float32(1 / 255)
+
+    @cached_property
+    def _levels(self) -> NDArray[np.uint8] | None:
+        image = read_colour(self._session, self._index, self._view) if self._seen else None
+        return None if image is None else silhouette_levels(self._session, self._view, image)
+
+
+class _OnDemand[Item](Sequence[Item]):
+    """A sequence whose items are made when they are looked at."""
+
+    def __init__(self, make: Sequence[Callable[[], Item]]):
+        self._make = tuple(make)
+
+    def __len__(self) -> int:
+        return len(self._make)
+
+    @overload
+    def __getitem__(self, index: int) -> Item: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Item]: ...
+    def __getitem__(self, index: int | slice) -> Item | Sequence[Item]:
+        return _OnDemand(self._make[index]) if isinstance(index, slice) else self._make[index]()
 
 
 def prefetch[Item, Result](items: Iterable[Item], function: Callable[[Item], Result]) -> Generator[Result, None, None]:

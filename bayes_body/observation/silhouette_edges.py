@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.errors import wrong
-from bayes_body.maps import SilhouetteEdgeMaps, pack
+from bayes_body.maps import UNSEEN_SHARE, SilhouetteEdgeMaps, pack
 from bayes_body.observation.frames import Frame
 from bayes_body.registry import register
 from bayes_body.schema import Positive, Schema, Share
@@ -21,7 +21,8 @@ from bayes_body.schema import Positive, Schema, Share
 class Options(Schema):
     """Options of `[likelihood.observation]` of `silhouette_edges`.
 
-    A sample outside an image says nothing: it counts `unseen_error`, wherever it is; 0.5 lies half way between full agreement and none.
+    A sample outside an image says nothing: it counts `unseen_error`, wherever it is; 0.5 lies half way between full agreement and none. So does every
+    sample in a camera that did not see the frame, or whose silhouette is not to be had.
     """
 
     silhouette_smooth_px: Positive = 2.0
@@ -54,15 +55,25 @@ def smooth_silhouette(mask: NDArray[np.bool_], smooth_px: float) -> NDArray[np.f
 def build(options: Options, **_: Any) -> Callable[[Frame], SilhouetteEdgeMaps]:
     """From a frame's images and masks to the likelihood's maps, as NumPy arrays."""
 
+    def maps_of(image: NDArray[np.uint8], mask: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.uint32]:
+        silhouette = smooth_silhouette(mask, options.silhouette_smooth_px)
+        edges = edge_proximity(image, options.edge_threshold, options.edge_smooth_px)
+        return np.stack([pack((1 - value) ** 2, options.unseen_error, shape) for value in (silhouette, edges)])
+
     def observe(frame: Frame) -> SilhouetteEdgeMaps:
         if frame.masks is None:
-            raise wrong("session.toml", "its cameras have no masks", "a silhouette for every image", "give each [[camera]] its `masks`")
-        rows, columns = (max(image.shape[axis] for image in frame.images) for axis in (0, 1))
-        stacks = []
+            expected = "a silhouette for every image"
+            remedy = "give each [[camera]] its `masks`, or an image of the empty scene as `background`"
+            raise wrong("session.toml", "its cameras have no masks, and the frames are too few to learn the background from", expected, remedy)
+        unseen = pack(np.empty((0, 0), np.float32), options.unseen_error, frame.largest)
+        stacks, shares = [], []
         for image, mask in zip(frame.images, frame.masks, strict=True):
-            silhouette = smooth_silhouette(mask, options.silhouette_smooth_px)
-            edges = edge_proximity(image, options.edge_threshold, options.edge_smooth_px)
-            stacks.append(np.stack([pack((1 - value) ** 2, options.unseen_error, (rows, columns)) for value in (silhouette, edges)]))
-        return SilhouetteEdgeMaps(np.stack(stacks), np.array([mask.mean() for mask in frame.masks], np.float32))
+            if image is None or mask is None:
+                stacks.append(np.stack([unseen, unseen]))
+                shares.append(UNSEEN_SHARE)
+            else:
+                stacks.append(maps_of(image, mask, frame.largest))
+                shares.append(mask.mean())
+        return SilhouetteEdgeMaps(np.stack(stacks), np.array(shares, np.float32))
 
     return observe

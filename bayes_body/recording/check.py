@@ -1,43 +1,103 @@
 """Whether a session's files are there and are what its cameras say, without reading them all."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from bayes_body.errors import wrong
 from bayes_body.recording.faults import Faults
-from bayes_body.recording.images import read_grey, read_mask
+from bayes_body.recording.images import NotSeenError, check_size, is_image, read_colour, read_grey, read_mask
+from bayes_body.recording.video import probe, readable_frames
 from bayes_body.session import Session, View
 
+BLIND = "the camera counts as not seeing there"
 
-def check_session(session: Session) -> None:
-    """Look for every file of every frame by name, and read the first and the last frame of every camera.
+
+def check_session(session: Session) -> list[str]:
+    """Look for every file of every frame by name, read the first and the last image of every camera, and see how far every video goes.
+
+    Returns:
+        Remarks for the user, a sentence each: which frames some cameras did not see.
 
     Raises:
-        FaultyFileError: one sentence for each series with missing files, and for each image that cannot be used.
+        FaultyFileError: one sentence for each camera without any image, and for each file that is not what the session says.
     """
-    faults = Faults()
+    faults, remarks = Faults(), []
     for view in session.views:
-        for kind, paths in _series(session, view):
-            with faults.collect():
-                _check_present(f"{session.title}: camera '{view.camera.name}'", kind, paths)
-            read = read_mask if kind == "masks" else read_grey
-            # A missing file is in the sentence above already.
-            for path in (path for path in dict.fromkeys((paths[0], paths[-1])) if path.exists()):
-                with faults.collect():
-                    read(path, view.camera.size_px)
+        owner = f"camera '{view.camera.name}'"
+        with faults.collect():
+            if view.video is not None:
+                remarks += _check_video(session, view, owner)
+        for kind, path_of, read in (("images", session.image_path, read_grey), ("masks", session.mask_path, read_mask)):
+            if getattr(view, kind) is not None:
+                paths = [path for k in range(session.frames) if (path := path_of(view, k)) is not None]
+                remarks += _check_series(faults, owner, kind, paths, lambda path, read=read, view=view: read(path, view.camera.size_px))
+        with faults.collect():
+            _check_background(session, view)
     faults.raise_any()
+    return remarks
 
 
-def _series(session: Session, view: View) -> Iterator[tuple[str, list[Path]]]:
-    yield "images", [session.image_path(view, k) for k in range(session.frames)]
-    masks = [session.mask_path(view, k) for k in range(session.frames)]
-    if view.masks is not None:
-        yield "masks", [path for path in masks if path is not None]
+def _check_series(faults: Faults, owner: str, kind: str, paths: Sequence[Path], read: Callable[[Path], Any]) -> list[str]:
+    """Remarks on what is missing of a series of files; what is wrong with it goes to `faults`."""
+    present = [path for path in paths if path.exists()]
+    missing = [k for k, path in enumerate(paths) if not path.exists()]
+    remedy = f"correct {kind}, first_frame and frames in session.toml"
+    if not present:
+        with faults.collect():
+            raise wrong(
+                owner, f"all {len(paths)} {kind} are missing, the first is {paths[0]}", "a file for every frame", f"restore them, or {remedy}"
+            )
+        return []
+    remarks = [f"{owner}: {_share(len(missing), len(paths), kind)} ({named(missing)}): {BLIND}; restore them, or {remedy}."] if missing else []
+    with faults.collect():
+        read(present[0])
+    if len(present) > 1:
+        with faults.collect():
+            try:
+                read(present[-1])
+            except NotSeenError as error:
+                remarks.append(f"{owner}: {str(error).rstrip('.')}; in this frame {BLIND.removesuffix(' there')}.")
+    return remarks
 
 
-def _check_present(owner: str, kind: str, paths: Sequence[Path]) -> None:
-    missing = [path for path in paths if not path.exists()]
-    if missing:
-        found = f"{len(missing)} of {len(paths)} {kind} are missing, the first is {missing[0]}"
-        remedy = f"restore them, or correct {kind}, first_frame and frames in session.toml"
-        raise wrong(owner, found, "a file for every frame", remedy)
+def _share(count: int, whole: int, kind: str) -> str:
+    return f"{count} of {whole} {kind} {'is' if count == 1 else 'are'} missing"
+
+
+def _check_video(session: Session, view: View, owner: str) -> list[str]:
+    path = session.video_path(view)
+    if path is None:
+        return []
+    check_size(path, probe(path).size_px, view.camera.size_px)
+    first = session.number(view, 0)
+    readable = max(0, readable_frames(path, first + session.frames) - first)
+    if readable == 0:
+        found = f"{path} has {readable_frames(path, first + 1)} frames"
+        raise wrong(owner, found, f"more than {first}, the number of the first", "correct first_frame and the camera's offset in session.toml")
+    if readable == session.frames:
+        return []
+    missing = range(readable, session.frames)
+    found = f"{_share(len(missing), session.frames, 'frames')} ({named(missing)}), {path} ends before them"
+    return [f"{owner}: {found}: {BLIND}; copy the video again, or correct first_frame and frames in session.toml."]
+
+
+def _check_background(session: Session, view: View) -> None:
+    path = session.background_path(view)
+    if path is None:
+        return
+    if path.is_file() and is_image(path):
+        read_colour(path, view.camera.size_px)
+    else:
+        check_size(path, probe(path).size_px, view.camera.size_px)
+
+
+def named(frames: Sequence[int]) -> str:
+    """`frames 3, 7-9` of ascending numbers."""
+    ranges: list[list[int]] = []
+    for frame in frames:
+        if ranges and ranges[-1][1] == frame - 1:
+            ranges[-1][1] = frame
+        else:
+            ranges.append([frame, frame])
+    return f"frame{'s' if len(frames) > 1 else ''} " + ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in ranges)

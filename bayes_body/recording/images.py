@@ -18,6 +18,10 @@ MASK_THRESHOLD = 127
 _LOG_LEVEL = threading.Lock()
 
 
+class NotSeenError(InputError):
+    """A camera has no picture of a frame: the file is missing, cut short or no image. Whoever follows the recording may go on without it."""
+
+
 def read_grey(path: Path, size_px: tuple[int, int] | None = None) -> NDArray[np.uint8]:
     """An image's grey values, (height, width), 0 to 255; colours are weighted as OpenCV does.
 
@@ -26,14 +30,15 @@ def read_grey(path: Path, size_px: tuple[int, int] | None = None) -> NDArray[np.
         size_px: the (width, height) that it must have; None takes any.
 
     Raises:
-        InputError: missing, unreadable, cut short, no image, or of another size.
+        NotSeenError: missing, cut short, or no image.
+        InputError: it may not be read, or is of another size.
     """
-    image = _decode(path)
-    height, width = image.shape
-    if size_px is not None and (width, height) != tuple(size_px):
-        remedy = "use the images that the camera was calibrated with, or scale focal_px, centre_px and size_px to these"
-        raise wrong(path, f"{width} x {height} pixels", f"{size_px[0]} x {size_px[1]} as its camera has", remedy)
-    return image
+    return _read(path, size_px, cv2.IMREAD_GRAYSCALE)
+
+
+def read_colour(path: Path, size_px: tuple[int, int] | None = None) -> NDArray[np.uint8]:
+    """An image's blue, green and red, (height, width, 3), 0 to 255. Arguments and errors are those of `read_grey`."""
+    return _read(path, size_px, cv2.IMREAD_COLOR)
 
 
 def read_mask(path: Path, size_px: tuple[int, int] | None = None) -> NDArray[np.bool_]:
@@ -41,17 +46,38 @@ def read_mask(path: Path, size_px: tuple[int, int] | None = None) -> NDArray[np.
     return read_grey(path, size_px) > MASK_THRESHOLD
 
 
-def _decode(path: Path) -> NDArray[np.uint8]:
+def is_image(path: Path) -> bool:
+    """Whether OpenCV takes a file for an image, rather than for a video or nothing, by its first bytes."""
+    return cv2.haveImageReader(str(path))
+
+
+def check_size(path: Path, found: tuple[int, int], size_px: tuple[int, int] | None) -> None:
+    """Refuse pictures that are not of their camera's size, (width, height).
+
+    Raises:
+        InputError: they are not.
+    """
+    if size_px is not None and found != tuple(size_px):
+        remedy = "use the images that the camera was calibrated with, or scale focal_px, centre_px and size_px to these"
+        raise wrong(path, f"{found[0]} x {found[1]} pixels", f"{size_px[0]} x {size_px[1]} as its camera has", remedy)
+
+
+def not_seen(path: Path, found: str, expected: str, remedy: str) -> NotSeenError:
+    """The error of a frame without a picture, in the words of `bayes_body.errors.wrong`."""
+    return NotSeenError(str(wrong(path, found, expected, remedy)))
+
+
+def _read(path: Path, size_px: tuple[int, int] | None, flag: int) -> NDArray[np.uint8]:
     content = _content(path)
     missing = _missing_bytes(content)
     if missing:
-        raise wrong(path, f"cut short, {missing} of {len(content) + missing} bytes are missing", "a whole image", "copy the file again")
-    with _silent():
-        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
+        raise not_seen(path, f"cut short, {missing} of {len(content) + missing} bytes are missing", "a whole image", "copy the file again")
+    with silent():
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), flag)
     if image is None:
-        raise wrong(
-            path, f"no image that OpenCV can read, or cut short ({len(content)} bytes)", "a whole bmp, png, jpg or tiff", "copy the file again"
-        )
+        found = f"no image that OpenCV can read, or cut short ({len(content)} bytes)"
+        raise not_seen(path, found, "a whole bmp, png, jpg or tiff", "copy the file again")
+    check_size(path, (image.shape[1], image.shape[0]), size_px)
     return np.asarray(image, np.uint8)
 
 
@@ -62,13 +88,13 @@ def _content(path: Path) -> bytes:
         raise _unreadable(path, error) from None
     if not content:
         # OpenCV fails an assertion on it.
-        raise wrong(path, "empty", "an image", "copy the file again")
+        raise not_seen(path, "empty", "an image", "copy the file again")
     return content
 
 
 def _unreadable(path: Path, error: OSError) -> InputError:
     if isinstance(error, FileNotFoundError):
-        return wrong(path, "no such file", "an image", "restore it, or correct the session's image paths, first_frame and frames")
+        return not_seen(path, "no such file", "an image", "restore it, or correct the session's image paths, first_frame and frames")
     return wrong(path, f"cannot be read ({error.strerror})", "an image", "check the path and its permissions")
 
 
@@ -87,7 +113,7 @@ def _missing_bytes(content: bytes) -> int:
 
 
 @contextmanager
-def _silent() -> Iterator[None]:
+def silent() -> Iterator[None]:
     """Without OpenCV's own complaints on stderr: the error that follows says what they say."""
     with _LOG_LEVEL:
         level = cv2.utils.logging.getLogLevel()

@@ -1,33 +1,39 @@
 """A recording of the PARSEC suite's bodytrack (Intel 2006; also the layout of Balan et al.'s data) as a session."""
 
+from dataclasses import replace
 from pathlib import Path
 
-from bayes_body.errors import wrong
+from bayes_body.recording.assemble import saved, source_folder, with_options
 from bayes_body.recording.faults import Faults
+from bayes_body.recording.options import Options, check_fps, check_height
 from bayes_body.recording.parsec_subject import POSITIONS, read_subject
-from bayes_body.recording.parsec_views import read_views
-from bayes_body.session import Session, load_session, save_session
+from bayes_body.recording.parsec_views import REMARK_NO_MASKS, read_views
+from bayes_body.recording.timing import align
+from bayes_body.session import Session
 
 # The format does not say; the subject's steps and speed fit 60 (about 15 mm a frame).
 FPS = 60.0
 
 
-def import_parsec(source: Path, folder: Path) -> tuple[Session, list[str]]:
+def import_parsec(source: Path, folder: Path, options: Options | None = None) -> tuple[Session, list[str]]:
     """Write the session of a bodytrack folder; its images stay where they are.
 
     Args:
         source: holds CALIB, CAMc, FGc, BodyShapeParameters.txt, InitialPose.txt and PoseParameters.txt.
         folder: where `session.toml` is to lie; made if need be.
+        options: what the user said; unit and up axis are the format's own, millimetres and z.
 
     Returns:
         The session as saved, and remarks for the user, a sentence each.
 
     Raises:
         FaultyFileError: one sentence for each thing in the source that is missing or wrong.
-        InputError: `source` is no folder, or `folder` cannot be written.
+        InputError: `source` is no folder, an option is wrong, or `folder` cannot be written.
     """
-    if not source.is_dir():
-        raise wrong(source, "no such folder", "a bodytrack recording (CALIB, CAM1, FG1, InitialPose.txt ...)", "check the path")
+    options = options or Options()
+    source_folder(source, "a bodytrack recording (CALIB, CAM1, FG1, InitialPose.txt ...)")
+    check_height(options.height_m)
+    check_fps(options.fps)
     faults, recorded, known = Faults(), None, None
     with faults.collect():
         recorded = read_views(source)
@@ -36,20 +42,21 @@ def import_parsec(source: Path, folder: Path) -> tuple[Session, list[str]]:
     if recorded is None or known is None:
         faults.raise_any()
         raise AssertionError("a reader neither returned nor raised")
+    timing = align({view.camera.name: (recorded.first_frame, recorded.frames) for view in recorded.views}, options.offsets)
     session = Session(
         folder=folder.resolve(),
         title=f"bodytrack recording {source.resolve().name}",
         up="z",
-        fps=FPS,
-        frames=recorded.frames,
-        first_frame=recorded.first_frame,
-        views=recorded.views,
+        fps=options.fps or FPS,
+        frames=timing.frames,
+        first_frame=timing.first_frame,
+        views=tuple(replace(view, offset=timing.offsets[view.camera.name]) for view in recorded.views),
         subject=known.subject,
         initial=known.initial,
         positions=frozenset(POSITIONS),
     )
-    # Read back: what the caller works with is what the file says, rounded as it is.
-    return load_session(save_session(session)), [*recorded.remarks, *known.remarks, _fps_remark()]
+    remarks = [*recorded.remarks, *known.remarks, *timing.remarks, *([] if options.fps else [_fps_remark()])]
+    return saved(with_options(session, options)), [remark for remark in remarks if not (options.masks and remark == REMARK_NO_MASKS)]
 
 
 def _fps_remark() -> str:

@@ -6,13 +6,13 @@ $X_{camera} = R X_{world} + T$.
 
 import math
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.errors import wrong
+from bayes_body.recording.calibration import Calibrated
 from bayes_body.recording.faults import Faults
 from bayes_body.session_schema import rotation_fault
 
@@ -22,19 +22,8 @@ RODRIGUES_TOLERANCE = 1e-3
 MM = 1e-3
 
 
-class Calibration(NamedTuple):
-    """What a `.cal` file says of a camera: pixels and metres; `rotation` (3, 3) and `translation_m` (3,) take the world to the camera."""
-
-    focal_px: tuple[float, float]
-    centre_px: tuple[float, float]
-    skew: float
-    distortion: tuple[float, float, float, float, float]
-    rotation: NDArray[np.float64]
-    translation_m: NDArray[np.float64]
-
-
-def read_calibration(path: Path) -> Calibration:
-    """A camera's calibration.
+def read_calibration(path: Path) -> Calibrated:
+    """A camera's calibration, named as its file; the format says nothing of the images' size.
 
     Raises:
         InputError: not 25 finite numbers.
@@ -51,7 +40,7 @@ def read_calibration(path: Path) -> Calibration:
         _check_rotation(path, rotation, numbers[22:])
     faults.raise_any()
     fx, fy, cx, cy, skew, k1, k2, p1, p2, k3 = numbers[:10].tolist()
-    return Calibration((fx, fy), (cx, cy), skew, (k1, k2, p1, p2, k3), rotation, numbers[19:22] * MM)
+    return Calibrated(path.stem, None, (fx, fy), (cx, cy), skew, (k1, k2, p1, p2, k3), rotation, numbers[19:22] * MM)
 
 
 def _check_rotation(path: Path, rotation: NDArray[np.float64], vector: NDArray[np.float64]) -> None:

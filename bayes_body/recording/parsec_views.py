@@ -9,10 +9,10 @@ from bayes_body.errors import wrong
 from bayes_body.recording.faults import Faults
 from bayes_body.recording.images import read_grey, read_mask
 from bayes_body.recording.parsec_files import read_calibration
-from bayes_body.session import CameraSpec, View
+from bayes_body.session import View
 
 IMAGE = "image%04d.bmp"
-REMARK_NO_MASKS = "There are no FG folders: the session has no silhouettes, and likelihoods that need them cannot be used."
+REMARK_NO_MASKS = "There are no FG folders: the session has no silhouettes; they are told from a background that is learned from its images."
 
 
 class Recorded(NamedTuple):
@@ -107,7 +107,7 @@ def _view(camera: _Camera, first_frame: int) -> View | None:
     faults.raise_any()
     if calibration is None or size is None:
         return None
-    spec = CameraSpec(name=camera.images.name, size_px=size, **calibration._asdict())
+    spec = calibration._replace(name=camera.images.name).spec(size)
     return View(spec, _pattern(camera.images), _pattern(camera.masks) if camera.masks else None)
 
 

@@ -11,19 +11,21 @@ import numpy as np
 from cv2.typing import MatLike
 from jaxtyping import Float
 
+from bayes_body.draws import Draws, FrameResult
 from bayes_body.errors import wrong
-from bayes_body.files import make_folder
+from bayes_body.files import make_folder, replacing
 from bayes_body.model import Model
-from bayes_body.observation.frames import Frame, read_frame
-from bayes_body.posterior import equal_weight_draws, mean_poses
-from bayes_body.session import Session
-from bayes_body.tracking import Draws
+from bayes_body.observation.pictures import read_colour
+from bayes_body.posterior import equal_weight_poses, mean_pose
+from bayes_body.session import Session, View
 from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.silhouette import Outline, outlines
 
 # BGR, as OpenCV has it.
 LEFT, RIGHT, MIDDLE, INK = (255, 160, 40), (30, 130, 255), (90, 220, 60), (255, 255, 255)
+UNSEEN = 30
 TILE_HEIGHT = 480
+VIDEO = "overlay.mp4"
 FAN = 20
 STILLS = 5
 
@@ -40,45 +42,80 @@ def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = un
     Raises:
         InputError: the folder cannot be written, or an image of the session is gone.
     """
-    frames = draws.log_weights.shape[1]
-    stills = set(np.unique(np.linspace(0, frames - 1, min(STILLS, frames)).round().astype(int)))
-    means, fans = mean_poses(draws).mean(axis=0), _fans(draws)
-    written, video = [], None
+    frames = len(draws.frames)
+    stills = _stills(folder, frames)
+    video = None
     make_folder(folder / "overlay")
+    with replacing(folder / VIDEO) as partial:
+        try:
+            for index in watch(range(frames)):
+                result = draws.frames[index]
+                picture = mosaic(session, draws.model, index, mean_pose(result).mean(axis=0), _fan(result, index))
+                video = video or _open_video(partial, session.fps, picture)
+                video.write(picture)
+                if index in stills:
+                    _write(stills[index], picture)
+        finally:
+            if video:
+                video.release()
+        # OpenCV says nothing of a disk that is full.
+        if _frames_in(partial) != frames:
+            raise wrong(folder / VIDEO, "cannot be written whole", "a folder with room", "free some space")
+    for path in set((folder / "overlay").glob("frame_*.png")) - set(stills.values()):
+        path.unlink()
+    return [folder / VIDEO, *stills.values()]
+
+
+def is_drawn(folder: Path, frames: int) -> bool:
+    """Whether a folder holds the overlay of a run of so many frames."""
+    return all(path.exists() for path in _stills(folder, frames).values()) and _frames_in(folder / VIDEO) == frames
+
+
+def _stills(folder: Path, frames: int) -> dict[int, Path]:
+    chosen = np.unique(np.linspace(0, frames - 1, min(STILLS, frames)).round().astype(int))
+    return {int(index): folder / "overlay" / f"frame_{index:06d}.png" for index in chosen}
+
+
+def _frames_in(video: Path) -> int:
+    """0 where there is none, or it is not whole."""
+    if not video.exists():
+        return 0
+    reader = cv2.VideoCapture(str(video))
     try:
-        for index in watch(range(frames)):
-            picture = mosaic(session, draws.model, read_frame(session, index), means[index], fans[index])
-            video = video or _open_video(folder / "overlay.mp4", session.fps, picture)
-            video.write(picture)
-            if index in stills:
-                written.append(_write(folder / "overlay" / f"frame_{index:06d}.png", picture))
+        return int(reader.get(cv2.CAP_PROP_FRAME_COUNT))
     finally:
-        if video:
-            video.release()
-    return [folder / "overlay.mp4", *written]
+        reader.release()
 
 
-def _fans(draws: Draws) -> Float[np.ndarray, "frame draw dof"]:
-    """A few draws a frame, from all runs alike."""
-    runs = draws.log_weights.shape[0]
-    sample = equal_weight_draws(draws, max(1, FAN // runs))
-    return np.concatenate(list(sample), axis=1)[:, :FAN]
+def _fan(result: FrameResult, index: int) -> Float[np.ndarray, "draw dof"]:
+    """A few draws of a frame, from all runs alike."""
+    sample = equal_weight_poses(result, index, max(1, FAN // result.log_weights.shape[0]))
+    return np.concatenate(list(sample))[:FAN]
 
 
-def mosaic(session: Session, model: Model, frame: Frame, mean: Float[np.ndarray, " dof"], fan: Float[np.ndarray, "draw dof"]) -> MatLike:
-    """One frame, all cameras in a grid: the mean body and a fan of draws over the images."""
+def mosaic(session: Session, model: Model, index: int, mean: Float[np.ndarray, " dof"], fan: Float[np.ndarray, "draw dof"]) -> MatLike:
+    """One frame, all cameras in a grid: the mean body and a fan of draws over the images, or over a dark tile where a camera did not see."""
     drawn = [outlines(model, pose) for pose in fan]
     strong = outlines(model, mean)
-    tiles = [
-        label(fit(paint(image, strong[c], [each[c] for each in drawn])), f"{view.camera.name}  frame {frame.index}")
-        for c, (image, view) in enumerate(zip(frame.images, session.views, strict=True))
-    ]
+    tiles = []
+    for c, view in enumerate(session.views):
+        picture, note = backdrop(session, index, view)
+        tiles.append(label(fit(paint(picture, strong[c], [each[c] for each in drawn])), f"{view.camera.name}  frame {index}{note}"))
     return grid(tiles)
 
 
+def backdrop(session: Session, index: int, view: View) -> tuple[MatLike, str]:
+    """A camera's image of a frame, in colours, and nothing to add; or a plain dark picture of its size, and that it did not see."""
+    image = read_colour(session, index, view)
+    if image is not None:
+        return image, ""
+    width, height = view.camera.size_px
+    return np.full((height, width, 3), UNSEEN, np.uint8), "\nnot seen"
+
+
 def paint(image: MatLike, strong: list[Outline], fan: list[list[Outline]]) -> MatLike:
-    """A grey image in colours, with thin outlines half transparent under strong ones."""
-    picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    """The image, in colours, with thin outlines half transparent under strong ones."""
+    picture = image.copy()
     thin = picture.copy()
     for each in fan:
         _draw(thin, each, 1)
@@ -107,9 +144,10 @@ def fit(picture: MatLike) -> MatLike:
 
 
 def label(picture: MatLike, text: str) -> MatLike:
-    """The picture with a line of text in its upper left corner."""
-    for thickness, ink in ((4, (0, 0, 0)), (1, INK)):
-        cv2.putText(picture, text, (10, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.6, ink, thickness, cv2.LINE_AA)
+    """The picture with lines of text in its upper left corner."""
+    for row, line in enumerate(text.splitlines()):
+        for thickness, ink in ((4, (0, 0, 0)), (1, INK)):
+            cv2.putText(picture, line, (10, 24 + 22 * row), cv2.FONT_HERSHEY_SIMPLEX, 0.6, ink, thickness, cv2.LINE_AA)
     return picture
 
 
@@ -129,7 +167,7 @@ def _open_video(path: Path, fps: float, picture: MatLike) -> cv2.VideoWriter:
     return video
 
 
-def _write(path: Path, picture: MatLike) -> Path:
-    if not cv2.imwrite(str(path), picture):
-        raise wrong(path, "cannot be written", "a folder that can be written", "check its permissions and free space")
-    return path
+def _write(path: Path, picture: MatLike) -> None:
+    # Encoded in memory: OpenCV's own files are cut short on a full disk without a word.
+    with replacing(path) as partial:
+        partial.write_bytes(cv2.imencode(".png", picture)[1].tobytes())

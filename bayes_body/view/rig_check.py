@@ -1,4 +1,4 @@
-"""One picture that tells whether an import is right: all cameras, the world's axes, and the initial body projected."""
+"""One picture that tells whether an import is right: all cameras, the world's axes and floor, and the initial body projected."""
 
 from pathlib import Path
 
@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from cv2.typing import MatLike
+from jaxtyping import Bool, Float
 
 from bayes_body.camera import Camera, project
 from bayes_body.errors import wrong
@@ -14,29 +15,41 @@ from bayes_body.files import make_folder
 from bayes_body.model import Model
 from bayes_body.observation.frames import read_frame
 from bayes_body.session import Session
-from bayes_body.view.overlay import fit, grid, label, paint
+from bayes_body.view.overlay import backdrop, fit, grid, label, paint
 from bayes_body.view.silhouette import intersection_over_union, outlines, projected_masks
 
 AXIS_M = 0.5
 # x red, y green, z blue; BGR.
 AXIS_COLOURS = ((40, 40, 255), (40, 220, 40), (255, 90, 40))
+# The floor's tiles are a metre wide; it reaches so far from the origin. Lines are drawn in short pieces: lenses bend them.
+FLOOR_M, PIECE_M = 3, 0.1
+FLOOR_COLOUR = (200, 200, 200)
 
 
 def draw_check(session: Session, model: Model, path: Path) -> Path:
-    """The picture, for the first frame; axes of half a metre from the world's origin, and how much of the silhouette the body covers.
+    """The picture, for the first frame.
+
+    Axes of half a metre from the world's origin, the upward one labelled; a grid of one-metre tiles at height 0, which lies on the real floor if the
+    world stands on it; and, where the session has masks, how much of them the body covers.
 
     Raises:
         InputError: the picture cannot be written, or an image cannot be read.
     """
-    frame = read_frame(session, 0)
     pose = np.asarray(model.initial["pose"])
     bodies, silhouettes = outlines(model, pose), projected_masks(model, pose, session)
+    # A background is not learned for this.
+    masks = read_frame(session, 0).masks if all(view.masks for view in session.views) else None
     tiles = []
     for c, view in enumerate(session.views):
-        picture = paint(frame.images[c], bodies[c], [])
-        note = "" if _draw_axes(picture, jax.tree.map(lambda leaf, c=c: leaf[c], model.rig)) else "  (world origin not in view)"
-        if frame.masks is not None:
-            note = f"  IoU with its mask {intersection_over_union(silhouettes[c], frame.masks[c]):.2f}{note}"
+        picture, note = backdrop(session, 0, view)
+        camera = jax.tree.map(lambda leaf, c=c: leaf[c], model.rig)
+        picture = _draw_floor(picture, camera, "xyz".index(session.up))
+        picture = paint(picture, bodies[c], [])
+        if not _draw_axes(picture, camera, session.up):
+            note += "\nworld origin not in view"
+        mask = None if masks is None else masks[c]
+        if mask is not None:
+            note = f"\nIoU with its mask {intersection_over_union(silhouettes[c], mask):.2f}{note}"
         tiles.append(label(fit(picture), f"{view.camera.name}{note}"))
     make_folder(path.parent)
     if not cv2.imwrite(str(path), grid(tiles)):
@@ -44,16 +57,51 @@ def draw_check(session: Session, model: Model, path: Path) -> Path:
     return path
 
 
-def _draw_axes(picture: MatLike, camera: Camera) -> bool:
+def _draw_axes(picture: MatLike, camera: Camera, up: str) -> bool:
     """Draw the axes from the world's origin; False if the origin is not in the image."""
     points, visible = (np.asarray(out) for out in project(camera, AXIS_M * jnp.concatenate([jnp.zeros((1, 3)), jnp.eye(3)])))
-    height, width = picture.shape[:2]
-    inside = visible & (points >= 0).all(axis=1) & (points < (width, height)).all(axis=1)
-    if not inside[0]:
+    if not _inside(picture, points, visible)[0]:
         return False
-    ends = np.round(points).astype(int)
+    ends, scale = np.round(points).astype(int), _scale(picture)
     for end, seen, colour, name in zip(ends[1:], visible[1:], AXIS_COLOURS, "xyz", strict=True):
         if seen:
-            cv2.arrowedLine(picture, tuple(ends[0]), tuple(end), colour, 3, cv2.LINE_AA, tipLength=0.1)
-            cv2.putText(picture, name, tuple(end + 4), cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, 2, cv2.LINE_AA)
+            cv2.arrowedLine(picture, tuple(ends[0]), tuple(end), colour, round(3 * scale), cv2.LINE_AA, tipLength=0.1)
+            text = f"{name} (up)" if name == up else name
+            cv2.putText(picture, text, tuple(end + 4), cv2.FONT_HERSHEY_SIMPLEX, 0.6 * scale, colour, round(2 * scale), cv2.LINE_AA)
     return True
+
+
+def _draw_floor(picture: MatLike, camera: Camera, up: int) -> MatLike:
+    """The picture with one-metre tiles in the plane through the world's origin, half transparent."""
+    lines = _floor_lines(up)
+    points, visible = (np.asarray(out) for out in project(camera, jnp.asarray(lines.reshape(-1, 3), float)))
+    shown = _inside(picture, points, visible).reshape(lines.shape[:2])
+    pixels = np.round(np.where(np.isfinite(points), points, 0)).astype(int).reshape(*lines.shape[:2], 2)
+    drawn = picture.copy()
+    for line, seen in zip(pixels, shown, strict=True):
+        for k in np.flatnonzero(seen[:-1] & seen[1:]):
+            cv2.line(drawn, tuple(line[k]), tuple(line[k + 1]), FLOOR_COLOUR, max(1, round(_scale(picture))), cv2.LINE_AA)
+    return cv2.addWeighted(drawn, 0.6, picture, 0.4, 0)
+
+
+def _floor_lines(up: int) -> Float[np.ndarray, "line point 3"]:
+    """Lines a metre apart along both horizontal axes, as points in the world."""
+    along = np.linspace(-FLOOR_M, FLOOR_M, round(2 * FLOOR_M / PIECE_M) + 1)
+    first, second = (axis for axis in range(3) if axis != up)
+    lines = []
+    for fixed, running in ((first, second), (second, first)):
+        for value in range(-FLOOR_M, FLOOR_M + 1):
+            line = np.zeros((along.size, 3))
+            line[:, fixed], line[:, running] = value, along
+            lines.append(line)
+    return np.stack(lines)
+
+
+def _inside(picture: MatLike, points: Float[np.ndarray, "point 2"], visible: Bool[np.ndarray, " point"]) -> Bool[np.ndarray, " point"]:
+    height, width = picture.shape[:2]
+    return visible & (points >= 0).all(axis=1) & (points < (width, height)).all(axis=1)
+
+
+def _scale(picture: MatLike) -> float:
+    """Of lines and letters, so that they are alike in tiles of one height."""
+    return max(1.0, picture.shape[0] / 480)

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+import xarray as xr
 
 
 def test_import_leaves_a_session_and_a_picture(cli, bodytrack, tmp_path):
@@ -83,20 +84,124 @@ def test_images_that_cannot_be_used(cli, copy, tmp_path, fault):
 
 
 LATER = {
-    "missing": ("CAM2/image0002.bmp", _missing, ["CAM2", "image0002.bmp", "missing", "restore"]),
-    "truncated": ("CAM2/image0003.bmp", _truncated, ["CAM2/image0003.bmp", "cut short", "expected a whole image"]),
-    "truncated between": ("CAM2/image0002.bmp", _truncated, ["CAM2/image0002.bmp", "cut short", "expected a whole image"]),
     "another size": ("CAM1/image0003.bmp", _small, ["CAM1/image0003.bmp", "20 x 10", "expected 640 x 480", "scale focal_px"]),
     "masks of another size": ("FG4/image0001.bmp", _small, ["FG4/image0001.bmp", "20 x 10", "expected 640 x 480"]),
 }
+LOST = {
+    "missing": ("CAM2/image0002.bmp", _missing),
+    "truncated": ("CAM2/image0003.bmp", _truncated),
+    "truncated between": ("CAM2/image0002.bmp", _truncated),
+}
+
+
+@pytest.fixture
+def damaged(cli, copy, tmp_path):
+    """`damaged(name, damage)`: what tracking says when an image was damaged after the import."""
+    from bayes_body.recording.parsec import import_parsec
+
+    def call(name, damage):
+        path = copy.image(name)
+        import_parsec(copy.folder, tmp_path / "walk")
+        damage(path)
+        return cli("track", tmp_path / "walk", "--out", tmp_path / "run", "--particles", 4, "--layers", 1)
+
+    return call
 
 
 @pytest.mark.parametrize("fault", LATER)
-def test_images_damaged_after_the_import(cli, copy, tmp_path, fault):
-    from bayes_body.recording.parsec import import_parsec
-
+def test_images_damaged_after_the_import(damaged, fault):
     name, damage, parts = LATER[fault]
-    path = copy.image(name)
-    import_parsec(copy.folder, tmp_path / "walk")
-    damage(path)
-    cli("track", tmp_path / "walk", "--out", tmp_path / "run", "--particles", 4, "--layers", 1).refuses(*parts)
+    damaged(name, damage).refuses(*parts)
+
+
+@pytest.mark.parametrize("fault", LOST)
+def test_images_lost_after_the_import_are_frames_that_a_camera_did_not_see(damaged, tmp_path, fault):
+    name, damage = LOST[fault]
+    outcome = damaged(name, damage)
+    assert outcome.status == 0, outcome.err
+    unseen = np.argwhere(~xr.open_datatree(tmp_path / "run" / "posterior.nc")["filter"]["seen"].values.astype(bool))
+    np.testing.assert_array_equal(unseen, [[int(name[-5]), 1]])
+
+
+@pytest.fixture
+def laboratory(tmp_path):
+    """A camera with OpenCV's calibration in millimetres, and its images."""
+    folder = tmp_path / "lab"
+    (folder / "left").mkdir(parents=True)
+    for k in range(3):
+        cv2.imwrite(str(folder / "left" / f"{k:03d}.png"), np.full((120, 160), 100, np.uint8))
+    file = cv2.FileStorage(str(folder / "left.yml"), cv2.FILE_STORAGE_WRITE)
+    # It looks along the world's x axis, with z up, from 4 m.
+    values = (
+        np.array([[150.0, 0, 80], [0, 150, 60], [0, 0, 1]]),
+        np.zeros(5),
+        np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]),
+        np.array([0, 1e3, 4e3]),
+    )
+    for key, value in zip(("K", "dist", "R", "T"), values, strict=True):
+        file.write(key, value)
+    file.release()
+    return folder
+
+
+SAID = ("--unit", "mm", "--up", "z", "--fps", "30")
+
+
+def test_import_of_opencvs_calibration(cli, laboratory, tmp_path):
+    outcome = cli("import", "opencv", laboratory, tmp_path / "walk", *SAID, "--height", "1.8", "--offset", "left=1")
+    assert outcome.status == 0, outcome.err
+    assert "1 cameras, 2 frames at 30 frames a second" in outcome.out
+    assert "note: There are no masks" in outcome.out
+    picture = cv2.imread(str(tmp_path / "walk" / "check.png"))
+    assert picture is not None and picture.std() > 1
+    text = (tmp_path / "walk" / "session.toml").read_text()
+    assert "height_m = 1.8" in text and f"{laboratory}/left/%03d.png" in text
+    cli("import", "opencv", laboratory, tmp_path / "walk", *SAID).refuses("holds a session.toml already", "--overwrite")
+
+
+OPTIONS = {
+    "no unit": (("--up", "z", "--fps", "30"), ["--unit: not given", "expected m, cm or mm"]),
+    "no up": (("--unit", "mm", "--fps", "30"), ["--up: not given", "expected x, y or z"]),
+    "no rate": (("--unit", "mm", "--up", "z"), ["--fps: not given, and no recording says"]),
+    "another unit": (("--unit", "m", "--up", "z", "--fps", "30"), ["factor of 1000"]),
+    "height in mm": ((*SAID, "--height", "1800"), ["--height: 1800; expected metres", "millimetres, divide by 1000"]),
+    "no such camera": ((*SAID, "--offset", "lefd=1"), ["--offset: 'lefd': no such camera; did you mean 'left'?"]),
+    "no number of frames": ((*SAID, "--offset", "left"), ["--offset: 'left'; expected CAMERA=FRAMES"]),
+    "twice": ((*SAID, "--offset", "left=1", "--offset", "left=2"), ["--offset: camera 'left' twice"]),
+    "no masks": ((*SAID, "--masks", "nowhere"), ["nowhere/left: no numbered images in it"]),
+    "no truth": ((*SAID, "--truth", "nowhere.npz"), ["nowhere.npz: no such file"]),
+    "no model": ((*SAID, "--model", "nobody"), ["nobody"]),
+}
+
+
+@pytest.mark.parametrize("fault", OPTIONS)
+def test_options_that_cannot_be(cli, laboratory, tmp_path, fault):
+    arguments, parts = OPTIONS[fault]
+    cli("import", "opencv", laboratory, tmp_path / "walk", *arguments).refuses(*parts)
+    assert not (tmp_path / "walk").exists()
+
+
+def test_options_of_bodytrack(cli, bodytrack, tmp_path):
+    offsets = ("--offset", "CAM1=1", "--offset", "CAM2=1", "--offset", "CAM3=1", "--offset", "CAM4=1")
+    outcome = cli("import", "parsec", bodytrack, tmp_path / "walk", "--fps", "50", *offsets, "--masks", bodytrack)
+    # A folder of masks for each camera, as its images are named: here the images themselves.
+    assert outcome.status == 0, outcome.err
+    assert "4 cameras, 3 frames at 50 frames a second" in outcome.out
+    assert "are assumed" not in outcome.out
+    text = (tmp_path / "walk" / "session.toml").read_text()
+    assert "first_frame = 1" in text and f'masks = "{bodytrack}/CAM1/image%04d.bmp"' in text
+
+
+def test_the_verbs_are_told(cli):
+    outcome = cli("import", "--help")
+    assert outcome.status == 0
+    assert all(verb in outcome.out for verb in ("parsec", "pose2sim", "opencv", "qualisys"))
+
+
+@pytest.mark.slow
+def test_the_real_project_of_pose2sim(cli, pose2sim_beam, tmp_path):
+    outcome = cli("import", "pose2sim", pose2sim_beam, tmp_path / "beam", "--height", "1.72")
+    assert outcome.status == 0, outcome.err
+    assert "4 cameras, 100 frames at 60 frames a second" in outcome.out
+    assert "taken as BODY_25B" in outcome.out
+    assert cv2.imread(str(tmp_path / "beam" / "check.png")) is not None

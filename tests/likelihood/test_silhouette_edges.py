@@ -113,6 +113,28 @@ def test_out_of_sight_counts_what_the_observation_says(scene):
     assert log_likelihood(man, man.pose.at[0].set(50.0), maps) == pytest.approx(-4 * 0.2, rel=1e-5)
 
 
+@pytest.mark.parametrize("gamma", [0.0, 5.0])
+def test_cameras_that_did_not_see_say_nothing(x64, scene, gamma):
+    """One adds a constant, whatever the pose; two leave nothing but constants, and no slope."""
+    man = scene("deutscher_31")
+    poses = [man.pose, man.pose.at[7].add(0.4), man.pose.at[0].add(0.2)]
+
+    def values(seen: tuple[bool, ...]) -> list[float]:
+        frame = man.frame._replace(
+            images=tuple(image if s else None for image, s in zip(man.frame.images, seen, strict=True)),
+            sizes_px=tuple(image.shape[::-1] for image in man.frame.images),
+        )
+        maps = man._replace(frame=frame).maps()
+        return [float(log_likelihood(man, pose, maps, gamma=gamma)) for pose in poses]
+
+    np.testing.assert_allclose(values((False, False)), -4 * round(255 * UNSEEN) / 255, rtol=1e-9)
+    both, first, second = values((True, True)), values((True, False)), values((False, True))
+    np.testing.assert_allclose(np.add(first, second), np.subtract(both, 4 * round(255 * UNSEEN) / 255), rtol=1e-9)
+    blind = man._replace(frame=man.frame._replace(images=(None, None), sizes_px=((160, 120), (128, 104)))).maps()
+    slope = jax.grad(lambda pose: log_likelihood(man, pose, blind, gamma=gamma))(man.pose)
+    np.testing.assert_allclose(slope, 0, atol=1e-9)
+
+
 def test_at_equal_areas_w_is_one(x64, scene):
     man = scene("deutscher_31")
     equal = man.maps()._replace(foreground=projected_area(man.body, man.rig, man.pose, (80, 60)))

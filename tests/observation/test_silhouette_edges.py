@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayes_body.errors import InputError
-from bayes_body.maps import BORDER, EDGES, SILHOUETTE
+from bayes_body.maps import BORDER, EDGES, SILHOUETTE, UNSEEN_SHARE
 from bayes_body.observation.frames import Frame
 from bayes_body.observation.silhouette_edges import edge_proximity, smooth_silhouette
 from bayes_body.registry import find
@@ -97,7 +97,24 @@ def test_the_real_silhouette_is_a_small_part_of_each_image(bodytrack, tmp_path):
     assert np.all(silhouettes.mean(axis=(1, 2)) > 0.6)
 
 
+def test_a_camera_that_did_not_see_says_the_same_everywhere():
+    rng = np.random.default_rng(6)
+    image, mask = rng.integers(0, 256, (20, 30)).astype(np.uint8), rng.random((20, 30)) < 0.3
+    sizes = ((30, 20), (26, 24), (30, 20))
+    maps = observe(Frame(0, (image, None, image), (mask, None, None), sizes_px=sizes), unseen_error=0.4)
+    whole = observe(Frame(0, (image,) * 3, (mask,) * 3, sizes_px=sizes), unseen_error=0.4)
+    assert maps.errors.shape == whole.errors.shape == (3, 2, 24 + 2 * BORDER, 30 + 2 * BORDER)
+    np.testing.assert_array_equal(maps.errors[0], whole.errors[0])
+    assert maps.foreground[0] == whole.foreground[0]
+    for camera in (1, 2):
+        assert (np.asarray(maps.errors[camera]).view(np.uint8) == round(0.4 * 255)).all()
+        assert maps.foreground[camera] == UNSEEN_SHARE
+
+
 def test_a_session_without_masks():
     with pytest.raises(InputError) as error:
         observe(Frame(0, (np.zeros((4, 5), np.uint8),), None))
-    assert str(error.value) == ("session.toml: its cameras have no masks; expected a silhouette for every image; give each [[camera]] its `masks`.")
+    assert str(error.value) == (
+        "session.toml: its cameras have no masks, and the frames are too few to learn the background from; expected a silhouette for every image; "
+        "give each [[camera]] its `masks`, or an image of the empty scene as `background`."
+    )

@@ -1,12 +1,15 @@
-"""The check of a whole session, on a damaged copy of the real recording."""
+"""The check of a whole session, on a damaged copy of the real recording and on videos."""
+
+import dataclasses
 
 import cv2
 import numpy as np
 import pytest
 
 from bayes_body.errors import FaultyFileError
-from bayes_body.recording.check import check_session
+from bayes_body.recording.check import check_session, named
 from bayes_body.recording.parsec import import_parsec
+from bayes_body.session import View
 
 
 @pytest.fixture
@@ -23,22 +26,96 @@ def sentences(session) -> tuple[str, ...]:
     return error.value.sentences
 
 
-def test_missing_images_are_one_sentence_a_camera(damaged):
-    session, images, _ = damaged
+def spoil(path, content: bytes) -> None:
+    path.unlink()
+    path.write_bytes(content)
+
+
+def test_a_whole_session_has_no_remarks(damaged):
+    assert check_session(damaged[0]) == []
+
+
+def test_missing_images_are_one_remark_a_camera(damaged):
+    session, images, masks = damaged
     for number in (1, 2):
         (images / f"image000{number}.bmp").unlink()
+    (masks / "image0000.bmp").unlink()
+    assert check_session(session) == [
+        "camera 'CAM2': 2 of 4 images are missing (frames 1-2): the camera counts as not seeing there; "
+        "restore them, or correct images, first_frame and frames in session.toml.",
+        "camera 'CAM2': 1 of 4 masks is missing (frame 0): the camera counts as not seeing there; "
+        "restore them, or correct masks, first_frame and frames in session.toml.",
+    ]
+
+
+def test_a_series_that_is_missing_is_an_error(damaged):
+    session, images, _ = damaged
+    for path in images.iterdir():
+        path.unlink()
     (sentence,) = sentences(session)
-    assert "camera 'CAM2': 2 of 4 images are missing, the first is" in sentence
-    assert "CAM2/image0001.bmp; expected a file for every frame; restore them, or correct images, first_frame and frames" in sentence
+    assert "camera 'CAM2': all 4 images are missing, the first is" in sentence
+    assert "CAM2/image0000.bmp; expected a file for every frame; restore them, or correct images, first_frame and frames" in sentence
 
 
-def test_last_image_cut_short_and_mask_of_another_size(damaged):
+def test_last_image_cut_short_is_a_remark_and_a_mask_of_another_size_an_error(damaged):
     session, images, masks = damaged
-    whole = (images / "image0003.bmp").read_bytes()
-    (images / "image0003.bmp").unlink()
-    (images / "image0003.bmp").write_bytes(whole[:5000])
+    spoil(images / "image0003.bmp", (images / "image0003.bmp").read_bytes()[:5000])
+    (remark,) = check_session(session)
+    assert "camera 'CAM2': " in remark
+    assert "CAM2/image0003.bmp: cut short, 303278 of 308278 bytes are missing" in remark
+    assert remark.endswith("in this frame the camera counts as not seeing.")
     (masks / "image0003.bmp").unlink()
     cv2.imwrite(str(masks / "image0003.bmp"), np.zeros((100, 200), np.uint8))
-    cut, size = sentences(session)
-    assert "CAM2/image0003.bmp: cut short, 303278 of 308278 bytes are missing" in cut
+    (size,) = sentences(session)
     assert "FG2/image0003.bmp: 200 x 100 pixels; expected 640 x 480 as its camera has; use the images" in size
+
+
+def test_a_first_image_that_is_none_is_an_error(damaged):
+    session, images, _ = damaged
+    spoil(images / "image0000.bmp", b"hello")
+    (sentence,) = sentences(session)
+    assert "CAM2/image0000.bmp: no image that OpenCV can read" in sentence
+
+
+@pytest.fixture
+def filmed(textured_session, tmp_path):
+    """`filmed(frames=..., **fields)`: a session of one camera with a video of 12 frames."""
+    camera = textured_session.views[0].camera
+    writer = cv2.VideoWriter(str(tmp_path / "a.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, camera.size_px)
+    for level in range(12):
+        image = np.full((*camera.size_px[::-1], 3), 40, np.uint8)
+        image[level : level + 30] = 200
+        writer.write(image)
+    writer.release()
+
+    def make(frames: int, first_frame: int = 0, **fields):
+        view = View(dataclasses.replace(camera, **fields.pop("camera", {})), video="a.avi", **fields)
+        return dataclasses.replace(textured_session, folder=tmp_path, views=(view,), frames=frames, first_frame=first_frame)
+
+    return make
+
+
+def test_a_video_that_ends_early_is_a_remark(filmed):
+    assert check_session(filmed(12)) == check_session(filmed(10, offset=2)) == []
+    (remark,) = check_session(filmed(12, offset=2))
+    assert "camera 'a': 2 of 12 frames are missing (frames 10-11), " in remark
+    assert "a.avi ends before them: the camera counts as not seeing there; copy the video again, or correct first_frame and frames" in remark
+
+
+def test_a_video_that_cannot_be_used_is_an_error(filmed, tmp_path):
+    assert "a.avi has 12 frames; expected more than 30, the number of the first" in sentences(filmed(3, first_frame=30))[0]
+    assert "a.avi: 160 x 120 pixels; expected 100 x 120 as its camera has" in sentences(filmed(3, camera={"size_px": (100, 120)}))[0]
+    (tmp_path / "a.avi").unlink()
+    assert "a.avi: no such file; expected a video" in sentences(filmed(3))[0]
+
+
+def test_the_empty_scene_is_looked_at(filmed, tmp_path):
+    cv2.imwrite(str(tmp_path / "empty.png"), np.zeros((120, 160), np.uint8))
+    cv2.imwrite(str(tmp_path / "small.png"), np.zeros((60, 80), np.uint8))
+    assert check_session(filmed(3, background="empty.png")) == check_session(filmed(3, background="a.avi")) == []
+    assert "small.png: 80 x 60 pixels; expected 160 x 120 as its camera has" in sentences(filmed(3, background="small.png"))[0]
+    assert "none.png: no such file" in sentences(filmed(3, background="none.png"))[0]
+
+
+def test_frames_are_named_in_ranges():
+    assert [named(frames) for frames in ([4], [1, 2, 3], [0, 2, 3, 9])] == ["frame 4", "frames 1-3", "frames 0, 2-3, 9"]

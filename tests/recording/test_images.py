@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayes_body.errors import InputError
-from bayes_body.recording.images import read_grey, read_mask
+from bayes_body.recording.images import NotSeenError, is_image, read_colour, read_grey, read_mask
 
 GREY = np.random.default_rng(3).integers(0, 256, (37, 51), dtype=np.uint8)
 
@@ -25,6 +25,19 @@ def test_reads_grey_values_and_masks(path):
     np.testing.assert_array_equal(read_mask(path), GREY > 127)
 
 
+def test_reads_colours(tmp_path):
+    colours = np.random.default_rng(5).integers(0, 256, (20, 30, 3), dtype=np.uint8)
+    cv2.imwrite(str(tmp_path / "image.png"), colours)
+    np.testing.assert_array_equal(read_colour(tmp_path / "image.png", (30, 20)), colours)
+    cv2.imwrite(str(tmp_path / "grey.png"), GREY)
+    np.testing.assert_array_equal(read_colour(tmp_path / "grey.png"), np.repeat(GREY[..., None], 3, axis=-1))
+
+
+def test_what_is_an_image(path, tmp_path):
+    (tmp_path / "text.png").write_text("hello")
+    assert is_image(path) and not is_image(tmp_path / "text.png")
+
+
 def test_real_images(bodytrack):
     assert read_grey(bodytrack / "CAM1" / "image0000.bmp", (640, 480)).shape == (480, 640)
     assert 0.02 < read_mask(bodytrack / "FG1" / "image0000.bmp").mean() < 0.2
@@ -34,7 +47,7 @@ def test_real_images(bodytrack):
 def test_cut_short(path, share, capfd):
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
-    with pytest.raises(InputError, match=f"{path.name}: .*cut short.*; copy the file again"):
+    with pytest.raises(NotSeenError, match=f"{path.name}: .*cut short.*; copy the file again"):
         read_grey(path)
     assert "ERROR" not in capfd.readouterr().err
 
@@ -50,8 +63,10 @@ def test_a_bmp_whose_header_gives_a_wrong_file_size_is_read(tmp_path, size):
 
 
 def test_other_size(path):
-    with pytest.raises(InputError, match=f"{path.name}: 51 x 37 pixels; expected 640 x 480 as its camera has; use the images"):
+    with pytest.raises(InputError, match=f"{path.name}: 51 x 37 pixels; expected 640 x 480 as its camera has; use the images") as error:
         read_grey(path, (640, 480))
+    # Not a frame to go on without.
+    assert not isinstance(error.value, NotSeenError)
 
 
 def test_no_image(tmp_path):

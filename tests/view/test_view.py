@@ -12,7 +12,7 @@ from bayes_body.errors import InputError
 from bayes_body.kernels.particle_filter import build_kernel
 from bayes_body.model import load_model
 from bayes_body.tracking import track
-from bayes_body.view.overlay import LEFT, MIDDLE, RIGHT, colour, draw_overlay, grid
+from bayes_body.view.overlay import LEFT, MIDDLE, RIGHT, UNSEEN, colour, draw_overlay, grid, mosaic
 from bayes_body.view.rig_check import AXIS_COLOURS, draw_check
 from bayes_body.view.silhouette import outlines, projected_masks
 
@@ -91,6 +91,68 @@ def test_the_import_picture_shows_the_axes_where_the_origin_is_in_view(textured_
     assert picture.shape[0] == 480
     for ink in AXIS_COLOURS:
         assert (_count(picture, ink) > 30) == origin_in_view
+
+
+def test_the_import_picture_shows_which_way_is_up_and_a_floor_of_metres(textured_session, tmp_path):
+    """The corners of the floor's tiles, projected by OpenCV, lie on light lines; seen from above they would be elsewhere if another axis were up."""
+    session = dataclasses.replace(_lowered(textured_session), folder=_flat(textured_session, tmp_path))
+    tile = cv2.imread(str(draw_check(session, load_model("arm", session), tmp_path / "check.png")))
+    view = session.views[0]
+    corners = np.array([(x, y, 0) for x in range(-2, 1) for y in range(-1, 2) if (x, y) != (0, 0)], float)
+    columns, rows = (_projected(corners, view.camera) * 480 / view.camera.size_px[1]).round().astype(int).T
+    inside = (columns > 5) & (columns < 635) & (rows > 5) & (rows < 475)
+    assert inside.sum() >= 3
+    grey = tile[:480, :640].max(axis=-1)
+    for column, row in zip(columns[inside], rows[inside], strict=True):
+        assert grey[row - 4 : row + 5, column - 4 : column + 5].max() > 90
+    other = cv2.imread(str(draw_check(dataclasses.replace(session, up="y"), load_model("arm", session), tmp_path / "other.png")))
+    assert (tile != other).any()
+
+
+def _projected(points, camera):
+    K = np.array([[camera.focal_px[0], 0, camera.centre_px[0]], [0, camera.focal_px[1], camera.centre_px[1]], [0, 0, 1]])
+    return cv2.projectPoints(points, cv2.Rodrigues(camera.rotation)[0], camera.translation_m, K, np.array(camera.distortion))[0][:, 0]
+
+
+def _flat(session, folder):
+    """Images of one dark grey, with a corner that tells them from a covered camera's."""
+    for view in session.views:
+        (folder / view.camera.name).mkdir()
+        image = np.full(view.camera.size_px[::-1], 20, np.uint8)
+        image[-20:, -20:] = 60
+        for frame in range(session.frames):
+            cv2.imwrite(str(folder / view.camera.name / f"image{frame:04d}.png"), image)
+            cv2.imwrite(str(folder / view.camera.name / f"mask{frame:04d}.png"), image)
+    return folder
+
+
+def test_the_import_picture_of_a_session_without_masks(textured_session, tmp_path):
+    session = dataclasses.replace(textured_session, views=tuple(dataclasses.replace(view, masks=None) for view in textured_session.views))
+    assert draw_check(session, load_model("arm", session), tmp_path / "check.png").exists()
+
+
+@pytest.fixture
+def coloured(textured_session, model, tmp_path):
+    """Cameras that see red, the second of which misses a frame."""
+    folder = _flat(textured_session, tmp_path)
+    for view in textured_session.views:
+        image = np.zeros((*view.camera.size_px[::-1], 3), np.uint8)
+        image[:, : image.shape[1] // 2] = (0, 0, 120)
+        cv2.imwrite(str(folder / view.camera.name / "image0001.png"), image)
+    (folder / "b" / "image0002.png").unlink()
+    return dataclasses.replace(textured_session, folder=folder)
+
+
+def test_pictures_are_in_colour_and_dark_where_a_camera_did_not_see(coloured, model):
+    pose = np.asarray(model.initial["pose"])
+    red = mosaic(coloured, model, 1, pose, pose[None])
+    assert _count(red, (0, 0, 120)) > 0.3 * red[..., 0].size
+    half = mosaic(coloured, model, 2, pose, pose[None])
+    assert red.shape == half.shape
+    unseen = half[:, 640:1060]
+    assert (unseen == UNSEEN).all(axis=-1).mean() > 0.9
+    # Its name, what is missing, and the posterior are there all the same.
+    assert _count(unseen, (255, 255, 255)) > 100 and _count(unseen, MIDDLE) > 100
 
 
 def test_a_folder_that_cannot_be_written_is_said(model, textured_session, tmp_path):

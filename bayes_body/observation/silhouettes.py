@@ -1,0 +1,91 @@
+"""The silhouettes of a session without masks: each camera's background is learned when it is first asked for, and kept for the process."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Hashable, Iterator
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from bayes_body.errors import wrong
+from bayes_body.observation.background import Background, learn_background, shrink, still_background
+from bayes_body.observation.pictures import Colours, read_colour
+from bayes_body.observation.segmentation import foreground_levels
+from bayes_body.recording.images import is_image
+from bayes_body.recording.images import read_colour as read_colour_image
+from bayes_body.recording.video import probe, read_video_frame, readable_frames
+from bayes_body.session import Session, View
+
+# From fewer frames of a recording no background is learned: a person would be in most of them.
+LEAST_FRAMES = 10
+KEPT = 32
+
+_backgrounds: OrderedDict[Hashable, Background] = OrderedDict()
+_lock = threading.Lock()
+
+
+def has_silhouettes(session: Session) -> bool:
+    """Whether every camera has masks, an empty scene, or frames enough to learn the background from."""
+    return all(view.masks is not None or view.background is not None or session.frames >= LEAST_FRAMES for view in session.views)
+
+
+def silhouette_levels(session: Session, view: View, image: Colours) -> UInt8[np.ndarray, "row column"] | None:
+    """The foreground's probability times 255 of a camera's image; None where the image cannot be brought to the background's exposure.
+
+    Raises:
+        InputError: the background cannot be learned, or its file cannot be used.
+    """
+    return foreground_levels(background_of(session, view), image, session.segmentation)
+
+
+def background_of(session: Session, view: View) -> Background:
+    """A camera's background, from the empty scene or from the recording.
+
+    Raises:
+        InputError: there are too few frames, or the empty scene's file cannot be used.
+    """
+    source = view.images, view.video, view.background, view.offset, view.camera.size_px
+    key = str(session.folder), session.first_frame, session.frames, session.segmentation, source, _state(session.background_path(view))
+    with _lock:
+        background = _backgrounds.pop(key, None) or _learn(session, view)
+        _backgrounds[key] = background
+        if len(_backgrounds) > KEPT:
+            _backgrounds.popitem(last=False)
+    return background
+
+
+def _state(path: Path | None) -> tuple[int, int] | None:
+    if path is None or not path.exists():
+        return None
+    return path.stat().st_mtime_ns, path.stat().st_size
+
+
+def _learn(session: Session, view: View) -> Background:
+    path, size = session.background_path(view), view.camera.size_px
+    if path is not None and (not path.is_file() or is_image(path)):
+        return still_background(read_colour_image(path, size))
+    options = session.segmentation
+    source = _recording(session, view) if path is None else _video(path, size, options.learning_frames)
+    images = [shrink(image) for image in source]
+    if len(images) < (LEAST_FRAMES if path is None else 1):
+        found = f"{len(images)} of its frames can be seen, and it has neither masks nor an empty scene"
+        remedy = "give it `background`, an image or a video of the empty scene, or `masks`"
+        raise wrong(f"{session.title}: camera '{view.camera.name}'", found, f"{LEAST_FRAMES} or more to learn the background from", remedy)
+    return learn_background(images, options.follow_exposure)
+
+
+def _recording(session: Session, view: View) -> Iterator[Colours]:
+    for index in _evenly(session.frames, session.segmentation.learning_frames):
+        image = read_colour(session, index, view)
+        if image is not None:
+            yield image
+
+
+def _video(path: Path, size: tuple[int, int], count: int) -> Iterator[Colours]:
+    for number in _evenly(readable_frames(path, probe(path).frames), count):
+        yield read_video_frame(path, number, size)
+
+
+def _evenly(frames: int, count: int) -> list[int]:
+    return np.unique(np.linspace(0, frames - 1, min(count, frames)).round().astype(int)).tolist()

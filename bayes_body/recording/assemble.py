@@ -1,0 +1,174 @@
+"""A session from calibrated cameras and a folder with their recordings: what the importers have in common."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from bayes_body.errors import wrong
+from bayes_body.recording.calibration import Calibrated, check_rig
+from bayes_body.recording.faults import Faults
+from bayes_body.recording.images import read_mask
+from bayes_body.recording.numbered import Series, find_series
+from bayes_body.recording.options import Axis, Options, check_fps, check_height
+from bayes_body.recording.sources import Source, find_background, find_source, settled_size
+from bayes_body.recording.timing import align, frame_rate
+from bayes_body.recording.truth import read_truth
+from bayes_body.session import Session, Subject, View, load_session, save_session
+
+# Where recordings lie in a project, beside the project's folder itself.
+PLACES = ("videos", "images")
+
+
+class Filmed(NamedTuple):
+    """A calibrated camera, its recording, and a remark about its size or None."""
+
+    camera: Calibrated
+    source: Source
+    remark: str | None
+
+
+class Rig(NamedTuple):
+    """What a laboratory has: its calibration's path and cameras, the folder with the recordings, and the axis that points up."""
+
+    calibration: Path
+    cameras: Sequence[Calibrated]
+    folder: Path
+    up: Axis
+
+
+def assemble(rig: Rig, folder: Path, title: str, options: Options) -> tuple[Session, list[str]]:
+    """The session of a rig's recordings, which stay where they are; nothing is written.
+
+    Args:
+        rig: cameras and where to look for their recordings.
+        folder: the session's; paths inside it are written relative to it.
+        title: one line for people.
+        options: what the user said.
+
+    Returns:
+        The session, and remarks for the user, a sentence each.
+
+    Raises:
+        FaultyFileError: one sentence for each thing that is missing or wrong.
+    """
+    check_height(options.height_m)
+    check_fps(options.fps)
+    check_rig(rig.calibration, rig.cameras)
+    filmed = _filmed(rig)
+    counts = {each.camera.name: (each.source.first, each.source.count) for each in filmed}
+    timing = align(counts, options.offsets)
+    fps, remarks = frame_rate({each.camera.name: each.source.fps for each in filmed}, options.fps)
+    views = tuple(_view(each, folder, timing.offsets[each.camera.name]) for each in filmed)
+    subject = Subject(height_m=options.height_m)
+    session = Session(folder, title, rig.up, fps, timing.frames, timing.first_frame, views, subject)
+    remarks = [*(each.remark for each in filmed if each.remark), *timing.remarks, *remarks]
+    return with_options(session, options), [*remarks, *([] if options.masks else [_no_masks(options)])]
+
+
+def _no_masks(options: Options) -> str:
+    scene = f"the empty scene in {options.background}" if options.background else "a background that is learned from the recording"
+    return f"There are no masks: silhouettes are told from {scene}; give masks with --masks."
+
+
+def _filmed(rig: Rig) -> list[Filmed]:
+    faults, filmed = Faults(), []
+    places = [rig.folder / place for place in PLACES if (rig.folder / place).is_dir()]
+    for camera in rig.cameras:
+        with faults.collect():
+            source = find_source([*places, rig.folder], camera.name)
+            remark = settled_size(f"camera '{camera.name}'", camera.size_px, source)
+            filmed.append(Filmed(camera, source, remark))
+    faults.raise_any()
+    return filmed
+
+
+def _view(filmed: Filmed, folder: Path, offset: int) -> View:
+    camera, source = filmed.camera.spec(filmed.source.size_px), filmed.source
+    if source.series is None:
+        return View(camera, video=written(source.path, folder), offset=offset)
+    return View(camera, images=_pattern(source.series, folder), offset=offset)
+
+
+def written(path: Path, folder: Path) -> str:
+    """How a session in `folder` names a path: relative to the folder if inside it, else from the root."""
+    path, folder = path.resolve(), folder.resolve()
+    return str(path.relative_to(folder)) if path.is_relative_to(folder) else str(path)
+
+
+def _pattern(series: Series, folder: Path) -> str:
+    # A percent sign in a folder's name must not be taken for the frame's number.
+    parent = written(series.folder, folder).replace("%", "%%")
+    return series.name if parent == "." else f"{parent}/{series.name}"
+
+
+def with_options(session: Session, options: Options) -> Session:
+    """The session with the user's masks, empty scene, truth and height.
+
+    Raises:
+        FaultyFileError: one sentence for each of them that is missing or wrong.
+    """
+    faults, views = Faults(), []
+    for view in session.views:
+        with faults.collect():
+            views.append(_with_pictures(session, view, options))
+    truth = session.truth
+    if options.truth is not None:
+        with faults.collect():
+            read_truth(options.truth, session.frames)
+            truth = written(options.truth, session.folder)
+    faults.raise_any()
+    subject = session.subject if options.height_m is None else replace(session.subject, height_m=options.height_m)
+    return replace(session, views=tuple(views), subject=subject, truth=truth)
+
+
+def _with_pictures(session: Session, view: View, options: Options) -> View:
+    name, size = view.camera.name, view.camera.size_px
+    if options.masks is not None:
+        series = find_series(options.masks / name)
+        first = session.number(view, 0)
+        last = first + session.frames - 1
+        if series.first > first or series.first + series.count <= last:
+            found = f"numbers {series.first} to {series.first + series.count - 1}"
+            remedy = "number the masks as the camera's frames; those of a video count from 0"
+            raise wrong(f"--masks {options.masks / name}", found, f"{first} to {last}, the camera's frames in this session", remedy)
+        read_mask(series.path(first), size)
+        view = replace(view, masks=_pattern(series, session.folder))
+    if options.background is not None:
+        view = replace(view, background=written(find_background(options.background, name, size), session.folder))
+    return view
+
+
+def saved(session: Session) -> Session:
+    """The session written and read back: what the caller works with is what the file says, rounded as it is.
+
+    Raises:
+        InputError: its folder cannot be written.
+    """
+    return load_session(save_session(session))
+
+
+def source_folder(source: Path, what: str) -> Path:
+    """The folder, if there is one.
+
+    Raises:
+        InputError: there is none.
+    """
+    if not source.is_dir():
+        raise wrong(source, "no such folder", what, "check the path")
+    return source
+
+
+def only_file(places: Sequence[Path], patterns: Sequence[str], what: str) -> Path:
+    """The only file of one of the patterns, in the first of the places that has any.
+
+    Raises:
+        InputError: none, or several.
+    """
+    for place in places:
+        paths = sorted({path for pattern in patterns for path in place.glob(pattern) if path.is_file()})
+        if len(paths) > 1:
+            raise wrong(place, f"{len(paths)} calibrations ({', '.join(path.name for path in paths)})", what, "move all but one of them away")
+        if paths:
+            return paths[0]
+    raise wrong(places[-1], f"no {' or '.join(patterns)} in it", what, "name the folder that holds calibration and videos")

@@ -1,0 +1,51 @@
+"""A folder with OpenCV's calibrations (yml, yaml, xml, json; EasyMocap's pair; or Anipose's toml) and recordings that are named as the cameras."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from bayes_body.errors import wrong
+from bayes_body.recording.assemble import Rig, assemble, saved, source_folder
+from bayes_body.recording.calibration import Calibrated
+from bayes_body.recording.calibration_opencv import SUFFIXES, read_opencv
+from bayes_body.recording.calibration_toml import read_calibration_toml
+from bayes_body.recording.options import Options, metres_per_unit, up_axis
+from bayes_body.session import Session
+
+WHAT = "a folder with a calibration file (yml, yaml, xml, json, or one toml of Anipose) and a recording of each camera"
+WHY_UNIT = "these files do not say the unit of their translations"
+WHY_UP = "these files do not say which axis of their world points up"
+
+
+def import_opencv(source: Path, folder: Path, options: Options | None = None) -> tuple[Session, list[str]]:
+    """Write the session of cameras calibrated with OpenCV; their files stay where they are. Unit and up axis must be among the options.
+
+    Args:
+        source: holds the calibration files, itself or in `calibration`, and the recordings, itself or in `videos` or `images`.
+        folder: where `session.toml` is to lie; made if need be.
+        options: what the user said.
+
+    Returns:
+        The session as saved, and remarks for the user, a sentence each.
+
+    Raises:
+        FaultyFileError: one sentence for each thing in the source that is missing or wrong.
+        InputError: `source` is no folder, an option is missing or wrong, or `folder` cannot be written.
+    """
+    options = options or Options()
+    source_folder(source, WHAT)
+    unit_m, up = metres_per_unit(options.unit, WHY_UNIT), up_axis(options.up, WHY_UP)
+    path = _calibration([source / "calibration", source])
+    cameras: Sequence[Calibrated] = read_calibration_toml(path, unit_m) if path.suffix == ".toml" else read_opencv(path, unit_m)
+    session, remarks = assemble(Rig(path, cameras, source, up), folder.resolve(), f"recording {source.resolve().name}", options)
+    return saved(session), remarks
+
+
+def _calibration(places: Sequence[Path]) -> Path:
+    """The folder of OpenCV's files, or Anipose's toml."""
+    for place in (place for place in places if place.is_dir()):
+        if any(path.suffix.lower() in SUFFIXES for path in place.iterdir()):
+            return place
+        tomls = sorted(place.glob("*.toml"))
+        if len(tomls) == 1:
+            return tomls[0]
+    raise wrong(places[-1], "no calibration in it", WHAT, "name the folder that holds calibrations and recordings")

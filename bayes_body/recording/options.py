@@ -1,0 +1,97 @@
+"""What a user may say with an import beyond the source: units, the up axis, masks, an empty scene, truth, the subject's height, offsets."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, cast
+
+from bayes_body.errors import InputError, nearest, wrong
+from bayes_body.session_schema import LONGEST_M
+
+type Axis = Literal["x", "y", "z"]
+METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+# Longer than this, a height is no longer centimetres.
+LONGEST_CM = 300
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of every importer; an importer refuses what means nothing to it.
+
+    Attributes:
+        unit: the unit of length of the calibration, `m`, `cm` or `mm`.
+        up: the world's axis that points up.
+        fps: frames a second; it goes before what the videos say.
+        height_m: the subject's stature.
+        masks: a folder with a folder of numbered silhouettes for each camera.
+        background: a folder with an image or a video of the empty scene for each camera.
+        truth: an .npz with true markers.
+        offsets: frames by which a camera is ahead: the session's frame k is its own k + offset.
+        layout: the order of the keypoints, a name of `keypoint_layouts.LAYOUTS`.
+    """
+
+    unit: str | None = None
+    up: str | None = None
+    fps: float | None = None
+    height_m: float | None = None
+    masks: Path | None = None
+    background: Path | None = None
+    truth: Path | None = None
+    offsets: Mapping[str, int] = field(default_factory=dict)
+    layout: str | None = None
+
+
+def check_height(height_m: float | None) -> None:
+    """Refuse a height that is not in metres.
+
+    Raises:
+        InputError: it is not above 0, or above 3.
+    """
+    if height_m is not None and not 0 < height_m <= LONGEST_M:
+        unit, factor = ("centimetres", 100) if height_m <= LONGEST_CM else ("millimetres", 1000)
+        remedy = f"it looks like {unit}, divide by {factor}" if height_m > 10 * LONGEST_M else "give the stature in metres"
+        raise wrong("--height", f"{height_m:g}", f"metres, above 0 and at most {LONGEST_M:g}", remedy)
+
+
+def check_fps(fps: float | None) -> None:
+    """Refuse what is no frame rate.
+
+    Raises:
+        InputError: it is not finite and above 0.
+    """
+    if fps is not None and not 0 < fps < 1e6:
+        raise wrong("--fps", f"{fps:g}", "frames a second, above 0", "give the rate at which the cameras filmed")
+
+
+def metres_per_unit(unit: str | None, why: str) -> float:
+    """Metres in the unit that the user names.
+
+    Args:
+        unit: `m`, `cm`, `mm`, or None where nothing was said.
+        why: why it must be said, as a sentence's beginning.
+
+    Raises:
+        InputError: none, or no such unit.
+    """
+    if unit is None:
+        raise wrong("--unit", f"not given; {why}", "m, cm or mm", "say in which unit its translations are, such as --unit mm")
+    if unit not in METRES:
+        raise InputError(f"--unit: '{unit}': no such unit; {nearest(unit, METRES)}")
+    return METRES[unit]
+
+
+def up_axis(up: str | None, why: str) -> Axis:
+    """The world's axis that points up, as the user names it.
+
+    Args:
+        up: `x`, `y`, `z`, or None where nothing was said.
+        why: why it must be said, as a sentence's beginning.
+
+    Raises:
+        InputError: none, or no such axis.
+    """
+    if up is None:
+        raise wrong("--up", f"not given; {why}", "x, y or z", "say which axis of its world points up, such as --up z")
+    if up not in ("x", "y", "z"):
+        raise wrong("--up", f"'{up}'", "x, y or z", "name the axis that points up; where one points down, turn the calibration")
+    return cast(Axis, up)

@@ -1,0 +1,61 @@
+"""A project of Pose2Sim as a session: `calibration/*.toml` or `*.qca.txt`, `videos/NAME.mp4` for each camera, `pose/NAME_json` with its keypoints."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from bayes_body.errors import wrong
+from bayes_body.recording import calibration_qualisys
+from bayes_body.recording.assemble import Rig, assemble, only_file, saved, source_folder
+from bayes_body.recording.calibration_toml import read_calibration_toml
+from bayes_body.recording.first_keypoints import first_keypoints
+from bayes_body.recording.options import Options, metres_per_unit, up_axis
+from bayes_body.session import Session
+
+WHAT = "a project of Pose2Sim (calibration, videos, pose)"
+WHY_UP = "Pose2Sim's toml does not say which axis of its world points up, and depends on how the scene was measured"
+
+
+def import_pose2sim(source: Path, folder: Path, options: Options | None = None) -> tuple[Session, list[str]]:
+    """Write the session of a Pose2Sim project; its files stay where they are.
+
+    A toml is in metres, as Pose2Sim writes it, unless the options name another unit; the axis that points up must be given with it.
+
+    Args:
+        source: the project's folder.
+        folder: where `session.toml` is to lie; made if need be.
+        options: what the user said.
+
+    Returns:
+        The session as saved, and remarks for the user, a sentence each.
+
+    Raises:
+        FaultyFileError: one sentence for each thing in the source that is missing or wrong.
+        InputError: `source` is no folder, an option is missing or wrong, or `folder` cannot be written.
+    """
+    options = options or Options()
+    source_folder(source, WHAT)
+    path = only_file([source / "calibration", source], ("*.toml", "*.qca.txt"), f"one calibration, {WHAT}")
+    rig, remarks = _rig(source, path, options)
+    session, more = assemble(rig, folder.resolve(), f"Pose2Sim project {source.resolve().name}", options)
+    pose = source / "pose"
+    folders = {view.camera.name: found for view in session.views if (found := pose / f"{view.camera.name}_json").is_dir()}
+    if folders:
+        keypoints, told = first_keypoints(session, folders, options.layout)
+        session, more = replace(session, initial_keypoints=keypoints), [*more, *told]
+    elif options.layout is not None:
+        raise wrong(
+            "--layout", f"{options.layout}, but there are no keypoints in {pose}", "a folder NAME_json for each camera", "leave the option out"
+        )
+    return saved(session), [*remarks, *more]
+
+
+def _rig(source: Path, path: Path, options: Options) -> tuple[Rig, list[str]]:
+    if path.suffix == ".toml":
+        unit_m = metres_per_unit(options.unit or "m", "")
+        remarks = [] if options.unit else ["The calibration is taken to be in metres, as Pose2Sim writes it; say --unit if it is not."]
+        up = up_axis(options.up, WHY_UP)
+        return Rig(path, read_calibration_toml(path, unit_m), source, up), remarks
+    if options.unit not in (None, "mm"):
+        raise wrong("--unit", options.unit or "", "mm, the unit of Qualisys's calibrations", "leave the option out")
+    up = up_axis(options.up or calibration_qualisys.UP, "")
+    return Rig(path, calibration_qualisys.read_qualisys(path), source, up), []

@@ -1,0 +1,315 @@
+"""Projects of Pose2Sim, OpenCV, EasyMocap, Anipose and Qualisys as sessions, and what is wrong with them in sentences."""
+
+import json
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from bayes_body.errors import InputError
+from bayes_body.recording.calibration_opencv import read_opencv
+from bayes_body.recording.opencv import import_opencv
+from bayes_body.recording.options import Options
+from bayes_body.recording.pose2sim import import_pose2sim
+from bayes_body.recording.qualisys import import_qualisys
+from bayes_body.recording.truth import MARKERS
+from bayes_body.session import load_session, save_session
+
+SIZE = (96, 64)
+K = np.array([[90.0, 0, 48], [0, 92, 32], [0, 0, 1]])
+NAMES = ("left", "right")
+MM_Z = Options(unit="mm", up="z")
+
+
+def pose(i: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation and translation (metres) of two cameras that look at the z axis from 4 m, at right angles."""
+    C = np.array([[4.0, 0.0, 1.0], [0.0, 4.0, 1.2]][i])
+    forward = np.array([0, 0, 1.0]) - C
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0, 0, 1.0])
+    right /= np.linalg.norm(right)
+    R = np.stack([right, np.cross(forward, right), forward])
+    return R, -R @ C
+
+
+def video(path, frames=6, fps=30.0, size=SIZE):
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
+    for k in range(frames):
+        writer.write(np.full((*size[::-1], 3), 30 * k, np.uint8))
+    writer.release()
+
+
+def images(folder, first=0, count=6, size=SIZE):
+    folder.mkdir(parents=True)
+    for k in range(first, first + count):
+        cv2.imwrite(str(folder / f"{k:04d}.png"), np.full(size[::-1], 200, np.uint8))
+
+
+@pytest.fixture
+def opencv(tmp_path):
+    """A yml in millimetres and a video for each of two cameras."""
+    source = tmp_path / "lab"
+    source.mkdir()
+    for i, name in enumerate(NAMES):
+        R, t = pose(i)
+        file = cv2.FileStorage(str(source / f"{name}.yml"), cv2.FILE_STORAGE_WRITE)
+        for key, value in (("K", K), ("dist", np.zeros(5)), ("R", R), ("T", 1000 * t)):
+            file.write(key, value)
+        file.release()
+        video(source / f"{name}.mp4")
+    return source
+
+
+@pytest.fixture
+def pose2sim(tmp_path):
+    """The same as a Pose2Sim project."""
+    source = tmp_path / "project"
+    (source / "calibration").mkdir(parents=True)
+    (source / "videos").mkdir()
+    tables = []
+    for i, name in enumerate(NAMES):
+        R, t = pose(i)
+        vector = cv2.Rodrigues(R)[0].ravel().tolist()
+        numbers = f"matrix = {K.tolist()}\ndistortions = [0.0, 0.0, 0.0, 0.0]\nrotation = {vector}\ntranslation = {t.tolist()}"
+        tables.append(f'[{name}]\nname = "{name}"\nsize = {list(map(float, SIZE))}\n{numbers}\nfisheye = false\n')
+        video(source / "videos" / f"{name}.mp4")
+    (source / "calibration" / "Calib_board.toml").write_text("\n".join(tables) + "\n[metadata]\nadjusted = false\n")
+    return source
+
+
+@pytest.fixture
+def qualisys(tmp_path):
+    """The same from Qualisys, with a marker camera beside."""
+    source = tmp_path / "qtm"
+    source.mkdir()
+    text = '<camera serial="77" model="Oqus 7"/>'
+    for i, name in enumerate(NAMES):
+        R, t = pose(i)
+        turn = np.diag([1, -1, -1]) @ R
+        turned = " ".join(f'r{a + 1}{b + 1}="{float(turn[a, b])!r}"' for a in range(3) for b in range(3))
+        placed = " ".join(f'{axis}="{1000 * value:.9f}"' for axis, value in zip("xyz", -R.T @ t, strict=True))
+        text += (
+            f'<camera serial="{name}" model="Miqus Video"><fov_video left="0" top="0" right="{SIZE[0] - 1}" bottom="{SIZE[1] - 1}"/>'
+            f'<transform {turned} {placed}/><intrinsic focalLengthU="{64 * K[0, 0]}" focalLengthV="{64 * K[1, 1]}" '
+            f'centerPointU="{64 * K[0, 2]}" centerPointV="{64 * K[1, 2]}"/></camera>'
+        )
+        video(source / f"walk_Miqus_{i}_{name}.mp4")
+    (source / "walk.qca.txt").write_text(f"<calibration><cameras>{text}</cameras></calibration>")
+    return source
+
+
+def keypoints(points_m: np.ndarray, i: int, confidence=0.8) -> list[float]:
+    R, t = pose(i)
+    pixels = cv2.projectPoints(points_m, cv2.Rodrigues(R)[0], t, K, None)[0][:, 0]
+    return np.column_stack([pixels, np.full(len(pixels), confidence)]).ravel().tolist()
+
+
+def write_poses(source, frames=6, people=1):
+    """COCO_17 keypoints of one or two people, the second far smaller in all."""
+    rng = np.random.default_rng(0)
+    person = rng.uniform([-0.3, -0.3, 0.2], [0.3, 0.3, 1.6], (17, 3))
+    for i, name in enumerate(NAMES):
+        folder = source / "pose" / f"{name}_json"
+        folder.mkdir(parents=True)
+        for frame in range(frames):
+            found = [keypoints(person + np.array([0, 0, 0.01 * frame]), i)] + [keypoints(person * 0.3, i)] * (people - 1)
+            (folder / f"{name}.{frame:04d}.json").write_text(json.dumps({"people": [{"pose_keypoints_2d": each} for each in found]}))
+    return person
+
+
+IMPORTS = {"opencv": (import_opencv, MM_Z), "pose2sim": (import_pose2sim, Options(up="z")), "qualisys": (import_qualisys, Options())}
+
+
+@pytest.mark.parametrize("kind", IMPORTS)
+def test_the_same_session_from_every_laboratory(kind, request, tmp_path):
+    importer, options = IMPORTS[kind]
+    source = request.getfixturevalue(kind)
+    session, remarks = importer(source, tmp_path / "session", options)
+    assert (session.up, session.fps, session.frames, session.first_frame) == ("z", 30.0, 6, 0)
+    assert [view.camera.name for view in session.views] == list(NAMES)
+    for i, view in enumerate(session.views):
+        R, t = pose(i)
+        np.testing.assert_allclose(view.camera.rotation, R, atol=1e-9)
+        np.testing.assert_allclose(view.camera.translation_m, t, atol=1e-8)
+        assert (view.camera.size_px, view.images, view.masks, view.offset) == (SIZE, None, None, 0)
+        path = session.video_path(view)
+        assert path is not None and path.is_file() and path.is_absolute()
+    assert any("There are no masks: silhouettes are told from a background that is learned" in remark for remark in remarks)
+    assert load_session(save_session(session)) == session
+
+
+def test_units(opencv, tmp_path):
+    with pytest.raises(InputError, match="--unit: not given; these files do not say the unit of their translations; expected m, cm or mm"):
+        import_opencv(opencv, tmp_path / "s", Options(up="z"))
+    with pytest.raises(InputError, match="--up: not given; these files do not say which axis of their world points up; expected x, y or z"):
+        import_opencv(opencv, tmp_path / "s", Options(unit="mm"))
+    with pytest.raises(InputError, match=r"cameras 5\d\d\d m apart .*factor of 1000"):
+        import_opencv(opencv, tmp_path / "s", Options(unit="m", up="z"))
+    assert not (tmp_path / "s").exists()
+
+
+def test_pose2sims_toml_is_in_metres_and_its_up_axis_is_asked_for(pose2sim, tmp_path):
+    _, remarks = import_pose2sim(pose2sim, tmp_path / "a", Options(up="y"))
+    assert remarks[0] == "The calibration is taken to be in metres, as Pose2Sim writes it; say --unit if it is not."
+    with pytest.raises(InputError, match="--up: not given; Pose2Sim's toml does not say which axis of its world points up"):
+        import_pose2sim(pose2sim, tmp_path / "b")
+    with pytest.raises(InputError, match=r"all cameras within 0.0057 m"):
+        import_pose2sim(pose2sim, tmp_path / "b", Options(up="y", unit="mm"))
+
+
+def test_a_project_of_pose2sim_with_qualisyss_calibration(pose2sim, qualisys, tmp_path):
+    (pose2sim / "calibration" / "Calib_board.toml").unlink()
+    shutil.copy(qualisys / "walk.qca.txt", pose2sim / "calibration")
+    session, _ = import_pose2sim(pose2sim, tmp_path / "a")
+    assert session.up == "z"
+    with pytest.raises(InputError, match="--unit: cm; expected mm, the unit of Qualisys's calibrations"):
+        import_pose2sim(pose2sim, tmp_path / "b", Options(unit="cm"))
+
+
+def test_aniposes_toml(pose2sim, tmp_path):
+    session, _ = import_opencv(pose2sim, tmp_path / "a", Options(unit="m", up="z"))
+    np.testing.assert_allclose(session.views[1].camera.translation_m, pose(1)[1], atol=1e-8)
+
+
+def test_image_folders_counted_from_one_beside_a_video(opencv, tmp_path):
+    (opencv / "left.mp4").unlink()
+    images(opencv / "left", first=1, count=8)
+    session, remarks = import_opencv(opencv, tmp_path / "a", MM_Z)
+    left, right = session.views
+    assert (session.frames, session.first_frame, left.offset, right.offset) == (6, 0, 1, 0)
+    assert session.image_path(left, 0) == opencv.resolve() / "left" / "0001.png"
+    assert any("(left 8, right 6): the session has the 6" in remark for remark in remarks)
+
+
+def test_offsets(opencv, tmp_path):
+    session, remarks = import_opencv(opencv, tmp_path / "a", Options("mm", "z", offsets={"left": -2}))
+    assert (session.frames, session.first_frame) == (4, 0)
+    assert [session.number(view, 0) for view in session.views] == [0, 2]
+    assert any("starts 2 frames into the recording" in remark for remark in remarks)
+
+
+def test_everything_beside_the_source(opencv, tmp_path):
+    folder = tmp_path / "session"
+    for name in NAMES:
+        images(folder / "masks" / name)
+        (tmp_path / "empty").mkdir(exist_ok=True)
+        video(tmp_path / "empty" / f"{name}.mp4", 2)
+    np.savez(tmp_path / "truth.npz", markers=np.zeros((6, 15, 3)), names=np.array(MARKERS))
+    options = Options("mm", "z", 25.0, 1.8, folder / "masks", tmp_path / "empty", tmp_path / "truth.npz")
+    session, remarks = import_opencv(opencv, folder, options)
+    assert (session.fps, session.subject.height_m) == (25.0, 1.8)
+    # Inside of the session's folder paths are relative: it can be moved.
+    assert session.views[0].masks == "masks/left/%04d.png"
+    assert session.views[1].background == str((tmp_path / "empty" / "right.mp4").resolve())
+    assert session.truth_path == (tmp_path / "truth.npz").resolve()
+    assert not any("no masks" in remark for remark in remarks)
+    assert any("--fps 25 goes before what videos say (left 30, right 30)" in remark for remark in remarks)
+
+
+WRONG = {
+    "masks of one camera": (lambda o, t: images(t / "m" / "left"), {"masks": "m"}, "m/right: no numbered images in it"),
+    "masks from another number": (
+        lambda o, t: [images(t / "m" / name, first=1) for name in NAMES],
+        {"masks": "m"},
+        "m/left: numbers 1 to 6; expected 0 to 5, the camera's frames",
+    ),
+    "small masks": (lambda o, t: [images(t / "m" / name, size=(9, 8)) for name in NAMES], {"masks": "m"}, "9 x 8 pixels; expected 96 x 64"),
+    "no empty scene": (lambda o, t: None, {"background": "m"}, "no image or video for camera 'left'"),
+    "no truth": (lambda o, t: None, {"truth": "t.npz"}, "t.npz: no such file"),
+    "no video": (lambda o, t: (o / "left.mp4").unlink(), {}, "camera 'left': no video or folder of images of its name"),
+    "another size": (lambda o, t: resize(o), {}, "camera 'left': left.mp4 has 96 x 64 pixels; expected 128 x 64"),
+    "another rate": (lambda o, t: video(o / "left.mp4", fps=25.0), {}, "frame rate: cameras differ: left 25, right 30"),
+    "no calibration": (lambda o, t: [(o / f"{name}.yml").unlink() for name in NAMES], {}, "no calibration in it"),
+    "calibration cut short": (lambda o, t: (o / "left.yml").write_text("%YAML:1.0\n---\nK: ["), {}, "left.yml: cannot be read by OpenCV"),
+}
+
+
+def resize(source):
+    path = source / "left.yml"
+    path.write_text(path.read_text().replace("---\n", "---\nimage_width: 128\nimage_height: 64\n"))
+
+
+@pytest.mark.parametrize("fault", WRONG)
+def test_what_is_wrong_is_said(fault, opencv, tmp_path):
+    damage, options, sentence = WRONG[fault]
+    damage(opencv, tmp_path)
+    paths = {key: tmp_path / name for key, name in options.items()}
+    with pytest.raises(InputError, match=sentence) as error:
+        import_opencv(opencv, tmp_path / "session", Options("mm", "z", **paths))
+    assert all("expected" in line or "did you mean" in line or "known:" in line for line in str(error.value).splitlines())
+    assert not (tmp_path / "session").exists()
+
+
+@pytest.mark.parametrize("kind", IMPORTS)
+def test_no_project(kind, tmp_path):
+    importer, options = IMPORTS[kind]
+    with pytest.raises(InputError, match="nowhere: no such folder"):
+        importer(tmp_path / "nowhere", tmp_path / "session", options)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"empty: no .* in it"):
+        importer(tmp_path / "empty", tmp_path / "session", options)
+
+
+def test_two_calibrations(pose2sim, tmp_path):
+    shutil.copy(pose2sim / "calibration" / "Calib_board.toml", pose2sim / "calibration" / "Calib_scene.toml")
+    with pytest.raises(InputError, match=r"2 calibrations \(Calib_board.toml, Calib_scene.toml\)"):
+        import_pose2sim(pose2sim, tmp_path / "s", Options(up="z"))
+
+
+def test_first_keypoints_are_those_of_the_first_frame(pose2sim, tmp_path):
+    write_poses(pose2sim, people=2)
+    session, remarks = import_pose2sim(pose2sim, tmp_path / "a", Options(up="z", offsets={"right": 2}))
+    assert set(session.initial_keypoints) == set(NAMES)
+    assert set(session.initial_keypoints["left"]) >= {"nose", "l_shoulder", "r_ankle"}
+    number = {name: session.number(view, 0) for name, view in zip(NAMES, session.views, strict=True)}
+    assert number == {"left": 0, "right": 2}
+    for name in NAMES:
+        rows = json.loads((pose2sim / "pose" / f"{name}_json" / f"{name}.{number[name]:04d}.json").read_text())["people"]
+        people = [tuple(row["pose_keypoints_2d"][:3]) for row in rows]
+        assert session.initial_keypoints[name]["nose"] in people
+    assert any("Of several people in the first frame the one on whom most cameras agree" in remark for remark in remarks)
+    assert not session.fit_lengths
+
+
+def test_keypoints_that_cannot_be_used(pose2sim, tmp_path):
+    with pytest.raises(InputError, match="--layout: COCO_17, but there are no keypoints in"):
+        import_pose2sim(pose2sim, tmp_path / "a", Options(up="z", layout="COCO_17"))
+    write_poses(pose2sim)
+    (pose2sim / "pose" / "left_json" / "left.0000.json").unlink()
+    with pytest.raises(InputError, match="left_json: no file of 1 of 1 frames, the first is 0; expected a file for each frame; there are 1 to 5"):
+        import_pose2sim(pose2sim, tmp_path / "a", Options(up="z"))
+
+
+def test_nobody_in_the_first_frame(pose2sim, tmp_path):
+    write_poses(pose2sim)
+    for name in NAMES:
+        for path in (pose2sim / "pose" / f"{name}_json").iterdir():
+            path.write_text('{"people": []}')
+    session, remarks = import_pose2sim(pose2sim, tmp_path / "a", Options(up="z"))
+    assert session.initial_keypoints == {}
+    assert any("show nobody" in remark for remark in remarks)
+
+
+def test_calibrations_in_their_own_folder_and_percent_signs(opencv, tmp_path):
+    source = tmp_path / "50% of %d"
+    shutil.move(opencv, source)
+    (source / "calibration").mkdir()
+    for name in NAMES:
+        (source / f"{name}.yml").rename(source / "calibration" / f"{name}.yml")
+        (source / f"{name}.mp4").unlink()
+        images(source / "images" / name)
+    session, _ = import_opencv(source, tmp_path / "s", Options("mm", "z", fps=30.0))
+    assert all(session.image_path(view, 5).exists() for view in session.views)
+    assert len(read_opencv(source / "calibration", 1e-3)) == 2
+
+
+def test_real_project(pose2sim_beam, tmp_path):
+    session, remarks = import_pose2sim(pose2sim_beam, tmp_path / "beam")
+    assert (session.up, session.fps, session.frames) == ("z", 60.0, 100)
+    assert [view.camera.size_px for view in session.views] == [(1080, 1920)] * 2 + [(1088, 1920)] * 2
+    told = "\n".join(remarks)
+    assert "calibrated at 1088 x 1920, the recording has 1080 x 1920" in told
+    assert "taken as BODY_25B" in told
+    assert "cam01: #1 of 2, cam02: #1 of 2" in told
+    assert all({"head", "l_hip", "r_ankle"} <= set(session.initial_keypoints[view.camera.name]) for view in session.views)

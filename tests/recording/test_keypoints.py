@@ -1,0 +1,177 @@
+"""OpenPose's files: read, named, refused; and the real ones against the body they must be of."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bayes_body.errors import InputError
+from bayes_body.recording.calibration_qualisys import read_qualisys
+from bayes_body.recording.keypoint_layouts import LAYOUTS, PROPORTIONS, choose_layout, disproportion
+from bayes_body.recording.keypoints import keypoint_files, read_openpose, read_people
+from bayes_body.recording.person import choose_person
+from bayes_body.recording.triangulate import triangulate
+
+
+def person(keypoints: int, seed: int = 0) -> list[float]:
+    rng = np.random.default_rng(seed)
+    return np.column_stack([rng.uniform(0, 600, (keypoints, 2)), rng.uniform(0.1, 1.0, keypoints)]).ravel().tolist()
+
+
+def write(path, *people: list[float]):
+    path.write_text(json.dumps({"version": 1.3, "people": [{"pose_keypoints_2d": each, "face_keypoints_2d": []} for each in people]}))
+    return path
+
+
+def test_people_of_a_frame(tmp_path):
+    one, two = person(25), person(25, 1)
+    one[3:6] = [0, 0, 0]
+    two[2] = 1.02
+    found = read_people(write(tmp_path / "a.0000.json", one, two))
+    assert found.shape == (2, 25, 3)
+    np.testing.assert_array_equal(found[0, 2], one[6:9])
+    np.testing.assert_array_equal(found[0, 1], [np.nan, np.nan, 0])
+    assert found[1, 0, 2] == 1
+    assert read_people(write(tmp_path / "b.json")).shape == (0, 0, 3)
+
+
+def test_a_series_is_ragged(tmp_path):
+    write(tmp_path / "walk_000000000007_keypoints.json", person(18), person(18, 1))
+    write(tmp_path / "walk_000000000008_keypoints.json")
+    write(tmp_path / "walk_000000000010_keypoints.json", person(18, 2))
+    series = read_openpose(tmp_path, [7, 8, 10])
+    assert series.shape == (3, 2, 18, 3)
+    np.testing.assert_array_equal(np.isfinite(series[..., 0]).any(axis=-1), [[True, True], [False, False], [True, False]])
+    np.testing.assert_array_equal(series[1, :, :, 2], 0)
+    np.testing.assert_array_equal(series[2, 0], np.reshape(person(18, 2), (18, 3)))
+    with pytest.raises(InputError, match="no file of 1 of 3 frames, the first is 9; expected a file for each frame; there are 7 to 10"):
+        read_openpose(tmp_path, [8, 9, 10])
+
+
+FAULTS = {
+    "no JSON": ("{", "no JSON"),
+    "a list": ("[]", "no list `people`"),
+    "two and a half numbers": ('{"people": [{"pose_keypoints_2d": [1, 2, 0.5, 4]}]}', "pose_keypoints_2d: 4 numbers; expected x, y, confidence"),
+    "nothing": ('{"people": [{}]}', "person 1: pose_keypoints_2d: none"),
+    "text": ('{"people": [{"pose_keypoints_2d": [1, "2", 0.5]}]}', "an entry that is no finite number"),
+    "true": ('{"people": [{"pose_keypoints_2d": [1, true, 0.5]}]}', "an entry that is no finite number"),
+    "NaN": ('{"people": [{"pose_keypoints_2d": [1, NaN, 0.5]}]}', "an entry that is no finite number"),
+    "far away": ('{"people": [{"pose_keypoints_2d": [1e9, 2, 0.5]}]}', "far outside of any image"),
+    "a thousand digits": ('{"people": [{"pose_keypoints_2d": [' + "9" * 5000 + ", 2, 0.5]}]}", "no JSON of numbers"),
+    "nested without end": ("[" * 100000, "no JSON"),
+    "unequal people": (
+        '{"people": [{"pose_keypoints_2d": [1, 2, 1]}, {"pose_keypoints_2d": [1, 2, 1, 3, 4, 1]}]}',
+        "people with 1 and with 2 keypoints",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_refused(tmp_path, fault):
+    text, sentence = FAULTS[fault]
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(InputError, match=f"^{tmp_path}/a.json.*{sentence}") as error:
+        read_people(tmp_path / "a.json")
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_folders(tmp_path):
+    with pytest.raises(InputError, match="no numbered json files in it"):
+        keypoint_files(tmp_path / "none")
+    write(tmp_path / "a.0001.json", person(17))
+    write(tmp_path / "b.0001.json", person(17))
+    with pytest.raises(InputError, match="2 files with 1 numbers"):
+        keypoint_files(tmp_path)
+    write(tmp_path / "b.0001.json", person(18)).rename(tmp_path / "b.0002.json")
+    with pytest.raises(InputError, match="frames with 17 and with 18 keypoints"):
+        read_openpose(tmp_path, [1, 2])
+
+
+def test_layouts_name_every_keypoint_once():
+    for name, keypoints in LAYOUTS.items():
+        assert len(set(keypoints)) == len(keypoints) == int(name.split("_")[1].removesuffix("B"))
+        sides = {keypoint.removeprefix("l_") for keypoint in keypoints if keypoint.startswith("l_")}
+        assert sides == {keypoint.removeprefix("r_") for keypoint in keypoints if keypoint.startswith("r_")}
+
+
+def figures(layout: str, count=40) -> np.ndarray:
+    """Stick figures of a body's proportions, seen from all sides and foreshortened, in the order of a layout; `count` of them."""
+    rng = np.random.default_rng(11)
+    out = np.full((count, len(LAYOUTS[layout]), 3), 0.8)
+    for points in out:
+        place = {"l_shoulder": np.array([-0.11, 0.82, 0.0]), "r_shoulder": np.array([0.11, 0.82, 0.0])}
+        for side, x in (("l", -0.05), ("r", 0.05)):
+            place[f"{side}_hip"] = np.array([x, 0.53, 0.0])
+            for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle")):
+                direction = rng.normal([0, -1.5, 0], 0.5)
+                place[f"{side}_{b}"] = place[f"{side}_{a}"] + PROPORTIONS[a, b] * direction / np.linalg.norm(direction)
+        head = {name: np.array([0.0, 0.93, 0.05]) + rng.normal(0, 0.02, 3) for name in LAYOUTS[layout] if name not in place}
+        feet = {name: place[f"{name[0]}_ankle"] + rng.normal(0, 0.03, 3) for name in head if name.endswith(("toe", "heel"))}
+        place |= head | feet | {"mid_hip": (place["l_hip"] + place["r_hip"]) / 2, "neck": (place["l_shoulder"] + place["r_shoulder"]) / 2}
+        turn = rng.uniform(0, 2 * np.pi)
+        for k, name in enumerate(LAYOUTS[layout]):
+            x, y, z = place[name]
+            points[k, :2] = 300 + 500 * (x * np.cos(turn) + z * np.sin(turn)), 700 - 500 * y
+    return out
+
+
+@pytest.mark.parametrize("layout", ["BODY_25", "BODY_25B"])
+def test_proportions_tell_the_order_of_25(layout):
+    found = choose_layout(figures(layout))
+    assert (found.name, found.keypoints) == (layout, LAYOUTS[layout])
+    assert found.remark is not None and f"taken as {layout}" in found.remark
+
+
+@pytest.mark.parametrize("layout", ["COCO_17", "COCO_18", "HALPE_26"])
+def test_other_orders_follow_from_their_number(layout):
+    found = choose_layout(figures(layout))
+    assert (found.name, found.remark) == (layout, None)
+
+
+def test_layouts_that_cannot_be():
+    points = figures("BODY_25")
+    assert choose_layout(points, "BODY_25B").name == "BODY_25B"
+    with pytest.raises(InputError, match=r"--layout: 'BODY25': no such order; did you mean 'BODY_25'\?"):
+        choose_layout(points, "BODY25")
+    with pytest.raises(InputError, match="--layout COCO_17: 25 keypoints a person; expected 17"):
+        choose_layout(points, "COCO_17")
+    with pytest.raises(InputError, match="keypoints: 20 a person"):
+        choose_layout(points[:, :20])
+    with pytest.raises(InputError, match=r"25 a person, which may be BODY_25 or BODY_25B; .*--layout"):
+        choose_layout(np.full((3, 25, 3), 5.0))
+
+
+@pytest.fixture(scope="module")
+def beam(pose2sim_beam):
+    """All detections of the real recording, by camera."""
+    return [read_openpose(pose2sim_beam / "pose" / f"cam0{c}_json", range(100)) for c in (1, 2, 3, 4)]
+
+
+def test_the_real_data_say_body_25b(beam):
+    everybody = np.concatenate([each.reshape(-1, 25, 3) for each in beam])
+    assert choose_layout(everybody).name == "BODY_25B"
+    assert disproportion(everybody, LAYOUTS["BODY_25B"]) < 0.2 < 0.35 < disproportion(everybody, LAYOUTS["BODY_25"])
+
+
+def test_the_real_body_has_its_measures(beam, pose2sim_beam):
+    rig = [camera.spec((1088, 1920)) for camera in read_qualisys(pose2sim_beam / "calibration" / "Calib.qca.txt")]
+    index = {name: k for k, name in enumerate(LAYOUTS["BODY_25B"])}
+    found, errors = [], []
+    for frame in range(0, 100, 10):
+        people = [each[frame][np.isfinite(each[frame, :, :, 0]).any(axis=1)] for each in beam]
+        chosen = choose_person(rig, people)
+        # The bystander is in two of the views.
+        assert chosen is not None and None not in chosen.places
+        body = triangulate(rig, np.stack([among[place] for among, place in zip(people, chosen.places, strict=True)]))
+        found.append(body.points_m)
+        errors.append(body.error_px)
+    points = np.array(found)
+
+    def length(a, b):
+        return np.nanmedian([np.linalg.norm(points[:, index[f"{side}_{a}"]] - points[:, index[f"{side}_{b}"]], axis=-1) for side in "lr"])
+
+    # The set's README: some 13 px; and 0.38, 0.37, 0.86 m, of which 5 cm are the set's own error.
+    assert 8 < np.nanmedian(errors) < 18
+    assert length("hip", "knee") == pytest.approx(0.38, abs=0.05)
+    assert length("knee", "ankle") == pytest.approx(0.37, abs=0.05)
+    assert np.nanmedian(points[:, [index["l_hip"], index["r_hip"]], 2]) == pytest.approx(0.86, abs=0.05)
