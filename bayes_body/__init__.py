@@ -20,6 +20,10 @@ _HOME = {
     "track": "tracking",
     "to_datatree": "posterior",
     "save_posterior": "posterior",
+    "stream_posterior": "posterior",
+    "FrameFiles": "storage",
+    "load_run": "saved_run",
+    "with_first_pose": "initial",
     "summarise": "metrics",
     "draw_overlay": "view.overlay",
 }

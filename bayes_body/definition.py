@@ -3,7 +3,7 @@
 A definition names terms; what a term's table may hold is the term's own schema, found through the registry. Nothing here builds arrays.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from bayes_body.body.schema import BodySchema
 from bayes_body.errors import FaultyFileError, InputError, nearest, wrong
 from bayes_body.registry import Room, find, names
 from bayes_body.schema import Schema
-from bayes_body.toml_file import read_toml, validate
+from bayes_body.toml_file import parse_toml, read_toml, validate
 
 
 class TermTable(BaseModel):
@@ -93,9 +93,30 @@ def load_definition(name: str | Path) -> Definition:
     """
     path = _locate(str(name), "", "model", Path())
     where = path.name if path.parent == definitions_folder() else str(path)
-    data = read_toml(path)
-    collect = _Collector(where, path.parent)
-    file = collect.attempt(lambda: validate(_File, data, where))
+    # Read first by what says it in a sentence if there is no such file.
+    tables = read_toml(path)
+    return _read(path.stem, path.read_text(encoding="utf-8-sig"), tables, _Collector(where, path.parent))
+
+
+def parse_definition(name: str, text: str, body_text: str | None, where: str = "") -> Definition:
+    """A definition from its own text, as a run keeps it: whatever the files say by now.
+
+    Args:
+        name: what it shall be called.
+        text: the model file's.
+        body_text: the body file's; without it a body that the model names is looked up.
+        where: what the sentences shall call the text; the name by default.
+
+    Raises:
+        InputError: the text is no TOML.
+        FaultyFileError: one sentence for each thing in it that is wrong.
+    """
+    where = where or name
+    return _read(name, text, parse_toml(text, where), _Collector(where, Path(), body_text or None))
+
+
+def _read(name: str, text: str, data: Mapping[str, Any], collect: "_Collector") -> Definition:
+    file = collect.attempt(lambda: validate(_File, data, collect.where))
     # Read from the tables themselves, so that a fault in one place does not hide those in another.
     body_name, body_text, body = collect.body(data.get("body"))
     likelihoods = tuple(collect.likelihood(index, table) for index, table in _tables(data.get("likelihood")))
@@ -103,8 +124,7 @@ def load_definition(name: str | Path) -> Definition:
     (dynamics, kernel) = (next((collect.term(room, room, table) for _, table in _tables([data.get(room)])), None) for room in ("dynamics", "kernel"))
     if collect.sentences or file is None or dynamics is None or kernel is None or body is None:
         raise FaultyFileError(collect.sentences)
-    text = path.read_text(encoding="utf-8-sig")
-    return Definition(path.stem, text, file.title, file.source, body_name, body_text, body, dynamics, likelihoods, constraints, kernel)
+    return Definition(name, text, file.title, file.source, body_name, body_text, body, dynamics, likelihoods, constraints, kernel)
 
 
 def _tables(value: Any) -> Iterator[tuple[int, TermTable]]:
@@ -136,8 +156,8 @@ def _locate(name: str, folder: str, kind: str, beside: Path) -> Path:
 class _Collector:
     """Reads the terms of one file and gathers what is wrong, so that a user sees all of it at once."""
 
-    def __init__(self, where: str, folder: Path):
-        self.where, self.folder = where, folder
+    def __init__(self, where: str, folder: Path, body_text: str | None = None):
+        self.where, self.folder, self.body_text = where, folder, body_text
         self.sentences: list[str] = []
 
     def body(self, table: Any) -> tuple[str, str, BodySchema | None]:
@@ -153,9 +173,15 @@ class _Collector:
         if not isinstance(name, str):
             self.sentences.append(str(wrong(f"{self.where}: body.name", str(name), "a text", "put the name of a body in double quotes")))
             return "", "", None
+        if self.body_text is not None:
+            return name, self.body_text, self._parsed_body(name, self.body_text)
         body = self.attempt(lambda: load_body(name, self.folder), f"{self.where}: body.name: ")
         text = _locate(name, "bodies", "body", self.folder).read_text(encoding="utf-8-sig") if body else ""
         return name, text, body
+
+    def _parsed_body(self, name: str, text: str) -> BodySchema | None:
+        where = f"{self.where}: the body '{name}'"
+        return self.attempt(lambda: validate(BodySchema, parse_toml(text, where), where))
 
     def term(self, room: Room, place: str, table: TermTable) -> TermDefinition:
         """A term with its options, held against the schema that its kind registered."""

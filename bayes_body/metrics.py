@@ -1,62 +1,81 @@
-"""How good a run is: overlap with the silhouettes, agreement of the runs, and the figures of `summary.json`."""
+"""How good a run is: overlap with the silhouettes, agreement of the runs, and the figures of `summary.json`.
+
+Frames are taken one at a time; what is kept of each are a few numbers, such as a median needs.
+"""
 
 import resource
 import sys
-from typing import Any
+from itertools import combinations
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
+from bayes_body.draws import Draws, FrameResult
+from bayes_body.model import Model
 from bayes_body.observation.frames import read_frame
-from bayes_body.posterior import markers, mean_poses, rhat
+from bayes_body.posterior import frame_rhat, markers, mean_pose
 from bayes_body.session import Session
-from bayes_body.tracking import Draws
 from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.silhouette import intersection_over_union, projected_masks
 
 
 def silhouette_overlap(session: Session, draws: Draws, watch: Watch = unwatched) -> Float[np.ndarray, "run frame camera"]:
     """Overlap of the projected mean body of each run with the silhouettes; NaN where the session has none."""
-    poses = mean_poses(draws)
-    runs, frames = poses.shape[:2]
-    out = np.full((runs, frames, len(session.views)), np.nan)
-    for frame in watch(range(frames)):
-        seen = read_frame(session, frame).masks
-        if seen is None:
-            return out
-        for run in range(runs):
-            projected = projected_masks(draws.model, poses[run, frame], session)
-            out[run, frame] = [intersection_over_union(a, b) for a, b in zip(projected, seen, strict=True)]
+    return np.stack([_overlap(session, draws.model, draws.frames[index], index) for index in watch(range(len(draws.frames)))], axis=1)
+
+
+def _overlap(session: Session, model: Model, result: FrameResult, index: int) -> Float[np.ndarray, "run camera"]:
+    poses = mean_pose(result)
+    out = np.full((len(poses), len(session.views)), np.nan)
+    masks = read_frame(session, index).masks
+    if masks is not None:
+        for run, pose in enumerate(poses):
+            projected = projected_masks(model, pose, session)
+            out[run] = [np.nan if b is None else intersection_over_union(a, b) for a, b in zip(projected, masks, strict=True)]
     return out
 
 
 def marker_disagreement(draws: Draws) -> float:
     """Mean distance between the runs' mean markers: over pairs of runs, frames and markers, metres; NaN with a single run."""
-    positions = markers(draws.model, mean_poses(draws))
-    runs = positions.shape[0]
-    pairs = [np.linalg.norm(positions[a] - positions[b], axis=-1).mean() for a in range(runs) for b in range(a)]
+    return float(np.mean([_disagreement(draws.model, frame) for frame in draws.frames]))
+
+
+def _disagreement(model: Model, frame: FrameResult) -> float:
+    positions = markers(model, mean_pose(frame))
+    pairs = [np.linalg.norm(a - b, axis=-1).mean() for a, b in combinations(positions, 2)]
     return float(np.mean(pairs)) if pairs else float("nan")
-
-
-def lost_frames(draws: Draws) -> str:
-    """Which frames were lost, and what to do, in a sentence; runs of frames as `7-9`."""
-    ranges: list[list[int]] = []
-    for frame in draws.frames_lost:
-        if ranges and ranges[-1][1] == frame - 1:
-            ranges[-1][1] = frame
-        else:
-            ranges.append([frame, frame])
-    named = ", ".join(str(first) if first == last else f"{first}-{last}" for first, last in ranges)
-    return f"lost        frames {named}: no particle explained them, the filter went on from its prediction; look at the images, or raise --particles"
 
 
 def log_evidence(draws: Draws) -> float:
     """log p(all images), up to the likelihood's constant: the runs' estimates averaged before the logarithm; NaN from a mode seeker."""
-    by_run = np.asarray(draws.info.log_evidence, float).sum(axis=1)
+    return _averaged(sum((np.asarray(frame.info.log_evidence, float) for frame in draws.frames), np.zeros(draws.runs)))
+
+
+def _averaged(by_run: Float[np.ndarray, " run"]) -> float:
     if np.isnan(by_run).any():
         return float("nan")
     return float(np.logaddexp.reduce(by_run) - np.log(len(by_run)))
+
+
+class _Figures(NamedTuple):
+    """What the summary takes from one frame; overlap is (run, camera), the others (run,) or single numbers."""
+
+    ess: NDArray[Any]
+    log_evidence: NDArray[Any]
+    evaluations: int
+    lost: bool
+    rhat: float
+    overlap: NDArray[Any]
+    disagreement: float
+
+
+def _figures(session: Session, model: Model, frame: FrameResult, index: int) -> _Figures:
+    info, overlap = frame.info, _overlap(session, model, frame, index)
+    evidence, evaluations = np.asarray(info.log_evidence, float), int(np.sum(info.evaluations))
+    worst = _largest(frame_rhat(frame, index))
+    return _Figures(np.asarray(info.ess), evidence, evaluations, frame.lost, worst, overlap, _disagreement(model, frame))
 
 
 def summarise(session: Session, draws: Draws, *, kernel: str, layers: int, seed: int, watch: Watch = unwatched) -> dict[str, Any]:
@@ -65,40 +84,38 @@ def summarise(session: Session, draws: Draws, *, kernel: str, layers: int, seed:
     Seconds are wall-clock, all runs together; `seconds_per_frame` and `evaluations_per_second` leave the compilation out. An evaluation is the
     likelihood of a whole pose over all cameras.
     """
-    runs, frames, particles = draws.log_weights.shape
-    working = draws.timing.total - draws.timing.compile
-    ess = np.asarray(draws.info.ess)
-    worst = rhat(draws)
-    overlap = silhouette_overlap(session, draws, watch)
+    frames, working = len(draws.frames), draws.timing.total - draws.timing.compile
+    found = [_figures(session, draws.model, draws.frames[index], index) for index in watch(range(frames))]
+    ess, overlap = (np.array([getattr(each, name) for each in found]) for name in ("ess", "overlap"))
     figures = {
         "frames": frames,
-        "frames_lost": len(draws.frames_lost),
+        "frames_lost": sum(each.lost for each in found),
         "cameras": len(session.views),
         "dof": len(draws.model.body.dof_names),
-        "particles": particles,
+        "particles": draws.particles,
         "layers": layers,
-        "runs": runs,
+        "runs": draws.runs,
         "kernel": kernel,
         "model": draws.model.definition.name,
         "seed": seed,
         "seconds_total": draws.timing.total,
         "seconds_compile": draws.timing.compile,
         "seconds_per_frame": working / frames,
-        "evaluations_per_second": runs * frames * particles * layers / working,
+        "evaluations_per_second": sum(each.evaluations for each in found) / working,
         "peak_memory_mb": peak_memory_mb(),
         "ess_min": float(ess.min()),
         "ess_median": float(np.median(ess)),
-        "rhat_max": _largest(worst),
-        "log_evidence": log_evidence(draws),
+        "rhat_max": _largest(np.array([each.rhat for each in found])),
+        "log_evidence": _averaged(np.sum([each.log_evidence for each in found], axis=0)),
         "iou_median": float(np.nanmedian(overlap)) if np.isfinite(overlap).any() else None,
-        "marker_disagreement_mm": 1000 * marker_disagreement(draws),
+        "marker_disagreement_mm": 1000 * float(np.mean([each.disagreement for each in found])),
     }
     return {key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in figures.items()}
 
 
-def _largest(values: NDArray[np.floating]) -> float | None:
+def _largest(values: NDArray[np.floating]) -> float:
     finite = values[np.isfinite(values)]
-    return float(finite.max()) if finite.size else None
+    return float(finite.max()) if finite.size else float("nan")
 
 
 def peak_memory_mb() -> float:

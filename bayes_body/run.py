@@ -1,63 +1,76 @@
-"""A whole run on disk: track a session, and leave behind all that is needed to inspect and to repeat it.
+"""A whole run on disk: track a session, and leave behind all that is needed to inspect, to repeat and to continue it.
 
-`run.toml` is written first, the posterior before the pictures: what is computed is kept even if what comes after fails.
+`run.toml` comes first, then each frame as it is computed, the posterior before the figures and these before the pictures. Whatever stops a run, what
+it has computed stays, and a later one goes on from there to the same end.
 """
 
 import json
-import platform
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from importlib.metadata import version
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
-import tomlkit
 
 from bayes_body.definition import Definition, load_definition
+from bayes_body.draws import Draws
 from bayes_body.errors import wrong
-from bayes_body.files import make_folder, write_text
-from bayes_body.metrics import lost_frames, summarise
-from bayes_body.model import load_model
-from bayes_body.posterior import save_posterior, to_datatree
+from bayes_body.files import make_folder, remove_partial, write_text
+from bayes_body.initial import apply_first_pose, first_pose, restored, stored
+from bayes_body.metrics import summarise
+from bayes_body.model import Model, load_model
+from bayes_body.posterior import stream_posterior
+from bayes_body.posterior.diagnostics import diagnose, sentences, worst_figures
+from bayes_body.posterior.stream import stored_frames
 from bayes_body.registry import find
-from bayes_body.session import load_session
+from bayes_body.saved_run import load_run
+from bayes_body.session import Session, load_session
+from bayes_body.storage import FrameFiles
+from bayes_body.storage.lock import check_unlocked, locked
+from bayes_body.storage.run_file import NAME as RUN_FILE
+from bayes_body.storage.run_file import describe, read_run_file, refuse_changes, write_run_file
 from bayes_body.toml_file import validate
 from bayes_body.tracking import track
-from bayes_body.view.overlay import draw_overlay
-from bayes_body.view.progress import progress_bar, watched
+from bayes_body.view.overlay import draw_overlay, is_drawn
+from bayes_body.view.progress import progress_bar, waiting, watched
 
-# A folder with run.toml alone is a run that stopped before it had anything to keep: it may be tried again.
-LEFT_BY_A_RUN = ("posterior.nc", "summary.json")
-PACKAGES = ("bayes-body", "jax", "jaxlib", "numpyro", "blackjax", "arviz", "opencv-python-headless", "numpy")
+POSTERIOR, SUMMARY, FRAMES = "posterior.nc", "summary.json", "frames"
+# What a new run takes where nothing is said.
+DEFAULTS = {"model": "deutscher_apf", "runs": 1, "seed": 0}
+
+type Show = Callable[[str], None]
+type Record = dict[str, dict[str, Any]]
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What a run is made of.
+    """What a run is made of. What is None is as the folder's run has it where that is continued, or else as the model has it or DEFAULTS say.
 
     Attributes:
         session: folder of the session.
+        out: folder of the run.
         model: a definition's name or path.
-        kernel: a kernel's name; None takes the definition's.
+        kernel: a kernel's name.
         overrides: options of the kernel that differ from the definition's.
         runs: independent filters.
-        frames: how many frames; None takes all.
+        frames: how many frames; all where nothing is said.
         seed: of everything random.
-        out: folder of the run.
+        resume: whether to go on with the run of the folder.
     """
 
     session: Path
-    model: str
-    kernel: str | None
-    overrides: Mapping[str, int]
-    runs: int
-    frames: int | None
-    seed: int
     out: Path
+    model: str | None = None
+    kernel: str | None = None
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    runs: int | None = None
+    frames: int | None = None
+    seed: int | None = None
+    resume: bool = False
 
 
-def run(settings: Settings, show: Callable[[str], None], bar: bool) -> dict[str, Any]:
+def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
     """Track and write everything; returns what `summary.json` holds.
 
     Args:
@@ -66,33 +79,74 @@ def run(settings: Settings, show: Callable[[str], None], bar: bool) -> dict[str,
         bar: whether a progress bar is drawn on standard error.
 
     Raises:
-        InputError: an input cannot be used, or the folder holds another run.
+        InputError: an input cannot be used, the folder holds another run or another process works on it, or something cannot be written.
     """
-    _refuse_another_run(settings.out)
-    session = load_session(settings.session)
-    definition = load_definition(settings.model)
-    kind, options = kernel_options(definition, settings.kernel, settings.overrides)
-    term = find("kernel", kind)
+    check_unlocked(settings.out)
+    kept = _kept_record(settings)
+    chosen = choose(settings, kept)
+    session, definition = load_session(settings.session), load_definition(chosen.model)
+    kind, options = kernel_options(definition, chosen.kernel, settings.overrides, (kept or {}).get("kernel"))
+    term, model = find("kernel", kind), load_model(definition, session)
+    record = describe(settings.session, chosen.model, definition, kind, options.model_dump(), chosen.runs, chosen.seed, chosen.frames)
+    if kept:
+        refuse_changes(settings.out, kept, record)
+    model, record = _with_first_pose(model, session, record, kept, settings.out, show)
     kernel = term.build(options=options)
-    model = load_model(definition, session)
-    _write_run_file(settings, definition, kind, options.model_dump())
-    if term.note:
-        show(f"{kind}: {term.note}")
-    with progress_bar(bar) as on_frame:
-        draws = track(session, model, kernel, jax.random.key(settings.seed), options.particles, settings.runs, settings.frames, on_frame)
-    save_posterior(to_datatree(draws, {"kernel": kind, "seed": settings.seed}), settings.out / "posterior.nc")
-    layers = getattr(options, "layers", 1)
-    summary = summarise(session, draws, kernel=kind, layers=layers, seed=settings.seed, watch=watched("overlap", bar))
-    write_text(settings.out / "summary.json", json.dumps(summary, indent=2) + "\n")
-    draw_overlay(session, draws, settings.out, watched("pictures", bar))
-    show(_figures(summary))
-    if draws.frames_lost:
-        show(lost_frames(draws))
-    return summary
+    with locked(make_folder(settings.out)):
+        frames = _begin(settings.out, chosen.frames or session.frames, show)
+        write_run_file(settings.out, record)
+        if term.note:
+            show(f"{kind}: {term.note}")
+        with _kept(frames, settings.out, show):
+            with progress_bar(bar, len(frames)) as on_frame:
+                draws = track(
+                    session, model, kernel, jax.random.key(chosen.seed), options.particles, chosen.runs, chosen.frames, on_frame, into=frames
+                )
+            figures = {"kernel": kind, "layers": getattr(options, "layers", 1), "seed": chosen.seed}
+            return _leave(session, draws, settings.out, figures, show, bar)
 
 
-def kernel_options(definition: Definition, kind: str | None, overrides: Mapping[str, int]) -> tuple[str, Any]:
+def _with_first_pose(
+    model: Model, session: Session, record: Record, kept: Mapping[str, Mapping[str, Any]] | None, out: Path, show: Show
+) -> tuple[Model, Record]:
+    """The model with its first pose where that must be found, and the record with it; a run that is continued starts from the pose that it kept."""
+    if not session.initial_markers and not session.initial_keypoints:
+        return model, record
+    if kept and "first_pose" in kept:
+        found = restored(model, kept["first_pose"], f"{out / RUN_FILE}: first_pose")
+    else:
+        found = first_pose(model, session)
+        for remark in found.remarks:
+            show(f"first pose: {remark}")
+    return apply_first_pose(model, session, found), {**record, "first_pose": stored(model, found)}
+
+
+class Chosen(NamedTuple):
+    """Settings with every default in its place; `kernel` None is the model's own, `frames` None is all."""
+
+    model: str
+    kernel: str | None
+    runs: int
+    frames: int | None
+    seed: int
+
+
+def choose(settings: Settings, kept: Mapping[str, Mapping[str, Any]] | None) -> Chosen:
+    """What is given, or else what the run that is continued has, or else what a new one takes."""
+    defaults = DEFAULTS if kept is None else {**DEFAULTS, **kept["run"], "kernel": kept["kernel"].get("kind")}
+    values: dict[str, Any] = {name: getattr(settings, name) for name in Chosen._fields}
+    chosen: dict[str, Any] = {name: defaults.get(name) if value is None else value for name, value in values.items()}
+    return Chosen(**chosen)
+
+
+def kernel_options(definition: Definition, kind: str | None, overrides: Mapping[str, Any], kept: Mapping[str, Any] | None = None) -> tuple[str, Any]:
     """The kernel's name and options: the definition's where it is the definition's kernel, else that kernel's own defaults; `overrides` go first.
+
+    Args:
+        definition: of the model.
+        kind: the kernel's name; None takes the definition's.
+        overrides: options that are given for this run.
+        kept: kernel and options of the run that is continued; they take the place of the definition's.
 
     Raises:
         InputError: there is no such kernel, or an option that it does not have or may not have.
@@ -100,34 +154,91 @@ def kernel_options(definition: Definition, kind: str | None, overrides: Mapping[
     kind = kind or definition.kernel.kind
     schema = find("kernel", kind).options
     given = definition.kernel.options.model_dump() if kind == definition.kernel.kind else {}
+    if kept and kept.get("kind") == kind:
+        given = {name: value for name, value in kept.items() if name != "kind"}
     for name in overrides:
         if name not in schema.model_fields:
-            raise wrong(f"--{name}", f"the kernel '{kind}' has no such option", f"one of {', '.join(schema.model_fields)}", "leave it out")
+            raise wrong(
+                f"--{name.replace('_', '-')}", f"the kernel '{kind}' has no such option", f"one of {', '.join(schema.model_fields)}", "leave it out"
+            )
     return kind, validate(schema, given | dict(overrides), "the kernel's options")
 
 
-def _refuse_another_run(out: Path) -> None:
-    for name in LEFT_BY_A_RUN:
+def _kept_record(settings: Settings) -> dict[str, dict[str, Any]] | None:
+    """The settings of the run that is to be continued; None where a new one begins."""
+    out, frames = settings.out, len(FrameFiles(settings.out / FRAMES))
+    if settings.resume:
+        # A folder without frames is a run that stopped before the first of them, or none yet: the same command begins it.
+        return read_run_file(out) if frames or (out / RUN_FILE).exists() else None
+    for name in (POSTERIOR, SUMMARY):
         if (out / name).exists():
-            raise wrong(out, f"holds another run ({name})", "a folder without one", "name another with --out, or remove this one")
-    make_folder(out)
+            raise wrong(
+                out, f"holds another run ({name})", "a folder without one", "name another with --out, continue it with --resume, or remove it"
+            )
+    if frames:
+        found, remedy = f"holds a run that stopped at frame {frames}", "continue it with --resume, or name another folder with --out"
+        raise wrong(out, found, "a folder without one", remedy)
+    return None
 
 
-def _write_run_file(settings: Settings, definition: Definition, kind: str, options: Mapping[str, Any]) -> None:
-    """All that is needed to repeat the run: settings, the kernel's every option, versions, and the definition's own text."""
-    document = tomlkit.document()
-    document.add(tomlkit.comment("Made by bayes-body track. The same settings with the same versions on the same kind of processor repeat the run."))
-    table = tomlkit.table()
-    table.update({"session": str(settings.session.resolve()), "model": settings.model, "runs": settings.runs, "seed": settings.seed})
-    if settings.frames is not None:
-        table["frames"] = settings.frames
-    document["run"] = table
-    document["kernel"] = {"kind": kind, **options}
-    document["versions"] = {"python": platform.python_version(), **{package: version(package) for package in PACKAGES}}
-    document["machine"] = {"platform": platform.platform(), "devices": [str(device) for device in jax.devices()]}
-    texts = {"text": definition.text, "body_text": definition.body_text}
-    document["definition"] = {"title": definition.title, **{key: tomlkit.string(text, multiline=True) for key, text in texts.items() if text}}
-    write_text(settings.out / "run.toml", tomlkit.dumps(document))
+def _begin(out: Path, asked: int, show: Show) -> FrameFiles:
+    """The frames that are there already, whole ones only."""
+    frames = FrameFiles(out / FRAMES)
+    remove_partial(out)
+    damage = frames.mend()
+    if damage:
+        show(f"{damage} It is computed again.")
+    if len(frames) > asked:
+        raise wrong("--frames", str(asked), f"at least the {len(frames)} frames that the run has", "give a larger number")
+    if len(frames):
+        what = f"going on at frame {len(frames)} of {asked}" if len(frames) < asked else f"all {asked} frames are there, nothing is left to track"
+        show(f"{out}: {what}")
+    return frames
+
+
+@contextmanager
+def _kept(frames: FrameFiles, out: Path, show: Show) -> Iterator[None]:
+    """Say, whatever stops the run, that it can be continued."""
+    try:
+        yield
+    except BaseException:
+        if len(frames):
+            show(f"{out}: {len(frames)} frames are kept; the same command with --resume goes on from there.")
+        raise
+
+
+def _leave(session: Session, draws: Draws, out: Path, figures: Mapping[str, Any], show: Show, bar: bool) -> dict[str, Any]:
+    """Posterior, summary and pictures, as far as they are not there for all frames; `figures` go into the summary as they are."""
+    if stored_frames(out / POSTERIOR) != len(draws.frames):
+        stream_posterior(draws, out / POSTERIOR, {name: figures[name] for name in ("kernel", "seed")})
+    diagnosis, told = _diagnosed(out, bar)
+    summary = _stored_summary(out / SUMMARY)
+    if summary.get("frames") != len(draws.frames):
+        summary = summarise(session, draws, **figures, watch=watched("figures", bar)) | diagnosis
+        write_text(out / SUMMARY, json.dumps(summary, indent=2) + "\n")
+    if not is_drawn(out, len(draws.frames)):
+        draw_overlay(session, draws, out, watched("pictures", bar))
+    show(_figures(summary))
+    for sentence in told:
+        show(f"look at    {sentence}")
+    return summary
+
+
+def _diagnosed(out: Path, bar: bool) -> tuple[dict[str, Any], list[str]]:
+    """The posterior's diagnostics: their worst figures, and what a reader must be told."""
+    with load_run(out) as saved, waiting("diagnostics", bar):
+        diagnosis = diagnose(saved)
+    # Of a mode seeker the first sentence says that it is one: that is said before the run.
+    return worst_figures(diagnosis), sentences(diagnosis)[diagnosis.mode_seeker :]
+
+
+def _stored_summary(path: Path) -> dict[str, Any]:
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        # Missing, or not what a run writes: it is made anew.
+        return {}
+    return summary if isinstance(summary, dict) else {}
 
 
 def _figures(summary: Mapping[str, Any]) -> str:

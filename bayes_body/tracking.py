@@ -1,21 +1,22 @@
 """A model, a kernel and a session make draws, frame by frame.
 
 All frames and all runs go through one compiled program: images, particles and keys are its arguments. While the device works on a frame the host
-prepares the next one's maps. Keys are folded by run and frame, so that no frame's randomness depends on how many came before it.
+prepares the next one's maps. Keys are folded by run and frame, so that no frame's randomness depends on how many came before it: a filter goes on
+from the last frame that is kept to the same end, bit for bit.
 """
 
 import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Array
-from numpy.typing import NDArray
 
 from bayes_body.density import Density
+from bayes_body.draws import Draws, FrameResult, FrameStore, timing_of
 from bayes_body.errors import wrong
 from bayes_body.factor import FilterInfo, Kernel, Particles
 from bayes_body.kernels.batching import everywhere, whole
@@ -31,7 +32,7 @@ class Progress(NamedTuple):
     Attributes:
         frame: frames done.
         frames: frames in all.
-        seconds_per_frame: mean so far, all runs together, compilation left out.
+        seconds_per_frame: mean so far in this process, all runs together, compilation left out.
         ess: smallest effective sample size over the runs, particles.
         survival_rate: smallest final survival rate over the runs.
         lost: whether a run lost this frame.
@@ -45,38 +46,6 @@ class Progress(NamedTuple):
     lost: bool
 
 
-@dataclass(frozen=True)
-class Timing:
-    """Wall-clock seconds: all of it, and therein until the program of a frame was ready (traced, and compiled or loaded from the cache)."""
-
-    total: float
-    compile: float
-
-
-@dataclass(frozen=True)
-class Draws:
-    """What the filters leave behind, on the host.
-
-    Attributes:
-        model: what was tracked with.
-        states: by variable, (run, frame, particle, ...).
-        log_weights: normalised, (run, frame, particle).
-        info: each field with leading (run, frame).
-        timing: seconds.
-    """
-
-    model: Model
-    states: dict[str, NDArray[Any]]
-    log_weights: NDArray[np.floating]
-    info: FilterInfo
-    timing: Timing
-
-    @property
-    def frames_lost(self) -> list[int]:
-        """Frames that at least one run could not explain."""
-        return [int(frame) for frame in np.flatnonzero(np.asarray(self.info.lost).any(axis=0))]
-
-
 def track(
     session: Session,
     model: Model,
@@ -86,6 +55,7 @@ def track(
     runs: int = 1,
     frames: int | None = None,
     on_frame: Callable[[Progress], None] | None = None,
+    into: FrameStore | None = None,
 ) -> Draws:
     """Filter a session.
 
@@ -97,53 +67,77 @@ def track(
         particles: particles a run.
         runs: independent filters; ArviZ's chains.
         frames: how many frames from the first on; all by default.
-        on_frame: called after each frame.
+        on_frame: called after each frame, once it is kept.
+        into: what keeps the frames, such as `storage.FrameFiles`; a list by default. Frames that it already holds are not computed again: the filters
+            go on from the last of them.
 
     Raises:
-        InputError: no particles, runs or frames; or a frame's images cannot be read.
+        InputError: no particles, runs or frames; `into` holds other or more of them; a frame's images cannot be read, or a frame cannot be kept.
     """
     count = session.frames if frames is None else frames
     for name, value, most in (("particles", particles, None), ("runs", runs, None), ("frames", count, session.frames)):
         if value < 1 or (most is not None and value > most):
             raise wrong(name, str(value), f"a whole number from 1{f' to {most}' if most else ' up'}", "give another number")
-    started = time.perf_counter()
-    with closing(_observations(session, model, count)) as observations:
-        results, ready = _filter(model, kernel, key, particles, runs, count, observations, on_frame)
-    states, log_weights, info = _stack(results)
-    return Draws(model, states, log_weights, info, Timing(time.perf_counter() - started, ready - started))
+    store: FrameStore = [] if into is None else into
+    done = len(store)
+    filters = _filters_after(store, particles, runs, count) if done else [model.start(particles)] * runs
+    if done < count:
+        with closing(_observations(session, model, range(done, count))) as observations:
+            _follow(store, _filter(model, kernel, key, filters, done, observations), count, on_frame)
+    return Draws(model, store, timing_of(store), tuple(view.camera.name for view in session.views))
 
 
-def _observations(session: Session, model: Model, count: int) -> Generator[Any]:
-    return prefetch(range(count), lambda index: everywhere(model.observe(read_frame(session, index))))
+def _filters_after(store: FrameStore, particles: int, runs: int, count: int) -> list[Particles]:
+    """Each run's particles at the last frame that is kept."""
+    last = store[len(store) - 1]
+    for name, kept, asked in zip(("runs", "particles"), last.log_weights.shape, (runs, particles), strict=True):
+        if kept != asked:
+            raise wrong(name, str(asked), f"the {kept} of the frames that are kept", "give that number, or begin anew")
+    if len(store) > count:
+        raise wrong("frames", str(count), f"at least the {len(store)} that are kept", "give a larger number, or begin anew")
+    return [Particles({name: values[run] for name, values in last.states.items()}, last.log_weights[run]) for run in range(runs)]
+
+
+def _observations(session: Session, model: Model, frames: range) -> Generator[tuple[np.ndarray, Any]]:
+    """Of each frame, which cameras saw it, and what the factors need of it."""
+
+    def observe(index: int) -> tuple[np.ndarray, Any]:
+        frame = read_frame(session, index)
+        return np.array(frame.seen), everywhere(model.observe(frame))
+
+    return prefetch(frames, observe)
+
+
+def _follow(store: FrameStore, results: Iterator[FrameResult], count: int, on_frame: Callable[[Progress], None] | None) -> None:
+    """Keep each frame as it comes."""
+    first, seconds = len(store), 0.0
+    for done, result in enumerate(results, first + 1):
+        store.append(result)
+        seconds += result.seconds
+        if on_frame:
+            on_frame(_progress(result, done, count, seconds / (done - first)))
 
 
 def _filter(
-    model: Model,
-    kernel: Kernel,
-    key: Key,
-    particles: int,
-    runs: int,
-    count: int,
-    observations: Iterator[Any],
-    on_frame: Callable[[Progress], None] | None,
-) -> tuple[list[list[tuple[Particles, FilterInfo]]], float]:
-    """What each run made of each frame, and when (by `time.perf_counter`) the program was ready to work on the first."""
-    run_keys = [everywhere(jax.random.fold_in(key, run)) for run in range(runs)]
-    filters = [everywhere(model.start(particles))] * runs
+    model: Model, kernel: Kernel, key: Key, filters: list[Particles], first: int, observations: Iterator[tuple[np.ndarray, Any]]
+) -> Iterator[FrameResult]:
+    """What all runs make of each frame from `first` on; nothing of a frame is kept here but its particles."""
+    last = time.perf_counter()
+    run_keys = [everywhere(jax.random.fold_in(key, run)) for run in range(len(filters))]
+    filters = [everywhere(particles) for particles in filters]
     model = replace(model, transition=everywhere(model.transition), factors=everywhere(model.factors))
-    step, ready, results = None, 0.0, []
-    for frame, observation in enumerate(observations):
-        density = model.density(observation, filters[0])
+    step = None
+    for frame, (seen, observation) in enumerate(observations, first):
+        density, ready = model.density(observation, filters[0]), 0.0
         if step is None:
             step = _compile(kernel, run_keys[0], filters[0], density)
-            ready = time.perf_counter()
+            last, ready = time.perf_counter(), time.perf_counter() - last
         index = everywhere(np.int32(frame))
         outcomes = [step(run_key, index, before, density) for run_key, before in zip(run_keys, filters, strict=True)]
         filters = [after for after, _ in outcomes]
-        results.append(jax.device_get(outcomes))
-        if on_frame:
-            on_frame(_progress(results[-1], frame + 1, count, (time.perf_counter() - ready) / (frame + 1)))
-    return results, ready
+        runs = jax.device_get(outcomes)
+        last, seconds = time.perf_counter(), time.perf_counter() - last
+        yield _result(runs, seen, seconds, ready)
 
 
 def _compile(kernel: Kernel, key: Key, particles: Particles, density: Density) -> Callable[..., Any]:
@@ -155,20 +149,27 @@ def _compile(kernel: Kernel, key: Key, particles: Particles, density: Density) -
     return jax.jit(frame_of_run, out_shardings=whole()).lower(key, everywhere(np.int32(0)), particles, density).compile()
 
 
-def _progress(outcomes: list[tuple[Particles, FilterInfo]], frame: int, frames: int, seconds: float) -> Progress:
-    infos = [info for _, info in outcomes]
+def _result(outcomes: list[tuple[Particles, FilterInfo]], seen: np.ndarray, seconds: float, ready: float) -> FrameResult:
+    particles, info = jax.tree.map(lambda *leaves: np.stack(leaves), *outcomes)
+    if not seen.any():
+        # The likelihood was the same for all particles: a kernel alone cannot tell that from a frame that it explains.
+        info = info._replace(lost=np.ones_like(info.lost))
+    return FrameResult(dict(particles.states), particles.log_weights, info, seen, seconds, ready)
+
+
+def _progress(result: FrameResult, frame: int, frames: int, seconds: float) -> Progress:
     return Progress(
         frame=frame,
         frames=frames,
         seconds_per_frame=seconds,
-        ess=min(float(info.ess) for info in infos),
-        survival_rate=min(float(info.survival_rate[-1]) for info in infos),
-        lost=any(bool(info.lost) for info in infos),
+        ess=float(np.min(result.info.ess)),
+        survival_rate=float(_final(result.info.survival_rate).min()),
+        lost=result.lost,
     )
 
 
-def _stack(results: list[list[tuple[Particles, FilterInfo]]]) -> tuple[dict[str, NDArray[Any]], NDArray[np.floating], FilterInfo]:
-    """From a list of frames of runs to arrays (run, frame, ...)."""
-    by_run = jax.tree.map(lambda *frames: np.stack(frames), *[jax.tree.map(lambda *runs: np.stack(runs), *frame) for frame in results])
-    particles, info = jax.tree.map(lambda leaf: np.swapaxes(leaf, 0, 1), by_run)
-    return dict(particles.states), particles.log_weights, info
+def _final(by_layer: Array | np.ndarray) -> np.ndarray:
+    """Of each run, the last layer that was reached; a kernel that chooses their number leaves the others NaN."""
+    values = np.asarray(by_layer)
+    reached = np.isfinite(values).sum(axis=-1)
+    return values[np.arange(len(values)), np.maximum(reached, 1) - 1]

@@ -8,9 +8,9 @@ import pytest
 
 from bayes_body.kernels import annealed
 from bayes_body.kernels.particle_filter import build_kernel
-from bayes_body.metrics import log_evidence, lost_frames, marker_disagreement, silhouette_overlap, summarise
+from bayes_body.metrics import log_evidence, marker_disagreement, silhouette_overlap, summarise
 from bayes_body.model import load_model
-from bayes_body.posterior import markers
+from bayes_body.posterior import markers, rhat
 from bayes_body.tracking import track
 from bayes_body.view.silhouette import intersection_over_union
 
@@ -34,13 +34,27 @@ def test_overlap_has_a_figure_for_each_run_frame_and_camera(textured_session, dr
     assert ((overlap >= 0) & (overlap <= 1)).all() and overlap.max() > 0
 
 
+def _with_poses(draws, poses):
+    """The draws with other poses (run, frame, particle, dof)."""
+    frames = [dataclasses.replace(frame, states={"pose": poses[:, index]}) for index, frame in enumerate(draws.frames)]
+    return dataclasses.replace(draws, frames=frames)
+
+
+def _with_info(draws, **fields):
+    """Draws of as many frames as the fields (run, frame) have, with these in their info."""
+    frames = []
+    for index in range(next(iter(fields.values())).shape[1]):
+        info = draws.frames[0].info._replace(**{name: values[:, index] for name, values in fields.items()})
+        frames.append(dataclasses.replace(draws.frames[0], info=info))
+    return dataclasses.replace(draws, frames=frames)
+
+
 def test_marker_disagreement_is_a_distance(draws):
     still = np.broadcast_to(draws.states["pose"][:1, :, :1], draws.states["pose"].shape)
-    same = dataclasses.replace(draws, states={"pose": still})
-    assert marker_disagreement(same) < 1e-6
+    assert marker_disagreement(_with_poses(draws, still)) < 1e-6
     bent = still.copy()
     bent[1, ..., 3] = -0.2
-    apart = dataclasses.replace(draws, states={"pose": bent})
+    apart = _with_poses(draws, bent)
     a, b = (markers(draws.model, bent[run, :, 0]) for run in (0, 1))
     assert np.isclose(marker_disagreement(apart), np.linalg.norm(a - b, axis=-1).mean(), rtol=1e-4)
 
@@ -57,14 +71,28 @@ def test_a_figure_that_does_not_exist_is_null(textured_session, draws):
 
 def test_evidence_is_averaged_before_the_logarithm_and_null_of_a_mode_seeker(textured_session, draws):
     by_run = np.array([[-3.0, -4.0], [-3.5, -6.0]])
-    made = dataclasses.replace(draws, info=draws.info._replace(log_evidence=by_run))
-    assert np.isclose(log_evidence(made), np.log((np.exp(-7.0) + np.exp(-9.5)) / 2))
+    assert np.isclose(log_evidence(_with_info(draws, log_evidence=by_run)), np.log((np.exp(-7.0) + np.exp(-9.5)) / 2))
     sought = track(textured_session, draws.model, annealed(layers=2), jax.random.key(0), particles=20)
     assert summarise(textured_session, sought, kernel="annealed", layers=2, seed=0)["log_evidence"] is None
 
 
-def test_lost_frames_are_named(draws):
-    lost = np.zeros((2, 12), bool)
-    lost[0, [3, 7, 8]] = lost[1, [8, 9, 11]] = True
-    said = lost_frames(dataclasses.replace(draws, info=draws.info._replace(lost=lost)))
-    assert "frames 3, 7-9, 11: no particle explained them" in said
+def test_frames_that_a_camera_missed_are_known(draws):
+    seen = np.ones((5, 2), bool)
+    seen[[0, 2, 3], 1] = False
+    frames = [dataclasses.replace(frame, seen=seen[index]) for index, frame in enumerate(draws.frames)]
+    made = dataclasses.replace(draws, frames=frames)
+    assert made.frames_unseen == {"a": [], "b": [0, 2, 3]}
+
+
+def test_the_figures_are_those_of_all_frames(textured_session, draws):
+    """Computed frame by frame, held against the arrays of all frames."""
+    summary = summarise(textured_session, draws, kernel="sir", layers=1, seed=0)
+    ess = np.asarray(draws.info.ess)
+    assert summary["ess_min"] == ess.min() and np.isclose(summary["ess_median"], np.median(ess))
+    assert np.isclose(summary["rhat_max"], np.nanmax(rhat(draws)))
+    assert np.isclose(summary["iou_median"], np.nanmedian(silhouette_overlap(textured_session, draws)))
+    assert np.isclose(summary["log_evidence"], log_evidence(draws))
+    assert np.isclose(summary["marker_disagreement_mm"], 1000 * marker_disagreement(draws))
+    working = draws.timing.total - draws.timing.compile
+    assert np.isclose(summary["evaluations_per_second"], 2 * 5 * 50 / working)
+    assert np.isclose(working, sum(frame.seconds for frame in draws.frames))

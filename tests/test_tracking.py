@@ -1,6 +1,7 @@
 """Tracking: one program for all frames, keys by run and frame, what is said of bad arguments and of broken recordings."""
 
 import dataclasses
+import shutil
 
 import jax
 import numpy as np
@@ -70,10 +71,34 @@ def test_sizes_that_make_no_sense(textured_session, arm, arguments, said):
         track(textured_session, arm, build_kernel(), KEY, **arguments)
 
 
-def test_a_frame_that_cannot_be_read_stops_with_its_name(textured_session, arm):
-    longer = dataclasses.replace(textured_session, frames=7)
-    with pytest.raises(InputError, match=r"image0005\.png"):
-        track(longer, arm, build_kernel(), KEY, particles=10)
+@pytest.fixture
+def damageable(textured_session, tmp_path):
+    """The session with images of its own."""
+    for name in ("a", "b"):
+        shutil.copytree(textured_session.folder / name, tmp_path / name)
+    return dataclasses.replace(textured_session, folder=tmp_path)
+
+
+def test_a_frame_that_cannot_be_used_stops_with_its_name_and_keeps_those_before(damageable, arm):
+    """Another camera's, of another size."""
+    kept, told = [], []
+    shutil.copyfile(damageable.folder / "a" / "image0003.png", damageable.folder / "b" / "image0003.png")
+    with pytest.raises(InputError, match=r"image0003\.png"):
+        track(damageable, arm, build_kernel(), KEY, particles=10, on_frame=told.append, into=kept)
+    assert len(kept) == len(told) == 3
+
+
+def test_a_frame_that_no_camera_saw_is_lost_and_the_filter_goes_on(damageable, arm):
+    for name in ("a/image0002.png", "b/image0002.png", "b/image0003.png"):
+        (damageable.folder / name).unlink()
+    told = []
+    draws = track(damageable, arm, build_kernel(), KEY, particles=40, runs=2, on_frame=told.append)
+    assert draws.frames_lost == [2]
+    assert [progress.lost for progress in told] == [False, False, True, False, False]
+    assert draws.frames_unseen == {"a": [2], "b": [2, 3]}
+    assert np.asarray(draws.info.lost)[:, 2].all()
+    # Nothing told the particles apart.
+    assert np.allclose(draws.log_weights[:, 2], -np.log(40), atol=1e-5)
 
 
 def test_a_session_without_masks_is_told_what_it_lacks(textured_session, arm):

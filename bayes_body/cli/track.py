@@ -13,18 +13,28 @@ LARGEST_SEED = 2**32 - 1
 
 def track(
     session: Path = typer.Argument(help="Folder of a session, as `bayes-body import` makes it."),
-    out: Path = typer.Option(..., "--out", help="Folder for the run; it must not hold another."),
-    model: str = typer.Option("deutscher_apf", "--model", help="A definition's name (`bayes-body models`) or the path of your own."),
+    out: Path = typer.Option(..., "--out", help="Folder for the run; without --resume it must not hold another."),
+    model: str | None = typer.Option(
+        None, "--model", help="A definition's name (`bayes-body models`) or the path of your own; deutscher_apf by default."
+    ),
     kernel: str | None = typer.Option(
-        None, "--kernel", help="annealed (a mode seeker: finds the pose, its spread is no uncertainty) or sir; the model's own by default."
+        None,
+        "--kernel",
+        help="annealed (a mode seeker: finds the pose, its spread is no uncertainty), sir or tempered; the model's own by default.",
     ),
     particles: int | None = typer.Option(None, "--particles", help="Particles a run."),
     layers: int | None = typer.Option(None, "--layers", help="Annealing layers a frame (annealed only)."),
-    runs: int = typer.Option(1, "--runs", help="Independent filters; two or more give an R-hat."),
+    move: str | None = typer.Option(None, "--move", help="hmc or random_walk (tempered only)."),
+    moves: int | None = typer.Option(None, "--moves", help="Markov moves of a particle in a stage (tempered only)."),
+    leapfrog_steps: int | None = typer.Option(None, "--leapfrog-steps", help="Gradients that an HMC move takes (tempered only)."),
+    runs: int | None = typer.Option(None, "--runs", help="Independent filters, 1 by default; two or more give an R-hat."),
     frames: int | None = typer.Option(None, "--frames", help="Only the first so many frames."),
-    seed: int = typer.Option(0, "--seed", help="Seed of everything random."),
+    seed: int | None = typer.Option(None, "--seed", help="Seed of everything random, 0 by default."),
+    resume: bool = typer.Option(
+        False, "--resume", help="Go on with the folder's run after its last whole frame; what is not given is as that run has it."
+    ),
 ) -> None:
-    """Track the person of a session; leaves run.toml, posterior.nc, summary.json, overlay.mp4 and stills."""
+    """Track the person of a session; leaves run.toml, frames, posterior.nc, summary.json, overlay.mp4 and stills."""
     from bayes_body.config import configure
 
     configure()
@@ -32,16 +42,17 @@ def track(
     from bayes_body.run import Settings, run
 
     most = _frames_of(session)
-    _check_range("--particles", particles, 1)
-    _check_range("--layers", layers, 1)
-    _check_range("--runs", runs, 1)
+    counts = {"particles": particles, "layers": layers, "moves": moves, "leapfrog_steps": leapfrog_steps}
+    for name, value in (counts | {"runs": runs}).items():
+        _check_range(f"--{name.replace('_', '-')}", value, 1)
     _check_range("--frames", frames, 1, most)
     _check_range("--seed", seed, 0, LARGEST_SEED)
-    checked_definition(model)
-    overrides = {"particles": particles, "layers": layers}
-    settings = Settings(session, model, kernel, {k: v for k, v in overrides.items() if v is not None}, runs, frames, seed, out)
+    if model is not None:
+        checked_definition(model)
+    overrides = {name: value for name, value in (counts | {"move": move}).items() if value is not None}
+    settings = Settings(session, out, model, kernel, overrides, runs, frames, seed, resume)
     run(settings, show=lambda line: typer.echo(line), bar=sys.stderr.isatty())
-    typer.echo(f"{out}: posterior.nc, summary.json, overlay.mp4, overlay/, run.toml")
+    typer.echo(f"{out}: posterior.nc, summary.json, overlay.mp4, overlay/, frames/, run.toml")
 
 
 def _frames_of(folder: Path) -> int:
@@ -53,7 +64,8 @@ def _frames_of(folder: Path) -> int:
         found = f"no {FILE_NAME} in it" if folder.exists() else "no such folder"
         raise wrong(folder, found, "the folder of a session", "check the path, or make a session with `bayes-body import`")
     session = load_session(folder)
-    check_session(session)
+    for remark in check_session(session):
+        typer.echo(f"note: {remark}")
     return session.frames
 
 

@@ -1,6 +1,18 @@
 """Draws as an ArviZ DataTree, and what respects their weights."""
 
+from bayes_body.posterior.stream import stream_posterior
 from bayes_body.posterior.tree import save_posterior, to_datatree
-from bayes_body.posterior.weighted import equal_weight_draws, markers, mean_poses, rhat
+from bayes_body.posterior.weighted import equal_weight_draws, equal_weight_poses, frame_rhat, markers, mean_pose, mean_poses, rhat
 
-__all__ = ["equal_weight_draws", "markers", "mean_poses", "rhat", "save_posterior", "to_datatree"]
+__all__ = [
+    "equal_weight_draws",
+    "equal_weight_poses",
+    "frame_rhat",
+    "markers",
+    "mean_pose",
+    "mean_poses",
+    "rhat",
+    "save_posterior",
+    "stream_posterior",
+    "to_datatree",
+]

@@ -24,8 +24,23 @@ def watched(what: str, visible: bool = True) -> Watch:
 
 
 @contextmanager
-def progress_bar(visible: bool = True) -> Iterator[Callable[[Progress], None]]:
-    """A function that takes each frame's progress, drawn on standard error; with `visible` false it draws nothing."""
+def waiting(what: str, visible: bool = True) -> Iterator[None]:
+    """A sign that something is at work whose length is not known."""
+    if not visible:
+        yield
+        return
+    with Console(stderr=True).status(what):
+        yield
+
+
+@contextmanager
+def progress_bar(visible: bool = True, done: int = 0) -> Iterator[Callable[[Progress], None]]:
+    """A function that takes each frame's progress, drawn on standard error; with `visible` false it draws nothing.
+
+    Args:
+        visible: whether it draws.
+        done: how many frames are there already.
+    """
     columns = (
         TextColumn("frame"),
         MofNCompleteColumn(),
@@ -36,7 +51,7 @@ def progress_bar(visible: bool = True) -> Iterator[Callable[[Progress], None]]:
     )
     lost = 0
     with Bar(*columns, console=Console(stderr=True), disable=not visible) as bar:
-        task = bar.add_task("", total=None, speed="compiling", ess="-", survival="-", lost="")
+        task = bar.add_task("", total=None, completed=done, speed="compiling", ess="-", survival="-", lost="")
 
         def show(progress: Progress) -> None:
             nonlocal lost

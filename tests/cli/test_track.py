@@ -57,7 +57,7 @@ def same(a: xr.DataTree, b: xr.DataTree) -> bool:
 
 
 def test_a_run_leaves_its_files_and_no_others(run):
-    assert {path.name for path in run.iterdir()} == {"run.toml", "posterior.nc", "summary.json", "overlay.mp4", "overlay"}
+    assert {path.name for path in run.iterdir()} == {"run.toml", "posterior.nc", "summary.json", "overlay.mp4", "overlay", "frames", ".lock"}
 
 
 def test_the_posterior_opens_as_an_arviz_tree(run):
@@ -170,6 +170,20 @@ def test_a_folder_that_holds_another_run(cli, walk, run):
     before = (run / "posterior.nc").read_bytes()
     cli("track", walk, "--out", run).refuses(str(run), "holds another run", "expected", "--out")
     assert (run / "posterior.nc").read_bytes() == before
+
+
+def test_a_run_that_is_finished_says_so_and_stays(cli, walk, run):
+    before = (run / "posterior.nc").read_bytes()
+    outcome = cli("track", walk, "--out", run, "--resume")
+    assert outcome.status == 0, outcome.err
+    assert f"all {FRAMES} frames are there, nothing is left to track" in outcome.out
+    assert (run / "posterior.nc").read_bytes() == before
+
+
+def test_another_run_is_not_continued(cli, walk, run):
+    said = ["kernel.particles was 100 and is now 101", "--seed was 3 and is now 4", "expected what the run began with", "--out"]
+    cli("track", walk, "--out", run, "--resume", "--seed", 4, "--particles", 101).refuses(str(run), "cannot be continued", *said)
+    cli("track", walk, "--out", run, "--resume", "--frames", 2).refuses("--frames: 2", "at least the 4 frames that the run has")
 
 
 def test_an_out_that_is_a_file(cli, walk, tmp_path):

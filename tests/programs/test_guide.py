@@ -95,7 +95,7 @@ def test_every_key_of_the_summary_is_explained(walked):
 def test_every_option_of_the_command_line_is_explained(capsys):
     with pytest.raises(SystemExit):
         main(["track", "--help"])
-    shown = set(re.findall(r"--\w+", capsys.readouterr().out)) - {"--help"}
+    shown = set(re.findall(r"--[\w-]+", capsys.readouterr().out)) - {"--help"}
     assert keys(sections(FIRST_RUN)["Track"]) == shown
 
 

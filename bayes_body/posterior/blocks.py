@@ -1,0 +1,68 @@
+"""A posterior in pieces: some frames at a time, so that a recording of any length needs a bounded memory."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+# Frames read at a time, and the most numbers of one array (8 bytes each) that a piece may hold.
+BLOCK, LARGEST = 64, 2**22
+
+
+class Block(NamedTuple):
+    """Some frames of a posterior.
+
+    Attributes:
+        frames: which.
+        poses: radians and metres, float64.
+        log_weights: normalised over the draws of a run and frame.
+    """
+
+    frames: range
+    poses: Float[np.ndarray, "run draw frame dof"]
+    log_weights: Float[np.ndarray, "run draw frame"]
+
+
+def pose_blocks(tree: "xr.DataTree", frames: range | None = None, block: int = BLOCK, width: int | None = None) -> Iterator[Block]:
+    """Poses and weights, piece by piece.
+
+    Args:
+        tree: as `to_datatree` makes it, in memory or opened lazily.
+        frames: which frames; all by default.
+        block: the most frames at a time; fewer where a piece would not fit the memory.
+        width: numbers that the caller makes of one draw of one frame; the dofs by default.
+    """
+    pose, log_weight = tree["posterior"]["pose"], tree["sample_stats"]["log_weight"]
+    frames = range(pose.sizes["frame"]) if frames is None else frames
+    draws = pose.sizes["chain"] * pose.sizes["draw"]
+    for piece in pieces(frames, min(block, LARGEST // (draws * (width or pose.sizes["dof"])))):
+        places = _slice(piece)
+        yield Block(piece, np.asarray(pose.isel(frame=places), float), np.asarray(log_weight.isel(frame=places), float))
+
+
+def pieces(frames: range, block: int) -> Iterator[range]:
+    """The range cut into ranges of at most `block` (at least one) frames."""
+    block = max(block, 1)
+    for start in range(0, len(frames), block):
+        yield frames[start : start + block]
+
+
+def _slice(frames: range) -> slice:
+    return slice(frames.start, frames.stop, frames.step)
+
+
+def weights_of_runs(log_weights: Float[np.ndarray, "run draw frame"]) -> Float[np.ndarray, "run draw frame"]:
+    """Weights that sum to one over the draws of each run and frame."""
+    weights = np.exp(log_weights - log_weights.max(axis=1, keepdims=True))
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+def pooled(values: NDArray[np.floating]) -> NDArray[np.floating]:
+    """From (run, draw, frame, ...) to (frame, run and draw, ...)."""
+    by_frame = np.moveaxis(values, 2, 0)
+    return by_frame.reshape(by_frame.shape[0], -1, *by_frame.shape[3:])

@@ -1,0 +1,107 @@
+"""How well a run did: weighted diagnostics of every frame, read piece by piece, and what of them a reader must be told, in sentences."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from bayes_body.posterior.agreement import independent_draws, rhat_of_block
+from bayes_body.posterior.blocks import BLOCK, pose_blocks, weights_of_runs
+from bayes_body.posterior.diagnosis import LAGS, Diagnosis, Thresholds
+from bayes_body.posterior.genealogy import unique_ancestors
+from bayes_body.posterior.pareto import pareto_shape
+from bayes_body.posterior.sentences import frame_ranges, sentences
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Diagnosis", "Thresholds", "diagnose", "frame_ranges", "sentences", "worst_figures"]
+
+
+class HasTree(Protocol):
+    """What keeps a posterior, such as a `SavedRun`."""
+
+    @property
+    def tree(self) -> "xr.DataTree":
+        """As `to_datatree` makes it."""
+        ...
+
+
+def diagnose(run: "HasTree | xr.DataTree", block: int = BLOCK) -> Diagnosis:
+    """The figures of a run, with a memory that does not grow with its length beyond those figures.
+
+    Args:
+        run: a `SavedRun`, or the tree of a posterior.
+        block: the most frames read at a time.
+    """
+    import xarray as xr
+
+    tree = run if isinstance(run, xr.DataTree) else run.tree
+    pose = tree["posterior"]["pose"]
+    pieces = [
+        (effective_sample_sizes(b.log_weights), pareto_shape(b.log_weights.transpose(0, 2, 1)), rhat_of_block(b), independent_draws(b))
+        for b in pose_blocks(tree, block=block)
+    ]
+    ess, shapes, rhats, independent = zip(*pieces, strict=True)
+    cameras, seen = _seen(tree)
+    return Diagnosis(
+        kernel=str(tree.attrs.get("kernel", "")),
+        particles=pose.sizes["draw"],
+        dofs=tuple(np.asarray(pose["dof"]).astype(str).tolist()),
+        ess=np.concatenate(ess, axis=1),
+        pareto_k=np.concatenate(shapes, axis=1),
+        ancestors=unique_ancestors(tree, LAGS),
+        lags=LAGS,
+        acceptance_rate=_acceptance_rate(tree),
+        rhat=np.concatenate(rhats),
+        independent_draws=np.concatenate(independent),
+        log_evidence=np.asarray(tree["filter"]["log_evidence"], float),
+        lost=np.asarray(tree["filter"]["lost"], bool),
+        seen=seen,
+        cameras=cameras,
+    )
+
+
+def worst_figures(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -> dict[str, float | None]:
+    """A figure for each diagnostic, the worst over runs, frames and dofs; None where it does not exist.
+
+    A mode seeker's weights are no importance weights: it has no Pareto k.
+    """
+    weighted = not diagnosis.mode_seeker
+    known = diagnosis.rhat[np.isfinite(diagnosis.rhat)]
+    figures = {
+        "rhat_share": float((known <= thresholds.rhat).mean()) if known.size else np.nan,
+        "independent_draws_min": _extreme(np.min, diagnosis.independent_draws),
+        "ancestors_min": _extreme(np.min, diagnosis.ancestors[0]),
+        "pareto_k_max": _extreme(np.max, diagnosis.pareto_k) if weighted else np.nan,
+        "acceptance_rate": _extreme(np.median, diagnosis.acceptance_rate),
+        "log_evidence_sd": diagnosis.evidence_sd,
+    }
+    return {name: value if np.isfinite(value) else None for name, value in figures.items()}
+
+
+def _extreme(function: Callable[[np.ndarray], np.floating], values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(function(known)) if known.size else float("nan")
+
+
+def effective_sample_sizes(log_weights: Float[np.ndarray, "run draw frame"]) -> Float[np.ndarray, "run frame"]:
+    """1 / Σ w² of normalised weights, particles."""
+    return 1 / (weights_of_runs(log_weights) ** 2).sum(axis=1)
+
+
+def _acceptance_rate(tree: "xr.DataTree") -> Float[np.ndarray, "run frame layer"]:
+    group = tree["filter"]
+    if "acceptance_rate" in group:
+        return np.asarray(group["acceptance_rate"], float)
+    return np.full((*group["log_evidence"].shape, 1), np.nan)
+
+
+def _seen(tree: "xr.DataTree") -> tuple[tuple[str, ...], Bool[np.ndarray, "frame camera"] | None]:
+    group = tree["filter"]
+    if "seen" not in group:
+        return (), None
+    seen = group["seen"].transpose("frame", "camera")
+    names = seen["camera"] if "camera" in seen.coords else np.arange(seen.sizes["camera"])
+    return tuple(np.asarray(names).astype(str).tolist()), np.asarray(seen, bool)

@@ -1,0 +1,50 @@
+"""Where particles come from: how many of the particles some frames back have descendants among those of a frame.
+
+A filter that resamples forgets: of all particles long ago one is left as everyone's ancestor. How fast tells how much a frame's particles share.
+"""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bayes_body.posterior.blocks import BLOCK, LARGEST, pieces
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+def unique_ancestors(tree: "xr.DataTree", lags: tuple[int, ...]) -> Float[np.ndarray, "lag run frame"]:
+    """How many particles of `lag` frames before have descendants among a frame's; NaN where there is no such frame.
+
+    Lag 1 counts what the resampling of that frame left. The frame before the first is the start, where all particles are one pose.
+    """
+    ancestor = tree["sample_stats"]["ancestor"]
+    runs, draws, frames = (ancestor.sizes[name] for name in ("chain", "draw", "frame"))
+    out = np.full((len(lags), runs, frames), np.nan)
+    for piece in pieces(range(frames), min(BLOCK, LARGEST // (runs * draws))):
+        first = max(piece.start - max(lags) + 1, 0)
+        known = np.asarray(ancestor.isel(frame=slice(first, piece.stop))).transpose(0, 2, 1)
+        for lag, lineage in _lineages(known, piece.start - first, max(lags)):
+            if lag in lags:
+                out[lags.index(lag), :, piece.stop - lineage.shape[1] : piece.stop] = _distinct(lineage)
+    return out
+
+
+def _lineages(known: Int[np.ndarray, "run frame draw"], start: int, most: int) -> Iterator[tuple[int, Int[np.ndarray, "run some draw"]]]:
+    """For each lag the ancestors so far back of the particles of frame `start` and later, as far as they are known: always of the last frames."""
+    lineage = known[:, start:]
+    yield 1, lineage
+    for lag in range(2, most + 1):
+        lost = max(lag - 1 - start, 0)
+        if lost >= known.shape[1] - start:
+            return
+        before = known[:, start + lost - lag + 1 : known.shape[1] - lag + 1]
+        lineage = np.take_along_axis(before, lineage[:, lineage.shape[1] - before.shape[1] :], axis=2)
+        yield lag, lineage
+
+
+def _distinct(lineage: Int[np.ndarray, "run frame draw"]) -> Int[np.ndarray, "run frame"]:
+    ordered = np.sort(lineage, axis=2)
+    return 1 + (np.diff(ordered, axis=2) != 0).sum(axis=2)

@@ -1,0 +1,102 @@
+"""What a posterior's tree holds: its variables by group, with their dimensions and where in a frame they come from.
+
+A chain is an independent run of the filter, a draw is a particle. The tree in memory and the file are both made from this.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_body.draws import Draws, FrameResult
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One array of the tree.
+
+    Attributes:
+        group: `posterior`, `sample_stats` or `filter`.
+        name: within its group.
+        dims: its dimensions, `frame` among them.
+        of: a frame's part of it: all dimensions but `frame`.
+    """
+
+    group: str
+    name: str
+    dims: tuple[str, ...]
+    of: Callable[[FrameResult], Any]
+
+    @property
+    def frame_axis(self) -> int:
+        """Which of the dimensions is `frame`."""
+        return self.dims.index("frame")
+
+    def stack(self, frames: Sequence[FrameResult]) -> NDArray[Any]:
+        """Some frames of it, with the axis `frame` in its place."""
+        return np.stack([np.asarray(self.of(frame)) for frame in frames], axis=self.frame_axis)
+
+
+def variables(draws: Draws) -> list[Variable]:
+    """All arrays of the tree."""
+    by_draw, by_frame = ("chain", "draw", "frame"), ("chain", "frame")
+    info = {"ess": "ess", "log_evidence": "log_evidence", "lost": "lost", "evaluations": "evaluations"}
+    layers = {"survival_rate": "survival_rate", "inverse_temperature": "inverse_temperatures", "acceptance_rate": "acceptance_rate"}
+    return [
+        *(Variable("posterior", name, (*by_draw, *_dims(name, values)), _state(name)) for name, values in draws.frames[0].states.items()),
+        Variable("sample_stats", "log_weight", by_draw, lambda frame: frame.log_weights),
+        Variable("sample_stats", "ancestor", by_draw, lambda frame: frame.info.ancestors),
+        *(Variable("filter", name, by_frame, _info(field)) for name, field in info.items()),
+        *(Variable("filter", name, (*by_frame, "layer"), _info(field)) for name, field in layers.items()),
+        Variable("filter", "seen", ("frame", "camera"), lambda frame: frame.seen),
+    ]
+
+
+def _dims(name: str, values: NDArray[Any]) -> tuple[str, ...]:
+    """Of one draw of a state's variable."""
+    return ("dof",) if name == "pose" else tuple(f"{name}_dim_{axis}" for axis in range(values.ndim - 2))
+
+
+def _state(name: str) -> Callable[[FrameResult], Any]:
+    return lambda frame: frame.states[name]
+
+
+def _info(field: str) -> Callable[[FrameResult], Any]:
+    return lambda frame: getattr(frame.info, field)
+
+
+def sizes(draws: Draws) -> dict[str, int]:
+    """Of every dimension."""
+    found = {"frame": len(draws.frames)}
+    for variable in variables(draws):
+        without = [dim for dim in variable.dims if dim != "frame"]
+        found |= dict(zip(without, np.shape(variable.of(draws.frames[0])), strict=True))
+    return found
+
+
+def coordinates(draws: Draws, dims: Sequence[str]) -> dict[str, tuple[str, NDArray[Any] | list[str]]]:
+    """For each of the dimensions its labels, by name: (dimension, values); `unit` says what the numbers of a dof are."""
+    topology, lengths = draws.model.body.skeleton.topology, sizes(draws)
+    labels: Mapping[str, list[str]] = {"dof": list(topology.dof_names), "camera": list(draws.cameras)}
+    found: dict[str, tuple[str, NDArray[Any] | list[str]]] = {dim: (dim, labels.get(dim, np.arange(lengths[dim]))) for dim in dims}
+    return found | ({"unit": ("dof", list(topology.dof_units))} if "dof" in dims else {})
+
+
+def groups(draws: Draws) -> dict[str, list[Variable]]:
+    """The variables by group."""
+    found: dict[str, list[Variable]] = {}
+    for variable in variables(draws):
+        found.setdefault(variable.group, []).append(variable)
+    return found
+
+
+def dims_of(members: Sequence[Variable]) -> list[str]:
+    """The dimensions of a group, each once."""
+    return list(dict.fromkeys(dim for variable in members for dim in variable.dims))
+
+
+def attributes_of(draws: Draws, attributes: Mapping[str, Any] | None) -> dict[str, Any]:
+    """What is said of the tree as a whole."""
+    return {"model": draws.model.definition.name, **(attributes or {})}

@@ -1,0 +1,161 @@
+"""What of a diagnosis a reader must be told: a sentence for each limit that is crossed, with the frames, the worst figure and the remedy."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from bayes_body.errors import InputError
+from bayes_body.posterior.diagnosis import Diagnosis, Thresholds
+from bayes_body.registry import find, names
+
+# Stretches of frames that a sentence names before it only counts.
+MOST_STRETCHES = 6
+# A kernel that bridges prior and posterior, for one whose particles come from the prior alone.
+BRIDGE, FROM_PRIOR = "tempered", "sir"
+
+
+def sentences(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -> list[str]:
+    """One sentence for each limit that is crossed, most serious first; none for a sound run.
+
+    Args:
+        diagnosis: from `diagnose`.
+        thresholds: the limits.
+    """
+    told = [_mode_seeker(diagnosis), _lost(diagnosis), _unseen(diagnosis), _rhat(diagnosis, thresholds)]
+    if not diagnosis.mode_seeker:
+        # A mode seeker holds the effective sample size by its choice of powers: its weights are no importance weights.
+        told += [_ess(diagnosis, thresholds), _pareto_k(diagnosis, thresholds), _evidence(diagnosis, thresholds)]
+    told += [_ancestors(diagnosis, thresholds), *_acceptance(diagnosis, thresholds), _single(diagnosis)]
+    return [sentence for sentence in told if sentence]
+
+
+def frame_ranges(frames: Sequence[int], most: int = MOST_STRETCHES) -> str:
+    """`frame 3`, or `frames 3-7, 9`: ascending frames in words; beyond `most` stretches the rest is counted."""
+    stretches: list[list[int]] = []
+    for frame in frames:
+        if stretches and stretches[-1][1] == frame - 1:
+            stretches[-1][1] = frame
+        else:
+            stretches.append([frame, frame])
+    named = ", ".join(str(first) if first == last else f"{first}-{last}" for first, last in stretches[:most])
+    rest = sum(last - first + 1 for first, last in stretches[most:])
+    return f"frame{'s' if len(frames) > 1 else ''} {named}{f' and {rest} more' if rest else ''}"
+
+
+def _where(crossed: Bool[np.ndarray, " frame"]) -> str:
+    return frame_ranges(np.flatnonzero(crossed).tolist())
+
+
+def _remedy(diagnosis: Diagnosis, *wanted: str) -> str:
+    """The options among `wanted` that the kernel has."""
+    try:
+        known = set(find("kernel", diagnosis.kernel).options.model_fields)
+    except InputError:
+        known = {"particles"}
+    raised = " or ".join(f"--{name}" for name in wanted if name in known)
+    if diagnosis.kernel == FROM_PRIOR and BRIDGE in names("kernel"):
+        return f"raise {raised}, or take --kernel {BRIDGE}"
+    return f"raise {raised}"
+
+
+def _mode_seeker(diagnosis: Diagnosis) -> str | None:
+    if not diagnosis.mode_seeker:
+        return None
+    return (
+        f"the kernel {diagnosis.kernel or 'of this run'} is a mode seeker: the spread of its particles is no uncertainty, its effective sample size "
+        "is held by construction, and it estimates no evidence; take a kernel that samples the posterior where these matter."
+    )
+
+
+def _lost(diagnosis: Diagnosis) -> str | None:
+    lost = diagnosis.lost.any(axis=0)
+    if not lost.any():
+        return None
+    found = "lost, no particle explained the images and the filter went on from its prediction"
+    return f"{_where(lost)}: {found}; look at the images, or {_remedy(diagnosis, 'particles')}."
+
+
+def _unseen(diagnosis: Diagnosis) -> str | None:
+    if diagnosis.seen is None or diagnosis.seen.all():
+        return None
+    blind = [f"{name} in {_where(~seen)}" for name, seen in zip(diagnosis.cameras, diagnosis.seen.T, strict=True) if not seen.all()]
+    return f"nothing seen by camera {'; camera '.join(blind)}: the other cameras alone, or the motion prior, speak there; look at these images."
+
+
+def _rhat(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
+    worst = _largest(diagnosis.rhat)
+    crossed = worst > thresholds.rhat
+    if not crossed.any():
+        return None
+    frame = int(worst.argmax())
+    dof = diagnosis.dofs[int(np.nan_to_num(diagnosis.rhat[frame], nan=-np.inf).argmax())]
+    figure = f"R-hat up to {worst[frame]:.2f} ({dof} at frame {frame}; limit {thresholds.rhat:g})"
+    return f"{_where(crossed)}: the runs disagree, {figure}; {_remedy(diagnosis, 'layers', 'particles', 'moves')}."
+
+
+def _ess(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
+    worst = diagnosis.ess.min(axis=0)
+    limit = max(thresholds.ess, thresholds.ess_share * diagnosis.particles)
+    crossed = worst < limit
+    if not crossed.any():
+        return None
+    figure = f"{worst.min():.0f} effective particles of {diagnosis.particles}{_at(crossed, int(worst.argmin()))} (limit {limit:g})"
+    return f"{_where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
+
+
+def _pareto_k(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
+    worst = _largest(diagnosis.pareto_k.T)
+    crossed = worst > thresholds.pareto_k
+    if not crossed.any():
+        return None
+    figure = f"a few weights carry the estimate, Pareto k {worst.max():.2f}{_at(crossed, int(worst.argmax()))} (limit {thresholds.pareto_k:g})"
+    return f"{_where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
+
+
+def _evidence(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
+    sd = diagnosis.evidence_sd
+    if not sd > thresholds.evidence_sd:
+        return None
+    by_frame = np.nan_to_num(diagnosis.evidence_sd_frames, nan=-np.inf)
+    figure = f"sd {sd:.1f} nats over {len(diagnosis.log_evidence)} runs (limit {thresholds.evidence_sd:g}), most at frame {by_frame.argmax()}"
+    return f"log-evidence: {figure}: too rough to compare models by; {_remedy(diagnosis, 'particles', 'moves')}."
+
+
+def _ancestors(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
+    worst = diagnosis.ancestors[diagnosis.lags.index(1)].min(axis=0)
+    crossed = worst < min(thresholds.ancestors, diagnosis.particles)
+    if not crossed.any():
+        return None
+    figure = f"all particles descend from {worst.min():.0f} of the frame before{_at(crossed, int(worst.argmin()))} (limit {thresholds.ancestors:g})"
+    return f"{_where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
+
+
+def _acceptance(diagnosis: Diagnosis, thresholds: Thresholds) -> Iterator[str]:
+    rates = diagnosis.acceptance_rate.transpose(1, 0, 2).reshape(diagnosis.acceptance_rate.shape[1], -1)
+    known = ~np.isnan(rates)
+    mean = np.divide(np.where(known, rates, 0).sum(axis=1), known.sum(axis=1), out=np.full(len(rates), np.nan), where=known.any(axis=1))
+    low, high = thresholds.acceptance
+    for crossed, place, limit, meaning in (
+        (mean < low, np.where(np.isnan(mean), np.inf, mean).argmin(), low, "the moves hardly get anywhere"),
+        (mean > high, np.where(np.isnan(mean), -np.inf, mean).argmax(), high, "the moves are too short to get anywhere"),
+    ):
+        if crossed.any():
+            figure = f"{mean[place]:.2f} of the Markov moves accepted{_at(crossed, int(place))} (limit {limit:g})"
+            yield f"{_where(crossed)}: {figure}, {meaning}; {_remedy(diagnosis, 'moves', 'particles')}."
+
+
+def _single(diagnosis: Diagnosis) -> str | None:
+    if diagnosis.ess.shape[0] > 1:
+        return None
+    return "a single run: nothing tells whether another would agree; take --runs 2 or more."
+
+
+def _largest(values: Float[np.ndarray, "frame k"]) -> Float[np.ndarray, " frame"]:
+    """The largest of each row; -∞ where there is none."""
+    return np.where(np.isnan(values), -np.inf, values).max(axis=1)
+
+
+def _at(crossed: Bool[np.ndarray, " frame"], frame: int) -> str:
+    """Where the worst is, if that is not said yet."""
+    return f" at worst, at frame {frame}" if crossed.sum() > 1 else ""

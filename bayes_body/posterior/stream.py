@@ -1,0 +1,112 @@
+"""`posterior.nc` written frame by frame, with a bounded memory: the tree of `to_datatree`, as xarray and ArviZ read it.
+
+The groups `posterior` and `sample_stats` lie in chunks of all draws of a run and some frames; the figures of `filter`, a few numbers a frame, in one
+piece each. Nothing in the file depends on when or in how many goes it was made.
+"""
+
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_body.draws import Draws, FrameResult
+from bayes_body.errors import wrong
+from bayes_body.files import make_folder, replacing
+from bayes_body.posterior.layout import Variable, attributes_of, coordinates, dims_of, groups, sizes
+from bayes_body.posterior.steady_file import SteadyFile
+
+if TYPE_CHECKING:
+    import h5netcdf
+
+# Bytes of a chunk, and the most frames in it.
+CHUNK_BYTES, CHUNK_FRAMES = 2**20, 256
+IN_CHUNKS = ("posterior", "sample_stats")
+
+
+def stream_posterior(draws: Draws, path: Path, attributes: Mapping[str, Any] | None = None) -> None:
+    """Write the tree of `to_datatree(draws, attributes)` as NetCDF, whole or not at all.
+
+    Raises:
+        InputError: there is no room for it, or the file system refuses it; or a frame's file is damaged.
+    """
+    import h5netcdf
+
+    make_folder(path.parent)
+    _check_room(draws, path)
+    count, step = len(draws.frames), frames_in_chunk(draws)
+    with replacing(path) as partial, SteadyFile(partial) as steady:
+        with h5netcdf.File(steady, "w") as file:
+            file.attrs.update(attributes_of(draws, attributes))
+            arrays = [each for name, members in groups(draws).items() for each in _make_group(file, name, members, draws, step)]
+            for start in range(0, count, step):
+                if not steady.error:
+                    _write_block(arrays, [draws.frames[index] for index in range(start, min(start + step, count))], start)
+        if steady.error:
+            raise steady.error
+
+
+def frames_in_chunk(draws: Draws) -> int:
+    """How many frames of one run a chunk of the poses holds."""
+    a_frame = sum(values[0].nbytes for values in draws.frames[0].states.values())
+    return int(np.clip(CHUNK_BYTES // a_frame, 1, min(CHUNK_FRAMES, len(draws.frames))))
+
+
+def stored_frames(path: Path) -> int:
+    """How many frames a `posterior.nc` holds; 0 where there is none, or none that can be read."""
+    import h5netcdf
+
+    try:
+        with h5netcdf.File(path, "r") as file:
+            return file["posterior"].dimensions["frame"].size
+    except (OSError, KeyError, ValueError, RuntimeError):
+        return 0
+
+
+def _check_room(draws: Draws, path: Path) -> None:
+    a_frame = sum(np.asarray(variable.of(draws.frames[0])).nbytes for members in groups(draws).values() for variable in members)
+    wanted, free = len(draws.frames) * a_frame, shutil.disk_usage(path.parent).free
+    if wanted > free:
+        raise wrong(path, f"cannot be written ({free / 1e6:.1f} MB are free)", f"room for {wanted / 1e6:.1f} MB", "free some space")
+
+
+def _make_group(file: "h5netcdf.File", name: str, members: Sequence[Variable], draws: Draws, step: int) -> Iterator[tuple[Variable, Any]]:
+    """A group with its coordinates, and its variables without values yet."""
+    group, lengths = file.create_group(name), sizes(draws)
+    group.dimensions = {dim: lengths[dim] for dim in dims_of(members)}
+    labels = coordinates(draws, dims_of(members))
+    for label, (dim, values) in labels.items():
+        _make_coordinate(group, label, dim, values)
+    for variable in members:
+        dtype = np.asarray(variable.of(draws.frames[0])).dtype
+        boolean = dtype.kind == "b"
+        shape = tuple(lengths[dim] for dim in variable.dims)
+        chunks = tuple(_chunk(dim, length, step) for dim, length in zip(variable.dims, shape, strict=True)) if name in IN_CHUNKS else None
+        array = group.create_variable(variable.name, variable.dims, np.dtype("i1") if boolean else dtype, chunks=chunks)
+        # As xarray writes them: truth values are bytes, and what labels a dimension without being its index is named.
+        array.attrs.update({"dtype": "bool"} if boolean else {})
+        array.attrs.update({"coordinates": "unit"} if "dof" in variable.dims else {})
+        yield variable, array
+
+
+def _make_coordinate(group: Any, label: str, dim: str, values: NDArray[Any] | list[str]) -> None:
+    import h5py
+
+    if isinstance(values, list):
+        group.create_variable(label, (dim,), h5py.string_dtype(), data=np.array(values, dtype=object))
+    else:
+        group.create_variable(label, (dim,), values.dtype, data=values)
+
+
+def _chunk(dim: str, length: int, step: int) -> int:
+    return 1 if dim == "chain" else step if dim == "frame" else length
+
+
+def _write_block(arrays: Sequence[tuple[Variable, Any]], frames: Sequence[FrameResult], start: int) -> None:
+    for variable, array in arrays:
+        place = [slice(None)] * len(variable.dims)
+        place[variable.frame_axis] = slice(start, start + len(frames))
+        values = variable.stack(frames)
+        array[tuple(place)] = values.astype(array.dtype, copy=False)

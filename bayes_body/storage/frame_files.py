@@ -1,0 +1,130 @@
+"""Frames on disk, one file each: `000057.npz` is whole or not there, and a frame that was kept is never computed again.
+
+A file holds the arrays of a `FrameResult` and no Python objects: `states.NAME`, `log_weights`, `info.FIELD`, `seen`, `seconds`, `seconds_ready`.
+"""
+
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_body.draws import FrameResult
+from bayes_body.errors import InputError, wrong
+from bayes_body.factor import FilterInfo
+from bayes_body.files import make_folder, remove_partial, replacing
+
+# Consumers go from frame to frame; two let them look back once.
+KEPT_IN_MEMORY = 2
+
+
+class FrameFiles:
+    """The frames of a folder, from the first one up to the first that is missing; each is read when it is asked for.
+
+    Args:
+        folder: of the files; made when the first frame is kept.
+    """
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self._count = _count_files(folder)
+        self._read = lru_cache(KEPT_IN_MEMORY)(lambda index: load_frame(self.path(index)))
+
+    def path(self, index: int) -> Path:
+        """The file of a frame."""
+        return self.folder / f"{index:06d}.npz"
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: int, /) -> FrameResult:
+        """Frame `index`, from the end if negative.
+
+        Raises:
+            IndexError: there is none.
+            InputError: its file is damaged.
+        """
+        if not -self._count <= index < self._count:
+            raise IndexError(index)
+        return self._read(index % self._count)
+
+    def __iter__(self) -> Iterator[FrameResult]:
+        return (self[index] for index in range(self._count))
+
+    def append(self, result: FrameResult, /) -> None:
+        """Keep the next frame; when this returns it is on the disk.
+
+        Raises:
+            InputError: the file system refuses it.
+        """
+        if not self._count:
+            make_folder(self.folder)
+        save_frame(self.path(self._count), result)
+        self._read.cache_clear()
+        self._count += 1
+
+    def mend(self) -> str:
+        """Make ready to go on: remove what an interruption left half written, read all frames, and end before the first that is damaged.
+
+        Returns:
+            What is wrong with that one, in a sentence; empty if all are whole. Files behind it stay until their frames are kept anew.
+        """
+        remove_partial(self.folder)
+        for index in range(self._count):
+            try:
+                load_frame(self.path(index))
+            except InputError as damage:
+                self._count = index
+                return str(damage)
+        return ""
+
+
+def _count_files(folder: Path) -> int:
+    names = {path.name for path in folder.glob("*.npz")}
+    count = 0
+    while f"{count:06d}.npz" in names:
+        count += 1
+    return count
+
+
+def save_frame(path: Path, result: FrameResult) -> None:
+    """Write one frame, whole or not at all.
+
+    Raises:
+        InputError: the file system refuses it.
+    """
+    arrays: dict[str, Any] = {f"states.{name}": values for name, values in result.states.items()}
+    arrays |= {f"info.{name}": values for name, values in result.info._asdict().items()}
+    arrays |= {name: getattr(result, name) for name in ("log_weights", "seen", "seconds", "seconds_ready")}
+    with replacing(path) as partial, partial.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def load_frame(path: Path) -> FrameResult:
+    """Read one frame; the checksums of its arrays are tested.
+
+    Raises:
+        InputError: the file is missing, cut short or damaged.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return _frame(dict(file))
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+        found = f"cannot be read ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
+        raise wrong(path, found, "a frame as `bayes-body track` wrote it", "compute it again with --resume") from None
+
+
+def _frame(arrays: Mapping[str, NDArray[Any]]) -> FrameResult:
+    info: dict[str, Any] = {name: arrays[f"info.{name}"] for name in FilterInfo._fields}
+    return FrameResult(
+        states={name.removeprefix("states."): values for name, values in arrays.items() if name.startswith("states.")},
+        log_weights=arrays["log_weights"],
+        info=FilterInfo(**info),
+        seen=arrays["seen"],
+        seconds=float(arrays["seconds"]),
+        seconds_ready=float(arrays["seconds_ready"]),
+    )

@@ -1,0 +1,129 @@
+"""`run.toml`: all that is needed to repeat a run or to go on with it: settings, the kernel's every option, versions, and the texts it was made of."""
+
+import platform
+from collections.abc import Iterator, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+import tomlkit
+
+from bayes_body.definition import Definition, definition_names
+from bayes_body.errors import wrong
+from bayes_body.files import write_text
+from bayes_body.session import FILE_NAME
+from bayes_body.toml_file import parse_toml, read_toml
+
+NAME = "run.toml"
+# Whose numbers a run's are: another version of one of them may give others.
+COMPUTING = ("bayes-body", "jax", "jaxlib", "numpyro", "blackjax")
+PACKAGES = (*COMPUTING, "arviz", "opencv-python-headless", "numpy")
+HEADING = "Made by bayes-body track. The same settings with the same versions on the same kind of processor repeat the run."
+# Of a change, the most that one sentence names.
+NAMED = 4
+TABLES = ("run", "kernel", "versions", "definition", "session")
+
+
+def describe(
+    session: Path, model: str, definition: Definition, kind: str, options: Mapping[str, Any], runs: int, seed: int, frames: int | None
+) -> dict[str, dict[str, Any]]:
+    """What `run.toml` shall hold, as tables.
+
+    Args:
+        session: folder of the session, or its file.
+        model: the definition's name or path.
+        definition: what that is.
+        kind: the kernel's name.
+        options: every option of the kernel.
+        runs: independent filters.
+        seed: of everything random.
+        frames: how many frames; None for all.
+    """
+    # A path is kept whole, so that the run can be continued from another folder.
+    model = model if model in definition_names() else str(Path(model).resolve())
+    file = session.resolve() / FILE_NAME if session.is_dir() else session.resolve()
+    settings = {"session": str(file.parent), "model": model, "runs": runs, "seed": seed, "frames": frames}
+    texts = {"title": definition.title, "text": definition.text, "body_text": definition.body_text or None}
+    return {
+        "run": _known(settings),
+        "kernel": _known({"kind": kind, **options}),
+        "versions": {"python": platform.python_version(), **{package: version(package) for package in PACKAGES}},
+        "machine": {"platform": platform.platform(), "devices": [str(device) for device in jax.devices()]},
+        "definition": _known(texts),
+        "session": {"text": file.read_text(encoding="utf-8-sig")},
+    }
+
+
+def _known(table: Mapping[str, Any]) -> dict[str, Any]:
+    """TOML has no null: what is not set is left out."""
+    return {key: value for key, value in table.items() if value is not None}
+
+
+def write_run_file(folder: Path, record: Mapping[str, Mapping[str, Any]]) -> None:
+    """Write `run.toml`, whole or not at all.
+
+    Raises:
+        InputError: the file system refuses it.
+    """
+    document = tomlkit.document()
+    document.add(tomlkit.comment(HEADING))
+    for name, table in record.items():
+        document[name] = {key: tomlkit.string(value, multiline=True) if "text" in key else value for key, value in table.items()}
+    write_text(folder / NAME, tomlkit.dumps(document))
+
+
+def read_run_file(folder: Path) -> dict[str, dict[str, Any]]:
+    """The tables of a run's `run.toml`.
+
+    Raises:
+        InputError: there is none, it is no TOML, or a table is missing.
+    """
+    record = read_toml(folder / NAME)
+    missing = [name for name in TABLES if not isinstance(record.get(name), dict)]
+    if missing:
+        raise wrong(folder / NAME, f"no table [{missing[0]}]", "the settings of a run", "name another folder with --out, and begin anew")
+    return record
+
+
+def refuse_changes(folder: Path, kept: Mapping[str, Mapping[str, Any]], now: Mapping[str, Mapping[str, Any]]) -> None:
+    """Whether a run may go on: everything that its numbers depend on must be as it was. The number of frames is not among that.
+
+    Raises:
+        InputError: something changed; the sentence says what, from which value to which.
+    """
+    before, after = _comparable(kept), _comparable(now)
+    changed = [key for key in dict.fromkeys([*before, *after]) if before.get(key) != after.get(key)]
+    if not changed:
+        return
+    named = [f"{key} was {_shown(before, key)} and is now {_shown(after, key)}" for key in changed[:NAMED]]
+    more = [f"{len(changed) - NAMED} more differ"] if len(changed) > NAMED else []
+    remedy = "put it back, or begin anew in another folder with --out"
+    raise wrong(f"{folder}: cannot be continued", "; ".join([*named, *more]), "what the run began with", remedy)
+
+
+def _comparable(record: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """All that counts, by a name that a user knows. Comments and layout of the texts do not."""
+    run, definition = record["run"], record["definition"]
+    named = {"--model": Path(str(run.get("model"))).stem, "--runs": run.get("runs"), "--seed": run.get("seed")}
+    named |= {f"kernel.{key}": value for key, value in _leaves(record["kernel"])}
+    named |= {f"the version of {package}": record["versions"].get(package) for package in COMPUTING}
+    texts = {"the model's file": definition.get("text", ""), "the body's file": definition.get("body_text", ""), FILE_NAME: record["session"]["text"]}
+    return named | {f"{title}: {key}": value for title, text in texts.items() for key, value in _leaves(parse_toml(text, title))}
+
+
+def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Every number and text of a table, with its place; entries of lists are counted from 1."""
+    if isinstance(value, Mapping):
+        entries = [(str(key), entry) for key, entry in value.items()]
+    elif isinstance(value, list | tuple):
+        entries = [(str(number), entry) for number, entry in enumerate(value, 1)]
+    else:
+        yield path, value
+        return
+    for key, entry in entries:
+        yield from _leaves(entry, f"{path}.{key}" if path else key)
+
+
+def _shown(values: Mapping[str, Any], key: str) -> str:
+    return str(values[key]) if key in values else "not set"

@@ -1,0 +1,82 @@
+"""kill -9 at any moment: the run that is continued ends as one that was never stopped, bit for bit."""
+
+import random
+import subprocess
+import time
+
+import pytest
+
+from bayes_body.run import Settings, run
+
+from .conftest import command, contents, track
+
+FRAMES, PARTICLES = 40, 40
+OPTIONS = ["--particles", PARTICLES, "--runs", 2]
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(looped, tmp_path_factory):
+    out = tmp_path_factory.mktemp("whole") / "run"
+    run(Settings(looped(FRAMES), out, "arm", None, {"particles": PARTICLES}, 2), lambda line: None, bar=False)
+    return contents(out / "posterior.nc")
+
+
+def finish(session, out):
+    run(Settings(session, out, resume=True), lambda line: None, bar=False)
+    return contents(out / "posterior.nc")
+
+
+def kill_when(started, moment) -> bool:
+    """Kill the process once `moment()` is true; whether it was still at work."""
+    with started as process:
+        while process.poll() is None and not moment():
+            time.sleep(0.0005)
+        process.kill()
+    return process.returncode == -9
+
+
+def start(session, out):
+    resume = ["--resume"] if out.exists() else []
+    return subprocess.Popen(command(session, out, *OPTIONS, *resume), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def test_killed_among_the_frames_twice(looped, tmp_path, uninterrupted):
+    out, killed = tmp_path / "run", []
+    for frame in (9, 31):
+        killed.append(kill_when(start(looped(FRAMES), out), (out / "frames" / f"{frame:06d}.npz").exists))
+        assert frame < len(list((out / "frames").glob("[0-9]*.npz"))) <= FRAMES
+    # A machine so fast that the run was through proves nothing, but fails nothing either.
+    assert killed[0] or len(list((out / "frames").glob("[0-9]*.npz"))) == FRAMES
+    assert finish(looped(FRAMES), out) == uninterrupted
+
+
+@pytest.mark.slow
+def test_killed_twenty_times_at_any_moment(looped, tmp_path, uninterrupted):
+    rng = random.Random(20)
+    begun = time.monotonic()
+    assert track(looped(FRAMES), tmp_path / "timed", *OPTIONS).returncode == 0
+    whole = time.monotonic() - begun
+    out, kills = tmp_path / "run0", 0
+    for number in range(1000):
+        until = time.monotonic() + rng.uniform(0.2, 1.0) * whole
+        kills += kill_when(start(looped(FRAMES), out), lambda until=until: time.monotonic() > until)
+        if (out / "overlay.mp4").exists():
+            assert contents(out / "posterior.nc") == uninterrupted
+            out = tmp_path / f"run{number + 1}"
+        if kills == 20:
+            break
+    assert kills == 20
+    assert finish(looped(FRAMES), out) == uninterrupted
+
+
+def test_an_interruption_says_how_to_go_on(looped, tmp_path):
+    """Ctrl-C."""
+    out = tmp_path / "run"
+    process = subprocess.Popen(command(looped(FRAMES), out, *OPTIONS), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while process.poll() is None and not (out / "frames" / "000003.npz").exists():
+        time.sleep(0.0005)
+    process.send_signal(2)
+    said, errors = process.communicate()
+    assert process.returncode == 130, errors
+    assert "frames are kept; the same command with --resume goes on from there." in said
+    assert "interrupted" in errors and "Traceback" not in errors

@@ -1,0 +1,214 @@
+"""A run that stopped and went on ends as one that never stopped, and goes on only as what it was."""
+
+import errno
+import json
+import os
+import tomllib
+
+import jax
+import numpy as np
+import pytest
+
+from bayes_body.errors import InputError
+from bayes_body.kernels import annealed
+from bayes_body.model import load_model
+from bayes_body.run import Settings, run
+from bayes_body.storage import FrameFiles, frame_files
+from bayes_body.storage.lock import locked
+from bayes_body.tracking import track
+
+from .conftest import contents
+
+FRAMES = 6
+SMALL = {"model": "arm", "overrides": {"particles": 40}, "runs": 2, "seed": 3}
+LEFT = {"run.toml", "posterior.nc", "summary.json", "overlay.mp4", "overlay", "frames", ".lock"}
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(looped, tmp_path_factory):
+    out = tmp_path_factory.mktemp("whole") / "run"
+    run(Settings(looped(FRAMES), out, **SMALL), lambda line: None, bar=False)
+    return out
+
+
+@pytest.fixture
+def stopping(monkeypatch):
+    """`stopping(3, error)`: frame 3 is not kept, for that error."""
+
+    def arrange(frame, error):
+        save = frame_files.save_frame
+
+        def save_or_stop(path, result):
+            if path.name == f"{frame:06d}.npz":
+                monkeypatch.setattr(frame_files, "save_frame", save)
+                raise error
+            save(path, result)
+
+        monkeypatch.setattr(frame_files, "save_frame", save_or_stop)
+
+    return arrange
+
+
+def test_a_run_leaves_a_file_a_frame(uninterrupted):
+    assert {path.name for path in uninterrupted.iterdir()} == LEFT
+    assert {path.name for path in (uninterrupted / "frames").iterdir()} == {f"{frame:06d}.npz" for frame in range(FRAMES)}
+
+
+@pytest.mark.parametrize("options", [SMALL, {}], ids=["the same command", "--resume alone"])
+def test_an_interrupted_run_goes_on_to_the_same_end(looped, tmp_path, uninterrupted, stopping, options):
+    out, lines = tmp_path / "run", []
+    stopping(3, KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        run(Settings(looped(FRAMES), out, **SMALL), lines.append, bar=False)
+    assert lines[-1] == f"{out}: 3 frames are kept; the same command with --resume goes on from there."
+    assert {path.name for path in out.iterdir()} == {"run.toml", "frames", ".lock"}
+    summary = run(Settings(looped(FRAMES), out, resume=True, **options), lines.append, bar=False)
+    assert f"{out}: going on at frame 3 of 6" in lines
+    assert {path.name for path in out.iterdir()} == LEFT
+    assert contents(out / "posterior.nc") == contents(uninterrupted / "posterior.nc")
+    assert (out / "posterior.nc").read_bytes() == (uninterrupted / "posterior.nc").read_bytes()
+    timed = {"seconds_total", "seconds_compile", "seconds_per_frame", "evaluations_per_second", "peak_memory_mb"}
+    before = json.loads((uninterrupted / "summary.json").read_text())
+    assert {key: value for key, value in summary.items() if key not in timed} == {key: value for key, value in before.items() if key not in timed}
+    frames = list(FrameFiles(out / "frames"))
+    assert summary["seconds_total"] == pytest.approx(sum(frame.seconds + frame.seconds_ready for frame in frames))
+    assert [frame.seconds_ready > 0 for frame in frames] == [True, False, False, True, False, False]
+
+
+def test_more_frames_may_be_asked_for(looped, tmp_path, uninterrupted):
+    out = tmp_path / "run"
+    run(Settings(looped(FRAMES), out, frames=2, **SMALL), lambda line: None, bar=False)
+    assert contents(out / "posterior.nc") != contents(uninterrupted / "posterior.nc")
+    summary = run(Settings(looped(FRAMES), out, frames=FRAMES, resume=True), lambda line: None, bar=False)
+    assert summary["frames"] == FRAMES
+    assert contents(out / "posterior.nc") == contents(uninterrupted / "posterior.nc")
+    assert {path.name for path in (out / "overlay").iterdir()} == {path.name for path in (uninterrupted / "overlay").iterdir()}
+    with pytest.raises(InputError, match="--frames: 3; expected at least the 6 frames that the run has"):
+        run(Settings(looped(FRAMES), out, frames=3, resume=True), lambda line: None, bar=False)
+
+
+@pytest.mark.parametrize("missing", ["posterior.nc", "summary.json", "overlay.mp4", "overlay/frame_000000.png"])
+def test_what_is_missing_of_a_finished_run_is_made_again(looped, tmp_path, uninterrupted, missing):
+    before = {path: path.stat().st_mtime_ns for path in uninterrupted.rglob("*") if path.is_file()}
+    kept = (uninterrupted / missing).read_bytes()
+    (uninterrupted / missing).unlink()
+    lines = []
+    run(Settings(looped(FRAMES), uninterrupted, resume=True), lines.append, bar=False)
+    assert f"{uninterrupted}: all 6 frames are there, nothing is left to track" in lines
+    assert (uninterrupted / missing).exists()
+    if missing == "posterior.nc":
+        assert (uninterrupted / missing).read_bytes() == kept
+    made = {path for path, time in before.items() if path.stat().st_mtime_ns != time}
+    pictures = {path for path in before if "overlay" in str(path.relative_to(uninterrupted))}
+    assert made - {uninterrupted / ".lock", uninterrupted / "run.toml"} == (pictures if "overlay" in missing else {uninterrupted / missing})
+
+
+def test_a_damaged_frame_is_said_and_computed_again(looped, tmp_path, uninterrupted, stopping):
+    out, lines = tmp_path / "run", []
+    stopping(4, InputError("stopped"))
+    with pytest.raises(InputError, match="stopped"):
+        run(Settings(looped(FRAMES), out, **SMALL), lines.append, bar=False)
+    path = out / "frames" / "000002.npz"
+    path.write_bytes(path.read_bytes()[:-100])
+    run(Settings(looped(FRAMES), out, resume=True), lines.append, bar=False)
+    assert any("000002.npz: cannot be read" in line and line.endswith("It is computed again.") for line in lines)
+    assert f"{out}: going on at frame 2 of 6" in lines
+    assert contents(out / "posterior.nc") == contents(uninterrupted / "posterior.nc")
+
+
+def test_a_folder_with_frames_is_refused_without_resume(looped, tmp_path, stopping):
+    out = tmp_path / "run"
+    stopping(3, InputError("stopped"))
+    with pytest.raises(InputError, match="stopped"):
+        run(Settings(looped(FRAMES), out, **SMALL), lambda line: None, bar=False)
+    said = "holds a run that stopped at frame 3; .*; continue it with --resume, or name another folder"
+    with pytest.raises(InputError, match=said):
+        run(Settings(looped(FRAMES), out, **SMALL), lambda line: None, bar=False)
+    (out / "run.toml").unlink()
+    with pytest.raises(InputError, match=r"run\.toml: no such file"):
+        run(Settings(looped(FRAMES), out, resume=True), lambda line: None, bar=False)
+
+
+def test_a_folder_that_another_process_works_on(looped, uninterrupted):
+    with locked(uninterrupted), pytest.raises(InputError, match=rf"process {os.getpid()} works on it"):
+        run(Settings(looped(FRAMES), uninterrupted, resume=True), lambda line: None, bar=False)
+
+
+def test_resume_of_nothing_begins(looped, tmp_path, uninterrupted):
+    run(Settings(looped(FRAMES), tmp_path / "run", resume=True, **SMALL), lambda line: None, bar=False)
+    assert contents(tmp_path / "run" / "posterior.nc") == contents(uninterrupted / "posterior.nc")
+
+
+CHANGES = {
+    "seed": ({"seed": 4}, "--seed was 3 and is now 4"),
+    "runs": ({"runs": 1}, "--runs was 2 and is now 1"),
+    "particles": ({"overrides": {"particles": 41}}, "kernel.particles was 40 and is now 41"),
+    "kernel": ({"kernel": "annealed"}, "kernel.kind was sir and is now annealed"),
+    "model": ({"model": "deutscher_apf", "kernel": "sir"}, "--model was arm and is now deutscher_apf"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_another_run_is_not_continued(looped, uninterrupted, change):
+    settings, said = CHANGES[change]
+    before = {path: path.stat().st_mtime_ns for path in uninterrupted.rglob("*") if path.is_file() and path.name != ".lock"}
+    with pytest.raises(InputError, match=f"cannot be continued: .*{said}"):
+        run(Settings(looped(FRAMES), uninterrupted, resume=True, **settings), lambda line: None, bar=False)
+    assert before == {path: path.stat().st_mtime_ns for path in before}
+
+
+def test_another_session_is_not_continued(looped, tmp_path, uninterrupted):
+    text = (looped(FRAMES) / "session.toml").read_text(encoding="utf-8")
+    assert "fps = 60.0" in text
+    (tmp_path / "session.toml").write_text(text.replace("fps = 60.0", "fps = 30.0"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"session\.toml: fps was 60\.0 and is now 30\.0"):
+        run(Settings(tmp_path, uninterrupted, resume=True), lambda line: None, bar=False)
+
+
+def test_the_run_file_keeps_the_session_s_text(looped, uninterrupted):
+    record = tomllib.loads((uninterrupted / "run.toml").read_text(encoding="utf-8"))
+    assert record["session"]["text"] == (looped(FRAMES) / "session.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("kept", [0, 1, 4])
+def test_frames_that_are_kept_are_not_computed_again(textured_session, kept):
+    """In memory, of a kernel with layers: what is there already is taken as it is, and the end is the same."""
+    model, key, kernel = load_model("arm", textured_session), jax.random.key(5), annealed(layers=2)
+    whole = track(textured_session, model, kernel, key, particles=40, runs=2)
+    store, told = list(whole.frames)[:kept], []
+    again = track(textured_session, model, kernel, key, particles=40, runs=2, on_frame=told.append, into=store)
+    assert again.frames is store and all(a is b for a, b in zip(store[:kept], whole.frames, strict=False))
+    assert [(progress.frame, progress.frames) for progress in told] == [(frame, 5) for frame in range(kept + 1, 6)]
+    for name in ("ancestors", "survival_rate", "evaluations"):
+        assert np.array_equal(getattr(again.info, name), getattr(whole.info, name))
+    assert again.states["pose"].tobytes() == whole.states["pose"].tobytes()
+    assert again.log_weights.tobytes() == whole.log_weights.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("sizes", "said"), [({"particles": 41}, "particles: 41; expected the 40"), ({"runs": 1}, "runs: 1"), ({"frames": 2}, "frames: 2; .* the 5")]
+)
+def test_frames_of_another_size_are_not_continued(textured_session, sizes, said):
+    model, key, kernel = load_model("arm", textured_session), jax.random.key(5), annealed(layers=2)
+    whole = track(textured_session, model, kernel, key, particles=40, runs=2)
+    with pytest.raises(InputError, match=said):
+        track(textured_session, model, kernel, key, **{"particles": 40, "runs": 2, **sizes}, into=list(whole.frames))
+
+
+@pytest.mark.parametrize("what", ["posterior", "summary", "pictures"])
+def test_what_fails_after_the_last_frame_is_made_by_the_next_one(looped, tmp_path, uninterrupted, monkeypatch, what):
+    """A disk that is full once the frames are kept."""
+    out, lines = tmp_path / "run", []
+
+    def full(*arguments, **options):
+        raise InputError(f"{what}: {errno.ENOSPC}")
+
+    name = {"posterior": "stream_posterior", "summary": "summarise", "pictures": "draw_overlay"}[what]
+    with monkeypatch.context() as patch:
+        patch.setattr(f"bayes_body.run.{name}", full)
+        with pytest.raises(InputError, match=what):
+            run(Settings(looped(FRAMES), out, **SMALL), lines.append, bar=False)
+    assert "6 frames are kept" in lines[-1]
+    run(Settings(looped(FRAMES), out, resume=True), lines.append, bar=False)
+    assert {path.name for path in out.iterdir()} == LEFT
+    assert contents(out / "posterior.nc") == contents(uninterrupted / "posterior.nc")

@@ -1,0 +1,135 @@
+"""Frames on disk: what was kept comes back bit for bit, half a file is no frame, and damage is noticed."""
+
+import dataclasses
+import errno
+
+import numpy as np
+import pytest
+
+from bayes_body.draws import FrameResult, Frames, FrameStore
+from bayes_body.errors import InputError
+from bayes_body.factor import FilterInfo
+from bayes_body.files import PARTIAL
+from bayes_body.storage import FrameFiles
+from bayes_body.storage.frame_files import load_frame, save_frame
+
+RUNS, PARTICLES, DOFS, LAYERS, CAMERAS = 2, 7, 3, 2, 4
+
+
+def result(seed: int) -> FrameResult:
+    rng = np.random.default_rng(seed)
+    by_layer = rng.random((RUNS, LAYERS), np.float32)
+    by_layer[0, 1] = np.nan
+    info = FilterInfo(
+        ancestors=rng.integers(0, PARTICLES, (RUNS, PARTICLES), np.int32),
+        ess=rng.random(RUNS, np.float32),
+        survival_rate=by_layer,
+        inverse_temperatures=by_layer,
+        log_evidence=np.array([-np.inf, np.nan], np.float32),
+        lost=np.array([True, False]),
+        acceptance_rate=by_layer,
+        evaluations=np.array([7, 14], np.int32),
+    )
+    states = {"pose": rng.normal(size=(RUNS, PARTICLES, DOFS)).astype(np.float32), "phase": rng.normal(size=(RUNS, PARTICLES))}
+    return FrameResult(states, rng.normal(size=(RUNS, PARTICLES)), info, rng.random(CAMERAS) < 0.5, rng.random(), rng.random())
+
+
+def leaves(frame: FrameResult) -> dict[str, np.ndarray]:
+    found = {f"states.{name}": values for name, values in frame.states.items()} | frame.info._asdict()
+    return {name: np.asarray(values) for name, values in (found | {"w": frame.log_weights, "seen": frame.seen}).items()}
+
+
+def same(a: FrameResult, b: FrameResult) -> bool:
+    x, y = leaves(a), leaves(b)
+    arrays = x.keys() == y.keys() and all(x[name].dtype == y[name].dtype and x[name].tobytes() == y[name].tobytes() for name in x)
+    return arrays and (a.seconds, a.seconds_ready) == (b.seconds, b.seconds_ready)
+
+
+@pytest.fixture
+def kept(tmp_path):
+    """Files of four frames."""
+    files = FrameFiles(tmp_path / "frames")
+    for seed in range(4):
+        files.append(result(seed))
+    return files
+
+
+def test_they_are_frames_like_a_list(kept):
+    assert isinstance(kept, FrameStore) and isinstance([], FrameStore)
+    assert isinstance((result(0),), Frames) and not isinstance((result(0),), FrameStore)
+
+
+def test_what_was_kept_comes_back(kept):
+    again = FrameFiles(kept.folder)
+    assert len(again) == 4
+    assert all(same(frame, result(seed)) for seed, frame in enumerate(again))
+    assert same(again[-1], result(3))
+    for outside in (4, -5):
+        with pytest.raises(IndexError):
+            again[outside]
+
+
+def test_a_folder_that_is_not_there_has_no_frames_and_is_not_made(tmp_path):
+    files = FrameFiles(tmp_path / "frames")
+    assert (len(files), list(files), files.mend()) == (0, [], "")
+    assert not files.folder.exists()
+
+
+def test_half_a_file_is_no_frame(kept):
+    half = kept.folder / f"{PARTIAL}000004.npz"
+    half.write_bytes(kept.path(0).read_bytes()[:100])
+    again = FrameFiles(kept.folder)
+    assert len(again) == 4
+    assert again.mend() == "" and not half.exists()
+
+
+def test_frames_behind_a_gap_do_not_count(kept):
+    kept.path(1).unlink()
+    assert len(FrameFiles(kept.folder)) == 1
+
+
+def _cut(content: bytes) -> bytes:
+    return content[: len(content) // 2]
+
+
+def _flip(content: bytes) -> bytes:
+    """One bit of a pose."""
+    place = content.index(b"states.pose") + 250
+    return content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :]
+
+
+DAMAGE = {"cut short": _cut, "one bit": _flip, "empty": lambda content: b"", "something else": lambda content: b"no frame at all"}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damage_is_noticed_and_the_frames_before_it_stay(kept, damage):
+    path = kept.path(2)
+    path.write_bytes(DAMAGE[damage](path.read_bytes()))
+    with pytest.raises(InputError, match=r"000002\.npz: cannot be read .* --resume"):
+        load_frame(path)
+    again = FrameFiles(kept.folder)
+    assert "000002.npz" in again.mend() and len(again) == 2
+    again.append(result(2))
+    assert same(again[2], result(2))
+    # The one behind it was never damaged: a run that stops here goes on after it.
+    assert FrameFiles(kept.folder).mend() == "" and len(FrameFiles(kept.folder)) == 4
+
+
+def test_python_objects_are_neither_written_nor_read(tmp_path):
+    with pytest.raises(ValueError, match="allow_pickle"):
+        save_frame(tmp_path / "000000.npz", dataclasses.replace(result(0), states={"pose": np.array([{}], object)}))
+    assert not list(tmp_path.iterdir())
+    np.savez(tmp_path / "000000.npz", pose=np.array([{}], object))
+    with pytest.raises(InputError, match="cannot be read"):
+        load_frame(tmp_path / "000000.npz")
+
+
+def test_a_full_disk_leaves_the_frames_before(kept, monkeypatch):
+    def full(file, **arrays):
+        file.write(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    with pytest.raises(InputError, match=r"000004\.npz: cannot be written \(No space left on device\)"):
+        kept.append(result(4))
+    assert len(kept) == len(FrameFiles(kept.folder)) == len(list(kept.folder.iterdir())) == 4

@@ -1,0 +1,87 @@
+"""run.toml: what it keeps comes back, and what changed since is named."""
+
+import copy
+import tomllib
+
+import pytest
+
+from bayes_body.definition import load_definition
+from bayes_body.errors import InputError
+from bayes_body.storage.run_file import describe, read_run_file, refuse_changes, write_run_file
+
+SESSION = "title = \"blobs\"\nfps = 60.0\n# a \"comment\" with '''quotes'''\n[[camera]]\nname = \"a\"\nfocal_px = [200.0, 205.0]\n"
+
+
+@pytest.fixture
+def record(tmp_path):
+    (tmp_path / "session.toml").write_text(SESSION, encoding="utf-8")
+    return describe(tmp_path, "arm", load_definition("arm"), "annealed", {"particles": 40, "layers": 2, "unset": None}, 2, 3, None)
+
+
+def test_it_comes_back(tmp_path, record):
+    write_run_file(tmp_path, record)
+    read = read_run_file(tmp_path)
+    refuse_changes(tmp_path, read, record)
+    assert read["run"] == {"session": str(tmp_path), "model": "arm", "runs": 2, "seed": 3}
+    assert read["kernel"] == {"kind": "annealed", "particles": 40, "layers": 2}
+    assert read["session"]["text"] == SESSION
+    assert tomllib.loads(read["definition"]["text"])["kernel"] == {"kind": "sir", "particles": 2000}
+
+
+def _put(table, key, value):
+    return lambda record: record[table].update({key: value})
+
+
+def _edit(table, key, old, new):
+    return lambda record: record[table].update({key: record[table][key].replace(old, new)})
+
+
+CHANGES = {
+    "seed": (_put("run", "seed", 4), "--seed was 3 and is now 4"),
+    "runs": (_put("run", "runs", 1), "--runs was 2 and is now 1"),
+    "model": (_put("run", "model", "other/mine.toml"), "--model was arm and is now mine"),
+    "kernel": (_put("kernel", "kind", "sir"), "kernel.kind was annealed and is now sir"),
+    "an option": (_put("kernel", "particles", 41), "kernel.particles was 40 and is now 41"),
+    "a new option": (_put("kernel", "moves", 2), "kernel.moves was not set and is now 2"),
+    "a version": (_put("versions", "jax", "0.1"), "the version of jax was .* and is now 0.1"),
+    "the model's text": (_edit("definition", "text", "precision = 200.0", "precision = 10.0"), "the model's file: likelihood.1.precision was 200.0"),
+    "the body's text": (_edit("definition", "body_text", "title", "titel"), "the body's file: title was .*the body's file: titel was not set"),
+    "the session": (_edit("session", "text", "205.0", "210.0"), "session.toml: camera.1.focal_px.2 was 205.0 and is now 210.0"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_changed_is_named(tmp_path, record, change):
+    make, said = CHANGES[change]
+    now = copy.deepcopy(record)
+    make(now)
+    with pytest.raises(InputError, match=f"cannot be continued: .*{said}.*; expected what the run began with; put it back, or begin anew"):
+        refuse_changes(tmp_path, record, now)
+
+
+def test_what_no_number_depends_on_may_change(tmp_path, record):
+    now = copy.deepcopy(record)
+    for change in (
+        _put("run", "frames", 9),
+        _put("run", "session", "/elsewhere"),
+        _put("versions", "arviz", "9"),
+        _put("machine", "platform", "another"),
+        _edit("session", "text", "# a", "# another"),
+        _edit("session", "text", "60.0", "60"),
+    ):
+        change(now)
+    refuse_changes(tmp_path, record, now)
+
+
+def test_many_changes_are_counted(tmp_path, record):
+    now = copy.deepcopy(record)
+    now["kernel"] |= {f"option_{number}": number for number in range(7)}
+    with pytest.raises(InputError, match="; 3 more differ; expected"):
+        refuse_changes(tmp_path, record, now)
+
+
+@pytest.mark.parametrize(("text", "said"), [("", r"no table \[run\]"), ("[run", "line 1"), ("[run]\n[kernel]\n", r"no table \[versions\]")])
+def test_a_run_file_that_is_none(tmp_path, text, said):
+    (tmp_path / "run.toml").write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_run_file(tmp_path)
