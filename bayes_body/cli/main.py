@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import typer
 
 from bayes_body import __version__
-from bayes_body.cli import import_, models, track
+from bayes_body.cli import export, import_, models, report, track
 from bayes_body.errors import FaultyFileError, InputError
 
 WRONG_INPUT, OUR_FAULT, INTERRUPTED = 2, 1, 130
@@ -23,6 +23,8 @@ app = typer.Typer(
 )
 app.add_typer(import_.app, name="import")
 app.command("track")(track.track)
+app.command("report")(report.report)
+app.command("export")(export.export)
 app.add_typer(models.app, name="models")
 
 

@@ -1,0 +1,23 @@
+"""`bayes-body report`: a run becomes one page to look at."""
+
+import sys
+from pathlib import Path
+
+import typer
+
+
+def report(
+    run: Path = typer.Argument(help="Folder of a run, as `bayes-body track` leaves it."),
+    out: Path | None = typer.Option(None, "--out", help="The file to write; report.html in the run's folder by default."),
+) -> None:
+    """One HTML file that opens without a network: figures, pictures, joint angles, diagnostics, and how the run was made."""
+    from bayes_body.config import configure
+
+    configure()
+    from bayes_body.saved_run import load_run
+    from bayes_body.view.progress import watched
+    from bayes_body.view.report import write_report
+
+    with load_run(run) as saved:
+        path = write_report(saved, out, watched("report", sys.stderr.isatty()))
+    typer.echo(f"{path}: {path.stat().st_size / 1e6:.1f} MB; open it in a browser.")

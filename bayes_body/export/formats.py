@@ -1,0 +1,66 @@
+"""The formats by name, and writing one."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from bayes_body.errors import InputError, nearest, wrong
+from bayes_body.export.c3d import write_c3d
+from bayes_body.export.csv import write_csv
+from bayes_body.export.motion import Axis, Motion, read_motion
+from bayes_body.export.npz import write_npz
+from bayes_body.export.trc import trc_files, write_trc
+from bayes_body.files import make_folder, refused
+from bayes_body.saved_run import SavedRun
+
+WRITERS: dict[str, Callable[[Motion, Path], None]] = {"trc": write_trc, "csv": write_csv, "npz": write_npz, "c3d": write_c3d}
+
+
+def check_format(name: str) -> str:
+    """The name of a format that exists.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    if name not in WRITERS:
+        raise InputError(f"--to: format '{name}' does not exist; {nearest(name, WRITERS)}")
+    return name
+
+
+def files_of(name: str, out: Path) -> tuple[Path, ...]:
+    """What a format writes where `out` is asked for: TRC four files, the others one."""
+    return tuple(trc_files(out).values()) if name == "trc" else (out,)
+
+
+def export(run: SavedRun, name: str, out: Path, *, fps: float | None = None, up: Axis | None = None, overwrite: bool = False) -> Motion:
+    """Write a run's motion; returns what was written.
+
+    Args:
+        run: read back from its folder.
+        name: of the format.
+        out: the file.
+        fps: as of `read_motion`.
+        up: as of `read_motion`.
+        overwrite: whether a file that is there is replaced.
+
+    Raises:
+        InputError: no such format, a file that is there, or one that cannot be written.
+    """
+    writer = WRITERS[check_format(name)]
+    for file in files_of(name, out):
+        _check_free(file, overwrite)
+    make_folder(out.parent)
+    motion = read_motion(run, fps, up)
+    writer(motion, out)
+    return motion
+
+
+def _check_free(file: Path, overwrite: bool) -> None:
+    try:
+        folder, there = file.is_dir(), file.exists()
+    # A name that is too long, for one.
+    except OSError as error:
+        raise refused(file, "written", error) from None
+    if folder:
+        raise wrong(file, "a folder", "the name of a file", "name one in it with --out")
+    if there and not overwrite:
+        raise wrong(file, "is there already", "a file that is not", "name another with --out, or replace it with --overwrite")

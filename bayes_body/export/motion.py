@@ -1,0 +1,83 @@
+"""What is exported of a run: markers and dofs, frame by frame, with standard deviation and 5 % and 95 % quantiles of the posterior."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from bayes_body.posterior.moments import Moments
+from bayes_body.saved_run import SavedRun, angle_moments, marker_moments
+
+type Axis = Literal["x", "y", "z"]
+AXES: tuple[Axis, ...] = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A run's motion; all its runs (independent filters) count the same.
+
+    Attributes:
+        title: of the session.
+        fps: frames a second.
+        up: the axis that points up.
+        marker_names: of the virtual markers.
+        markers: (frame, marker, 3), metres.
+        dof_names: of the body.
+        dof_units: for each dof `deg` or `m`.
+        dofs: (frame, dof), degrees and metres.
+        lost: frames that no particle of some run explained: what stands there is a prediction.
+    """
+
+    title: str
+    fps: float
+    up: Axis
+    marker_names: tuple[str, ...]
+    markers: Moments
+    dof_names: tuple[str, ...]
+    dof_units: tuple[str, ...]
+    dofs: Moments
+    lost: Bool[np.ndarray, " frame"]
+
+    @property
+    def frames(self) -> int:
+        """How many there are."""
+        return len(self.lost)
+
+    @property
+    def seconds(self) -> Float[np.ndarray, " frame"]:
+        """The time of each frame; the first is at 0."""
+        return np.arange(self.frames) / self.fps
+
+
+def read_motion(run: SavedRun, fps: float | None = None, up: Axis | None = None) -> Motion:
+    """The motion of a run.
+
+    Args:
+        run: read back from its folder.
+        fps: frames a second, where the session's are wrong; no frame is made or left out.
+        up: which axis shall point up; the session's by default. The axes change places in turn (x, y, z to y, z, x), so that each keeps its sense.
+
+    Raises:
+        InputError: what the run kept cannot be used.
+    """
+    angular = np.array(run.model.body.skeleton.topology.angular)
+    dofs = Moments(*(np.where(angular, np.degrees(values), values) for values in angle_moments(run)))
+    order = _order(run.session.up, up or run.session.up)
+    return Motion(
+        title=run.session.title,
+        fps=run.fps if fps is None else fps,
+        up=up or run.session.up,
+        marker_names=run.model.body.markers.names,
+        markers=Moments(*(values[..., order] for values in marker_moments(run))),
+        dof_names=run.model.body.dof_names,
+        dof_units=tuple("deg" if angle else "m" for angle in angular),
+        dofs=dofs,
+        lost=np.asarray(run.tree["filter"]["lost"], bool).any(axis=0),
+    )
+
+
+def _order(given: Axis, wanted: Axis) -> list[int]:
+    """Which of the given axes stands at x, y and z: a turn of space, under which standard deviations and quantiles stay those of an axis."""
+    turn = AXES.index(given) - AXES.index(wanted)
+    return [(axis + turn) % 3 for axis in range(3)]

@@ -1,0 +1,38 @@
+"""NPZ, for NumPy: arrays with names that end in their units, every digit kept."""
+
+from pathlib import Path
+
+import numpy as np
+
+from bayes_body.export.motion import Motion
+from bayes_body.files import replacing
+
+
+def write_npz(motion: Motion, path: Path) -> None:
+    """Write the file.
+
+    Arrays: `frame` (from 0), `time_s`, `lost`, `fps`, `up`; `marker_names` and `marker_mean_m`, `marker_sd_m`, `marker_q05_m`, `marker_q95_m`
+    (frame, marker, 3); `angle_names` and `angle_mean_deg`, ... (frame, angle); `shift_names` and `shift_mean_m`, ... (frame, shift).
+
+    Raises:
+        InputError: the file system refuses it.
+    """
+    units, names = np.array(motion.dof_units, str), np.array(motion.dof_names, str)
+    arrays = {
+        "frame": np.arange(motion.frames),
+        "time_s": motion.seconds,
+        "lost": motion.lost,
+        "fps": np.array(motion.fps),
+        "up": np.array(motion.up),
+        "marker_names": np.array(motion.marker_names, str),
+        "angle_names": names[units == "deg"],
+        "shift_names": names[units == "m"],
+    }
+    for name, values in motion.markers._asdict().items():
+        arrays[f"marker_{name}_m"] = values
+    for name, values in motion.dofs._asdict().items():
+        arrays[f"angle_{name}_deg"] = values[:, units == "deg"]
+        arrays[f"shift_{name}_m"] = values[:, units == "m"]
+    # Opened here: given a name, NumPy would append an ending.
+    with replacing(path) as partial, partial.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)

@@ -1,0 +1,47 @@
+"""TRC, the marker format of OpenSim and Pose2Sim: text, tab-separated, millimetres, frames counted from 1.
+
+It has no room for uncertainty: the mean is one file, and standard deviation and quantiles are files of the same form beside it.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.export.motion import Motion
+from bayes_body.files import replacing
+
+MILLIMETRES = 1000.0
+
+
+def trc_files(path: Path) -> dict[str, Path]:
+    """The file of each moment: that of the mean is `path`, the others say what they are: `walk_sd.trc`."""
+    return {"mean": path} | {name: path.with_stem(f"{path.stem}_{name}") for name in ("sd", "q05", "q95")}
+
+
+def write_trc(motion: Motion, path: Path) -> None:
+    """Write the four files; the last digit is 1 µm.
+
+    Raises:
+        InputError: the file system refuses it.
+    """
+    for name, file in trc_files(path).items():
+        with replacing(file) as partial:
+            _write(partial, file.name, motion, getattr(motion.markers, name))
+
+
+def _write(path: Path, name: str, motion: Motion, positions: Float[np.ndarray, "frame marker 3"]) -> None:
+    count, markers = motion.frames, len(motion.marker_names)
+    rate = f"{motion.fps:.10g}"
+    header = [
+        f"PathFileType\t4\t(X/Y/Z)\t{name}",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+        f"{rate}\t{rate}\t{count}\t{markers}\tmm\t{rate}\t1\t{count}",
+        "Frame#\tTime\t" + "\t\t\t".join(motion.marker_names) + "\t\t",
+        "\t\t" + "\t".join(f"{axis}{number}" for number in range(1, markers + 1) for axis in "XYZ"),
+        "",
+    ]
+    columns = np.column_stack([np.arange(1, count + 1), motion.seconds, MILLIMETRES * positions.reshape(count, -1)])
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write("\n".join(header) + "\n")
+        np.savetxt(file, columns, fmt=["%d", "%.6f", *["%.3f"] * (3 * markers)], delimiter="\t")

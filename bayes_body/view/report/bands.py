@@ -1,0 +1,114 @@
+"""Every dof over time: median, middle half and 90 % of the weighted draws of all runs together."""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import NDArray
+
+from bayes_body.errors import InputError
+from bayes_body.posterior.blocks import pooled, pose_blocks, weights_of_runs
+from bayes_body.posterior.moments import unwrapped, weighted_quantiles
+from bayes_body.view.report.figures import RUNS, encoded, frame_label, frames_a_point, new_panel, shade_lost, whole_frames
+from bayes_body.view.report.inspection import Inspection
+from bayes_body.view.report.limbs import by_limb, spoken
+from bayes_body.view.report.markup import Markup, Picture, details, figures, section, tag
+
+if TYPE_CHECKING:
+    from bayes_body.saved_run import SavedRun
+
+SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
+# A panel shows at least so much, in degrees and metres: what moves less is noise, and shall look like it.
+LEAST_SPAN = {"°": 5.0, "m": 0.02}
+
+
+class Bands(NamedTuple):
+    """Quantiles of the dofs over the frames.
+
+    Attributes:
+        frames: which.
+        dofs: names.
+        units: `°` or `m`, a dof each.
+        quantiles: of SHARES, in those units.
+    """
+
+    frames: range
+    dofs: tuple[str, ...]
+    units: tuple[str, ...]
+    quantiles: Float[np.ndarray, "share frame dof"]
+
+
+def dof_scale(units: tuple[str, ...]) -> Float[np.ndarray, " dof"]:
+    """What radians and metres are multiplied with."""
+    return np.where(np.array(units) == "m", 1.0, 180 / np.pi)
+
+
+def bands(it: Inspection) -> Bands:
+    """The bands at no more than MOST_POINTS frames, evenly spaced; each run has the same weight."""
+    run, found = it.run, []
+    frames, endless = range(0, run.frames, frames_a_point(run.frames)), _endless(run)
+    for piece in pose_blocks(run.tree, frames):
+        weights = pooled(weights_of_runs(piece.log_weights)) / piece.poses.shape[0]
+        poses = pooled(piece.poses)
+        poses[..., endless] = unwrapped(poses[..., endless], weights)
+        found.append(np.stack(weighted_quantiles(poses, weights, SHARES)))
+    return Bands(frames, it.dofs, it.units, np.concatenate(found, axis=1) * dof_scale(it.units))
+
+
+def _endless(run: "SavedRun") -> Bool[np.ndarray, " dof"]:
+    """Angles without limits, which may turn on and on; none where the run's body can no longer be built."""
+    try:
+        skeleton = run.model.body.skeleton
+    except InputError:
+        return np.zeros(run.tree["posterior"].sizes["dof"], bool)
+    return np.asarray(skeleton.topology.angular) & ~np.isfinite(np.asarray(skeleton.low)) & ~np.isfinite(np.asarray(skeleton.high))
+
+
+def band_section(it: Inspection) -> Markup:
+    """Angles and positions over time, grouped by limb."""
+    found, lost = bands(it), it.lost
+    step = found.frames.step
+    sparse = f"every {_ordinal(step)}" if step > 1 else ""
+    x_label = frame_label(it.fps, sparse)
+    legend = (
+        "The line is the median of all runs together, the strong band the middle half of the posterior (25 to 75 %), the faint band "
+        f"90 % of it (5 to 95 %); draws count by their weights.{' Frames that were lost are shaded orange.' if lost.any() else ''}"
+        f"{f' Shown is {sparse} frame of {it.run.frames:,}.' if sparse else ''}"
+    )
+    parts: list[str] = [tag("p", legend)]
+    for limb, places in by_limb(found.dofs).items():
+        panels = figures(_panel(found, place, lost, x_label) for place in places)
+        parts.append(details(limb, panels, shown=True))
+    return section("angles", "Joint angles and positions over time", *parts)
+
+
+def _ordinal(number: int) -> str:
+    ending = "th" if number % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
+    return f"{number}{ending}"
+
+
+def _panel(found: Bands, place: int, lost: Bool[np.ndarray, " frame"], x_label: str) -> Picture:
+    name, unit = found.dofs[place], found.units[place]
+    figure, axes = new_panel(spoken(name), x_label, "angle, degrees" if unit == "°" else "position, m", (3.6, 2.1))
+    low, first, middle, third, high = found.quantiles[:, :, place]
+    frames = np.asarray(found.frames)
+    shade_lost(axes, lost)
+    if len(frames) == 1:
+        axes.errorbar(frames, middle, [middle - low, high - middle], color=RUNS[0], marker="o", capsize=4)
+    axes.fill_between(frames, low, high, color=RUNS[0], alpha=0.22, linewidth=0)
+    axes.fill_between(frames, first, third, color=RUNS[0], alpha=0.4, linewidth=0)
+    axes.plot(frames, middle, color=RUNS[0])
+    whole_frames(axes, len(lost))
+    axes.set_ylim(*_limits(low, high, LEAST_SPAN[unit]))
+    alt = f"{spoken(name)} over the frames: median {_range(middle)} {unit}, widest 90 % band {float(np.max(high - low)):.3g} {unit}."
+    return encoded(figure, alt)
+
+
+def _limits(low: NDArray[np.floating], high: NDArray[np.floating], least: float) -> tuple[float, float]:
+    bottom, top = float(np.min(low)), float(np.max(high))
+    margin = max(0.05 * (top - bottom), (least - (top - bottom)) / 2)
+    return bottom - margin, top + margin
+
+
+def _range(values: NDArray[np.floating]) -> str:
+    return f"from {float(np.min(values)):.4g} to {float(np.max(values)):.4g}"

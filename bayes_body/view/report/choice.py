@@ -1,0 +1,62 @@
+"""Which frames and dofs are looked at closely, and draws of equal weight there."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.posterior.blocks import pose_blocks, weights_of_runs
+from bayes_body.posterior.weighted import RESAMPLING_SEED
+from bayes_body.view.report.bands import dof_scale
+from bayes_body.view.report.inspection import Inspection
+
+FEWEST_DRAWS, MOST_DRAWS, DOFS = 20, 200, 3
+
+
+class Sample(NamedTuple):
+    """Draws of equal weight at one frame.
+
+    Attributes:
+        frame: which.
+        poses: degrees and metres.
+    """
+
+    frame: int
+    poses: Float[np.ndarray, "run draw dof"]
+
+
+def worst_frame(it: Inspection) -> int:
+    """That of the largest R-hat; without one that of the fewest effective particles."""
+    if it.agreement_known:
+        return int(np.nan_to_num(it.diagnosis.rhat, nan=-np.inf).max(axis=1).argmax())
+    return int(it.diagnosis.ess.min(axis=0).argmin())
+
+
+def chosen_frames(it: Inspection) -> list[int]:
+    """The first, the worst and the last, each once."""
+    return sorted({0, worst_frame(it), len(it.diagnosis.lost[0]) - 1})
+
+
+def chosen_dofs(it: Inspection) -> list[int]:
+    """Those that disagree most in some frame; with a single run those that spread most in its worst frame, angles before positions."""
+    if it.agreement_known:
+        figures_of = np.nan_to_num(it.diagnosis.rhat, nan=-np.inf).max(axis=0)
+    else:
+        figures_of = equal_weight_sample(it, worst_frame(it)).poses.std(axis=(0, 1))
+    ordered = np.argsort(-figures_of, kind="stable")[:DOFS].tolist()
+    # A dof that never moves has no R-hat and no spread: there is nothing to plot of it.
+    return [dof for dof in ordered if figures_of[dof] > 0]
+
+
+def equal_weight_sample(it: Inspection, frame: int) -> Sample:
+    """Systematic draws in random order, as many as the smallest effective sample size of the runs, within bounds."""
+    ess = float(np.nanmin(it.diagnosis.ess[:, frame]))
+    count = round(np.clip(ess, FEWEST_DRAWS, MOST_DRAWS))
+    (block,) = pose_blocks(it.run.tree, range(frame, frame + 1))
+    rng = np.random.default_rng([RESAMPLING_SEED, frame])
+    out = []
+    for weights, poses in zip(weights_of_runs(block.log_weights)[..., 0], block.poses[:, :, 0], strict=True):
+        levels = (np.arange(count) + rng.random()) / count
+        places = np.minimum(np.searchsorted(np.cumsum(weights), levels), len(weights) - 1)
+        out.append(poses[rng.permutation(places)])
+    return Sample(frame, np.stack(out) * dof_scale(it.units))

@@ -1,0 +1,159 @@
+"""ArviZ's plots of a dof at a frame, and of all angles of a frame.
+
+Nothing in ArviZ knows weights: it is given draws of equal weight, as many a run as the run's effective sample size at that frame, so that their
+number promises no more than the weights hold.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.view.report.choice import Sample
+from bayes_body.view.report.figures import INK, LEGEND, MARGINS, PANEL, encoded, set_margins
+from bayes_body.view.report.inspection import Inspection
+from bayes_body.view.report.limbs import spoken
+from bayes_body.view.report.markup import Picture
+from bayes_body.view.report.ranks import rank_region
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Beyond so many runs a forest shows them together.
+FOREST_RUNS = 4
+# Effective draws that quantiles need (Vehtari et al. 2021).
+ENOUGH = 400
+
+
+@contextmanager
+def arviz_plots() -> Iterator[None]:
+    """ArviZ draws through pyplot: without a window, whatever the caller's backend is."""
+    import matplotlib as mpl
+
+    before = mpl.get_backend()
+    mpl.use("Agg")
+    try:
+        yield
+    finally:
+        mpl.use(before)
+
+
+def _taken(draw: Callable[..., Any], size: tuple[float, float], **arguments: Any) -> "Figure":
+    """The figure that a plot of ArviZ makes, taken from pyplot's hands."""
+    import matplotlib.pyplot as plt
+
+    collection = draw(backend="matplotlib", figure_kwargs={"figsize": size}, **arguments)
+    figure = collection.viz["figure"].item()
+    plt.close(figure)
+    return figure
+
+
+def _tree(values: Float[np.ndarray, "run draw"]) -> "xr.DataTree":
+    import xarray as xr
+
+    places = {dim: np.arange(size) for dim, size in zip(("chain", "draw"), values.shape, strict=True)}
+    return xr.DataTree.from_dict({"posterior": xr.Dataset({"value": (("chain", "draw"), values)}, places)})
+
+
+def _named(it: Inspection, sample: Sample, dof: int) -> tuple[str, str]:
+    """Title of a panel, and unit."""
+    return f"{spoken(it.dofs[dof])}, frame {sample.frame}", it.units[dof]
+
+
+def _label(figure: "Figure", title: str, x: str, y: str) -> "Axes":
+    axes = figure.axes[0]
+    for side in ("left", "bottom"):
+        axes.spines[side].set_visible(True)
+    axes.tick_params(left=True, labelleft=True)
+    axes.set_title("", loc="center")
+    axes.set_title(title, loc="left")
+    axes.set(xlabel=x, ylabel=y)
+    set_margins(figure)
+    return axes
+
+
+def rank_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
+    """Where the draws of each run stand among those of all, as the difference from an even share (Säilynoja, Bürkner & Vehtari 2022)."""
+    import arviz as az
+
+    title, _ = _named(it, sample, dof)
+    values, rhat = sample.poses[..., dof], it.diagnosis.rhat[sample.frame, dof]
+    figure = _taken(az.plot_rank, PANEL, dt=_tree(values), visuals={"remove_axis": False})
+    axes = _label(figure, f"{spoken(it.dofs[dof])}: R-hat {rhat:.2f}", f"rank among all draws of frame {sample.frame}", "share above an even one")
+    # A test's p-value and its points: it takes draws for independent, and has no option to be left out.
+    for artist in (*axes.texts, *axes.collections):
+        artist.remove()
+    places = np.linspace(0, 1, 101)
+    height = rank_region(*values.shape) * np.sqrt(places * (1 - places))
+    axes.fill_between(places, -height, height, color=INK, alpha=0.12, linewidth=0)
+    axes.relim()
+    axes.autoscale(axis="y")
+    return encoded(figure, f"Rank plot of {title}: R-hat {rhat:.2f}.")
+
+
+def distribution_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
+    """For each run the share of its draws below each value."""
+    import arviz as az
+
+    title, unit = _named(it, sample, dof)
+    values = sample.poses[..., dof]
+    hidden = dict.fromkeys(("point_estimate", "point_estimate_text", "credible_interval", "remove_axis"), False)
+    by_run = {"sample_dims": ["draw"], "cols": [], "aes": {"color": ["chain"]}}
+    figure = _taken(az.plot_dist, PANEL, dt=_tree(values), kind="ecdf", visuals=hidden, **by_run)
+    axes = _label(figure, title, "angle, degrees" if unit == "°" else "position, m", "share of the draws below")
+    if 1 < it.runs <= LEGEND:
+        axes.legend(axes.get_lines()[: it.runs], [f"run {run + 1}" for run in range(it.runs)], loc="best", handlelength=1.2)
+    return encoded(figure, f"Distribution of {title}, by run: means {', '.join(f'{mean:.3g} {unit}' for mean in values.mean(axis=1))}.")
+
+
+def growth_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
+    """ArviZ's effective sample size as draws are added."""
+    import arviz as az
+
+    title, _ = _named(it, sample, dof)
+    values = sample.poses[..., dof]
+    figure = _taken(az.plot_ess_evolution, PANEL, dt=_tree(values), n_points=10, visuals={"min_ess": values.size >= ENOUGH})
+    axes = _label(figure, title, "draws of all runs", "effective draws")
+    axes.set_ylim(bottom=0)
+    axes.legend(axes.get_lines()[:2], ("bulk", "tails"), loc="best", handlelength=1.2)
+    return encoded(figure, f"Effective sample size of {title} as draws are added.")
+
+
+def forest_plot(it: Inspection, sample: Sample) -> Picture:
+    """Median and intervals of every angle, by run, from the median of all runs."""
+    import arviz as az
+    import xarray as xr
+
+    angular = np.array(it.units) == "°"
+    angles, together = sample.poses[..., angular], it.runs > FOREST_RUNS
+    middle = np.median(angles, axis=(0, 1))
+    names = [spoken(name) for name, angle in zip(it.dofs, angular, strict=True) if angle]
+    labels = [f"{name} {value:z.0f}°" for name, value in zip(names, middle, strict=True)]
+    coordinates = {"dof": labels, "chain": np.arange(len(angles)), "draw": np.arange(angles.shape[1])}
+    tree = xr.DataTree.from_dict({"posterior": xr.Dataset({"angle": (("chain", "draw", "dof"), angles - middle)}, coordinates)})
+    form = {
+        "labels": ["dof"],
+        "point_estimate": "median",
+        "ci_probs": (0.5, 0.94),
+        "combined": together,
+        "aes": {} if together else {"color": ["chain"]},
+    }
+    figure = _taken(az.plot_forest, (3.8, 0.8 + 0.3 * len(names)), dt=tree, visuals={"point_estimate": {"width": 2}}, **form)
+    _set_forest(figure, f"Frame {sample.frame}")
+    return encoded(figure, f"Medians and intervals of {len(names)} joint angles at frame {sample.frame}, by run.")
+
+
+def _set_forest(figure: "Figure", title: str) -> None:
+    """Names left, intervals right, and room for both."""
+    names, intervals = figure.axes
+    (width, height), (_, right, bottom, top) = figure.get_size_inches(), MARGINS
+    edge, low, high = 1.75 / width, bottom / height, 1 - top / height
+    names.set_position((0, low, edge, high - low))
+    intervals.set_position((edge, low, 1 - edge - right / width, high - low))
+    names.set_axis_off()
+    intervals.set_title(title, loc="left")
+    intervals.set_xlabel("degrees from the median")

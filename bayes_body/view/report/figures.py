@@ -1,0 +1,177 @@
+"""How a plot of the report looks, and how it gets into the page: as SVG, or as PNG where that is smaller.
+
+Plots are small, one panel each, so that they stand side by side on a wide screen and one below the other on a narrow one without shrinking. They are
+drawn in dark ink on nothing: a dark page inverts them. The colours of runs are Okabe's and Ito's, which the colour-blind tell apart.
+"""
+
+import base64
+import io
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import NDArray
+
+from bayes_body.view.report.markup import Picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+RUNS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#000000")
+INK, GREY, LOST = "#1b1f24", "#6b7280", "#D55E00"
+PANEL = (3.6, 2.5)
+# Beyond so many runs a legend would hide what it explains.
+LEGEND = 6
+# Inches around the axes, left, right, bottom, top: the same in all panels, so that their axes stand in line.
+MARGINS = (0.66, 0.14, 0.5, 0.28)
+# Points on a line beyond which several frames share one, and bytes of an SVG beyond which a PNG is tried.
+MOST_POINTS, LARGE_SVG = 400, 50_000
+STYLE: Any = {
+    "axes.axisbelow": True,
+    "axes.edgecolor": INK,
+    "axes.grid": True,
+    "axes.labelcolor": INK,
+    "axes.labelsize": 9,
+    "axes.prop_cycle": "cycler('color', ['" + "', '".join(RUNS) + "'])",
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "grid.alpha": 0.3,
+    "grid.linewidth": 0.6,
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "lines.linewidth": 1.3,
+    "path.simplify_threshold": 0.5,
+    "savefig.transparent": True,
+    # The same run makes the same page.
+    "svg.hashsalt": "bayes_body",
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Within it, plots are drawn as the report's."""
+    import matplotlib as mpl
+
+    with mpl.rc_context(STYLE):
+        yield
+
+
+def new_panel(title: str, x: str, y: str, size: tuple[float, float] = PANEL) -> "tuple[Figure, Axes]":
+    """An empty panel: a figure that no window and no global state knows of."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size)
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.set(title=title, xlabel=x, ylabel=y)
+    set_margins(figure)
+    return figure, axes
+
+
+def set_margins(figure: "Figure", left: float = MARGINS[0], right: float = MARGINS[1]) -> None:
+    """Leave room around the axes for what is written there, `left` and `right` in inches."""
+    (width, height), (_, _, bottom, top) = figure.get_size_inches(), MARGINS
+    figure.subplots_adjust(left=left / width, right=1 - right / width, bottom=bottom / height, top=1 - top / height)
+
+
+def log_counts(axes: "Axes", most: int) -> None:
+    """Counts from 1 to `most` on a logarithmic scale, written out."""
+    axes.set_yscale("log")
+    axes.set_ylim(0.8, most * 1.3)
+    axes.yaxis.set_major_formatter("{x:,.0f}")
+
+
+def log_values(axes: "Axes") -> None:
+    """A logarithmic scale of what is drawn already, written out; where it spans less than a power of ten, between these too."""
+    from matplotlib.ticker import NullFormatter
+
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter("{x:g}" if high < 10 * low else NullFormatter())
+    axes.tick_params(axis="y", which="minor", labelsize=8.5)
+
+
+def encoded(figure: "Figure", alt: str, caption: str = "") -> Picture:
+    """The figure as a picture of the page."""
+    image = io.BytesIO()
+    figure.savefig(image, format="svg", metadata={"Date": None})
+    kind = "svg+xml"
+    if image.tell() > LARGE_SVG:
+        pixels = io.BytesIO()
+        figure.savefig(pixels, format="png", dpi=2 * 96)
+        if pixels.tell() < image.tell():
+            image, kind = pixels, "png"
+    return Picture(data_uri(f"image/{kind}", image.getvalue()), alt, caption)
+
+
+def data_uri(kind: str, content: bytes) -> str:
+    """The content as an address that holds it."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def draw_runs(axes: "Axes", frames: NDArray[np.integer], values: Float[np.ndarray, "run frame"]) -> None:
+    """A line a run over the frames; where frames outnumber the points, a bin's median, and a band from its least to its most."""
+    binned = bins(len(frames))
+    for run, line in enumerate(values):
+        colour = RUNS[run % len(RUNS)]
+        if len(binned) == len(frames):
+            axes.plot(frames, line, color=colour, label=f"run {run + 1}", **_mark(len(frames)))
+            continue
+        low, middle, high = (np.array([_of(piece, line[part]) for part in binned]) for piece in (np.min, np.median, np.max))
+        at = frames[[part.start for part in binned]]
+        axes.fill_between(at, low, high, color=colour, alpha=0.25, linewidth=0)
+        axes.plot(at, middle, color=colour, label=f"run {run + 1}")
+
+
+def _of(piece: Callable[..., np.floating], values: NDArray[np.floating]) -> float:
+    finite = values[np.isfinite(values)]
+    return float(piece(finite)) if finite.size else float("nan")
+
+
+def _mark(frames: int) -> dict[str, Any]:
+    # A line through two or three frames is hard to see without its points, and one frame is no line.
+    return {"marker": "o", "markersize": 3.5} if frames <= 12 else {}
+
+
+def frames_a_point(frames: int) -> int:
+    """How many frames share a point of a line."""
+    return -(-frames // MOST_POINTS)
+
+
+def bins(frames: int) -> Sequence[slice]:
+    """The frames in at most MOST_POINTS slices of equal length, the last may be shorter."""
+    size = frames_a_point(frames)
+    return [slice(start, min(start + size, frames)) for start in range(0, frames, max(size, 1))]
+
+
+def frame_label(fps: float | None, thinned: str = "") -> str:
+    """What stands below an axis of frames: their rate, and how they are thinned."""
+    rate = f" ({fps:g} a second)" if fps else ""
+    return f"frame{rate}" + (f"; {thinned}" if thinned else "")
+
+
+def shade_lost(axes: "Axes", lost: Bool[np.ndarray, " frame"]) -> None:
+    """Shade the frames that were lost."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
+    for start, stop in edges.reshape(-1, 2):
+        axes.axvspan(start - 0.5, stop - 0.5, color=LOST, alpha=0.18, linewidth=0)
+
+
+def whole_frames(axes: "Axes", frames: int) -> None:
+    """Ticks at whole frames, and no empty margin."""
+    from matplotlib.ticker import MaxNLocator
+
+    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True, min_n_ticks=1))
+    axes.set_xlim(-0.5 if frames <= 12 else 0, frames - 0.5 if frames <= 12 else frames - 1)

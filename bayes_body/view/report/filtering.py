@@ -1,0 +1,194 @@
+"""The filter over the frames: effective particles, weights, layers, evidence, ancestry, and which cameras it saw."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from bayes_body.view.report.figures import (
+    INK,
+    LEGEND,
+    RUNS,
+    bins,
+    draw_runs,
+    encoded,
+    frame_label,
+    log_counts,
+    log_values,
+    new_panel,
+    shade_lost,
+    whole_frames,
+)
+from bayes_body.view.report.inspection import Inspection
+from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+def filter_section(it: Inspection) -> Markup:
+    """All panels that the kernel has something to show in."""
+    panels = [panel for part in (_weights, _ancestry, _evidence, _layers, _cameras) for panel in part(it)]
+    colours = "A line is a run." if it.runs > 1 else "There is a single run."
+    lost = " Frames that were lost are shaded orange." if it.lost.any() else ""
+    parts = [tag("p", f"{colours} Dashed lines are limits beyond which the findings speak.{lost}")]
+    if it.diagnosis.mode_seeker:
+        parts.append(tag("p", f"The kernel {it.diagnosis.kernel} estimates no evidence: there is no panel of it."))
+    return section("filter", "The filter, frame by frame", *parts, figures(panels))
+
+
+def _weights(it: Inspection) -> Iterator[Picture]:
+    diagnosis, count = it.diagnosis, it.diagnosis.particles
+    least = max(it.limits.ess, it.limits.ess_share * count)
+    figure, axes = new_panel("Effective particles", it.x_label, f"of {count:,} (log scale)")
+    _draw(axes, it, diagnosis.ess)
+    log_counts(axes, count)
+    if not diagnosis.mode_seeker:
+        _limit(axes, least)
+    _legend(axes, it.runs)
+    yield encoded(figure, f"Effective sample size over the frames, median {np.median(diagnosis.ess):.0f} of {count} particles.")
+    # The weights of a mode seeker are no importance weights.
+    if np.isfinite(diagnosis.pareto_k).any() and not diagnosis.mode_seeker:
+        figure, axes = new_panel("Tail of the weights", it.x_label, "Pareto k")
+        _draw(axes, it, np.where(np.isfinite(diagnosis.pareto_k), diagnosis.pareto_k, np.nan))
+        _limit(axes, it.limits.pareto_k)
+        worst = np.max(diagnosis.pareto_k[np.isfinite(diagnosis.pareto_k)])
+        yield encoded(figure, f"Pareto k of the weights over the frames, at most {worst:.2f}; the limit is {it.limits.pareto_k}.")
+
+
+def _ancestry(it: Inspection) -> Iterator[Picture]:
+    diagnosis = it.diagnosis
+    for lag, counts in zip(diagnosis.lags, diagnosis.ancestors, strict=True):
+        if not np.isfinite(counts).any():
+            continue
+        back = "1 frame back" if lag == 1 else f"{lag} frames back"
+        figure, axes = new_panel(f"Ancestors {back}", it.x_label, "particles (log scale)")
+        _draw(axes, it, counts)
+        log_counts(axes, diagnosis.particles)
+        if lag == 1:
+            _limit(axes, it.limits.ancestors)
+        yield encoded(figure, f"How many particles {back} have descendants, at least {np.nanmin(counts):.0f}.")
+
+
+def _evidence(it: Inspection) -> Iterator[Picture]:
+    diagnosis = it.diagnosis
+    if not np.isfinite(diagnosis.log_evidence).any():
+        return
+    figure, axes = new_panel("Log-evidence of a frame", it.x_label, "nats")
+    _draw(axes, it, np.where(np.isfinite(diagnosis.log_evidence), diagnosis.log_evidence, np.nan))
+    yield encoded(figure, "Log-evidence of each frame given those before it.")
+    spread = diagnosis.evidence_sd_frames
+    if np.isfinite(spread).any():
+        figure, axes = new_panel("Spread of the log-evidence", it.x_label, "sd over the runs, nats")
+        _draw(axes, it, spread[None])
+        axes.set_ylim(bottom=0)
+        yield encoded(figure, f"Standard deviation over the runs of the log-evidence of a frame, at most {np.nanmax(spread):.2f} nats.")
+
+
+def _layers(it: Inspection) -> Iterator[Picture]:
+    """Survival rates, inverse temperatures and acceptance of each layer, the median of the runs; kernels without layers have none."""
+    from matplotlib.ticker import MaxNLocator
+
+    group = it.run.tree["filter"]
+    if "survival_rate" not in group:
+        return
+    rates, powers = (np.asarray(group[name], float) for name in ("survival_rate", "inverse_temperature"))
+    if rates.shape[-1] > 1:
+        numbers = np.isfinite(rates).sum(axis=-1).astype(float)
+        if np.ptp(numbers):
+            figure, axes = new_panel("Layers", it.x_label, "layers a frame")
+            _draw(axes, it, numbers)
+            axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
+            yield encoded(figure, f"Layers of each frame, from {numbers.min():.0f} to {numbers.max():.0f}.")
+        yield _by_layer(it, rates, "Survival rate of a layer", "share of particles", False)
+        yield _by_layer(it, powers, "Inverse temperature of a layer", "power of the likelihood", True)
+    if np.isfinite(it.diagnosis.acceptance_rate).any():
+        yield _by_layer(it, it.diagnosis.acceptance_rate, "Acceptance of a layer", "share of moves", False, it.limits.acceptance)
+
+
+def _by_layer(
+    it: Inspection,
+    values: Float[np.ndarray, "run frame layer"],
+    title: str,
+    y_label: str,
+    logarithmic: bool,
+    limits: tuple[float, ...] = (),
+) -> Picture:
+    import matplotlib as mpl
+
+    known = np.isfinite(values).any(axis=(0, 1))
+    layers = np.flatnonzero(known)
+    binned = bins(values.shape[1])
+    colours = mpl.colormaps["Blues"](np.linspace(0.35, 1, max(len(layers), 2)))
+    figure, axes = new_panel(title, it.x_label, y_label)
+    shade_lost(axes, it.lost)
+    for number, (layer, colour) in enumerate(zip(layers, colours[: len(layers)], strict=True)):
+        line = [_median(values[:, piece, layer]) for piece in binned]
+        named = number in (0, len(layers) - 1)
+        axes.plot(
+            [piece.start for piece in binned],
+            line,
+            color=colour,
+            marker="o" if values.shape[1] <= 12 else "",
+            markersize=3.5,
+            label=f"layer {layer + 1}" if named else None,
+        )
+    if logarithmic:
+        log_values(axes)
+    else:
+        axes.set_ylim(-0.03, 1.2)
+    for limit in limits:
+        _limit(axes, limit)
+    whole_frames(axes, values.shape[1])
+    if len(layers) > 1 and not logarithmic:
+        axes.legend(loc="upper right", ncols=2, handlelength=1.2)
+    return encoded(figure, f"{title} over the frames, the median of the runs, from {np.nanmin(values):.3g} to {np.nanmax(values):.3g}.")
+
+
+def _median(values: Float[np.ndarray, "run some"]) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if finite.size else float("nan")
+
+
+def _cameras(it: Inspection) -> Iterator[Picture]:
+    """A strip a camera: dark where its picture was of use."""
+    diagnosis = it.diagnosis
+    if diagnosis.seen is None:
+        return
+    count = diagnosis.seen.shape[1]
+    figure, axes = new_panel("Cameras that were seen", frame_label(it.fps), "camera", (3.6, max(1.6, 0.9 + 0.25 * count)))
+    for camera in range(count):
+        axes.broken_barh(_stretches(diagnosis.seen[:, camera]), (camera - 0.35, 0.7), color=RUNS[0], linewidth=0)
+    axes.set_yticks(range(count), [_short(name) for name in diagnosis.cameras])
+    axes.set_ylim(count - 0.5, -0.5)
+    axes.grid(visible=False)
+    whole_frames(axes, diagnosis.seen.shape[0])
+    axes.set_xlim(-0.5, diagnosis.seen.shape[0] - 0.5)
+    alone = "; ".join(f"{name} in {share:.0%}" for name, share in zip(diagnosis.cameras, diagnosis.seen.mean(axis=0), strict=True))
+    yield encoded(figure, f"Which cameras were of use, of all frames: {alone}.")
+
+
+def _stretches(seen: Bool[np.ndarray, " frame"]) -> list[tuple[float, float]]:
+    """(start, width) of each stretch of frames."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], seen.astype(int), [0]]))).reshape(-1, 2)
+    return [(start - 0.5, float(stop - start)) for start, stop in edges.tolist()]
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= 9 else f"{name[:8]}…"
+
+
+def _draw(axes: "Axes", it: Inspection, values: Float[np.ndarray, "run frame"]) -> None:
+    shade_lost(axes, it.lost)
+    draw_runs(axes, np.arange(values.shape[1]), values)
+    whole_frames(axes, values.shape[1])
+
+
+def _limit(axes: "Axes", value: float) -> None:
+    axes.axhline(value, color=INK, linestyle="--", linewidth=0.9)
+
+
+def _legend(axes: "Axes", runs: int) -> None:
+    if 1 < runs <= LEGEND:
+        axes.legend(loc="lower left", ncols=3, handlelength=1.2, columnspacing=1.0)

@@ -1,0 +1,77 @@
+"""What all parts of the page look at: the run, its diagnosis, and the sentences about it, each made when it is first asked for."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool
+
+from bayes_body.errors import InputError
+from bayes_body.posterior.diagnostics import Diagnosis, Thresholds, diagnose, sentences
+from bayes_body.view.report.figures import frame_label, frames_a_point
+
+if TYPE_CHECKING:
+    from bayes_body.saved_run import SavedRun
+
+
+@dataclass(frozen=True, eq=False)
+class Inspection:
+    """A run under inspection.
+
+    Attributes:
+        run: read back from its folder.
+        limits: beyond which a figure is told.
+    """
+
+    run: "SavedRun"
+    limits: Thresholds = Thresholds()
+
+    @cached_property
+    def diagnosis(self) -> Diagnosis:
+        """Its figures, frame by frame."""
+        return diagnose(self.run)
+
+    @cached_property
+    def told(self) -> list[str]:
+        """A sentence for each limit that is crossed."""
+        return sentences(self.diagnosis, self.limits)
+
+    @property
+    def runs(self) -> int:
+        """How many independent runs."""
+        return self.diagnosis.ess.shape[0]
+
+    @property
+    def lost(self) -> Bool[np.ndarray, " frame"]:
+        """Frames that at least one run could not explain."""
+        return self.diagnosis.lost.any(axis=0)
+
+    @property
+    def agreement_known(self) -> bool:
+        """Whether there is an R-hat at all."""
+        return bool(np.isfinite(self.diagnosis.rhat).any())
+
+    @cached_property
+    def fps(self) -> float | None:
+        """Frames a second; None where the session can no longer be read."""
+        try:
+            return self.run.fps
+        except InputError:
+            return None
+
+    @property
+    def x_label(self) -> str:
+        """What stands below an axis of frames whose points are bins."""
+        size = frames_a_point(self.run.frames)
+        return frame_label(self.fps, f"{size} a point" if size > 1 else "")
+
+    @cached_property
+    def dofs(self) -> tuple[str, ...]:
+        """Names of the dofs."""
+        return self.diagnosis.dofs
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """`°` or `m`, a dof each."""
+        return tuple("m" if unit == "m" else "°" for unit in np.asarray(self.run.tree["posterior"]["unit"]).astype(str))

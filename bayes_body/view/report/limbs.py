@@ -1,0 +1,41 @@
+"""What dofs are called by people, and which limb they belong to."""
+
+import re
+from collections.abc import Mapping, Sequence
+
+SIDES = {"l": "left", "r": "right"}
+# Words in the names of joints. A body that calls its joints otherwise has them all under OTHER.
+LIMBS = {
+    "leg": ("hip", "thigh", "knee", "shank", "calf", "ankle", "foot", "toe"),
+    "arm": ("clavicle", "scapula", "shoulder", "upper_arm", "elbow", "forearm", "wrist", "hand"),
+    "Trunk and head": ("pelvis", "spine", "lumbar", "torso", "thorax", "chest", "neck", "head"),
+    "Place and direction of the whole body": ("root",),
+}
+OTHER = "Other joints"
+
+
+def by_limb(dofs: Sequence[str]) -> Mapping[str, list[int]]:
+    """Places of the dofs, grouped by limb; limbs in the order in which a reader looks for them, dofs in that of the body."""
+    groups: dict[str, list[int]] = {}
+    for place, dof in enumerate(dofs):
+        groups.setdefault(limb(dof), []).append(place)
+    order = ("Left leg", "Right leg", "Leg", "Left arm", "Right arm", "Arm", *LIMBS, OTHER)
+    return {name: groups[name] for name in order if name in groups}
+
+
+def limb(dof: str) -> str:
+    """The limb of a dof, such as `Left leg`."""
+    side, joint = _side(dof)
+    found = next((name for name, words in LIMBS.items() if any(word in joint for word in words)), OTHER)
+    return f"{side} {found}".strip().capitalize() if found in ("leg", "arm") else found
+
+
+def spoken(dof: str) -> str:
+    """`left hip y` of `l_hip_y`."""
+    side, joint = _side(dof)
+    return f"{side} {joint}".strip().replace("_", " ")
+
+
+def _side(dof: str) -> tuple[str, str]:
+    found = re.match(r"([lr])_(.+)", dof)
+    return (SIDES[found[1]], found[2]) if found else ("", dof)

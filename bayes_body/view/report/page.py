@@ -1,0 +1,96 @@
+"""The page as a whole: sections one after the other, pictures as good as the limit allows."""
+
+from collections.abc import Callable, Sequence
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import TYPE_CHECKING
+
+from bayes_body.errors import wrong
+from bayes_body.files import make_folder, write_text
+from bayes_body.view.progress import Watch, unwatched
+from bayes_body.view.report.bands import band_section
+from bayes_body.view.report.figures import style
+from bayes_body.view.report.filtering import filter_section
+from bayes_body.view.report.head import findings, key_figures, verdict
+from bayes_body.view.report.inspection import Inspection
+from bayes_body.view.report.made import made_section
+from bayes_body.view.report.markup import Markup, joined, tag
+from bayes_body.view.report.pictures import QUALITIES, picture_section
+from bayes_body.view.report.runs import run_section
+
+if TYPE_CHECKING:
+    from bayes_body.saved_run import SavedRun
+
+FILE_NAME = "report.html"
+# Bytes; what a mail takes, and a phone opens.
+LARGEST = 10_000_000
+SECTIONS: Sequence[tuple[str, str, Callable[[Inspection], Markup]]] = (
+    ("findings", "What to look at", lambda it: findings(it.told)),
+    ("pictures", "Pictures", lambda it: picture_section(it.run.folder, QUALITIES[0])),
+    ("angles", "Angles and positions", band_section),
+    ("filter", "Filter", filter_section),
+    ("runs", "Agreement of the runs", run_section),
+    ("made", "How it was made", lambda it: made_section(it.run)),
+)
+PICTURES = 1
+
+
+def write_report(run: "SavedRun", out: Path | None = None, watch: Watch = unwatched) -> Path:
+    """Write the report of a run: one file that opens without a network.
+
+    Args:
+        run: read back from its folder.
+        out: the file; `report.html` in the run's folder by default.
+        watch: takes the numbers of the page's parts and gives them back, as a bar does.
+
+    Raises:
+        InputError: the file cannot be written, or the body has so many dofs that no page of LARGEST bytes holds them.
+    """
+    path = out or run.folder / FILE_NAME
+    make_folder(path.parent)
+    write_text(path, page(run, watch))
+    return path
+
+
+def page(run: "SavedRun", watch: Watch = unwatched) -> str:
+    """The page's HTML, in less than LARGEST bytes; arguments and errors as of `write_report`."""
+    it = Inspection(run)
+    with style():
+        sections = [SECTIONS[part][2](it) for part in watch(range(len(SECTIONS)))]
+    return fitted(it, sections, LARGEST)
+
+
+def fitted(it: Inspection, sections: Sequence[Markup], largest: int) -> str:
+    """The page of these sections, its pictures as good as they may be in less than `largest` bytes.
+
+    Raises:
+        InputError: it does not fit without pictures either.
+    """
+    text = _filled(it, sections)
+    for quality in (*QUALITIES[1:], None):
+        if len(text.encode()) < largest:
+            return text
+        pictures = picture_section(it.run.folder, quality)
+        text = _filled(it, [*sections[:PICTURES], pictures, *sections[PICTURES + 1 :]])
+    if len(text.encode()) < largest:
+        return text
+    found, remedy = f"{len(text.encode()) / 1e6:.1f} MB without pictures", "this run has more dofs than a page holds: read posterior.nc instead"
+    raise wrong("the report", found, f"less than {largest / 1e6:g} MB", remedy)
+
+
+def _filled(it: Inspection, sections: Sequence[Markup]) -> str:
+    template = Template(files(__package__).joinpath("page.html").read_text(encoding="utf-8"))
+    settings = it.run.settings
+    subtitle = f"Model {settings['model']}, kernel {it.run.kernel['kind']}; {it.run.texts.get('title', 'no title')}."
+    version = it.run.versions.get("bayes-body", "of unknown version")
+    values = {
+        "title": f"Posterior of {it.run.folder.resolve().name}",
+        "subtitle": subtitle,
+        "verdict": verdict(it.told, it.agreement_known),
+        "contents": joined(tag("li", tag("a", title, href=f"#{name}")) for name, title, _ in SECTIONS),
+        "figures": key_figures(it.run.summary, it.diagnosis),
+        "sections": joined(sections),
+        "footer": f"Made by bayes-body report from a run of bayes-body {version}. This file holds all that it shows and needs no network.",
+    }
+    return template.substitute({name: joined([value]) for name, value in values.items()})

@@ -1,0 +1,127 @@
+"""Stills and a moving picture of the run's overlay, made small enough for a page: browsers play WebP, but not the video beside it."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from cv2.typing import MatLike
+
+from bayes_body.view.report.figures import data_uri
+from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
+
+LARGEST_ANIMATION = 4_000_000
+MOST_FRAMES = 100
+# Seconds for which a frame is shown, at least and at most: between them time is true.
+SHOWN = (1 / 12, 1 / 5)
+
+
+class Quality(NamedTuple):
+    """How good pictures are: widths in pixels, and WebP's own scale to 100."""
+
+    still_width: int
+    still: int
+    width: int
+    moving: int
+
+
+# From what is tried first to what must do; the page takes the first that fits.
+QUALITIES = (Quality(1280, 70, 960, 50), Quality(960, 60, 800, 40), Quality(800, 50, 640, 30), Quality(640, 40, 480, 20))
+
+
+def picture_section(folder: Path, quality: Quality | None) -> Markup:
+    """What the overlay shows; a sentence in place of what the run's folder no longer has.
+
+    Args:
+        folder: of the run.
+        quality: of the pictures; None leaves them out.
+    """
+    if quality is None:
+        return section("pictures", "Pictures", tag("p", "The pictures are left out: with them the page would be too large."))
+    stills = list(_stills(folder / "overlay", quality))
+    video = _animation(folder / "overlay.mp4", quality)
+    parts: list[str] = [tag("p", "The mean is a thick outline (left side blue, right side orange, middle green), draws are thin ones.")]
+    parts += [figures([video], "moving")] if video else [tag("p", "overlay.mp4 is no longer there or cannot be read: there is no moving picture.")]
+    parts += [figures(stills, "stills")] if stills else [tag("p", "There are no stills in overlay/.")]
+    return section("pictures", "Pictures", *(parts if video or stills else parts[1:]))
+
+
+def _stills(folder: Path, quality: Quality) -> Iterator[Picture]:
+    for path in sorted(folder.glob("frame_*.png")):
+        image = cv2.imread(str(path))
+        if image is not None:
+            name = path.stem.removeprefix("frame_").lstrip("0") or "0"
+            yield _picture(_still_uri(image, quality), f"Frame {name}: the recording with the posterior drawn over it.", f"Frame {name}")
+
+
+def _picture(uri: str, alt: str, caption: str, still: str | None = None) -> Picture:
+    return Picture(uri, alt, caption, inverts=False, still=still)
+
+
+def _still_uri(image: MatLike, quality: Quality) -> str:
+    encoded = cv2.imencode(".webp", narrowed(image, quality.still_width), [cv2.IMWRITE_WEBP_QUALITY, quality.still])[1]
+    return data_uri("image/webp", encoded.tobytes())
+
+
+def narrowed(image: MatLike, width: int) -> MatLike:
+    """The image, no wider than that."""
+    if image.shape[1] <= width:
+        return image
+    return cv2.resize(image, (width, round(image.shape[0] * width / image.shape[1])), interpolation=cv2.INTER_AREA)
+
+
+def _animation(path: Path, quality: Quality) -> Picture | None:
+    """A moving WebP of at most LARGEST_ANIMATION bytes; half the frames are left out until it is that small."""
+    frames, fps, total = read_video(path, quality.width)
+    if len(frames) < 2:
+        return None
+    step = -(-total // MOST_FRAMES)
+    while True:
+        seconds = float(np.clip(step / fps, *SHOWN))
+        content = encode_animation(frames, seconds, quality.moving)
+        if len(content) <= LARGEST_ANIMATION or len(frames) < 4:
+            break
+        frames, step = frames[::2], 2 * step
+    pace = _pace(seconds * fps / step)
+    caption = f"{'Every frame' if step == 1 else f'One frame in {step}'} of {total}, {pace}. overlay.mp4 in the folder of the run has them all."
+    return _picture(
+        data_uri("image/webp", content), "The recording with the posterior drawn over it, moving.", caption, _still_uri(frames[0], quality)
+    )
+
+
+def _pace(slower: float) -> str:
+    if abs(slower - 1) < 0.05:
+        return "in true time"
+    return f"slowed {slower:.2g} times" if slower > 1 else f"sped up {1 / slower:.2g} times"
+
+
+def read_video(path: Path, width: int, most: int = MOST_FRAMES) -> tuple[list[MatLike], float, int]:
+    """At most that many frames, evenly spaced and no wider than that; frames a second; how many the video has. Nothing where it cannot be read."""
+    if not path.is_file():
+        return [], 0.0, 0
+    video = cv2.VideoCapture(str(path))
+    try:
+        total, fps = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), float(video.get(cv2.CAP_PROP_FPS))
+        step, frames, place = max(-(-total // most), 1), [], 0
+        # Seeking in an mp4 lands on key frames only: all are passed, few are unpacked.
+        while fps > 0 and len(frames) < most and video.grab():
+            if place % step == 0:
+                done, image = video.retrieve()
+                frames += [narrowed(image, width)] if done else []
+            place += 1
+    finally:
+        video.release()
+    return frames, fps, total
+
+
+def encode_animation(frames: list[MatLike], seconds: float, quality: int) -> bytes:
+    """A WebP that shows each frame for so many seconds, again and again."""
+    animation = cv2.Animation()
+    animation.frames = frames
+    animation.durations = [round(1000 * seconds)] * len(frames)
+    animation.loop_count = 0
+    done, content = cv2.imencodeanimation(".webp", animation, [cv2.IMWRITE_WEBP_QUALITY, quality])
+    if not done:
+        raise RuntimeError("OpenCV could not encode an animated WebP")
+    return content.tobytes()
