@@ -25,7 +25,7 @@ def program(request) -> Path:
 
 
 def test_there_are_programs():
-    assert {"annealed_filter", "particle_filter"} <= {path.stem for path in PROGRAMS}
+    assert {"annealed_filter", "particle_filter", "tempered_smc"} <= {path.stem for path in PROGRAMS}
 
 
 def test_it_is_short_and_uses_the_public_package_only(program):
