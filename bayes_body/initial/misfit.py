@@ -104,7 +104,10 @@ def distances(problem: Problem, places: Places) -> Distances:
 
 
 def potential(problem: Problem, places: Places, far: Distances, pose: Pose, z: Float[Array, " group"], width: Scalar | float) -> Scalar:
-    """U of a pose whose points are at `places`, `far` from the evidence, with every sd `width` times as wide: wide, a fit that starts far off sees where to go."""
+    """U of a pose whose points are at `places`, `far` from the evidence.
+
+    With every sd `width` times as wide: wide, a fit that starts far off sees where to go.
+    """
     evidence = problem.evidence
     markers = _robust(far.metres, width * far.metres_sd, evidence.marker_weights, 3)
     keypoints = _robust(far.pixels, width * far.pixels_sd, evidence.pixel_weights, 2)
