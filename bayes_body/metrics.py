@@ -63,6 +63,7 @@ class _Figures(NamedTuple):
     """What the summary takes from one frame; overlap is (run, camera), the others (run,) or single numbers."""
 
     ess: NDArray[Any]
+    layers: NDArray[Any]
     log_evidence: NDArray[Any]
     evaluations: int
     lost: bool
@@ -75,10 +76,12 @@ def _figures(session: Session, model: Model, frame: FrameResult, index: int) -> 
     info, overlap = frame.info, _overlap(session, model, frame, index)
     evidence, evaluations = np.asarray(info.log_evidence, float), int(np.sum(info.evaluations))
     worst = _largest(frame_rhat(frame, index))
-    return _Figures(np.asarray(info.ess), evidence, evaluations, frame.lost, worst, overlap, _disagreement(model, frame))
+    # A kernel that chooses its number of layers pads them with NaN.
+    layers = np.isfinite(info.inverse_temperatures).sum(axis=-1)
+    return _Figures(np.asarray(info.ess), layers, evidence, evaluations, frame.lost, worst, overlap, _disagreement(model, frame))
 
 
-def summarise(session: Session, draws: Draws, *, kernel: str, layers: int, seed: int, watch: Watch = unwatched) -> dict[str, Any]:
+def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: Watch = unwatched) -> dict[str, Any]:
     """The stable keys of `summary.json`; a figure that does not exist is null.
 
     Seconds are wall-clock, all runs together; `seconds_per_frame` and `evaluations_per_second` leave the compilation out. An evaluation is the
@@ -93,7 +96,7 @@ def summarise(session: Session, draws: Draws, *, kernel: str, layers: int, seed:
         "cameras": len(session.views),
         "dof": len(draws.model.body.dof_names),
         "particles": draws.particles,
-        "layers": layers,
+        "layers": round(float(np.median([each.layers for each in found]))),
         "runs": draws.runs,
         "kernel": kernel,
         "model": draws.model.definition.name,

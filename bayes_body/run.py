@@ -102,7 +102,7 @@ def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
                 draws = track(
                     session, model, kernel, jax.random.key(chosen.seed), options.particles, chosen.runs, chosen.frames, on_frame, into=frames
                 )
-            figures = {"kernel": kind, "layers": getattr(options, "layers", 1), "seed": chosen.seed}
+            figures = {"kernel": kind, "seed": chosen.seed}
             return _leave(session, draws, settings.out, figures, show, bar)
 
 
@@ -210,7 +210,7 @@ def _kept(frames: FrameFiles, out: Path, show: Show) -> Iterator[None]:
 def _leave(session: Session, draws: Draws, out: Path, figures: Mapping[str, Any], show: Show, bar: bool) -> dict[str, Any]:
     """Posterior, summary and pictures, as far as they are not there for all frames; `figures` go into the summary as they are."""
     if stored_frames(out / POSTERIOR) != len(draws.frames):
-        stream_posterior(draws, out / POSTERIOR, {name: figures[name] for name in ("kernel", "seed")})
+        stream_posterior(draws, out / POSTERIOR, figures)
     diagnosis, told = _diagnosed(out, bar)
     summary = _stored_summary(out / SUMMARY)
     if summary.get("frames") != len(draws.frames):

@@ -61,10 +61,10 @@ def test_marker_disagreement_is_a_distance(draws):
 
 def test_a_figure_that_does_not_exist_is_null(textured_session, draws):
     single = track(textured_session, draws.model, build_kernel(), jax.random.key(0), particles=20)
-    summary = summarise(textured_session, single, kernel="sir", layers=1, seed=0)
+    summary = summarise(textured_session, single, kernel="sir", seed=0)
     assert summary["rhat_max"] is None and summary["marker_disagreement_mm"] is None
     views = tuple(dataclasses.replace(view, masks=None) for view in textured_session.views)
-    blind = summarise(dataclasses.replace(textured_session, views=views), draws, kernel="sir", layers=1, seed=0)
+    blind = summarise(dataclasses.replace(textured_session, views=views), draws, kernel="sir", seed=0)
     assert blind["iou_median"] is None
     assert blind["rhat_max"] > 0.9
 
@@ -73,7 +73,7 @@ def test_evidence_is_averaged_before_the_logarithm_and_null_of_a_mode_seeker(tex
     by_run = np.array([[-3.0, -4.0], [-3.5, -6.0]])
     assert np.isclose(log_evidence(_with_info(draws, log_evidence=by_run)), np.log((np.exp(-7.0) + np.exp(-9.5)) / 2))
     sought = track(textured_session, draws.model, annealed(layers=2), jax.random.key(0), particles=20)
-    assert summarise(textured_session, sought, kernel="annealed", layers=2, seed=0)["log_evidence"] is None
+    assert summarise(textured_session, sought, kernel="annealed", seed=0)["log_evidence"] is None
 
 
 def test_frames_that_a_camera_missed_are_known(draws):
@@ -86,7 +86,7 @@ def test_frames_that_a_camera_missed_are_known(draws):
 
 def test_the_figures_are_those_of_all_frames(textured_session, draws):
     """Computed frame by frame, held against the arrays of all frames."""
-    summary = summarise(textured_session, draws, kernel="sir", layers=1, seed=0)
+    summary = summarise(textured_session, draws, kernel="sir", seed=0)
     ess = np.asarray(draws.info.ess)
     assert summary["ess_min"] == ess.min() and np.isclose(summary["ess_median"], np.median(ess))
     assert np.isclose(summary["rhat_max"], np.nanmax(rhat(draws)))
