@@ -40,17 +40,18 @@ def triangulated(source, session, names):
 def test_the_man_on_the_beam_is_tracked_to_the_end(pose2sim_beam, tmp_path):
     session, run = str(tmp_path / "beam"), str(tmp_path / "run")
     imported = ["import", "pose2sim", str(pose2sim_beam), session, "--height", "1.75"]
-    for arguments in (imported, ["track", session, "--out", run, "--particles", "1000", "--layers", "8"]):
+    for arguments in (imported, ["track", session, "--out", run, "--particles", "4000", "--layers", "10"]):
         with pytest.raises(SystemExit) as stopped:
             main(arguments)
         assert stopped.value.code == 0
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["frames"], summary["frames_lost"]) == (FRAMES, 0)
+    # With silhouettes from a background that the man himself hides most of the time.
+    assert summary["iou_median"] > 0.5
     with load_run(run) as saved:
         names = saved.model.body.markers.names
         far = np.linalg.norm(marker_moments(saved).mean - triangulated(pose2sim_beam, saved.session, names), axis=-1)
     assert np.isfinite(far).mean() > 0.8
-    print({name: round(1000 * value) for name, value in zip(names, np.nanmedian(far, axis=0), strict=True)}, np.nanmedian(far), summary["iou_median"])
     assert np.nanmedian(far) <= 0.120
     # Nowhere on the way, and not at the end: the track is not lost.
     assert np.nanmax(np.nanmedian(far, axis=1)) <= 0.2
