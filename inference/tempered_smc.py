@@ -69,7 +69,7 @@ def main() -> None:
     print(f"seconds: {draws.timing.total:.1f}, {draws.timing.compile:.1f} of them compilation")
     evidence = told["log_evidence"].sum("frame").values
     print(f"log-evidence: {np.logaddexp.reduce(evidence) - np.log(len(evidence)):.2f} (by run: {', '.join(f'{value:.2f}' for value in evidence)})")
-    print("This is log p(images | model), up to the likelihood's constant: larger is a better prediction of this recording.")
+    print("This is log p(images | model), up to the likelihood's constant.")
 
 
 if __name__ == "__main__":
