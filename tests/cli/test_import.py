@@ -189,7 +189,7 @@ def test_options_of_bodytrack(cli, bodytrack, tmp_path):
     assert "4 cameras, 3 frames at 50 frames a second" in outcome.out
     assert "are assumed" not in outcome.out
     text = (tmp_path / "walk" / "session.toml").read_text()
-    assert "first_frame = 1" in text and f'masks = "{bodytrack}/CAM1/image%04d.bmp"' in text
+    assert "first_frame = 1" in text and f'masks = "{bodytrack.resolve()}/CAM1/image%04d.bmp"' in text
 
 
 def test_the_verbs_are_told(cli):
