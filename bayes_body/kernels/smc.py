@@ -23,7 +23,7 @@ JITTER = (0.6, 1.4)
 
 
 class Reweighted(NamedTuple):
-    """Particles after a step: unnormalised weights were `log_weights`, whose mean is exp(log_increment)."""
+    """Particles after a step, with normalised log-weights; `log_increment` is the log of the mean of the weights before that."""
 
     particles: Any
     log_weights: Float[Array, " particle"]
