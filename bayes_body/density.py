@@ -19,8 +19,9 @@ from jaxtyping import Array, Float
 from numpyro.distributions import biject_to
 from numpyro.distributions.transforms import Transform
 
+from bayes_body.errors import wrong
 from bayes_body.factor import Data, Factor, Particles, Side, State, Transition, Variable, variables
-from bayes_body.shapes import Index, Scalar
+from bayes_body.shapes import Index, Key, Scalar
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=[], data_fields=["transition", "factors", "data", "previous"])
@@ -61,6 +62,26 @@ class Density:
     def without_gradient(self) -> tuple[str, ...]:
         """The likelihoods that have none: a gradient-based kernel would move blindly."""
         return tuple(factor.name for factor in self.factors if factor.side == "likelihood" and not factor.has_gradient)
+
+    @property
+    def not_generative(self) -> tuple[str, ...]:
+        """The likelihoods that are no distribution over a frame's data: nothing can be simulated from them."""
+        return tuple(factor.name for factor in self.factors if factor.side == "likelihood" and factor.simulate is None)
+
+    def simulate(self, key: Key, state: State, previous: State | None = None) -> Data:
+        """A frame's data drawn given a state (after `previous`, by default the first particle of the frame before).
+
+        Raises:
+            InputError: a likelihood is not generative.
+        """
+        if self.not_generative:
+            expected = "a model whose likelihoods are all generative"
+            raise wrong("the likelihood", f"'{self.not_generative[0]}' is no distribution over images", expected, "take markers_gaussian, for one")
+        values = variables(state, self.ancestor(0) if previous is None else previous)
+        likelihoods = [factor for factor in self.factors if factor.side == "likelihood"]
+        keys = jax.random.split(key, len(likelihoods))
+        drawn = {f.name: f.simulate(k, {v: values[v] for v in f.scope}) for f, k in zip(likelihoods, keys, strict=True) if f.simulate}
+        return {**self.data, **drawn}
 
     # -- the sides ----------------------------------------------------------------------------------------------------------------------
 

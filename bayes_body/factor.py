@@ -41,7 +41,7 @@ def variables(state: State, previous: State | None = None) -> dict[Variable, Arr
     return now if previous is None else now | {Variable(name, -1): value for name, value in previous.items()}
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=["name", "side", "scope", "has_gradient"], data_fields=["log_potential"])
+@partial(jax.tree_util.register_dataclass, meta_fields=["name", "side", "scope", "has_gradient"], data_fields=["log_potential", "simulate"])
 @dataclass(frozen=True)
 class Factor:
     """One term of the model.
@@ -52,6 +52,8 @@ class Factor:
         scope: the variables that it reads, and no others reach it.
         log_potential: `(variables, data) -> scalar`; a `jax.tree_util.Partial`, so that its arrays are leaves of the model.
         has_gradient: whether its gradient tells where it grows; that of a nearest look-up is zero everywhere.
+        simulate: `(key, variables) -> data`, a draw from the distribution over a frame's data whose normalised log-density `log_potential` is; a
+            `jax.tree_util.Partial`. None where the factor is no such distribution.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Factor:
     scope: tuple[Variable, ...]
     log_potential: Callable[[Variables, Any], Scalar]
     has_gradient: bool = True
+    simulate: Callable[[Key, Variables], Any] | None = None
 
     def __call__(self, values: Variables, data: Data) -> Scalar:
         """The log-potential of the scoped part of `values`, given the frame's data."""
