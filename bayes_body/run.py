@@ -18,7 +18,7 @@ from bayes_body.draws import Draws
 from bayes_body.errors import wrong
 from bayes_body.files import make_folder, remove_partial, write_text
 from bayes_body.initial import apply_first_pose, first_pose, restored, stored
-from bayes_body.metrics import summarise
+from bayes_body.metrics import summarise, true_markers
 from bayes_body.model import Model, load_model
 from bayes_body.posterior import stream_posterior
 from bayes_body.posterior.diagnostics import diagnose, sentences, worst_figures
@@ -32,6 +32,7 @@ from bayes_body.storage.run_file import NAME as RUN_FILE
 from bayes_body.storage.run_file import describe, read_run_file, refuse_changes, write_run_file
 from bayes_body.toml_file import validate
 from bayes_body.tracking import track
+from bayes_body.view.figures_text import figures_text
 from bayes_body.view.overlay import draw_overlay, is_drawn
 from bayes_body.view.progress import progress_bar, waiting, watched
 
@@ -87,6 +88,8 @@ def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
     session, definition = load_session(settings.session), load_definition(chosen.model)
     kind, options = kernel_options(definition, chosen.kernel, settings.overrides, (kept or {}).get("kernel"))
     term, model = find("kernel", kind), load_model(definition, session)
+    # A truth that cannot be used is told before the tracking, not after it.
+    true_markers(session)
     record = describe(settings.session, chosen.model, definition, kind, options.model_dump(), chosen.runs, chosen.seed, chosen.frames)
     if kept:
         refuse_changes(settings.out, kept, record)
@@ -218,7 +221,7 @@ def _leave(session: Session, draws: Draws, out: Path, figures: Mapping[str, Any]
         write_text(out / SUMMARY, json.dumps(summary, indent=2) + "\n")
     if not is_drawn(out, len(draws.frames)):
         draw_overlay(session, draws, out, watched("pictures", bar))
-    show(_figures(summary))
+    show(figures_text(summary))
     for sentence in told:
         show(f"look at    {sentence}")
     return summary
@@ -239,23 +242,3 @@ def _stored_summary(path: Path) -> dict[str, Any]:
         # Missing, or not what a run writes: it is made anew.
         return {}
     return summary if isinstance(summary, dict) else {}
-
-
-def _figures(summary: Mapping[str, Any]) -> str:
-    """The run in a few lines, with units."""
-
-    def shown(key: str, form: str, unit: str) -> str:
-        return "-" if summary[key] is None else f"{summary[key]:{form}}{unit}"
-
-    return "\n".join(
-        [
-            f"frames      {summary['frames']}, lost {summary['frames_lost']}; {summary['cameras']} cameras, {summary['dof']} dofs",
-            f"time        {shown('seconds_per_frame', '.3f', ' s')} a frame; compilation {shown('seconds_compile', '.1f', ' s')}; "
-            f"{shown('evaluations_per_second', ',.0f', '')} evaluations/s; {shown('peak_memory_mb', ',.0f', ' MB')}",
-            f"particles   effective {shown('ess_median', '.0f', '')} (median), {shown('ess_min', '.0f', '')} (least) of {summary['particles']}",
-            f"agreement   overlap with the silhouettes (IoU) {shown('iou_median', '.3f', '')}; R-hat over runs at most {
-                shown('rhat_max', '.2f', '')
-            }; "
-            f"mean markers of the runs {shown('marker_disagreement_mm', '.0f', ' mm')} apart",
-        ]
-    )

@@ -12,6 +12,7 @@ import tomlkit
 import xarray as xr
 
 from bayes_body.definition import load_definition
+from bayes_body.recording.truth import MARKERS
 from bayes_body.saved_run import load_run
 from bayes_body.session import save_session
 from bayes_body.view.report.inspection import Inspection
@@ -22,11 +23,15 @@ UNITS = ("m", "rad", "rad", "rad", "rad")
 
 @pytest.fixture(scope="session")
 def make_run(textured_session, tmp_path_factory):
-    """`make_run(runs=2, frames=5, pose=..., log_weight=...)`: the folder of a run, arrays as (chain, draw, frame, ...)."""
+    """`make_run(runs=2, frames=5, truth=..., pose=..., log_weight=...)`: the folder of a run, arrays as (chain, draw, frame, ...)."""
 
-    def call(runs=2, draws=60, frames=5, dofs=DOFS, units=UNITS, title=None, **arrays) -> Path:
+    def call(runs=2, draws=60, frames=5, dofs=DOFS, units=UNITS, title=None, truth=None, **arrays) -> Path:
         base = tmp_path_factory.mktemp("report")
         session = dataclasses.replace(textured_session, folder=base / "session", **({"title": title} if title else {}))
+        if truth is not None:
+            session = dataclasses.replace(session, frames=frames, truth="truth.npz")
+            session.folder.mkdir()
+            np.savez(session.folder / "truth.npz", markers=truth, names=np.array(MARKERS))
         save_session(session)
         folder = base / "run"
         folder.mkdir()

@@ -68,7 +68,7 @@ def band_section(it: Inspection) -> Markup:
     """Angles and positions over time, grouped by limb."""
     found, lost = bands(it), it.lost
     step = found.frames.step
-    sparse = f"every {_ordinal(step)}" if step > 1 else ""
+    sparse = sparse_frames(step)
     x_label = frame_label(it.fps, sparse)
     legend = (
         "The line is the median of all runs together, the strong band the middle half of the posterior (25 to 75 %), the faint band "
@@ -80,6 +80,11 @@ def band_section(it: Inspection) -> Markup:
         panels = figures(_panel(found, place, lost, x_label) for place in places)
         parts.append(details(limb, panels, shown=True))
     return section("angles", "Joint angles and positions over time", *parts)
+
+
+def sparse_frames(step: int) -> str:
+    """`every 3rd`, as far as frames are left out."""
+    return f"every {_ordinal(step)}" if step > 1 else ""
 
 
 def _ordinal(number: int) -> str:

@@ -21,6 +21,11 @@ WHAT = (
     ("particles", "particles a run", "{:,}"),
     ("layers", "layers a frame", "{}"),
 )
+# What only a session with a truth has.
+TRUTH = (
+    ("error_mm_mean", "distance from the true markers", "{:.0f} mm"),
+    ("coverage_90", "share of the truth inside the 90 % intervals", "{:.2f}"),
+)
 QUALITY = (
     ("iou_median", "overlap with the silhouettes (IoU), median", "{:.3f}"),
     ("marker_disagreement_mm", "distance between the runs' mean markers", "{:.1f} mm"),
@@ -46,12 +51,13 @@ def sentence(text: str) -> Markup:
 
 
 def key_figures(summary: Mapping[str, Any], diagnosis: "Diagnosis") -> Markup:
-    """The figures that a reader asks for first; what does not exist is a dash."""
-    what, quality = ([(label, written(summary[key], form)) for key, label, form in rows if key in summary] for rows in (WHAT, QUALITY))
+    """The figures that a reader asks for first; what does not exist is a dash, but for what only a truth tells."""
+    known = [row for row in TRUTH if summary.get(row[0]) is not None]
+    what, truth, quality = ([(label, written(summary[key], form)) for key, label, form in rows if key in summary] for rows in (WHAT, known, QUALITY))
     ess = f"{np.median(diagnosis.ess):.0f} (median), {diagnosis.ess.min():.0f} (least) of {diagnosis.particles:,}"
     rhat = written(_largest(diagnosis.rhat), "{:.2f}")
     mine = [("effective particles", ess), ("R-hat over the runs, at most", rhat), ("log-evidence", _evidence(diagnosis))]
-    return tag("div", table((), what), table((), [*mine, *quality]), class_="pair")
+    return tag("div", table((), what), table((), [*truth, *mine, *quality]), class_="pair")
 
 
 def _largest(values: np.ndarray) -> float:

@@ -61,6 +61,14 @@ class Inspection:
             return None
 
     @property
+    def has_truth(self) -> bool:
+        """Whether the session names true markers; not where it can no longer be read."""
+        try:
+            return self.run.session.truth is not None
+        except InputError:
+            return False
+
+    @property
     def x_label(self) -> str:
         """What stands below an axis of frames whose points are bins."""
         size = frames_a_point(self.run.frames)

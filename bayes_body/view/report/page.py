@@ -18,6 +18,7 @@ from bayes_body.view.report.made import made_section
 from bayes_body.view.report.markup import Markup, joined, tag
 from bayes_body.view.report.pictures import QUALITIES, picture_section
 from bayes_body.view.report.runs import run_section
+from bayes_body.view.report.truth import truth_section
 
 if TYPE_CHECKING:
     from bayes_body.saved_run import SavedRun
@@ -28,6 +29,7 @@ LARGEST = 10_000_000
 SECTIONS: Sequence[tuple[str, str, Callable[[Inspection], Markup]]] = (
     ("findings", "What to look at", lambda it: findings(it.told)),
     ("pictures", "Pictures", lambda it: picture_section(it.run.folder, QUALITIES[0])),
+    ("truth", "Against the truth", truth_section),
     ("angles", "Angles and positions", band_section),
     ("filter", "Filter", filter_section),
     ("runs", "Agreement of the runs", run_section),
@@ -57,8 +59,14 @@ def page(run: "SavedRun", watch: Watch = unwatched) -> str:
     """The page's HTML, in less than LARGEST bytes; arguments and errors as of `write_report`."""
     it = Inspection(run)
     with style():
-        sections = [SECTIONS[part][2](it) for part in watch(range(len(SECTIONS)))]
+        made = sections_of(it)
+        sections = [made[part][2](it) for part in watch(range(len(made)))]
     return fitted(it, sections, LARGEST)
+
+
+def sections_of(it: Inspection) -> Sequence[tuple[str, str, Callable[[Inspection], Markup]]]:
+    """SECTIONS, without the one on the truth where the session names none."""
+    return [each for each in SECTIONS if each[0] != "truth" or it.has_truth]
 
 
 def fitted(it: Inspection, sections: Sequence[Markup], largest: int) -> str:
@@ -88,7 +96,7 @@ def _filled(it: Inspection, sections: Sequence[Markup]) -> str:
         "title": f"Posterior of {it.run.folder.resolve().name}",
         "subtitle": subtitle,
         "verdict": verdict(it.told, it.agreement_known),
-        "contents": joined(tag("li", tag("a", title, href=f"#{name}")) for name, title, _ in SECTIONS),
+        "contents": joined(tag("li", tag("a", title, href=f"#{name}")) for name, title, _ in sections_of(it)),
         "figures": key_figures(it.run.summary, it.diagnosis),
         "sections": joined(sections),
         "footer": f"Made by bayes-body report from a run of bayes-body {version}. This file holds all that it shows and needs no network.",

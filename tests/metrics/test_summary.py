@@ -1,16 +1,21 @@
 """The figures of a run."""
 
 import dataclasses
+import json
 
 import jax
 import numpy as np
 import pytest
 
+from bayes_body.errors import InputError
 from bayes_body.kernels import annealed
 from bayes_body.kernels.particle_filter import build_kernel
-from bayes_body.metrics import log_evidence, marker_disagreement, silhouette_overlap, summarise
+from bayes_body.metrics import draws_against_truth, log_evidence, marker_disagreement, silhouette_overlap, summarise
+from bayes_body.metrics.figures import NAMES
 from bayes_body.model import load_model
-from bayes_body.posterior import markers, rhat
+from bayes_body.posterior import markers, mean_poses, rhat
+from bayes_body.run import Settings, run
+from bayes_body.session import save_session
 from bayes_body.tracking import track
 from bayes_body.view.silhouette import intersection_over_union
 
@@ -96,3 +101,45 @@ def test_the_figures_are_those_of_all_frames(textured_session, draws):
     working = draws.timing.total - draws.timing.compile
     assert np.isclose(summary["evaluations_per_second"], 2 * 5 * 50 / working)
     assert np.isclose(working, sum(frame.seconds for frame in draws.frames))
+
+
+def test_without_a_truth_the_error_is_null(textured_session, draws):
+    summary = summarise(textured_session, draws, kernel="sir", seed=0)
+    assert {name: summary[name] for name in NAMES} == dict.fromkeys(NAMES)
+
+
+def test_with_a_truth_frame_meets_frame(with_truth, draws):
+    """Each frame's truth lies beside the mean markers by so many millimetres as its number says."""
+    mean = markers(draws.model, mean_poses(draws)[0]).astype(float)
+    beside = mean + np.arange(1, 6)[:, None, None] * [0.0, 0.0, 0.001]
+    # Two runs of one posterior: the second is the first.
+    frames = [
+        dataclasses.replace(frame, states={"pose": frame.states["pose"][[0, 0]]}, log_weights=frame.log_weights[[0, 0]]) for frame in draws.frames
+    ]
+    for frame in frames:
+        frame.states["pose"][:] = np.einsum("rp,rpd->rd", np.exp(frame.log_weights), frame.states["pose"])[:, None]
+    still, watched = dataclasses.replace(draws, frames=frames), []
+    session = with_truth(draws.model.body.markers.names, beside)
+    summary = summarise(session, still, kernel="sir", seed=0, watch=lambda which: (watched.append(len(which)), which)[1])
+    assert json.loads(json.dumps(summary, allow_nan=False)) == summary
+    assert summary["error_mm_mean"] == pytest.approx(3, abs=0.01) and summary["error_mm_optimistic"] == pytest.approx(3, abs=0.01)
+    assert summary["error_mm_std"] == pytest.approx(np.std([1, 2, 3, 4, 5], ddof=1), abs=0.01)
+    assert set(summary["error_mm_by_marker"]) == set(draws.model.body.markers.names)
+    assert summary["coverage_90"] < 1 and watched == [5, 5]
+    # A run of fewer frames meets the first of the truth.
+    first = dataclasses.replace(still, frames=frames[:2])
+    assert 1000 * draws_against_truth(session, first).plain.frame_error.mean() == pytest.approx(1.5, abs=0.01)
+
+
+def test_a_mode_seeker_covers_nothing(with_truth, textured_session, draws):
+    sought = track(textured_session, draws.model, annealed(layers=2), jax.random.key(0), particles=20)
+    summary = summarise(with_truth(draws.model.body.markers.names, np.zeros((5, 3, 3))), sought, kernel="annealed", seed=0)
+    assert summary["coverage_50"] is None and summary["coverage_90"] is None and summary["coverage_90_fitted_offset"] is None
+    assert summary["error_mm_mean"] > 0
+
+
+def test_a_truth_that_cannot_be_used_is_told_before_the_tracking(textured_session, tmp_path):
+    save_session(dataclasses.replace(textured_session, folder=tmp_path / "session", truth="truth.npz"))
+    with pytest.raises(InputError, match=r"truth\.npz: no such file"):
+        run(Settings(tmp_path / "session", tmp_path / "run", model="arm"), print, bar=False)
+    assert not (tmp_path / "run").exists()

@@ -1,4 +1,4 @@
-"""How good a run is: overlap with the silhouettes, agreement of the runs, and the figures of `summary.json`.
+"""Agreement of the runs, evidence, and the figures of `summary.json`.
 
 Frames are taken one at a time; what is kept of each are a few numbers, such as a median needs.
 """
@@ -13,28 +13,13 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from bayes_body.draws import Draws, FrameResult
+from bayes_body.metrics.figures import accuracy_figures
+from bayes_body.metrics.overlap import frame_overlap
+from bayes_body.metrics.truth import draws_against_truth
 from bayes_body.model import Model
-from bayes_body.observation.frames import read_frame
 from bayes_body.posterior import frame_rhat, markers, mean_pose
 from bayes_body.session import Session
 from bayes_body.view.progress import Watch, unwatched
-from bayes_body.view.silhouette import intersection_over_union, projected_masks
-
-
-def silhouette_overlap(session: Session, draws: Draws, watch: Watch = unwatched) -> Float[np.ndarray, "run frame camera"]:
-    """Overlap of the projected mean body of each run with the silhouettes; NaN where the session has none."""
-    return np.stack([_overlap(session, draws.model, draws.frames[index], index) for index in watch(range(len(draws.frames)))], axis=1)
-
-
-def _overlap(session: Session, model: Model, result: FrameResult, index: int) -> Float[np.ndarray, "run camera"]:
-    poses = mean_pose(result)
-    out = np.full((len(poses), len(session.views)), np.nan)
-    masks = read_frame(session, index).masks
-    if masks is not None:
-        for run, pose in enumerate(poses):
-            projected = projected_masks(model, pose, session)
-            out[run] = [np.nan if b is None else intersection_over_union(a, b) for a, b in zip(projected, masks, strict=True)]
-    return out
 
 
 def marker_disagreement(draws: Draws) -> float:
@@ -73,7 +58,7 @@ class _Figures(NamedTuple):
 
 
 def _figures(session: Session, model: Model, frame: FrameResult, index: int) -> _Figures:
-    info, overlap = frame.info, _overlap(session, model, frame, index)
+    info, overlap = frame.info, frame_overlap(session, model, frame, index)
     evidence, evaluations = np.asarray(info.log_evidence, float), int(np.sum(info.evaluations))
     worst = _largest(frame_rhat(frame, index))
     # A kernel that chooses its number of layers pads them with NaN.
@@ -89,6 +74,7 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
     """
     frames, working = len(draws.frames), draws.timing.total - draws.timing.compile
     found = [_figures(session, draws.model, draws.frames[index], index) for index in watch(range(frames))]
+    mode_seeker = all(np.isnan(each.log_evidence).all() for each in found)
     ess, overlap = (np.array([getattr(each, name) for each in found]) for name in ("ess", "overlap"))
     figures = {
         "frames": frames,
@@ -112,6 +98,7 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
         "log_evidence": _averaged(np.sum([each.log_evidence for each in found], axis=0)),
         "iou_median": float(np.nanmedian(overlap)) if np.isfinite(overlap).any() else None,
         "marker_disagreement_mm": 1000 * float(np.mean([each.disagreement for each in found])),
+        **accuracy_figures(draws_against_truth(session, draws, watch), mode_seeker),
     }
     return {key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in figures.items()}
 

@@ -1,0 +1,69 @@
+"""What `summary.json` says of the error: millimetres, and shares between 0 and 1.
+
+As with HumanEva (Sigal, Balan & Black 2010): the error of a frame is the mean over its markers, that of a recording the mean over its frames, beside
+it the standard deviation over the frames. Optimistic is the best particle of each frame (Balan, Sigal & Black 2005), which no tracker can name.
+"""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from bayes_body.metrics.accuracy import LEVELS
+from bayes_body.metrics.truth import AgainstTruth, mean_known
+
+NAMES = (
+    *("error_mm_mean", "error_mm_std", "error_mm_optimistic", "error_mm_relative", "error_mm_by_marker", "coverage_50", "coverage_90"),
+    *("error_mm_mean_fitted_offset", "coverage_90_fitted_offset"),
+)
+# Coverage of the 90 % intervals below which they are called too narrow, and above which too wide.
+ACCEPTED = (0.80, 0.98)
+
+
+def accuracy_figures(found: AgainstTruth | None, mode_seeker: bool) -> dict[str, Any]:
+    """The figures by NAMES; None where one does not exist, all of them without a truth.
+
+    Args:
+        found: the run against the truth.
+        mode_seeker: whether the particles are no sample of the posterior: then their intervals promise nothing that could be kept.
+    """
+    if found is None:
+        return dict.fromkeys(NAMES)
+    plain, fitted = found.plain, found.fitted
+    return {
+        "error_mm_mean": _mm(plain.frame_error),
+        "error_mm_std": _known(1000 * sd_over_frames(plain.frame_error)),
+        "error_mm_optimistic": _mm(plain.optimistic),
+        "error_mm_relative": _mm(plain.relative),
+        "error_mm_by_marker": {name: _mm(plain.error[..., place]) for place, name in enumerate(plain.names)},
+        "coverage_50": None if mode_seeker else coverage_at(plain.coverage, 0.5),
+        "coverage_90": None if mode_seeker else coverage_at(plain.coverage, 0.9),
+        "error_mm_mean_fitted_offset": None if fitted is None else _mm(fitted.frame_error),
+        "coverage_90_fitted_offset": None if fitted is None or mode_seeker else coverage_at(fitted.coverage, 0.9),
+    }
+
+
+def sd_over_frames(frame_error: Float[np.ndarray, "frame run"]) -> float:
+    """Standard deviation of a run's error over the frames, mean over the runs, metres; NaN below two frames with a known truth."""
+    known = frame_error[np.isfinite(frame_error).all(axis=1)]
+    return float(known.std(axis=0, ddof=1).mean()) if len(known) > 1 else float("nan")
+
+
+def coverage_at(coverage: Float[np.ndarray, " level"], level: float) -> float | None:
+    """The coverage of one of LEVELS; None where no truth is known."""
+    return _known(coverage[LEVELS.index(level)])
+
+
+def width(coverage_90: float) -> str:
+    """What a coverage of the 90 % intervals says of them."""
+    low, high = ACCEPTED
+    return "too narrow" if coverage_90 < low else "too wide" if coverage_90 > high else "about right"
+
+
+def _mm(metres: Float[np.ndarray, "..."]) -> float | None:
+    return _known(1000 * mean_known(metres.ravel(), 0))
+
+
+def _known(value: float | np.floating | NDArray[np.floating]) -> float | None:
+    return float(value) if np.isfinite(value) else None

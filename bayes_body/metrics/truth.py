@@ -1,0 +1,222 @@
+r"""A whole run against the truth, frame by frame, as the bodies are and with the difference between their joint centres fitted.
+
+Two skeletons are never the same: the truth's "hip" is not where the body's hip joint is. What stays the same over the frames, seen from the joint, is
+no error of tracking. Of each marker m on a joint with the orientation $R_t$ (of the run's mean pose), the offset
+
+$$\delta_m = \arg\min_\delta \sum_t \| \bar x_{t,m} + R_t \delta - z_{t,m} \|^2 = \mathrm{mean}_t\; R_t^\top (z_{t,m} - \bar x_{t,m})$$
+
+is fitted on every other frame and added to the body's marker in the frames between, and the other way round: a frame is never measured with an offset
+that it helped to fit.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from numpy.typing import NDArray
+
+from bayes_body.body.skeleton import Markers, Skeleton, forward_kinematics
+from bayes_body.draws import Draws
+from bayes_body.metrics.accuracy import FrameAccuracy, frame_accuracy
+from bayes_body.model import Model
+from bayes_body.posterior import markers
+from bayes_body.recording.truth import MARKERS, read_truth
+from bayes_body.session import Session
+from bayes_body.shapes import Pose
+from bayes_body.view.progress import Watch, unwatched
+
+# Frames with a known truth below which no offset is fitted.
+FEWEST = 10
+
+
+class Cloud(NamedTuple):
+    """The particles of one frame: poses in radians and metres, and their log-weights."""
+
+    poses: Float[np.ndarray, "run particle dof"]
+    log_weights: Float[np.ndarray, "run particle"]
+
+
+type Clouds = Callable[[], Iterable[Cloud]]
+
+
+class Accuracy(NamedTuple):
+    """Some frames against the truth, metres; NaN where the truth is unknown. What the fields are is told in `FrameAccuracy`.
+
+    Attributes:
+        names: of the markers that the body and the truth both have.
+        error: of each marker.
+        relative: pelvis on pelvis.
+        optimistic: of the best particle.
+        expected: by SHARES, mean over the runs.
+        inside: how often the truth is inside the interval of each of LEVELS, over frames, runs and axes.
+        known: of how many that is.
+        residual: from the mean marker to the true one, in the frame of the marker's joint, mean over the runs.
+    """
+
+    names: tuple[str, ...]
+    error: Float[np.ndarray, "frame run marker"]
+    relative: Float[np.ndarray, "frame run"]
+    optimistic: Float[np.ndarray, "frame run"]
+    expected: Float[np.ndarray, "frame share"]
+    inside: Int[np.ndarray, "level marker"]
+    known: Int[np.ndarray, " marker"]
+    residual: Float[np.ndarray, "frame marker 3"]
+
+    @property
+    def frame_error(self) -> Float[np.ndarray, "frame run"]:
+        """The mean error of a frame's known markers, metres."""
+        return mean_known(self.error, -1)
+
+    @property
+    def coverage(self) -> Float[np.ndarray, " level"]:
+        """The share of frames, runs, markers and axes with the truth inside, by LEVELS; NaN where no truth is known."""
+        return shares(self.inside.sum(axis=-1), self.known.sum())
+
+    @property
+    def coverage_by_marker(self) -> Float[np.ndarray, "level marker"]:
+        """The same, marker by marker."""
+        return shares(self.inside, self.known)
+
+
+class AgainstTruth(NamedTuple):
+    """A run against the truth.
+
+    Attributes:
+        plain: with the body's markers as they are.
+        fitted: with the offset of the other half of the frames; None below FEWEST frames with a known truth.
+        offsets: fitted on all frames, in the frame of the marker's joint, metres; NaN of a marker that is never known.
+    """
+
+    plain: Accuracy
+    fitted: Accuracy | None
+    offsets: Float[np.ndarray, "marker 3"]
+
+
+def true_markers(session: Session) -> Float[np.ndarray, "frame 15 3"] | None:
+    """The session's true markers, in the order of `recording.truth.MARKERS`, metres; None where it names none.
+
+    Raises:
+        InputError: the file that it names cannot be used.
+    """
+    return None if session.truth_path is None else read_truth(session.truth_path, session.frames)
+
+
+def draws_against_truth(session: Session, draws: Draws, watch: Watch = unwatched) -> AgainstTruth | None:
+    """Draws against the session's truth; None where it has none, or none of the body's markers is among it.
+
+    Args:
+        session: the recording.
+        draws: of its first frames.
+        watch: takes the numbers of the frames and gives them back, as a bar does; twice, the second time with the offsets.
+
+    Raises:
+        InputError: the session's truth cannot be used.
+    """
+    truth = true_markers(session)
+    if truth is None:
+        return None
+    frames = range(len(draws.frames))
+    return against_truth(draws.model, lambda: (_cloud(draws, index) for index in watch(frames)), truth[: len(frames)])
+
+
+def _cloud(draws: Draws, index: int) -> Cloud:
+    frame = draws.frames[index]
+    return Cloud(frame.states["pose"], frame.log_weights)
+
+
+def against_truth(model: Model, clouds: Clouds, truth: Float[np.ndarray, "frame 15 3"]) -> AgainstTruth | None:
+    """Particles against the truth, one frame in memory at a time; None where none of the body's markers is among the truth's.
+
+    Args:
+        model: of the run.
+        clouds: the particles of each frame in order, anew at each call.
+        truth: of the same frames, in the order of `recording.truth.MARKERS`, metres; NaN where unknown.
+    """
+    body = model.body.markers
+    places = [place for place, name in enumerate(body.names) if name in MARKERS]
+    if not places:
+        return None
+    names = tuple(body.names[place] for place in places)
+    common = Markers(names, tuple(body.joints[place] for place in places), body.offsets[jnp.array(places)])
+    true = truth[:, [MARKERS.index(name) for name in names]]
+    folds = _folds(true)
+    plain = _accuracy(model, common, clouds, true, np.zeros((1, len(names), 3)), np.zeros_like(folds))
+    fitted = None
+    if np.isfinite(true).all(axis=-1).any(axis=-1).sum() >= FEWEST:
+        others = np.stack([mean_known(plain.residual[folds != fold], 0) for fold in range(2)])
+        fitted = _accuracy(model, common, clouds, true, others, folds)
+    return AgainstTruth(plain, fitted, mean_known(plain.residual, 0))
+
+
+def _folds(truth: Float[np.ndarray, "frame marker 3"]) -> Int[np.ndarray, " frame"]:
+    """Which half a frame belongs to: turn by turn, of those whose truth is known, since a truth may be known in every other frame only."""
+    return np.cumsum(np.isfinite(truth).all(axis=-1).any(axis=-1)) % 2
+
+
+def _accuracy(
+    model: Model,
+    common: Markers,
+    clouds: Clouds,
+    truth: Float[np.ndarray, "frame marker 3"],
+    offsets: Float[np.ndarray, "fold marker 3"],
+    folds: Int[np.ndarray, " frame"],
+) -> Accuracy:
+    """All frames, each with its fold's offset added to the markers; a marker without an offset counts as unknown."""
+    found, inside = [], np.zeros((), int)
+    moved = [replace(model, body=replace(model.body, markers=_moved(common, offset))) for offset in offsets]
+    known = np.where(np.isfinite(offsets[folds]), truth, np.nan)
+    for cloud, true, fold in zip(clouds(), known, folds, strict=True):
+        runs = [_of_run(moved[fold], *particles, true) for particles in zip(*cloud, strict=True)]
+        inside = inside + np.sum([accuracy.inside for accuracy, _ in runs], axis=(0, -1))
+        found.append(_stacked(runs))
+    error, relative, optimistic, expected, residual = (np.stack(part) for part in zip(*found, strict=True))
+    count = 3 * np.isfinite(error).sum(axis=(0, 1))
+    return Accuracy(common.names, error, relative, optimistic, expected, inside, count, residual)
+
+
+def _moved(common: Markers, offset: Float[np.ndarray, "marker 3"]) -> Markers:
+    return replace(common, offsets=common.offsets + jnp.asarray(np.nan_to_num(offset), common.offsets.dtype))
+
+
+def _of_run(
+    model: Model,
+    poses: Float[np.ndarray, "particle dof"],
+    log_weights: Float[np.ndarray, " particle"],
+    truth: Float[np.ndarray, "marker 3"],
+) -> tuple[FrameAccuracy, Float[np.ndarray, "marker 3"]]:
+    weights = np.exp(log_weights.astype(float) - log_weights.max())
+    weights /= weights.sum()
+    positions, on = markers(model, poses), model.body.markers
+    turned = np.asarray(_orientations(model.body.skeleton, on.joints, jnp.asarray(weights @ poses, model.body.lengths.dtype)), float)
+    found = frame_accuracy(positions, weights, truth, on.names)
+    return found, np.einsum("mki,mk->mi", turned, found.off)
+
+
+def _stacked(runs: Sequence[tuple[FrameAccuracy, NDArray[np.floating]]]) -> tuple[NDArray[np.floating], ...]:
+    """What is kept of a frame: errors of each run, and the mean over the runs of what they expect and of the residual."""
+    of = [accuracy for accuracy, _ in runs]
+    error, relative, optimistic = (np.array([getattr(each, name) for each in of]) for name in ("error", "relative", "optimistic"))
+    return error, relative, optimistic, np.mean([each.expected for each in of], axis=0), np.mean([residual for _, residual in runs], axis=0)
+
+
+@partial(jax.jit, static_argnums=1)
+def _orientations(skeleton: Skeleton, joints: tuple[int, ...], pose: Pose) -> Float[Array, "marker 3 3"]:
+    """`R_world_joint` of each marker's joint."""
+    transforms = forward_kinematics(skeleton, pose)
+    return jnp.stack([jnp.stack([transforms[j].x, transforms[j].y, transforms[j].z], axis=1) for j in joints])
+
+
+def mean_known(values: NDArray[np.floating], axis: int | tuple[int, ...]) -> NDArray[np.floating]:
+    """The mean over what is not NaN; NaN where there is nothing."""
+    known = np.isfinite(values)
+    return shares(np.where(known, values, 0).sum(axis=axis), known.sum(axis=axis))
+
+
+def shares(part: NDArray[np.number], whole: NDArray[np.integer]) -> NDArray[np.floating]:
+    """`part / whole`; NaN where the whole is nothing."""
+    return np.divide(part, whole, out=np.full(np.shape(part), np.nan), where=whole > 0)
