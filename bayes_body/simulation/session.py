@@ -1,0 +1,156 @@
+"""A simulated recording as a session on disk: videos, empty scenes or silhouettes, calibration, first pose as a user would have it, and the truth."""
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.errors import wrong
+from bayes_body.files import make_folder
+from bayes_body.recording.rig import Rig
+from bayes_body.recording.truth import MARKERS
+from bayes_body.session import FILE_NAME, Session, Subject, View, load_session, save_session
+from bayes_body.simulation.background import backgrounds
+from bayes_body.simulation.film import MASKS, TRUE_MASKS, Camera, Picture, Reel, cameras, empty_name, film_empty, mask_pattern, video_name
+from bayes_body.simulation.options import Options, Quality
+from bayes_body.simulation.person import Performance, Person
+from bayes_body.simulation.session_files import CALIBRATION, TRUTH, camera_name, write_calibration, write_extrinsics, write_truth
+from bayes_body.simulation.sight import check_sight, detected
+from bayes_body.simulation.staging import Landmarks, stacked
+
+type Watch = Callable[[Sequence[int]], Iterable[int]]
+WORKERS = min(8, os.cpu_count() or 2)
+
+
+def simulate(
+    landmarks: Landmarks,
+    rig: Rig,
+    person: Person,
+    options: Options,
+    folder: Path,
+    *,
+    title: str = "a simulated recording",
+    truth: Mapping[str, np.ndarray] | None = None,
+    watch: Watch = iter,
+) -> tuple[Session, list[str]]:
+    """Film a person in a motion with the cameras of a rig, and write the session.
+
+    Args:
+        landmarks: the 15 markers at the rig's frame rate (and toes, finger ends, neck where known), metres, z up, the floor at 0.
+        rig: the cameras.
+        person: who is filmed.
+        options: clutter, noise, silhouettes.
+        folder: the session's; made if need be.
+        title: one line for people.
+        truth: further arrays for truth.npz, such as a body's angles.
+        watch: goes through the frames, to show how far it is.
+
+    Returns:
+        The session as its file says it, and remarks for the user, a sentence each.
+
+    Raises:
+        InputError: the folder holds a session already or cannot be written, a background is missing, a marker is unknown.
+        FaultyFileError: cameras that do not see the person, a sentence each.
+    """
+    check_folder(folder)
+    markers = stacked(landmarks)
+    remarks = check_sight(rig, markers)
+    performance = person.perform(landmarks, rig.fps)
+    quality = options.segmentation or ("good" if any(path is not None for path in rig.path) else None)
+    posed = rig.posed(len(markers))
+    make_folder(folder)
+    filming = cameras(posed, rig.grey, rig.fps, backgrounds(rig, landmarks, options), options, quality)
+    _film(performance, filming, rig, folder, _mask_kinds(options, quality), watch)
+    if quality is None:
+        with ThreadPoolExecutor(WORKERS, thread_name_prefix="film") as pool:
+            list(pool.map(lambda camera, spec: film_empty(camera, folder / empty_name(spec.name), rig.fps, spec.size_px), filming, rig.cameras))
+    write_calibration(folder / CALIBRATION, rig.cameras)
+    write_truth(folder / TRUTH, markers, landmarks, truth or {})
+    moving = {posed[c][0].name: posed[c] for c, path in enumerate(rig.path) if path is not None}
+    for name, specs in moving.items():
+        write_extrinsics(folder / camera_name(name), specs)
+    session = _session(rig, person, folder, title, markers, options, quality)
+    return _moving(load_session(save_session(session)), moving), remarks
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse a folder that holds a session already.
+
+    Raises:
+        InputError: it does.
+    """
+    if (folder / FILE_NAME).exists():
+        raise wrong(folder, f"holds a {FILE_NAME} already", "a folder without one", "name another, or remove it")
+
+
+def _mask_kinds(options: Options, quality: Quality | None) -> list[str]:
+    return [*([MASKS] if quality is not None else []), *([TRUE_MASKS] if options.true_masks else [])]
+
+
+def _film(performance: Performance, filming: Sequence[Camera], rig: Rig, folder: Path, masks: Sequence[str], watch: Watch) -> None:
+    """Take and write all frames: pictures in threads, files in the order of time."""
+    with ExitStack() as stack:
+        reels = [Reel(stack, folder, camera, rig.fps, masks) for camera in rig.cameras]
+        pool = stack.enter_context(ThreadPoolExecutor(WORKERS, thread_name_prefix="film"))
+        taken = _taken(pool, performance, filming)
+        for frame in watch(range(len(performance))):
+            for reel, picture in zip(reels, next(taken), strict=True):
+                reel.add(picture.result(), frame)
+
+
+def _taken(pool: ThreadPoolExecutor, performance: Performance, filming: Sequence[Camera]) -> Iterator[list[Future[Picture]]]:
+    """All cameras' pictures of each frame; those of the next are under way when a frame is given out."""
+    ahead: list[Future[Picture]] = []
+    for frame in range(len(performance)):
+        mesh = performance.mesh(frame)
+        following = [pool.submit(camera.take, mesh, frame) for camera in filming]
+        if ahead:
+            yield ahead
+        ahead = following
+    yield ahead
+
+
+def _session(
+    rig: Rig, person: Person, folder: Path, title: str, markers: Float[np.ndarray, "frame 15 3"], options: Options, quality: Quality | None
+) -> Session:
+    views = []
+    for camera in rig.cameras:
+        masks = None if quality is None else mask_pattern(MASKS, camera.name)
+        background = empty_name(camera.name) if quality is None else None
+        views.append(View(camera, video=video_name(camera.name), masks=masks, background=background))
+    height = round(person.build.height_m, 3)
+    return Session(
+        folder.resolve(),
+        title,
+        "z",
+        rig.fps,
+        len(markers),
+        0,
+        tuple(views),
+        Subject(height_m=height),
+        initial_keypoints=_keypoints(rig, markers[0], options),
+        fit_lengths=True,
+        truth=TRUTH,
+    )
+
+
+def _keypoints(rig: Rig, markers: Float[np.ndarray, "15 3"], options: Options) -> dict[str, dict[str, tuple[float, float, float]]]:
+    """What a detector finds in the first frame: of the cameras that stand still, or of all where none does."""
+    points = dict(zip(MARKERS, markers, strict=True))
+    still = [c for c, path in enumerate(rig.path) if path is None] or range(len(rig.cameras))
+    found = {}
+    for c in still:
+        rng = np.random.default_rng((options.seed, 17, c))
+        keypoints = detected(rng, rig.cameras[c], points, options.keypoint_sd_px)
+        if keypoints:
+            found[rig.cameras[c].name] = keypoints
+    return found
+
+
+def _moving(session: Session, moving: Mapping[str, object]) -> Session:
+    """The session with what it says of its moving cameras: their extrinsics in every frame lie in cameras/NAME.npz."""
+    return session
