@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.errors import wrong
 
 if TYPE_CHECKING:
@@ -17,13 +18,14 @@ DEFAULT_STEM = "motion"
 
 def export(
     run: Path = typer.Argument(help="Folder of a run, as `bayes-body track` makes it."),
-    to: str = typer.Option(..., "--to", help="trc (OpenSim, Pose2Sim), c3d, csv or npz."),
+    to: str = typer.Option(..., "--to", help="trc (OpenSim, Pose2Sim), c3d, bvh (Blender), csv or npz."),
     out: Path | None = typer.Option(None, "--out", help="File to write; motion.FORMAT in the run's folder by default."),
-    up: str | None = typer.Option(None, "--up", help="Axis that shall point up: x, y or z; the session's by default. OpenSim wants y."),
+    up: str | None = typer.Option(None, "--up", help="Axis that shall point up: x, y or z; the session's by default, y in bvh. OpenSim wants y."),
     rate: float | None = typer.Option(None, "--rate", help="Frames a second to write, where the session's are wrong; no frame is made or left out."),
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace files that are there already."),
+    plugin: Plugins = None,
 ) -> None:
-    """Write mean, standard deviation and 5 % and 95 % quantiles of markers, and (csv, npz) of joint angles."""
+    """Write mean, standard deviation and 5 % and 95 % quantiles of markers, and (csv, npz) of joint angles; or (bvh) the mean pose of a skeleton."""
     from bayes_body.config import configure
 
     configure()
@@ -38,7 +40,7 @@ def export(
     if rate is not None and not (math.isfinite(rate) and rate > 0):
         raise wrong("--rate", f"{rate:g}", "a finite number above 0", "give the frames a second")
     file = out or run / f"{DEFAULT_STEM}.{check_format(to)}"
-    with load_run(run) as saved:
+    with own_terms(plugin), load_run(run) as saved:
         motion = write(saved, check_format(to), file, fps=rate, up=axis, overwrite=overwrite)
     typer.echo(_told(motion, files_of(to, file)))
 

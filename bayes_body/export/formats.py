@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bayes_body.errors import InputError, nearest, wrong
+from bayes_body.export.bvh import write_bvh
 from bayes_body.export.c3d import write_c3d
 from bayes_body.export.csv import write_csv
 from bayes_body.export.motion import Axis, Motion, read_motion
@@ -12,7 +13,9 @@ from bayes_body.export.trc import trc_files, write_trc
 from bayes_body.files import make_folder, refused
 from bayes_body.saved_run import SavedRun
 
-WRITERS: dict[str, Callable[[Motion, Path], None]] = {"trc": write_trc, "csv": write_csv, "npz": write_npz, "c3d": write_c3d}
+WRITERS: dict[str, Callable[[Motion, Path], None]] = {"trc": write_trc, "csv": write_csv, "npz": write_npz, "c3d": write_c3d, "bvh": write_bvh}
+# Programs take it for granted that y points up in a BVH file.
+USUAL_UP: dict[str, Axis] = {"bvh": "y"}
 
 
 def check_format(name: str) -> str:
@@ -39,7 +42,7 @@ def export(run: SavedRun, name: str, out: Path, *, fps: float | None = None, up:
         name: of the format.
         out: the file.
         fps: as of `read_motion`.
-        up: as of `read_motion`.
+        up: as of `read_motion`; of BVH y by default.
         overwrite: whether a file that is there is replaced.
 
     Raises:
@@ -49,7 +52,7 @@ def export(run: SavedRun, name: str, out: Path, *, fps: float | None = None, up:
     for file in files_of(name, out):
         _check_free(file, overwrite)
     make_folder(out.parent)
-    motion = read_motion(run, fps, up)
+    motion = read_motion(run, fps, up or USUAL_UP.get(name))
     writer(motion, out)
     return motion
 

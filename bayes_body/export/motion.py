@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
+from bayes_body.body.solids import Body
 from bayes_body.posterior.moments import Moments
 from bayes_body.saved_run import SavedRun, angle_moments, marker_moments
 
@@ -27,6 +28,8 @@ class Motion:
         dof_units: for each dof `deg` or `m`.
         dofs: (frame, dof), degrees and metres.
         lost: frames that no particle of some run explained: what stands there is a prediction.
+        body: of the run, by whose joints the dofs can be placed.
+        order: which of the session's axes stands at x, y and z here.
     """
 
     title: str
@@ -38,6 +41,8 @@ class Motion:
     dof_units: tuple[str, ...]
     dofs: Moments
     lost: Bool[np.ndarray, " frame"]
+    body: Body
+    order: tuple[int, int, int]
 
     @property
     def frames(self) -> int:
@@ -69,15 +74,17 @@ def read_motion(run: SavedRun, fps: float | None = None, up: Axis | None = None)
         fps=run.fps if fps is None else fps,
         up=up or run.session.up,
         marker_names=run.model.body.markers.names,
-        markers=Moments(*(values[..., order] for values in marker_moments(run))),
+        markers=Moments(*(values[..., list(order)] for values in marker_moments(run))),
         dof_names=run.model.body.dof_names,
         dof_units=tuple("deg" if angle else "m" for angle in angular),
         dofs=dofs,
         lost=np.asarray(run.tree["filter"]["lost"], bool).any(axis=0),
+        body=run.model.body,
+        order=order,
     )
 
 
-def _order(given: Axis, wanted: Axis) -> list[int]:
+def _order(given: Axis, wanted: Axis) -> tuple[int, int, int]:
     """Which of the given axes stands at x, y and z: a turn of space, under which standard deviations and quantiles stay those of an axis."""
     turn = AXES.index(given) - AXES.index(wanted)
-    return [(axis + turn) % 3 for axis in range(3)]
+    return turn % 3, (1 + turn) % 3, (2 + turn) % 3

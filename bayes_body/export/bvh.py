@@ -1,0 +1,162 @@
+r"""BVH, the skeleton format of animation programs: the hierarchy of the body's joints, and the posterior's mean pose frame by frame; centimetres.
+
+At rest (all rotations zero) the skeleton stands in the body's zero pose, its joints' axes along those of the world: with $R_j$ a joint's rotation and
+$R^0_j$ that at the zero pose, the file's rotations are $W_j = R_j {R^0_j}^T$ seen from the parent's. The mean is that of the joint angles, which the
+joints are then placed by: bones keep their lengths, as they would not in a mean of positions. The format has no room for uncertainty.
+"""
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.spatial.transform import Rotation
+
+from bayes_body.body.skeleton import Skeleton, forward_kinematics
+from bayes_body.body.solids import Body
+from bayes_body.errors import wrong
+from bayes_body.export.motion import Motion
+from bayes_body.files import replacing
+from bayes_body.geometry import Transform
+
+CENTIMETRES = 100.0
+# About the joint's own axes, in this order.
+EULER = "ZXY"
+POSITIONS = "Xposition Yposition Zposition"
+ROTATIONS = " ".join(f"{axis}rotation" for axis in EULER)
+# Of a last joint that has no marker beyond it: programs draw a bone that far.
+STUB_M = 0.05
+
+
+class Joints(NamedTuple):
+    """The body's joints in the file's axes, depth first.
+
+    Attributes:
+        names: of the joints.
+        parents: index of each joint's parent; -1 of the root.
+        moving: which joints shift against their parent, the root among them.
+        offsets: (joint, 3), from the parent at rest, metres; of the root 0.
+        ends: (joint, 3), from a last joint to what lies beyond it, at rest, metres; NaN of the others.
+        positions: (frame, joint, 3), from the parent in its axes, metres.
+        angles: (frame, joint, 3), degrees, in the order of `EULER`.
+    """
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    moving: tuple[bool, ...]
+    offsets: Float[np.ndarray, "joint 3"]
+    ends: Float[np.ndarray, "joint 3"]
+    positions: Float[np.ndarray, "frame joint 3"]
+    angles: Float[np.ndarray, "frame joint 3"]
+
+
+def write_bvh(motion: Motion, path: Path) -> None:
+    """Write the file; six decimals of centimetres and degrees.
+
+    Raises:
+        InputError: a body that does not hang on one root, or the file system refuses it.
+    """
+    joints = joints_of(motion)
+    moving = np.array(joints.moving)
+    columns = [part for j in range(len(moving)) for part in ([joints.positions[:, j] * CENTIMETRES] if moving[j] else []) + [joints.angles[:, j]]]
+    # Adding 0 makes 0 of -0, here and below.
+    with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="\n") as file:
+        file.write("HIERARCHY\n" + "\n".join(_hierarchy(joints, 0, "")) + "\n")
+        file.write(f"MOTION\nFrames: {motion.frames}\nFrame Time: {1 / motion.fps:.10g}\n")
+        np.savetxt(file, np.round(np.concatenate(columns, axis=1), 6) + 0.0, fmt="%.6f")
+
+
+def joints_of(motion: Motion) -> Joints:
+    """The mean pose as a hierarchy.
+
+    Raises:
+        InputError: a body that does not hang on one root.
+    """
+    body, turn = motion.body, np.eye(3)[list(motion.order)]
+    order = _depth_first(body)
+    topology = body.skeleton.topology
+    names, above = tuple(topology.joint_names[j] for j in order), [topology.parents[j] for j in order]
+    parents = tuple(order.index(parent) if parent >= 0 else -1 for parent in above)
+    units = np.where(np.array(motion.dof_units) == "deg", np.pi / 180, 1.0)
+    # The zero pose is the last, so that one compiled program places them all.
+    rotations, origins = _placed(body.skeleton, np.vstack([motion.dofs.mean * units, np.zeros(len(units))]))
+    R, p, R_rest, p_rest = rotations[:-1, order], origins[:-1, order], rotations[-1, order], origins[-1, order]
+    moving = tuple(parent < 0 or any(dof.is_shift for dof in topology.motions[j]) for j, parent in zip(order, parents, strict=True))
+    W = turn @ R @ np.swapaxes(R_rest, -1, -2) @ turn.T
+    origins, rest = p @ turn.T, p_rest @ turn.T
+    local, positions, offsets = W.copy(), origins.copy(), np.zeros_like(rest)
+    for j, parent in enumerate(parents):
+        if parent >= 0:
+            back = np.swapaxes(W[:, parent], -1, -2)
+            local[:, j], offsets[j] = back @ W[:, j], rest[j] - rest[parent]
+            positions[:, j] = (back @ (origins[:, j] - origins[:, parent])[..., None])[..., 0]
+    return Joints(names, parents, moving, offsets, _ends(body, order, R_rest) @ turn.T, positions, _euler(local))
+
+
+def _depth_first(body: Body) -> list[int]:
+    """The joints as the format nests them."""
+    parents = body.skeleton.topology.parents
+    roots = [j for j, parent in enumerate(parents) if parent < 0]
+    if len(roots) != 1:
+        raise wrong("--to bvh", f"the body '{body.name}' has {len(roots)} roots", "one, on which all joints hang", "take npz, csv, c3d or trc")
+    order, ahead = [], roots
+    while ahead:
+        order.append(ahead.pop())
+        ahead += [j for j in range(len(parents) - 1, -1, -1) if parents[j] == order[-1]]
+    return order
+
+
+def _placed(
+    skeleton: Skeleton, poses: Float[np.ndarray, "frame dof"]
+) -> tuple[Float[np.ndarray, "frame joint 3 3"], Float[np.ndarray, "frame joint 3"]]:
+    """World rotations and origins of the joints; poses in radians and metres."""
+    transforms = _transforms(skeleton, jnp.asarray(poses))
+    rotations = np.stack([np.stack([T.x, T.y, T.z], axis=-1) for T in transforms], axis=1)
+    return rotations.astype(float), np.stack([T.origin for T in transforms], axis=1).astype(float)
+
+
+@jax.jit
+def _transforms(skeleton: Skeleton, poses: Float[Array, "frame dof"]) -> tuple[Transform, ...]:
+    return jax.vmap(forward_kinematics, (None, 0))(skeleton, poses)
+
+
+def _ends(body: Body, order: list[int], R_rest: Float[np.ndarray, "joint 3 3"]) -> Float[np.ndarray, "joint 3"]:
+    """Of a last joint its farthest marker, such as the wrist beyond the elbow; else a stub along its axis z."""
+    ends = np.full((len(order), 3), np.nan)
+    offsets, joints = np.asarray(body.markers.offsets, float).reshape(-1, 3), np.array(body.markers.joints, int)
+    for row, j in enumerate(order):
+        if j not in body.skeleton.topology.parents:
+            own = offsets[joints == j]
+            far = max(own, key=np.linalg.norm, default=np.zeros(3))
+            ends[row] = R_rest[row] @ (far if np.linalg.norm(far) > 0 else np.array([0.0, 0.0, STUB_M]))
+    return ends
+
+
+def _euler(local: Float[np.ndarray, "frame joint 3 3"]) -> Float[np.ndarray, "frame joint 3"]:
+    """Degrees, without jumps of whole turns from frame to frame."""
+    with warnings.catch_warnings():
+        # At the middle angle's quarter turn the other two are one: any choice is the same rotation.
+        warnings.filterwarnings("ignore", message="Gimbal lock")
+        angles = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_euler(EULER).reshape(local.shape[:3])
+    return np.degrees(np.unwrap(angles, axis=0))
+
+
+def _hierarchy(joints: Joints, j: int, indent: str) -> Iterator[str]:
+    inner = f"{indent}\t"
+    yield f"{indent}{'ROOT' if joints.parents[j] < 0 else 'JOINT'} {joints.names[j]}"
+    yield f"{indent}{{"
+    yield f"{inner}OFFSET {_centimetres(joints.offsets[j])}"
+    yield f"{inner}CHANNELS {f'6 {POSITIONS} ' if joints.moving[j] else '3 '}{ROTATIONS}"
+    for child in (k for k, parent in enumerate(joints.parents) if parent == j):
+        yield from _hierarchy(joints, child, inner)
+    if not np.isnan(joints.ends[j]).any():
+        yield from (f"{inner}End Site", f"{inner}{{", f"{inner}\tOFFSET {_centimetres(joints.ends[j])}", f"{inner}}}")
+    yield f"{indent}}}"
+
+
+def _centimetres(offset: Float[np.ndarray, "3"]) -> str:
+    return " ".join(f"{value:.6f}" for value in np.round(CENTIMETRES * offset, 6) + 0.0)

@@ -1,0 +1,76 @@
+r"""Joint centres of a person by the same names, whatever file they came from.
+
+Pelvis and thorax are the middles of hips and of shoulders, unless a file has the fifteen markers by their own names. Head is the crown. Skeletons of
+the CMU database end at the height of the eyes, 0.064 of the height H below the crown (Drillis & Contini 1966: 0.936 H); with thigh and shank together
+0.491 H (0.245 + 0.246) the crown is $0.13\,(thigh + shank)$ beyond, along the head's bone.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.errors import nearest, wrong
+from bayes_body.recording.mocap.dialects import DIALECTS, Reading, best_reading, known_markers
+from bayes_body.recording.mocap.motion import Motion
+from bayes_body.recording.truth import MARKERS
+
+BEYOND_EYES = 0.13
+EXTRA = ("l_toe", "r_toe", "l_heel", "r_heel", "l_hand", "r_hand", "neck")
+LISTED = 60
+
+type Places = dict[str, Float[np.ndarray, "frame 3"]]
+
+
+def landmarks(motion: Motion, names: Mapping[str, str] | None = None) -> Places:
+    """Positions (frame, 3) in metres, z up, NaN where unknown: the fifteen of `MARKERS`, and what the file has of `EXTRA`.
+
+    Args:
+        motion: whose joints have names of one of `dialects.DIALECTS`.
+        names: for a landmark the joint or marker that stands for it, where the file has names of its own; the others are looked up.
+
+    Raises:
+        InputError: a name in `names` that is no landmark or that the motion lacks; or some of the fifteen cannot be found.
+    """
+    own = dict(names or {})
+    _check_names(motion, own)
+    reading = best_reading(motion.joints)
+    found = {name: name for name in (*MARKERS, *EXTRA) if name in motion.joints} if known_markers(motion.joints) else reading.joints
+    reading = Reading(reading.dialect, found | own)
+    if reading.missing:
+        raise _unknown(motion, reading)
+    places = {landmark: motion.positions_m[:, motion.joints.index(joint)] for landmark, joint in reading.joints.items()}
+    if reading.dialect.head_is_low and "head" not in own:
+        places["head"] = _crown(motion, reading, places)
+    for middle, side in (("pelvis", "hip"), ("thorax", "shoulder")):
+        places.setdefault(middle, (places[f"l_{side}"] + places[f"r_{side}"]) / 2)
+    return {name: places[name] for name in (*MARKERS, *EXTRA) if name in places}
+
+
+def _check_names(motion: Motion, names: Mapping[str, str]) -> None:
+    for landmark, joint in names.items():
+        if landmark not in (*MARKERS, *EXTRA):
+            raise wrong("names", f"'{landmark}'", "landmarks", nearest(landmark, (*MARKERS, *EXTRA)))
+        if joint not in motion.joints:
+            raise wrong(f"names: {landmark}", f"'{joint}', which {motion.name} lacks", "one of its joints or markers", nearest(joint, motion.joints))
+
+
+def _unknown(motion: Motion, reading: Reading) -> Exception:
+    found = f"{len(motion.joints)} names ({', '.join(motion.joints[:LISTED])}{', ...' if len(motion.joints) > LISTED else ''})"
+    known = "; ".join(dialect.title for dialect in DIALECTS)
+    missing = ", ".join(reading.missing)
+    return wrong(motion.name, f"no {missing} among its {found}", f"names as of one of: {known}", f"say which stand for {missing} with names")
+
+
+def _crown(motion: Motion, reading: Reading, places: Places) -> Float[np.ndarray, "frame 3"]:
+    """Beyond the head's bone, which ends at the height of the eyes."""
+    end = motion.joints.index(reading.joints["head"])
+    bone = motion.positions_m[:, end] - motion.positions_m[:, motion.parents[end]]
+    return places["head"] + BEYOND_EYES * _leg(places) * bone / np.linalg.norm(bone, axis=-1, keepdims=True).clip(1e-9)
+
+
+def _leg(places: Places) -> float:
+    """Thigh and shank together, of both legs in the mean."""
+    bones = [places[f"{side}_{end}"] - places[f"{side}_{start}"] for side in "lr" for start, end in (("hip", "knee"), ("knee", "ankle"))]
+    lengths = np.linalg.norm(bones, axis=-1).sum(axis=0) / 2
+    return float(np.median(lengths))

@@ -1,0 +1,72 @@
+"""A motion from a file of any of the four formats, by its ending: amc (with its asf), bvh, c3d, trc."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from bayes_body.errors import wrong
+from bayes_body.recording.mocap.amc import read_amc
+from bayes_body.recording.mocap.bvh import read_bvh
+from bayes_body.recording.mocap.c3d import read_c3d
+from bayes_body.recording.mocap.capture import Capture, to_motion
+from bayes_body.recording.mocap.dialects import best_reading
+from bayes_body.recording.mocap.motion import Motion
+from bayes_body.recording.mocap.trc import read_trc
+
+READERS: dict[str, Callable[[Path], Capture]] = {".amc": read_amc, ".bvh": read_bvh, ".c3d": read_c3d, ".trc": read_trc}
+# Formats that do not say which axis points up, and whose files differ in it.
+SILENT = (".bvh", ".trc")
+# How far the other axes may be from the way from feet to head.
+CLEARLY = 2.0
+
+
+def read_motion(
+    path: Path | str,
+    skeleton: Path | str | None = None,
+    unit: str | float | None = None,
+    up: str | None = None,
+    fps: float | None = None,
+) -> Motion:
+    """A captured motion in metres, z up.
+
+    The unit is by default what the file says (c3d, trc, asf) or what is usual (bvh: cm). It must make a person's height. The upward axis is by
+    default what the file says (c3d), y (asf), or where the head is above the feet (bvh, trc; y if that is not clear, or the names are unknown). The
+    world is turned and never mirrored: of y up, (x, y, z) becomes (z, x, y).
+
+    Args:
+        path: of an .amc, .bvh, .c3d or .trc.
+        skeleton: the .asf of an .amc; found beside it by default.
+        unit: `m`, `cm`, `mm`, `in`, `ft` or `cmu`, or the metres of one unit.
+        up: `x`, `y`, `z`, `-x`, `-y` or `-z`: the file's axis that points up.
+        fps: frames a second, where the file's are wrong or missing (amc: 120).
+
+    Raises:
+        InputError: another ending, a file that its reader refuses, or a unit that makes the person 2 cm or 200 m tall.
+    """
+    path, kind = Path(path), Path(path).suffix.lower()
+    if kind == ".asf":
+        raise wrong(path, "a skeleton without a motion", "an .amc", "name the motion; its skeleton is found beside it or given as skeleton")
+    if kind not in READERS:
+        raise wrong(path, f"the ending '{kind}'", f"one of {', '.join(READERS)}", "name a file of motion capture")
+    if skeleton is not None and kind != ".amc":
+        raise wrong(path, "a skeleton is given with it", "one only with an .amc", "leave the skeleton out")
+    capture = READERS[kind](path) if skeleton is None else read_amc(path, Path(skeleton))
+    return to_motion(path, capture, unit, _upward(capture) if up is None and kind in SILENT else up, fps)
+
+
+def _upward(capture: Capture) -> str | None:
+    """The axis along which the head is above the feet, if it is one and the joints' names are known."""
+    joints = best_reading(capture.joints).joints
+    if not {"head", "l_ankle", "r_ankle"} <= joints.keys():
+        return None
+    head, left, right = (capture.positions[:, capture.joints.index(joints[name])] for name in ("head", "l_ankle", "r_ankle"))
+    ways = head - (left + right) / 2
+    ways = ways[~np.isnan(ways).any(axis=-1)]
+    if not len(ways):
+        return None
+    way = ways.mean(axis=0)
+    axis = int(np.abs(way).argmax())
+    if not abs(way[axis]) > CLEARLY * np.abs(np.delete(way, axis)).max():
+        return None
+    return f"{'-' if way[axis] < 0 else ''}{'xyz'[axis]}"

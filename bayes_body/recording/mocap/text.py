@@ -1,0 +1,101 @@
+"""Motion capture files read whole, and the numbers in them: what is missing, too large, no text or no number is a sentence."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.errors import InputError, wrong
+
+# An hour of a hundred markers is half of it.
+LARGEST_BYTES = 1_000_000_000
+# No length, angle or rate of a person comes near; beyond it sums and squares overflow.
+LARGEST_NUMBER = 1e9
+
+
+def read_bytes(path: Path, kind: str) -> bytes:
+    """The file's content.
+
+    Args:
+        path: the file.
+        kind: what it should be, such as `a BVH file`.
+
+    Raises:
+        InputError: no such file, a folder, unreadable, or longer than 1 GB.
+    """
+    try:
+        if path.stat().st_size > LARGEST_BYTES:
+            raise wrong(path, f"{path.stat().st_size} bytes", f"{kind} of at most {LARGEST_BYTES}", "cut the recording into pieces")
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise wrong(path, "no such file", kind, "check the path") from None
+    except OSError as error:
+        raise wrong(path, f"cannot be read ({error.strerror})", kind, "check the path and its permissions") from None
+    # A path with a null character in it.
+    except ValueError as error:
+        raise wrong(repr(str(path)), str(error), kind, "check the path") from None
+
+
+def read_text(path: Path, kind: str) -> str:
+    """The file's text: UTF-8, or else Latin-1, since only names and comments are ever more than ASCII.
+
+    Raises:
+        InputError: as of `read_bytes`, or the file is no text.
+    """
+    content = read_bytes(path, kind)
+    if b"\0" in content:
+        line = content[: content.index(b"\0")].count(b"\n") + 1
+        raise wrong(f"{path}: line {line}", "the byte 0x00: no text", kind, "name another file, or restore this one")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("latin-1")
+
+
+def numbers(where: str, words: Sequence[str], remedy: str = "correct it, or restore the file") -> Float[np.ndarray, " word"]:
+    """The words as numbers.
+
+    Args:
+        where: the file and the line, for the sentence.
+        words: of the line.
+        remedy: what else than that the user can do.
+
+    Raises:
+        InputError: one is no finite number, or beyond 1e9.
+    """
+    try:
+        values = np.array(words, dtype=np.float64)
+    except ValueError:
+        raise wrong(where, f"'{_first_bad(words)[:40]}'", "numbers", remedy) from None
+    bad = ~(np.abs(values) <= LARGEST_NUMBER)
+    if bad.any():
+        raise wrong(where, words[int(bad.argmax())][:40], f"finite numbers, at most {LARGEST_NUMBER:g}", remedy)
+    return values
+
+
+def table(where: str, rows: Sequence[Sequence[str]], lines: Sequence[int]) -> Float[np.ndarray, "row word"]:
+    """Rows of words, all of one length, as numbers; `lines` are the numbers of their lines in the file.
+
+    Raises:
+        InputError: as of `numbers`, naming the line.
+    """
+    try:
+        values = np.array(rows, dtype=np.float64)
+        if (np.abs(values) <= LARGEST_NUMBER).all():
+            return values
+    except ValueError:
+        pass
+    # Row by row only now that one of them is known to be wrong.
+    for row, line in zip(rows, lines, strict=True):
+        numbers(f"{where}: line {line}", row)
+    raise InputError(f"{where}: no table of numbers; restore the file.")
+
+
+def _first_bad(words: Sequence[str]) -> str:
+    for word in words:
+        try:
+            float(word)
+        except ValueError:
+            return word
+    return ""
