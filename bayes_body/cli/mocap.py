@@ -1,0 +1,101 @@
+"""`bayes-body mocap`: a captured motion as the joint angles of a body."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from bayes_body.errors import wrong
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from bayes_body.retarget import Retargeted
+
+
+def mocap(
+    file: Path = typer.Argument(help="Motion capture: .amc, .bvh, .c3d or .trc."),
+    out: Path = typer.Option(..., "--out", help="The .npz to write: markers (a session's truth), angles, lengths."),
+    body: str = typer.Option("deutscher_31", "--body", help="Whose angles: a body's name or the path of your own .toml file."),
+    skeleton: Path | None = typer.Option(None, "--skeleton", help="The .asf of an .amc; the one beside it by default."),
+    unit: str | None = typer.Option(None, "--unit", help="m, cm, mm, in, ft or cmu; what the file says, or is usual, by default."),
+    up: str | None = typer.Option(None, "--up", help="The file's axis that points up, where it is not found by itself: x, y, z, -x, -y or -z."),
+    fps: float | None = typer.Option(None, "--fps", help="Frames a second to make of it; the file's own by default."),
+    height: float | None = typer.Option(None, "--height", help="The person's, metres, from which lengths start or, with --keep-lengths, follow."),
+    keep_lengths: bool = typer.Option(False, "--keep-lengths", help="Keep the body's lengths; by default they become the person's."),
+    overwrite: bool = typer.Option(False, "--overwrite", help="Replace a file that is there already."),
+) -> None:
+    """Map a captured motion to a body's joint angles, exactly where the skeletons agree, and say how far off its markers are."""
+    from bayes_body.config import configure
+
+    _check(out, height, overwrite)
+    configure()
+    from bayes_body.body.build import Shape, build_body
+    from bayes_body.definition import load_body
+    from bayes_body.recording.mocap import landmarks, read_motion, resample
+    from bayes_body.retarget import retarget
+    from bayes_body.view.progress import waiting
+
+    schema = load_body(body)
+    motion = read_motion(file, skeleton=skeleton, unit=unit, up=up)
+    motion = motion if fps is None else resample(motion, fps)
+    with waiting(f"fitting {len(motion.positions_m)} frames"):
+        found = retarget(build_body(body, schema, Shape(height)), motion, fit_lengths=not keep_lengths, schema=schema)
+    _write(out, found, landmarks(motion), motion.fps)
+    _tell(found, motion.fps)
+    typer.echo(f"{out}: {len(found.angles)} frames.")
+
+
+def _check(out: Path, height: float | None, overwrite: bool) -> None:
+    if out.suffix != ".npz":
+        raise wrong("--out", str(out), "a file that ends in .npz", "name one")
+    if out.exists() and not overwrite:
+        raise wrong(out, "is there already", "a file that is not", "name another, or give --overwrite")
+    if height is not None and not 0.5 <= height <= 2.8:
+        raise wrong("--height", f"{height:g}", "metres between 0.5 and 2.8", "correct it")
+
+
+def _write(out: Path, found: "Retargeted", points: "dict[str, np.ndarray]", fps: float) -> None:
+    """The motion as `recording.truth.read_truth` reads it, and what it became."""
+    import numpy as np
+
+    from bayes_body.files import replacing
+    from bayes_body.recording.truth import MARKERS
+
+    with replacing(out) as partial, partial.open("wb") as file:
+        np.savez_compressed(
+            file,
+            markers=np.stack([points[name] for name in MARKERS], axis=1),
+            names=np.array(MARKERS),
+            angles=found.angles,
+            dof_names=np.array(found.body.dof_names),
+            lengths_m=np.array(list(found.lengths_m.values())),
+            length_names=np.array(list(found.lengths_m), dtype=str),
+            residual_m=found.residual_m,
+            residual_names=np.array(found.marker_names),
+            body=found.body.name,
+            exact=found.exact,
+            fps=fps,
+        )
+
+
+def _tell(found: "Retargeted", fps: float) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console() if Console().is_terminal else Console(width=160)
+    way = "the motion's own angles: its skeleton is the body's" if found.exact else "fitted to the motion's points"
+    console.print(f"{len(found.body.dof_names)} dofs of {found.body.name}, {len(found.angles)} frames at {fps:g} a second, {way}", highlight=False)
+    table = Table("marker", "mean mm", "95 % mm", "max mm", box=None, pad_edge=False)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for name in (*found.marker_names, None):
+        residual = found.residual(name)
+        table.add_row("all" if name is None else name, *(f"{value:.1f}" for value in residual))
+    console.print(table)
+    if found.lengths_m:
+        console.print(
+            "lengths: " + ", ".join(f"{name} {length:.3f}" for name, length in found.lengths_m.items()) + " m", highlight=False, soft_wrap=True
+        )
+    for remark in found.remarks:
+        console.print(remark, style="yellow", highlight=False, soft_wrap=True)

@@ -1,0 +1,143 @@
+r"""The scale of a likelihood that is no distribution over images: the one at which intervals hold the truth as often as they say.
+
+A sum of squares is a log-likelihood up to a factor $\rho$ that nothing in the images gives. Simulated recordings, whose truth is known, do: over a
+grid of $\rho$ each recording is tracked, and with the coverage $c(\rho)$ of the 90 % intervals, pooled over recordings, markers and axes,
+
+$$c(\rho^*) = 0.9, \qquad c \text{ interpolated linearly in } \log \rho.$$
+
+The value is worth what the recordings are: people, motions and seeds that it is later used on must not be among them.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.definition import Definition
+from bayes_body.errors import wrong
+from bayes_body.factor import Kernel
+from bayes_body.initial import FirstPose, apply_first_pose, first_pose
+from bayes_body.metrics import accuracy_figures, draws_against_truth, silhouette_overlap
+from bayes_body.metrics.accuracy import LEVELS
+from bayes_body.model import Model, load_model
+from bayes_body.session import Session
+from bayes_body.tracking import track
+
+LEVEL = 0.9
+OPTION = "precision"
+
+
+class Trial(NamedTuple):
+    """One recording tracked with one scale.
+
+    Attributes:
+        recording: its title.
+        scale: the likelihood's.
+        inside: how many coordinates of true markers lie in their 90 % intervals.
+        known: of how many.
+        error_mm: mean distance of the markers.
+        iou: median overlap with the silhouettes.
+        ess: median, particles.
+    """
+
+    recording: str
+    scale: float
+    inside: int
+    known: int
+    error_mm: float
+    iou: float
+    ess: float
+
+    @property
+    def coverage(self) -> float:
+        """Share of the coordinates inside."""
+        return self.inside / self.known
+
+
+def with_scale(definition: Definition, scale: float) -> Definition:
+    """The definition with that scale of its likelihood.
+
+    Raises:
+        InputError: no likelihood of it has a scale, or more than one has.
+    """
+    scaled = [index for index, term in enumerate(definition.likelihoods) if hasattr(term.options, OPTION)]
+    if len(scaled) != 1:
+        found = f"{len(scaled)} likelihoods with a {OPTION}"
+        raise wrong(f"the model '{definition.name}'", found, "one", "a distribution over images needs no scale; scale several one at a time")
+    terms = list(definition.likelihoods)
+    terms[scaled[0]] = replace(terms[scaled[0]], options=terms[scaled[0]].options.model_copy(update={OPTION: scale}))
+    return replace(definition, likelihoods=tuple(terms))
+
+
+def trials(
+    sessions: Sequence[Session],
+    definition: Definition,
+    scales: Sequence[float],
+    kernel: Kernel,
+    particles: int,
+    seed: int = 0,
+    frames: int | None = None,
+    watch: Callable[[Sequence[int]], Iterator[int]] = iter,
+) -> Iterator[Trial]:
+    """Each recording with each scale, all from the same first pose.
+
+    Args:
+        sessions: with their truth.
+        definition: of the model.
+        scales: to be tried.
+        kernel: a posterior sampler; a mode seeker's intervals promise nothing.
+        particles: of a run.
+        seed: of everything random.
+        frames: only the first so many.
+        watch: goes through the numbers of the trials, to show how far it is.
+
+    Raises:
+        InputError: a session has no truth, or the model no scale.
+    """
+    for session in sessions:
+        if session.truth_path is None:
+            raise wrong(session.folder, "no truth", "a session with true markers", "make one with `bayes-body simulate`")
+    starts: dict[int, FirstPose] = {}
+    for number in watch(range(len(sessions) * len(scales))):
+        place, scale = number // len(scales), scales[number % len(scales)]
+        model = load_model(with_scale(definition, scale), sessions[place])
+        # The fit of the first pose knows no images.
+        start = starts.setdefault(place, starts.get(place) or first_pose(model, sessions[place]))
+        yield _trial(sessions[place], apply_first_pose(model, sessions[place], start), scale, kernel, particles, seed, frames)
+
+
+def _trial(session: Session, model: Model, scale: float, kernel: Kernel, particles: int, seed: int, frames: int | None) -> Trial:
+    draws = track(session, model, kernel, jax.random.key(seed), particles, frames=min(frames or session.frames, session.frames))
+    found = draws_against_truth(session, draws)
+    if found is None:
+        raise wrong(f"the model '{model.definition.name}'", "none of its markers is among the truth's", "one with markers", "take another body")
+    figures = accuracy_figures(found, mode_seeker=False)
+    inside, known = int(found.plain.inside[LEVELS.index(LEVEL)].sum()), int(found.plain.known.sum())
+    iou = float(np.nanmedian(silhouette_overlap(session, draws)))
+    return Trial(session.title, scale, inside, known, figures["error_mm_mean"], iou, float(np.median(draws.info.ess)))
+
+
+def pooled(found: Sequence[Trial]) -> tuple[Float[np.ndarray, " scale"], Float[np.ndarray, " scale"]]:
+    """The scales, ascending, and the coverage of all recordings together."""
+    scales = sorted({trial.scale for trial in found})
+    of = [[trial for trial in found if trial.scale == scale] for scale in scales]
+    return np.array(scales), np.array([sum(t.inside for t in group) / sum(t.known for t in group) for group in of])
+
+
+def choose_scale(scales: Float[np.ndarray, " scale"], coverage: Float[np.ndarray, " scale"], level: float = LEVEL) -> float:
+    """The largest scale at which the coverage, falling from left to right, crosses the level.
+
+    Raises:
+        InputError: it never does within the scales.
+    """
+    crossing = [k for k in range(len(scales) - 1) if coverage[k] >= level > coverage[k + 1]]
+    if not crossing:
+        found = f"coverage from {coverage.min():.2f} to {coverage.max():.2f} for scales from {scales[0]:g} to {scales[-1]:g}"
+        remedy = "try smaller ones" if coverage.max() < level else "try larger ones"
+        raise wrong("--scales", found, f"a coverage that crosses {level:g}", remedy)
+    k = crossing[-1]
+    share = (coverage[k] - level) / (coverage[k] - coverage[k + 1])
+    return float(np.exp((1 - share) * np.log(scales[k]) + share * np.log(scales[k + 1])))

@@ -1,0 +1,172 @@
+r"""A motion whose skeleton is the body's: each joint's rotation and shift taken apart into its dofs, $D_j = P_j^{-1} T_{parent(j)}^{-1} T_j$.
+
+Nothing is fitted. The motion is refused (None) where a joint is missing, hangs on another parent, has an offset of its own, or turns in a way that
+the body's joint cannot: then its angles would not be the motion's.
+
+A file's joints have axes of their own: those of the body's joints, or, as bvh has it, axes that all point alike in the body's zero pose. With $R^0_j$
+a joint's rotation there and S that of the file's axes against the world's, $R_j = R^{file}_j\, S\, R^0_j$.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_body.body.schema import BodySchema
+from bayes_body.body.skeleton import Motion as Dof
+from bayes_body.body.skeleton import Skeleton, forward_kinematics
+from bayes_body.body.solids import Body
+from bayes_body.initial.lengths import scaling
+from bayes_body.initial.quick import QUICK
+from bayes_body.recording.mocap.motion import Motion
+from bayes_body.retarget.turns import angles_of
+
+# What still counts as the same: offsets in metres, rotations in radians.
+OFFSET_M, ANGLE = 1e-3, 1e-5
+
+
+class Placed(NamedTuple):
+    """Every joint of the body in the world as the motion has it: its rotation, with the body's axes, and its place, metres."""
+
+    rotations: Float[np.ndarray, "frame joint 3 3"]
+    places: Float[np.ndarray, "frame joint 3"]
+
+
+class Exact(NamedTuple):
+    """Angles of every frame, by how much each of the body's lengths is multiplied (none if they stay), and the joints."""
+
+    angles: Float[np.ndarray, "frame dof"]
+    factors: Float[np.ndarray, " length"]
+    placed: Placed
+
+
+def decompose(body: Body, motion: Motion, joints: Mapping[str, str], schema: BodySchema | None) -> Exact | None:
+    """The motion's own angles; None where its skeleton is not the body's.
+
+    Args:
+        body: whose dofs they are.
+        motion: with rotations, and no gaps.
+        joints: the motion's name of a joint of the body, where it is another.
+        schema: of the body, if its lengths may be the motion's; None keeps them.
+    """
+    found = (_decomposed(body, placed, schema) for placed in _placements(body.skeleton, motion, joints))
+    return next((exact for exact in found if exact is not None), None)
+
+
+def carried(body: Body, placed: Placed) -> Float[np.ndarray, "frame marker 3"]:
+    """Where the body's markers are that the motion's joints carry, metres."""
+    joints = list(body.markers.joints)
+    return placed.places[:, joints] + np.einsum("fmab,mb->fma", placed.rotations[:, joints], np.asarray(body.markers.offsets, float))
+
+
+def with_ends(body: Body, exact: Exact, points: Float[np.ndarray, "frame marker 3"], schema: BodySchema) -> Exact:
+    """Lengths that no joint hangs on, such as a forearm's, as the motion's points have them (metres, NaN where unknown)."""
+    change = scaling(body, schema).contributions
+    joints, markers = np.asarray(change.joints, float), np.asarray(change.markers, float)
+    free = ~joints.any(axis=(1, 2))
+    known = np.isfinite(points).all(axis=(0, 2))
+    on = np.array(body.markers.joints)[known]
+    own = np.einsum("fmba,fmb->fma", exact.placed.rotations[:, on], points[:, known] - exact.placed.places[:, on]).mean(axis=0)
+    missing = own - np.asarray(body.markers.offsets, float)[known] - np.tensordot(exact.factors - 1, markers[:, known], 1)
+    growth = np.zeros(len(free))
+    growth[free] = np.linalg.lstsq(markers[free][:, known].reshape(int(free.sum()), -1).T, missing.ravel(), rcond=None)[0]
+    return exact._replace(factors=exact.factors + growth)
+
+
+def _decomposed(body: Body, placed: Placed, schema: BodySchema | None) -> Exact | None:
+    frames = _in_parents(body.skeleton, placed)
+    factors, offsets = _offsets(body, frames, schema)
+    angles = np.zeros((len(placed.places), len(body.dof_names)))
+    for j, dofs in enumerate(body.skeleton.topology.motions):
+        preset = np.asarray(body.skeleton.presets[j], float)
+        taken = _taken_apart(body.skeleton, dofs, preset.T @ frames.rotations[:, j], (frames.places[:, j] - offsets[j]) @ preset)
+        if taken is None:
+            return None
+        angles[:, [dof.dof for dof in dofs]] = taken
+    return Exact(angles, factors, placed)
+
+
+def _placements(skeleton: Skeleton, motion: Motion, joints: Mapping[str, str]) -> Iterator[Placed]:
+    """The body's joints, for each way in which their axes may be meant; none where the trees differ."""
+    topology, R = skeleton.topology, motion.rotations
+    names = [joints.get(name, name) for name in topology.joint_names]
+    if R is None or not len(R) or any(name not in motion.joints for name in names):
+        return
+    own = [motion.joints.index(name) for name in names]
+    hang = (motion.parents[j] == (-1 if parent < 0 else own[parent]) for j, parent in zip(own, topology.parents, strict=True))
+    rotations, places = R[:, own], motion.positions_m[:, own]
+    if not all(hang) or not (np.isfinite(rotations).all() and np.isfinite(places).all()):
+        return
+    yield Placed(rotations, places)
+    at_zero = np.asarray(_at_zero(skeleton), float)
+    for turn in range(3):
+        yield Placed(rotations @ np.roll(np.eye(3), turn, axis=0) @ at_zero, places)
+
+
+@partial(jax.jit, compiler_options=QUICK)
+def _at_zero(skeleton: Skeleton) -> Float[Array, "joint 3 3"]:
+    """The joints' rotations in the zero pose."""
+    joints = forward_kinematics(skeleton, jnp.zeros(len(skeleton.topology.dof_names), skeleton.offsets.dtype))
+    return jnp.stack([jnp.stack([T.x, T.y, T.z], axis=1) for T in joints])
+
+
+def _in_parents(skeleton: Skeleton, placed: Placed) -> Placed:
+    """Every joint in its parent's frame."""
+    R, p = placed
+    rotations, places = R.copy(), p.copy()
+    for j, parent in enumerate(skeleton.topology.parents):
+        if parent >= 0:
+            rotations[:, j] = np.swapaxes(R[:, parent], 1, 2) @ R[:, j]
+            places[:, j] = np.einsum("fba,fb->fa", R[:, parent], p[:, j] - p[:, parent])
+    return Placed(rotations, places)
+
+
+def _offsets(body: Body, frames: Placed, schema: BodySchema | None) -> tuple[Float[np.ndarray, " length"], Float[np.ndarray, "joint 3"]]:
+    """How the body's lengths have to change for its offsets to be the motion's, and its offsets then, metres."""
+    offsets = np.asarray(body.skeleton.offsets, float)
+    if schema is None:
+        return np.zeros(0), offsets
+    each = np.asarray(scaling(body, schema).contributions.joints, float)
+    still = [j for j, dofs in enumerate(body.skeleton.topology.motions) if not any(dof.is_shift for dof in dofs)]
+    missing = (frames.places.mean(axis=0) - offsets)[still].ravel()
+    growth = np.linalg.lstsq(each[:, still].reshape(len(each), -1).T, missing, rcond=None)[0]
+    return 1 + growth, offsets + np.tensordot(growth, each, 1)
+
+
+def _taken_apart(
+    skeleton: Skeleton, dofs: Sequence[Dof], rotation: Float[np.ndarray, "frame 3 3"], shift: Float[np.ndarray, "frame 3"]
+) -> Float[np.ndarray, "frame turn"] | None:
+    """The joint's dofs in order; None if they leave more than is still the same."""
+    turns = [dof for dof in dofs if not dof.is_shift]
+    low, high = (np.asarray(side, float)[[dof.dof for dof in turns]] for side in (skeleton.low, skeleton.high))
+    found = angles_of(rotation, [dof.axis for dof in turns], [dof.sign for dof in turns], low, high)
+    if found is None or found.left.max() > ANGLE:
+        return None
+    values, directions = np.zeros((len(rotation), len(dofs))), []
+    turned, k = np.broadcast_to(np.eye(3), rotation.shape), 0
+    for i, dof in enumerate(dofs):
+        if dof.is_shift:
+            directions.append((i, dof.sign * turned[:, :, dof.axis]))
+        else:
+            values[:, i] = found.values[:, k]
+            turned, k = turned @ _turn(dof.axis, dof.sign * values[:, i]), k + 1
+    if directions:
+        A = np.stack([direction for _, direction in directions], axis=2)
+        along = np.einsum("fsa,fa->fs", np.linalg.pinv(A), shift)
+        shift = shift - np.einsum("fas,fs->fa", A, along)
+        values[:, [i for i, _ in directions]] = along
+    return values if np.linalg.norm(shift, axis=1).max() <= OFFSET_M else None
+
+
+def _turn(axis: int, angle: Float[np.ndarray, " frame"]) -> Float[np.ndarray, "frame 3 3"]:
+    R = np.zeros((len(angle), 3, 3))
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    R[:, axis, axis] = 1
+    R[:, i, i] = R[:, j, j] = np.cos(angle)
+    R[:, j, i] = np.sin(angle)
+    R[:, i, j] = -R[:, j, i]
+    return R

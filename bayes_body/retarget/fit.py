@@ -1,0 +1,163 @@
+r"""The angles of all frames at once, and the lengths that they share, by Adam in unconstrained coordinates.
+
+$$U = \sum_t \Bigl[\sum_i \tfrac{\nu + 3}{2} \log\bigl(1 + \tfrac{r_{ti}^2}{\nu \sigma_i^2}\bigr)
+    + \tfrac12 \sum_k \bigl(\tfrac{s_{tk} - m_k}{\tau_k}\bigr)^2\Bigr]
+    + \tfrac12 \sum_{tk} \Bigl(\frac{s_{t+1,k} - 2 s_{tk} + s_{t-1,k}}{\alpha_k\,\Delta t^2}\Bigr)^2 + \tfrac12 \|z\|^2$$
+
+The first sums are the misfit of a first pose to markers (`bayes_body.initial.misfit`). The second differences keep what the landmarks do not tell
+from jumping between solutions that fit alike; lengths follow z as in `bayes_body.initial.lengths`.
+
+A frame's own misfit has many minima: the most complete frame is searched as a first pose is, and its neighbours start from it, theirs from them.
+"""
+
+from typing import Any, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float, Int
+
+from bayes_body.body.skeleton import marker_positions
+from bayes_body.body.solids import Body
+from bayes_body.dynamics.limits import BoxTransform
+from bayes_body.initial.fit import fit as search
+from bayes_body.initial.lengths import scaled
+from bayes_body.initial.misfit import NU, Problem
+from bayes_body.initial.quick import QUICK
+from bayes_body.retarget.problem import evidence
+from bayes_body.shapes import Index, Pose, Scalar
+
+# Adam's steps and rates (unconstrained coordinates): of each frame from its neighbour's pose, and of all frames together.
+FOLLOW_STEPS, FOLLOW_RATE = 30, 0.05
+STEPS, RATE = 600, 0.06
+# Angles and shifts of a person who moves: speeds, rad/s and m/s, and accelerations, rad/s^2 and m/s^2, of this order.
+SPEEDS, ACCELERATIONS = (10.0, 3.0), (100.0, 20.0)
+UP = 2
+# Frames are filled up to a multiple of this, so that recordings of like length are fitted by one compiled program.
+BLOCK = 60
+
+type Frames = Float[Array, "frame marker 3"]
+
+
+class Fitted(NamedTuple):
+    """Angles of every frame, and the lengths' parameters."""
+
+    poses: Float[Array, "frame dof"]
+    z: Float[Array, " group"]
+
+
+class Motion(NamedTuple):
+    """Landmarks, metres, 0 where they are unknown; which are known; and the time between frames, s."""
+
+    places: Frames
+    known: Float[Array, "frame marker"]
+    step_s: Scalar
+
+
+def fit_motion(problem: Problem, places: Float[np.ndarray, "frame marker 3"], fps: float) -> Fitted:
+    """The poses of the least misfit to the landmarks (metres, NaN where unknown) at `fps` frames a second.
+
+    Raises:
+        InputError: no start led to finite numbers.
+    """
+    dtype, frames = problem.body.lengths.dtype, len(places)
+    places = filled(places, np.nan)
+    known = np.isfinite(places).all(axis=-1)
+    motion = Motion(jnp.asarray(np.where(known[..., None], places, 0.0), dtype), jnp.asarray(known, dtype), jnp.asarray(1 / fps, dtype))
+    first = int(known.sum(axis=1).argmax())
+    best, _ = search(problem._replace(evidence=evidence(places[first], dtype)), UP)
+    started = follow(problem, motion, best.pose, best.z, jnp.asarray(_order(first, len(places))), jnp.asarray(first))
+    found = together(problem, motion, started, best.z)
+    return Fitted(found.poses[:frames], found.z)
+
+
+def filled(frames: Float[np.ndarray, "frame *rest"], value: float) -> Float[np.ndarray, "more *rest"]:
+    """The frames, filled up with more of that value to a multiple of `BLOCK`."""
+    return np.concatenate([frames, np.full((-len(frames) % BLOCK, *frames.shape[1:]), value)])
+
+
+def _order(first: int, frames: int) -> Int[np.ndarray, " frame"]:
+    """From the first frame on to the end, then from it back to the beginning."""
+    return np.concatenate([np.arange(first, frames), np.arange(first)[::-1]])
+
+
+@jax.jit
+def _unbounded(problem: Problem, pose: Pose) -> Pose:
+    return jnp.asarray(BoxTransform(problem.body.skeleton.low, problem.body.skeleton.high).inv(pose))
+
+
+@jax.jit(compiler_options=QUICK)
+def follow(problem: Problem, motion: Motion, pose: Pose, z: Float[Array, " group"], order: Int[Array, " frame"], first: Index) -> Array:
+    """Unconstrained angles of every frame, each fitted from where its neighbour's ended, with the lengths as they are."""
+    start, body = _unbounded(problem, pose), scaled(problem.body, problem.scaling, z)
+    usual = _by_unit(problem, SPEEDS)
+    adam = optax.scale_by_adam(b1=0.9, b2=0.99)
+
+    def one(before: Pose, frame: Index) -> tuple[Pose, Pose]:
+        # The frame before the first one starts where the first did, not where the last one ended.
+        before = jnp.where(frame == first - 1, start, before)
+
+        def misfit(x: Pose) -> Scalar:
+            pose = _poses(problem, x)
+            # Adam's steps know no scale: without this it would walk away along what nothing tells of.
+            moved = (pose - _poses(problem, before)) / (usual * motion.step_s)
+            return _misfit_of_frame(problem, body, pose, motion.places[frame], motion.known[frame]) + 0.5 * jnp.sum(moved**2)
+
+        def step(carry: tuple[Pose, Any], progress: Scalar) -> tuple[tuple[Pose, Any], None]:
+            x, state = carry
+            direction, state = adam.update(jax.grad(misfit)(x), state)
+            return (jnp.asarray(optax.apply_updates(x, optax.tree.scale(-FOLLOW_RATE * (1 - progress), direction))), state), None
+
+        (x, _), _ = jax.lax.scan(step, (before, adam.init(before)), jnp.linspace(0, 1, FOLLOW_STEPS, dtype=before.dtype))
+        return x, x
+
+    _, found = jax.lax.scan(one, start, order)
+    return jnp.zeros_like(found).at[order].set(found)
+
+
+class _Parameters(NamedTuple):
+    x: Float[Array, "frame dof"]
+    z: Float[Array, " group"]
+
+
+@jax.jit(compiler_options=QUICK)
+def together(problem: Problem, motion: Motion, x: Float[Array, "frame dof"], z: Float[Array, " group"]) -> Fitted:
+    """All frames and the lengths, from unconstrained angles `x` and lengths `z` on."""
+    adam = optax.adam(optax.cosine_decay_schedule(RATE, STEPS), b1=0.9, b2=0.99)
+
+    def step(carry: tuple[_Parameters, Any], _: None) -> tuple[tuple[_Parameters, Any], None]:
+        parameters, state = carry
+        updates, state = adam.update(jax.grad(_misfit, argnums=2)(problem, motion, parameters), state)
+        return (cast(_Parameters, optax.apply_updates(parameters, updates)), state), None
+
+    start = _Parameters(x, z)
+    (found, _), _ = jax.lax.scan(step, (start, adam.init(start)), None, STEPS)
+    return Fitted(_poses(problem, found.x), found.z)
+
+
+def _poses(problem: Problem, x: Float[Array, "*frame dof"]) -> Float[Array, "*frame dof"]:
+    return BoxTransform(problem.body.skeleton.low, problem.body.skeleton.high)(x)
+
+
+def _misfit(problem: Problem, motion: Motion, parameters: _Parameters) -> Scalar:
+    poses, body = _poses(problem, parameters.x), scaled(problem.body, problem.scaling, parameters.z)
+    each = jax.vmap(_misfit_of_frame, (None, None, 0, 0, 0))(problem, body, poses, motion.places, motion.known)
+    return jnp.sum(each) + 0.5 * jnp.sum(parameters.z**2) + _jerkiness(problem, poses, motion.step_s)
+
+
+def _misfit_of_frame(problem: Problem, body: Body, pose: Pose, markers: Float[Array, "marker 3"], known: Float[Array, " marker"]) -> Scalar:
+    missed = jnp.sum((marker_positions(body.skeleton, body.markers, pose) - markers) ** 2, axis=1)
+    robust = 0.5 * (NU + 3) * jnp.log1p(missed / (NU * problem.tolerance**2))
+    return jnp.sum(known * robust) + 0.5 * jnp.sum(((pose - problem.prior.mean) / problem.prior.sd) ** 2)
+
+
+def _by_unit(problem: Problem, values: tuple[float, float]) -> Pose:
+    """The first value for each angle, the second for each shift."""
+    return jnp.where(jnp.array(problem.body.skeleton.topology.angular), *(jnp.asarray(value, problem.body.lengths.dtype) for value in values))
+
+
+def _jerkiness(problem: Problem, poses: Float[Array, "frame dof"], step_s: Scalar) -> Scalar:
+    usual = _by_unit(problem, ACCELERATIONS) * step_s**2
+    bends = poses[2:] - 2 * poses[1:-1] + poses[:-2]
+    return 0.5 * jnp.sum((bends / usual) ** 2)

@@ -1,0 +1,84 @@
+"""A body and landmarks as the problem that the fit solves: that of a first pose (`bayes_body.initial`), with markers only and no camera."""
+
+from collections.abc import Mapping
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_body.body.schema import BodySchema
+from bayes_body.body.solids import Body
+from bayes_body.camera import Camera
+from bayes_body.errors import wrong
+from bayes_body.initial.evidence import Evidence
+from bayes_body.initial.fit import rest
+from bayes_body.initial.lengths import fixed, scaling
+from bayes_body.initial.misfit import Prior, Problem
+from bayes_body.initial.points import Points
+
+# Weak: it decides what the landmarks do not tell. A joint's sd, as a share of its range, and how far from upright people stand, radians.
+RANGE_SHARE = 2.0
+TILT_SD = 3.0
+UP = (0.0, 0.0, 1.0)
+
+
+def build_problem(body: Body, schema: BodySchema | None) -> Problem:
+    """The problem without evidence; lengths are fitted where a schema says what they enter. Angles are drawn to how the body rests."""
+    names, dtype = body.markers.names, body.lengths.dtype
+    points = Points(names, body.markers.joints, 0, jnp.zeros((0, 3), dtype))
+    problem = Problem(
+        body=body,
+        scaling=fixed(body) if schema is None else scaling(body, schema),
+        rig=_no_camera(dtype),
+        points=points,
+        evidence=evidence(np.full((len(names), 3), np.nan), dtype),
+        tolerance=jnp.asarray(points.tolerance_m, dtype),
+        prior=_prior(body, dtype),
+    )
+    return problem._replace(prior=problem.prior._replace(mean=rest(problem)))
+
+
+def evidence(places: Float[np.ndarray, "point 3"], dtype: jnp.dtype) -> Evidence:
+    """Where the body's points are, metres; NaN where unknown."""
+    known = np.isfinite(places).all(axis=-1)
+    none = jnp.zeros((0, len(places)), dtype)
+    markers = jnp.asarray(np.where(known[:, None], places, 0.0), dtype)
+    return Evidence(markers, jnp.asarray(known, dtype), none[..., None] * jnp.zeros(2, dtype), none[..., None] * jnp.zeros(2, dtype), none)
+
+
+def places_of(body: Body, landmarks: Mapping[str, np.ndarray]) -> Float[np.ndarray, "frame marker 3"]:
+    """The landmarks in the order of the body's markers; NaN where there is none of that name.
+
+    Raises:
+        InputError: landmarks that have not as many frames as the first.
+    """
+    frames = len(next(iter(landmarks.values()), ()))
+    for name, each in landmarks.items():
+        if each.shape != (frames, 3):
+            found = f"{len(each)} frames" if each.shape[1:] == (3,) else f"an array of shape {each.shape}"
+            raise wrong(f"landmarks: {name}", found, f"({frames}, 3), as the first has", "give each in every frame, NaN where unknown")
+    places = np.full((frames, len(body.markers.names), 3), np.nan)
+    for m, name in enumerate(body.markers.names):
+        if name in landmarks:
+            places[:, m] = landmarks[name]
+    # A point with one coordinate unknown is not known.
+    places[~np.isfinite(places).all(axis=-1)] = np.nan
+    return places
+
+
+def _prior(body: Body, dtype: jnp.dtype) -> Prior:
+    low, high = np.asarray(body.skeleton.low, float), np.asarray(body.skeleton.high, float)
+    sd = np.where(np.isfinite(high - low), RANGE_SHARE * (high - low), np.inf)
+    root = body.skeleton.topology.motions[0]
+    floats = any(motion.is_shift for motion in root)
+    if floats:
+        sd[[motion.dof for motion in root]] = np.inf
+    weights = np.zeros(len(body.markers.names))
+    return Prior(*(jnp.asarray(each, dtype) for each in (np.clip(0.0, low, high), sd, UP, floats / TILT_SD**2, weights)))
+
+
+def _no_camera(dtype: jnp.dtype) -> Camera:
+    def none(*shape: int) -> Array:
+        return jnp.zeros((0, *shape), dtype)
+
+    return Camera(none(3, 3), none(3), none(2), none(2), none(), none(5), none(), none(2))
