@@ -1,8 +1,8 @@
 """A definition and a session make a model: arrays in metres and radians, one density for every frame."""
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +59,16 @@ class Model:
         """
         alone = Particles(jax.tree.map(lambda leaf: leaf[None], dict(self.initial)), jnp.zeros(1, self.body.lengths.dtype))
         return Density(self.transition, self.factors, jax.tree.map(jnp.asarray, observation), alone if previous is None else previous)
+
+    def at(self, cameras: Sequence[CameraSpec]) -> "Model":
+        """The same model with its cameras standing so: what a frame of moving cameras needs. Shapes stay, so nothing is compiled anew."""
+        rig = stack([_camera(spec) for spec in cameras])
+
+        def placed(node: Any) -> Any:
+            return rig if isinstance(node, Camera) else node
+
+        factors = jax.tree.map(placed, self.factors, is_leaf=lambda node: isinstance(node, Camera))
+        return replace(self, rig=rig, factors=factors)
 
     def start(self, count: int) -> Particles:
         """`count` equal particles at the initial state; the first frame's transition spreads them."""

@@ -62,6 +62,8 @@ class View:
         masks: printf pattern of its silhouettes; None where they are to be computed from the background.
         background: path of an image or a video of the empty scene; None where the background is to be learned from the recording.
         offset: frames by which this camera's numbering is ahead: the session's frame k is its own k + offset.
+        keypoints: path of an .npz with the subject's keypoints in each frame; None where there are none.
+        path: path of an .npz with where a moving camera is in each frame; its calibration is that of frame 0. None of one that stands still.
     """
 
     camera: CameraSpec
@@ -70,6 +72,8 @@ class View:
     video: str | None = None
     background: str | None = None
     offset: int = 0
+    keypoints: str | None = None
+    path: str | None = None
 
 
 @dataclass(frozen=True)
@@ -172,6 +176,19 @@ class Session:
         """The image or video of the empty scene, or None where there is none."""
         return None if view.background is None else self.folder / view.background
 
+    def keypoints_path(self, view: View) -> Path | None:
+        """The file of the subject's keypoints, or None where there is none."""
+        return None if view.keypoints is None else self.folder / view.keypoints
+
+    def camera_path(self, view: View) -> Path | None:
+        """The file of a moving camera's places, or None where it stands still."""
+        return None if view.path is None else self.folder / view.path
+
+    @property
+    def moves(self) -> bool:
+        """Whether any camera does."""
+        return any(view.path is not None for view in self.views)
+
     @property
     def truth_path(self) -> Path | None:
         """The file of true markers, or None where they are unknown."""
@@ -227,7 +244,7 @@ def _view(table: CameraTable) -> View:
         rotation=np.array(table.rotation),
         translation_m=np.array(table.translation_m),
     )
-    return View(camera, table.images, table.masks, table.video, table.background, table.offset)
+    return View(camera, table.images, table.masks, table.video, table.background, table.offset, table.keypoints, table.path)
 
 
 def _subject(table: SubjectTable) -> Subject:

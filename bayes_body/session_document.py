@@ -119,6 +119,10 @@ def _camera_table(view: "View") -> Table:
         _add(table, "masks", view.masks, "white where the subject is")
     if view.background is not None:
         _add(table, "background", view.background, "the empty scene: an image or a video")
+    if view.path is not None:
+        _add(table, "path", view.path, "the camera moves: an .npz with its extrinsics in each frame; those above are of the first")
+    if view.keypoints is not None:
+        _add(table, "keypoints", view.keypoints, "an .npz with the subject's keypoints in each frame")
     if view.offset:
         _add(table, "offset", view.offset, "the session's frame k is this camera's own k + offset")
     return table

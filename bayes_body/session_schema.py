@@ -78,6 +78,8 @@ class CameraTable(Schema):
     masks: Pattern | None = None
     background: Annotated[str, Field(min_length=1)] | None = None
     offset: Annotated[int, Field(strict=True)] = 0
+    keypoints: Annotated[str, Field(min_length=1)] | None = None
+    path: Annotated[str, Field(min_length=1)] | None = None
 
 
 class SubjectTable(Schema):

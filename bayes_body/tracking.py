@@ -22,6 +22,7 @@ from bayes_body.factor import FilterInfo, Kernel, Particles
 from bayes_body.kernels.batching import everywhere, whole
 from bayes_body.model import Model
 from bayes_body.observation.frames import prefetch, read_frame
+from bayes_body.recording.camera_path import cameras_at
 from bayes_body.session import Session
 from bayes_body.shapes import Key
 
@@ -98,12 +99,19 @@ def _filters_after(store: FrameStore, particles: int, runs: int, count: int) -> 
     return [Particles({name: values[run] for name, values in last.states.items()}, last.log_weights[run]) for run in range(runs)]
 
 
-def _observations(session: Session, model: Model, frames: range) -> Generator[tuple[np.ndarray, Any]]:
-    """Of each frame, which cameras saw it, and what the factors need of it."""
+class _Observed(NamedTuple):
+    """Of a frame: which cameras saw it, what the factors need of it, and the factors where a camera moves (else None: those of the model)."""
 
-    def observe(index: int) -> tuple[np.ndarray, Any]:
+    seen: np.ndarray
+    data: Any
+    factors: Any
+
+
+def _observations(session: Session, model: Model, frames: range) -> Generator[_Observed]:
+    def observe(index: int) -> _Observed:
         frame = read_frame(session, index)
-        return np.array(frame.seen), everywhere(model.observe(frame))
+        factors = everywhere(model.at(cameras_at(session, index)).factors) if session.moves else None
+        return _Observed(np.array(frame.seen), everywhere(model.observe(frame)), factors)
 
     return prefetch(frames, observe)
 
@@ -118,17 +126,16 @@ def _follow(store: FrameStore, results: Iterator[FrameResult], count: int, on_fr
             on_frame(_progress(result, done, count, seconds / (done - first)))
 
 
-def _filter(
-    model: Model, kernel: Kernel, key: Key, filters: list[Particles], first: int, observations: Iterator[tuple[np.ndarray, Any]]
-) -> Iterator[FrameResult]:
+def _filter(model: Model, kernel: Kernel, key: Key, filters: list[Particles], first: int, observations: Iterator[_Observed]) -> Iterator[FrameResult]:
     """What all runs make of each frame from `first` on; nothing of a frame is kept here but its particles."""
     last = time.perf_counter()
     run_keys = [everywhere(jax.random.fold_in(key, run)) for run in range(len(filters))]
     filters = [everywhere(particles) for particles in filters]
     model = replace(model, transition=everywhere(model.transition), factors=everywhere(model.factors))
     step = None
-    for frame, (seen, observation) in enumerate(observations, first):
-        density, ready = model.density(observation, filters[0]), 0.0
+    for frame, (seen, data, factors) in enumerate(observations, first):
+        placed = model if factors is None else replace(model, factors=factors)
+        density, ready = placed.density(data, filters[0]), 0.0
         if step is None:
             step = _compile(kernel, run_keys[0], filters[0], density)
             last, ready = time.perf_counter(), time.perf_counter() - last

@@ -44,6 +44,10 @@ Layout = Annotated[
         "--layout", help="Order of the keypoints: BODY_25, BODY_25B, COCO_17, COCO_18 or HALPE_26; found out by default.", rich_help_panel=FILES
     ),
 ]
+Keypoints = Annotated[
+    Path | None,
+    typer.Option("--keypoints", help="Folder with CAMERA_json/ of OpenPose's files, numbered as the frames.", rich_help_panel=FILES),
+]
 DEFAULT_MODEL = "deutscher_apf"
 
 
@@ -60,6 +64,8 @@ def parsec(
     masks: Masks = None,
     background: Background = None,
     truth: Truth = None,
+    keypoints: Keypoints = None,
+    layout: Layout = None,
     height: Height = None,
     model: Model = DEFAULT_MODEL,
     fps: Fps = None,
@@ -69,7 +75,7 @@ def parsec(
     from bayes_body.recording.options import Options
     from bayes_body.recording.parsec import import_parsec
 
-    options = Options(None, None, fps, height, masks, background, truth, _offsets(offset))
+    options = Options(None, None, fps, height, masks, background, truth, _offsets(offset), layout, keypoints)
     _import(import_parsec, source, session, options, model, overwrite)
 
 
@@ -83,6 +89,7 @@ def pose2sim(
     masks: Masks = None,
     background: Background = None,
     truth: Truth = None,
+    keypoints: Keypoints = None,
     layout: Layout = None,
     height: Height = None,
     model: Model = DEFAULT_MODEL,
@@ -91,11 +98,11 @@ def pose2sim(
     unit: Unit = None,
     up: Up = None,
 ) -> None:
-    """A Pose2Sim project as it lies: cameras, videos or images, and the first frame's keypoints if there are any."""
+    """A Pose2Sim project as it lies: cameras, videos or images, and keypoints if there are any."""
     from bayes_body.recording.options import Options
     from bayes_body.recording.pose2sim import import_pose2sim
 
-    options = Options(unit, up, fps, height, masks, background, truth, _offsets(offset), layout)
+    options = Options(unit, up, fps, height, masks, background, truth, _offsets(offset), layout, keypoints)
     _import(import_pose2sim, source, session, options, model, overwrite)
 
 
@@ -113,6 +120,8 @@ def opencv(
     masks: Masks = None,
     background: Background = None,
     truth: Truth = None,
+    keypoints: Keypoints = None,
+    layout: Layout = None,
     height: Height = None,
     model: Model = DEFAULT_MODEL,
     fps: Fps = None,
@@ -124,7 +133,7 @@ def opencv(
     from bayes_body.recording.opencv import import_opencv
     from bayes_body.recording.options import Options
 
-    options = Options(unit, up, fps, height, masks, background, truth, _offsets(offset))
+    options = Options(unit, up, fps, height, masks, background, truth, _offsets(offset), layout, keypoints)
     _import(import_opencv, source, session, options, model, overwrite)
 
 
@@ -138,6 +147,8 @@ def qualisys(
     masks: Masks = None,
     background: Background = None,
     truth: Truth = None,
+    keypoints: Keypoints = None,
+    layout: Layout = None,
     height: Height = None,
     model: Model = DEFAULT_MODEL,
     fps: Fps = None,
@@ -148,7 +159,7 @@ def qualisys(
     from bayes_body.recording.options import Options
     from bayes_body.recording.qualisys import import_qualisys
 
-    options = Options(None, up, fps, height, masks, background, truth, _offsets(offset))
+    options = Options(None, up, fps, height, masks, background, truth, _offsets(offset), layout, keypoints)
     _import(import_qualisys, source, session, options, model, overwrite)
 
 

@@ -9,7 +9,7 @@ from bayes_body.observation.frames import read_frame
 from bayes_body.posterior import mean_pose
 from bayes_body.session import Session
 from bayes_body.view.progress import Watch, unwatched
-from bayes_body.view.silhouette import intersection_over_union, projected_masks
+from bayes_body.view.silhouette import intersection_over_union, projected_masks, seen_in
 
 
 def silhouette_overlap(session: Session, draws: Draws, watch: Watch = unwatched) -> Float[np.ndarray, "run frame camera"]:
@@ -30,6 +30,7 @@ def frame_overlap(session: Session, model: Model, result: FrameResult, index: in
     out = np.full((len(poses), len(session.views)), np.nan)
     masks = read_frame(session, index).masks
     if masks is not None:
+        model = seen_in(model, session, index)
         for run, pose in enumerate(poses):
             projected = projected_masks(model, pose, session)
             out[run] = [np.nan if b is None else intersection_over_union(a, b) for a, b in zip(projected, masks, strict=True)]

@@ -12,7 +12,8 @@ from bayes_body.observation.pictures import check_index, read_colour, read_greys
 from bayes_body.observation.segmentation import EVEN
 from bayes_body.observation.silhouettes import has_silhouettes, silhouette_levels
 from bayes_body.recording.images import NotSeenError, read_mask
-from bayes_body.session import Session, View
+from bayes_body.recording.keypoint_series import read_series
+from bayes_body.session import Keypoints, Session, View
 
 
 class Frame(NamedTuple):
@@ -22,6 +23,8 @@ class Frame(NamedTuple):
     probability of foreground, in [0, 1], float32: 0 and 1 where masks are files. Both are made when an entry is first looked at, and may raise an
     InputError then. An image that cannot be brought to the background's exposure has no silhouette, though it is there. Both are None as a whole
     where the session can have no silhouettes: without masks, without an empty scene and with too few frames to learn the background from.
+    `keypoints` are column, row (pixels) and confidence of the subject's, by the markers' names where they are markers, else a detector's. Empty where
+    nothing was found; None for a camera without keypoints, or that did not see the frame, and as a whole where no camera has any.
     `sizes_px` are (width, height) of every camera's images, those that are not there included; () stands for those of `images`.
     """
 
@@ -30,6 +33,7 @@ class Frame(NamedTuple):
     masks: Sequence[NDArray[np.bool_] | None] | None
     foreground: Sequence[NDArray[np.float32] | None] | None = None
     sizes_px: tuple[tuple[int, int], ...] = ()
+    keypoints: tuple[Keypoints | None, ...] | None = None
 
     @property
     def seen(self) -> tuple[bool, ...]:
@@ -47,16 +51,25 @@ def read_frame(session: Session, index: int) -> Frame:
     """Frame `index` of a session, counted from 0.
 
     Raises:
-        InputError: no such frame, no video, or an image that is not of its camera's size.
+        InputError: no such frame, no video, an image that is not of its camera's size, or keypoints that cannot be read.
     """
     check_index(session, index)
     images = tuple(read_greys(session, index, view) for view in session.views)
     sizes = tuple(view.camera.size_px for view in session.views)
+    keypoints = _keypoints(session, index, [image is not None for image in images])
     if not has_silhouettes(session):
-        return Frame(index, images, None, None, sizes)
+        return Frame(index, images, None, None, sizes, keypoints)
     silhouettes = [_Silhouette(session, index, view, image is not None) for view, image in zip(session.views, images, strict=True)]
     masks = _OnDemand([lambda s=s: s.mask for s in silhouettes])
-    return Frame(index, images, masks, _OnDemand([lambda s=s: s.foreground for s in silhouettes]), sizes)
+    return Frame(index, images, masks, _OnDemand([lambda s=s: s.foreground for s in silhouettes]), sizes, keypoints)
+
+
+def _keypoints(session: Session, index: int, seen: Sequence[bool]) -> tuple[Keypoints | None, ...] | None:
+    paths = [session.keypoints_path(view) for view in session.views]
+    if not any(paths):
+        return None
+    numbers = [session.number(view, index) for view in session.views]
+    return tuple(read_series(path).frame(k) if path and here else None for path, k, here in zip(paths, numbers, seen, strict=True))
 
 
 class _Silhouette:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_body.errors import wrong
+from bayes_body.recording.camera_path import read_camera_path
 from bayes_body.recording.faults import Faults
 from bayes_body.recording.images import NotSeenError, check_size, is_image, read_colour, read_grey, read_mask
 from bayes_body.recording.video import probe, readable_frames
@@ -34,6 +35,10 @@ def check_session(session: Session) -> list[str]:
                 remarks += _check_series(faults, owner, kind, paths, lambda path, read=read, view=view: read(path, view.camera.size_px))
         with faults.collect():
             _check_background(session, view)
+        path = session.camera_path(view)
+        if path is not None:
+            with faults.collect():
+                read_camera_path(path, session.frames)
     faults.raise_any()
     return remarks
 

@@ -8,6 +8,7 @@ from bayes_body.recording.assemble import Rig, assemble, saved, source_folder
 from bayes_body.recording.calibration import Calibrated
 from bayes_body.recording.calibration_opencv import SUFFIXES, read_opencv
 from bayes_body.recording.calibration_toml import read_calibration_toml
+from bayes_body.recording.imported_keypoints import with_imported_keypoints
 from bayes_body.recording.options import Options, metres_per_unit, up_axis
 from bayes_body.session import Session
 
@@ -37,7 +38,8 @@ def import_opencv(source: Path, folder: Path, options: Options | None = None) ->
     path = _calibration([source / "calibration", source])
     cameras: Sequence[Calibrated] = read_calibration_toml(path, unit_m) if path.suffix == ".toml" else read_opencv(path, unit_m)
     session, remarks = assemble(Rig(path, cameras, source, up), folder.resolve(), f"recording {source.resolve().name}", options)
-    return saved(session), remarks
+    session, told = with_imported_keypoints(session, options)
+    return saved(session), [*remarks, *told]
 
 
 def _calibration(places: Sequence[Path]) -> Path:

@@ -1,4 +1,4 @@
-"""What a user may say with an import beyond the source: units, the up axis, masks, an empty scene, truth, the subject's height, offsets."""
+"""What a user may say with an import beyond the source: units, the up axis, files beside it, the subject's height, offsets."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -28,6 +28,7 @@ class Options:
         truth: an .npz with true markers.
         offsets: frames by which a camera is ahead: the session's frame k is its own k + offset.
         layout: the order of the keypoints, a name of `keypoint_layouts.LAYOUTS`.
+        keypoints: a folder with a folder of OpenPose's files for each camera.
     """
 
     unit: str | None = None
@@ -39,6 +40,7 @@ class Options:
     truth: Path | None = None
     offsets: Mapping[str, int] = field(default_factory=dict)
     layout: str | None = None
+    keypoints: Path | None = None
 
 
 def check_height(height_m: float | None) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from bayes_body.recording.assemble import saved, source_folder, with_options
 from bayes_body.recording.faults import Faults
+from bayes_body.recording.imported_keypoints import with_imported_keypoints
 from bayes_body.recording.options import Options, check_fps, check_height
 from bayes_body.recording.parsec_subject import POSITIONS, read_subject
 from bayes_body.recording.parsec_views import REMARK_NO_MASKS, read_views
@@ -55,8 +56,9 @@ def import_parsec(source: Path, folder: Path, options: Options | None = None) ->
         initial=known.initial,
         positions=frozenset(POSITIONS),
     )
-    remarks = [*recorded.remarks, *known.remarks, *timing.remarks, *([] if options.fps else [_fps_remark()])]
-    return saved(with_options(session, options)), [remark for remark in remarks if not (options.masks and remark == REMARK_NO_MASKS)]
+    session, told = with_imported_keypoints(with_options(session, options), options)
+    remarks = [*recorded.remarks, *known.remarks, *timing.remarks, *([] if options.fps else [_fps_remark()]), *told]
+    return saved(session), [remark for remark in remarks if not (options.masks and remark == REMARK_NO_MASKS)]
 
 
 def _fps_remark() -> str:

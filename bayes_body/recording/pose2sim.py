@@ -1,13 +1,12 @@
 """A project of Pose2Sim as a session: `calibration/*.toml` or `*.qca.txt`, `videos/NAME.mp4` for each camera, `pose/NAME_json` with its keypoints."""
 
-from dataclasses import replace
 from pathlib import Path
 
 from bayes_body.errors import wrong
 from bayes_body.recording import calibration_qualisys
 from bayes_body.recording.assemble import Rig, assemble, only_file, saved, source_folder
 from bayes_body.recording.calibration_toml import read_calibration_toml
-from bayes_body.recording.first_keypoints import first_keypoints
+from bayes_body.recording.imported_keypoints import with_imported_keypoints
 from bayes_body.recording.options import Options, metres_per_unit, up_axis
 from bayes_body.session import Session
 
@@ -37,16 +36,8 @@ def import_pose2sim(source: Path, folder: Path, options: Options | None = None) 
     path = only_file([source / "calibration", source], ("*.toml", "*.qca.txt"), f"one calibration, {WHAT}")
     rig, remarks = _rig(source, path, options)
     session, more = assemble(rig, folder.resolve(), f"Pose2Sim project {source.resolve().name}", options)
-    pose = source / "pose"
-    folders = {view.camera.name: found for view in session.views if (found := pose / f"{view.camera.name}_json").is_dir()}
-    if folders:
-        keypoints, told = first_keypoints(session, folders, options.layout)
-        session, more = replace(session, initial_keypoints=keypoints), [*more, *told]
-    elif options.layout is not None:
-        raise wrong(
-            "--layout", f"{options.layout}, but there are no keypoints in {pose}", "a folder NAME_json for each camera", "leave the option out"
-        )
-    return saved(session), [*remarks, *more]
+    session, told = with_imported_keypoints(session, options, source / "pose")
+    return saved(session), [*remarks, *more, *told]
 
 
 def _rig(source: Path, path: Path, options: Options) -> tuple[Rig, list[str]]:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from bayes_body.recording.assemble import Rig, assemble, only_file, saved, source_folder
 from bayes_body.recording.calibration_qualisys import UP, read_qualisys
+from bayes_body.recording.imported_keypoints import with_imported_keypoints
 from bayes_body.recording.options import Options, up_axis
 from bayes_body.session import Session
 
@@ -32,4 +33,5 @@ def import_qualisys(source: Path, folder: Path, options: Options | None = None) 
     path = only_file([source / "calibration", source], ("*.qca.txt", "*.xml"), WHAT)
     rig = Rig(path, read_qualisys(path), source, up_axis(options.up or UP, ""))
     session, remarks = assemble(rig, folder.resolve(), f"Qualisys recording {source.resolve().name}", options)
-    return saved(session), remarks
+    session, told = with_imported_keypoints(session, options)
+    return saved(session), [*remarks, *told]

@@ -74,7 +74,7 @@ def simulate(
     for name, specs in moving.items():
         write_extrinsics(folder / camera_name(name), specs)
     session = _session(rig, person, folder, title, markers, options, quality)
-    return _moving(load_session(save_session(session)), moving), remarks
+    return load_session(save_session(session)), remarks
 
 
 def check_folder(folder: Path) -> None:
@@ -118,10 +118,11 @@ def _session(
     rig: Rig, person: Person, folder: Path, title: str, markers: Float[np.ndarray, "frame 15 3"], options: Options, quality: Quality | None
 ) -> Session:
     views = []
-    for camera in rig.cameras:
+    for camera, path in zip(rig.cameras, rig.path, strict=True):
         masks = None if quality is None else mask_pattern(MASKS, camera.name)
         background = empty_name(camera.name) if quality is None else None
-        views.append(View(camera, video=video_name(camera.name), masks=masks, background=background))
+        file = None if path is None else camera_name(camera.name)
+        views.append(View(camera, video=video_name(camera.name), masks=masks, background=background, path=file))
     height = round(person.build.height_m, 3)
     return Session(
         folder.resolve(),
@@ -133,7 +134,8 @@ def _session(
         tuple(views),
         Subject(height_m=height),
         initial_keypoints=_keypoints(rig, markers[0], options),
-        fit_lengths=True,
+        # One camera cannot tell a small person from a far one.
+        fit_lengths=len(rig.cameras) > 1,
         truth=TRUTH,
     )
 
@@ -149,8 +151,3 @@ def _keypoints(rig: Rig, markers: Float[np.ndarray, "15 3"], options: Options) -
         if keypoints:
             found[rig.cameras[c].name] = keypoints
     return found
-
-
-def _moving(session: Session, moving: Mapping[str, object]) -> Session:
-    """The session with what it says of its moving cameras: their extrinsics in every frame lie in cameras/NAME.npz."""
-    return session

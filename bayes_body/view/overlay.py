@@ -19,7 +19,7 @@ from bayes_body.observation.pictures import read_colour
 from bayes_body.posterior import equal_weight_poses, mean_pose
 from bayes_body.session import Session, View
 from bayes_body.view.progress import Watch, unwatched
-from bayes_body.view.silhouette import Outline, outlines
+from bayes_body.view.silhouette import Outline, outlines, seen_in
 
 # BGR, as OpenCV has it.
 LEFT, RIGHT, MIDDLE, INK = (255, 160, 40), (30, 130, 255), (90, 220, 60), (255, 255, 255)
@@ -95,6 +95,7 @@ def _fan(result: FrameResult, index: int) -> Float[np.ndarray, "draw dof"]:
 
 def mosaic(session: Session, model: Model, index: int, mean: Float[np.ndarray, " dof"], fan: Float[np.ndarray, "draw dof"]) -> MatLike:
     """One frame, all cameras in a grid: the mean body and a fan of draws over the images, or over a dark tile where a camera did not see."""
+    model = seen_in(model, session, index)
     drawn = [outlines(model, pose) for pose in fan]
     strong = outlines(model, mean)
     tiles = []

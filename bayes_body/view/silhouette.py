@@ -15,6 +15,7 @@ from bayes_body import geometry
 from bayes_body.body.solids import Body, facing_discs, part_transforms
 from bayes_body.camera import Camera, project
 from bayes_body.model import Model
+from bayes_body.recording.camera_path import cameras_at
 from bayes_body.session import Session
 from bayes_body.shapes import Pose
 
@@ -38,8 +39,17 @@ def outlines(model: Model, pose: Float[np.ndarray, " dof"]) -> list[list[Outline
     ]
 
 
+def seen_in(model: Model, session: Session, index: int) -> Model:
+    """The model with its cameras where they are in a frame.
+
+    Raises:
+        InputError: a moving camera's file cannot be read.
+    """
+    return model.at(cameras_at(session, index)) if session.moves else model
+
+
 def projected_masks(model: Model, pose: Float[np.ndarray, " dof"], session: Session) -> list[Bool[np.ndarray, "row column"]]:
-    """The silhouette of a posed body in each camera's image."""
+    """The silhouette of a posed body in each camera's image; of moving cameras, as the model has them (`seen_in`)."""
     return [fill(polygons, view.camera.size_px) for polygons, view in zip(outlines(model, pose), session.views, strict=True)]
 
 

@@ -18,7 +18,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 FIRST_RUN = (ROOT / "docs" / "guide" / "first_run.md").read_text(encoding="utf-8")
 DEFINITIONS = (ROOT / "docs" / "guide" / "definitions.md").read_text(encoding="utf-8")
 
-SETTING_UP = ["python3 -m pip install uv && python3 -m uv run pytest", "python3 -m pip install uv && python3 -m uv run bayes-body --help"]
+SETTING_UP = ["python3 -m pip install uv && python3 -m uv run bayes-body demo", "python3 -m pip install uv && python3 -m uv run pytest"]
 
 
 def blocks(text: str, language: str) -> list[str]:

@@ -277,7 +277,7 @@ def test_keypoints_that_cannot_be_used(pose2sim, tmp_path):
         import_pose2sim(pose2sim, tmp_path / "a", Options(up="z", layout="COCO_17"))
     write_poses(pose2sim)
     (pose2sim / "pose" / "left_json" / "left.0000.json").unlink()
-    with pytest.raises(InputError, match="left_json: no file of 1 of 1 frames, the first is 0; expected a file for each frame; there are 1 to 5"):
+    with pytest.raises(InputError, match="left_json: no file of 1 of 6 frames, the first is 0; expected a file for each frame; there are 1 to 5"):
         import_pose2sim(pose2sim, tmp_path / "a", Options(up="z"))
 
 

@@ -1,0 +1,181 @@
+r"""Markers where cameras see them, a distribution over their pixels: with the projection $\pi_c(m(s))$ of marker m in camera c,
+
+$$p(z \mid s) = \prod_{c, m \,\text{present}} \Big[ (1 - \epsilon)\, f\big(\|z_{cm} - \pi_c(m(s))\|; \sigma_{cm}\big)
+  + \frac{\epsilon}{W_c H_c} \Big],$$
+
+f Gaussian, $\frac{1}{2\pi\sigma^2} e^{-r^2/2\sigma^2}$, or Student's t in two dimensions (Lange et al. 1989), which has the same constant,
+$\frac{1}{2\pi\sigma^2} (1 + r^2/\nu\sigma^2)^{-(\nu+2)/2}$; $\epsilon$ is the share of outliers, anywhere in the image, and
+$\sigma_{cm} = \sigma_c / q_{cm}^a$ with the confidence q. Which markers are present, and with what confidence, is taken as given. A marker that a
+camera cannot see, for it is behind it, is expected at one place far outside of the image: unlikely, finite, and still a distribution.
+
+Errors of keypoint networks are alike from frame to frame and among cameras (a hip is always found outside and above the joint's centre), and here
+they are independent: on real keypoints the posterior is too narrow, the more so the more frames there are a second.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any, Literal
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+from pydantic import Field
+
+from bayes_body.body.skeleton import marker_positions
+from bayes_body.body.solids import Body
+from bayes_body.camera import Camera, project
+from bayes_body.errors import wrong
+from bayes_body.factor import Factor, Variable, Variables
+from bayes_body.registry import register
+from bayes_body.schema import NonNegative, Positive, Schema, Share
+from bayes_body.seen import MARKERS, SeenMarkers
+from bayes_body.shapes import Key, Pose, Scalar
+
+POSE = Variable("pose")
+# Where a marker behind the camera is expected, from the middle of the image, in diagonals of it.
+BEHIND = 2.0
+Rare = Annotated[float, Field(strict=True, ge=0, lt=1)]
+
+
+class Options(Schema):
+    """Options of `[[likelihood]] kind = "markers_gaussian"`."""
+
+    sd_px: Positive = 8.0
+    at_diagonal_px: NonNegative = 0.0
+    noise: Literal["gaussian", "student"] = "gaussian"
+    degrees_of_freedom: Positive = 4.0
+    outliers: Rare = 0.0
+    by_confidence: NonNegative = 0.0
+    least_confidence: Share = 0.3
+    missing: Rare = 0.0
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    meta_fields=["noise", "markers", "places", "outliers", "by_confidence"],
+    data_fields=["body", "rig", "sd_px", "degrees_of_freedom", "least_confidence"],
+)
+@dataclass(frozen=True)
+class MarkersGaussian:
+    """The log-potential as a pytree, and the distribution that it is the density of.
+
+    Attributes:
+        noise: gaussian or student.
+        markers: the body's markers that can be seen, by their number in the body.
+        places: where each stands in `MARKERS`.
+        outliers: share of the markers that are seen anywhere in the image.
+        by_confidence: the power a of the confidence.
+        body: the body.
+        rig: the cameras.
+        sd_px: of each camera; Student's scale.
+        degrees_of_freedom: Student's.
+        least_confidence: up to this a marker counts as not present.
+    """
+
+    noise: Literal["gaussian", "student"]
+    markers: tuple[int, ...]
+    places: tuple[int, ...]
+    outliers: float
+    by_confidence: float
+    body: Body
+    rig: Camera
+    sd_px: Float[Array, " camera"]
+    degrees_of_freedom: Scalar
+    least_confidence: Scalar
+
+    def __call__(self, values: Variables, seen: SeenMarkers) -> Scalar:
+        """log p(z | pose), normalised."""
+        pose = values[POSE]
+        pixels, confidence = (jnp.asarray(each)[:, list(self.places)] for each in seen)
+        present = confidence > self.least_confidence
+        # What is not there may be NaN, which a `where` around the density alone would let into the gradient.
+        pixels, confidence = jnp.where(present[..., None], pixels, 0.0), jnp.where(present, confidence, 1.0)
+        densities = self._log_density(pixels, confidence, self.expected(pose))
+        # Where a marker is behind a camera its place does not depend on the pose, and would hide a NaN.
+        return jnp.where(jnp.isfinite(jnp.sum(pose)), jnp.sum(jnp.where(present, densities, 0.0)), jnp.nan)
+
+    def expected(self, pose: Pose) -> Float[Array, "camera seen 2"]:
+        """Where each camera sees the body's markers, pixels."""
+        points = marker_positions(self.body.skeleton, self.body.markers, pose)[list(self.markers), :]
+
+        def of(camera: Camera) -> Float[Array, "seen 2"]:
+            pixels, visible = project(camera, points)
+            return jnp.where(visible[:, None], pixels, camera.size / 2 - BEHIND * jnp.sqrt(jnp.sum(camera.size**2)))
+
+        return jax.vmap(of)(self.rig)
+
+    def _log_density(
+        self, pixels: Float[Array, "camera seen 2"], confidence: Float[Array, "camera seen"], expected: Float[Array, "camera seen 2"]
+    ) -> Float[Array, "camera seen"]:
+        variance = self._sd(confidence) ** 2
+        squares = jnp.sum((pixels - expected) ** 2, axis=-1) / variance
+        nu = self.degrees_of_freedom
+        fall = 0.5 * squares if self.noise == "gaussian" else 0.5 * (nu + 2) * jnp.log1p(squares / nu)
+        inlier = -fall - jnp.log(2 * math.pi * variance)
+        if self.outliers == 0:
+            return inlier
+        anywhere = jnp.where(self._inside(pixels), math.log(self.outliers) - jnp.log(jnp.prod(self.rig.size, axis=1))[:, None], -jnp.inf)
+        return jnp.logaddexp(math.log1p(-self.outliers) + inlier, anywhere)
+
+    def _sd(self, confidence: Float[Array, "camera seen"]) -> Float[Array, "camera seen"]:
+        return self.sd_px[:, None] / confidence**self.by_confidence
+
+    def _inside(self, pixels: Float[Array, "camera seen 2"]) -> Bool[Array, "camera seen"]:
+        # The first pixel's centre is (0, 0): an image begins half a pixel before it.
+        return jnp.all((pixels >= -0.5) & (pixels <= self.rig.size[:, None] - 0.5), axis=-1)
+
+    def draw(self, key: Key, pose: Pose) -> Float[Array, "camera seen 2"]:
+        """Pixels of the body's markers, all with confidence 1."""
+        noise, spread, choice, place = jax.random.split(key, 4)
+        expected = self.expected(pose)
+        shape, dtype = expected.shape[:2], expected.dtype
+        off = self.sd_px[:, None, None] * jax.random.normal(noise, expected.shape, dtype)
+        if self.noise == "student":
+            # z / sqrt(chi2 / nu), chi2 = 2 Gamma(nu / 2).
+            gamma = jax.random.gamma(spread, self.degrees_of_freedom / 2, shape, dtype)
+            off *= jnp.sqrt(self.degrees_of_freedom / (2 * gamma))[..., None]
+        anywhere = jax.random.uniform(place, expected.shape, dtype) * self.rig.size[:, None] - 0.5
+        return jnp.where(jax.random.bernoulli(choice, self.outliers, shape)[..., None], anywhere, expected + off)
+
+
+def simulate(potential: MarkersGaussian, missing: Scalar, key: Key, values: Variables) -> SeenMarkers:
+    """A frame's markers drawn from the likelihood at a pose; each is missing in a camera with a probability that does not depend on the pose."""
+    draws, losses = jax.random.split(key)
+    pixels = potential.draw(draws, values[POSE])
+    present = jax.random.bernoulli(losses, 1 - missing, pixels.shape[:2])
+    everywhere = jnp.zeros((pixels.shape[0], len(MARKERS), 2), pixels.dtype)
+    places = jnp.array(potential.places)
+    return SeenMarkers(
+        everywhere.at[:, places].set(jnp.where(present[..., None], pixels, 0.0)), everywhere[..., 0].at[:, places].set(present.astype(pixels.dtype))
+    )
+
+
+@register("likelihood", "markers_gaussian", Options)
+def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
+    """The factor of one rig and body.
+
+    Raises:
+        InputError: the body has none of the markers.
+    """
+    known = [(number, MARKERS.index(marker)) for number, marker in enumerate(body.markers.names) if marker in MARKERS]
+    if not known:
+        found = f"the body '{body.name}' has the markers {', '.join(body.markers.names) or '(none)'}"
+        raise wrong(name, found, f"some of {', '.join(MARKERS)}", "name the body's [markers] so")
+    dtype = body.lengths.dtype
+    diagonal = jnp.sqrt(jnp.sum(rig.size**2, axis=1))
+    sd_px = options.sd_px * (diagonal / options.at_diagonal_px if options.at_diagonal_px else jnp.ones_like(diagonal))
+    potential = MarkersGaussian(
+        noise=options.noise,
+        markers=tuple(number for number, _ in known),
+        places=tuple(place for _, place in known),
+        outliers=options.outliers,
+        by_confidence=options.by_confidence,
+        body=body,
+        rig=rig,
+        sd_px=jnp.asarray(sd_px, dtype),
+        degrees_of_freedom=jnp.asarray(options.degrees_of_freedom, dtype),
+        least_confidence=jnp.asarray(options.least_confidence, dtype),
+    )
+    drawn = jax.tree_util.Partial(simulate, potential, jnp.asarray(options.missing, dtype))
+    return Factor(name=name, side="likelihood", scope=(POSE,), log_potential=potential, simulate=drawn)

@@ -1,0 +1,114 @@
+r"""Whole silhouettes, a distribution over binary images: each pixel x of a grid is foreground, independently of the others, with
+
+$$p(z_x = 1 \mid s) = \alpha + (1 - \alpha - \mu)\, c(x; s), \qquad c(x; s) = \frac{1}{1 + e^{-d(x; s) / h}},$$
+
+$\alpha$ = `false_alarm`, $\mu$ = `miss`, h = `soft_px`, and d how far inside of the union of the body's projected parts the pixel's centre is
+(likelihood/outlines.py). The log-likelihood is the sum of the pixels' Bernoulli terms, normalised, over all cameras that saw the frame.
+
+The pixels of a real silhouette are not independent: a hand that the body does not have, a shadow or a hole changes many at once. On real images the
+posterior is therefore too narrow; a coarser grid counts fewer of them.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+from pydantic import Field
+
+from bayes_body.body.solids import Body
+from bayes_body.camera import Camera
+from bayes_body.errors import wrong
+from bayes_body.factor import Factor, Variable, Variables
+from bayes_body.likelihood.outlines import Forms, outline_forms, signed_distance
+from bayes_body.registry import register
+from bayes_body.schema import Count, Positive, Schema
+from bayes_body.seen import GRID, SeenSilhouettes
+from bayes_body.shapes import Key, Pose, Scalar
+
+POSE = Variable("pose")
+Unlikely = Annotated[float, Field(strict=True, gt=0, lt=0.5)]
+
+
+class Options(Schema):
+    """Options of `[[likelihood]] kind = "silhouette_bernoulli"`."""
+
+    grid: tuple[Count, Count] = GRID
+    false_alarm: Unlikely = 0.02
+    miss: Unlikely = 0.05
+    soft_px: Positive = 4.0
+
+
+@partial(jax.tree_util.register_dataclass, meta_fields=["grid"], data_fields=["body", "rig", "false_alarm", "miss", "soft_px"])
+@dataclass(frozen=True)
+class SilhouetteBernoulli:
+    """The log-potential as a pytree, and the distribution that it is the density of.
+
+    Attributes:
+        grid: columns and rows of the grid that is stretched over each image.
+        body: the body.
+        rig: the cameras.
+        false_alarm: probability of foreground far outside of the body.
+        miss: probability of background deep inside of it.
+        soft_px: how far the one goes over into the other, pixels.
+    """
+
+    grid: tuple[int, int]
+    body: Body
+    rig: Camera
+    false_alarm: Scalar
+    miss: Scalar
+    soft_px: Scalar
+
+    def __call__(self, values: Variables, seen: SeenSilhouettes) -> Scalar:
+        """log p(z | pose), normalised.
+
+        Raises:
+            InputError: the data are on another grid.
+        """
+        rows, columns = seen.foreground.shape[1:]
+        if (columns, rows) != self.grid:
+            found = f"silhouettes on a grid of {columns} x {rows}"
+            raise wrong("silhouette_bernoulli", found, f"{self.grid[0]} x {self.grid[1]}, the likelihood's", "observe the frame with the same grid")
+        pose = values[POSE]
+        p = self.foreground(pose)
+        terms = jnp.sum(jnp.log(jnp.where(seen.foreground, p, 1 - p)), axis=(1, 2))
+        # A part that no camera sees would hide a NaN.
+        return jnp.where(jnp.isfinite(jnp.sum(pose)), jnp.sum(jnp.where(seen.seen, terms, 0.0)), jnp.nan)
+
+    def foreground(self, pose: Pose) -> Float[Array, "camera row column"]:
+        """The probability of foreground at each point of the grid."""
+        columns, rows = self.grid
+
+        def of(size: Float[Array, "2"], forms: Forms) -> Float[Array, "row column"]:
+            u, v = (_centres(count, size[axis]) for axis, count in ((0, columns), (1, rows)))
+            return jax.nn.sigmoid(signed_distance(self.body.topology, forms, u, v) / self.soft_px)
+
+        # As an argument of the map: closed over, the forms would be made anew for every point.
+        forms = jax.lax.optimization_barrier(outline_forms(self.body, self.rig, pose))
+        return self.false_alarm + (1 - self.false_alarm - self.miss) * jax.vmap(of)(self.rig.size, forms)
+
+    def draw(self, key: Key, pose: Pose) -> Bool[Array, "camera row column"]:
+        """Silhouettes at a pose."""
+        return jax.random.bernoulli(key, self.foreground(pose))
+
+
+def _centres(count: int, extent: Scalar) -> Float[Array, " point"]:
+    """The centres of the pixels in which the grid's points lie, from the image's middle on: what observation/silhouette_bernoulli.py looks at."""
+    return jnp.floor((2 * jnp.arange(count) + 1) * extent / (2 * count)) - extent / 2
+
+
+def simulate(potential: SilhouetteBernoulli, key: Key, values: Variables) -> SeenSilhouettes:
+    """A frame's silhouettes drawn from the likelihood at a pose; every camera sees it."""
+    foreground = potential.draw(key, values[POSE])
+    return SeenSilhouettes(foreground, jnp.ones(foreground.shape[0], bool))
+
+
+@register("likelihood", "silhouette_bernoulli", Options)
+def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
+    """The factor of one rig and body."""
+    rates = (jnp.asarray(value, body.lengths.dtype) for value in (options.false_alarm, options.miss, options.soft_px))
+    potential = SilhouetteBernoulli(options.grid, body, rig, *rates)
+    return Factor(name=name, side="likelihood", scope=(POSE,), log_potential=potential, simulate=jax.tree_util.Partial(simulate, potential))

@@ -1,0 +1,34 @@
+"""Keypoints of a frame by the markers that they are: what `markers_gaussian` reads."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from bayes_body.errors import wrong
+from bayes_body.observation.frames import Frame
+from bayes_body.registry import register
+from bayes_body.schema import Schema
+from bayes_body.seen import MARKERS, SeenMarkers
+
+
+class Options(Schema):
+    """There is nothing to choose in `[likelihood.observation]` of `markers_gaussian`."""
+
+
+@register("observation", "markers_gaussian", Options)
+def build(**_: Any) -> Callable[[Frame], SeenMarkers]:
+    """From a frame's keypoints to the likelihood's markers, as NumPy arrays."""
+
+    def observe(frame: Frame) -> SeenMarkers:
+        if frame.keypoints is None:
+            remedy = "import them with the recording, or give [[camera]] its `keypoints`"
+            raise wrong("session.toml", "its cameras have no keypoints", "keypoints of at least one camera", remedy)
+        rows = np.array([_rows(keypoints or {}) for keypoints in frame.keypoints], np.float32)
+        return SeenMarkers(rows[..., :2], rows[..., 2])
+
+    return observe
+
+
+def _rows(keypoints: Mapping[str, tuple[float, float, float]]) -> list[tuple[float, float, float]]:
+    return [keypoints.get(name, (0.0, 0.0, 0.0)) for name in MARKERS]

@@ -1,0 +1,61 @@
+"""Arrays of an .npz archive, read with distrust: no pickled objects, no header believed beyond its bytes, no archive that unpacks without end."""
+
+import io
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from bayes_body.errors import InputError, wrong
+
+LARGEST_BYTES = 500_000_000
+
+
+def read_arrays(path: Path, keys: Sequence[str], kind: str, remedy: str) -> dict[str, NDArray[np.generic]]:
+    """Those of the arrays that the archive has.
+
+    Args:
+        path: the file.
+        keys: names of the arrays.
+        kind: what it should be, as the middle of a sentence.
+        remedy: what the user can do, as its end.
+
+    Raises:
+        InputError: no such file, damaged, too large, or an array of objects.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+            if size > LARGEST_BYTES:
+                raise wrong(path, f"{size} bytes when unpacked", f"at most {LARGEST_BYTES}", "name another file")
+            members = [key for key in keys if f"{key}.npy" in archive.namelist()]
+            return {key: _parsed(f"{path}: {key}", _content(archive, key), kind, remedy) for key in members}
+    except InputError:
+        raise
+    except FileNotFoundError:
+        raise wrong(path, "no such file", kind, "check the path") from None
+    except OSError as error:
+        raise wrong(path, f"cannot be read ({error.strerror or error})", kind, "check the path and its permissions") from None
+    except Exception as error:
+        # A damaged archive raises whatever its damaged part runs into: zlib.error, struct.error, NotImplementedError, EOFError, ...
+        raise wrong(path, f"no such archive, or damaged ({type(error).__name__})", kind, remedy) from None
+
+
+def _content(archive: zipfile.ZipFile, key: str) -> bytes:
+    with archive.open(f"{key}.npy") as file:
+        return file.read(LARGEST_BYTES)
+
+
+def _parsed(where: str, content: bytes, kind: str, remedy: str) -> NDArray[np.generic]:
+    file = io.BytesIO(content)
+    version = npy.read_magic(file)
+    read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+    shape, fortran, dtype = read(file)
+    count = int(np.prod([int(side) for side in shape], dtype=object))
+    values = content[file.tell() :]
+    if dtype.hasobject or not dtype.itemsize or count * dtype.itemsize != len(values):
+        raise wrong(where, f"{len(values)} bytes of {dtype} for shape {shape}", kind, remedy)
+    return np.frombuffer(values, dtype).reshape(shape, order="F" if fortran else "C")

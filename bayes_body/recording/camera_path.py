@@ -1,0 +1,74 @@
+"""Where a moving camera is in each frame: an .npz beside a session, with `rotation` (frame, 3, 3) and `translation_m` (frame, 3).
+
+`X_camera = rotation @ X_world + translation_m`, metres. Rows are counted as the session counts its frames, from 0.
+"""
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.errors import wrong
+from bayes_body.recording.arrays_file import read_arrays
+from bayes_body.session import CameraSpec, Session
+from bayes_body.session_schema import FARTHEST_M, rotation_fault
+
+KIND = "an .npz with `rotation` (frame, 3, 3) and `translation_m` (frame, 3)"
+REMEDY = "write it with numpy.savez(path, rotation=..., translation_m=...), a row for each frame of the session"
+KEPT = 64
+
+type Extrinsics = tuple[Float[np.ndarray, "frame 3 3"], Float[np.ndarray, "frame 3"]]
+
+
+def cameras_at(session: Session, index: int) -> tuple[CameraSpec, ...]:
+    """Each camera as it stands in a frame.
+
+    Raises:
+        InputError: a moving camera's file is missing, not of its form, or too short.
+    """
+    paths = [session.camera_path(view) for view in session.views]
+    return tuple(view.camera if path is None else _placed(view.camera, path, index) for view, path in zip(session.views, paths, strict=True))
+
+
+def _placed(camera: CameraSpec, path: Path, index: int) -> CameraSpec:
+    rotations, translations = read_camera_path(path, index + 1)
+    return replace(camera, rotation=rotations[index], translation_m=translations[index])
+
+
+def read_camera_path(path: Path, frames: int) -> Extrinsics:
+    """Rotations and translations (metres) of at least so many frames; the last files that were read are kept for the process.
+
+    Raises:
+        InputError: no such file, not of that form, too short, or a frame without a rotation or with a place that is none.
+    """
+    try:
+        state = path.stat().st_mtime_ns, path.stat().st_size
+    except OSError:
+        state = 0, 0
+    found = _read(path, state)
+    if len(found[0]) < frames:
+        raise wrong(path, f"{len(found[0])} frames", f"{frames}, as the session has", "add the missing ones, or lower frames in session.toml")
+    return found
+
+
+@lru_cache(maxsize=KEPT)
+def _read(path: Path, state: tuple[int, int]) -> Extrinsics:
+    del state
+    arrays = read_arrays(path, ("rotation", "translation_m"), KIND, REMEDY)
+    for key, form in (("rotation", (3, 3)), ("translation_m", (3,))):
+        if key not in arrays:
+            raise wrong(path, f"no `{key}`", KIND, REMEDY)
+        if arrays[key].shape[1:] != form or arrays[key].dtype.kind not in "fiu":
+            raise wrong(f"{path}: {key}", f"{arrays[key].dtype} of shape {arrays[key].shape}", KIND, REMEDY)
+    rotations, translations = (arrays[key].astype(np.float64) for key in ("rotation", "translation_m"))
+    if len(rotations) != len(translations):
+        raise wrong(path, f"{len(rotations)} rotations and {len(translations)} translations", "as many of both", REMEDY)
+    for frame, (R, t) in enumerate(zip(rotations, translations, strict=True)):
+        fault = rotation_fault(R)
+        if fault:
+            raise wrong(f"{path}: rotation of frame {frame}", fault, "orthonormal rows", "write it with more digits")
+        if not np.abs(t).max() <= FARTHEST_M:
+            raise wrong(f"{path}: translation_m of frame {frame}", f"{t.tolist()}", f"metres, at most {FARTHEST_M:g}", "divide millimetres by 1000")
+    return rotations, translations

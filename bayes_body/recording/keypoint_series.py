@@ -1,0 +1,108 @@
+"""The subject's keypoints in all frames of one camera: an .npz beside a session, with
+
+- `keypoints` (frame, keypoint, 3): column, row (pixels; NaN where not found) and confidence, between 0 and 1,
+- `names` of the keypoints, those of `keypoint_layouts` or of the fifteen markers (recording/truth.py), or others, which nothing looks at,
+- `first`, the number of its first frame in the camera's own files; 0 where it is missing.
+"""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from bayes_body.errors import wrong
+from bayes_body.files import make_folder, replacing
+from bayes_body.recording.arrays_file import read_arrays
+from bayes_body.recording.keypoints import FARTHEST_PX
+
+KIND = "an .npz with `keypoints` (frame, keypoint, 3), pixels and confidence, and `names` of the keypoints"
+REMEDY = "import the keypoints again, or write it with numpy.savez(path, keypoints=..., names=...)"
+# What detectors call points that are joint centres of a body.
+MARKERS = {"neck": "thorax", "mid_hip": "pelvis"}
+KEPT = 64
+
+
+class KeypointSeries(NamedTuple):
+    """See the module."""
+
+    keypoints: Float[np.ndarray, "frame keypoint 3"]
+    names: tuple[str, ...]
+    first: int
+
+    def frame(self, number: int) -> dict[str, tuple[float, float, float]]:
+        """What was found in the frame of that number in the camera's own files, by the markers' names where it is a marker."""
+        row = number - self.first
+        if not 0 <= row < len(self.keypoints):
+            return {}
+        found = self.keypoints[row]
+        seen = np.isfinite(found).all(axis=1) & (found[:, 2] > 0)
+        points = zip(self.names, found.tolist(), seen.tolist(), strict=True)
+        return {MARKERS.get(name, name): (column, line, confidence) for name, (column, line, confidence), here in points if here}
+
+
+def write_series(path: Path, series: KeypointSeries) -> None:
+    """Write the file; its folder is made if need be.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    make_folder(path.parent)
+    with replacing(path) as partial:
+        np.savez_compressed(partial, keypoints=series.keypoints.astype(np.float32), names=np.array(series.names), first=np.array(series.first))
+
+
+def read_series(path: Path) -> KeypointSeries:
+    """The keypoints of a file; the last files that were read are kept for the process.
+
+    Raises:
+        InputError: no such file, or not of that form.
+    """
+    try:
+        state = path.stat().st_mtime_ns, path.stat().st_size
+    except OSError:
+        state = 0, 0
+    return _read(path, state)
+
+
+@lru_cache(maxsize=KEPT)
+def _read(path: Path, state: tuple[int, int]) -> KeypointSeries:
+    del state
+    arrays = read_arrays(path, ("keypoints", "names", "first"), KIND, REMEDY)
+    for key in ("keypoints", "names"):
+        if key not in arrays:
+            raise wrong(path, f"no `{key}`", KIND, REMEDY)
+    names = _names(path, arrays["names"])
+    return KeypointSeries(_points(path, arrays["keypoints"], len(names)), names, _first(path, arrays.get("first", np.array(0))))
+
+
+def _names(path: Path, names: NDArray[np.generic]) -> tuple[str, ...]:
+    found = tuple(str(name) for name in names.ravel()) if names.dtype.kind == "U" and names.ndim == 1 else ()
+    said = [MARKERS.get(name, name) for name in found]
+    if not found or len(set(said)) < len(said):
+        twice = next((name for name in said if said.count(name) > 1), None)
+        what = f"'{twice[:40]}' twice" if twice is not None else f"{names.dtype} of shape {names.shape}"
+        raise wrong(f"{path}: names", what, "each keypoint's name once", REMEDY)
+    return found
+
+
+def _points(path: Path, points: NDArray[np.generic], count: int) -> Float[np.ndarray, "frame keypoint 3"]:
+    where = f"{path}: keypoints"
+    if points.ndim != 3 or points.shape[1:] != (count, 3) or points.dtype.kind not in "fiu":
+        raise wrong(where, f"{points.dtype} of shape {points.shape}", f"numbers of shape (frame, {count}, 3)", REMEDY)
+    points = points.astype(np.float64)
+    confidence = points[..., 2][np.isfinite(points[..., 2])]
+    if confidence.size and (confidence.min() < 0 or confidence.max() > 1):
+        raise wrong(where, f"a confidence of {max(confidence.max(), -confidence.min()):g}", "0 to 1", "divide by the largest that there can be")
+    pixels = np.abs(points[..., :2])
+    if (pixels[~np.isnan(pixels)] > FARTHEST_PX).any():
+        raise wrong(where, "a keypoint far outside of any image", "pixels, or NaN where not found", REMEDY)
+    return points
+
+
+def _first(path: Path, first: NDArray[np.generic]) -> int:
+    if first.dtype.kind not in "iu" or first.size != 1:
+        raise wrong(f"{path}: first", f"{first.dtype} of shape {first.shape}", "a whole number, the first frame's", REMEDY)
+    return int(first.ravel()[0])

@@ -1,0 +1,190 @@
+"""The markers' likelihood: its formula written out, its integral, and that what is drawn from it has its density."""
+
+from dataclasses import replace
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from bayes_body.body.skeleton import marker_positions
+from bayes_body.errors import InputError
+from bayes_body.factor import Factor, Variable
+from bayes_body.registry import find
+from bayes_body.seen import MARKERS, SeenMarkers
+
+POSE = Variable("pose")
+NOISES = {
+    "gaussian": {"noise": "gaussian"},
+    "student": {"noise": "student", "degrees_of_freedom": 3.0},
+    "outliers": {"noise": "student", "outliers": 0.2},
+    "gaussian with outliers": {"outliers": 0.3},
+}
+
+
+def factor(scene, **options) -> Factor:
+    term = find("likelihood", "markers_gaussian")
+    return term.build(name="markers", options=term.options(**options), body=scene.body, rig=scene.rig)
+
+
+def log_density(f: Factor, pose, seen: SeenMarkers) -> jax.Array:
+    return f({POSE: pose}, {"markers": seen})
+
+
+def camera_of(scene, c):
+    return jax.tree.map(lambda leaf: np.asarray(leaf[c], float), scene.rig)
+
+
+def opencv_pixels(scene) -> np.ndarray:
+    """The body's markers in each camera, by OpenCV, (camera, marker, 2)."""
+    points, rows = np.asarray(marker_positions(scene.body.skeleton, scene.body.markers, scene.pose), float), []
+    for c in range(2):
+        camera = camera_of(scene, c)
+        xy = cv2.projectPoints(points, cv2.Rodrigues(camera.rotation)[0], camera.translation, np.eye(3), camera.distortion)[0][:, 0]
+        x = xy[:, 0] + camera.skew * xy[:, 1]
+        rows.append(np.stack([camera.focal[0] * x + camera.centre[0], camera.focal[1] * xy[:, 1] + camera.centre[1]], axis=1))
+    return np.array(rows)
+
+
+def seen_near(scene, seed=3, spread=6.0) -> SeenMarkers:
+    """Markers some pixels from where they should be; one in three of low confidence, one in three not found."""
+    rng = np.random.default_rng(seed)
+    pixels, confidence = np.zeros((2, len(MARKERS), 2)), np.zeros((2, len(MARKERS)))
+    places = [MARKERS.index(name) for name in scene.body.markers.names]
+    pixels[:, places] = opencv_pixels(scene) + rng.normal(0, spread, (2, len(places), 2))
+    confidence[:, places] = rng.choice([0.0, 0.2, 0.9], (2, len(places)))
+    confidence[:, places[:2]] = [[0.5, 0.9], [1.0, 0.2]]
+    return SeenMarkers(jnp.asarray(pixels), jnp.asarray(confidence))
+
+
+@pytest.mark.parametrize("body", ["arm_4", "deutscher_31"])
+@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize("power", [0.0, 0.5])
+def test_equals_the_formula_marker_by_marker(x64, scene, body, noise, power):
+    options = {"sd_px": 5.0, "at_diagonal_px": 100.0, "least_confidence": 0.2, "by_confidence": power, **NOISES[noise]}
+    scene, share = scene(body), options.get("outliers", 0.0)
+    seen, expected, total, counted = seen_near(scene), opencv_pixels(scene), 0.0, 0
+    for c in range(2):
+        width, height = camera_of(scene, c).size
+        for m, name in enumerate(scene.body.markers.names):
+            (u, v), q = np.asarray(seen.pixels)[c, MARKERS.index(name)], float(seen.confidence[c, MARKERS.index(name)])
+            if q <= 0.2:
+                continue
+            counted += 1
+            sd = 5.0 * np.hypot(width, height) / 100 / q**power
+            r2, nu = np.sum((np.array([u, v]) - expected[c, m]) ** 2) / sd**2, options.get("degrees_of_freedom", 4.0)
+            f = (np.exp(-r2 / 2) if options.get("noise", "gaussian") == "gaussian" else (1 + r2 / nu) ** (-(nu + 2) / 2)) / (2 * np.pi * sd**2)
+            inside = -0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5
+            total += np.log((1 - share) * f + share * inside / (width * height))
+    assert 2 <= counted < 2 * len(scene.body.markers.names)
+    assert log_density(factor(scene, **options), scene.pose, seen) == pytest.approx(total, rel=1e-6)
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_it_integrates_to_one_over_the_pixels_of_a_marker(x64, scene, noise):
+    scene = scene("arm_4")
+    f, elbow = factor(scene, sd_px=2.5, **NOISES[noise]), MARKERS.index("l_elbow")
+    width, height = camera_of(scene, 0).size
+    centre = opencv_pixels(scene)[0, list(scene.body.markers.names).index("l_elbow")]
+    assert 30 < centre[0] < width - 30 and 30 < centre[1] < height - 30
+    empty = SeenMarkers(jnp.zeros((2, 15, 2)), jnp.zeros((2, 15)).at[0, elbow].set(0.9))
+
+    @jax.jit
+    @jax.vmap
+    def density(pixel):
+        return jnp.exp(log_density(f, scene.pose, empty._replace(pixels=empty.pixels.at[0, elbow].set(pixel))))
+
+    # A fine grid over ten images, so that an image's border falls between its points; what a Student has beyond is known.
+    u, v = (np.arange(-0.5 - 2 * side, 3 * side, 0.5) + 0.25 for side in (width, height))
+    mass = 0.25 * density(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)).sum()
+    nu, share = NOISES[noise].get("degrees_of_freedom", 4.0), NOISES[noise].get("outliers", 0.0)
+    tail = (1 + (2 * height / 2.5) ** 2 / nu) ** (-nu / 2) if NOISES[noise].get("noise") == "student" else 0.0
+    assert mass == pytest.approx(1, abs=2 * (1 - share) * tail + 1e-4)
+
+
+def draws(f: Factor, pose, count=4000) -> SeenMarkers:
+    return jax.jit(jax.vmap(lambda key: f.simulate(key, {POSE: pose})))(jax.random.split(jax.random.key(5), count))
+
+
+@pytest.mark.parametrize("noise", ["gaussian", "student"])
+def test_what_is_drawn_has_the_distances_of_the_distribution(scene, noise):
+    scene, nu, sd = scene("arm_4"), 3.0, 4.0
+    seen = draws(factor(scene, sd_px=sd, **NOISES[noise]), scene.pose)
+    places = [MARKERS.index(name) for name in scene.body.markers.names]
+    assert seen.pixels.shape == (4000, 2, 15, 2)
+    assert (np.delete(np.asarray(seen.confidence), places, axis=2) == 0).all() and (seen.confidence[:, :, places] == 1).all()
+    off = (np.asarray(seen.pixels)[:, :, places] - opencv_pixels(scene)) / sd
+    r2 = np.sum(off**2, axis=-1).ravel()
+    below = 1 - np.exp(-r2 / 2) if noise == "gaussian" else 1 - (1 + r2 / nu) ** (-nu / 2)
+    assert kstest(below, "uniform").pvalue > 1e-3
+    assert kstest((np.arctan2(off[..., 1], off[..., 0]).ravel() / (2 * np.pi)) % 1, "uniform").pvalue > 1e-3
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_what_is_drawn_has_the_density(scene, noise):
+    """The mean of p(z | s') / p(z | s) over z drawn from p(z | s) is 1, for any s'."""
+    scene = scene("arm_4")
+    f = factor(scene, sd_px=6.0, missing=0.25, **NOISES[noise])
+    other = scene.pose + jnp.array([0.02, -0.03, 0.02, 0.04])
+    seen = draws(f, scene.pose)
+    ratio = np.exp(jax.vmap(lambda z: log_density(f, other, z) - log_density(f, scene.pose, z))(seen))
+    assert ratio.std() > 0.1
+    assert abs(ratio.mean() - 1) < 4 * ratio.std() / np.sqrt(ratio.size)
+
+
+def test_markers_are_missing_at_their_rate(scene):
+    scene = scene("arm_4")
+    seen = draws(factor(scene, missing=0.25), scene.pose)
+    places = [MARKERS.index(name) for name in scene.body.markers.names]
+    there = np.asarray(seen.confidence)[:, :, places]
+    assert abs(there.mean() - 0.75) < 4 * np.sqrt(0.25 * 0.75 / there.size)
+    assert (np.asarray(seen.pixels)[:, :, places][there == 0] == 0).all()
+
+
+def test_nothing_seen_says_nothing(scene):
+    scene = scene("deutscher_31")
+    nothing = SeenMarkers(jnp.full((2, 15, 2), jnp.nan), jnp.zeros((2, 15)))
+    value, gradient = jax.value_and_grad(lambda pose: log_density(factor(scene), pose, nothing))(scene.pose)
+    assert value == 0
+    assert (gradient == 0).all()
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_behind_the_camera_it_is_finite_and_does_not_depend_on_the_pose(scene, noise):
+    scene = scene("arm_4")
+    turn = jnp.diag(jnp.array([-1.0, 1.0, -1.0]))
+    away = replace(scene.rig, rotation=turn @ scene.rig.rotation, translation=scene.rig.translation @ turn)
+    f, seen = factor(scene._replace(rig=away), **NOISES[noise]), seen_near(scene)
+    value, gradient = jax.value_and_grad(lambda pose: log_density(f, pose, seen))(scene.pose)
+    assert np.isfinite(value) and value < log_density(factor(scene, **NOISES[noise]), scene.pose, seen)
+    assert (gradient == 0).all()
+    assert np.isnan(log_density(f, scene.pose.at[0].set(jnp.nan), seen))
+
+
+def test_the_gradient_is_the_densitys(x64, scene):
+    scene = scene("deutscher_31")
+    f, seen = factor(scene, **NOISES["outliers"]), seen_near(scene)
+    value, gradient = jax.value_and_grad(lambda pose: log_density(f, pose, seen))(scene.pose)
+    step = 1e-6 * jax.random.normal(jax.random.key(0), gradient.shape)
+    assert log_density(f, scene.pose + step, seen) - log_density(f, scene.pose - step, seen) == pytest.approx(2 * float(gradient @ step), rel=1e-5)
+    assert np.isfinite(value)
+
+
+def test_a_wrong_detection_moves_a_gaussian_and_not_a_student(x64, scene):
+    scene = scene("arm_4")
+    wrist, near = MARKERS.index("l_wrist"), seen_near(scene, spread=0.5)
+    far = near._replace(pixels=near.pixels.at[:, wrist].add(60.0), confidence=jnp.ones_like(near.confidence))
+    pulls = {}
+    for noise in ("gaussian", "student"):
+        f = factor(scene, sd_px=3.0, noise=noise)
+        pulls[noise] = np.linalg.norm(jax.grad(lambda pose, f=f: log_density(f, pose, far))(scene.pose))
+    assert pulls["student"] < 0.05 * pulls["gaussian"]
+
+
+def test_a_body_without_such_markers(scene):
+    scene = scene("arm_4")
+    body = replace(scene.body, markers=replace(scene.body.markers, names=("a", "b", "c")))
+    with pytest.raises(InputError, match=r"markers: the body 'arm_4' has the markers a, b, c; expected some of pelvis, .*; name the body's"):
+        factor(scene._replace(body=body))

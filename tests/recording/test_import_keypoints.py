@@ -1,0 +1,127 @@
+"""Keypoints that come in with a recording: whose they are, where they are written, and what is said of them."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from bayes_body.errors import InputError
+from bayes_body.observation.frames import read_frame
+from bayes_body.recording.keypoint_series import read_series
+from bayes_body.recording.opencv import import_opencv
+from bayes_body.recording.options import Options
+from bayes_body.session import load_session, save_session
+
+FRAMES, SIZE = 6, (96, 64)
+K = np.array([[60.0, 0, 48], [0, 60, 32], [0, 0, 1]])
+
+
+def pose(i: int):
+    turn = cv2.Rodrigues(np.array([0.0, 0.9 * i, 0.0]))[0] @ np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    return turn, np.array([0.0, 0.9, 4.0])
+
+
+@pytest.fixture
+def lab(tmp_path):
+    """Two cameras with OpenCV's calibration in metres, six images of each, the second's counted from 2."""
+    folder = tmp_path / "lab"
+    for i, name in enumerate(("left", "right")):
+        (folder / name).mkdir(parents=True)
+        file = cv2.FileStorage(str(folder / f"{name}.yml"), cv2.FILE_STORAGE_WRITE)
+        for key, value in zip(("K", "dist", "R", "T"), (K, np.zeros(5), *pose(i)), strict=True):
+            file.write(key, value)
+        file.release()
+        for k in range(FRAMES):
+            image = np.random.default_rng(k).integers(0, 255, (SIZE[1], SIZE[0], 3), np.uint8)
+            cv2.imwrite(str(folder / name / f"{k + 2 * i:04d}.png"), image)
+    return folder
+
+
+def person(frame: int) -> np.ndarray:
+    points = np.random.default_rng(0).uniform([-0.4, -0.4, 0.2], [0.4, 0.4, 1.6], (17, 3))
+    return points + np.array([0, 0, 0.02 * frame])
+
+
+def detect(folder, missing=()):
+    """Files of COCO_17, numbered as the images; one keypoint is outside of the image."""
+    for i, name in enumerate(("left", "right")):
+        (folder / f"{name}_json").mkdir(parents=True)
+        for k in range(FRAMES):
+            R, t = pose(i)
+            pixels = cv2.projectPoints(person(k), cv2.Rodrigues(R)[0], t, K, None)[0][:, 0]
+            rows = np.column_stack([pixels, np.full(17, 0.8)])
+            rows[15] = -5.0, 3.0, 0.8
+            found = [] if (i, k) in missing else [{"pose_keypoints_2d": rows.ravel().tolist()}]
+            (folder / f"{name}_json" / f"{name}.{k + 2 * i:04d}.json").write_text(json.dumps({"people": found}))
+    return folder
+
+
+def options(**given) -> Options:
+    return Options("m", "z", fps=30.0, **given)
+
+
+def test_every_frame_has_its_own(lab, tmp_path):
+    session, remarks = import_opencv(lab, tmp_path / "s", options(keypoints=detect(tmp_path / "pose", missing={(1, 4)})))
+    assert [view.keypoints for view in session.views] == ["keypoints/left.npz", "keypoints/right.npz"]
+    assert load_session(save_session(session)) == session
+    assert any("show nobody who is the subject: right: 1 of 6" in remark for remark in remarks)
+    for k in range(FRAMES):
+        for i, found in enumerate(read_frame(session, k).keypoints or ()):
+            if (i, k) == (1, 4):
+                assert found == {}
+                continue
+            R, t = pose(i)
+            pixels = cv2.projectPoints(person(k), cv2.Rodrigues(R)[0], t, K, None)[0][:, 0]
+            np.testing.assert_allclose(found["l_knee"], [*pixels[13], 0.8], rtol=1e-5)
+            assert "l_ankle" not in found and "r_ankle" in found
+    # The first pose is the first frame's.
+    assert session.initial_keypoints["left"]["l_knee"] == pytest.approx(read_frame(session, 0).keypoints[0]["l_knee"], rel=1e-5)
+
+
+def test_a_session_that_starts_later_reads_the_same_frames(lab, tmp_path):
+    session, _ = import_opencv(lab, tmp_path / "s", options(keypoints=detect(tmp_path / "pose")))
+    later = replace(session, first_frame=session.first_frame + 2, frames=3)
+    assert read_frame(later, 1).keypoints == read_frame(session, 3).keypoints
+
+
+def test_frames_without_a_file(lab, tmp_path):
+    detect(tmp_path / "pose")
+    for k in (3, 4):
+        (tmp_path / "pose" / "left_json" / f"left.{k:04d}.json").unlink()
+    session, remarks = import_opencv(lab, tmp_path / "s", options(keypoints=tmp_path / "pose"))
+    assert any(remark.startswith("camera 'left': 2 of 6 frames have no file in") for remark in remarks)
+    assert [bool(read_frame(session, k).keypoints[0]) for k in range(FRAMES)] == [True, True, True, False, False, True]
+
+
+def test_a_camera_without_keypoints(lab, tmp_path):
+    pose_folder = detect(tmp_path / "pose")
+    (pose_folder / "right_json").rename(pose_folder / "other_json")
+    session, _ = import_opencv(lab, tmp_path / "s", options(keypoints=pose_folder))
+    assert [view.keypoints for view in session.views] == ["keypoints/left.npz", None]
+    assert read_frame(session, 0).keypoints[1] is None
+
+
+def test_what_is_wrong_is_said(lab, tmp_path):
+    with pytest.raises(InputError, match=r"--keypoints .*nowhere: no such folder of any camera; expected a folder CAMERA_json"):
+        import_opencv(lab, tmp_path / "s", options(keypoints=tmp_path / "nowhere"))
+    with pytest.raises(InputError, match="--layout: COCO_17, but there are no keypoints; expected"):
+        import_opencv(lab, tmp_path / "s", options(layout="COCO_17"))
+    detect(tmp_path / "pose")
+    with pytest.raises(InputError, match="--layout BODY_25: 17 keypoints a person; expected 25"):
+        import_opencv(lab, tmp_path / "s", options(keypoints=tmp_path / "pose", layout="BODY_25"))
+    (tmp_path / "pose" / "left_json" / "left.0002.json").write_text("{")
+    with pytest.raises(InputError, match=r"left.0002.json: no JSON"):
+        import_opencv(lab, tmp_path / "s", options(keypoints=tmp_path / "pose"))
+    assert not (tmp_path / "s").exists()
+
+
+def test_files_of_a_session_by_hand(lab, tmp_path):
+    """As the guide tells it: names of markers, numbers from the camera's first file on."""
+    session, _ = import_opencv(lab, tmp_path / "s", options())
+    assert read_frame(session, 0).keypoints is None
+    np.savez(tmp_path / "s" / "mine.npz", keypoints=np.full((FRAMES + 2, 1, 3), [5.0, 6.0, 1.0]), names=np.array(["pelvis"]))
+    hand = replace(session, views=(session.views[0], replace(session.views[1], keypoints="mine.npz")))
+    assert read_series(hand.keypoints_path(hand.views[1])).first == 0
+    assert read_frame(load_session(save_session(hand)), 5).keypoints == (None, {"pelvis": (5.0, 6.0, 1.0)})

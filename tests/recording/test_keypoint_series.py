@@ -1,0 +1,187 @@
+"""The subject's keypoints in all frames: followed among several people, kept beside the session, and read again."""
+
+import random
+
+import cv2
+import numpy as np
+import pytest
+
+from bayes_body.errors import InputError
+from bayes_body.recording import arrays_file
+from bayes_body.recording.keypoint_layouts import LAYOUTS
+from bayes_body.recording.keypoint_series import KeypointSeries, read_series, write_series
+from bayes_body.recording.keypoint_subject import follow_person
+from bayes_body.session import CameraSpec
+
+NAMES = ("neck", "mid_hip", "l_knee", "nose")
+
+
+def series(frames=5, first=3) -> KeypointSeries:
+    points = np.random.default_rng(0).uniform(0, 500, (frames, len(NAMES), 3))
+    points[..., 2] = np.linspace(0.1, 1.0, len(NAMES))
+    points[2, 1] = np.nan, np.nan, 0.0
+    return KeypointSeries(points, NAMES, first)
+
+
+def test_what_is_written_is_read(tmp_path):
+    path, written = tmp_path / "deep" / "a.npz", series()
+    write_series(path, written)
+    found = read_series(path)
+    assert (found.names, found.first) == (NAMES, 3)
+    np.testing.assert_allclose(found.keypoints, written.keypoints, rtol=1e-6)
+    assert set(found.frame(3)) == {"thorax", "pelvis", "l_knee", "nose"}
+    assert set(found.frame(5)) == {"thorax", "l_knee", "nose"}
+    assert found.frame(4)["l_knee"] == pytest.approx(tuple(written.keypoints[1, 2]), rel=1e-6)
+    assert found.frame(2) == found.frame(8) == found.frame(-1) == {}
+    # A file that is replaced is read anew.
+    write_series(path, written._replace(first=100))
+    assert read_series(path).first == 100
+
+
+GOOD = {"keypoints": np.full((2, 2, 3), 0.5), "names": np.array(["nose", "l_knee"])}
+FAULTS = {
+    "no keypoints": ({"names": GOOD["names"]}, "no `keypoints`; expected an .npz with `keypoints`"),
+    "no names": ({"keypoints": GOOD["keypoints"]}, "no `names`"),
+    "other names": (GOOD | {"names": np.array(["nose"])}, r"keypoints: float64 of shape \(2, 2, 3\); expected numbers of shape \(frame, 1, 3\)"),
+    "a name twice": (GOOD | {"names": np.array(["neck", "thorax"])}, "names: 'thorax' twice; expected each keypoint's name once"),
+    "numbers for names": (GOOD | {"names": np.arange(2)}, "names: int64 of shape"),
+    "objects": (GOOD | {"names": np.array(["a", None], object)}, "names: .*object"),
+    "percent": (GOOD | {"keypoints": np.full((2, 2, 3), 80.0)}, "a confidence of 80; expected 0 to 1"),
+    "far away": (GOOD | {"keypoints": np.full((2, 2, 3), [1e7, 0, 0.5])}, "far outside of any image"),
+    "infinite": (GOOD | {"keypoints": np.full((2, 2, 3), [np.inf, 0, 0.5])}, "far outside of any image"),
+    "half a frame": (GOOD | {"first": np.array(0.5)}, "first: float64 of shape"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_refused(tmp_path, fault):
+    arrays, sentence = FAULTS[fault]
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(InputError, match=sentence) as error:
+        read_series(tmp_path / "a.npz")
+    assert str(error.value).startswith(str(tmp_path / "a.npz")) and len(str(error.value).splitlines()) == 1
+
+
+def test_by_hand_it_starts_at_zero(tmp_path):
+    np.savez(tmp_path / "a.npz", **GOOD)
+    assert read_series(tmp_path / "a.npz").first == 0
+    with pytest.raises(InputError, match=r"b.npz: no such file; expected an .npz with `keypoints`.*check the path"):
+        read_series(tmp_path / "b.npz")
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_damaged_files_are_a_sentence(tmp_path, seed):
+    write_series(tmp_path / "a.npz", series())
+    rng, data = random.Random(seed), bytearray((tmp_path / "a.npz").read_bytes())
+    for _ in range(rng.choice((1, 2, 8))):
+        data[rng.randrange(len(data))] = rng.randrange(256)
+    (tmp_path / "a.npz").write_bytes(data[: rng.choice((len(data), rng.randrange(len(data))))])
+    told = ""
+    try:
+        assert read_series(tmp_path / "a.npz").keypoints.ndim == 3
+    except InputError as error:
+        told = str(error)
+    assert not told or "expected" in told
+
+
+def test_no_archive_unpacks_without_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(arrays_file, "LARGEST_BYTES", 1000)
+    np.savez_compressed(tmp_path / "a.npz", keypoints=np.zeros((100, 2, 3)), names=GOOD["names"])
+    with pytest.raises(InputError, match=r"\d\d\d\d bytes when unpacked; expected at most 1000"):
+        read_series(tmp_path / "a.npz")
+
+
+# -- following ------------------------------------------------------------------------------------------------------------------------------
+
+
+def cameras(count: int) -> list[CameraSpec]:
+    """Around the origin, four metres away, 1.2 m up, looking at it."""
+    specs = []
+    for azimuth in np.linspace(0.2, 2.6, count):
+        ahead = np.array([-np.cos(azimuth), -np.sin(azimuth), 0.0])
+        right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+        R = np.stack([right, np.cross(ahead, right), ahead])
+        specs.append(CameraSpec(f"c{azimuth:.1f}", (640, 480), (500.0, 500.0), (320.0, 240.0), 0.0, (0.0,) * 5, R, -R @ (-4 * ahead + [0, 0, 1.2])))
+    return specs
+
+
+def figure(seed: int, height=1.0) -> np.ndarray:
+    return height * np.random.default_rng(seed).uniform([-0.25, -0.25, 0.1], [0.25, 0.25, 1.7], (17, 3))
+
+
+def seen(camera: CameraSpec, points: np.ndarray, rng) -> np.ndarray:
+    pixels = cv2.projectPoints(
+        points, cv2.Rodrigues(camera.rotation)[0], camera.translation_m, np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), None
+    )
+    return np.column_stack([pixels[0][:, 0] + rng.normal(0, 2, (len(points), 2)), np.full(len(points), 0.8)])
+
+
+def crossing(rig, frames=24, size=0.9):
+    """The subject walks by a smaller person who goes the other way; in which order a frame lists them is random. People, and the subject's places."""
+    rng, subject, other, people, places = np.random.default_rng(1), figure(0), figure(1, size), [], []
+    for k in range(frames):
+        x = -1 + 2 * k / (frames - 1)
+        both = [subject + np.array([x, 0.0, 0.0]), other + np.array([-x, 0.9, 0.0])]
+        listed = [rng.permutation(2) for _ in rig]
+        people.append([np.stack([seen(camera, both[i], rng) for i in order]) for camera, order in zip(rig, listed, strict=True)])
+        places.append(tuple(int(np.flatnonzero(order == 0)[0]) for order in listed))
+    return people, places
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_the_subject_of_the_first_frame_is_followed_past_another_person(count):
+    rig = cameras(count)
+    people, places = crossing(rig)
+    # Of two people in view of all cameras nothing tells the subject: in the first frame there is one.
+    people[0] = [among[[place]] for among, place in zip(people[0], places[0], strict=True)]
+    places[0] = (0,) * count
+    assert follow_person(rig, people) == places
+
+
+def test_a_camera_that_sees_someone_else_is_left_out():
+    rig = cameras(3)
+    people, places = crossing(rig)
+    people[0] = [among[[place]] for among, place in zip(people[0], places[0], strict=True)]
+    # For eight frames the second camera lists the other person alone.
+    for k in range(8, 16):
+        people[k][1] = people[k][1][[1 - places[k][1]]]
+        places[k] = (places[k][0], None, places[k][2])
+    places[0] = (0, 0, 0)
+    assert follow_person(rig, people) == places
+
+
+def test_one_camera_of_two_goes_on_alone():
+    rig, nobody = cameras(2), np.zeros((0, 17, 3))
+    people, places = crossing(rig)
+    people[0] = [among[[place]] for among, place in zip(people[0], places[0], strict=True)]
+    people[9][1] = people[10][1] = nobody
+    found = follow_person(rig, people)
+    assert found[9:11] == [(places[9][0], None), (places[10][0], None)]
+    assert found[11:] == places[11:]
+
+
+def test_nobody_for_a_while():
+    rig, nobody = cameras(2), np.zeros((0, 17, 3))
+    people, places = crossing(rig)
+    alone = [[among[[place]] for among, place in zip(frame, chosen, strict=True)] for frame, chosen in zip(people, places, strict=True)]
+    alone[:3] = [[nobody, nobody]] * 3
+    alone[12:18] = [[nobody, nobody]] * 6
+    found = follow_person(rig, alone)
+    assert found[:3] == [(None, None)] * 3 and found[12:18] == [(None, None)] * 6
+    assert found[3:12] == [(0, 0)] * 9 and found[18:] == [(0, 0)] * 6
+
+
+def test_the_real_subject_is_followed(pose2sim_beam):
+    """Another person stands in two of the views, and is listed first in some frames."""
+    from bayes_body.recording.calibration_qualisys import read_qualisys
+    from bayes_body.recording.keypoints import read_openpose
+    from bayes_body.recording.person import choose_person
+
+    rig = [camera.spec((1088, 1920)) for camera in read_qualisys(pose2sim_beam / "calibration" / "Calib.qca.txt")]
+    beam = [read_openpose(pose2sim_beam / "pose" / f"cam0{c}_json", range(0, 100, 4)) for c in (1, 2, 3, 4)]
+    people = [[each[k][np.isfinite(each[k, :, :, 0]).any(axis=1)] for each in beam] for k in range(25)]
+    found = follow_person(rig, people)
+    assert sum(place is None for places in found for place in places) == 0
+    # Frame by frame, and without what came before, the same man is chosen.
+    assert found[::6] == [choose_person(rig, frame).places for frame in people[::6]]
+    assert len(LAYOUTS["BODY_25B"]) == people[0][0].shape[1]
