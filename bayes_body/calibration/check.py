@@ -1,0 +1,138 @@
+"""A model and a kernel, checked: which experiments there are, how they are run, and what comes out of them."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bayes_body.calibration import invariance, sbc
+from bayes_body.calibration.kept import Kept
+from bayes_body.calibration.problem import Problem, check_cases, problem_of
+from bayes_body.calibration.replications import Experiments, Figures, run_replications
+from bayes_body.calibration.scene import model_in_a_room
+from bayes_body.definition import load_definition
+from bayes_body.kernels.invariance import markov_move
+from bayes_body.model import Model, load_model
+from bayes_body.plugins import load_plugin
+from bayes_body.registry import find
+from bayes_body.session import load_session
+from bayes_body.toml_file import validate
+from bayes_body.view.progress import Watch, unwatched
+
+SBC, INVARIANCE = "sbc", "invariance"
+# A move costs a small part of a filter: more of them can be afforded.
+MOVES_A_REPLICATION = 2
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is checked; whatever changes a replication's figures stands here.
+
+    Attributes:
+        model: a definition's name or path.
+        kernel: a kernel's name.
+        options: every option of it, the particles too.
+        session: folder whose cameras, subject and first pose are taken; None takes a room of four cameras.
+        rig: file of other cameras for that room.
+        frames: that a filter goes through.
+        bins: of the ranks.
+        wandering: steps of the motion prior that part the first states of the replications from each other.
+        seed: of everything random.
+        plugins: files of the user's own terms, which each process loads.
+    """
+
+    model: str
+    kernel: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    session: str | None = None
+    rig: str | None = None
+    frames: int = 2
+    bins: int = 20
+    wandering: int = 10
+    seed: int = 0
+    plugins: tuple[str, ...] = ()
+
+
+class Findings(NamedTuple):
+    """What the experiments gave: names and figures of the ranks, and of the Markov move where the kernel has one."""
+
+    names: tuple[str, ...]
+    ranks: Figures
+    move_names: tuple[str, ...]
+    moves: Figures | None
+
+
+def model_of(plan: Plan) -> Model:
+    """The plan's model, in its session or in a room.
+
+    Raises:
+        InputError: the definition, the session or the rig cannot be used.
+    """
+    for plugin in plan.plugins:
+        load_plugin(plugin)
+    definition = load_definition(plan.model)
+    if plan.session is not None:
+        return load_model(definition, load_session(Path(plan.session)))
+    return model_in_a_room(definition, None if plan.rig is None else Path(plan.rig))
+
+
+def experiments_of(plan: Plan) -> Experiments:
+    """Built anew in each process."""
+    problem = problem_of(model_of(plan), plan.wandering)
+    term = find("kernel", plan.kernel)
+    return experiments(problem, plan.kernel, validate(term.options, plan.options, plan.kernel), plan.frames, plan.bins, plan.seed)
+
+
+def experiments(problem: Problem, kind: str, options: Any, frames: int = 2, bins: int = 20, seed: int = 0) -> Experiments:
+    """Of a kernel and any problem, a user's own too.
+
+    Args:
+        problem: the model.
+        kind: the kernel's name.
+        options: its options, as its schema has them.
+        frames: that a filter goes through.
+        bins: of the ranks.
+        seed: of everything random.
+    """
+    kernel, move = find("kernel", kind).build(options=options), markov_move(kind, options)
+    found: dict[str, Any] = {SBC: sbc.replicate(problem, kernel, options.particles, frames, bins)}
+    if move is not None:
+        found[INVARIANCE] = invariance.replicate(problem, move)
+    return Experiments(seed, found)
+
+
+def run_check(plan: Plan, replications: int, jobs: int = 0, kept: Kept | None = None, watch: Watch = unwatched) -> Findings:
+    """All replications of a plan.
+
+    Args:
+        plan: what is checked.
+        replications: how many ranks.
+        jobs: processes; 0 computes in this one.
+        kept: replications that are there already, and where new ones go.
+        watch: shows how far it is.
+
+    Raises:
+        InputError: nothing can be simulated from the model.
+    """
+    problem = problem_of(model_of(plan), plan.wandering)
+    has_move = markov_move(plan.kernel, validate(find("kernel", plan.kernel).options, plan.options, plan.kernel)) is not None
+    return findings(problem, partial(experiments_of, plan), has_move, replications, jobs, kept, watch)
+
+
+def findings(
+    problem: Problem,
+    make: Callable[[], Experiments],
+    has_move: bool,
+    replications: int,
+    jobs: int = 0,
+    kept: Kept | None = None,
+    watch: Watch = unwatched,
+) -> Findings:
+    """As `run_check`, of any problem; `make` gives its experiments."""
+    counts = {SBC: replications} | ({INVARIANCE: MOVES_A_REPLICATION * replications} if has_move else {})
+    found = run_replications(make, counts, jobs, kept, watch)
+    for figures in found.values():
+        check_cases(figures["refused"], figures["unbounded"])
+    names = (*problem.quantities.names, sbc.LOG_LIKELIHOOD)
+    return Findings(names, found[SBC], invariance.figure_names(problem), found.get(INVARIANCE))

@@ -1,0 +1,30 @@
+"""How often the truth lies inside the posterior's intervals: weighted, equal-tailed; each share with its own binomial interval."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import binomtest
+
+WIDTHS = (0.5, 0.9)
+CONFIDENCE = 0.95
+
+
+class Coverage(NamedTuple):
+    """The share of truths inside, and between which shares the probability lies by the binomial law (Wilson 1927)."""
+
+    share: float
+    low: float
+    high: float
+
+
+def coverage(levels: Float[np.ndarray, " replication"], width: float) -> Coverage:
+    """Of one quantity.
+
+    Args:
+        levels: posterior probability below the truth, by replication.
+        width: of the interval, such as 0.9.
+    """
+    inside = int(np.sum(np.abs(levels - 0.5) <= width / 2))
+    interval = binomtest(inside, len(levels)).proportion_ci(CONFIDENCE, method="wilson")
+    return Coverage(inside / len(levels), float(interval.low), float(interval.high))

@@ -1,0 +1,101 @@
+r"""Exact invariance (Geweke 2004; Gandy & Scott 2020): a truth and its data, moved by a law that keeps the posterior, are still a truth and its data.
+
+$$s \sim p(s),\; z \sim p(z \mid s),\; s' \sim K_z(s, \cdot) \quad\Rightarrow\quad (s', z) \overset{d}{=} (s, z), \qquad \text{where}\quad
+p(s' \mid z) = \int K_z(s, s')\, p(s \mid z)\, ds.$$
+
+Each figure of (s', z) is compared with that of independent draws of (s, z) by the Kolmogorov-Smirnov test of two samples. Nothing is approximated: a
+kernel's Markov move (kernels/invariance.py) is right or wrong, with any number of particles. The state has an ancestor, one of `ANCESTORS` weighted
+particles of the frame before, which are themselves part of what is given.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.stats import ks_2samp
+
+from bayes_body.calibration.problem import Problem, draw_case, draw_data, draw_path
+from bayes_body.calibration.sbc import LOG_LIKELIHOOD
+from bayes_body.density import Density
+from bayes_body.factor import Particles, State
+from bayes_body.kernels.invariance import MarkovMove
+from bayes_body.shapes import Index, Key
+
+ANCESTORS = 16
+TRANSITION = "log-transition"
+
+
+class Moved(NamedTuple):
+    """Figures of a truth after its move, and of another truth with data of its own; and whether the move changed the state."""
+
+    after: Float[Array, " figure"]
+    other: Float[Array, " figure"]
+    moved: Array
+    refused: Array
+    unbounded: Array
+
+
+class _Joint(NamedTuple):
+    """A state, which of the weighted particles before it comes from, and the density given these and the data that the state makes."""
+
+    state: State
+    ancestor: Index
+    density: Density
+    refused: Array
+    unbounded: Array
+
+
+def figure_names(problem: Problem) -> tuple[str, ...]:
+    """What is compared: the problem's quantities, the likelihood of the data, and how well the state follows from its ancestor."""
+    return (*problem.quantities.names, LOG_LIKELIHOOD, TRANSITION)
+
+
+def replicate(problem: Problem, move: MarkovMove, applications: int = 1) -> Callable[[Key], Moved]:
+    """One replication as a function of its key; the move is applied so many times."""
+
+    def one(key: Key) -> Moved:
+        true_key, other_key, move_key = jax.random.split(key, 3)
+        true, other = _joint(true_key, problem), _joint(other_key, problem)
+
+        def again(pair: tuple[State, Index], own: Key) -> tuple[tuple[State, Index], None]:
+            after, chosen = move(own, *pair, true.density.previous, true.density)
+            return jax.tree.map(lambda leaf, was: jnp.asarray(leaf, was.dtype), (dict(after), chosen), pair), None
+
+        (after, chosen), _ = jax.lax.scan(again, (true.state, true.ancestor), jax.random.split(move_key, applications))
+        moved = jnp.any(jnp.stack([jnp.any(after[name] != value) for name, value in true.state.items()]))
+        return Moved(
+            after=_figures(problem, after, chosen, true.density),
+            other=_figures(problem, other.state, other.ancestor, other.density),
+            moved=moved,
+            refused=true.refused | other.refused,
+            unbounded=true.unbounded | other.unbounded,
+        )
+
+    return one
+
+
+def p_values(after: Float[np.ndarray, "replication figure"], other: Float[np.ndarray, "replication figure"]) -> Float[np.ndarray, " figure"]:
+    """Of each figure by itself, whether moved and independent ones have one law."""
+    # Its result is declared as a plain tuple.
+    return np.array([cast(Any, ks_2samp(*pair)).pvalue for pair in zip(after.T, other.T, strict=True)])
+
+
+def _joint(key: Key, problem: Problem) -> _Joint:
+    first_key, weights_key, spread_key, path_key, data_key = jax.random.split(key, 5)
+    first = draw_case(first_key, problem, 1).first
+    spread = jax.vmap(lambda own: problem.transition.sample(own, first))(jax.random.split(spread_key, ANCESTORS))
+    weights = jax.nn.log_softmax(jax.random.normal(weights_key, (ANCESTORS,), jax.tree.leaves(spread)[0].dtype))
+    previous = Particles(dict(spread), weights)
+    path = draw_path(path_key, problem, previous, 1)
+    data = draw_data(data_key, problem, path)
+    state, data = jax.tree.map(lambda leaf: leaf[0], (path.states, data))
+    return _Joint(dict(state), path.start, problem.density(data, previous), path.refused, path.unbounded)
+
+
+def _figures(problem: Problem, state: State, ancestor: Index, density: Density) -> Float[Array, " figure"]:
+    before = density.ancestor(ancestor)
+    own = jnp.stack([density.log_likelihood(state, before), density.transition.log_density(state, before)])
+    return jnp.concatenate([problem.quantities.of(state), own])

@@ -1,0 +1,44 @@
+"""How many particles a kernel needs, so that its draws are as good as independent: a few replications with more and more of them."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from bayes_body.calibration import sbc
+from bayes_body.calibration.check import SBC, Plan, experiments_of
+from bayes_body.calibration.problem import check_cases
+from bayes_body.calibration.replications import run_replications
+
+# Replications of a pilot, and how many times as many effective particles as are needed its worst one shall have.
+REPLICATIONS, MARGIN = 20, 1.2
+MOST_PARTICLES = 2**16
+# The replications of the check itself are others.
+OTHER_SEED = 2**31
+
+
+def enough_particles(plan: Plan, jobs: int, show: Callable[[str], None]) -> Plan:
+    """The plan with twice as many particles again and again, until they suffice, up to `MOST_PARTICLES`.
+
+    Args:
+        plan: whose options hold the number to begin with.
+        jobs: processes.
+        show: takes a line for each number that is tried.
+
+    Raises:
+        InputError: nothing can be simulated from the model.
+    """
+    needed = MARGIN * sbc.DRAWS_A_BIN * plan.bins
+    while True:
+        particles = plan.options["particles"]
+        make = partial(experiments_of, replace(plan, seed=(plan.seed + OTHER_SEED) % 2**32))
+        found = run_replications(make, {SBC: REPLICATIONS}, jobs)[SBC]
+        check_cases(found["refused"], found["unbounded"])
+        ess = float(found["ess"].min())
+        show(f"pilot: {particles} particles, {ess:.0f} effective at worst ({needed:.0f} wanted).")
+        if ess >= needed or particles >= MOST_PARTICLES:
+            return plan
+        # The effective size grows about as the particles do; a mode seeker's does not.
+        doublings = int(np.clip(np.ceil(np.log2(needed / max(ess, 1.0))), 1, 3))
+        plan = replace(plan, options={**plan.options, "particles": min(particles * 2**doublings, MOST_PARTICLES)})

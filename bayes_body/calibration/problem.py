@@ -1,0 +1,159 @@
+"""What is calibrated: a motion prior, factors, a first state, and the figures of a state that are ranked; and cases drawn from it.
+
+A case is a truth and the data that it makes: a path from the motion prior, which the constraints accept or refuse as a whole, and of each of its
+frames the data from the likelihoods. That is a draw of the model's own joint distribution, constraints included.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_body.density import Density
+from bayes_body.errors import wrong
+from bayes_body.factor import Factor, Particles, State, Transition
+from bayes_body.model import Model
+from bayes_body.shapes import Flag, Index, Key, Scalar
+
+# Paths that are drawn before a case is given up because its constraints refuse them all.
+MOST_PATHS = 1000
+AXES = ("x", "y", "z")
+ROUNDING = 1e-5
+
+
+class Quantities(NamedTuple):
+    """Figures of a state, with their names."""
+
+    names: tuple[str, ...]
+    of: Callable[[State], Float[Array, " quantity"]]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A model as the harness sees it.
+
+    Attributes:
+        transition: the motion prior.
+        factors: everything else; each likelihood offers `simulate`.
+        first: the state before the first frame, from which a case's own first state wanders off.
+        quantities: what is ranked; the log-likelihood is added to them.
+        wandering: steps of the motion prior that part a case's first state from `first`. The filter knows that state: any will do.
+    """
+
+    transition: Transition
+    factors: tuple[Factor, ...]
+    first: State
+    quantities: Quantities
+    wandering: int = 10
+
+    def density(self, data: Any, previous: Particles) -> Density:
+        """A frame's posterior."""
+        return Density(self.transition, self.factors, data, previous)
+
+
+class Case(NamedTuple):
+    """A truth and its data, with a leading frame axis; `first` is known to the filter.
+
+    `refused` is set where no path was accepted; `unbounded` where a log-constraint was above 0, so that rejection is not exact.
+    """
+
+    first: State
+    path: State
+    data: Any
+    refused: Flag
+    unbounded: Flag
+
+
+def problem_of(model: Model, wandering: int = 10) -> Problem:
+    """A model as a problem: its dofs and the coordinates of its markers are ranked."""
+    names = [*model.body.dof_names, *(f"{marker} {axis}" for marker in model.body.markers.names for axis in AXES)]
+
+    def of(state: State) -> Float[Array, " quantity"]:
+        return jnp.concatenate([state["pose"], model.markers(state["pose"]).reshape(-1)])
+
+    return Problem(model.transition, model.factors, model.initial, Quantities(tuple(names), of), wandering)
+
+
+def alone(state: State, count: int = 1) -> Particles:
+    """`count` equal particles, all of one state."""
+    states = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *jnp.shape(leaf))), dict(state))
+    dtype = jax.tree.leaves(states)[0].dtype
+    return Particles(states, jnp.full((count,), -np.log(count), dtype))
+
+
+class Path(NamedTuple):
+    """A path of the motion prior that the constraints accept: where it starts, its states and the states before each (a leading frame axis)."""
+
+    start: Index
+    states: State
+    before: State
+    refused: Flag
+    unbounded: Flag
+
+
+def draw_case(key: Key, problem: Problem, frames: int) -> Case:
+    """A truth over `frames` frames, and its data."""
+    first_key, path_key, data_key = jax.random.split(key, 3)
+    wandered = draw_path(first_key, problem, alone(problem.first), problem.wandering) if problem.wandering else None
+    first = problem.first if wandered is None else jax.tree.map(lambda leaf: leaf[-1], wandered.states)
+    path = draw_path(path_key, problem, alone(first), frames)
+    data = draw_data(data_key, problem, path)
+    flags = [(each.refused, each.unbounded) for each in (path, wandered) if each is not None]
+    refused, unbounded = (jnp.any(jnp.stack(column)) for column in zip(*flags, strict=True))
+    return Case(first, path.states, data, refused, unbounded)
+
+
+def draw_data(key: Key, problem: Problem, path: Path) -> Any:
+    """The data that each state of a path makes."""
+
+    def one(own: Key, state: State, previous: State) -> Any:
+        return problem.density({}, alone(previous)).simulate(own, state, previous)
+
+    return jax.vmap(one)(jax.random.split(key, jax.tree.leaves(path.states)[0].shape[0]), path.states, path.before)
+
+
+def draw_path(key: Key, problem: Problem, previous: Particles, frames: int) -> Path:
+    """A path that starts at one of `previous`, drawn by weight, and is drawn again, start and all, until the constraints accept it."""
+
+    def again(tried: tuple[Index, Path]) -> tuple[Index, Path]:
+        return tried[0] + 1, _attempt(jax.random.fold_in(key, tried[0] + 1), problem, previous, frames)
+
+    start = jnp.zeros((), jnp.int32)
+    first = _attempt(jax.random.fold_in(key, start), problem, previous, frames)
+    if all(factor.side == "likelihood" for factor in problem.factors):
+        return first
+    return jax.lax.while_loop(lambda t: t[1].refused & ~t[1].unbounded & (t[0] < MOST_PATHS), again, (start, first))[1]
+
+
+def _attempt(key: Key, problem: Problem, previous: Particles, frames: int) -> Path:
+    start_key, path_key, accept_key = jax.random.split(key, 3)
+    start = jax.random.categorical(start_key, previous.log_weights).astype(jnp.int32)
+    density = problem.density({}, previous)
+
+    def step(before: State, step_key: Key) -> tuple[State, tuple[State, State, Scalar]]:
+        state = dict(problem.transition.sample(step_key, before))
+        return state, (state, before, density.log_constraint(state, before))
+
+    first = jax.tree.map(lambda leaf: leaf[start], dict(previous.states))
+    _, (states, before, constraints) = jax.lax.scan(step, first, jax.random.split(path_key, frames))
+    level = jnp.log(jax.random.uniform(accept_key, (), minval=jnp.finfo(constraints.dtype).tiny))
+    # Log-constraints are rounded sums: a little above 0 is 0.
+    return Path(start, states, before, level >= jnp.sum(constraints), jnp.any(constraints > ROUNDING))
+
+
+def check_cases(refused: Any, unbounded: Any) -> None:
+    """Refuse what cannot be simulated exactly.
+
+    Raises:
+        InputError: a log-constraint above 0, or constraints that refuse nearly every path.
+    """
+    if np.any(unbounded):
+        found, expected = "a constraint's log-potential is above 0", "constraints of at most 0, so that a path is accepted with their exponential"
+        raise wrong("the model", found, expected, "subtract its maximum, or check the model without it")
+    if np.any(refused):
+        found = f"{MOST_PATHS} paths of the motion prior were all refused by the constraints"
+        raise wrong("the model", found, "constraints that accept some of them", "start from another first pose, or check fewer frames")

@@ -1,0 +1,119 @@
+"""Many replications of experiments: in blocks, over processes, kept as they come, so that an interrupted check goes on where it stopped.
+
+A replication's key is folded by its experiment and its number, and each process computes on one device: whatever the number of processes, and
+wherever a check was interrupted, a replication's figures are the same bit for bit.
+"""
+
+import os
+import re
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from multiprocessing import get_context
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from bayes_body.calibration.kept import Kept
+from bayes_body.shapes import Key
+from bayes_body.view.progress import Watch, unwatched
+
+BLOCK = 10
+
+type Experiment = Callable[[Key], Any]
+type Figures = dict[str, np.ndarray]
+
+
+class Experiments(NamedTuple):
+    """Experiments by name: each from a key to a NamedTuple of arrays."""
+
+    seed: int
+    by_name: Mapping[str, Experiment]
+
+
+def run_replications(
+    make: Callable[[], Experiments], counts: Mapping[str, int], jobs: int = 0, kept: Kept | None = None, watch: Watch = unwatched
+) -> dict[str, Figures]:
+    """The figures of each experiment, with a leading replication axis.
+
+    Args:
+        make: builds the experiments; with `jobs` above 0 it is called in each process, and must be picklable.
+        counts: how many replications of each experiment.
+        jobs: processes; 0 computes in this one.
+        kept: blocks that are there already, and where new ones go.
+        watch: shows how far it is, in blocks.
+    """
+    kept = Kept() if kept is None else kept
+    missing = [(name, block) for name, count in counts.items() for block in range(-(-count // BLOCK)) if (name, block) not in kept]
+    with _results(make, missing, jobs) as results:
+        for _ in watch(range(len(missing))):
+            task, figures = next(results)
+            kept.add(*task, figures)
+    return {name: _joined([kept[name, block] for block in range(-(-count // BLOCK))], count) for name, count in counts.items()}
+
+
+def _joined(blocks: Sequence[Figures], count: int) -> Figures:
+    return {name: np.concatenate([block[name] for block in blocks])[:count] for name in blocks[0]}
+
+
+class _Runner:
+    """Experiments, each compiled once."""
+
+    def __init__(self, experiments: Experiments):
+        self.experiments, self.compiled = experiments, {}
+
+    def __call__(self, name: str, block: int) -> Figures:
+        if name not in self.compiled:
+            self.compiled[name] = jax.jit(lambda keys: jax.lax.map(self.experiments.by_name[name], keys))
+        place = sorted(self.experiments.by_name).index(name)
+        base = jax.random.fold_in(jax.random.key(self.experiments.seed), place)
+        keys = jax.vmap(lambda index: jax.random.fold_in(base, index))(np.arange(block * BLOCK, (block + 1) * BLOCK))
+        return {field: np.asarray(value) for field, value in self.compiled[name](keys)._asdict().items()}
+
+
+@contextmanager
+def _results(make: Callable[[], Experiments], tasks: Sequence[tuple[str, int]], jobs: int) -> Iterator[Iterator[tuple[tuple[str, int], Figures]]]:
+    if not tasks or jobs < 1:
+        run = _Runner(make()) if tasks else None
+        yield ((task, run(*task)) for task in tasks if run)
+        return
+    pool = ProcessPoolExecutor(min(jobs, len(tasks)), get_context("spawn"), _begin, (make, os.getpid()))
+    try:
+        futures = {pool.submit(_work, *task): task for task in tasks}
+        yield ((futures[future], future.result()) for future in as_completed(futures))
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+# -- in a process of its own --------------------------------------------------------------------------------------------------------------
+
+_runner: _Runner | None = None
+
+
+def _begin(make: Callable[[], Experiments], parent: int) -> None:
+    global _runner
+    # An interruption is the parent's to tell.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    flags = re.sub(r"--xla_force_host_platform_device_count=\d+", "", os.environ.get("XLA_FLAGS", ""))
+    os.environ["XLA_FLAGS"] = f"{flags} --xla_cpu_multi_thread_eigen=false".strip()
+    from bayes_body.config import configure
+
+    configure(devices=1)
+    _runner = _Runner(make())
+
+
+def _end_with(parent: int) -> None:
+    """A killed parent cannot stop its processes."""
+    while os.getppid() == parent:
+        time.sleep(1)
+    os._exit(1)
+
+
+def _work(name: str, block: int) -> Figures:
+    assert _runner is not None
+    return _runner(name, block)

@@ -1,0 +1,100 @@
+"""A check from its plan to its verdict: how many particles, all replications, figures as JSON, a picture, and sentences."""
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from bayes_body.calibration.check import Findings, Plan, model_of, run_check
+from bayes_body.calibration.kept import SUFFIX, Kept, settings_of
+from bayes_body.calibration.picture import draw_ranks
+from bayes_body.calibration.pilot import enough_particles
+from bayes_body.calibration.reference import check_reference
+from bayes_body.calibration.verdict import Verdict, verdict
+from bayes_body.definition import load_definition
+from bayes_body.files import write_text
+from bayes_body.kernels.invariance import markov_move
+from bayes_body.registry import find
+from bayes_body.toml_file import validate
+from bayes_body.view.progress import watched
+
+type Show = Callable[[str], None]
+
+# Another version of one of them may give other figures.
+COMPUTING = ("bayes-body", "jax", "jaxlib", "numpyro", "blackjax")
+
+
+def run_and_tell(plan: Plan, pilot: bool, replications: int, jobs: int, json_file: Path | None, plot: Path | None, show: Show, bar: bool) -> bool:
+    """Check, write, and say what was found; returns whether the kernel passed.
+
+    Args:
+        plan: what is checked.
+        pilot: whether the number of particles is found by a pilot; else it is the plan's.
+        replications: truths that are drawn.
+        jobs: processes.
+        json_file: where the figures go.
+        plot: where the picture goes.
+        show: takes lines for the user.
+        bar: whether a progress bar is drawn on standard error.
+
+    Raises:
+        InputError: nothing can be checked, or something cannot be written.
+    """
+    started, model = time.perf_counter(), model_of(plan)
+    term = find("kernel", plan.kernel)
+    if term.note:
+        show(f"{plan.kernel}: {term.note}")
+    if not_generative := [f.name for f in model.factors if f.side == "likelihood" and f.simulate is None]:
+        told, extra = check_reference(plan, model, not_generative, show), {}
+    else:
+        partial_file = None if json_file is None else json_file.with_name(json_file.name + SUFFIX)
+        plan = _with_particles(plan, partial_file, jobs, show) if pilot else plan
+        blocks = Kept(partial_file, _settings(plan))
+        if len(blocks):
+            show(f"{partial_file}: going on with {len(blocks)} blocks of replications")
+        found = run_check(plan, replications, jobs, blocks, watched("blocks of replications", bar))
+        told = verdict(found, plan.bins, _without_move(plan))
+        _draw(found, plan, plot, told)
+        extra = {"replications": replications}
+    for sentence in told.sentences:
+        show(sentence)
+    if json_file is not None:
+        seconds = time.perf_counter() - started
+        figures = _settings(plan) | extra | told.figures | {"seconds": seconds, "passed": told.passed, "verdict": " ".join(told.sentences)}
+        write_text(json_file, json.dumps(figures, indent=2) + "\n")
+        json_file.with_name(json_file.name + SUFFIX).unlink(missing_ok=True)
+    return told.passed
+
+
+def _settings(plan: Plan) -> dict[str, Any]:
+    return asdict(plan) | {"versions": {name: version(name) for name in COMPUTING}, "definition": _text(plan)}
+
+
+def _text(plan: Plan) -> str:
+    """What the definition says: a changed file is another model."""
+    definition = load_definition(plan.model)
+    return f"{definition.text}\n{definition.body_text}"
+
+
+def _with_particles(plan: Plan, partial_file: Path | None, jobs: int, show: Show) -> Plan:
+    """The plan with enough particles: those of the replications that are kept, or what a pilot finds."""
+    before = None if partial_file is None else settings_of(partial_file)
+    if before is not None:
+        return replace(plan, options={**plan.options, "particles": before["options"]["particles"]})
+    return enough_particles(plan, jobs, show)
+
+
+def _without_move(plan: Plan) -> str:
+    options = validate(find("kernel", plan.kernel).options, plan.options, plan.kernel)
+    if markov_move(plan.kernel, options) is not None:
+        return ""
+    return f"Markov move: '{plan.kernel}' has none that keeps the posterior, so that exact invariance is not tested."
+
+
+def _draw(found: Findings, plan: Plan, plot: Path | None, told: Verdict) -> None:
+    if plot is not None:
+        outcome = "passed" if told.passed else "not passed"
+        draw_ranks(found, plan.bins, plot, f"{plan.kernel} on {Path(plan.model).stem}: {outcome}")

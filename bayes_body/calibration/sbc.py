@@ -1,0 +1,142 @@
+r"""Simulation-based calibration (Talts et al. 2018): the truth's rank among draws of its own posterior is uniform.
+
+A truth from the model, the data that it makes, a filter over these data; then L = bins - 1 independent draws from the particles of the last frame.
+If the particles represent the posterior, truth and draws are exchangeable, and the truth's rank among them is uniform on 0 ... L, for every figure of
+the state and of the data (the log-likelihood is one: it sees what single dofs do not). Ties, such as two states at the same joint limit, are broken
+at random.
+
+The draws must be as good as independent: L of them are taken from particles that are worth at least `DRAWS_A_BIN` independent draws a bin. What
+particles are worth is the smallest of three effective sizes: of the weights; of the weights once equal states are counted together; and, after the
+first frame, once all descendants of one particle of the frame before are.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from bayes_body.calibration.problem import Case, Problem, alone, draw_case
+from bayes_body.factor import FilterInfo, Kernel, Particles, State
+from bayes_body.shapes import Key, Scalar
+
+# Effective particles that each bin of the ranks needs.
+DRAWS_A_BIN = 10
+LOG_LIKELIHOOD = "log-likelihood"
+
+
+class Replication(NamedTuple):
+    """What is kept of a truth and its posterior.
+
+    Attributes:
+        ranks: of the truth among the draws, by quantity; the log-likelihood is the last.
+        levels: the posterior probability below the truth, by quantity but the log-likelihood.
+        truth: the quantities of the truth, log-likelihood last.
+        ess: effective sizes: by weights, by distinct states, by ancestors.
+        lost: whether the filter lost a frame.
+        refused: as of the case.
+        unbounded: as of the case.
+    """
+
+    ranks: Int[Array, " quantity"]
+    levels: Float[Array, " level"]
+    truth: Float[Array, " quantity"]
+    ess: Float[Array, "3"]
+    lost: Array
+    refused: Array
+    unbounded: Array
+
+
+def replicate(problem: Problem, kernel: Kernel, particles: int, frames: int = 2, bins: int = 20) -> Callable[[Key], Replication]:
+    """One replication as a function of its key.
+
+    Args:
+        problem: the model.
+        kernel: whose posterior is checked.
+        particles: how many the filter has.
+        frames: that it filters; the last is looked at.
+        bins: ranks that there are, one more than draws.
+    """
+
+    def one(key: Key) -> Replication:
+        case_key, filter_key, draw_key, tie_key = jax.random.split(key, 4)
+        case = draw_case(case_key, problem, frames)
+        before, after, info, lost = _filtered(filter_key, problem, kernel, case, particles)
+        chosen = jax.random.categorical(draw_key, after.log_weights, shape=(bins - 1,))
+        truth, drawn, everything = _figures(problem, case, before, after, info, chosen)
+        below_key, within_key = jax.random.split(tie_key)
+        ties = jnp.sum(drawn == truth, axis=0)
+        ranks = jnp.sum(drawn < truth, axis=0) + jax.random.randint(below_key, ties.shape, 0, ties + 1)
+        weights = jax.nn.softmax(after.log_weights)
+        same = weights @ (everything == truth[:-1])
+        levels = weights @ (everything < truth[:-1]) + same * jax.random.uniform(within_key, same.shape)
+        ess = jnp.stack([_ess(weights), _merged(weights, after.states), _by_ancestor(weights, before, info, frames)])
+        return Replication(ranks, levels, truth, ess, lost, case.refused, case.unbounded)
+
+    return one
+
+
+def _filtered(key: Key, problem: Problem, kernel: Kernel, case: Case, count: int) -> tuple[Particles, Particles, FilterInfo, Array]:
+    """The particles before and after the last frame, its info, and whether any frame was lost."""
+    start = alone(case.first, count)
+
+    def frame(particles: Particles, own: tuple[Key, Any]) -> tuple[Particles, tuple[Particles, FilterInfo]]:
+        frame_key, data = own
+        after, info = kernel(frame_key, particles, problem.density(data, particles))
+        return _like(after, particles), (particles, info)
+
+    frames = jax.tree.leaves(case.path)[0].shape[0]
+    after, (before, info) = jax.lax.scan(frame, start, (jax.random.split(key, frames), case.data))
+    last = jax.tree.map(lambda leaf: leaf[-1], (before, info))
+    return last[0], after, last[1], jnp.any(info.lost)
+
+
+def _like(tree: Any, other: Any) -> Any:
+    """A scan hands on what it was given."""
+    return jax.tree.map(lambda leaf, wanted: jnp.asarray(leaf, wanted.dtype), Particles(dict(tree.states), tree.log_weights), other)
+
+
+def _figures(
+    problem: Problem, case: Case, before: Particles, after: Particles, info: FilterInfo, chosen: Int[Array, " draw"]
+) -> tuple[Float[Array, " quantity"], Float[Array, "draw quantity"], Float[Array, "particle level"]]:
+    """Of the truth and of the draws with the log-likelihood, of all particles without it."""
+    frames = jax.tree.leaves(case.path)[0].shape[0]
+    true = jax.tree.map(lambda leaf: leaf[-1], case.path)
+    before_true = jax.tree.map(lambda leaf: leaf[-2], case.path) if frames > 1 else case.first
+    density = problem.density(jax.tree.map(lambda leaf: leaf[-1], case.data), before)
+
+    def with_likelihood(state: State, previous: State) -> Float[Array, " quantity"]:
+        return jnp.append(problem.quantities.of(state), density.log_likelihood(state, previous))
+
+    draws = jax.tree.map(lambda leaf: leaf[chosen], after.states)
+    parents = jax.tree.map(lambda leaf: leaf[info.ancestors[chosen]], before.states)
+    # All through one program: compiled apart, a draw equal to the truth might differ from it in the last bit.
+    joined = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), (dict(true), dict(before_true)), (dict(draws), dict(parents)))
+    both = jax.lax.map(lambda pair: with_likelihood(*pair), joined)
+    return both[0], both[1:], jax.vmap(problem.quantities.of)(after.states)
+
+
+def _ess(weights: Float[Array, " particle"]) -> Scalar:
+    return jnp.sum(weights) ** 2 / jnp.sum(weights * weights)
+
+
+def _merged(weights: Float[Array, " particle"], states: State) -> Scalar:
+    """The effective size once equal states are one."""
+    marks = sum(jnp.tensordot(leaf.reshape(leaf.shape[0], -1), _marks(leaf), 1) for leaf in jax.tree.leaves(dict(states)))
+    marks = jnp.asarray(marks)
+    order = jnp.argsort(marks)
+    new = jnp.concatenate([jnp.zeros(1, jnp.int32), (jnp.diff(marks[order]) != 0).astype(jnp.int32)])
+    return _ess(jax.ops.segment_sum(weights[order], jnp.cumsum(new), weights.shape[0]))
+
+
+def _marks(leaf: Array) -> Array:
+    """Fixed random factors: equal states, and but for rounding only these, have equal sums."""
+    return jax.random.normal(jax.random.key(0), (leaf[0].size,), leaf.dtype)
+
+
+def _by_ancestor(weights: Float[Array, " particle"], before: Particles, info: FilterInfo, frames: int) -> Scalar:
+    """The effective size once all descendants of a state of the frame before are one; all come from one state in the first frame."""
+    if frames == 1:
+        return jnp.asarray(jnp.inf, weights.dtype)
+    return _merged(weights, jax.tree.map(lambda leaf: leaf[info.ancestors], before.states))

@@ -1,0 +1,54 @@
+"""A room for a model that is checked without a recording: the shipped rig of four cameras, aimed at the body.
+
+Their images show the body small, a quarter as large as they could: that leaves a posterior about as wide as what the motion prior allows, and some
+thousand particles are enough. From nearer the same laws hold, but a sampler from the prior would need millions. The cameras of a rig that is given
+stay where they are.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from bayes_body.definition import Definition, definitions_folder
+from bayes_body.model import Model, load_model
+from bayes_body.recording.rig import read_rig
+from bayes_body.session import CameraSpec, Session, View
+
+RIG = "room_4"
+# The body reaches beyond its markers (a hand beyond the wrist), and moves.
+REACH = 1.6
+# Of half the smaller side of an image, the share that the body's reach takes.
+FILLED = 0.225
+
+
+def model_in_a_room(definition: Definition, rig: Path | None = None) -> Model:
+    """The model as the cameras of a rig see it; nothing is recorded.
+
+    Args:
+        definition: of the model.
+        rig: file of the rig; by default the shipped one, aimed at the body.
+
+    Raises:
+        InputError: the rig cannot be read.
+    """
+    found = read_rig(definitions_folder() / "rigs" / f"{RIG}.toml" if rig is None else rig)
+    there = load_model(definition, _session(found.fps, found.cameras))
+    if rig is not None:
+        return there
+    markers = np.asarray(there.markers(there.initial["pose"]), float)
+    centre = (markers.min(axis=0) + markers.max(axis=0)) / 2
+    reach = REACH * float(np.linalg.norm(markers - centre, axis=1).max())
+    return load_model(definition, _session(found.fps, tuple(_moved(camera, centre, reach) for camera in found.cameras)))
+
+
+def _moved(camera: CameraSpec, centre: np.ndarray, reach: float) -> CameraSpec:
+    """The camera with its direction, on a line through the body's centre, as near as `FILLED` says."""
+    half = min(camera.size_px) / 2
+    distance = reach * min(camera.focal_px) / (FILLED * half)
+    return replace(camera, translation_m=-camera.rotation @ centre + np.array([0.0, 0.0, distance]))
+
+
+def _session(fps: float, cameras: tuple[CameraSpec, ...]) -> Session:
+    views = tuple(View(camera, images=f"unused{index}_%04d.png") for index, camera in enumerate(cameras))
+    return Session(Path(), "a room without a recording", "z", fps, 1, 0, views)

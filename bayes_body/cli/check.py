@@ -1,0 +1,84 @@
+"""`bayes-body check`: is what a kernel gives the posterior of the model? Exit status 0 if it passes, 1 if it does not."""
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from bayes_body.cli.plugin_option import Plugins, own_terms
+from bayes_body.cli.track import LARGEST_SEED, check_range
+from bayes_body.errors import wrong
+
+if TYPE_CHECKING:
+    from bayes_body.calibration.check import Plan
+
+FAILED = 1
+LARGEST_BINS = 200
+
+
+def check(
+    model: str = typer.Argument(help="A definition's name (`bayes-body models`) or the path of your own."),
+    kernel: str | None = typer.Option(None, "--kernel", help="annealed, sir or tempered; the model's own by default."),
+    replications: int = typer.Option(200, "--replications", help="Truths that are drawn and filtered."),
+    json_file: Path | None = typer.Option(
+        None, "--json", help="Where all figures go; what is done lies beside it until all is done, and the same command goes on with it."
+    ),
+    plot: Path | None = typer.Option(None, "--plot", help="A picture of the ranks (.png, .pdf or .svg)."),
+    particles: int | None = typer.Option(None, "--particles", help="Particles; by default as many as a pilot finds to be enough."),
+    layers: int | None = typer.Option(None, "--layers", help="Annealing layers a frame (annealed only)."),
+    move: str | None = typer.Option(None, "--move", help="hmc or random_walk (tempered only)."),
+    moves: int | None = typer.Option(None, "--moves", help="Markov moves of a particle in a stage (tempered only)."),
+    leapfrog_steps: int | None = typer.Option(None, "--leapfrog-steps", help="Gradients that an HMC move takes (tempered only)."),
+    session: Path | None = typer.Option(None, "--session", help="Folder of a session: its cameras, subject, first pose; a room of four by default."),
+    rig: Path | None = typer.Option(None, "--rig", help="File of a rig whose cameras take the room's place."),
+    frames: int = typer.Option(2, "--frames", help="Frames that each filter goes through; the last is looked at."),
+    bins: int = typer.Option(20, "--bins", help="Bins of the ranks; each needs 10 effective particles."),
+    jobs: int | None = typer.Option(None, "--jobs", help="Processes; one a core by default."),
+    seed: int = typer.Option(0, "--seed", help="Seed of everything random."),
+    plugin: Plugins = None,
+) -> None:
+    """Check a kernel on a model: simulation-based calibration, invariance of its Markov move, coverage; or means against a grid quadrature."""
+    from bayes_body.config import configure
+
+    configure()
+    from bayes_body.calibration.check import Plan
+    from bayes_body.cli.models import checked_definition
+    from bayes_body.run import kernel_options
+
+    counts = {"particles": particles, "layers": layers, "moves": moves, "leapfrog_steps": leapfrog_steps}
+    for name, value in (counts | {"frames": frames, "jobs": jobs}).items():
+        check_range(f"--{name.replace('_', '-')}", value, 1)
+    check_range("--replications", replications, 2)
+    check_range("--bins", bins, 2, LARGEST_BINS)
+    check_range("--seed", seed, 0, LARGEST_SEED)
+    _check_files(json_file, plot)
+    if session is not None and rig is not None:
+        raise wrong("--rig", f"given beside --session {session}", "one of the two", "leave one out")
+    given = {name: value for name, value in (counts | {"move": move}).items() if value is not None}
+    folder, cameras = (None if path is None else str(path) for path in (session, rig))
+    with own_terms(plugin):
+        kind, options = kernel_options(checked_definition(model), kernel, given)
+        own = tuple(str(path) for path in plugin or ())
+        plan = Plan(model, kind, options.model_dump(), folder, cameras, frames, bins, seed=seed, plugins=own)
+        passed = _run(plan, particles is None, replications, jobs or os.cpu_count() or 1, json_file, plot)
+    if not passed:
+        raise typer.Exit(FAILED)
+
+
+def _run(plan: "Plan", pilot: bool, replications: int, jobs: int, json_file: Path | None, plot: Path | None) -> bool:
+    """Whether it passed."""
+    from bayes_body.calibration.report import run_and_tell
+
+    return run_and_tell(plan, pilot, replications, jobs, json_file, plot, lambda line: typer.echo(line), sys.stderr.isatty())
+
+
+def _check_files(json_file: Path | None, plot: Path | None) -> None:
+    """What is computed for minutes must have a place to go."""
+    for option, path in (("--json", json_file), ("--plot", plot)):
+        if path is not None and (path.is_dir() or not path.parent.is_dir()):
+            found = "a folder" if path.is_dir() else f"there is no folder {path.parent}"
+            raise wrong(f"{option} {path}", found, "a file in a folder that exists", "make the folder, or name another file")
+    if plot is not None and plot.suffix not in (".png", ".pdf", ".svg"):
+        raise wrong(f"--plot {plot}", f"the ending '{plot.suffix}'", ".png, .pdf or .svg", "name another file")

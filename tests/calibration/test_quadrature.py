@@ -1,0 +1,108 @@
+"""Quadrature against closed forms; kernels against quadrature on an image that no model made."""
+
+from pathlib import Path
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from laws.targets import CENTRE, alone, conjugate, skewed
+
+from bayes_body import kernels
+from bayes_body.calibration.quadrature import integrate
+from bayes_body.calibration.reference import LIMIT, compare
+from bayes_body.definition import load_definition
+from bayes_body.model import load_model
+from bayes_body.observation.frames import Frame
+from bayes_body.session import CameraSpec, Session, View
+
+
+@pytest.mark.parametrize("make", [conjugate, skewed])
+def test_it_finds_mean_and_evidence(make):
+    target = make(1)
+    found = integrate(target.density, "x")
+    assert (found.error < 0.005 * found.sd).all()
+    assert np.allclose(found.mean, target.mean, atol=0.01 * found.sd.min())
+    if make is conjugate:
+        assert abs(found.log_evidence - target.log_evidence) < 0.01
+
+
+def test_a_posterior_of_several_ancestors_is_their_mixture():
+    target = conjugate(1)
+    both = alone(CENTRE, 2)._replace(states={"x": jnp.stack([jnp.asarray(CENTRE), jnp.asarray(CENTRE) + 1.0])})
+    parts = [integrate(target.density.given(alone(state, 1)), "x") for state in np.asarray(both.states["x"])]
+    shares = np.exp([part.log_evidence for part in parts])
+    shares /= shares.sum()
+    mixture = integrate(target.density.given(both), "x")
+    assert np.allclose(mixture.mean, shares @ [part.mean for part in parts], atol=0.02)
+
+
+def test_too_many_dofs_are_refused(textured_session):
+    model = load_model("deutscher_apf", textured_session)
+    with pytest.raises(ValueError, match="31 dofs; expected at most 4"):
+        integrate(model.density(jax.tree.map(jnp.asarray, {})))
+
+
+# -- the arm on a drawn image -----------------------------------------------------------------------------------------------------------------
+
+SHOULDER, ELBOW, WRIST, HAND = np.array([[0.0, 0, 1.43], [0.22, 0.1, 1.21], [0.38, 0.02, 1.36], [0.45, -0.01, 1.42]])
+RADII = ((SHOULDER, ELBOW, 0.05), (ELBOW, WRIST, 0.038), (WRIST, HAND, 0.04))
+SIZE = (160, 120)
+
+
+def _look(position, target=np.array([0.2, 0.0, 1.3])):
+    z = (target - position) / np.linalg.norm(target - position)
+    x = np.cross(z, [0.0, 0, 1])
+    x /= np.linalg.norm(x)
+    R = np.stack([x, np.cross(z, x), z])
+    return CameraSpec(f"at{position[0]:.0f}", SIZE, (190.0, 190.0), (79.5, 59.5), 0.0, (0.0,) * 5, R, -R @ position)
+
+
+def _drawn(camera):
+    """Capsules of fixed width, drawn by OpenCV: image and mask."""
+    image = np.full(SIZE[::-1], 70, np.uint8)
+    mask = np.zeros(SIZE[::-1], np.uint8)
+    for base, tip, radius in RADII:
+        ends = [camera.rotation @ point + camera.translation_m for point in (base, tip)]
+        pixels = [tuple(np.round(camera.focal_px[0] * end[:2] / end[2] + camera.centre_px).astype(int).tolist()) for end in ends]
+        width = max(round(2 * radius * camera.focal_px[0] / np.mean([end[2] for end in ends])), 1)
+        cv2.line(image, *pixels, 170, width)
+        cv2.line(mask, *pixels, 255, width)
+    return cv2.GaussianBlur(image, (0, 0), 1.0), mask > 0
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """The model and its density on the drawn frame."""
+    cameras = [_look(np.array(place)) for place in ((1.6, -1.2, 1.5), (-1.0, -1.9, 1.2))]
+    views = tuple(View(camera, images=f"unused{k}_%04d.png") for k, camera in enumerate(cameras))
+    initial = {"shoulder_x": np.radians(-20), "shoulder_y": np.radians(-40), "shoulder_z": 0.0, "elbow": np.radians(-85)}
+    session = Session(Path(), "drawn", "z", 60.0, 1, 0, views, initial=initial)
+    model = load_model(load_definition("arm"), session)
+    images, masks = zip(*(_drawn(camera) for camera in cameras), strict=True)
+    return model, model.density(jax.tree.map(jnp.asarray, model.observe(Frame(0, images, masks))))
+
+
+KERNELS = {"sir": (kernels.sir(), 4000), "tempered": (kernels.tempered(), 1000)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", KERNELS)
+def test_means_of_the_kernels_are_those_of_the_grid(arm, name):
+    model, density = arm
+    kernel, particles = KERNELS[name]
+    found = compare(density, kernel, model.start(particles), jax.random.key(0))
+    prior = np.radians([3, 3, 3, 4])
+    # The image says something, and not what the prior said already.
+    assert (found.exact.sd < 0.95 * prior).all()
+    assert (np.abs(found.exact.mean - np.asarray(model.initial["pose"])) / prior).max() > 0.5
+    assert (found.exact.error < 0.01 * found.exact.sd).all()
+    assert (found.off < LIMIT).all(), found.off
+
+
+@pytest.mark.slow
+def test_a_mode_seeker_is_found_out(arm):
+    model, density = arm
+    found = compare(density, kernels.annealed(), model.start(1000), jax.random.key(0))
+    assert found.off.max() > LIMIT

@@ -1,0 +1,101 @@
+"""The Markov moves that kernels are made of keep the posterior exactly; mutants do not. Each is compiled once, with its faults as arguments."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from calibration import toys
+
+from bayes_body.calibration import invariance
+from bayes_body.kernels import extended
+from bayes_body.kernels.invariance import iterated_sir, markov_move
+from bayes_body.registry import find, names
+
+REPLICATIONS = 1000
+LIMIT = 0.05 / 4
+
+
+def least_p(found):
+    return invariance.p_values(found.after, found.other).min()
+
+
+def replications(run, seed, *faults):
+    keys = jax.random.split(jax.random.key(seed), REPLICATIONS)
+    return jax.tree.map(np.asarray, run(keys, *(jnp.float32(fault) for fault in faults)))
+
+
+@pytest.fixture(scope="module")
+def iterated():
+    """Against three rivals only: exact all the same. `power` of the weights."""
+    move = iterated_sir(4)
+
+    @jax.jit
+    def run(keys, power):
+        def faulty(key, state, ancestor, previous, density):
+            return move(key, state, ancestor, previous, toys.powered(density, power))
+
+        return jax.lax.map(invariance.replicate(toys.skewed(wall=True), faulty, 20), keys)
+
+    return lambda power=1.0: replications(run, 0, power)
+
+
+def test_iterated_resampling_keeps_the_posterior(iterated):
+    found = iterated()
+    assert least_p(found) > LIMIT
+    assert found.moved.mean() > 0.9 and not found.refused.any()
+
+
+@pytest.mark.parametrize("power", [-1.0, 0.5, 0.0], ids=["sign", "root of the weights", "weights forgotten"])
+def test_a_faulty_resampling_is_found_out(iterated, power):
+    assert least_p(iterated(power)) < 0.001
+
+
+@pytest.fixture(scope="module")
+def walk():
+    """`jacobian` and `likelihood` scale these terms of the density that the walk walks on."""
+    honest, move = extended.log_density, markov_move("tempered", find("kernel", "tempered").options())
+
+    @jax.jit
+    def run(keys, jacobian, likelihood):
+        def log_density(frame, ancestor, position, beta):
+            state = extended.state_of(frame, ancestor, position)
+            (bijection,) = extended.bijections(frame).values()
+            volume = bijection.log_abs_det_jacobian(position["x"], state["x"])
+            return honest(frame, ancestor, position, likelihood * beta) + (jacobian - 1) * volume
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(extended, "log_density", log_density)
+            return jax.lax.map(invariance.replicate(toys.skewed(wall=True), move, 3), keys)
+
+    return lambda jacobian=1.0, likelihood=1.0: replications(run, 1, jacobian, likelihood)
+
+
+def test_the_walk_keeps_the_posterior(walk):
+    found = walk()
+    assert least_p(found) > LIMIT
+    assert found.moved.mean() > 0.9
+
+
+@pytest.mark.parametrize("fault", [{"jacobian": 0.0}, {"likelihood": -1.0}, {"likelihood": 0.5}], ids=["Jacobian dropped", "sign", "half tempered"])
+def test_a_faulty_walk_is_found_out(walk, fault):
+    assert least_p(walk(**fault)) < 0.001
+
+
+@pytest.mark.slow
+def test_an_ancestor_drawn_without_its_weight_is_found_out(monkeypatch):
+    honest = extended.choose_ancestor
+
+    def flat(key, frame, particle, beta, candidates):
+        even = frame._replace(cumulated=jnp.arange(1.0, frame.cumulated.shape[0] + 1))
+        return honest(key, even, particle, beta, candidates)
+
+    monkeypatch.setattr(extended, "choose_ancestor", flat)
+    move = markov_move("tempered", find("kernel", "tempered").options())
+    run = jax.jit(lambda keys: jax.lax.map(invariance.replicate(toys.skewed(), move, 3), keys))
+    assert least_p(replications(run, 2)) < 0.001
+
+
+def test_a_mode_seeker_has_no_such_move():
+    moves = {kind: markov_move(kind, find("kernel", kind).options()) for kind in names("kernel")}
+    assert moves["annealed"] is None
+    assert moves["sir"] is not None and moves["tempered"] is not None
