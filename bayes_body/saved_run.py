@@ -24,6 +24,7 @@ from bayes_body.posterior.blocks import BLOCK, pooled, pose_blocks, weights_of_r
 from bayes_body.posterior.moments import Moments, unwrapped, weighted_moments
 from bayes_body.posterior.weighted import markers
 from bayes_body.session import Session, load_session, parse_session
+from bayes_body.storage.run_file import check_plugins, kept_plugins
 from bayes_body.toml_file import parse_toml, read_toml
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ class SavedRun:
         tree: `posterior.nc` as `posterior.to_datatree` describes it; its arrays are read when they are asked for.
         summary: what `summary.json` holds; empty where the run has none.
         first_pose: the pose and the lengths that were fitted to the session's markers or keypoints; empty where it has none.
+        plugins: the texts of the user's own files that registered terms of it, by file name.
     """
 
     folder: Path
@@ -59,6 +61,7 @@ class SavedRun:
     tree: "xr.DataTree"
     summary: Mapping[str, Any]
     first_pose: Mapping[str, Any] = field(default_factory=dict)
+    plugins: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def session(self) -> Session:
@@ -78,8 +81,9 @@ class SavedRun:
         """The model of the definition and the session that `run.toml` keeps.
 
         Raises:
-            InputError: they cannot be used, or the posterior is of another body.
+            InputError: they cannot be used, the posterior is of another body, or a plugin of the run is not loaded.
         """
+        check_plugins(self.folder, self.plugins)
         name, where = Path(str(self.settings["model"])).stem, f"{self.folder / RUN_FILE}: the definition's text"
         model = load_model(parse_definition(name, self.texts["text"], self.texts.get("body_text"), where), self.session)
         dofs = np.asarray(self.tree["posterior"]["dof"]).astype(str).tolist()
@@ -132,7 +136,8 @@ def load_run(folder: Path | str) -> SavedRun:
         definition = definition | {"session": session["text"]}
     first_pose = tables.get("first_pose")
     kept = first_pose if isinstance(first_pose, dict) else {}
-    return SavedRun(folder, settings, kernel, versions, definition, _open_posterior(folder, settings), _summary(folder), kept)
+    tree, summary = _open_posterior(folder, settings), _summary(folder)
+    return SavedRun(folder, settings, kernel, versions, definition, tree, summary, kept, kept_plugins(tables))
 
 
 def _table(folder: Path, tables: Mapping[str, Any], name: str) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import typer
 
 from bayes_body import __version__
-from bayes_body.cli import export, import_, models, report, track
+from bayes_body.cli import check, demo, export, import_, learn, matrix, mocap, models, report, simulate, track
 from bayes_body.errors import FaultyFileError, InputError
 
 WRONG_INPUT, OUR_FAULT, INTERRUPTED = 2, 1, 130
@@ -21,10 +21,16 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
+app.command("demo")(demo.demo)
 app.add_typer(import_.app, name="import")
 app.command("track")(track.track)
 app.command("report")(report.report)
 app.command("export")(export.export)
+app.command("simulate")(simulate.simulate)
+app.command("mocap")(mocap.mocap)
+app.command("check")(check.check)
+app.command("matrix")(matrix.matrix)
+app.add_typer(learn.app, name="learn")
 app.add_typer(models.app, name="models")
 
 

@@ -7,6 +7,8 @@ from rich.console import Console
 from rich.table import Table
 from typer.core import TyperGroup
 
+from bayes_body.cli.plugin_option import Plugins, own_terms
+
 if TYPE_CHECKING:
     from bayes_body.definition import Definition
 
@@ -41,9 +43,10 @@ def list_models() -> None:
 
 
 @app.command()
-def check(file: str = typer.Argument(help="A definition's name or the path of your own .toml file.")) -> None:
+def check(file: str = typer.Argument(help="A definition's name or the path of your own .toml file."), plugin: Plugins = None) -> None:
     """Say in one sentence each what is wrong with a definition."""
-    definition = checked_definition(file)
+    with own_terms(plugin):
+        definition = checked_definition(file)
     terms = ", ".join(term.kind for term in (*definition.likelihoods, *definition.constraints))
     typer.echo(f"{file}: sound: {definition.title} (body {definition.body_name}; {definition.dynamics.kind}; {terms}; {definition.kernel.kind}).")
 

@@ -5,19 +5,25 @@ from pathlib import Path
 
 import typer
 
+from bayes_body.cli.plugin_option import Plugins, own_terms
+
 
 def report(
     run: Path = typer.Argument(help="Folder of a run, as `bayes-body track` leaves it."),
     out: Path | None = typer.Option(None, "--out", help="The file to write; report.html in the run's folder by default."),
+    plugin: Plugins = None,
 ) -> None:
     """One HTML file that opens without a network: figures, pictures, joint angles, diagnostics, and how the run was made."""
     from bayes_body.config import configure
 
     configure()
     from bayes_body.saved_run import load_run
+    from bayes_body.storage.run_file import check_plugins
     from bayes_body.view.progress import watched
     from bayes_body.view.report import write_report
 
-    with load_run(run) as saved:
+    with own_terms(plugin), load_run(run) as saved:
+        # Asked for here: a page without what needs the model would be written without a word.
+        check_plugins(saved.folder, saved.plugins)
         path = write_report(saved, out, watched("report", sys.stderr.isatty()))
     typer.echo(f"{path}: {path.stat().st_size / 1e6:.1f} MB; open it in a browser.")

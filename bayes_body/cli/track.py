@@ -5,6 +5,7 @@ from pathlib import Path
 
 import typer
 
+from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.errors import wrong
 
 # What a key of JAX is made from without 64-bit arrays.
@@ -33,6 +34,7 @@ def track(
     resume: bool = typer.Option(
         False, "--resume", help="Go on with the folder's run after its last whole frame; what is not given is as that run has it."
     ),
+    plugin: Plugins = None,
 ) -> None:
     """Track the person of a session; leaves run.toml, frames, posterior.nc, summary.json, overlay.mp4 and stills."""
     from bayes_body.config import configure
@@ -40,18 +42,24 @@ def track(
     configure()
     from bayes_body.cli.models import checked_definition
     from bayes_body.run import Settings, run
+    from bayes_body.storage.run_file import NAME as RUN_FILE
+    from bayes_body.storage.run_file import read_run_file
 
     most = _frames_of(session)
     counts = {"particles": particles, "layers": layers, "moves": moves, "leapfrog_steps": leapfrog_steps}
     for name, value in (counts | {"runs": runs}).items():
-        _check_range(f"--{name.replace('_', '-')}", value, 1)
-    _check_range("--frames", frames, 1, most)
-    _check_range("--seed", seed, 0, LARGEST_SEED)
-    if model is not None:
-        checked_definition(model)
+        check_range(f"--{name.replace('_', '-')}", value, 1)
+    check_range("--frames", frames, 1, most)
+    check_range("--seed", seed, 0, LARGEST_SEED)
     overrides = {name: value for name, value in (counts | {"move": move}).items() if value is not None}
     settings = Settings(session, out, model, kernel, overrides, runs, frames, seed, resume)
-    run(settings, show=lambda line: typer.echo(line), bar=sys.stderr.isatty())
+    with own_terms(plugin):
+        if resume and (out / RUN_FILE).exists():
+            # Before the model is read, which would say no more than that a term does not exist.
+            read_run_file(out)
+        if model is not None:
+            checked_definition(model)
+        run(settings, show=lambda line: typer.echo(line), bar=sys.stderr.isatty())
     typer.echo(f"{out}: posterior.nc, summary.json, overlay.mp4, overlay/, frames/, run.toml")
 
 
@@ -69,6 +77,11 @@ def _frames_of(folder: Path) -> int:
     return session.frames
 
 
-def _check_range(option: str, value: int | None, least: int, most: int | None = None) -> None:
+def check_range(option: str, value: int | None, least: int, most: int | None = None) -> None:
+    """Refuse a value outside its range; None was not given.
+
+    Raises:
+        InputError: it is outside.
+    """
     if value is not None and (value < least or (most is not None and value > most)):
         raise wrong(option, str(value), f"a whole number from {least}{f' to {most}' if most is not None else ' up'}", "give another number")

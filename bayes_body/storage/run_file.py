@@ -1,5 +1,10 @@
-"""`run.toml`: all that is needed to repeat a run or to go on with it: settings, the kernel's every option, versions, and the texts it was made of."""
+"""`run.toml`: all that is needed to repeat a run or to go on with it: settings, the kernel's every option, versions, and the texts it was made of.
 
+The texts of plugins are kept to be compared and to be read by people; they are never run from here.
+"""
+
+import ast
+import hashlib
 import platform
 from collections.abc import Iterator, Mapping
 from importlib.metadata import version
@@ -12,6 +17,8 @@ import tomlkit
 from bayes_body.definition import Definition, definition_names
 from bayes_body.errors import wrong
 from bayes_body.files import write_text
+from bayes_body.plugins import loaded, providing
+from bayes_body.registry import Place, Room
 from bayes_body.session import FILE_NAME
 from bayes_body.toml_file import parse_toml, read_toml
 
@@ -45,6 +52,7 @@ def describe(
     file = session.resolve() / FILE_NAME if session.is_dir() else session.resolve()
     settings = {"session": str(file.parent), "model": model, "runs": runs, "seed": seed, "frames": frames}
     texts = {"title": definition.title, "text": definition.text, "body_text": definition.body_text or None}
+    plugins = {plugin.path.name: plugin.text for plugin in providing(places_of(definition, kind))}
     return {
         "run": _known(settings),
         "kernel": _known({"kind": kind, **options}),
@@ -52,7 +60,16 @@ def describe(
         "machine": {"platform": platform.platform(), "devices": [str(device) for device in jax.devices()]},
         "definition": _known(texts),
         "session": {"text": file.read_text(encoding="utf-8-sig")},
+        **({"plugins": plugins} if plugins else {}),
     }
+
+
+def places_of(definition: Definition, kernel: str) -> set[Place]:
+    """The terms that a run with a definition and a kernel is made of."""
+    constraints: list[Place] = [("potential", term.kind) for term in definition.constraints]
+    rooms: tuple[Room, ...] = ("likelihood", "observation")
+    likelihoods: list[Place] = [(room, term.kind) for term in definition.likelihoods for room in rooms]
+    return {("dynamics", definition.dynamics.kind), ("kernel", kernel), *constraints, *likelihoods}
 
 
 def _known(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -69,21 +86,57 @@ def write_run_file(folder: Path, record: Mapping[str, Mapping[str, Any]]) -> Non
     document = tomlkit.document()
     document.add(tomlkit.comment(HEADING))
     for name, table in record.items():
-        document[name] = {key: tomlkit.string(value, multiline=True) if "text" in key else value for key, value in table.items()}
+        document[name] = {key: tomlkit.string(value, multiline=True) if _is_text(name, key) else value for key, value in table.items()}
     write_text(folder / NAME, tomlkit.dumps(document))
+
+
+def _is_text(table: str, key: str) -> bool:
+    return table == "plugins" or "text" in key
 
 
 def read_run_file(folder: Path) -> dict[str, dict[str, Any]]:
     """The tables of a run's `run.toml`.
 
     Raises:
-        InputError: there is none, it is no TOML, or a table is missing.
+        InputError: there is none, it is no TOML, a table is missing, or a plugin of the run was not loaded.
     """
     record = read_toml(folder / NAME)
     missing = [name for name in TABLES if not isinstance(record.get(name), dict)]
     if missing:
         raise wrong(folder / NAME, f"no table [{missing[0]}]", "the settings of a run", "name another folder with --out, and begin anew")
+    check_plugins(folder, kept_plugins(record))
     return record
+
+
+def kept_plugins(record: Mapping[str, Any]) -> dict[str, str]:
+    """The texts of the plugins that a run was made with, by file name; none where it had no terms of a user's own."""
+    table = record.get("plugins")
+    return {str(name): str(text) for name, text in table.items()} if isinstance(table, dict) else {}
+
+
+def check_plugins(folder: Path, kept: Mapping[str, str]) -> None:
+    """That the plugins of a run were loaded: what a file of text says is never run.
+
+    Raises:
+        InputError: one was not, or says something else than when the run was made.
+    """
+    now = {plugin.path.name: plugin.text for plugin in loaded()}
+    where = f"{folder / NAME}: plugins"
+    for name, text in kept.items():
+        if name not in now:
+            raise wrong(where, f"the run has terms of {name}, which is not loaded", "the run's plugins", f"give that file with --plugin {name}")
+        if _meaning(now[name]) != _meaning(text):
+            remedy = f"put it back: its text is in {NAME}, under [plugins]; or begin anew in another folder"
+            raise wrong(where, f"{name} changed since the run was made", "the file that the run was made with", remedy)
+
+
+def _meaning(code: str) -> str:
+    """A short name of what a text says in Python: comments and layout do not count."""
+    try:
+        said = ast.dump(ast.parse(code))
+    except (SyntaxError, ValueError):
+        said = code
+    return hashlib.sha256(said.encode()).hexdigest()[:12]
 
 
 def refuse_changes(folder: Path, kept: Mapping[str, Mapping[str, Any]], now: Mapping[str, Mapping[str, Any]]) -> None:
@@ -108,6 +161,7 @@ def _comparable(record: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     named = {"--model": Path(str(run.get("model"))).stem, "--runs": run.get("runs"), "--seed": run.get("seed")}
     named |= {f"kernel.{key}": value for key, value in _leaves(record["kernel"])}
     named |= {f"the version of {package}": record["versions"].get(package) for package in COMPUTING}
+    named |= {f"the plugin {name}": _meaning(text) for name, text in kept_plugins(record).items()}
     texts = {"the model's file": definition.get("text", ""), "the body's file": definition.get("body_text", ""), FILE_NAME: record["session"]["text"]}
     return named | {f"{title}: {key}": value for title, text in texts.items() for key, value in _leaves(parse_toml(text, title))}
 

@@ -1,0 +1,70 @@
+"""`bayes-body demo`: from nothing to a posterior with its report, in two minutes."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from bayes_body.cli.track import LARGEST_SEED, check_range
+
+if TYPE_CHECKING:
+    from bayes_body.demo import Demo
+
+FOLDER = "bayes_body_demo"
+# Key of the summary, what a reader calls it, how it is printed.
+ROWS = (
+    ("error_mm_mean", "error of the 15 markers, posterior mean against truth", "{:.0f} mm"),
+    ("error_mm_relative", "the same, pelvis on pelvis", "{:.0f} mm"),
+    ("error_mm_mean_fitted_offset", "the same, with the two skeletons' constant offset fitted", "{:.0f} mm"),
+    ("coverage_90", "truth inside the 90 % intervals", "{:.0%}"),
+    ("coverage_50", "truth inside the 50 % intervals", "{:.0%}"),
+    ("iou_median", "overlap with the silhouettes (IoU)", "{:.2f}"),
+    ("ess_median", "effective particles, median", "{:.0f}"),
+    ("frames_lost", "frames lost", "{}"),
+    ("seconds_per_frame", "time a frame", "{:.2f} s"),
+)
+
+
+def demo(
+    out: Path | None = typer.Option(None, "--out", help=f"Folder for what it makes; {FOLDER}, or the next free {FOLDER}_2 ..., by default."),
+    seed: int = typer.Option(0, "--seed", help="Another person, walk, room and noise for each."),
+    quick: bool = typer.Option(False, "--quick", help="12 frames and 250 particles: to see that it works."),
+) -> None:
+    """Film a simulated walk, track it as a recording of yours would be, and compare with the truth."""
+    from bayes_body.config import configure
+
+    check_range("--seed", seed, 0, LARGEST_SEED)
+    configure()
+    from bayes_body.demo import QUICK, WHOLE
+    from bayes_body.demo import demo as demonstrate
+
+    folder = _free() if out is None else out
+    found = demonstrate(folder, seed, QUICK if quick else WHOLE, lambda line: typer.echo(line), sys.stderr.isatty())
+    typer.echo("")
+    _table(found.summary)
+    _where(found)
+
+
+def _free() -> Path:
+    number, folder = 1, Path(FOLDER)
+    while folder.exists():
+        number, folder = number + 1, Path(f"{FOLDER}_{number + 1}")
+    return folder
+
+
+def _table(summary: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("figure", "value", box=None, pad_edge=False)
+    for key, what, form in ROWS:
+        table.add_row(what, "-" if summary[key] is None else form.format(summary[key]))
+    Console(width=100).print(table)
+
+
+def _where(found: "Demo") -> None:
+    typer.echo("")
+    for what, path in (("overlay", found.overlay), ("report", found.report), ("posterior", found.posterior), ("recording", found.recording)):
+        typer.echo(f"{what:<11}{path}")
+    typer.echo(f'open the report in a browser; in Python: xarray.open_datatree("{found.posterior}")')

@@ -1,0 +1,166 @@
+"""`bayes-body simulate`: a captured motion, filmed by cameras that need not exist yet, as a session with its truth."""
+
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, cast
+
+import typer
+
+from bayes_body.errors import InputError, nearest
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from bayes_body.recording.rig import Rig
+    from bayes_body.session import Session
+
+    type Landmarks = Mapping[str, np.ndarray]
+
+MOTION, PERSON, PICTURE = "Motion", "Person", "Picture"
+WALK = "walk"
+# Of the walk that ships, where no number of frames is said.
+WALK_S = 2.0
+
+
+def simulate(
+    mocap: Annotated[str, typer.Argument(help="Motion capture: .amc, .bvh, .c3d, .trc; or `walk`, a walking cycle that ships.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", help="Folder to write the session into.", show_default=False)],
+    rig: Annotated[str, typer.Option("--rig", help="humaneva_7, room_4, side_1, moving_1, or a .toml: a rig, a session, Pose2Sim's.")] = "room_4",
+    cameras: Annotated[str | None, typer.Option("--cameras", help="Only these cameras of the rig, such as C1,C2,C3.")] = None,
+    skeleton: Annotated[Path | None, typer.Option("--skeleton", help="The .asf of an .amc, if it is not beside it.", rich_help_panel=MOTION)] = None,
+    unit: Annotated[str | None, typer.Option("--unit", help="Of the motion's lengths, if its file does not say it.", rich_help_panel=MOTION)] = None,
+    up: Annotated[str | None, typer.Option("--up", help="Axis that points up, if not its format's usual.", rich_help_panel=MOTION)] = None,
+    frames: Annotated[int | None, typer.Option("--frames", help="How many, at the rig's rate; all by default.", rich_help_panel=MOTION)] = None,
+    first_frame: Annotated[int, typer.Option("--first-frame", help="Of the motion, at the rig's rate.", rich_help_panel=MOTION)] = 0,
+    centre: Annotated[bool, typer.Option("--centre/--no-centre", help="Move the motion to where the cameras look.", rich_help_panel=MOTION)] = True,
+    subject: Annotated[
+        str, typer.Option("--subject", help="Who is filmed: a number or a name; each is somebody else.", rich_help_panel=PERSON)
+    ] = "0",
+    height: Annotated[
+        float | None, typer.Option("--height", help="Stature, metres; the motion grows with it. By default the motion's own.", rich_help_panel=PERSON)
+    ] = None,
+    body: Annotated[
+        str | None, typer.Option("--body", help="A body whose joint angles are fitted to the motion and join the truth.", rich_help_panel=PERSON)
+    ] = None,
+    clutter: Annotated[float, typer.Option("--clutter", help="Furniture and textures: 0 none, 1 usual.", rich_help_panel=PICTURE)] = 1.0,
+    noise: Annotated[
+        float, typer.Option("--noise", help="Sensor noise, drift of exposure, differing gains: 0 none, 1 usual.", rich_help_panel=PICTURE)
+    ] = 1.0,
+    segmentation: Annotated[
+        str | None,
+        typer.Option(
+            "--segmentation",
+            help="Silhouettes of a `good` or `poor` segmenter, instead of an empty scene.",
+            rich_help_panel=PICTURE,
+        ),
+    ] = None,
+    masks: Annotated[bool, typer.Option("--masks", help="Write the true silhouettes too, into true_masks.", rich_help_panel=PICTURE)] = False,
+    background: Annotated[
+        Path | None, typer.Option("--background", help="Folder with CAMERA.png, .mp4 ... of your own empty scene.", rich_help_panel=PICTURE)
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", help="Of the room, noise and keypoints.", rich_help_panel=PICTURE)] = 0,
+) -> None:
+    """Film a motion with simulated cameras: videos, empty scenes, calibration, first keypoints and the truth, as a session."""
+    from bayes_body.simulation.options import Options
+    from bayes_body.simulation.person import build_person
+    from bayes_body.simulation.session import check_folder
+    from bayes_body.simulation.session import simulate as film
+    from bayes_body.simulation.staging import centred, cut, scaled, stature_m
+    from bayes_body.view.progress import watched
+
+    options = Options(clutter, noise, _quality(segmentation), masks, background, seed=seed)
+    check_folder(out)
+    chosen = _rig(rig, cameras)
+    if mocap == WALK:
+        landmarks = _walk(chosen.fps, frames, first_frame, _seed_of(subject), height)
+    else:
+        landmarks = _captured(Path(mocap), chosen.fps, skeleton, unit, up)
+    landmarks = cut(landmarks, first_frame, frames)
+    stature = stature_m(landmarks)
+    person = build_person(_seed_of(subject), stature if height is None else height)
+    landmarks = scaled(landmarks, person.build.height_m / stature)
+    landmarks = centred(landmarks, chosen.aim_m) if centre else landmarks
+    truth = {} if body is None else _angles(body, landmarks, chosen.fps)
+    title = f"{Path(mocap).stem}, simulated with {chosen.name}"
+    session, remarks = film(landmarks, chosen, person, options, out, title=title, truth=truth, watch=watched("filming"))
+    for remark in remarks:
+        typer.echo(f"note: {remark}")
+    _draw(session, out)
+    size = f"{len(session.views)} cameras, {session.frames} frames at {session.fps:g} frames a second, a person of {person.build.height_m:.2f} m"
+    typer.echo(f"{size}: {out / 'session.toml'}")
+
+
+def _quality(text: str | None) -> Literal["good", "poor"] | None:
+    if text not in (None, "good", "poor"):
+        raise InputError(f"--segmentation: '{text}': no such segmenter; {nearest(text, ('good', 'poor'))}")
+    return cast(Literal["good", "poor"] | None, text)
+
+
+def _rig(name: str, cameras: str | None) -> "Rig":
+    from bayes_body.definition import definition_names, definitions_folder
+    from bayes_body.recording.rig import read_rig
+
+    shipped = definition_names("rigs")
+    path = definitions_folder() / "rigs" / f"{name}.toml" if name in shipped else Path(name)
+    if not path.exists():
+        raise InputError(f"--rig: '{name}': neither a rig that ships nor a file; {nearest(name, shipped)}")
+    rig = read_rig(path)
+    return rig if cameras is None else rig.select([each.strip() for each in cameras.split(",")])
+
+
+def _captured(path: Path, fps: float, skeleton: Path | None, unit: str | None, up: str | None) -> "Landmarks":
+    """A captured motion's landmarks at a frame rate."""
+    from bayes_body.recording.mocap import landmarks, read_motion, resample
+
+    return landmarks(resample(read_motion(path, skeleton, unit=unit, up=up), fps))
+
+
+def _walk(fps: float, frames: int | None, first: int, seed: int, height: float | None) -> "Landmarks":
+    """As many frames of the walk that ships as are asked for, in the subject's own gait."""
+    from bayes_body.learning.walking_cycle import load_cycle, walk
+
+    count = round(WALK_S * fps) if frames is None else frames
+    cycle = load_cycle()
+    return walk(cycle, max(first + count, 1) / fps, fps, seed=seed, height_m=cycle.height_m if height is None else height)
+
+
+def _seed_of(subject: str) -> int:
+    """A number is itself; a name always the same person."""
+    return int(subject) if subject.isdecimal() and len(subject) < 10 else zlib.crc32(subject.encode())
+
+
+def _angles(name: str, landmarks: "Landmarks", fps: float) -> dict[str, "np.ndarray"]:
+    """The joint angles of a body that does what the person does, with their names."""
+    import numpy as np
+
+    from bayes_body.body.build import build_body
+    from bayes_body.config import configure
+    from bayes_body.definition import load_body
+    from bayes_body.retarget import retarget
+    from bayes_body.view.progress import waiting
+
+    schema = load_body(name)
+    configure()
+    with waiting(f"fitting {name} to the motion"):
+        found = retarget(build_body(name, schema), landmarks, fps, schema=schema)
+    residual = found.residual()
+    typer.echo(f"{name} follows the motion to within {residual.mean_mm:.0f} mm in the mean, {residual.most_mm:.0f} mm for 95 % of its markers.")
+    for remark in found.remarks:
+        typer.echo(f"note: {remark}.")
+    lengths = list(found.lengths_m.items())
+    return {
+        "angles": found.angles,
+        "dof_names": np.array(found.body.dof_names),
+        "body": np.array(name),
+        "length_names": np.array([key for key, _ in lengths]),
+        "lengths_m": np.array([value for _, value in lengths]),
+    }
+
+
+def _draw(session: "Session", folder: Path) -> None:
+    from bayes_body.cli.import_ import DEFAULT_MODEL
+    from bayes_body.cli.import_ import _draw as draw
+
+    picture = draw(session, DEFAULT_MODEL, folder / "check.png")
+    typer.echo(f"Look at {picture}: the fitted body should cover the person in every view.")

@@ -1,0 +1,189 @@
+"""What a model is tried on, always with a truth: a recording that was given, a rendered walk, or data that the model itself draws.
+
+A body with a pelvis walks through the shipped four cameras, drawn by a renderer that knows nothing of the model. No recording shows an arm alone;
+there, and where a recording has not what a likelihood looks at, the data are drawn from the model, if its likelihoods are distributions over data.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.calibration.problem import Case, check_cases, draw_case, problem_of
+from bayes_body.calibration.scene import model_in_a_room
+from bayes_body.camera import Camera
+from bayes_body.definition import Definition, definitions_folder
+from bayes_body.errors import InputError, wrong
+from bayes_body.files import make_folder, replacing
+from bayes_body.initial import with_first_pose
+from bayes_body.model import Model, load_model
+from bayes_body.observation.frames import read_frame
+from bayes_body.recording.rig import read_rig
+from bayes_body.recording.truth import MARKERS
+from bayes_body.session import CameraSpec, Session, View, load_session
+from bayes_body.shapes import Key
+
+RIG, FPS = "room_4", 60.0
+TRUTH = "truth.npz"
+# The walker's build, clothes and stature: anybody's.
+PERSON, HEIGHT_M = 4, 1.76
+# What a body must have to walk through a room.
+ROOT = "pelvis"
+
+
+class Scene(NamedTuple):
+    """A model with what it is to follow.
+
+    Attributes:
+        session: cameras, frames and truth.
+        model: with the session's first pose.
+        kind: recording, rendered or drawn.
+    """
+
+    session: Session
+    model: Model
+    kind: str
+
+
+class Scenes:
+    """The scenes of one matrix: what several rows share is made once.
+
+    Args:
+        folder: where scenes are kept, as long as they are needed.
+        frames: of each scene.
+        seed: of the walk, the renderer's noise, and what models draw.
+        session: folder of a recording, which then takes the place of all others.
+    """
+
+    def __init__(self, folder: Path, frames: int, seed: int = 0, session: Path | None = None):
+        self.folder, self.frames, self.seed, self.recording = folder, frames, seed, session
+        self._made: dict[str, Scene | InputError] = {}
+
+    def of(self, definition: Definition) -> Scene:
+        """The scene of a model.
+
+        Raises:
+            InputError: there is none; the sentence says why.
+        """
+        if definition.name not in self._made:
+            try:
+                self._made[definition.name] = self._make(definition)
+            except InputError as error:
+                self._made[definition.name] = error
+        made = self._made[definition.name]
+        if isinstance(made, InputError):
+            raise made
+        return made
+
+    @cached_property
+    def session(self) -> Session:
+        """The recording, or the rendered walk."""
+        return load_session(self.recording) if self.recording is not None else rendered(self.folder / "walk", self.frames, self.seed)
+
+    def _make(self, definition: Definition) -> Scene:
+        if self.recording is not None:
+            return self._seen(definition, "recording")
+        if ROOT not in definition.body.markers:
+            return self._drawn(definition)
+        try:
+            return self._seen(definition, "rendered")
+        except InputError:
+            # Such as a likelihood of keypoints, which no detector has found here.
+            if not_generative(load_model(definition, self.session)):
+                raise
+            return self._drawn(definition)
+
+    def _seen(self, definition: Definition, kind: str) -> Scene:
+        model = load_model(definition, self.session)
+        # What a likelihood looks at, and whether the recording has it, is known before the first pose is looked for.
+        model.observe(read_frame(self.session, 0))
+        return Scene(self.session, with_first_pose(model, self.session), kind)
+
+    def _drawn(self, definition: Definition) -> Scene:
+        model = model_in_a_room(definition)
+        lacking = not_generative(model)
+        if lacking:
+            found = f"its likelihood '{lacking[0]}' is no distribution over data, and no recording shows the body '{definition.body_name}' alone"
+            raise wrong(definition.name, found, "data to follow", "give a recording of it with --session")
+        return drawn(model, self.folder / definition.name, self.frames, jax.random.fold_in(jax.random.key(self.seed), 1))
+
+
+def not_generative(model: Model) -> list[str]:
+    """The likelihoods from which no data can be drawn."""
+    return [factor.name for factor in model.factors if factor.side == "likelihood" and factor.simulate is None]
+
+
+def rendered(folder: Path, frames: int, seed: int) -> Session:
+    """A walk through the shipped room, drawn by the renderer.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    from bayes_body.learning.walking_cycle import load_cycle, walk
+    from bayes_body.simulation.options import Options
+    from bayes_body.simulation.person import build_person
+    from bayes_body.simulation.session import simulate
+    from bayes_body.simulation.staging import centred
+
+    rig = read_rig(definitions_folder() / "rigs" / f"{RIG}.toml", FPS)
+    landmarks = walk(load_cycle(), frames / FPS, FPS, height_m=HEIGHT_M, seed=seed)
+    session, _ = simulate(centred(landmarks, rig.aim_m), rig, build_person(PERSON, HEIGHT_M), Options(seed=seed), folder, title="a rendered walk")
+    return session
+
+
+def drawn(model: Model, folder: Path, frames: int, key: Key) -> Scene:
+    """A path of the model's own motion prior and the data that its likelihoods make of it: what the model takes for possible.
+
+    Raises:
+        InputError: the model cannot be simulated, or the folder cannot be written.
+    """
+    case: Case = jax.device_get(jax.jit(draw_case, static_argnums=(1, 2))(key, problem_of(model), frames))
+    check_cases(case.refused, case.unbounded)
+    make_folder(folder)
+    _write_truth(folder / TRUTH, model, np.asarray(case.path["pose"]))
+    views = tuple(View(camera, images=_blank(folder, camera)) for camera in _cameras(model.rig))
+    session = Session(folder, "data drawn from the model", "z", FPS, frames, 0, views, truth=TRUTH)
+    observers = {name: _of_frame(data) for name, data in case.data.items()}
+    first = jax.tree.map(jnp.asarray, dict(case.first))
+    return Scene(session, replace(model, initial=first, observers=observers), "drawn")
+
+
+def _of_frame(data: Any) -> Callable[[Any], Any]:
+    return lambda frame: jax.tree.map(lambda leaf: leaf[frame.index], data)
+
+
+def _write_truth(path: Path, model: Model, poses: Float[np.ndarray, "frame dof"]) -> None:
+    """The markers that the body has; the others are unknown."""
+    names = model.body.markers.names
+    positions = np.full((len(poses), len(MARKERS), 3), np.nan)
+    for frame, pose in enumerate(poses):
+        found = dict(zip(names, np.asarray(model.markers(jnp.asarray(pose)), float), strict=True))
+        positions[frame] = [found.get(name, [np.nan] * 3) for name in MARKERS]
+    with replacing(path) as partial:
+        np.savez(partial, markers=positions, names=np.array(MARKERS))
+
+
+def _cameras(rig: Camera) -> list[CameraSpec]:
+    """The cameras of a rig as plain numbers."""
+    columns = [rig.size, rig.focal, rig.centre, rig.skew, rig.distortion, rig.rotation, rig.translation]
+    found = []
+    for index, each in enumerate(zip(*(np.asarray(column, float) for column in columns), strict=True)):
+        size, focal, centre, skew, distortion, rotation, translation = each
+        width, height = (round(extent) for extent in size)
+        found.append(CameraSpec(f"C{index + 1}", (width, height), tuple(focal), tuple(centre), float(skew), tuple(distortion), rotation, translation))
+    return found
+
+
+def _blank(folder: Path, camera: CameraSpec) -> str:
+    """The pattern of a camera's images, one for all frames: whoever follows reads images, though here nobody looks at them."""
+    width, height = camera.size_px
+    # One grey everywhere would count as a camera that saw nothing.
+    (folder / f"{camera.name}.pgm").write_bytes(b"P5 %d %d 255\n" % (width, height) + np.arange(width * height).astype(np.uint8).tobytes())
+    # The frame's number, cut to no letters.
+    return f"{camera.name}%.0s.pgm"

@@ -1,0 +1,109 @@
+"""`--plugin`: a user's own terms from the command line: run only where they are named, kept with the run, and asked for again where it is read."""
+
+import tomllib
+
+import pytest
+from own_terms import GOOD, MODEL, plugins_of_this_test
+
+from bayes_body.session import save_session
+
+FRAMES = 2
+
+
+@pytest.fixture(scope="module")
+def files(textured_session, tmp_path_factory):
+    """The folder of a session, a model that names a plugin's terms, and the plugin."""
+    folder = tmp_path_factory.mktemp("plugin")
+    save_session(textured_session)
+    (folder / "mine.py").write_text(GOOD, encoding="utf-8")
+    (folder / "mine.toml").write_text(MODEL, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture
+def alone(cli):
+    """As `cli`, but each command as in a process of its own: it knows no plugin of the one before."""
+
+    def call(*arguments):
+        with plugins_of_this_test():
+            return cli(*arguments)
+
+    return call
+
+
+@pytest.fixture
+def track(alone, textured_session, files):
+    def call(out, *arguments, model="mine.toml", frames=FRAMES):
+        return alone("track", textured_session.folder, "--out", out, "--model", files / model, "--frames", frames, *arguments)
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def run(files):
+    return files / "run"
+
+
+def test_without_the_option_nothing_foreign_is_run(track, tmp_path):
+    track(tmp_path / "run").refuses("likelihood #1.kind: likelihood 'brightness' does not exist")
+
+
+def test_a_run_keeps_the_plugin_s_text(track, files, run):
+    outcome = track(run, "--plugin", files / "mine.py")
+    assert outcome.status == 0, outcome.err
+    assert tomllib.loads((run / "run.toml").read_text(encoding="utf-8"))["plugins"] == {"mine.py": GOOD}
+
+
+def test_a_run_of_built_in_terms_keeps_none(alone, textured_session, files, tmp_path):
+    arguments = ["--model", "arm", "--particles", 20, "--frames", 1, "--plugin", files / "mine.py"]
+    assert alone("track", textured_session.folder, "--out", tmp_path / "run", *arguments).status == 0
+    assert "plugins" not in tomllib.loads((tmp_path / "run" / "run.toml").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("verb", [["report"], ["export", "--to", "csv"]])
+def test_what_reads_a_run_asks_for_its_plugin(alone, run, files, verb, tmp_path):
+    command = [verb[0], run, *verb[1:], "--out", tmp_path / "out"]
+    alone(*command).refuses("run.toml: plugins", "the run has terms of mine.py, which is not loaded", "--plugin mine.py")
+    assert alone(*command, "--plugin", files / "mine.py").status == 0
+
+
+def test_a_run_goes_on_with_its_plugin_only(track, run, files, tmp_path):
+    track(run, "--resume").refuses("the run has terms of mine.py, which is not loaded", "give that file with --plugin")
+    (tmp_path / "mine.py").write_text(GOOD.replace("** 2", "** 4"), encoding="utf-8")
+    track(run, "--resume", "--plugin", tmp_path / "mine.py").refuses("mine.py changed since the run was made", "under [plugins]")
+    # What Python reads is the same.
+    (tmp_path / "mine.py").write_text(GOOD.replace("(name, level)", "(name,  level)") + "\n# mine\n", encoding="utf-8")
+    outcome = track(run, "--resume", "--plugin", tmp_path / "mine.py", frames=FRAMES + 1)
+    assert outcome.status == 0, outcome.err
+    assert f"going on at frame {FRAMES} of {FRAMES + 1}" in outcome.out
+
+
+def test_models_check_knows_the_terms(alone, files):
+    alone("models", "check", files / "mine.toml").refuses("'brightness' does not exist")
+    outcome = alone("models", "check", files / "mine.toml", "--plugin", files / "mine.py")
+    assert (outcome.status, outcome.err) == (0, "") and "brightness" in outcome.out
+
+
+FAULTS = {
+    "vector": (("jnp.sum(values[POSE] ** 2)", "values[POSE] ** 2"), ["likelihood 'brightness'", "an array of shape (4,)", "expected one number"]),
+    "NaN": (("** 2)", "** 0 * jnp.nan)"), ["likelihood 'brightness'", "is NaN at the first pose"]),
+    "twice": (('"observation"', '"likelihood"'), ["line 14", "likelihood 'brightness' is registered twice", "rename yours"]),
+    "its own error": (("values[POSE] ** 2", "values[POSE] @ jnp.ones(7)"), ["line 17", "TypeError: dot_general requires", "correct the plugin"]),
+    "its observation": (("frame.images[0].mean()", "frame.pictures"), ["line 12", "AttributeError: 'Frame' object has no attribute 'pictures'"]),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_plugin_that_cannot_be_used(track, files, tmp_path, fault, monkeypatch):
+    import jaxtyping
+
+    # A user's code runs without checks of types.
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    (old, new), parts = FAULTS[fault]
+    assert old in GOOD
+    (tmp_path / "mine.py").write_text(GOOD.replace(old, new), encoding="utf-8")
+    track(tmp_path / "run", "--plugin", tmp_path / "mine.py").refuses("mine.py", *parts)
+
+
+def test_a_file_that_does_not_exist(track, tmp_path):
+    track(tmp_path / "run", "--plugin", tmp_path / "none.py").refuses("none.py: no such file", "expected a Python file that registers terms")
