@@ -20,7 +20,7 @@ from bayes_body.body.schema import BodySchema
 from bayes_body.body.skeleton import Motion as Dof
 from bayes_body.body.skeleton import Skeleton, forward_kinematics
 from bayes_body.body.solids import Body
-from bayes_body.initial.lengths import scaling
+from bayes_body.initial.lengths import Scaling, scaling
 from bayes_body.initial.quick import QUICK
 from bayes_body.recording.mocap.motion import Motion
 from bayes_body.retarget.turns import angles_of
@@ -37,11 +37,17 @@ class Placed(NamedTuple):
 
 
 class Exact(NamedTuple):
-    """Angles of every frame, by how much each of the body's lengths is multiplied (none if they stay), and the joints."""
+    """Angles of every frame, the joints, and if lengths may change, how, and by how much each is multiplied."""
 
     angles: Float[np.ndarray, "frame dof"]
-    factors: Float[np.ndarray, " length"]
     placed: Placed
+    change: Scaling | None
+    factors: Float[np.ndarray, " length"]
+
+    @property
+    def lengths_m(self) -> list[float]:
+        """The lengths in the order of the body's file; none if they stay."""
+        return [] if self.change is None else (np.asarray(self.change.values, float) * self.factors).tolist()
 
 
 def decompose(body: Body, motion: Motion, joints: Mapping[str, str], schema: BodySchema | None) -> Exact | None:
@@ -53,7 +59,9 @@ def decompose(body: Body, motion: Motion, joints: Mapping[str, str], schema: Bod
         joints: the motion's name of a joint of the body, where it is another.
         schema: of the body, if its lengths may be the motion's; None keeps them.
     """
-    found = (_decomposed(body, placed, schema) for placed in _placements(body.skeleton, motion, joints))
+    placements = list(_placements(body.skeleton, motion, joints))
+    change = scaling(body, schema) if schema is not None and placements else None
+    found = (_decomposed(body, placed, change) for placed in placements)
     return next((exact for exact in found if exact is not None), None)
 
 
@@ -63,10 +71,9 @@ def carried(body: Body, placed: Placed) -> Float[np.ndarray, "frame marker 3"]:
     return placed.places[:, joints] + np.einsum("fmab,mb->fma", placed.rotations[:, joints], np.asarray(body.markers.offsets, float))
 
 
-def with_ends(body: Body, exact: Exact, points: Float[np.ndarray, "frame marker 3"], schema: BodySchema) -> Exact:
+def with_ends(body: Body, exact: Exact, points: Float[np.ndarray, "frame marker 3"], change: Scaling) -> Exact:
     """Lengths that no joint hangs on, such as a forearm's, as the motion's points have them (metres, NaN where unknown)."""
-    change = scaling(body, schema).contributions
-    joints, markers = np.asarray(change.joints, float), np.asarray(change.markers, float)
+    joints, markers = np.asarray(change.contributions.joints, float), np.asarray(change.contributions.markers, float)
     free = ~joints.any(axis=(1, 2))
     known = np.isfinite(points).all(axis=(0, 2))
     on = np.array(body.markers.joints)[known]
@@ -77,9 +84,9 @@ def with_ends(body: Body, exact: Exact, points: Float[np.ndarray, "frame marker 
     return exact._replace(factors=exact.factors + growth)
 
 
-def _decomposed(body: Body, placed: Placed, schema: BodySchema | None) -> Exact | None:
+def _decomposed(body: Body, placed: Placed, change: Scaling | None) -> Exact | None:
     frames = _in_parents(body.skeleton, placed)
-    factors, offsets = _offsets(body, frames, schema)
+    factors, offsets = _offsets(body, frames, change)
     angles = np.zeros((len(placed.places), len(body.dof_names)))
     for j, dofs in enumerate(body.skeleton.topology.motions):
         preset = np.asarray(body.skeleton.presets[j], float)
@@ -87,7 +94,7 @@ def _decomposed(body: Body, placed: Placed, schema: BodySchema | None) -> Exact 
         if taken is None:
             return None
         angles[:, [dof.dof for dof in dofs]] = taken
-    return Exact(angles, factors, placed)
+    return Exact(angles, placed, change, factors)
 
 
 def _placements(skeleton: Skeleton, motion: Motion, joints: Mapping[str, str]) -> Iterator[Placed]:
@@ -125,12 +132,12 @@ def _in_parents(skeleton: Skeleton, placed: Placed) -> Placed:
     return Placed(rotations, places)
 
 
-def _offsets(body: Body, frames: Placed, schema: BodySchema | None) -> tuple[Float[np.ndarray, " length"], Float[np.ndarray, "joint 3"]]:
+def _offsets(body: Body, frames: Placed, change: Scaling | None) -> tuple[Float[np.ndarray, " length"], Float[np.ndarray, "joint 3"]]:
     """How the body's lengths have to change for its offsets to be the motion's, and its offsets then, metres."""
     offsets = np.asarray(body.skeleton.offsets, float)
-    if schema is None:
+    if change is None:
         return np.zeros(0), offsets
-    each = np.asarray(scaling(body, schema).contributions.joints, float)
+    each = np.asarray(change.contributions.joints, float)
     still = [j for j, dofs in enumerate(body.skeleton.topology.motions) if not any(dof.is_shift for dof in dofs)]
     missing = (frames.places.mean(axis=0) - offsets)[still].ravel()
     growth = np.linalg.lstsq(each[:, still].reshape(len(each), -1).T, missing, rcond=None)[0]

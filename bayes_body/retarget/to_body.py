@@ -16,7 +16,7 @@ from bayes_body.body.skeleton import marker_positions
 from bayes_body.body.solids import Body
 from bayes_body.definition import load_body
 from bayes_body.errors import InputError, wrong
-from bayes_body.initial.lengths import factors, scaled, scaling
+from bayes_body.initial.lengths import factors, scaled
 from bayes_body.initial.quick import QUICK
 from bayes_body.recording.mocap.landmarks import landmarks
 from bayes_body.recording.mocap.motion import Motion
@@ -69,10 +69,9 @@ def retarget(
 
 def _exact(body: Body, motion: Motion, exact: Exact, schema: BodySchema | None) -> Retargeted:
     points, lengths = places_of(body, _points(motion)), {}
-    if schema is not None:
-        exact = with_ends(body, exact, points, schema) if len(points) else exact
-        values = np.asarray(scaling(body, schema).values, float) * exact.factors
-        lengths = dict(zip(schema.lengths_of_height, values.tolist(), strict=True))
+    if schema is not None and exact.change is not None:
+        exact = with_ends(body, exact, points, exact.change) if len(points) else exact
+        lengths = dict(zip(schema.lengths_of_height, exact.lengths_m, strict=True))
         body = _with_lengths(body, schema, lengths)
     places = carried(body, exact.placed)
     # The motion's joints tell where all others are; its middle of the shoulders, say, need not be the body's thorax.

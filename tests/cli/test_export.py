@@ -32,7 +32,7 @@ def test_a_run_s_markers_as_c3d(cli, run):
     assert heights.min() > -200 and 1300 < heights.max() < 2100
 
 
-@pytest.mark.parametrize("name", ["trc", "csv", "npz"])
+@pytest.mark.parametrize("name", ["trc", "csv", "npz", "bvh"])
 def test_a_name_of_one_s_own_and_overwriting(cli, run, tmp_path, name):
     out = tmp_path / f"walk.{name}"
     assert cli("export", run, "--to", name, "--out", out).status == 0

@@ -6,6 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bayes_body.body.build import Shape, build_body
+from bayes_body.export.bvh import write_bvh
+from bayes_body.export.motion import Motion as Exported
+from bayes_body.posterior.moments import Moments
+from bayes_body.recording.mocap import read_motion
 from bayes_body.retarget import retarget
 from bayes_body.retarget.exact import decompose
 from bayes_body.retarget.turns import angles_of
@@ -69,6 +74,22 @@ def test_lengths_that_end_a_limb_are_those_of_its_points(body, own_motion, lengt
     assert found.exact
     assert all(abs(found.lengths_m[name] - longer[name]) < 1e-5 for name in longer)
     assert found.residual().max_mm < 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("up", "order"), [("z", (0, 1, 2)), ("y", (1, 2, 0))])
+def test_an_exported_bvh_gives_its_angles_back(schema, angles, lengths, tmp_path, up, order):
+    longer = {name: 1.03 * length for name, length in lengths.items()}
+    body = build_body("deutscher_31", schema, Shape(1.75, longer))
+    turned, poses = np.array(body.skeleton.topology.angular), _array(body, angles)
+    dofs = Moments(*[np.where(turned, np.degrees(poses), poses)] * len(Moments._fields))
+    units = tuple("deg" if angular else "m" for angular in turned)
+    write_bvh(Exported("t", 60.0, up, (), dofs, body.dof_names, units, dofs, np.zeros(FRAMES, bool), body, order), tmp_path / "t.bvh")
+    found = retarget(build_body("deutscher_31", schema), read_motion(tmp_path / "t.bvh"), schema=schema)
+    assert found.exact
+    difference = found.angles - poses
+    assert np.abs(difference - 2 * np.pi * np.round(difference[:1] / (2 * np.pi))).max() < 1e-5
+    assert all(abs(found.lengths_m[name] - longer[name]) < 1e-5 for name in longer)
 
 
 def _with_ends(motion, lengths):
