@@ -26,6 +26,14 @@ _HOME = {
     "with_first_pose": "initial",
     "summarise": "metrics",
     "draw_overlay": "view.overlay",
+    "Factor": "factor",
+    "Schema": "schema",
+    "Transition": "factor",
+    "Variable": "factor",
+    "load_plugin": "plugins",
+    "marker_positions": "body.skeleton",
+    "project": "camera",
+    "register": "registry",
 }
 _MODULES = ("kernels", "posterior", "metrics")
 __all__ = sorted({*_HOME, *_MODULES})  # pyright: ignore[reportUnsupportedDunderAll]

@@ -99,7 +99,7 @@ def experiments(problem: Problem, kind: str, options: Any, frames: int = 2, bins
     found: dict[str, Any] = {SBC: sbc.replicate(problem, kernel, options.particles, frames, bins)}
     if move is not None:
         found[INVARIANCE] = invariance.replicate(problem, move)
-    return Experiments(seed, found)
+    return Experiments(seed, found, problem)
 
 
 def run_check(plan: Plan, replications: int, jobs: int = 0, kept: Kept | None = None, watch: Watch = unwatched) -> Findings:

@@ -53,10 +53,10 @@ def figure_names(problem: Problem) -> tuple[str, ...]:
     return (*problem.quantities.names, LOG_LIKELIHOOD, TRANSITION)
 
 
-def replicate(problem: Problem, move: MarkovMove, applications: int = 1) -> Callable[[Key], Moved]:
-    """One replication as a function of its key; the move is applied so many times."""
+def replicate(problem: Problem, move: MarkovMove, applications: int = 1) -> Callable[..., Moved]:
+    """One replication as a function of its key, and of the problem, as of `sbc.replicate`; the move is applied so many times."""
 
-    def one(key: Key) -> Moved:
+    def one(key: Key, problem: Problem = problem) -> Moved:
         true_key, other_key, move_key = jax.random.split(key, 3)
         true, other = _joint(true_key, problem), _joint(other_key, problem)
 

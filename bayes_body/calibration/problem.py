@@ -6,6 +6,7 @@ frames the data from the likelihoods. That is a draw of the model's own joint di
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -13,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_body.body.skeleton import marker_positions
+from bayes_body.body.solids import Body
 from bayes_body.density import Density
 from bayes_body.errors import wrong
 from bayes_body.factor import Factor, Particles, State, Transition
@@ -25,16 +28,19 @@ AXES = ("x", "y", "z")
 ROUNDING = 1e-5
 
 
-class Quantities(NamedTuple):
-    """Figures of a state, with their names."""
+@partial(jax.tree_util.register_dataclass, meta_fields=["names"], data_fields=["of"])
+@dataclass(frozen=True)
+class Quantities:
+    """Figures of a state, with their names; `of` is a `jax.tree_util.Partial`, so that its arrays are leaves."""
 
     names: tuple[str, ...]
     of: Callable[[State], Float[Array, " quantity"]]
 
 
+@partial(jax.tree_util.register_dataclass, meta_fields=["wandering"], data_fields=["transition", "factors", "first", "quantities"])
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A model as the harness sees it.
+    """A model as the harness sees it; a pytree, so that a compiled program takes its arrays as arguments and does not fold them as constants.
 
     Attributes:
         transition: the motion prior.
@@ -70,12 +76,13 @@ class Case(NamedTuple):
 
 def problem_of(model: Model, wandering: int = 10) -> Problem:
     """A model as a problem: its dofs and the coordinates of its markers are ranked."""
-    names = [*model.body.dof_names, *(f"{marker} {axis}" for marker in model.body.markers.names for axis in AXES)]
+    names = (*model.body.dof_names, *(f"{marker} {axis}" for marker in model.body.markers.names for axis in AXES))
+    of = jax.tree_util.Partial(_pose_and_markers, model.body)
+    return Problem(model.transition, model.factors, model.initial, Quantities(names, of), wandering)
 
-    def of(state: State) -> Float[Array, " quantity"]:
-        return jnp.concatenate([state["pose"], model.markers(state["pose"]).reshape(-1)])
 
-    return Problem(model.transition, model.factors, model.initial, Quantities(tuple(names), of), wandering)
+def _pose_and_markers(body: Body, state: State) -> Float[Array, " quantity"]:
+    return jnp.concatenate([state["pose"], marker_positions(body.skeleton, body.markers, state["pose"]).reshape(-1)])
 
 
 def alone(state: State, count: int = 1) -> Particles:

@@ -19,20 +19,20 @@ import jax
 import numpy as np
 
 from bayes_body.calibration.kept import Kept
-from bayes_body.shapes import Key
 from bayes_body.view.progress import Watch, unwatched
 
 BLOCK = 10
 
-type Experiment = Callable[[Key], Any]
+type Experiment = Callable[..., Any]
 type Figures = dict[str, np.ndarray]
 
 
 class Experiments(NamedTuple):
-    """Experiments by name: each from a key to a NamedTuple of arrays."""
+    """Experiments by name: each from a key, and where there is a problem (a pytree) from that too, to a NamedTuple of arrays."""
 
     seed: int
     by_name: Mapping[str, Experiment]
+    problem: Any = None
 
 
 def run_replications(
@@ -65,14 +65,16 @@ class _Runner:
 
     def __init__(self, experiments: Experiments):
         self.experiments, self.compiled = experiments, {}
+        self.shared = () if experiments.problem is None else (experiments.problem,)
 
     def __call__(self, name: str, block: int) -> Figures:
         if name not in self.compiled:
-            self.compiled[name] = jax.jit(lambda keys: jax.lax.map(self.experiments.by_name[name], keys))
+            one = self.experiments.by_name[name]
+            self.compiled[name] = jax.jit(lambda keys, shared: jax.lax.map(lambda key: one(key, *shared), keys))
         place = sorted(self.experiments.by_name).index(name)
         base = jax.random.fold_in(jax.random.key(self.experiments.seed), place)
         keys = jax.vmap(lambda index: jax.random.fold_in(base, index))(np.arange(block * BLOCK, (block + 1) * BLOCK))
-        return {field: np.asarray(value) for field, value in self.compiled[name](keys)._asdict().items()}
+        return {field: np.asarray(value) for field, value in self.compiled[name](keys, self.shared)._asdict().items()}
 
 
 @contextmanager

@@ -48,8 +48,8 @@ class Replication(NamedTuple):
     unbounded: Array
 
 
-def replicate(problem: Problem, kernel: Kernel, particles: int, frames: int = 2, bins: int = 20) -> Callable[[Key], Replication]:
-    """One replication as a function of its key.
+def replicate(problem: Problem, kernel: Kernel, particles: int, frames: int = 2, bins: int = 20) -> Callable[..., Replication]:
+    """One replication as a function of its key, and of the problem where a compiled program takes that as an argument.
 
     Args:
         problem: the model.
@@ -59,7 +59,7 @@ def replicate(problem: Problem, kernel: Kernel, particles: int, frames: int = 2,
         bins: ranks that there are, one more than draws.
     """
 
-    def one(key: Key) -> Replication:
+    def one(key: Key, problem: Problem = problem) -> Replication:
         case_key, filter_key, draw_key, tie_key = jax.random.split(key, 4)
         case = draw_case(case_key, problem, frames)
         before, after, info, lost = _filtered(filter_key, problem, kernel, case, particles)
