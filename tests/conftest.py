@@ -57,6 +57,8 @@ _checks.check = _check_shapes
 sys.modules[_checks.__name__] = _checks
 jaxtyping.install_import_hook("bayes_body", f"{_checks.__name__}.check")
 
+from bayes_body.recording.keypoint_series import KeypointSeries, write_series  # noqa: E402
+from bayes_body.recording.truth import MARKERS  # noqa: E402
 from bayes_body.session import CameraSpec, Session, Subject, View  # noqa: E402
 
 
@@ -150,7 +152,7 @@ def _camera(name, azimuth, size):
 
 @pytest.fixture(scope="session")
 def textured_session(tmp_path_factory):
-    """Two cameras of different sizes, five frames of drifting blobs: images and masks that come from no body."""
+    """Two cameras of different sizes, five frames of drifting blobs: images, masks and keypoints that come from no body."""
     folder = tmp_path_factory.mktemp("textured")
     rng = np.random.default_rng(7)
     views = []
@@ -162,5 +164,7 @@ def textured_session(tmp_path_factory):
             level = (moved - moved.min()) / (moved.max() - moved.min())
             cv2.imwrite(str(folder / name / f"image{frame:04d}.png"), (level * 255).astype(np.uint8))
             cv2.imwrite(str(folder / name / f"mask{frame:04d}.png"), ((level > 0.5) * 255).astype(np.uint8))
-        views.append(View(_camera(name, azimuth, size), f"{name}/image%04d.png", f"{name}/mask%04d.png"))
+        points = np.concatenate([np.random.default_rng(8).uniform(0, size, (5, len(MARKERS), 2)), np.full((5, len(MARKERS), 1), 0.9)], axis=-1)
+        write_series(folder / f"{name}.npz", KeypointSeries(points, MARKERS, 0))
+        views.append(View(_camera(name, azimuth, size), f"{name}/image%04d.png", f"{name}/mask%04d.png", keypoints=f"{name}.npz"))
     return Session(folder, "blobs", "z", 60.0, 5, 0, tuple(views), Subject(height_m=1.7))

@@ -8,6 +8,7 @@ from bayes_body.errors import wrong
 from bayes_body.recording.camera_path import read_camera_path
 from bayes_body.recording.faults import Faults
 from bayes_body.recording.images import NotSeenError, check_size, is_image, read_colour, read_grey, read_mask
+from bayes_body.recording.keypoint_series import read_series
 from bayes_body.recording.video import probe, readable_frames
 from bayes_body.session import Session, View
 
@@ -35,6 +36,9 @@ def check_session(session: Session) -> list[str]:
                 remarks += _check_series(faults, owner, kind, paths, lambda path, read=read, view=view: read(path, view.camera.size_px))
         with faults.collect():
             _check_background(session, view)
+        if (keypoints := session.keypoints_path(view)) is not None:
+            with faults.collect():
+                read_series(keypoints)
         path = session.camera_path(view)
         if path is not None:
             with faults.collect():

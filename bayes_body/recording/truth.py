@@ -3,17 +3,15 @@
 The markers are the fifteen that errors are measured on; NaN where a position is unknown.
 """
 
-import io
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from bayes_body.errors import InputError, wrong
+from bayes_body.errors import wrong
+from bayes_body.recording.arrays_file import read_arrays
 
 MARKERS = (
     *("pelvis", "thorax", "l_shoulder", "l_elbow", "l_wrist", "r_shoulder", "r_elbow", "r_wrist"),
@@ -21,7 +19,6 @@ MARKERS = (
 )
 KIND = "an .npz with `markers` (frame, 15, 3), metres, and `names`, the 15 markers' names"
 REMEDY = "write it with numpy.savez(path, markers=..., names=...)"
-LARGEST_BYTES = 500_000_000
 # As of the session's positions: beyond it a number in metres is taken for one in millimetres.
 FARTHEST_M = 1000.0
 
@@ -36,7 +33,7 @@ def read_truth(path: Path, frames: int) -> Float[np.ndarray, "frame 15 3"]:
     Raises:
         InputError: no such file, not of that form, too few frames, or not metres.
     """
-    arrays = _arrays(path)
+    arrays = read_arrays(path, ("markers", "names"), KIND, REMEDY)
     markers, names = (_array(path, arrays, key) for key in ("markers", "names"))
     order = _order(path, names)
     if markers.ndim != 3 or markers.shape[1:] != (len(order), 3) or markers.dtype.kind not in "fiu":
@@ -61,43 +58,6 @@ def _order(path: Path, names: NDArray[np.generic]) -> list[int]:
         what = f"missing: {', '.join(missing) or 'none'}; unknown: {', '.join(other) or 'none'}" if found else "no list of texts"
         raise wrong(f"{path}: names", f"{what} ({len(found)} names)", f"each of {', '.join(MARKERS)} once", REMEDY)
     return [found.index(name) for name in MARKERS]
-
-
-def _arrays(path: Path) -> Mapping[str, NDArray[np.generic]]:
-    """The two arrays of the archive."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            size = sum(member.file_size for member in archive.infolist())
-            if size > LARGEST_BYTES:
-                raise wrong(path, f"{size} bytes when unpacked", f"at most {LARGEST_BYTES}", "name another file")
-            return {key: _member(path, archive, key) for key in ("markers", "names") if f"{key}.npy" in archive.namelist()}
-    except InputError:
-        raise
-    except FileNotFoundError:
-        raise wrong(path, "no such file", KIND, "check the path") from None
-    except OSError as error:
-        raise wrong(path, f"cannot be read ({error.strerror or error})", KIND, "check the path and its permissions") from None
-    except Exception as error:
-        # A damaged archive raises whatever its damaged part runs into: zlib.error, struct.error, NotImplementedError, EOFError, ...
-        raise wrong(path, f"no such archive, or damaged ({type(error).__name__})", KIND, REMEDY) from None
-
-
-def _member(path: Path, archive: zipfile.ZipFile, key: str) -> NDArray[np.generic]:
-    with archive.open(f"{key}.npy") as file:
-        return _parsed(path, key, file.read(LARGEST_BYTES))
-
-
-def _parsed(path: Path, key: str, content: bytes) -> NDArray[np.generic]:
-    """An .npy file's array. Its header is believed only as far as the bytes that follow it, and holds no pickled objects."""
-    file = io.BytesIO(content)
-    version = npy.read_magic(file)
-    read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-    shape, fortran, dtype = read(file)
-    count = int(np.prod([int(side) for side in shape], dtype=object))
-    values = content[file.tell() :]
-    if dtype.hasobject or not dtype.itemsize or count * dtype.itemsize != len(values):
-        raise wrong(f"{path}: {key}", f"{len(values)} bytes of {dtype} for shape {shape}", KIND, REMEDY)
-    return np.frombuffer(values, dtype).reshape(shape, order="F" if fortran else "C")
 
 
 def _array(path: Path, arrays: Mapping[str, NDArray[np.generic]], key: str) -> NDArray[np.generic]:

@@ -45,7 +45,7 @@ def _seen(key, values):
 def gaussian():
     factor = Factor("seen", "likelihood", (X,), partial(_look), simulate=partial(_seen))
     transition = Transition("gaussian", partial(_step), partial(_noise))
-    return Problem(transition, (factor,), {"x": jnp.array([0.3, -0.2], jnp.float32)}, Quantities(("a", "b"), _identity))
+    return Problem(transition, (factor,), {"x": jnp.array([0.3, -0.2], jnp.float32)}, Quantities(("a", "b"), partial(_identity)))
 
 
 # -- a skewed one between limits: a Gamma and a Gumbel ----------------------------------------------------------------------------------------
@@ -87,7 +87,7 @@ def skewed(wall=False):
     if wall:
         factors += (Factor("wall", "constraint", (X,), partial(_wall)),)
     first = {"x": jnp.array([0.4, 0.5 if not wall else 0.0], jnp.float32)}
-    return Problem(Transition("walk", partial(_walk), partial(_shrunk)), factors, first, Quantities(("a", "b"), _identity))
+    return Problem(Transition("walk", partial(_walk), partial(_shrunk)), factors, first, Quantities(("a", "b"), partial(_identity)))
 
 
 # -- mutants ----------------------------------------------------------------------------------------------------------------------------------
