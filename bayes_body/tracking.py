@@ -22,6 +22,7 @@ from bayes_body.factor import FilterInfo, Kernel, Particles
 from bayes_body.kernels.batching import everywhere, whole
 from bayes_body.model import Model
 from bayes_body.observation.frames import prefetch, read_frame
+from bayes_body.plugins import check_own_factors
 from bayes_body.recording.camera_path import cameras_at
 from bayes_body.session import Session
 from bayes_body.shapes import Key
@@ -137,6 +138,7 @@ def _filter(model: Model, kernel: Kernel, key: Key, filters: list[Particles], fi
         placed = model if factors is None else replace(model, factors=factors)
         density, ready = placed.density(data, filters[0]), 0.0
         if step is None:
+            check_own_factors(density, model.initial)
             step = _compile(kernel, run_keys[0], filters[0], density)
             last, ready = time.perf_counter(), time.perf_counter() - last
         index = everywhere(np.int32(frame))

@@ -25,7 +25,7 @@ from bayes_body.kernels.invariance import MarkovMove
 from bayes_body.shapes import Index, Key
 
 ANCESTORS = 16
-TRANSITION = "log-transition"
+TRANSITION, WEIGHT = "log-transition", "log-weight of the ancestor"
 
 
 class Moved(NamedTuple):
@@ -49,8 +49,8 @@ class _Joint(NamedTuple):
 
 
 def figure_names(problem: Problem) -> tuple[str, ...]:
-    """What is compared: the problem's quantities, the likelihood of the data, and how well the state follows from its ancestor."""
-    return (*problem.quantities.names, LOG_LIKELIHOOD, TRANSITION)
+    """What is compared: the problem's quantities, the likelihood of the data, how well the state follows from its ancestor, and that one's weight."""
+    return (*problem.quantities.names, LOG_LIKELIHOOD, TRANSITION, WEIGHT)
 
 
 def replicate(problem: Problem, move: MarkovMove, applications: int = 1) -> Callable[..., Moved]:
@@ -97,5 +97,6 @@ def _joint(key: Key, problem: Problem) -> _Joint:
 
 def _figures(problem: Problem, state: State, ancestor: Index, density: Density) -> Float[Array, " figure"]:
     before = density.ancestor(ancestor)
-    own = jnp.stack([density.log_likelihood(state, before), density.transition.log_density(state, before)])
+    # Over the log-weight an ancestor that is chosen without its weight is found out: the state may forget where it came from.
+    own = jnp.stack([density.log_likelihood(state, before), density.transition.log_density(state, before), density.previous.log_weights[ancestor]])
     return jnp.concatenate([problem.quantities.of(state), own])

@@ -12,7 +12,7 @@ from bayes_body.kernels.invariance import iterated_sir, markov_move
 from bayes_body.registry import find, names
 
 REPLICATIONS = 1000
-LIMIT = 0.05 / 4
+LIMIT = 0.05 / 5
 
 
 def least_p(found):
