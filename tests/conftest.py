@@ -165,6 +165,6 @@ def textured_session(tmp_path_factory):
             cv2.imwrite(str(folder / name / f"image{frame:04d}.png"), (level * 255).astype(np.uint8))
             cv2.imwrite(str(folder / name / f"mask{frame:04d}.png"), ((level > 0.5) * 255).astype(np.uint8))
         points = np.concatenate([np.random.default_rng(8).uniform(0, size, (5, len(MARKERS), 2)), np.full((5, len(MARKERS), 1), 0.9)], axis=-1)
-        write_series(folder / f"{name}.npz", KeypointSeries(points, MARKERS, 0))
-        views.append(View(_camera(name, azimuth, size), f"{name}/image%04d.png", f"{name}/mask%04d.png", keypoints=f"{name}.npz"))
+        write_series(folder / name / "keypoints.npz", KeypointSeries(points, MARKERS, 0))
+        views.append(View(_camera(name, azimuth, size), f"{name}/image%04d.png", f"{name}/mask%04d.png", keypoints=f"{name}/keypoints.npz"))
     return Session(folder, "blobs", "z", 60.0, 5, 0, tuple(views), Subject(height_m=1.7))
