@@ -1,5 +1,6 @@
 """What every test stands on: two host devices, the compilation cache, shape checks, and the real recordings where they are."""
 
+import dataclasses
 import hashlib
 import os
 import platform
@@ -152,7 +153,7 @@ def _camera(name, azimuth, size):
 
 @pytest.fixture(scope="session")
 def textured_session(tmp_path_factory):
-    """Two cameras of different sizes, five frames of drifting blobs: images, masks and keypoints that come from no body."""
+    """Two cameras of different sizes, five frames of drifting blobs: images and masks that come from no body."""
     folder = tmp_path_factory.mktemp("textured")
     rng = np.random.default_rng(7)
     views = []
@@ -164,7 +165,17 @@ def textured_session(tmp_path_factory):
             level = (moved - moved.min()) / (moved.max() - moved.min())
             cv2.imwrite(str(folder / name / f"image{frame:04d}.png"), (level * 255).astype(np.uint8))
             cv2.imwrite(str(folder / name / f"mask{frame:04d}.png"), ((level > 0.5) * 255).astype(np.uint8))
-        points = np.concatenate([np.random.default_rng(8).uniform(0, size, (5, len(MARKERS), 2)), np.full((5, len(MARKERS), 1), 0.9)], axis=-1)
-        write_series(folder / name / "keypoints.npz", KeypointSeries(points, MARKERS, 0))
-        views.append(View(_camera(name, azimuth, size), f"{name}/image%04d.png", f"{name}/mask%04d.png", keypoints=f"{name}/keypoints.npz"))
+        views.append(View(_camera(name, azimuth, size), f"{name}/image%04d.png", f"{name}/mask%04d.png"))
     return Session(folder, "blobs", "z", 60.0, 5, 0, tuple(views), Subject(height_m=1.7))
+
+
+@pytest.fixture(scope="session")
+def keypoint_session(textured_session):
+    """The same with keypoints, which come from no body either."""
+    views = []
+    for view in textured_session.views:
+        points = np.random.default_rng(8).uniform(0, view.camera.size_px, (5, len(MARKERS), 2))
+        series = KeypointSeries(np.concatenate([points, np.full((5, len(MARKERS), 1), 0.9)], axis=-1), MARKERS, 0)
+        write_series(textured_session.folder / f"{view.camera.name}.npz", series)
+        views.append(dataclasses.replace(view, keypoints=f"{view.camera.name}.npz"))
+    return dataclasses.replace(textured_session, views=tuple(views))

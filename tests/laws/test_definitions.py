@@ -13,13 +13,13 @@ from bayes_body.observation.frames import read_frame
 
 
 @pytest.fixture(params=definition_names())
-def model(request, textured_session):
-    return load_model(request.param, textured_session)
+def model(request, keypoint_session):
+    return load_model(request.param, keypoint_session)
 
 
 @pytest.fixture
-def density(model, textured_session) -> Density:
-    return model.density(model.observe(read_frame(textured_session, 0)))
+def density(model, keypoint_session) -> Density:
+    return model.density(model.observe(read_frame(keypoint_session, 0)))
 
 
 def test_it_says_what_it_is(model):

@@ -35,8 +35,8 @@ class TinyScenes(Scenes):
 
 
 @pytest.fixture(scope="module")
-def scenes(tmp_path_factory, textured_session):
-    return TinyScenes(tmp_path_factory.mktemp("scenes"), textured_session)
+def scenes(tmp_path_factory, keypoint_session):
+    return TinyScenes(tmp_path_factory.mktemp("scenes"), keypoint_session)
 
 
 def _compiles_fast(pair) -> bool:
@@ -158,12 +158,9 @@ def test_a_fault_of_the_program_is_told_apart(rows):
 
 
 def test_a_recording_that_was_given_takes_the_place_of_scenes(rows, textured_session):
-    from dataclasses import replace
-
     from bayes_body.session import save_session
 
-    views = tuple(replace(view, keypoints=None) for view in textured_session.views)
-    save_session(replace(textured_session, views=views))
+    save_session(textured_session)
     settings = Settings(frames=2, most_particles=12, session=textured_session.folder)
     arm, markers = rows(pairs(["arm", "arm_markers"], ["sir"]), settings=settings)
     assert arm["scene"] == "recording" and arm["log_evidence"] < 0 and arm["error_mm_mean"] is None
