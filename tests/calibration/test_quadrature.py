@@ -46,12 +46,12 @@ def test_too_many_dofs_are_refused(textured_session):
 
 # -- the arm on a drawn image -----------------------------------------------------------------------------------------------------------------
 
-SHOULDER, ELBOW, WRIST, HAND = np.array([[0.0, 0, 1.43], [0.22, 0.1, 1.21], [0.38, 0.02, 1.36], [0.45, -0.01, 1.42]])
+SHOULDER, ELBOW, WRIST, HAND = np.array([[0.0, 0, 1.43], [-0.22, -0.07, 1.2], [-0.42, -0.03, 1.345], [-0.5, -0.01, 1.4]])
 RADII = ((SHOULDER, ELBOW, 0.05), (ELBOW, WRIST, 0.038), (WRIST, HAND, 0.04))
 SIZE = (160, 120)
 
 
-def _look(position, target=np.array([0.2, 0.0, 1.3])):
+def _look(position, target=np.array([-0.25, 0.0, 1.3])):
     z = (target - position) / np.linalg.norm(target - position)
     x = np.cross(z, [0.0, 0, 1])
     x /= np.linalg.norm(x)
@@ -95,8 +95,8 @@ def test_means_of_the_kernels_are_those_of_the_grid(arm, name):
     found = compare(density, kernel, model.start(particles), jax.random.key(0))
     prior = np.radians([3, 3, 3, 4])
     # The image says something, and not what the prior said already.
-    assert (found.exact.sd < 0.95 * prior).all()
-    assert (np.abs(found.exact.mean - np.asarray(model.initial["pose"])) / prior).max() > 0.5
+    assert (found.exact.sd < 0.8 * prior).all()
+    assert (np.abs(found.exact.mean - np.asarray(model.initial["pose"])) / found.exact.sd).max() > 1
     assert (found.exact.error < 0.01 * found.exact.sd).all()
     assert (found.off < LIMIT).all(), found.off
 
