@@ -72,6 +72,10 @@ class Definition:
     constraints: tuple[TermDefinition, ...]
     kernel: TermDefinition
 
+    def takes_measures_of(self, body: str | None) -> bool:
+        """Whether a subject's lengths and first pose in the names of that body (None: no certain one) are in those of this definition's body."""
+        return body in (None, self.body_name, self.body.measured_as)
+
 
 def definitions_folder() -> Path:
     """Where the shipped definitions lie: inside the package in a wheel, beside it in a checkout."""

@@ -111,14 +111,14 @@ def _likelihoods(definition: Definition, body: Body, rig: Camera) -> tuple[list[
 
 def _shape(subject: Subject, definition: Definition) -> Shape:
     """The subject's measures, as far as they are measures of this body."""
-    if subject.body not in (None, definition.body_name):
+    if not definition.takes_measures_of(subject.body):
         # Another body's lengths mean nothing here; a height means the same for all.
         return Shape(subject.height_m)
     return Shape(subject.height_m, subject.lengths_m, subject.radii_m, subject.sections)
 
 
 def _motion_sd(subject: Subject, definition: Definition) -> Mapping[str, float]:
-    return subject.motion_sd if subject.body in (None, definition.body_name) else {}
+    return subject.motion_sd if definition.takes_measures_of(subject.body) else {}
 
 
 def _camera(spec: CameraSpec) -> Camera:

@@ -94,11 +94,16 @@ class Marker(Schema):
 
 
 class BodySchema(Schema):
-    """A whole body: a tree of joints, the parts that hang on it, and its virtual markers."""
+    """A whole body: a tree of joints, the parts that hang on it, and its virtual markers.
+
+    `measured_as` names another body with the same dofs and, as far as that has them, the same lengths and parts: what is measured of a subject in the
+    names of that one holds for this one.
+    """
 
     title: str
     source: str
     height_m: Positive = 1.75
+    measured_as: str | None = None
     lengths_of_height: dict[str, Positive]
     joints: Annotated[tuple[Joint, ...], Field(min_length=1, alias="joint")]
     parts: Annotated[tuple[Part, ...], Field(min_length=1, alias="part")]

@@ -1,4 +1,4 @@
-"""`bayes-body learn`: small arrays from captured motion, and beside each the source and the command that learns it again."""
+"""`bayes-body learn`: small arrays from captured motion, and beside each the source and the command that learns it again; a likelihood's scale."""
 
 import os
 from pathlib import Path
@@ -6,19 +6,15 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from bayes_body.cli.likelihood_scale import likelihood_scale
 from bayes_body.errors import wrong
 
 if TYPE_CHECKING:
     from bayes_body.learning.cycle import Learned
 
-app = typer.Typer(help="Learn small arrays from captured motion.", no_args_is_help=True)
+app = typer.Typer(help="Learn from captured motion, or from recordings with their truth.", no_args_is_help=True)
+app.command("likelihood-scale")(likelihood_scale)
 ENDINGS = (".amc", ".bvh", ".c3d", ".trc")
-
-
-# Without it a single command would be the group itself.
-@app.callback()
-def _group() -> None:
-    pass
 
 
 @app.command("walking-cycle")

@@ -32,7 +32,7 @@ def apply_first_pose(model: Model, session: Session, found: FirstPose) -> Model:
     """The model with that pose for its initial state, and with its lengths if they were fitted."""
     if found.lengths_m:
         subject = session.subject
-        if subject.body not in (None, model.definition.body_name):
+        if not model.definition.takes_measures_of(subject.body):
             # As `load_model` has it: another body's measures mean nothing here, a height means the same for all.
             subject = Subject(height_m=subject.height_m)
         subject = replace(subject, body=model.definition.body_name, lengths_m=found.lengths_m)

@@ -22,10 +22,13 @@ class Normalised(NamedTuple):
 def normalise(log_weights: LogWeights) -> Normalised:
     """NaN counts as weight zero; if no weight is left, all become equal and `lost` is set: the caller goes on from its prediction."""
     clean = jnp.where(jnp.isnan(log_weights), -jnp.inf, log_weights)
-    log_sum = jax.nn.logsumexp(clean)
-    lost = ~jnp.isfinite(log_sum)
+    # Differences first: a log-likelihood of some thousands, as of a whole image, leaves 32 bits no decimals for the sum's logarithm.
+    peak = jnp.max(clean)
+    relative = clean - jnp.where(jnp.isfinite(peak), peak, 0.0)
+    log_ratio = jax.nn.logsumexp(relative)
+    lost = ~jnp.isfinite(log_ratio)
     equal = jnp.full_like(clean, -jnp.log(clean.shape[0]))
-    return Normalised(jnp.where(lost, equal, clean - jnp.where(lost, 0.0, log_sum)), log_sum, lost)
+    return Normalised(jnp.where(lost, equal, relative - jnp.where(lost, 0.0, log_ratio)), jnp.where(lost, log_ratio, peak + log_ratio), lost)
 
 
 def effective_sample_size(log_weights: LogWeights) -> Scalar:

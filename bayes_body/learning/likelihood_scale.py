@@ -8,7 +8,7 @@ $$c(\rho^*) = 0.9, \qquad c \text{ interpolated linearly in } \log \rho.$$
 The value is worth what the recordings are: people, motions and seeds that it is later used on must not be among them.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,18 +16,21 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from bayes_body.calibration.kept import Kept
 from bayes_body.definition import Definition
 from bayes_body.errors import wrong
 from bayes_body.factor import Kernel
 from bayes_body.initial import FirstPose, apply_first_pose, first_pose
-from bayes_body.metrics import accuracy_figures, draws_against_truth, silhouette_overlap
+from bayes_body.metrics import accuracy_figures, draws_against_truth, log_evidence, silhouette_overlap
 from bayes_body.metrics.accuracy import LEVELS
 from bayes_body.model import Model, load_model
 from bayes_body.session import Session
 from bayes_body.tracking import track
+from bayes_body.view.progress import Watch, unwatched
 
 LEVEL = 0.9
 OPTION = "precision"
+KEPT = "trials"
 
 
 class Trial(NamedTuple):
@@ -80,7 +83,8 @@ def trials(
     particles: int,
     seed: int = 0,
     frames: int | None = None,
-    watch: Callable[[Sequence[int]], Iterator[int]] = iter,
+    kept: Kept | None = None,
+    watch: Watch = unwatched,
 ) -> Iterator[Trial]:
     """Each recording with each scale, all from the same first pose.
 
@@ -92,6 +96,7 @@ def trials(
         particles: of a run.
         seed: of everything random.
         frames: only the first so many.
+        kept: trials that are there already, and where new ones go.
         watch: goes through the numbers of the trials, to show how far it is.
 
     Raises:
@@ -100,13 +105,18 @@ def trials(
     for session in sessions:
         if session.truth_path is None:
             raise wrong(session.folder, "no truth", "a session with true markers", "make one with `bayes-body simulate`")
+    kept = Kept() if kept is None else kept
     starts: dict[int, FirstPose] = {}
     for number in watch(range(len(sessions) * len(scales))):
         place, scale = number // len(scales), scales[number % len(scales)]
-        model = load_model(with_scale(definition, scale), sessions[place])
-        # The fit of the first pose knows no images.
-        start = starts.setdefault(place, starts.get(place) or first_pose(model, sessions[place]))
-        yield _trial(sessions[place], apply_first_pose(model, sessions[place], start), scale, kernel, particles, seed, frames)
+        if (KEPT, number) not in kept:
+            model = load_model(with_scale(definition, scale), sessions[place])
+            if place not in starts:
+                # The fit of the first pose knows no images: it is the same for each scale.
+                starts[place] = first_pose(model, sessions[place])
+            trial = _trial(sessions[place], apply_first_pose(model, sessions[place], starts[place]), scale, kernel, particles, seed, frames)
+            kept.add(KEPT, number, {name: np.asarray(value) for name, value in trial._asdict().items()})
+        yield Trial(**{name: value.item() for name, value in kept[KEPT, number].items()})
 
 
 def _trial(session: Session, model: Model, scale: float, kernel: Kernel, particles: int, seed: int, frames: int | None) -> Trial:
@@ -114,6 +124,8 @@ def _trial(session: Session, model: Model, scale: float, kernel: Kernel, particl
     found = draws_against_truth(session, draws)
     if found is None:
         raise wrong(f"the model '{model.definition.name}'", "none of its markers is among the truth's", "one with markers", "take another body")
+    if np.isnan(log_evidence(draws)):
+        raise wrong("--kernel", "a mode seeker", "one whose particles are draws of the posterior", "take sir or tempered")
     figures = accuracy_figures(found, mode_seeker=False)
     inside, known = int(found.plain.inside[LEVELS.index(LEVEL)].sum()), int(found.plain.known.sum())
     iou = float(np.nanmedian(silhouette_overlap(session, draws)))

@@ -6,12 +6,12 @@ The union of parts is $d(x) = \max_p d_p(x)$. Each $d_p$ is a minimum of forms $
 gradient by a form's coefficients is a sum over the points that belong to it, which is how it is written below (reverse mode only).
 """
 
-from functools import partial
+from functools import partial, reduce
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from bayes_body.body.solids import Body, PartTopology, Samples
 from bayes_body.camera import Camera, Pixels
@@ -24,6 +24,8 @@ FAR_PX = 1e6
 type Forms = Float[Array, "part 4 6"]
 type Line = Float[Array, " point"]
 type Grid = Float[Array, "row column"]
+# How far inside, and the number of the form that says so.
+type Reached = tuple[Array, Array]
 
 
 def outline_forms(body: Body, rig: Camera, pose: Pose) -> Float[Array, "camera part 4 6"]:
@@ -70,47 +72,53 @@ def _ellipses(points: Pixels[Float[Array, "part 4"]]) -> Forms:
 
 def signed_distance(topology: PartTopology, forms: Forms, u: Float[Array, " column"], v: Float[Array, " row"]) -> Grid:
     """d of one camera at the columns u and rows v, from the image's middle on, pixels."""
-    return _distance(topology.is_sphere, forms, u, v)
+    return _distance(topology.is_sphere, forms, u[None, :], v[:, None])
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
-def _distance(is_sphere: tuple[bool, ...], forms: Forms, u: Array, v: Array) -> Grid:
-    return _search(is_sphere, forms, u, v)[0]
+def _distance(is_sphere: tuple[bool, ...], forms: Forms, columns: Array, rows: Array) -> Array:
+    return _search(is_sphere, forms, columns, rows)[0]
 
 
-def _search(is_sphere: tuple[bool, ...], forms: Forms, u: Array, v: Array) -> tuple[Grid, Int[Array, "row column"]]:
-    """The distance, and the number of the form that it is the value of."""
-    columns, rows = u[None, :], v[:, None]
-    cylinders = np.flatnonzero(~np.array(is_sphere))
+def _search(is_sphere: tuple[bool, ...], forms: Forms, columns: Array, rows: Array) -> Reached:
+    """The distance at columns and rows broadcast against each other, and the number of the form that it is the value of."""
+    spheres = [int(part) for part in np.flatnonzero(is_sphere)]
+    cylinders = jnp.asarray(np.flatnonzero(~np.array(is_sphere)), jnp.int32)
 
-    def farthest(reached: tuple[Grid, Array], part: tuple[Array, Array]) -> tuple[tuple[Grid, Array], None]:
-        (best, which), (number, sides) = reached, part
-        inside, side = jnp.full_like(best, jnp.inf), jnp.zeros_like(which)
-        for k in range(4):
-            other = sides[k, 0] + sides[k, 1] * columns + sides[k, 2] * rows
-            side = jnp.where(other < inside, k, side)
-            inside = jnp.minimum(inside, other)
-        return (jnp.maximum(best, inside), jnp.where(inside > best, 4 * number + side, which)), None
+    def cylinder(number: Array, sides: Array) -> Reached:
+        first, *others = (f[0] + f[1] * columns + f[2] * rows for f in sides)
+        reached = first, jnp.full_like(first, 4 * number, jnp.int32)
+        for k, inside in enumerate(others, 1):
+            reached = jnp.minimum(reached[0], inside), jnp.where(inside < reached[0], 4 * number + k, reached[1])
+        return reached
 
-    nowhere = jnp.full((v.size, u.size), -jnp.inf, forms.dtype), jnp.zeros((v.size, u.size), jnp.int32)
-    # A loop: written out part by part the compiler works on it ten times as long.
-    (best, which), _ = jax.lax.scan(farthest, nowhere, (jnp.asarray(cylinders, jnp.int32), forms[cylinders]))
-    for part in np.flatnonzero(is_sphere):
+    def farther(reached: Reached, part: tuple[Array, Array]) -> tuple[Reached, None]:
+        return _farther(reached, *cylinder(*part)), None
+
+    found = []
+    if cylinders.size:
+        # A loop: written out part by part the compiler works on it ten times as long. It starts at the first part, not at infinity: where the forms
+        # differ from device to device, so must what a loop hands on.
+        found = [jax.lax.scan(farther, cylinder(cylinders[0], forms[cylinders[0]]), (cylinders[1:], forms[cylinders[1:]]))[0]]
+    for part in spheres:
         f = forms[part, 0]
         inside = f[0] + f[1] * columns + f[2] * rows + f[3] * columns**2 + f[4] * columns * rows + f[5] * rows**2
-        which = jnp.where(inside > best, 4 * int(part), which)
-        best = jnp.maximum(best, inside)
-    return best, which
+        found.append((inside, jnp.full_like(inside, 4 * part, jnp.int32)))
+    return reduce(lambda reached, other: _farther(reached, *other), found)
 
 
-def _forward(is_sphere: tuple[bool, ...], forms: Forms, u: Array, v: Array) -> tuple[Grid, tuple[Array, ...]]:
-    best, which = _search(is_sphere, forms, u, v)
-    return best, (which, forms, u, v)
+def _farther(reached: Reached, inside: Array, form: Array) -> Reached:
+    return jnp.maximum(reached[0], inside), jnp.where(inside > reached[0], form, reached[1])
 
 
-def _backward(is_sphere: tuple[bool, ...], saved: tuple[Array, ...], cotangent: Grid) -> tuple[Forms, Array, Array]:
+def _forward(is_sphere: tuple[bool, ...], forms: Forms, columns: Array, rows: Array) -> tuple[Array, tuple[Array, ...]]:
+    best, which = _search(is_sphere, forms, columns, rows)
+    return best, (which, forms, columns, rows)
+
+
+def _backward(is_sphere: tuple[bool, ...], saved: tuple[Array, ...], cotangent: Array) -> tuple[Forms, Array, Array]:
     which, forms, u, v = saved
-    columns, rows = jnp.broadcast_arrays(u[None, :], v[:, None])
+    columns, rows = jnp.broadcast_arrays(u, v)
     basis = [jnp.ones_like(columns), columns, rows]
     basis += [columns * columns, columns * rows, rows * rows] if any(is_sphere) else []
     sums = jax.ops.segment_sum(jnp.stack([cotangent * each for each in basis], axis=-1).reshape(-1, len(basis)), which.ravel(), 4 * len(is_sphere))

@@ -16,7 +16,7 @@ from bayes_body.body.skeleton import forward_kinematics, marker_positions, prese
 from bayes_body.body.solids import Body
 from bayes_body.definition import definitions_folder
 
-BODIES = ["arm_4", "deutscher_31"]
+BODIES = ["arm_4", "deutscher_31", "person_31"]
 
 
 def document(name: str) -> dict:

@@ -14,6 +14,14 @@ def test_normalised_weights_sum_to_one():
     assert not result.lost
 
 
+def test_a_whole_images_log_likelihood_leaves_the_weights_their_decimals():
+    # Thousands of pixels: around -6000 the 32-bit numbers stand 1/2048 apart.
+    levels = jnp.asarray(np.random.default_rng(0).normal(-6000, 3, 1000), jnp.float32)
+    result = normalise(levels)
+    assert np.isclose(np.sum(np.exp(np.asarray(result.log_weights, float))), 1, atol=1e-6)
+    assert np.isclose(result.log_sum, np.logaddexp.reduce(np.asarray(levels, float)), atol=1e-3)
+
+
 def test_nan_counts_as_weight_zero():
     result = normalise(jnp.array([0.0, jnp.nan, 0.0]))
     assert np.allclose(jnp.exp(result.log_weights), [0.5, 0.0, 0.5])

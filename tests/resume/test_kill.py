@@ -22,7 +22,8 @@ def uninterrupted(looped, tmp_path_factory):
 
 
 def finish(session, out):
-    run(Settings(session, out, resume=True), lambda line: None, bar=False)
+    # All options, as `start` has it: a run that was killed before it wrote anything knows none.
+    run(Settings(session, out, "arm", None, {"particles": PARTICLES}, 2, resume=True), lambda line: None, bar=False)
     return contents(out / "posterior.nc")
 
 

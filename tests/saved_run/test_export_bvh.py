@@ -25,10 +25,10 @@ PRINTED_M = 5e-7
 TRANSFORMS = jax.jit(jax.vmap(forward_kinematics, (None, 0)))
 
 
-@pytest.fixture(scope="module")
-def body():
-    """The body with 31 dofs."""
-    return build_body("deutscher_31", load_body("deutscher_31"))
+@pytest.fixture(scope="module", params=["deutscher_31", "person_31"])
+def body(request):
+    """The bodies with 31 dofs; one has joints without any."""
+    return build_body(request.param, load_body(request.param))
 
 
 def walk(body, frames=9):
@@ -113,7 +113,8 @@ def test_at_rest_it_stands_in_the_zero_pose(body, tmp_path):
     assert np.allclose(back.rotations[:, 0], [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-6)
     # It stands upright: the head above the hips, these above the ankles, by the body's lengths.
     heights = {name: back.positions_m[0, back.joints.index(name), 2] for name in back.joints}
-    assert heights["head_end"] - heights["l_hip"] > 0.6 and heights["l_hip"] - heights["l_knee_end"] > 0.7
+    ankle = "l_knee_end" if "l_knee_end" in heights else "l_ankle"
+    assert heights["head_end"] - heights["l_hip"] > 0.6 and heights["l_hip"] - heights[ankle] > 0.7
 
 
 def test_angles_go_on_over_a_turn(body, tmp_path):
@@ -144,7 +145,7 @@ def test_a_body_of_two_roots(body, tmp_path):
     topology = body.skeleton.topology
     loose = dataclasses.replace(topology, parents=(-1, -1, *topology.parents[2:]))
     loose = dataclasses.replace(body, skeleton=dataclasses.replace(body.skeleton, topology=loose))
-    with pytest.raises(InputError, match=r"--to bvh: the body 'deutscher_31' has 2 roots; expected one"):
+    with pytest.raises(InputError, match=r"--to bvh: the body '.*_31' has 2 roots; expected one"):
         write_bvh(motion_of(loose, walk(body)), tmp_path / "walk.bvh")
     assert not (tmp_path / "walk.bvh").exists()
 

@@ -1,0 +1,97 @@
+"""`bayes-body learn likelihood-scale`: the scale of a likelihood, from recordings whose truth is known."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from bayes_body.cli.track import LARGEST_SEED, check_range
+from bayes_body.errors import wrong
+
+if TYPE_CHECKING:
+    from bayes_body.learning.likelihood_scale import Trial
+
+SCALES = "2,4,8,16,32"
+HEADINGS = f"{'recording':32} {'scale':>7} {'coverage of 90 %':>17} {'error mm':>9} {'overlap':>8} {'ESS':>6}"
+
+
+def likelihood_scale(
+    sessions: list[Path] = typer.Argument(help="Folders of recordings with their truth, as `bayes-body simulate` makes them."),
+    model: str = typer.Option(
+        "tempered_smc", "--model", help="A definition's name or the path of your own; one of its likelihoods has a `precision`."
+    ),
+    scales: str = typer.Option(SCALES, "--scales", help="Values of `precision` to try, with commas between them."),
+    kernel: str | None = typer.Option(None, "--kernel", help="sir or tempered; the model's own by default."),
+    particles: int | None = typer.Option(None, "--particles", help="Particles a run."),
+    frames: int | None = typer.Option(None, "--frames", help="Only the first so many frames of each recording."),
+    seed: int = typer.Option(0, "--seed", help="Seed of everything random."),
+    json_file: Path | None = typer.Option(
+        None, "--json", help="Where all figures go; what is done lies beside it until all is done, and the same command goes on with it."
+    ),
+) -> None:
+    """Find the `precision` at which 90 % intervals hold the truth in nine cases of ten."""
+    from bayes_body.config import configure
+
+    configure()
+    from bayes_body.cli.models import checked_definition
+    from bayes_body.learning.likelihood_scale import choose_scale, pooled
+    from bayes_body.run import kernel_options
+
+    check_range("--particles", particles, 1)
+    check_range("--frames", frames, 1)
+    check_range("--seed", seed, 0, LARGEST_SEED)
+    tried, definition = _numbers(scales), checked_definition(model)
+    kind, options = kernel_options(definition, kernel, {} if particles is None else {"particles": particles})
+    # Trials go by their number among the recordings: the same ones in the same order are the same trials.
+    settings = {"recordings": [path.name for path in sessions], "model": definition.text, "body": definition.body_text, "scales": tried}
+    settings |= {"kernel": kind, "options": options.model_dump(), "frames": frames, "seed": seed}
+    found = _tried(sessions, definition, tried, kind, options, settings, json_file)
+    of, coverage = pooled(found)
+    for scale, share in zip(of, coverage, strict=True):
+        typer.echo(f"{'all':32} {scale:7g} {share:17.3f}")
+    chosen = choose_scale(of, coverage)
+    if json_file is not None:
+        _write(json_file, settings | {"trials": [trial._asdict() for trial in found], "coverage_90": coverage.tolist(), "precision": chosen})
+    typer.echo(f"precision = {chosen:.3g}")
+
+
+def _tried(
+    sessions: list[Path], definition: Any, scales: list[float], kind: str, options: Any, settings: dict[str, Any], out: Path | None
+) -> "list[Trial]":
+    """All trials, each told as soon as it is there."""
+    from bayes_body.calibration.kept import SUFFIX, Kept
+    from bayes_body.learning.likelihood_scale import trials
+    from bayes_body.registry import find
+    from bayes_body.session import load_session
+    from bayes_body.view.progress import watched
+
+    kernel, found = find("kernel", kind).build(options=options), []
+    loaded = [load_session(path) for path in sessions]
+    kept = Kept(None if out is None else out.with_name(out.name + SUFFIX), settings)
+    typer.echo(HEADINGS)
+    watch = watched("recordings × scales", sys.stderr.isatty())
+    for trial in trials(loaded, definition, scales, kernel, options.particles, settings["seed"], settings["frames"], kept, watch):
+        typer.echo(f"{trial.recording[:32]:32} {trial.scale:7g} {trial.coverage:17.3f} {trial.error_mm:9.1f} {trial.iou:8.3f} {trial.ess:6.0f}")
+        found.append(trial)
+    return found
+
+
+def _numbers(text: str) -> list[float]:
+    """The scales, ascending."""
+    try:
+        found = sorted({float(word) for word in text.split(",")})
+    except ValueError:
+        found = []
+    if len(found) < 2 or not all(0 < value < float("inf") for value in found):
+        raise wrong("--scales", repr(text), "two or more numbers above 0 with commas between them", f"give, say, {SCALES}")
+    return found
+
+
+def _write(path: Path, figures: dict[str, Any]) -> None:
+    from bayes_body.calibration.kept import SUFFIX
+    from bayes_body.files import write_text
+
+    write_text(path, json.dumps(figures, indent=2) + "\n")
+    path.with_name(path.name + SUFFIX).unlink(missing_ok=True)
