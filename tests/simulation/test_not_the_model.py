@@ -1,0 +1,45 @@
+"""The renderer's person is no body of the models: at the true joint angles a model's silhouette is near the true one, and never it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulation.walker import FPS, walker
+
+from bayes_body.body.build import build_body
+from bayes_body.definition import load_body, load_definition
+from bayes_body.model import load_model
+from bayes_body.recording.images import read_mask
+from bayes_body.recording.rig import read_rig
+from bayes_body.retarget import retarget
+from bayes_body.session import Subject
+from bayes_body.simulation.options import Options
+from bayes_body.simulation.person import build_person
+from bayes_body.simulation.session import simulate
+from bayes_body.simulation.staging import centred
+from bayes_body.view.silhouette import intersection_over_union, projected_masks
+
+from .test_session import RIGS
+
+STEP, HEIGHT = 6, 1.78
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("model", "person"), [("tempered_smc", 3), ("tempered_smc", 5), ("deutscher_apf", 5)])
+def test_a_model_at_the_true_angles_is_not_the_rendered_person(model, person, tmp_path):
+    landmarks = {name: points[::STEP] for name, points in centred(walker(60), np.array((0, 0, 0.9))).items()}
+    options = Options(seed=person, true_masks=True)
+    session, _ = simulate(landmarks, read_rig(RIGS / "room_4.toml"), build_person(person, HEIGHT), options, tmp_path / "s", title="a walk")
+    definition = load_definition(model)
+    schema = load_body(definition.body_name)
+    truth = retarget(build_body(definition.body_name, schema), landmarks, FPS / STEP, schema=schema)
+    subject = Subject(body=definition.body_name, height_m=HEIGHT, lengths_m=truth.lengths_m)
+    body = load_model(definition, replace(session, subject=subject, initial={}))
+    overlap = [
+        intersection_over_union(mask, read_mask(session.folder / "true_masks" / view.camera.name / f"{frame:06d}.png", view.camera.size_px))
+        for frame, pose in enumerate(truth.angles)
+        for view, mask in zip(session.views, projected_masks(body, pose.astype(np.float32), session), strict=True)
+    ]
+    # At 1 the pictures would come from the model that is fitted to them.
+    assert 0.75 <= np.median(overlap) <= 0.92
+    assert max(overlap) < 0.95
