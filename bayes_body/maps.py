@@ -31,11 +31,13 @@ UNSEEN_SHARE = -1.0
 class SilhouetteEdgeMaps(NamedTuple):
     """Of one frame: the error maps (1 − V)² of silhouette and edges, packed, and the share of foreground pixels of each silhouette.
 
+    `points` are pixels of each silhouette, column and row from the image's middle on, for the likelihood's term "cover"; none where it is not used.
     A camera that did not see the frame has one error everywhere, and the share `UNSEEN_SHARE`.
     """
 
     errors: Packed
     foreground: Float[Array | np.ndarray, " camera"]
+    points: Float[Array | np.ndarray, "camera point 2"]
 
 
 def pack(values: NDArray[np.floating], outside: float, shape: tuple[int, int]) -> NDArray[np.uint32]:

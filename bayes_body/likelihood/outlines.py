@@ -75,6 +75,11 @@ def signed_distance(topology: PartTopology, forms: Forms, u: Float[Array, " colu
     return _distance(topology.is_sphere, forms, u[None, :], v[:, None])
 
 
+def point_distance(topology: PartTopology, forms: Forms, u: Line, v: Line) -> Line:
+    """d of one camera at single points, from the image's middle on, pixels."""
+    return _distance(topology.is_sphere, forms, u, v)
+
+
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
 def _distance(is_sphere: tuple[bool, ...], forms: Forms, columns: Array, rows: Array) -> Array:
     return _search(is_sphere, forms, columns, rows)[0]

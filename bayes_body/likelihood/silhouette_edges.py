@@ -5,6 +5,12 @@ $$-\log p(z \mid s) = \rho \sum_c \Big[ \frac{1}{W_c\,|\xi|} \sum_{\xi \in \text
 
 $$W_c = \Big(1 - \frac{|g_z - g_x|}{\max(g_z, g_x)}\Big)^\gamma, \qquad g = \text{foreground pixels} / \text{background pixels}.$$
 
+This is blind to what the body leaves uncovered: where clothes are full of edges, all limbs may fold into the torso's silhouette. A third term,
+"cover", which is not the paper's, looks the other way (Sminchisescu & Telea 2002). With points x spread over the silhouette's foreground, d how far
+inside of the body's projection they lie (likelihood/outlines.py) and h = `cover_soft_px`, it adds to the bracket
+
+$$\frac{1}{|x|} \sum_x \Big(\frac{1}{1 + e^{d(x) / h}}\Big)^2.$$
+
 The maps that are looked up hold $(1 - V)^2$ (observation/silhouette_edges.py). The paper gives the left side up to a constant: $\rho$ is
 `precision`, 1 as printed; an annealing kernel that chooses its own powers does not see it, a posterior sampler does. This is a sum of squares, not
 a distribution over images: it can be sampled from, but not simulated.
@@ -24,6 +30,7 @@ from bayes_body.body.solids import Body, Samples, outline_samples, surface_sampl
 from bayes_body.camera import Camera
 from bayes_body.factor import Factor, Variable, Variables
 from bayes_body.likelihood.coverage import projected_area
+from bayes_body.likelihood.outlines import outline_forms, point_distance
 from bayes_body.likelihood.patch_pixels import rig_pixels
 from bayes_body.maps import EDGES, SILHOUETTE, Lookup, SilhouetteEdgeMaps, look_up
 from bayes_body.registry import register
@@ -38,17 +45,19 @@ class Options(Schema):
 
     precision: Positive = 1.0
     gamma: NonNegative = 0.0
-    terms: Annotated[tuple[Literal["silhouette", "edges"], ...], Field(min_length=1)] = ("silhouette", "edges")
+    terms: Annotated[tuple[Literal["silhouette", "edges", "cover"], ...], Field(min_length=1)] = ("silhouette", "edges")
     lookup: Lookup = "bilinear"
     surface_samples: tuple[Count, Count] = (6, 4)
     outline_samples: Count = 12
     area_grid: tuple[Count, Count] = (80, 60)
+    cover_points: Count = 32
+    cover_soft_px: Positive = 4.0
 
 
 @partial(
     jax.tree_util.register_dataclass,
-    meta_fields=["lookup", "gamma", "area_grid"],
-    data_fields=["body", "rig", "samples", "map_index", "weights", "precision"],
+    meta_fields=["lookup", "gamma", "area_grid", "covers"],
+    data_fields=["body", "rig", "samples", "map_index", "weights", "precision", "soft_px"],
 )
 @dataclass(frozen=True)
 class SilhouetteEdges:
@@ -58,23 +67,27 @@ class SilhouetteEdges:
         lookup: nearest or bilinear.
         gamma: of (9).
         area_grid: columns and rows of the grid on which projected area is measured.
+        covers: whether the term "cover" counts.
         body: the body.
         rig: the cameras.
         samples: surface samples, then outline samples, so that all are projected at once.
         map_index: for each sample, the map it looks at.
         weights: (term, sample): 1/|ξ| where the sample belongs to the term.
         precision: ρ.
+        soft_px: h of "cover", pixels.
     """
 
     lookup: Lookup
     gamma: float
     area_grid: tuple[int, int]
+    covers: bool
     body: Body
     rig: Camera
     samples: Samples
     map_index: Int[Array, " sample"]
     weights: Float[Array, "2 sample"]
     precision: Scalar
+    soft_px: Scalar
 
     def __call__(self, values: Variables, maps: SilhouetteEdgeMaps) -> Scalar:
         """log p(z | pose), up to a constant."""
@@ -86,8 +99,19 @@ class SilhouetteEdges:
         else:
             silhouette, edges = (jnp.sum(errors * weight, axis=(1, 2)) for weight in self.weights)
             error = jnp.sum(silhouette / self._area_agreement(maps, pose) + edges)
+        if self.covers:
+            error = error + self._uncovered(maps, pose)
         # A nearest look-up turns NaN into pixel 0 and would hide it.
         return jnp.where(jnp.isfinite(jnp.sum(pose)), -self.precision * error, jnp.nan)
+
+    def _uncovered(self, maps: SilhouetteEdgeMaps, pose: Pose) -> Scalar:
+        """The term "cover", summed over the cameras that saw the frame."""
+        points = jnp.asarray(maps.points, pose.dtype)
+        # As an argument of the map: closed over, the forms would be made anew for every point.
+        forms = jax.lax.optimization_barrier(outline_forms(self.body, self.rig, pose))
+        inside = jax.vmap(partial(point_distance, self.body.topology))(forms, points[..., 0], points[..., 1])
+        errors = jnp.mean(jax.nn.sigmoid(-inside / self.soft_px) ** 2, axis=1)
+        return jnp.sum(jnp.where(maps.foreground > 0, errors, 0.0))
 
     def _area_agreement(self, maps: SilhouetteEdgeMaps, pose: Pose) -> Float[Array, " camera"]:
         """W of (9), kept above 1e-3: a body that a camera does not see would divide by zero; 1 where the camera did not see the frame."""
@@ -110,11 +134,13 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
         lookup=options.lookup,
         gamma=options.gamma,
         area_grid=options.area_grid,
+        covers="cover" in options.terms,
         body=body,
         rig=rig,
         samples=Samples(*(jnp.concatenate(pair, axis=1) for pair in zip(surface, outline, strict=True))),
         map_index=jnp.asarray(np.repeat([SILHOUETTE, EDGES], counts)),
         weights=jnp.asarray(weights, body.lengths.dtype),
         precision=jnp.asarray(options.precision, body.lengths.dtype),
+        soft_px=jnp.asarray(options.cover_soft_px, body.lengths.dtype),
     )
     return Factor(name=name, side="likelihood", scope=(POSE,), log_potential=potential, has_gradient=options.lookup != "nearest")

@@ -51,9 +51,27 @@ def smooth_silhouette(mask: NDArray[np.bool_], smooth_px: float) -> NDArray[np.f
     return np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), smooth_px), np.float32)
 
 
+def foreground_points(mask: NDArray[np.bool_], count: int) -> NDArray[np.float32]:
+    """So many pixels of a mask, evenly spaced among its foreground row by row: (point, 2), column and row from the image's middle on.
+
+    All are 0 of an empty mask.
+    """
+    found = np.flatnonzero(mask)
+    if not found.size:
+        return np.zeros((count, 2), np.float32)
+    row, column = np.divmod(found[(2 * np.arange(count) + 1) * found.size // (2 * count)], mask.shape[1])
+    return np.stack([column - mask.shape[1] / 2, row - mask.shape[0] / 2], axis=1).astype(np.float32)
+
+
 @register("observation", "silhouette_edges", Options)
-def build(options: Options, **_: Any) -> Callable[[Frame], SilhouetteEdgeMaps]:
-    """From a frame's images and masks to the likelihood's maps, as NumPy arrays."""
+def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame], SilhouetteEdgeMaps]:
+    """From a frame's images and masks to the likelihood's maps, as NumPy arrays.
+
+    Args:
+        options: of the maps.
+        likelihood: the options of the likelihood that reads them: whether it has the term "cover", and its `cover_points`.
+    """
+    count = likelihood.cover_points if "cover" in getattr(likelihood, "terms", ()) else 0
 
     def maps_of(image: NDArray[np.uint8], mask: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.uint32]:
         silhouette = smooth_silhouette(mask, options.silhouette_smooth_px)
@@ -66,14 +84,16 @@ def build(options: Options, **_: Any) -> Callable[[Frame], SilhouetteEdgeMaps]:
             remedy = "give each [[camera]] its `masks`, or an image of the empty scene as `background`"
             raise wrong("session.toml", "its cameras have no masks, and the frames are too few to learn the background from", expected, remedy)
         unseen = pack(np.empty((0, 0), np.float32), options.unseen_error, frame.largest)
-        stacks, shares = [], []
+        stacks, shares, points = [], [], []
         for image, mask in zip(frame.images, frame.masks, strict=True):
             if image is None or mask is None:
                 stacks.append(np.stack([unseen, unseen]))
                 shares.append(UNSEEN_SHARE)
+                points.append(np.zeros((count, 2), np.float32))
             else:
                 stacks.append(maps_of(image, mask, frame.largest))
                 shares.append(mask.mean())
-        return SilhouetteEdgeMaps(np.stack(stacks), np.array(shares, np.float32))
+                points.append(foreground_points(mask, count))
+        return SilhouetteEdgeMaps(np.stack(stacks), np.array(shares, np.float32), np.stack(points))
 
     return observe

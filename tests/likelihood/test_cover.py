@@ -1,0 +1,125 @@
+"""The term "cover" of `silhouette_edges`: against OpenCV's polygon test, its gradient, and what the two terms of the paper do not see."""
+
+from typing import NamedTuple
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_body.body.solids import Samples
+from bayes_body.factor import Variable
+from bayes_body.likelihood.patch_pixels import rig_pixels
+from bayes_body.observation.frames import Frame
+from bayes_body.observation.silhouette_edges import foreground_points
+from bayes_body.registry import find
+
+POSE = Variable("pose")
+SOFT, POINTS = 2.0, 300
+
+
+class Cover(NamedTuple):
+    """The term alone, and the points that it looks at."""
+
+    factor: object
+    maps: object
+
+    def __call__(self, pose):
+        return self.factor({POSE: pose}, {"images": self.maps})
+
+
+def cover(scene, masks, terms=("cover",)) -> Cover:
+    options = find("likelihood", "silhouette_edges").options(terms=terms, cover_points=POINTS, cover_soft_px=SOFT)
+    term = find("observation", "silhouette_edges")
+    images = tuple(np.zeros(mask.shape, np.uint8) for mask in masks)
+    maps = term.build(options=term.options(), likelihood=options)(Frame(0, images, tuple(masks)))
+    return Cover(scene.factor(**options.model_dump()), jax.tree.map(jnp.asarray, maps))
+
+
+def corners(scene, pose) -> np.ndarray:
+    """Of each part's outline, pixels: (camera, part, 4, 2)."""
+    t, s = (np.broadcast_to(row, (len(scene.body.topology.names), 4)) for row in ([0.0, 1, 1, 0], [-1.0, -1, 1, 1]))
+    pixels = rig_pixels(scene.body, scene.rig, Samples(jnp.asarray(t), jnp.asarray(s)), pose)
+    return np.stack([pixels.u, pixels.v], axis=-1)
+
+
+def own_masks(scene, pose) -> list[np.ndarray]:
+    masks = []
+    for quadrilaterals, size in zip(corners(scene, pose), np.asarray(scene.rig.size, int), strict=True):
+        mask = np.zeros(size[::-1], np.uint8)
+        for each in quadrilaterals:
+            cv2.fillConvexPoly(mask, cv2.convexHull(np.round(each * 16).astype(np.int32)), 1, shift=4)
+        masks.append(mask > 0)
+    return masks
+
+
+@pytest.mark.parametrize("name", ["arm_4", "person_31"])
+def test_it_is_the_distance_that_opencv_measures(scene, name):
+    man = scene(name)
+    masks = [np.asarray(mask) for mask in man.frame.masks]
+    term = cover(man, masks)
+    expected = 0.0
+    for quadrilaterals, mask in zip(corners(man, man.pose), masks, strict=True):
+        points = foreground_points(mask, POINTS) + np.array(mask.shape[::-1]) / 2
+        hulls = [cv2.convexHull(each.astype(np.float32)) for each in quadrilaterals]
+        inside = np.array([[cv2.pointPolygonTest(hull, (float(u), float(v)), True) for hull in hulls] for u, v in points]).max(axis=1)
+        # Beyond a corner the product of half-planes says less than the distance; there the error is 1 within what is compared.
+        expected -= np.mean(1 / (1 + np.exp(inside / SOFT)) ** 2)
+    assert float(term(man.pose)) == pytest.approx(expected, abs=0.02)
+
+
+def test_its_gradient_is_that_of_differences(scene, x64):
+    man = scene("person_31")
+    term = cover(man, [np.asarray(mask) for mask in man.frame.masks])
+    found, step = jax.grad(term)(man.pose), 1e-6
+    differences = [(term(man.pose.at[k].add(step)) - term(man.pose.at[k].add(-step))) / (2 * step) for k in range(31)]
+    np.testing.assert_allclose(found, differences, rtol=1e-4, atol=1e-6)
+
+
+def test_limbs_that_fold_into_the_torso_are_found_out(scene):
+    """The paper's silhouette term likes a body inside the silhouette, however small."""
+    man = scene("person_31")
+    names = man.body.dof_names
+    masks = own_masks(man, man.pose)
+    folded = man.pose
+    for side in "lr":
+        folded = folded.at[names.index(f"{side}_hip_y")].set(-2.0).at[names.index(f"{side}_knee")].set(-2.6)
+    term = cover(man, masks)
+    assert float(term(folded)) < 2 * float(term(man.pose))
+    silhouette = cover(man, masks, ("silhouette",))
+    assert float(silhouette(folded)) > 2 * float(silhouette(man.pose))
+
+
+def test_what_is_not_asked_for_costs_nothing(scene):
+    man = scene("arm_4")
+    masks = [np.asarray(mask) for mask in man.frame.masks]
+    plain = cover(man, masks, ("silhouette", "edges"))
+    assert plain.maps.points.shape == (2, 0, 2)
+    both = cover(man, masks, ("silhouette", "edges", "cover"))
+    assert float(both(man.pose)) == pytest.approx(float(plain(man.pose)) + float(cover(man, masks)(man.pose)), rel=1e-5)
+
+
+def test_points_are_spread_over_the_foreground():
+    mask = np.zeros((100, 80), bool)
+    mask[20:60, 10:30] = True
+    mask[80:90, 50:70] = True
+    points = foreground_points(mask, 100) + np.array([40, 50])
+    assert mask[points[:, 1].astype(int), points[:, 0].astype(int)].all()
+    assert len(np.unique(points, axis=0)) == 100
+    # In proportion to the area: 800 pixels of 1000 in the first block.
+    assert (points[:, 1] < 70).sum() == 80
+    assert (foreground_points(np.zeros((10, 10), bool), 5) == 0).all()
+
+
+def test_a_camera_without_a_silhouette_says_nothing(scene):
+    man = scene("arm_4")
+    first, second = (np.asarray(mask) for mask in man.frame.masks)
+    options = find("likelihood", "silhouette_edges").options(terms=("cover",), cover_points=POINTS, cover_soft_px=SOFT)
+    term = find("observation", "silhouette_edges")
+    frame = Frame(0, (np.zeros(first.shape, np.uint8), None), (first, None), sizes_px=(first.shape[::-1], second.shape[::-1]))
+    maps = jax.tree.map(jnp.asarray, term.build(options=term.options(), likelihood=options)(frame))
+    alone = Cover(man.factor(**options.model_dump()), maps)
+    empty = cover(man, [first, np.zeros(second.shape, bool)])
+    assert float(alone(man.pose)) == pytest.approx(float(empty(man.pose)), rel=1e-6)
+    assert np.abs(jax.grad(alone)(man.pose)).max() > 0
