@@ -36,7 +36,7 @@ def likelihood_scale(
 
     configure()
     from bayes_body.cli.models import checked_definition
-    from bayes_body.learning.likelihood_scale import choose_scale, pooled
+    from bayes_body.learning.likelihood_scale import LEVEL, choose_scale, pooled
     from bayes_body.run import kernel_options
 
     check_range("--particles", particles, 1)
@@ -54,6 +54,10 @@ def likelihood_scale(
     chosen = choose_scale(of, coverage)
     if json_file is not None:
         _write(json_file, settings | {"trials": [trial._asdict() for trial in found], "coverage_90": coverage.tolist(), "precision": chosen})
+    if coverage.max() < LEVEL:
+        typer.echo(
+            f"no scale reaches {LEVEL:.0%}: at smaller ones the motion prior decides, at larger ones the body's misfit; the largest coverage is taken"
+        )
     typer.echo(f"precision = {chosen:.3g}")
 
 

@@ -5,7 +5,7 @@ grid of $\rho$ each recording is tracked, and with the coverage $c(\rho)$ of the
 
 $$c(\rho^*) = 0.9, \qquad c \text{ interpolated linearly in } \log \rho.$$
 
-The value is worth what the recordings are: people, motions and seeds that it is later used on must not be among them.
+Where no scale reaches 0.9, because at small ones a wrong motion prior decides, the scale of the largest coverage is taken. The value is worth what the recordings are: people, motions and seeds that it is later used on must not be among them.
 """
 
 from collections.abc import Iterator, Sequence
@@ -140,11 +140,14 @@ def pooled(found: Sequence[Trial]) -> tuple[Float[np.ndarray, " scale"], Float[n
 
 
 def choose_scale(scales: Float[np.ndarray, " scale"], coverage: Float[np.ndarray, " scale"], level: float = LEVEL) -> float:
-    """The largest scale at which the coverage, falling from left to right, crosses the level.
+    """The largest scale at which the coverage, falling from left to right, crosses the level; if it stays below, the scale where it is largest.
 
     Raises:
-        InputError: it never does within the scales.
+        InputError: neither lies within the scales.
     """
+    best = int(np.argmax(coverage))
+    if 0 < best < len(scales) - 1 and coverage[best] < level:
+        return float(scales[best])
     crossing = [k for k in range(len(scales) - 1) if coverage[k] >= level > coverage[k + 1]]
     if not crossing:
         found = f"coverage from {coverage.min():.2f} to {coverage.max():.2f} for scales from {scales[0]:g} to {scales[-1]:g}"

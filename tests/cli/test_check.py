@@ -37,7 +37,8 @@ def test_a_likelihood_that_is_no_distribution_is_named_and_what_is_checked_inste
     cli("check", "tempered_smc").refuses("'silhouette_edges'", "at most 4 dofs for a quadrature, not 31", "coverage_90", "bayes-body simulate")
 
 
-ARGUMENTS = ("arm_markers", "--kernel", "sir", "--particles", "500", "--replications", "40", "--bins", "5", "--frames", "1", "--jobs", "2")
+# One seed in twenty fails a right kernel: this one does not.
+ARGUMENTS = "arm_markers --kernel sir --particles 500 --replications 40 --bins 5 --frames 1 --jobs 2 --seed 1".split()
 
 
 def _start(*arguments):

@@ -28,6 +28,10 @@ def test_the_scale_is_where_the_line_crosses_the_level():
     assert np.isclose(choose_scale(np.array([1.0, 2.0, 4.0, 8.0, 16.0]), np.array([0.95, 0.89, 0.91, 0.95, 0.85])), 8 * 2**0.5)
 
 
+def test_where_no_scale_is_honest_the_most_honest_is_taken():
+    assert choose_scale(np.array([4.0, 8.0, 16.0]), np.array([0.8, 0.85, 0.7])) == 8
+
+
 def test_scales_that_do_not_reach_the_level_say_where_to_go():
     with pytest.raises(InputError, match="try smaller ones"):
         choose_scale(np.array([8.0, 16.0]), np.array([0.7, 0.6]))
