@@ -5,7 +5,9 @@ grid of $\rho$ each recording is tracked, and with the coverage $c(\rho)$ of the
 
 $$c(\rho^*) = 0.9, \qquad c \text{ interpolated linearly in } \log \rho.$$
 
-Where no scale reaches 0.9, because at small ones a wrong motion prior decides, the scale of the largest coverage is taken. The value is worth what the recordings are: people, motions and seeds that it is later used on must not be among them.
+Where no scale reaches 0.9, because at small ones a wrong motion prior decides, the scale of the largest coverage is taken.
+
+The value is worth what the recordings are: people, motions and seeds that it is later used on must not be among them.
 """
 
 from collections.abc import Iterator, Sequence

@@ -38,7 +38,8 @@ def test_a_likelihood_that_is_no_distribution_is_named_and_what_is_checked_inste
 
 
 # One seed in twenty fails a right kernel: this one does not.
-ARGUMENTS = "arm_markers --kernel sir --particles 500 --replications 40 --bins 5 --frames 1 --jobs 2 --seed 1".split()
+ARGUMENTS = ["arm_markers", "--kernel", "sir", "--particles", "500", "--replications", "40"]
+ARGUMENTS += ["--bins", "5", "--frames", "1", "--jobs", "2", "--seed", "1"]
 
 
 def _start(*arguments):
