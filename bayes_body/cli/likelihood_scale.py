@@ -55,7 +55,9 @@ def likelihood_scale(
     if json_file is not None:
         _write(json_file, settings | {"trials": [trial._asdict() for trial in found], "coverage_90": coverage.tolist(), "precision": chosen})
     if coverage.max() < LEVEL:
-        typer.echo(f"no scale reaches {LEVEL:.0%}: at small ones the motion prior decides, at large ones the misfit; the largest coverage is taken")
+        typer.echo(
+            f"no scale reaches {LEVEL:.0%}: at small ones the motion prior decides, at large ones the misfit; of the best ones the largest is taken"
+        )
     typer.echo(f"precision = {chosen:.3g}")
 
 

@@ -5,7 +5,8 @@ grid of $\rho$ each recording is tracked, and with the coverage $c(\rho)$ of the
 
 $$c(\rho^*) = 0.9, \qquad c \text{ interpolated linearly in } \log \rho.$$
 
-Where no scale reaches 0.9, because at small ones a wrong motion prior decides, the scale of the largest coverage is taken.
+Where no scale reaches 0.9, because at small ones a wrong motion prior decides, the largest scale whose coverage is within
+0.02 of the best is taken: four recordings know it no better, and the sharper posterior is the more useful one.
 
 The value is worth what the recordings are: people, motions and seeds that it is later used on must not be among them.
 """
@@ -32,6 +33,8 @@ from bayes_body.view.progress import Watch, unwatched
 
 LEVEL = 0.9
 OPTION = "precision"
+# What coverages may differ by and count as the same.
+NEAR = 0.02
 KEPT = "trials"
 
 
@@ -142,14 +145,14 @@ def pooled(found: Sequence[Trial]) -> tuple[Float[np.ndarray, " scale"], Float[n
 
 
 def choose_scale(scales: Float[np.ndarray, " scale"], coverage: Float[np.ndarray, " scale"], level: float = LEVEL) -> float:
-    """The largest scale at which the coverage, falling from left to right, crosses the level; if it stays below, the scale where it is largest.
+    """The largest scale at which the coverage, falling from left to right, crosses the level; if it stays below, the largest that is as good as the best.
 
     Raises:
         InputError: neither lies within the scales.
     """
-    best = int(np.argmax(coverage))
-    if 0 < best < len(scales) - 1 and coverage[best] < level:
-        return float(scales[best])
+    near = int(np.flatnonzero(coverage >= coverage.max() - NEAR)[-1])
+    if coverage.max() < level and 0 < near < len(scales) - 1:
+        return float(scales[near])
     crossing = [k for k in range(len(scales) - 1) if coverage[k] >= level > coverage[k + 1]]
     if not crossing:
         found = f"coverage from {coverage.min():.2f} to {coverage.max():.2f} for scales from {scales[0]:g} to {scales[-1]:g}"

@@ -30,6 +30,8 @@ def test_the_scale_is_where_the_line_crosses_the_level():
 
 def test_where_no_scale_is_honest_the_most_honest_is_taken():
     assert choose_scale(np.array([4.0, 8.0, 16.0]), np.array([0.8, 0.85, 0.7])) == 8
+    # Of two that are as honest, the sharper one.
+    assert choose_scale(np.array([4.0, 8.0, 16.0]), np.array([0.86, 0.85, 0.7])) == 8
 
 
 def test_scales_that_do_not_reach_the_level_say_where_to_go():
