@@ -145,7 +145,7 @@ def pooled(found: Sequence[Trial]) -> tuple[Float[np.ndarray, " scale"], Float[n
 
 
 def choose_scale(scales: Float[np.ndarray, " scale"], coverage: Float[np.ndarray, " scale"], level: float = LEVEL) -> float:
-    """The largest scale at which the coverage, falling from left to right, crosses the level; if it stays below, the largest that is as good as the best.
+    """The largest scale at which the coverage, falling from left to right, crosses the level; else the largest as good as the best.
 
     Raises:
         InputError: neither lies within the scales.
