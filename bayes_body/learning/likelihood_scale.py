@@ -120,8 +120,9 @@ def trials(
                 # The fit of the first pose knows no images: it is the same for each scale.
                 starts[place] = first_pose(model, sessions[place])
             trial = _trial(sessions[place], apply_first_pose(model, sessions[place], starts[place]), scale, kernel, particles, seed, frames)
-            kept.add(KEPT, number, {name: np.asarray(value) for name, value in trial._asdict().items()})
-        yield Trial(**{name: value.item() for name, value in kept[KEPT, number].items()})
+            # Numbers alone: what is kept knows no texts.
+            kept.add(KEPT, number, {name: np.asarray(value) for name, value in trial._asdict().items() if name != "recording"})
+        yield Trial(sessions[place].title, **{name: value.item() for name, value in kept[KEPT, number].items()})
 
 
 def _trial(session: Session, model: Model, scale: float, kernel: Kernel, particles: int, seed: int, frames: int | None) -> Trial:

@@ -1,13 +1,16 @@
 """The scale of a likelihood: closed forms, refusals, and a small simulated recording through the command line."""
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
 
+from bayes_body.calibration.kept import Kept
 from bayes_body.cli.main import main
 from bayes_body.definition import load_definition
 from bayes_body.errors import InputError
+from bayes_body.learning import likelihood_scale
 from bayes_body.learning.likelihood_scale import Trial, choose_scale, pooled, trials, with_scale
 
 
@@ -58,6 +61,22 @@ def test_a_likelihood_without_a_scale_is_refused():
 def test_a_recording_without_a_truth_is_refused(textured_session):
     with pytest.raises(InputError, match="no truth"):
         next(trials([textured_session], load_definition("tempered_smc"), [1.0], None, 10))
+
+
+def test_trials_that_were_made_are_not_made_again(textured_session, tmp_path, monkeypatch):
+    sessions, made = [dataclasses.replace(textured_session, truth="truth.npz")] * 2, []
+
+    def one(session, model, scale, *rest):
+        made.append(scale)
+        return trial(scale, len(made))._replace(recording=session.title)
+
+    monkeypatch.setattr(likelihood_scale, "_trial", one)
+    arguments = (sessions, load_definition("arm"), [1.0, 2.0], None, 10, 0, None)
+    begun = trials(*arguments, Kept(tmp_path / "t.partial", {"seed": 0}))
+    first = [next(begun) for _ in range(3)]
+    again = list(trials(*arguments, Kept(tmp_path / "t.partial", {"seed": 0})))
+    assert made == [1.0, 2.0, 1.0, 2.0]
+    assert again[:3] == first and [each.inside for each in again] == [1, 2, 3, 4]
 
 
 @pytest.mark.parametrize("scales", ["", "3", "1,two", "1,-2", "1,inf"])
