@@ -36,7 +36,7 @@ class Size(NamedTuple):
     particles: int
 
 
-WHOLE, QUICK = Size(60, 500), Size(12, 250)
+WHOLE, QUICK = Size(60, 300), Size(12, 200)
 
 
 class Demo(NamedTuple):

@@ -7,6 +7,8 @@ import xarray
 
 from bayes_body.cli.main import main
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def demonstrated(tmp_path_factory):

@@ -73,7 +73,9 @@ def test_killed_twenty_times_at_any_moment(looped, tmp_path, uninterrupted):
 def test_an_interruption_says_how_to_go_on(looped, tmp_path):
     """Ctrl-C."""
     out = tmp_path / "run"
-    process = subprocess.Popen(command(looped(FRAMES), out, *OPTIONS), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # So many particles that the frames that are left take longer than the signal.
+    slowly = ["--particles", 20_000, "--runs", 2]
+    process = subprocess.Popen(command(looped(FRAMES), out, *slowly), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while process.poll() is None and not (out / "frames" / "000003.npz").exists():
         time.sleep(0.0005)
     process.send_signal(2)
