@@ -6,7 +6,7 @@ The union of parts is $d(x) = \max_p d_p(x)$. Each $d_p$ is a minimum of forms $
 gradient by a form's coefficients is a sum over the points that belong to it, which is how it is written below (reverse mode only).
 """
 
-from functools import partial, reduce
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -87,33 +87,28 @@ def _distance(is_sphere: tuple[bool, ...], forms: Forms, columns: Array, rows: A
 
 def _search(is_sphere: tuple[bool, ...], forms: Forms, columns: Array, rows: Array) -> Reached:
     """The distance at columns and rows broadcast against each other, and the number of the form that it is the value of."""
-    spheres = [int(part) for part in np.flatnonzero(is_sphere)]
-    cylinders = jnp.asarray(np.flatnonzero(~np.array(is_sphere)), jnp.int32)
+    cylinders = np.flatnonzero(~np.array(is_sphere))
 
-    def cylinder(number: Array, sides: Array) -> Reached:
-        first, *others = (f[0] + f[1] * columns + f[2] * rows for f in sides)
-        reached = first, jnp.full_like(first, 4 * number, jnp.int32)
-        for k, inside in enumerate(others, 1):
-            reached = jnp.minimum(reached[0], inside), jnp.where(inside < reached[0], 4 * number + k, reached[1])
-        return reached
+    def farthest(reached: Reached, part: tuple[Array, Array]) -> tuple[Reached, None]:
+        (best, which), (number, sides) = reached, part
+        inside, side = jnp.full_like(best, jnp.inf), jnp.zeros_like(which)
+        for k in range(4):
+            other = sides[k, 0] + sides[k, 1] * columns + sides[k, 2] * rows
+            side = jnp.where(other < inside, k, side)
+            inside = jnp.minimum(inside, other)
+        return (jnp.maximum(best, inside), jnp.where(inside > best, 4 * number + side, which)), None
 
-    def farther(reached: Reached, part: tuple[Array, Array]) -> tuple[Reached, None]:
-        return _farther(reached, *cylinder(*part)), None
-
-    found = []
-    if cylinders.size:
-        # A loop: written out part by part the compiler works on it ten times as long. It starts at the first part, not at infinity: where the forms
-        # differ from device to device, so must what a loop hands on.
-        found = [jax.lax.scan(farther, cylinder(cylinders[0], forms[cylinders[0]]), (cylinders[1:], forms[cylinders[1:]]))[0]]
-    for part in spheres:
+    # A loop hands on what differs from device to device where the forms do: so must what it starts from.
+    nothing = jnp.broadcast_to(0 * forms[0, 0, 0], jnp.broadcast_shapes(columns.shape, rows.shape))
+    # A loop: written out part by part the compiler works on it ten times as long.
+    start = nothing - jnp.inf, nothing.astype(jnp.int32)
+    (best, which), _ = jax.lax.scan(farthest, start, (jnp.asarray(cylinders, jnp.int32), forms[cylinders]))
+    for part in np.flatnonzero(is_sphere):
         f = forms[part, 0]
         inside = f[0] + f[1] * columns + f[2] * rows + f[3] * columns**2 + f[4] * columns * rows + f[5] * rows**2
-        found.append((inside, jnp.full_like(inside, 4 * part, jnp.int32)))
-    return reduce(lambda reached, other: _farther(reached, *other), found)
-
-
-def _farther(reached: Reached, inside: Array, form: Array) -> Reached:
-    return jnp.maximum(reached[0], inside), jnp.where(inside > reached[0], form, reached[1])
+        which = jnp.where(inside > best, 4 * int(part), which)
+        best = jnp.maximum(best, inside)
+    return best, which
 
 
 def _forward(is_sphere: tuple[bool, ...], forms: Forms, columns: Array, rows: Array) -> tuple[Array, tuple[Array, ...]]:
