@@ -32,7 +32,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--session", type=Path, required=True, help="folder with a session.toml")
     parser.add_argument("--out", type=Path, required=True, help="folder for posterior.nc and the overlay")
     parser.add_argument("--model", default="tempered_smc", help="a definition's name or the path of your own (%(default)s)")
-    parser.add_argument("--particles", type=whole(1), default=1000, help="particles a run (%(default)s)")
+    parser.add_argument("--particles", type=whole(1), default=500, help="particles a run (%(default)s)")
     parser.add_argument("--moves", type=whole(1), default=2, help="Markov moves a stage (%(default)s)")
     parser.add_argument("--runs", type=whole(1), default=2, help="independent filters (%(default)s)")
     parser.add_argument("--seed", type=whole(0), default=0, help="of everything random (%(default)s)")
