@@ -14,7 +14,8 @@ from numpyro.distributions import biject_to
 from numpyro.distributions.transforms import Transform
 
 from bayes_body.factor import FrameDensity, Particles, State
-from bayes_body.kernels.smc import LOG_ZERO, Move
+from bayes_body.kernels.moves import Move
+from bayes_body.kernels.smc import LOG_ZERO
 from bayes_body.kernels.weights import LogWeights
 from bayes_body.shapes import Index, Key, Scalar
 
@@ -80,17 +81,18 @@ def log_likelihood(frame: Frame, ancestor: Index, position: State) -> Scalar:
     return frame.density.log_likelihood(state_of(frame, ancestor, position), parent(frame, ancestor))
 
 
-def log_density(frame: Frame, ancestor: Index, position: State, beta: Scalar) -> Scalar:
-    """log π_β(x | i), up to a constant of the ancestor's."""
+def log_density(frame: Frame, ancestor: Index, position: State, beta: Scalar) -> tuple[Scalar, Scalar]:
+    """log π_β(x | i), up to a constant of the ancestor's, and the log-likelihood."""
     previous, state = parent(frame, ancestor), state_of(frame, ancestor, position)
     density = frame.density
+    likelihood = density.log_likelihood(state, previous)
     # 0 * -inf is NaN.
-    likelihood = beta * jnp.maximum(density.log_likelihood(state, previous), LOG_ZERO)
-    terms = [density.transition.log_density(state, previous), density.log_constraint(state, previous), likelihood]
+    powered = beta * jnp.maximum(likelihood, LOG_ZERO)
+    terms = [density.transition.log_density(state, previous), density.log_constraint(state, previous), powered]
     for name, bijection in bijections(frame).items():
         # Without it the density would be over the state, not over its coordinates.
         terms.append(jnp.sum(bijection.log_abs_det_jacobian(position[name], state[name])))
-    return sum(terms, jnp.zeros(()))
+    return sum(terms, jnp.zeros(())), likelihood
 
 
 def choose_ancestor(key: Key, frame: Frame, particle: Extended, beta: Scalar, candidates: int) -> Index:
@@ -112,7 +114,7 @@ def choose_ancestor(key: Key, frame: Frame, particle: Extended, beta: Scalar, ca
 def _link(frame: Frame, ancestor: Index, position: State, beta: Scalar) -> Scalar:
     """Of log π_β(i, x) / w_i what depends on the ancestor: the whole of it only where a factor reads the frame before."""
     if frame.density.reads_previous:
-        return log_density(frame, ancestor, position, beta)
+        return log_density(frame, ancestor, position, beta)[0]
     return frame.density.transition.log_density(state_of(frame, ancestor, position), parent(frame, ancestor))
 
 
@@ -124,17 +126,16 @@ def walk(key: Key, particle: Extended, frame: Frame, moving: Moving, move: Move,
     def coordinates(whitened: State) -> dict[str, Array]:
         return {name: jnp.sum(moving.roots[name] * value, axis=-1) for name, value in whitened.items()}
 
-    def target(whitened: State) -> Scalar:
+    def target(whitened: State) -> tuple[Scalar, Scalar]:
         return log_density(frame, ancestor, coordinates(whitened), moving.beta)
 
-    def one(state: Any, move_key: Key) -> tuple[Any, tuple[dict[str, Array], Scalar]]:
-        after, acceptance = move.step(move_key, state, target, moving.scale)
-        return after, (coordinates(after.position), acceptance)
+    def one(whitened: State, move_key: Key) -> tuple[State, tuple[dict[str, Array], Scalar, Scalar]]:
+        after = move.step(move_key, whitened, target, moving.scale)
+        return after.position, (coordinates(after.position), after.log_likelihood, after.acceptance_rate)
 
     whitened = {name: jax.scipy.linalg.solve_triangular(moving.roots[name], value, lower=True) for name, value in sorted(particle.position.items())}
-    _, (chain, rates) = jax.lax.scan(one, move.start(whitened, target), jax.random.split(chain_key, moves))
-    ancestors = jnp.broadcast_to(ancestor, (moves,))
-    return Extended(ancestors, chain, jnp.full((moves,), jnp.nan)), jnp.mean(rates)
+    _, (chain, likelihoods, rates) = jax.lax.scan(one, whitened, jax.random.split(chain_key, moves))
+    return Extended(jnp.broadcast_to(ancestor, (moves,)), chain, likelihoods), jnp.mean(rates)
 
 
 def whitening(position: Float[Array, "particle dof"], log_weights: LogWeights) -> Float[Array, "dof dof"]:

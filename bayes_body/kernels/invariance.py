@@ -21,7 +21,7 @@ from bayes_body.factor import FrameDensity, Particles, State
 from bayes_body.kernels import particle_filter
 from bayes_body.kernels.batching import over_particles
 from bayes_body.kernels.extended import Extended, Frame, Moving, bijections, log_likelihood, make_frame, predict, state_of, walk, whitening
-from bayes_body.kernels.smc import Move, hmc, random_walk
+from bayes_body.kernels.moves import Move, hmc, random_walk
 from bayes_body.shapes import Index, Key
 
 # Of the size of a step: the smallest and the largest share of the kernel's first one.

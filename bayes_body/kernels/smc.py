@@ -1,25 +1,19 @@
-r"""The door onto blackjax's SMC: one Feynman-Kac step, the temperature that meets an ESS, and the Markov moves that keep a density.
+r"""The door onto blackjax's SMC: one Feynman-Kac step, and the temperature that meets an ESS.
 
 blackjax declares no types for these functions: they are cast once, here.
 """
 
-from collections.abc import Callable, Mapping
-from typing import Any, Literal, NamedTuple, cast
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bayes_body.kernels.resampling import Resample
 from bayes_body.shapes import Key, Keys, Scalar
 
-type LogDensity = Callable[[Mapping[str, Array]], Scalar]
-type MoveName = Literal["hmc", "random_walk"]
-
 # What a likelihood of zero counts as: a finite number, since 0 * inf is NaN at temperature zero.
 LOG_ZERO = -1e30
-# A trajectory of one length all the time would return to where it came from on a near Gaussian target.
-JITTER = (0.6, 1.4)
 
 
 class Reweighted(NamedTuple):
@@ -79,54 +73,3 @@ def next_increment(log_likelihoods: Float[Array, " particle"], share: float, mos
 def _bisect(dichotomy: Callable[..., Any]) -> Callable[..., Array]:
     # Down to float32's resolution: a sharp likelihood's first step may be 1e-7.
     return lambda function, low, high: dichotomy(function, low, high, eps=1e-3, max_iter=60)
-
-
-class Move(NamedTuple):
-    """A Markov kernel on coordinates without limits, scaled so that the target is about N(0, 1) in each.
-
-    Attributes:
-        start: (position, log_density) -> its state.
-        step: (key, state, log_density, scale) -> the state after one move and its acceptance rate. The position is `state.position`.
-        acceptance_rate: what its scale is adapted to.
-        scale: where the adaptation begins, by the number of coordinates.
-        evaluations: of the density, a move.
-    """
-
-    start: Callable[[Mapping[str, Array], LogDensity], Any]
-    step: Callable[[Key, Any, LogDensity, Scalar], tuple[Any, Scalar]]
-    acceptance_rate: float
-    scale: Callable[[int], float]
-    evaluations: int
-
-
-def hmc(leapfrog_steps: int) -> Move:
-    """Hamiltonian Monte Carlo with unit mass; the step size is jittered by ±40 %."""
-    from blackjax.mcmc import hmc
-
-    kernel = hmc.build_kernel()
-
-    def step(key: Key, state: Any, log_density: LogDensity, scale: Scalar) -> tuple[Any, Scalar]:
-        jitter_key, move_key = jax.random.split(key)
-        size = scale * jax.random.uniform(jitter_key, (), scale.dtype, *JITTER)
-        ones = jnp.ones(sum(leaf.size for leaf in state.position.values()), scale.dtype)
-        after, info = cast(Any, kernel)(move_key, state, log_density, size, ones, leapfrog_steps)
-        return after, info.acceptance_rate
-
-    return Move(cast(Any, hmc.init), step, 0.8, lambda dofs: 0.9 * dofs**-0.25, leapfrog_steps)
-
-
-def random_walk() -> Move:
-    """Random-walk Metropolis with a Gaussian step; begins at Roberts, Gelman & Gilks's (1997) 2.38 / sqrt(d)."""
-    from blackjax.mcmc import random_walk
-
-    kernel = random_walk.build_additive_step()
-
-    def step(key: Key, state: Any, log_density: LogDensity, scale: Scalar) -> tuple[Any, Scalar]:
-        def random_step(step_key: Key, position: Mapping[str, Array]) -> dict[str, Array]:
-            keys = jax.random.split(step_key, len(position))
-            return {name: scale * jax.random.normal(k, position[name].shape, scale.dtype) for k, name in zip(keys, sorted(position), strict=True)}
-
-        after, info = cast(Any, kernel)(key, state, log_density, random_step)
-        return after, info.acceptance_rate
-
-    return Move(cast(Any, random_walk.init), step, 0.25, lambda dofs: 2.38 * dofs**-0.5, 1)

@@ -26,9 +26,10 @@ from pydantic import Field
 from bayes_body.errors import wrong
 from bayes_body.factor import FilterInfo, FrameDensity, Kernel, Particles, State
 from bayes_body.kernels.batching import over_particles
-from bayes_body.kernels.extended import Extended, Frame, Moving, log_likelihood, make_frame, predict, state_of, walk, whitening
+from bayes_body.kernels.extended import Extended, Frame, Moving, make_frame, predict, state_of, walk, whitening
+from bayes_body.kernels.moves import Move, MoveName, hmc, random_walk
 from bayes_body.kernels.resampling import Resample, Scheme, resampler
-from bayes_body.kernels.smc import LOG_ZERO, Move, MoveName, feynman_kac_step, hmc, next_increment, random_walk
+from bayes_body.kernels.smc import LOG_ZERO, feynman_kac_step, next_increment
 from bayes_body.kernels.weights import LogWeights, effective_sample_size, normalise
 from bayes_body.registry import register
 from bayes_body.schema import Count, ProperShare, Schema
@@ -236,9 +237,7 @@ class _Sampler:
         def one(own: tuple[Key, Extended], shared: tuple[Frame, Moving]) -> tuple[Extended, Scalar]:
             chain, rate = walk(*own, *shared, self.move, options.moves, options.candidates)
             kept = chain if options.waste_free else jax.tree.map(lambda leaf: leaf[-1], chain)
-            likelihood = jax.vmap(log_likelihood, (None, 0, 0)) if options.waste_free else log_likelihood
-            found = likelihood(shared[0], kept.ancestor, kept.position)
-            return kept._replace(log_likelihood=_finite(found)), rate
+            return kept._replace(log_likelihood=_finite(kept.log_likelihood)), rate
 
         return over_particles(one, (keys, particles), (frame, moving))
 
@@ -261,11 +260,10 @@ class _Sampler:
         return after, info
 
     def _evaluations(self, top: _Climb) -> Array:
-        """The prediction's, and of each stage those of its moves, before the first and for the states kept."""
+        """The prediction's, and of each stage those of its moves."""
         count, options = top.log_weights.shape[0], self.options
         moved = count // (options.moves + 1) if options.waste_free else count
-        ends = options.moves if options.waste_free else 1
-        return count + (top.stage - 1) * moved * (options.moves * self.move.evaluations + 1 + ends)
+        return count + (top.stage - 1) * moved * options.moves * self.move.evaluations
 
 
 def _predict(own: tuple[Key, Index], frame: Frame) -> tuple[Extended, State, Scalar]:

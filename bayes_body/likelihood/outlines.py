@@ -28,15 +28,23 @@ type Grid = Float[Array, "row column"]
 type Reached = tuple[Array, Array]
 
 
-def outline_forms(body: Body, rig: Camera, pose: Pose) -> Float[Array, "camera part 4 6"]:
-    """The forms of every part's outline in each camera: four of a cylinder, the first alone of a sphere. From the image's middle on, pixels."""
+def corner_samples(body: Body) -> Samples:
+    """Four points a part that determine its outline: corners of a cylinder's patch, in order; of a sphere the centre, and the ends of two radii."""
     spheres = np.array(body.topology.is_sphere)[:, None]
-    # Corners of a cylinder's patch, in order; of a sphere the centre, and the ends of two radii.
     t = np.where(spheres, [0.5, 1.0, 0.5, 0.5], [0.0, 1.0, 1.0, 0.0])
     s = np.where(spheres, [0.0, 0.0, 1.0, 1.0], [-1.0, -1.0, 1.0, 1.0])
-    points = rig_pixels(body, rig, Samples(jnp.asarray(t, pose.dtype), jnp.asarray(s, pose.dtype)), pose)
-    centred = points._replace(u=points.u - rig.size[:, 0, None, None] / 2, v=points.v - rig.size[:, 1, None, None] / 2)
-    return jax.vmap(lambda each: _forms(each, spheres[:, 0]))(centred)
+    return Samples(jnp.asarray(t, body.lengths.dtype), jnp.asarray(s, body.lengths.dtype))
+
+
+def outline_forms(body: Body, rig: Camera, pose: Pose) -> Float[Array, "camera part 4 6"]:
+    """The forms of every part's outline in each camera: four of a cylinder, the first alone of a sphere. From the image's middle on, pixels."""
+    return forms_of(body.topology, rig, rig_pixels(body, rig, corner_samples(body), pose))
+
+
+def forms_of(topology: PartTopology, rig: Camera, corners: Pixels[Float[Array, "camera part 4"]]) -> Float[Array, "camera part 4 6"]:
+    """The same, of the pixels of `corner_samples`."""
+    centred = corners._replace(u=corners.u - rig.size[:, 0, None, None] / 2, v=corners.v - rig.size[:, 1, None, None] / 2)
+    return jax.vmap(lambda each: _forms(each, np.array(topology.is_sphere)))(centred)
 
 
 def _forms(points: Pixels[Float[Array, "part 4"]], is_sphere: np.ndarray) -> Forms:

@@ -7,13 +7,13 @@ $$W_c = \Big(1 - \frac{|g_z - g_x|}{\max(g_z, g_x)}\Big)^\gamma, \qquad g = \tex
 
 This is blind to what the body leaves uncovered: where clothes are full of edges, all limbs may fold into the torso's silhouette. A third term,
 "cover", which is not the paper's, looks the other way (Sminchisescu & Telea 2002). With points x spread over the silhouette's foreground, d how far
-inside of the body's projection they lie (likelihood/outlines.py) and h = `cover_soft_px`, it adds to the bracket
+outside of the body's projection they lie (likelihood/outlines.py; 0 inside) and h = `cover_soft_px`, it adds to the bracket
 
-$$\frac{1}{|x|} \sum_x \Big(\frac{1}{1 + e^{d(x) / h}}\Big)^2.$$
+$$\frac{1}{|x|} \sum_x \big(1 - e^{-d(x)^2 / 2h^2}\big)^2.$$
 
 The maps that are looked up hold $(1 - V)^2$ (observation/silhouette_edges.py). The paper gives the left side up to a constant: $\rho$ is
-`precision`, 1 as printed; an annealing kernel that chooses its own powers does not see it, a posterior sampler does. This is a sum of squares, not
-a distribution over images: it can be sampled from, but not simulated.
+`precision`, 1 as printed; an annealing kernel that chooses its own powers does not see it, a posterior sampler does. The edges' sum
+is multiplied by `edge_weight`, 1 as printed. This is a sum of squares, not a distribution over images: it can be sampled from, but not simulated.
 """
 
 from dataclasses import dataclass
@@ -27,10 +27,10 @@ from jaxtyping import Array, Float, Int
 from pydantic import Field
 
 from bayes_body.body.solids import Body, Samples, outline_samples, surface_samples
-from bayes_body.camera import Camera
+from bayes_body.camera import Camera, Pixels
 from bayes_body.factor import Factor, Variable, Variables
 from bayes_body.likelihood.coverage import projected_area
-from bayes_body.likelihood.outlines import outline_forms, point_distance
+from bayes_body.likelihood.outlines import corner_samples, forms_of, point_distance
 from bayes_body.likelihood.patch_pixels import rig_pixels
 from bayes_body.maps import EDGES, SILHOUETTE, Lookup, SilhouetteEdgeMaps, look_up
 from bayes_body.registry import register
@@ -51,7 +51,8 @@ class Options(Schema):
     outline_samples: Count = 12
     area_grid: tuple[Count, Count] = (80, 60)
     cover_points: Count = 32
-    cover_soft_px: Positive = 4.0
+    cover_soft_px: Positive = 3.0
+    edge_weight: Positive = 1.0
 
 
 @partial(
@@ -70,9 +71,9 @@ class SilhouetteEdges:
         covers: whether the term "cover" counts.
         body: the body.
         rig: the cameras.
-        samples: surface samples, then outline samples, so that all are projected at once.
-        map_index: for each sample, the map it looks at.
-        weights: (term, sample): 1/|ξ| where the sample belongs to the term.
+        samples: surface samples, then outline samples, then for "cover" the parts' corners, so that all are projected at once.
+        map_index: for each sample but the corners, the map it looks at.
+        weights: (term, sample): 1/|ξ| where the sample belongs to the term; of the edges, times their weight.
         precision: ρ.
         soft_px: h of "cover", pixels.
     """
@@ -92,7 +93,9 @@ class SilhouetteEdges:
     def __call__(self, values: Variables, maps: SilhouetteEdgeMaps) -> Scalar:
         """log p(z | pose), up to a constant."""
         pose = values[POSE]
-        pixels = rig_pixels(self.body, self.rig, self.samples, pose)
+        projected = rig_pixels(self.body, self.rig, self.samples, pose)
+        looked_up = self.map_index.shape[0]
+        pixels, corners = (jax.tree.map(lambda leaf, at=at: leaf[..., at], projected) for at in (slice(looked_up), slice(looked_up, None)))
         errors = look_up(maps.errors, self.map_index, self.lookup, self.rig, pixels)
         if self.gamma == 0:
             error = jnp.sum(errors * (self.weights[SILHOUETTE] + self.weights[EDGES]))
@@ -100,17 +103,18 @@ class SilhouetteEdges:
             silhouette, edges = (jnp.sum(errors * weight, axis=(1, 2)) for weight in self.weights)
             error = jnp.sum(silhouette / self._area_agreement(maps, pose) + edges)
         if self.covers:
-            error = error + self._uncovered(maps, pose)
+            error = error + self._uncovered(maps, corners)
         # A nearest look-up turns NaN into pixel 0 and would hide it.
         return jnp.where(jnp.isfinite(jnp.sum(pose)), -self.precision * error, jnp.nan)
 
-    def _uncovered(self, maps: SilhouetteEdgeMaps, pose: Pose) -> Scalar:
+    def _uncovered(self, maps: SilhouetteEdgeMaps, corners: Pixels[Float[Array, "camera part 4"]]) -> Scalar:
         """The term "cover", summed over the cameras that saw the frame."""
-        points = jnp.asarray(maps.points, pose.dtype)
         # As an argument of the map: closed over, the forms would be made anew for every point.
-        forms = jax.lax.optimization_barrier(outline_forms(self.body, self.rig, pose))
+        forms = jax.lax.optimization_barrier(forms_of(self.body.topology, self.rig, corners))
+        points = jnp.asarray(maps.points, forms.dtype)
         inside = jax.vmap(partial(point_distance, self.body.topology))(forms, points[..., 0], points[..., 1])
-        errors = jnp.mean(jax.nn.sigmoid(-inside / self.soft_px) ** 2, axis=1)
+        outside = jnp.maximum(-inside, 0) / self.soft_px
+        errors = jnp.mean(jnp.square(1 - jnp.exp(-0.5 * outside * outside)), axis=1)
         return jnp.sum(jnp.where(maps.foreground > 0, errors, 0.0))
 
     def _area_agreement(self, maps: SilhouetteEdgeMaps, pose: Pose) -> Float[Array, " camera"]:
@@ -125,19 +129,20 @@ class SilhouetteEdges:
 def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
     """The factor of one rig and body."""
     surface, outline = surface_samples(body, *options.surface_samples), outline_samples(body, options.outline_samples)
-    counts = (surface.t.shape[1], outline.t.shape[1])
+    counts, covers = (surface.t.shape[1], outline.t.shape[1]), "cover" in options.terms
+    samples = (surface, outline, corner_samples(body)) if covers else (surface, outline)
     parts = len(body.topology.names)
     weights = np.zeros((2, sum(counts)))
     weights[SILHOUETTE, : counts[0]] = ("silhouette" in options.terms) / (parts * counts[0])
-    weights[EDGES, counts[0] :] = ("edges" in options.terms) / (parts * counts[1])
+    weights[EDGES, counts[0] :] = options.edge_weight * ("edges" in options.terms) / (parts * counts[1])
     potential = SilhouetteEdges(
         lookup=options.lookup,
         gamma=options.gamma,
         area_grid=options.area_grid,
-        covers="cover" in options.terms,
+        covers=covers,
         body=body,
         rig=rig,
-        samples=Samples(*(jnp.concatenate(pair, axis=1) for pair in zip(surface, outline, strict=True))),
+        samples=Samples(*(jnp.concatenate(each, axis=1) for each in zip(*samples, strict=True))),
         map_index=jnp.asarray(np.repeat([SILHOUETTE, EDGES], counts)),
         weights=jnp.asarray(weights, body.lengths.dtype),
         precision=jnp.asarray(options.precision, body.lengths.dtype),

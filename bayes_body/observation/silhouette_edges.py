@@ -1,11 +1,13 @@
 """Error maps of silhouettes and edges (Darby, Li & Costen 2008, 6.1): prepared on the host while the device works on the frame before.
 
-Silhouette: the mask, smoothed. Edges: the gradient's magnitude, thresholded, smoothed by a Gaussian, rescaled to [0, 1], "giving each pixel a
-measure of proximity to an edge". Both are stored as (1 − V)², which is what the likelihood averages.
+By density, as in the paper: the mask, smoothed; the gradient's magnitude, thresholded, smoothed by a Gaussian, rescaled to [0, 1], "giving each pixel
+a measure of proximity to an edge". By distance: V = exp(−d²/2h²) of the distance d to the foreground, and to the nearest edge. Then an arm five
+pixels wide agrees with its silhouette as fully as a torso does, and an outline that stands alone counts as much as a striped shirt (docs/decisions).
+Both maps are stored as (1 − V)², which is what the likelihood averages.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -14,20 +16,25 @@ from numpy.typing import NDArray
 from bayes_body.errors import wrong
 from bayes_body.maps import UNSEEN_SHARE, SilhouetteEdgeMaps, pack
 from bayes_body.observation.frames import Frame
+from bayes_body.observation.thickness import spread_points
 from bayes_body.registry import register
-from bayes_body.schema import Positive, Schema, Share
+from bayes_body.schema import NonNegative, Positive, Schema, Share
 
 
 class Options(Schema):
     """Options of `[likelihood.observation]` of `silhouette_edges`.
 
-    A sample outside an image says nothing: it counts `unseen_error`, wherever it is; 0.5 lies half way between full agreement and none. So does every
-    sample in a camera that did not see the frame, or whose silhouette is not to be had.
+    `proximity` says how the maps are made; by distance h are `silhouette_smooth_px` and `edge_smooth_px`, and edges count that lie in the silhouette
+    or within `edges_within_px` of it: the others are the room's. A sample outside an image says nothing: it counts `unseen_error`, wherever it is;
+    0.5 lies half way between full agreement and none. So does every sample in a camera that did not see the frame, or whose silhouette is not to be
+    had.
     """
 
+    proximity: Literal["density", "distance"] = "density"
     silhouette_smooth_px: Positive = 2.0
     edge_threshold: Positive = 20.0
     edge_smooth_px: Positive = 3.0
+    edges_within_px: NonNegative = 4.0
     unseen_error: Share = 0.5
 
 
@@ -39,11 +46,16 @@ def edge_proximity(grey: NDArray[np.uint8], threshold: float, smooth_px: float) 
         threshold: grey levels a pixel that the gradient must exceed.
         smooth_px: standard deviation of the Gaussian.
     """
-    # Sobel's mask sums to 8 on a ramp of one level a pixel.
-    magnitude = cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8
-    proximity = cv2.GaussianBlur((magnitude > threshold).astype(np.float32), (0, 0), smooth_px)
+    proximity = cv2.GaussianBlur(edges(grey, threshold).astype(np.float32), (0, 0), smooth_px)
     highest = float(proximity.max())
     return np.asarray(proximity / highest if highest > 0 else proximity, np.float32)
+
+
+def edges(grey: NDArray[np.uint8], threshold: float) -> NDArray[np.bool_]:
+    """Where the gradient exceeds so many grey levels a pixel."""
+    # Sobel's mask sums to 8 on a ramp of one level a pixel.
+    magnitude = cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8
+    return magnitude > threshold
 
 
 def smooth_silhouette(mask: NDArray[np.bool_], smooth_px: float) -> NDArray[np.float32]:
@@ -51,16 +63,15 @@ def smooth_silhouette(mask: NDArray[np.bool_], smooth_px: float) -> NDArray[np.f
     return np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), smooth_px), np.float32)
 
 
-def foreground_points(mask: NDArray[np.bool_], count: int) -> NDArray[np.float32]:
-    """So many pixels of a mask, evenly spaced among its foreground row by row: (point, 2), column and row from the image's middle on.
+def distance_to(marked: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """From each pixel to the nearest that is marked, pixels; rows + columns where none is."""
+    found = cv2.distanceTransform((~marked).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.minimum(found, np.float32(sum(marked.shape)))
 
-    All are 0 of an empty mask.
-    """
-    found = np.flatnonzero(mask)
-    if not found.size:
-        return np.zeros((count, 2), np.float32)
-    row, column = np.divmod(found[(2 * np.arange(count) + 1) * found.size // (2 * count)], mask.shape[1])
-    return np.stack([column - mask.shape[1] / 2, row - mask.shape[0] / 2], axis=1).astype(np.float32)
+
+def closeness(distance: NDArray[np.float32], scale_px: float) -> NDArray[np.float32]:
+    """exp(−d²/2h²): in [0, 1]."""
+    return np.exp(-0.5 * (distance / scale_px) ** 2)
 
 
 @register("observation", "silhouette_edges", Options)
@@ -73,10 +84,19 @@ def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame
     """
     count = likelihood.cover_points if "cover" in getattr(likelihood, "terms", ()) else 0
 
-    def maps_of(image: NDArray[np.uint8], mask: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.uint32]:
+    def by_density(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> tuple[NDArray[np.float32], ...]:
         silhouette = smooth_silhouette(mask, options.silhouette_smooth_px)
-        edges = edge_proximity(image, options.edge_threshold, options.edge_smooth_px)
-        return np.stack([pack((1 - value) ** 2, options.unseen_error, shape) for value in (silhouette, edges)])
+        return silhouette, edge_proximity(image, options.edge_threshold, options.edge_smooth_px)
+
+    def by_distance(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> tuple[NDArray[np.float32], ...]:
+        outside = distance_to(mask)
+        own = edges(image, options.edge_threshold) & (outside <= options.edges_within_px)
+        return closeness(outside, options.silhouette_smooth_px), closeness(distance_to(own), options.edge_smooth_px)
+
+    values_of = by_distance if options.proximity == "distance" else by_density
+
+    def maps_of(image: NDArray[np.uint8], mask: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.uint32]:
+        return np.stack([pack((1 - value) ** 2, options.unseen_error, shape) for value in values_of(image, mask)])
 
     def observe(frame: Frame) -> SilhouetteEdgeMaps:
         if frame.masks is None:
@@ -93,7 +113,7 @@ def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame
             else:
                 stacks.append(maps_of(image, mask, frame.largest))
                 shares.append(mask.mean())
-                points.append(foreground_points(mask, count))
+                points.append(spread_points(mask, count))
         return SilhouetteEdgeMaps(np.stack(stacks), np.array(shares, np.float32), np.stack(points))
 
     return observe

@@ -80,7 +80,8 @@ def tempered_runs(**options):
             state = extended.state_of(frame, ancestor, position)
             (bijection,) = extended.bijections(frame).values()
             volume = bijection.log_abs_det_jacobian(position["x"], state["x"])
-            return honest_density(frame, ancestor, position, beta) + (jacobian - 1) * volume
+            found, own = honest_density(frame, ancestor, position, beta)
+            return found + (jacobian - 1) * volume, own
 
         def mutant(key, particles, density):
             after, info = kernel(key, particles, density)

@@ -61,7 +61,8 @@ def walk():
             state = extended.state_of(frame, ancestor, position)
             (bijection,) = extended.bijections(frame).values()
             volume = bijection.log_abs_det_jacobian(position["x"], state["x"])
-            return honest(frame, ancestor, position, likelihood * beta) + (jacobian - 1) * volume
+            found, own = honest(frame, ancestor, position, likelihood * beta)
+            return found + (jacobian - 1) * volume, own
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(extended, "log_density", log_density)

@@ -12,7 +12,7 @@ from bayes_body.body.solids import Samples
 from bayes_body.factor import Variable
 from bayes_body.likelihood.patch_pixels import rig_pixels
 from bayes_body.observation.frames import Frame
-from bayes_body.observation.silhouette_edges import foreground_points
+from bayes_body.observation.thickness import spread_points
 from bayes_body.registry import find
 
 POSE = Variable("pose")
@@ -29,8 +29,8 @@ class Cover(NamedTuple):
         return self.factor({POSE: pose}, {"images": self.maps})
 
 
-def cover(scene, masks, terms=("cover",)) -> Cover:
-    options = find("likelihood", "silhouette_edges").options(terms=terms, cover_points=POINTS, cover_soft_px=SOFT)
+def cover(scene, masks, terms=("cover",), **more) -> Cover:
+    options = find("likelihood", "silhouette_edges").options(terms=terms, cover_points=POINTS, cover_soft_px=SOFT, **more)
     term = find("observation", "silhouette_edges")
     images = tuple(np.zeros(mask.shape, np.uint8) for mask in masks)
     maps = term.build(options=term.options(), likelihood=options)(Frame(0, images, tuple(masks)))
@@ -61,11 +61,11 @@ def test_it_is_the_distance_that_opencv_measures(scene, name):
     term = cover(man, masks)
     expected = 0.0
     for quadrilaterals, mask in zip(corners(man, man.pose), masks, strict=True):
-        points = foreground_points(mask, POINTS) + np.array(mask.shape[::-1]) / 2
+        points = spread_points(mask, POINTS) + np.array(mask.shape[::-1]) / 2
         hulls = [cv2.convexHull(each.astype(np.float32)) for each in quadrilaterals]
         inside = np.array([[cv2.pointPolygonTest(hull, (float(u), float(v)), True) for hull in hulls] for u, v in points]).max(axis=1)
         # Beyond a corner the product of half-planes says less than the distance; there the error is 1 within what is compared.
-        expected -= np.mean(1 / (1 + np.exp(inside / SOFT)) ** 2)
+        expected -= np.mean((1 - np.exp(-0.5 * (np.maximum(-inside, 0) / SOFT) ** 2)) ** 2)
     assert float(term(man.pose)) == pytest.approx(expected, abs=0.02)
 
 
@@ -100,16 +100,13 @@ def test_what_is_not_asked_for_costs_nothing(scene):
     assert float(both(man.pose)) == pytest.approx(float(plain(man.pose)) + float(cover(man, masks)(man.pose)), rel=1e-5)
 
 
-def test_points_are_spread_over_the_foreground():
-    mask = np.zeros((100, 80), bool)
-    mask[20:60, 10:30] = True
-    mask[80:90, 50:70] = True
-    points = foreground_points(mask, 100) + np.array([40, 50])
-    assert mask[points[:, 1].astype(int), points[:, 0].astype(int)].all()
-    assert len(np.unique(points, axis=0)) == 100
-    # In proportion to the area: 800 pixels of 1000 in the first block.
-    assert (points[:, 1] < 70).sum() == 80
-    assert (foreground_points(np.zeros((10, 10), bool), 5) == 0).all()
+def test_the_weight_of_the_edges_multiplies_them_alone(scene):
+    man = scene("arm_4")
+    masks = [np.asarray(mask) for mask in man.frame.masks]
+    wanted = ("silhouette",), ("edges",), ("silhouette", "edges")
+    silhouette, edges, both = (float(cover(man, masks, terms, edge_weight=0.25)(man.pose)) for terms in wanted)
+    assert edges == pytest.approx(0.25 * float(cover(man, masks, ("edges",))(man.pose)), rel=1e-6)
+    assert both == pytest.approx(silhouette + edges, rel=1e-6)
 
 
 def test_a_camera_without_a_silhouette_says_nothing(scene):

@@ -6,7 +6,7 @@ import pytest
 from bayes_body.errors import InputError
 from bayes_body.maps import BORDER, EDGES, SILHOUETTE, UNSEEN_SHARE
 from bayes_body.observation.frames import Frame
-from bayes_body.observation.silhouette_edges import edge_proximity, smooth_silhouette
+from bayes_body.observation.silhouette_edges import edge_proximity, edges, smooth_silhouette
 from bayes_body.registry import find
 
 
@@ -84,6 +84,38 @@ def test_maps_are_the_squared_errors_within_their_border():
             outside = np.ones_like(found, bool)
             outside[inner] = False
             assert np.all(found[outside] == 1)
+
+
+def test_maps_by_distance_are_a_gaussian_of_it():
+    rng = np.random.default_rng(5)
+    image = rng.integers(100, 120, (40, 50)).astype(np.uint8)
+    image[10:30, 18] = 250
+    image[5, 2:9] = 250
+    mask = np.zeros((40, 50), bool)
+    mask[8:32, 14:24] = True
+    maps = observe(Frame(0, (image,), (mask,)), proximity="distance", silhouette_smooth_px=3.0, edge_smooth_px=2.0, edges_within_px=4.0)
+    inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
+    silhouette, edge = ((np.asarray(maps.errors)[0, which][inner] & 255) / 255 for which in (SILHOUETTE, EDGES))
+    # OpenCV's distance is exact to a twentieth.
+    outside = nearest(mask)
+    np.testing.assert_allclose(silhouette, (1 - np.exp(-0.5 * (outside / 3) ** 2)) ** 2, atol=0.03)
+    assert (silhouette[mask] == 0).all()
+    # The line at the top left is the room's.
+    own = edges(image, 20.0) & (outside <= 4)
+    assert own.sum() < edges(image, 20.0).sum()
+    np.testing.assert_allclose(edge, (1 - np.exp(-0.5 * (nearest(own) / 2) ** 2)) ** 2, atol=0.03)
+
+
+def nearest(marked: np.ndarray) -> np.ndarray:
+    """Distance of each pixel to the nearest that is marked."""
+    here, there = np.argwhere(np.ones_like(marked)), np.argwhere(marked)
+    return np.sqrt(((here[:, None] - there) ** 2).sum(axis=-1).min(axis=1)).reshape(marked.shape)
+
+
+def test_by_distance_nothing_is_near_where_there_is_nothing():
+    image, mask = np.full((20, 30), 90, np.uint8), np.zeros((20, 30), bool)
+    maps = observe(Frame(0, (image,), (mask,)), proximity="distance")
+    assert ((np.asarray(maps.errors)[0, :, BORDER:-BORDER, BORDER:-BORDER] & 255) == 255).all()
 
 
 def test_the_real_silhouette_is_a_small_part_of_each_image(bodytrack, tmp_path):
