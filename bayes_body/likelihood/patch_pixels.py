@@ -6,6 +6,7 @@ reverse mode finds (docs/decisions). Reverse mode only; `camera.project` is the 
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body import camera as cameras
@@ -14,24 +15,51 @@ from bayes_body.camera import Camera, Pixels
 from bayes_body.geometry import Transform
 from bayes_body.shapes import Pose
 
+type Seen = Float[Array, "4 part 3"]
+
 
 def rig_pixels(body: Body, rig: Camera, samples: Samples, pose: Pose) -> Pixels[Float[Array, "camera part sample"]]:
     """Where each camera of a rig sees each sample of each part of a posed body."""
+    return sample_pixels(rig, seen_patches(body, rig, pose), samples)
+
+
+def seen_patches(body: Body, rig: Camera, pose: Pose) -> Float[Array, "camera 4 part 3"]:
+    """The parts' patches in each camera's frame: start, along, across and taper."""
     T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, pose))))
     seen = jax.vmap(lambda camera: _camera_patches(body, T_world_part, camera))(rig)
     # The barrier keeps XLA from computing the patches anew for every sample.
-    seen = jax.lax.optimization_barrier(seen)
+    return jax.lax.optimization_barrier(seen)
+
+
+def sample_pixels(rig: Camera, seen: Float[Array, "camera 4 part 3"], samples: Samples) -> Pixels[Float[Array, "camera part sample"]]:
+    """Where each camera sees samples of its patches."""
     return jax.vmap(_pixels, in_axes=(0, 0, None))(rig, seen, samples)
 
 
-def _camera_patches(body: Body, T_world_part: Transform, camera: Camera) -> Float[Array, "4 part 3"]:
+def corner_pixels(
+    rig: Camera, seen: Float[Array, "camera 4 part 3"], t: Float[np.ndarray, "corner part"], s: Float[np.ndarray, "corner part"]
+) -> Pixels[Float[Array, "camera corner part"]]:
+    """The same of a few points a part: parts last, since a loop over four numbers does not fill a processor's registers."""
+
+    def of(camera: Camera, seen: Seen) -> Pixels[Float[Array, "corner part"]]:
+        patch = Patches(*seen)
+        X, Y, Z = (patch.start[:, k] + t * patch.along[:, k] + s * patch.across[:, k] + t * s * patch.taper[:, k] for k in range(3))
+        return _seen_at(camera, X, Y, Z)
+
+    return jax.vmap(of)(rig, seen)
+
+
+def _camera_patches(body: Body, T_world_part: Transform, camera: Camera) -> Seen:
     world = patches(body, T_world_part, camera.viewpoint)
     start, *directions = (cameras.to_camera(camera, vector) for vector in world)
     return jnp.stack([start + camera.translation, *directions])
 
 
-def _pixels(camera: Camera, seen: Float[Array, "4 part 3"], samples: Samples) -> Pixels[Float[Array, "part sample"]]:
-    X, Y, Z = _spread(seen, samples)
+def _pixels(camera: Camera, seen: Seen, samples: Samples) -> Pixels[Float[Array, "part sample"]]:
+    return _seen_at(camera, *_spread(seen, samples))
+
+
+def _seen_at(camera: Camera, X: Array, Y: Array, Z: Array) -> Pixels[Array]:
     u, v = _project(camera, X, Y, Z)
     # `visible` carries no derivative, so it stays outside; XLA merges what the two have in common.
     return Pixels(u, v, cameras.project_components(camera, X, Y, Z).visible)
@@ -41,7 +69,7 @@ type Components = tuple[Float[Array, "part sample"], Float[Array, "part sample"]
 
 
 @jax.custom_vjp
-def _spread(seen: Float[Array, "4 part 3"], samples: Samples) -> Components:
+def _spread(seen: Seen, samples: Samples) -> Components:
     """V0 + t V1 + s V2 + t s V3, by components of the camera's frame."""
     patch = Patches(*seen)
     t, s = samples
@@ -51,7 +79,7 @@ def _spread(seen: Float[Array, "4 part 3"], samples: Samples) -> Components:
     return X, Y, Z
 
 
-def _spread_forward(seen: Float[Array, "4 part 3"], samples: Samples) -> tuple[Components, Samples]:
+def _spread_forward(seen: Seen, samples: Samples) -> tuple[Components, Samples]:
     return _spread(seen, samples), samples
 
 

@@ -27,11 +27,11 @@ from jaxtyping import Array, Float, Int
 from pydantic import Field
 
 from bayes_body.body.solids import Body, Samples, outline_samples, surface_samples
-from bayes_body.camera import Camera, Pixels
+from bayes_body.camera import Camera
 from bayes_body.factor import Factor, Variable, Variables
 from bayes_body.likelihood.coverage import projected_area
-from bayes_body.likelihood.outlines import corner_samples, forms_of, point_distance
-from bayes_body.likelihood.patch_pixels import rig_pixels
+from bayes_body.likelihood.outlines import forms_of, point_distance
+from bayes_body.likelihood.patch_pixels import sample_pixels, seen_patches
 from bayes_body.maps import EDGES, SILHOUETTE, Lookup, SilhouetteEdgeMaps, look_up
 from bayes_body.registry import register
 from bayes_body.schema import Count, NonNegative, Positive, Schema
@@ -71,8 +71,8 @@ class SilhouetteEdges:
         covers: whether the term "cover" counts.
         body: the body.
         rig: the cameras.
-        samples: surface samples, then outline samples, then for "cover" the parts' corners, so that all are projected at once.
-        map_index: for each sample but the corners, the map it looks at.
+        samples: surface samples, then outline samples, so that all are projected at once.
+        map_index: for each sample, the map it looks at.
         weights: (term, sample): 1/|ξ| where the sample belongs to the term; of the edges, times their weight.
         precision: ρ.
         soft_px: h of "cover", pixels.
@@ -93,9 +93,8 @@ class SilhouetteEdges:
     def __call__(self, values: Variables, maps: SilhouetteEdgeMaps) -> Scalar:
         """log p(z | pose), up to a constant."""
         pose = values[POSE]
-        projected = rig_pixels(self.body, self.rig, self.samples, pose)
-        looked_up = self.map_index.shape[0]
-        pixels, corners = (jax.tree.map(lambda leaf, at=at: leaf[..., at], projected) for at in (slice(looked_up), slice(looked_up, None)))
+        seen = seen_patches(self.body, self.rig, pose)
+        pixels = sample_pixels(self.rig, seen, self.samples)
         errors = look_up(maps.errors, self.map_index, self.lookup, self.rig, pixels)
         if self.gamma == 0:
             error = jnp.sum(errors * (self.weights[SILHOUETTE] + self.weights[EDGES]))
@@ -103,14 +102,14 @@ class SilhouetteEdges:
             silhouette, edges = (jnp.sum(errors * weight, axis=(1, 2)) for weight in self.weights)
             error = jnp.sum(silhouette / self._area_agreement(maps, pose) + edges)
         if self.covers:
-            error = error + self._uncovered(maps, corners)
+            error = error + self._uncovered(maps, seen)
         # A nearest look-up turns NaN into pixel 0 and would hide it.
         return jnp.where(jnp.isfinite(jnp.sum(pose)), -self.precision * error, jnp.nan)
 
-    def _uncovered(self, maps: SilhouetteEdgeMaps, corners: Pixels[Float[Array, "camera part 4"]]) -> Scalar:
+    def _uncovered(self, maps: SilhouetteEdgeMaps, seen: Float[Array, "camera 4 part 3"]) -> Scalar:
         """The term "cover", summed over the cameras that saw the frame."""
         # As an argument of the map: closed over, the forms would be made anew for every point.
-        forms = jax.lax.optimization_barrier(forms_of(self.body.topology, self.rig, corners))
+        forms = jax.lax.optimization_barrier(forms_of(self.body.topology, self.rig, seen))
         points = jnp.asarray(maps.points, forms.dtype)
         inside = jax.vmap(partial(point_distance, self.body.topology))(forms, points[..., 0], points[..., 1])
         outside = jnp.maximum(-inside, 0) / self.soft_px
@@ -129,8 +128,7 @@ class SilhouetteEdges:
 def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
     """The factor of one rig and body."""
     surface, outline = surface_samples(body, *options.surface_samples), outline_samples(body, options.outline_samples)
-    counts, covers = (surface.t.shape[1], outline.t.shape[1]), "cover" in options.terms
-    samples = (surface, outline, corner_samples(body)) if covers else (surface, outline)
+    counts = (surface.t.shape[1], outline.t.shape[1])
     parts = len(body.topology.names)
     weights = np.zeros((2, sum(counts)))
     weights[SILHOUETTE, : counts[0]] = ("silhouette" in options.terms) / (parts * counts[0])
@@ -139,10 +137,10 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
         lookup=options.lookup,
         gamma=options.gamma,
         area_grid=options.area_grid,
-        covers=covers,
+        covers="cover" in options.terms,
         body=body,
         rig=rig,
-        samples=Samples(*(jnp.concatenate(each, axis=1) for each in zip(*samples, strict=True))),
+        samples=Samples(*(jnp.concatenate(each, axis=1) for each in zip(surface, outline, strict=True))),
         map_index=jnp.asarray(np.repeat([SILHOUETTE, EDGES], counts)),
         weights=jnp.asarray(weights, body.lengths.dtype),
         precision=jnp.asarray(options.precision, body.lengths.dtype),
