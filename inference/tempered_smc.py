@@ -33,7 +33,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, required=True, help="folder for posterior.nc and the overlay")
     parser.add_argument("--model", default="tempered_smc", help="a definition's name or the path of your own (%(default)s)")
     parser.add_argument("--particles", type=whole(1), default=500, help="particles a run (%(default)s)")
-    parser.add_argument("--moves", type=whole(1), default=2, help="Markov moves a stage (%(default)s)")
+    parser.add_argument("--moves", type=whole(1), default=1, help="Markov moves a stage (%(default)s)")
     parser.add_argument("--runs", type=whole(1), default=2, help="independent filters (%(default)s)")
     parser.add_argument("--seed", type=whole(0), default=0, help="of everything random (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="two frames, 64 particles: to see that it works")
@@ -49,15 +49,14 @@ def main() -> None:
     frames = min(2, session.frames) if arguments.quick else session.frames
     arguments.out.mkdir(parents=True, exist_ok=True)
 
-    kernel, key = bb.kernels.tempered(moves=arguments.moves), jax.random.key(arguments.seed)
+    kernel, key = bb.kernels.tempered(moves=arguments.moves, leapfrog_steps=6), jax.random.key(arguments.seed)
     draws = bb.track(session, model, kernel, key, particles=particles, runs=arguments.runs, frames=frames)
     posterior = bb.to_datatree(draws)
     bb.save_posterior(posterior, arguments.out / "posterior.nc")
     bb.draw_overlay(session, draws, arguments.out)
 
-    pose, weights = posterior["posterior"]["pose"], np.exp(posterior["sample_stats"]["log_weight"])
-    last = pose.weighted(weights).mean(("chain", "draw")).isel(frame=-1)
-    sd = pose.weighted(weights).std(("chain", "draw")).isel(frame=-1)
+    pose = posterior["posterior"]["pose"].weighted(np.exp(posterior["sample_stats"]["log_weight"]))
+    last, sd = (moment(("chain", "draw")).isel(frame=-1) for moment in (pose.mean, pose.std))
     print(f"{'dof':<16}{'mean':>10} ± sd        in frame {frames - 1}, all runs together")
     for dof in last.dof.values:
         scale, unit = (1000, "mm") if last.sel(dof=dof).unit == "m" else (np.degrees(1), "deg")

@@ -52,7 +52,7 @@ def edge_proximity(grey: NDArray[np.uint8], threshold: float, smooth_px: float) 
 
 
 def edges(grey: NDArray[np.uint8], threshold: float) -> NDArray[np.bool_]:
-    """Where the gradient exceeds so many grey levels a pixel."""
+    """Where the gradient of an image (row, column) exceeds `threshold`, grey levels a pixel: (row, column)."""
     # Sobel's mask sums to 8 on a ramp of one level a pixel.
     magnitude = cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8
     return magnitude > threshold
@@ -64,13 +64,13 @@ def smooth_silhouette(mask: NDArray[np.bool_], smooth_px: float) -> NDArray[np.f
 
 
 def distance_to(marked: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """From each pixel to the nearest that is marked, pixels; rows + columns where none is."""
+    """From each pixel (row, column) to the nearest that is marked, pixels; rows + columns where none is."""
     found = cv2.distanceTransform((~marked).astype(np.uint8), cv2.DIST_L2, 5)
     return np.minimum(found, np.float32(sum(marked.shape)))
 
 
 def closeness(distance: NDArray[np.float32], scale_px: float) -> NDArray[np.float32]:
-    """exp(−d²/2h²): in [0, 1]."""
+    """exp(−d²/2h²) of a distance d and the scale h, both in pixels: in [0, 1], of the distance's shape."""
     return np.exp(-0.5 * (distance / scale_px) ** 2)
 
 

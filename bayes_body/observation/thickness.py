@@ -31,6 +31,8 @@ def spread_points(mask: Bool[np.ndarray, "row column"], count: int) -> Float[np.
 
     All are 0 of an empty mask.
     """
+    if not count:
+        return np.zeros((0, 2), np.float32)
     # What lies around the foreground takes most of the time, and none of the points.
     left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
     found = mask[top : top + height, left : left + width]
