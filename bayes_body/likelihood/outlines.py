@@ -20,8 +20,6 @@ from bayes_body.shapes import Pose
 
 # In place of the distance to a part that is not wholly before the camera, pixels.
 FAR_PX = 1e6
-# Points up to which the sums of a gradient are made form by form.
-FEW = 256
 
 # Parts last, so that what is done to all of them is one loop over contiguous numbers; three coefficients (1, u, v) where no part is a sphere.
 type Forms = Float[Array, "coefficient 4 part"]
@@ -132,13 +130,8 @@ def _backward(is_sphere: tuple[bool, ...], saved: tuple[Array, ...], cotangent: 
     columns, rows = jnp.broadcast_arrays(u, v)
     basis = [jnp.ones_like(columns), columns, rows]
     basis += [columns * columns, columns * rows, rows * rows] if any(is_sphere) else []
-    owner, parts = which.ravel(), [(cotangent * each).ravel() for each in basis]
-    numbers = jnp.arange(4 * len(is_sphere), dtype=owner.dtype)
-    if owner.size <= FEW:
-        # Read once for every form: a scatter takes one point after another.
-        sums = jnp.stack([jnp.sum(jnp.where(owner == numbers[:, None], part, 0), axis=1) for part in parts])
-    else:
-        sums = jnp.stack([jax.ops.segment_sum(part, owner, numbers.size) for part in parts])
+    # A scatter: sums made form by form, each over all points, take a fifth longer for as few as fifty.
+    sums = jnp.stack([jax.ops.segment_sum((cotangent * each).ravel(), which.ravel(), 4 * len(is_sphere)) for each in basis])
     # Where the grid stands is not inferred.
     return sums.reshape(forms.shape), jnp.zeros_like(u), jnp.zeros_like(v)
 
