@@ -23,6 +23,8 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy.typing import NDArray
 
+from bayes_body.observation.colours import colour_bins, colour_histogram
+
 type Stack = UInt8[np.ndarray, "frame row column 3"]
 
 # Distance in colour, grey levels, within which a value is a pixel's background; and within which it joins the colours seen before.
@@ -30,7 +32,6 @@ SAME_COLOUR, SAME_MODE = 18.0, 10.0
 # A pixel that has one colour for this share of the time does not change.
 CONSTANT = 0.95
 MODES = 6
-BINS = 16
 ROUNDS = 4
 # The outer part of what changes, by the distance from its border: deep inside, what differs from the background chosen may be the background.
 RIM = 0.4
@@ -79,13 +80,13 @@ def _filled(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _choose(stack: Stack, colour: NDArray[np.float32], changing: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """The background's colours, (row, column, 3), and where they are in doubt."""
-    bins, samples = _bins(stack), stack[:, changing].astype(np.float32)
+    bins, samples = colour_bins(stack), stack[:, changing].astype(np.float32)
     centres, members = _modes(samples)
     unexpected = ((centres - _expected(colour, changing)[changing]) ** 2).sum(axis=-1) / (2 * EXPECTED_SD**2)
     belief = np.exp(-np.minimum(unexpected, EXPECTED_MOST))
     depth = cv2.distanceTransform(changing.astype(np.uint8), cv2.DIST_L2, 3)[changing]
     rim = depth < RIM * depth.max()
-    scene, person = _histogram(bins[:, ~changing]), _histogram(bins[:, changing])
+    scene, person = colour_histogram(bins[:, ~changing], 3), colour_histogram(bins[:, changing], 3)
     chosen, colour = centres[0], colour.copy()
     for _ in range(ROUNDS):
         ratio = np.clip(np.log(scene / person), -STRONGEST, STRONGEST).astype(np.float32)
@@ -95,9 +96,9 @@ def _choose(stack: Stack, colour: NDArray[np.float32], changing: NDArray[np.bool
         away = rim & (((samples - chosen) ** 2).sum(axis=-1) >= SAME_COLOUR**2)
         if not away.any():
             break
-        person = _histogram(bins[:, changing][away])
+        person = colour_histogram(bins[:, changing][away], 3)
     colour[changing] = chosen
-    return colour, changing & (person > scene)[_bins(colour.astype(np.uint8))]
+    return colour, changing & (person > scene)[colour_bins(colour.astype(np.uint8))]
 
 
 def _expected(colour: NDArray[np.float32], changing: NDArray[np.bool_]) -> NDArray[np.float32]:
@@ -122,20 +123,3 @@ def _modes(samples: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[n
         centres[mode, every] += (values - centres[mode, every]) / counts[mode, every][:, None]
         members[frame] = mode
     return centres, members
-
-
-def _bins(colours: NDArray[np.uint8]) -> NDArray[np.int32]:
-    blue, green, red = np.moveaxis(colours.astype(np.int32) * BINS // 256, -1, 0)
-    return (blue * BINS + green) * BINS + red
-
-
-def _histogram(bins: NDArray[np.int32]) -> NDArray[np.float64]:
-    """The share of each colour, smoothed over neighbouring colours, nowhere zero."""
-    counts = np.bincount(bins.ravel(), minlength=BINS**3).astype(float).reshape(BINS, BINS, BINS)
-    for axis in range(3):
-        before, after = (np.roll(counts, step, axis) for step in (1, -1))
-        # What rolls round comes from the far end of the scale.
-        np.moveaxis(before, axis, 0)[0], np.moveaxis(after, axis, 0)[-1] = 0, 0
-        counts = (before + 2 * counts + after) / 4
-    shares = counts / counts.sum() + 1e-5
-    return (shares / shares.sum()).ravel()

@@ -13,7 +13,7 @@ from bayes_body.errors import InputError
 from bayes_body.observation import silhouettes
 from bayes_body.observation.background import learn_background, shrink, still_background
 from bayes_body.observation.frames import read_frame
-from bayes_body.observation.segmentation import foreground_levels
+from bayes_body.observation.segmentation import foreground_levels, log_odds_alone
 from bayes_body.recording.video import read_video_frame
 from bayes_body.session import Segmentation
 
@@ -140,16 +140,44 @@ def test_a_grey_camera_has_no_shadows_and_dark_clothes():
 
 
 def test_the_probability_is_that_of_the_formula():
-    """A square that differs in one channel by d standard deviations: 1 / (1 + exp((threshold - d²) / 2)), to the nearest of 255 levels."""
+    """A square that differs in one channel by d standard deviations: log-odds of (d² - threshold) / 2."""
     scene = np.random.default_rng(2).integers(80, 170, (60, 80, 3)).astype(np.uint8)
     background = still_background(scene)
     for off in (20, 23, 25, 27, 40):
         image = scene.copy()
         image[20:40, 30:50, 1] += off
-        levels = foreground_levels(background, image, Segmentation(shadows=False, follow_exposure=False))
-        p = 1 / (1 + np.exp((16 - (off / 6.0) ** 2) / 2))
-        assert levels is not None and levels[30, 40] == round(255 * p)
-        assert levels[5, 5] == 0
+        log_odds = log_odds_alone(background, image, Segmentation(shadows=False, follow_exposure=False))
+        assert log_odds is not None and log_odds[30, 40] == pytest.approx(((off / 6.0) ** 2 - 16) / 2, abs=1e-4)
+        assert log_odds[5, 5] == -8
+
+
+def test_what_has_the_person_s_colour_is_the_person_s():
+    """A leg that hardly differs from what is behind it, below a body of the same colour that does; a spot elsewhere differs as little."""
+    scene = np.full((ROWS, COLUMNS, 3), (120, 100, 90), np.uint8)
+    scene[70:] = (100, 140, 100)
+    clothes, other = (88, 133, 108), (112, 133, 108)
+    image = scene.copy()
+    image[20:90, 60:90] = clothes
+    image[72:88, 120:150] = other
+    levels = foreground_levels(still_background(scene), image, Segmentation(shadows=False, follow_exposure=False))
+    alone = log_odds_alone(still_background(scene), image, Segmentation(shadows=False, follow_exposure=False))
+    assert levels is not None and alone is not None
+    assert alone[80, 75] == alone[80, 135] < 0
+    assert (levels[75:85, 65:85] > 127).all()
+    assert not (levels[70:, 110:] > 127).any()
+
+
+def test_a_few_pixels_follow_their_neighbours(background):
+    """Holes of three pixels in a person are the person's, and specks of three pixels outside are not."""
+    mask = person(100)
+    holes = np.zeros_like(mask)
+    holes[60:90:10, 97:100] = True
+    specks = np.zeros_like(mask)
+    specks[20:100:20, 20:23] = True
+    image = photograph(room(), 50, (mask & ~holes) | specks)
+    levels = foreground_levels(background, image, Segmentation())
+    assert levels is not None
+    assert (levels[holes] > 127).all() and not (levels[specks] > 127).any()
 
 
 @pytest.mark.parametrize("level", [0, 255])
