@@ -43,7 +43,7 @@ EVEN, ENCLOSED, CERTAIN = 127, 191, 200
 # Log-odds beyond which nothing is surer, for float32's sake.
 SURE = 30.0
 # The person's colours: from so many pixels at least, and u, the share of those that the sure ones do not show.
-LEAST_SURE, UNSEEN = 200, 0.3
+LEAST_SURE, UNSEEN = 200, 0.5
 # They say something of pixels within this distance of the sure ones.
 NEAR = 16
 # The neighbours: the strength c and the standard deviation of their coupling, pixels, and how often the field is gone through.
@@ -116,10 +116,12 @@ def _by_the_persons_colours(image: NDArray[np.uint8], log_odds: LogOdds, doubtfu
     Nothing where too little is sure, and nothing far from it: a tree may have the colours of a coat.
     """
     sure = _clean(_levels(log_odds), doubtful) > CERTAIN
-    if sure.sum() < LEAST_SURE:
+    # At its rim the person mixes with what is behind it.
+    core = cv2.erode(sure.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    if core.sum() < LEAST_SURE:
         return np.zeros_like(log_odds)
     bins = colour_bins(image)
-    shares = colour_histogram(bins[sure], image.shape[-1])
+    shares = colour_histogram(bins[core], image.shape[-1])
     added = np.log(UNSEEN + (1 - UNSEEN) * shares * shares.size).astype(np.float32)[bins]
     return np.where(cv2.distanceTransform((~sure).astype(np.uint8), cv2.DIST_L2, 3) < NEAR, added, 0)
 
