@@ -167,17 +167,19 @@ def test_what_has_the_person_s_colour_is_the_person_s():
     assert not (levels[70:, 110:] > 127).any()
 
 
-def test_a_few_pixels_follow_their_neighbours(background):
-    """Holes of three pixels in a person are the person's, and specks of three pixels outside are not."""
-    mask = person(100)
-    holes = np.zeros_like(mask)
-    holes[60:90:10, 97:100] = True
-    specks = np.zeros_like(mask)
-    specks[20:100:20, 20:23] = True
-    image = photograph(room(), 50, (mask & ~holes) | specks)
-    levels = foreground_levels(background, image, Segmentation())
-    assert levels is not None
-    assert (levels[holes] > 127).all() and not (levels[specks] > 127).any()
+def test_what_is_in_doubt_is_what_its_neighbours_are():
+    """Spots within a person and beside it, of a colour that is neither the person's nor quite the background's."""
+    scene = np.full((ROWS, COLUMNS, 3), (120, 100, 90), np.uint8)
+    image = scene.copy()
+    image[20:90, 60:90] = PERSON
+    for rows, columns in ((slice(30, 33), slice(70, 73)), (slice(60, 63), slice(75, 78)), (slice(40, 43), slice(120, 123))):
+        image[rows, columns] = scene[rows, columns] + 13
+    options = Segmentation(shadows=False, follow_exposure=False)
+    alone, levels = log_odds_alone(still_background(scene), image, options), foreground_levels(still_background(scene), image, options)
+    assert alone is not None and levels is not None
+    assert alone[31, 71] == alone[61, 76] == alone[41, 121] < 0
+    assert (levels[30:33, 70:73] > 127).all() and (levels[60:63, 75:78] > 127).all()
+    assert not (levels[38:46, 118:126] > 127).any()
 
 
 @pytest.mark.parametrize("level", [0, 255])
