@@ -59,7 +59,7 @@ def foreground_levels(background: Background, image: Colours, options: Segmentat
     alone = log_odds_alone(background, small, options)
     if alone is None:
         return None
-    log_odds = _among_neighbours(alone + _by_the_persons_colours(small, alone, background.doubtful))
+    log_odds = _among_neighbours(alone + _by_the_persons_colours(small, alone))
     levels = _clean(np.asarray(cv2.medianBlur(_levels(log_odds), 3), np.uint8), background.doubtful)
     height, width = image.shape[:2]
     return np.asarray(cv2.resize(levels, (width, height), interpolation=cv2.INTER_LINEAR), np.uint8)
@@ -110,12 +110,12 @@ def _levels(log_odds: LogOdds) -> NDArray[np.uint8]:
     return np.rint(255 / (1 + np.exp(-np.clip(log_odds, -SURE, SURE)))).astype(np.uint8)
 
 
-def _by_the_persons_colours(image: NDArray[np.uint8], log_odds: LogOdds, doubtful: NDArray[np.bool_]) -> LogOdds:
+def _by_the_persons_colours(image: NDArray[np.uint8], log_odds: LogOdds) -> LogOdds:
     """What is added to the log-odds where the colours of the sure foreground take the place of all colours.
 
     Nothing where too little is sure, and nothing far from it: a tree may have the colours of a coat.
     """
-    sure = _clean(_levels(log_odds), doubtful) > CERTAIN
+    sure = _without_specks(_levels(log_odds)) > CERTAIN
     # At its rim the person mixes with what is behind it.
     core = cv2.erode(sure.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     if core.sum() < LEAST_SURE:
@@ -136,13 +136,7 @@ def _among_neighbours(alone: LogOdds) -> LogOdds:
 
 def _clean(levels: NDArray[np.uint8], doubtful: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Without specks, and with those holes filled whose background is in doubt: there the person may have been learned as background."""
-    mask = (levels > EVEN).astype(np.uint8)
-    _, pieces, figures, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    areas = figures[:, cv2.CC_STAT_AREA]
-    least = max(LEAST_PIXELS, LEAST_SHARE * areas[1:].max(initial=0))
-    small = areas < least
-    small[0] = False
-    levels = np.where(small[np.asarray(pieces, np.intp)], 0, levels).astype(np.uint8)
+    levels = _without_specks(levels)
     if doubtful.any():
         bridge = np.ones((BRIDGED, BRIDGED), np.uint8)
         closed = cv2.morphologyEx((levels > EVEN).astype(np.uint8), cv2.MORPH_CLOSE, bridge)
@@ -150,3 +144,13 @@ def _clean(levels: NDArray[np.uint8], doubtful: NDArray[np.bool_]) -> NDArray[np
         inside = cv2.drawContours(np.zeros_like(levels), outlines, -1, 1, cv2.FILLED) > 0
         levels[inside & doubtful & (levels < ENCLOSED)] = ENCLOSED
     return levels
+
+
+def _without_specks(levels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    mask = (levels > EVEN).astype(np.uint8)
+    _, pieces, figures, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    areas = figures[:, cv2.CC_STAT_AREA]
+    least = max(LEAST_PIXELS, LEAST_SHARE * areas[1:].max(initial=0))
+    small = areas < least
+    small[0] = False
+    return np.where(small[np.asarray(pieces, np.intp)], 0, levels).astype(np.uint8)
