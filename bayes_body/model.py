@@ -114,7 +114,7 @@ def _shape(subject: Subject, definition: Definition) -> Shape:
     if not definition.takes_measures_of(subject.body):
         # Another body's lengths mean nothing here; a height means the same for all.
         return Shape(subject.height_m)
-    return Shape(subject.height_m, subject.lengths_m, subject.radii_m, subject.sections)
+    return Shape(subject.height_m, subject.lengths_m, subject.radii_m, subject.sections, subject.outline_radii_m)
 
 
 def _motion_sd(subject: Subject, definition: Definition) -> Mapping[str, float]:

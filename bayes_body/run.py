@@ -113,7 +113,7 @@ def _with_first_pose(
     model: Model, session: Session, record: Record, kept: Mapping[str, Mapping[str, Any]] | None, out: Path, show: Show
 ) -> tuple[Model, Record]:
     """The model with its first pose where that must be found, and the record with it; a run that is continued starts from the pose that it kept."""
-    if not session.initial_markers and not session.initial_keypoints:
+    if not session.initial_markers and not session.initial_keypoints and not session.fit_outline:
         return model, record
     if kept and "first_pose" in kept:
         found = restored(model, kept["first_pose"], f"{out / RUN_FILE}: first_pose")

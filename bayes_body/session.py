@@ -108,6 +108,7 @@ class Subject:
         radii_m: (base, tip) of a part.
         sections: (x, y) scale factors of a part's section.
         motion_sd: standard deviation of the change from one frame to the next, by dof, radians or metres.
+        outline_radii_m: (base, tip) of a part as it looks, clothes included; what is missing looks as thick as it is.
     """
 
     body: str | None = None
@@ -116,6 +117,7 @@ class Subject:
     radii_m: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     sections: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     motion_sd: Mapping[str, float] = field(default_factory=dict)
+    outline_radii_m: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -135,6 +137,7 @@ class Session:
         initial_markers: world positions of virtual markers in frame 0, metres, by name.
         initial_keypoints: where keypoints are in frame 0, by camera.
         fit_lengths: whether the body's lengths are fitted with the first pose.
+        fit_outline: whether it is fitted to the first frame's silhouettes how thick the body looks.
         segmentation: how silhouettes are found without masks.
         truth: path of an .npz file with true markers, from the session's folder on.
         positions: names of those dofs in `initial` and `subject.motion_sd` that are positions (metres); all others are angles.
@@ -153,6 +156,7 @@ class Session:
     initial_markers: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     initial_keypoints: Mapping[str, Keypoints] = field(default_factory=dict)
     fit_lengths: bool = False
+    fit_outline: bool = False
     segmentation: Segmentation = Segmentation()
     truth: str | None = None
 
@@ -228,6 +232,7 @@ def parse_session(tables: Mapping[str, Any], folder: Path, where: str) -> Sessio
         initial_markers=table.initial.markers_m,
         initial_keypoints=table.initial.keypoints_px,
         fit_lengths=table.initial.fit_lengths,
+        fit_outline=table.initial.fit_outline,
         segmentation=Segmentation(**table.segmentation.model_dump()),
         truth=table.truth,
     )
@@ -249,7 +254,7 @@ def _view(table: CameraTable) -> View:
 
 def _subject(table: SubjectTable) -> Subject:
     motion_sd = to_radians(table.motion_sd_deg) | table.motion_sd_m
-    return Subject(table.body, table.height_m, table.lengths_m, table.radii_m, table.sections, motion_sd)
+    return Subject(table.body, table.height_m, table.lengths_m, table.radii_m, table.sections, motion_sd, table.outline_radii_m)
 
 
 def save_session(session: Session) -> Path:

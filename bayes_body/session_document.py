@@ -51,10 +51,15 @@ def _subject_table(subject: "Subject", positions: frozenset[str]) -> Table:
     if subject.height_m is not None:
         _add(table, "height_m", _metres(subject.height_m))
     _add_mapping(table, "lengths_m", "joint to joint", subject.lengths_m, _metres)
-    _add_mapping(table, "radii_m", "of each part, [base, tip]", subject.radii_m, lambda radii: [_metres(radius) for radius in radii])
+    _add_mapping(table, "radii_m", "of each part, [base, tip]", subject.radii_m, _radii)
+    _add_mapping(table, "outline_radii_m", "the same as they look, clothes included", subject.outline_radii_m, _radii)
     _add_mapping(table, "sections", "scale factors of a section's [x, y] radius", subject.sections, list)
     _add_motions(table, "motion_sd_deg", "motion_sd_m", "standard deviation of the change from one frame to the next", subject.motion_sd, positions)
     return table
+
+
+def _radii(radii: tuple[float, float]) -> list[Any]:
+    return [_metres(radius) for radius in radii]
 
 
 def _initial_table(session: "Session") -> Table:
@@ -62,6 +67,8 @@ def _initial_table(session: "Session") -> Table:
     table.add(tomlkit.comment("The pose of the first frame, as far as it is known."))
     if session.fit_lengths:
         _add(table, "fit_lengths", True, "segment lengths are fitted with the pose")
+    if session.fit_outline:
+        _add(table, "fit_outline", True, "how thick the body looks is fitted to the first frame's silhouettes")
     _add_motions(table, "angles_deg", "positions_m", None, session.initial, session.positions)
     _add_mapping(table, "markers_m", "x, y, z in the world", session.initial_markers, lambda point: [_metres(value) for value in point])
     if session.initial_keypoints:

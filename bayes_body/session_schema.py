@@ -89,6 +89,7 @@ class SubjectTable(Schema):
     height_m: Length | None = None
     lengths_m: dict[str, Length] = {}
     radii_m: dict[str, tuple[Length, Length]] = {}
+    outline_radii_m: dict[str, tuple[Length, Length]] = {}
     sections: dict[str, tuple[Positive, Positive]] = {}
     motion_sd_deg: dict[str, Positive] = {}
     motion_sd_m: dict[str, Length] = {}
@@ -102,6 +103,7 @@ class InitialTable(Schema):
     markers_m: dict[str, tuple[Far, Far, Far]] = {}
     keypoints_px: dict[str, dict[str, tuple[Finite, Finite, Share]]] = {}
     fit_lengths: Annotated[bool, Field(strict=True)] = False
+    fit_outline: Annotated[bool, Field(strict=True)] = False
 
 
 class SegmentationTable(Schema):

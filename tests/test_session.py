@@ -127,10 +127,17 @@ angle = st.floats(-10, 10, allow_nan=False)
 def test_save_and_load_is_the_same(tmp_path_factory, hip, x, length, sd, title):
     # Angles and metres are rounded to 1e-9 on writing; what has been rounded once stays as it is.
     camera = CameraSpec("c", (4, 3), (1e3 + sd, 7.25), (x, hip), sd, (x, hip, sd, 0.0, 1e-12), np.eye(3)[[1, 2, 0]], np.array([x, hip, 999.0]))
-    subject = Subject("b", length, {"a b": length}, {"p": (length, 0.5)}, {"p": (sd, length)}, {"hip": 1e-6 + sd, "x": 1e-6 + sd})
+    subject = Subject(
+        "b", length, {"a b": length}, {"p": (length, 0.5)}, {"p": (sd, length)}, {"hip": 1e-6 + sd, "x": 1e-6 + sd}, {"p": (0.5, length)}
+    )
     folder = tmp_path_factory.mktemp("session")
     view = View(camera, "%03d.png", "m%03d.png", background="empty.mp4", offset=2)
-    first = {"initial_markers": {"head": (hip, x, 1.5)}, "initial_keypoints": {"c": {"l knee": (x, hip, 0.5)}}, "fit_lengths": sd > 0.5}
+    first = {
+        "initial_markers": {"head": (hip, x, 1.5)},
+        "initial_keypoints": {"c": {"l knee": (x, hip, 0.5)}},
+        "fit_lengths": sd > 0.5,
+        "fit_outline": x > 0,
+    }
     segmentation = Segmentation(sd + 1, 7, sd > 0.5, hip > 0)
     session = Session(
         folder, title, "z", 29.97, 5, 0, (view,), subject, {"hip": hip, "x": x}, frozenset({"x"}), **first, segmentation=segmentation, truth="t.npz"
@@ -142,7 +149,7 @@ def test_save_and_load_is_the_same(tmp_path_factory, hip, x, length, sd, title):
     np.testing.assert_allclose(once.views[0].camera.translation_m, camera.translation_m, atol=1e-9)
     assert once.initial_markers["head"] == pytest.approx((hip, x, 1.5), abs=1e-9)
     assert (once.initial_keypoints, once.segmentation, once.truth) == (session.initial_keypoints, segmentation, "t.npz")
-    assert (once.views[0].background, once.views[0].offset, once.fit_lengths) == ("empty.mp4", 2, sd > 0.5)
+    assert (once.views[0].background, once.views[0].offset, once.fit_lengths, once.fit_outline) == ("empty.mp4", 2, sd > 0.5, x > 0)
     assert load_session(save_session(once)) == once
 
 

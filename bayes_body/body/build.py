@@ -21,6 +21,7 @@ class Shape(NamedTuple):
     lengths_m: Mapping[str, float] = {}
     radii_m: Mapping[str, tuple[float, float]] = {}
     sections: Mapping[str, tuple[float, float]] = {}
+    outline_radii_m: Mapping[str, tuple[float, float]] = {}
 
 
 def build_body(name: str, schema: BodySchema, shape: Shape = Shape()) -> Body:
@@ -34,6 +35,8 @@ def build_body(name: str, schema: BodySchema, shape: Shape = Shape()) -> Body:
     lengths = {key: share * height for key, share in schema.lengths_of_height.items()} | dict(shape.lengths_m)
     joint_index = {joint.name: j for j, joint in enumerate(_parents_first(schema))}
     parts = schema.parts
+    radii = {part.name: shape.radii_m.get(part.name, tuple(r * height for r in part.radius_of_height)) for part in parts}
+    outline = radii | dict(shape.outline_radii_m)
     return Body(
         name=name,
         topology=PartTopology(
@@ -52,7 +55,9 @@ def build_body(name: str, schema: BodySchema, shape: Shape = Shape()) -> Body:
         presets=jnp.stack([preset_rotation(part.preset) for part in parts]),
         offsets=jnp.asarray([_vector(part.offset, lengths) for part in parts]),
         lengths=jnp.asarray([lengths[part.length] for part in parts]),
-        radii=jnp.asarray([shape.radii_m.get(part.name, tuple(r * height for r in part.radius_of_height)) for part in parts]),
+        # Nobody is thicker than they look.
+        radii=jnp.minimum(jnp.asarray([radii[part.name] for part in parts]), jnp.asarray([outline[part.name] for part in parts])),
+        outline_radii=jnp.asarray([outline[part.name] for part in parts]),
         sections=jnp.asarray([shape.sections.get(part.name, part.section) for part in parts]),
     )
 
@@ -62,6 +67,7 @@ def _check_names(name: str, schema: BodySchema, shape: Shape) -> None:
     for field, given, known in (
         ("lengths_m", shape.lengths_m, schema.lengths_of_height),
         ("radii_m", shape.radii_m, parts),
+        ("outline_radii_m", shape.outline_radii_m, parts),
         ("sections", shape.sections, parts),
     ):
         for key in given:

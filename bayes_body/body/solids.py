@@ -42,11 +42,15 @@ class PartTopology:
 @partial(
     jax.tree_util.register_dataclass,
     meta_fields=["name", "topology"],
-    data_fields=["skeleton", "markers", "presets", "offsets", "lengths", "radii", "sections"],
+    data_fields=["skeleton", "markers", "presets", "offsets", "lengths", "radii", "outline_radii", "sections"],
 )
 @dataclass(frozen=True)
 class Body:
-    """A body of one subject: skeleton, markers, solids. Lengths, offsets and radii (base, tip) in metres; sections are scale factors of x and y."""
+    """A body of one subject: skeleton, markers, solids.
+
+    Lengths, offsets and radii (base, tip) in metres; sections are scale factors of x and y. `radii` are those of the solids that cannot stand in one
+    another, `outline_radii` those of what cameras see, clothes included.
+    """
 
     name: str
     topology: PartTopology
@@ -56,6 +60,7 @@ class Body:
     offsets: Float[Array, "part 3"]
     lengths: Float[Array, " part"]
     radii: Float[Array, "part 2"]
+    outline_radii: Float[Array, "part 2"]
     sections: Float[Array, "part 2"]
 
     @property
@@ -85,7 +90,8 @@ def patches(body: Body, T_world_part: Transform, viewpoint: Vector3) -> Patches:
     base = T_world_part.origin
     # Base and tip differ along the axis only, which the side does not see: one side serves both ends.
     side = _side(body, T_world_part, base - viewpoint)
-    cylinders = Patches(base, body.lengths[:, None] * T_world_part.z, side * body.radii[:, :1], side * (body.radii[:, 1:] - body.radii[:, :1]))
+    near, far = body.outline_radii[:, :1], body.outline_radii[:, 1:]
+    cylinders = Patches(base, body.lengths[:, None] * T_world_part.z, side * near, side * (far - near))
     if not any(body.topology.is_sphere):
         return cylinders
     discs = _discs(body, T_world_part, viewpoint)
@@ -104,7 +110,7 @@ def _side(body: Body, T_world_part: Transform, view: Float[Array, "part 3"]) -> 
 
 def _discs(body: Body, T_world_part: Transform, viewpoint: Vector3) -> Patches:
     disc = facing_discs(body, T_world_part, viewpoint)
-    radius = body.radii[:, :1]
+    radius = body.outline_radii[:, :1]
     # t runs over a diameter: V0 + t V1 goes from -r to r, and the samples' s is shortened to the circle.
     return Patches(disc.centre - radius * disc.up, 2 * radius * disc.up, radius * disc.right, jnp.zeros_like(disc.centre))
 

@@ -1,4 +1,4 @@
-"""The first pose of a session: its angles as they are, or the pose of the least misfit to its markers and keypoints."""
+"""The first pose of a session: its angles as they are, or the pose of the least misfit to its markers and keypoints; and how thick the body looks."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,6 +12,7 @@ from bayes_body.initial.evidence import ignored, read_evidence
 from bayes_body.initial.fit import SETTLED, fit
 from bayes_body.initial.lengths import factors
 from bayes_body.initial.misfit import Problem
+from bayes_body.initial.outline import LEAST_OVERLAP, fit_outline
 from bayes_body.initial.points import body_points
 from bayes_body.initial.problem import build_problem
 from bayes_body.initial.report import FirstPose, tell
@@ -20,7 +21,7 @@ from bayes_body.session import Session, Subject
 
 
 def with_first_pose(model: Model, session: Session) -> Model:
-    """The model with the session's first pose for its initial state, and with the fitted lengths if the session asks for them.
+    """The model with the session's first pose for its initial state, and with fitted lengths and outline if the session asks for them.
 
     Raises:
         InputError: as `first_pose`.
@@ -29,13 +30,14 @@ def with_first_pose(model: Model, session: Session) -> Model:
 
 
 def apply_first_pose(model: Model, session: Session, found: FirstPose) -> Model:
-    """The model with that pose for its initial state, and with its lengths if they were fitted."""
-    if found.lengths_m:
+    """The model with that pose for its initial state, and with the lengths and the outline that were fitted."""
+    if found.lengths_m or found.outline_radii_m:
         subject = session.subject
         if not model.definition.takes_measures_of(subject.body):
             # As `load_model` has it: another body's measures mean nothing here, a height means the same for all.
             subject = Subject(height_m=subject.height_m)
-        subject = replace(subject, body=model.definition.body_name, lengths_m=found.lengths_m)
+        lengths, radii = found.lengths_m or subject.lengths_m, found.outline_radii_m or subject.outline_radii_m
+        subject = replace(subject, body=model.definition.body_name, lengths_m=lengths, outline_radii_m=radii)
         model = load_model(model.definition, replace(session, subject=subject))
     return replace(model, initial={**model.initial, "pose": jnp.asarray(found.pose, model.body.lengths.dtype)})
 
@@ -47,10 +49,15 @@ def first_pose(model: Model, session: Session) -> FirstPose:
 
     Raises:
         FaultyFileError: markers or keypoints hold values that cannot be used, a sentence each.
-        InputError: too few points, or lengths to be fitted from one camera, or the fit did not converge.
+        InputError: too few points, or lengths to be fitted from one camera, or an outline without silhouettes, or the fit did not converge.
     """
     if session.fit_lengths:
         _check_lengths(session)
+    found = _posed(model, session)
+    return _with_outline(model, session, found) if session.fit_outline else found
+
+
+def _posed(model: Model, session: Session) -> FirstPose:
     if not session.initial_markers and not session.initial_keypoints:
         return FirstPose(model.initial["pose"])
     points = body_points(model.body)
@@ -62,6 +69,14 @@ def first_pose(model: Model, session: Session) -> FirstPose:
     if gain > SETTLED:
         remarks.append("the first pose had not settled when the fit ended: look at it before you trust it")
     return told._replace(remarks=tuple(remarks))
+
+
+def _with_outline(model: Model, session: Session, found: FirstPose) -> FirstPose:
+    outline = fit_outline(apply_first_pose(model, session, found), session)
+    if outline.radii_m:
+        return found._replace(outline_radii_m=outline.radii_m)
+    overlap = f"the body in its first pose overlaps with the silhouettes by {outline.before:.2f} (IoU; expected {LEAST_OVERLAP:g} at least)"
+    return found._replace(remarks=(*found.remarks, f"{overlap}: how thick it looks was not fitted; look at the pose before you trust it"))
 
 
 def _check_lengths(session: Session) -> None:

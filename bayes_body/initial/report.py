@@ -30,6 +30,7 @@ class FirstPose(NamedTuple):
         median_px: of the keypoints' residuals, the face's left out; NaN without keypoints.
         outliers: (camera, name) of the points that were taken for wrong; the camera is None for a marker.
         lengths_m: the body's lengths if they were fitted, else empty.
+        outline_radii_m: how thick its parts look, (base, tip), if that was fitted, else empty.
         remarks: sentences for the user.
     """
 
@@ -40,6 +41,7 @@ class FirstPose(NamedTuple):
     median_px: float = float("nan")
     outliers: tuple[tuple[str | None, str], ...] = ()
     lengths_m: Mapping[str, float] = {}
+    outline_radii_m: Mapping[str, tuple[float, float]] = {}
     remarks: tuple[str, ...] = ()
 
 

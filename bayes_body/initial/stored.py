@@ -1,6 +1,7 @@
 """A first pose as a run keeps it: fitted once, then the same to the last bit whoever continues or reads the run."""
 
 from collections.abc import Mapping
+from itertools import chain
 from typing import Any
 
 import jax.numpy as jnp
@@ -12,9 +13,10 @@ from bayes_body.model import Model
 
 
 def stored(model: Model, found: FirstPose) -> dict[str, Any]:
-    """The pose by dof (radians and metres) and the fitted lengths, as a table."""
+    """The pose by dof (radians and metres) and the fitted lengths and outline, as a table."""
     pose = dict(zip(model.body.dof_names, np.asarray(found.pose, float).tolist(), strict=True))
-    return {"pose": pose} | ({"lengths_m": dict(found.lengths_m)} if found.lengths_m else {})
+    radii = {part: list(ends) for part, ends in found.outline_radii_m.items()}
+    return {"pose": pose} | ({"lengths_m": dict(found.lengths_m)} if found.lengths_m else {}) | ({"outline_radii_m": radii} if radii else {})
 
 
 def restored(model: Model, table: Mapping[str, Any], where: str) -> FirstPose:
@@ -28,9 +30,12 @@ def restored(model: Model, table: Mapping[str, Any], where: str) -> FirstPose:
     Raises:
         InputError: it is of another body, or holds no numbers.
     """
-    pose, lengths = table.get("pose"), table.get("lengths_m", {})
+    pose, lengths, radii = table.get("pose"), table.get("lengths_m", {}), table.get("outline_radii_m", {})
     if not isinstance(pose, dict) or set(pose) != set(model.body.dof_names):
         raise wrong(f"{where}: pose", "of other dofs", f"a number for each dof of the body '{model.body.name}'", "begin the run anew")
-    if not isinstance(lengths, dict) or not all(isinstance(value, float) for value in (*pose.values(), *lengths.values())):
-        raise wrong(f"{where}", "not all of it numbers", "radians and metres", "begin the run anew")
-    return FirstPose(jnp.asarray([pose[name] for name in model.body.dof_names], model.body.lengths.dtype), lengths_m=lengths)
+    if not isinstance(lengths, dict) or not isinstance(radii, dict) or not all(isinstance(ends, list) and len(ends) == 2 for ends in radii.values()):
+        raise wrong(where, "lengths or radii that are none", "a number for each length, two for each part", "begin the run anew")
+    if not all(isinstance(value, float) for value in (*pose.values(), *lengths.values(), *chain.from_iterable(radii.values()))):
+        raise wrong(where, "not all of it numbers", "radians and metres", "begin the run anew")
+    placed = jnp.asarray([pose[name] for name in model.body.dof_names], model.body.lengths.dtype)
+    return FirstPose(placed, lengths_m=lengths, outline_radii_m={part: (base, tip) for part, (base, tip) in radii.items()})

@@ -136,6 +136,7 @@ def _session(
         initial_keypoints=_keypoints(rig, markers[0], options),
         # One camera cannot tell a small person from a far one.
         fit_lengths=len(rig.cameras) > 1,
+        fit_outline=len(rig.cameras) > 1,
         truth=TRUTH,
     )
 

@@ -80,11 +80,11 @@ def _rims(body: Body, T_world_part: geometry.Transform, camera: Camera) -> Float
     ends = []
     for end in (0, 1):
         centre = T_world_part.origin + end * body.lengths[:, None] * T_world_part.z
-        across_x = (body.radii[:, end] * body.sections[:, 0])[:, None] * T_world_part.x
-        across_y = (body.radii[:, end] * body.sections[:, 1])[:, None] * T_world_part.y
+        across_x = (body.outline_radii[:, end] * body.sections[:, 0])[:, None] * T_world_part.x
+        across_y = (body.outline_radii[:, end] * body.sections[:, 1])[:, None] * T_world_part.y
         ends.append(centre[:, None] + cos * across_x[:, None] + sin * across_y[:, None])
     cylinders = jnp.concatenate(ends, axis=1)
     facing = facing_discs(body, T_world_part, camera.viewpoint)
-    disc = facing.centre[:, None] + body.radii[:, :1, None] * (cos * facing.right[:, None] + sin * facing.up[:, None])
+    disc = facing.centre[:, None] + body.outline_radii[:, :1, None] * (cos * facing.right[:, None] + sin * facing.up[:, None])
     is_sphere = jnp.array(body.topology.is_sphere)[:, None, None]
     return jnp.where(is_sphere, jnp.concatenate([disc, disc], axis=1), cylinders)

@@ -57,6 +57,14 @@ def test_radii_and_sections_of_a_part(schema):
     others = np.arange(len(body.topology.names)) != head
     np.testing.assert_array_equal(body.radii[others], plain.radii[others])
     np.testing.assert_array_equal(body.sections[others], plain.sections[others])
+    np.testing.assert_array_equal(body.outline_radii, body.radii)
+
+
+def test_nobody_is_thicker_than_they_look(schema):
+    plain, body = build_body(NAME, schema), build_body(NAME, schema, Shape(outline_radii_m={"head": (0.3, 0.01)}))
+    head = body.topology.names.index("head")
+    np.testing.assert_allclose(body.outline_radii[head], [0.3, 0.01], rtol=1e-6)
+    np.testing.assert_allclose(body.radii[head], [plain.radii[head, 0], 0.01], rtol=1e-6)
 
 
 def test_limits_are_radians_and_may_be_missing(schema):

@@ -1,5 +1,7 @@
 """What a camera sees of a solid, and how deep solids stand in one another: closed forms and brute force, in double precision."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -88,6 +90,18 @@ def test_spheres_touch_the_narrow_sides_of_their_sections(free_parts):
     t = (np.arange(5) + 0.5) / 5
     np.testing.assert_allclose(spheres.centres[0], np.asarray(T.origin[0]) + length * t[:, None] * np.asarray(T.z[0]), atol=1e-12)
     np.testing.assert_allclose(spheres.radii[0], 0.6 * (radii[0] + t * (radii[1] - radii[0])), atol=1e-12)
+
+
+def test_clothes_are_seen_and_do_not_penetrate(free_parts):
+    body = free_parts({"length": 0.8, "radii": (0.2, 0.1)}, {"length": 0.3, "radii": (0.2, 0.2), "kind": "sphere"})
+    dressed = replace(body, outline_radii=2 * body.outline_radii)
+    T, viewpoint = part_transforms(body, jnp.asarray([*POSE, *POSE[::-1]])), jnp.asarray(VIEWPOINTS[0])
+    plain, wide = patches(body, T, viewpoint), patches(dressed, T, viewpoint)
+    np.testing.assert_allclose(wide.across, 2 * plain.across, atol=1e-12)
+    np.testing.assert_allclose(wide.taper, 2 * plain.taper, atol=1e-12)
+    np.testing.assert_allclose(wide.along[0], plain.along[0], atol=1e-12)
+    np.testing.assert_allclose(wide.along[1], 2 * plain.along[1], atol=1e-12)
+    np.testing.assert_array_equal(penetration_depths(dressed, T), penetration_depths(body, T))
 
 
 def test_spheres_of_a_sphere_are_that_sphere(free_parts):

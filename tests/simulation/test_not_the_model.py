@@ -8,6 +8,7 @@ from simulation.walker import FPS, walker
 
 from bayes_body.body.build import build_body
 from bayes_body.definition import load_body, load_definition
+from bayes_body.initial.outline import fit_outline
 from bayes_body.model import load_model
 from bayes_body.recording.images import read_mask
 from bayes_body.recording.rig import read_rig
@@ -35,11 +36,28 @@ def test_a_model_at_the_true_angles_is_not_the_rendered_person(model, person, tm
     truth = retarget(build_body(definition.body_name, schema), landmarks, FPS / STEP, schema=schema)
     subject = Subject(body=definition.body_name, height_m=HEIGHT, lengths_m=truth.lengths_m)
     body = load_model(definition, replace(session, subject=subject, initial={}))
-    overlap = [
-        intersection_over_union(mask, read_mask(session.folder / "true_masks" / view.camera.name / f"{frame:06d}.png", view.camera.size_px))
-        for frame, pose in enumerate(truth.angles)
-        for view, mask in zip(session.views, projected_masks(body, pose.astype(np.float32), session), strict=True)
-    ]
+    poses = truth.angles.astype(np.float32)
+    overlap = overlaps(body, poses, session)
     # At 1 the pictures would come from the model that is fitted to them.
     assert 0.75 <= np.median(overlap) <= 0.92
-    assert max(overlap) < 0.95
+    assert overlap.max() < 0.95
+    # As thick as somebody looks in the first frame, in the others: nearer, and never the same.
+    outline = fit_outline(replace(body, initial={"pose": poses[0]}), session)
+    dressed = load_model(definition, replace(session, subject=replace(subject, outline_radii_m=outline.radii_m), initial={}))
+    nearer = overlaps(dressed, poses[1:], session)
+    assert np.median(overlap[1:]) + 0.005 < np.median(nearer) <= 0.92
+    assert nearer.max() < 0.95
+
+
+def overlaps(model, poses, session):
+    """Of the posed body with the true silhouettes of the last frames: (frame, camera)."""
+    first = session.frames - len(poses)
+    return np.array(
+        [
+            [
+                intersection_over_union(mask, read_mask(session.folder / "true_masks" / view.camera.name / f"{frame:06d}.png", view.camera.size_px))
+                for view, mask in zip(session.views, projected_masks(model, pose, session), strict=True)
+            ]
+            for frame, pose in enumerate(poses, first)
+        ]
+    )

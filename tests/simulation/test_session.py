@@ -82,6 +82,7 @@ def test_the_session_loads_and_its_files_are_there(filmed):
     assert check_session(session) == []
     assert (session.title, session.up, session.fps, session.frames, session.subject.height_m) == ("a walk", "z", FPS, FRAMES, 1.78)
     assert session.fit_lengths
+    assert session.fit_outline
     assert [view.camera for view in session.views] == [view.camera for view in filmed.views]
     for view in session.views:
         assert view.masks is None

@@ -1,0 +1,158 @@
+r"""How thick the parts of a body look, clothes included, from the first frame's silhouettes.
+
+Trousers stick out of a calf as thick as the mean of many. Where they are not in the model, a silhouette says more of them than of the pose: at the
+true pose they remain uncovered, and a leg laid beside the other explains no less (docs/decisions). With the pose held, the radii are those of
+
+$$\min_r\ 1 - \frac1C \sum_c \frac{\sum_x m_c(x)\, s_c(x; r)}{\sum_x m_c + s_c - m_c s_c}
+    + \frac{\lambda}{2} \sum_g \log^2 (r_g / \bar r_g),$$
+
+the overlap (IoU) of the silhouettes m with the body's projection s, a logistic of the signed distance to its outline (likelihood/outlines.py), and a
+pull to the radii $\bar r$ that the body has; one r for the base and one for the tip of each kind of part, left and right alike.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float
+
+from bayes_body.body.solids import Body
+from bayes_body.camera import Camera
+from bayes_body.errors import wrong
+from bayes_body.initial.quick import QUICK
+from bayes_body.likelihood.outlines import outline_forms, signed_distance
+from bayes_body.model import Model
+from bayes_body.observation.frames import read_frame
+from bayes_body.recording.camera_path import cameras_at
+from bayes_body.session import Session
+from bayes_body.shapes import Pose, Scalar
+
+# The grid on which silhouettes are compared, laid over each with a margin of this share of its size on all sides: columns, rows.
+GRID = (64, 96)
+MARGIN = 0.25
+# How soft the projection's outline is, steps of the grid.
+SOFT = 0.25
+# λ: by about this much the silhouettes of drawn people's later frames overlap most with the body (docs/decisions).
+PULL = 0.2
+STEPS = 100
+RATE = 0.05
+# With less overlap than this the pose is not that of the silhouettes, and no thickness helps.
+LEAST_OVERLAP = 0.4
+WHERE = "session.toml: initial.fit_outline"
+
+
+class Silhouettes(NamedTuple):
+    """Of each camera that saw the person: the grid's columns and rows, pixels from the image's middle on, and which of its points are foreground."""
+
+    columns: Float[Array, "camera column"]
+    rows: Float[Array, "camera row"]
+    inside: Float[Array, "camera row column"]
+
+
+class Outline(NamedTuple):
+    """(base, tip) of each part, metres, by name; and the silhouettes' overlap (IoU) without and with them."""
+
+    radii_m: Mapping[str, tuple[float, float]]
+    before: float
+    after: float
+
+
+def fit_outline(model: Model, session: Session) -> Outline:
+    """How thick the body of a model looks in the first frame; its initial state is the pose there.
+
+    Parts on a joint without dofs, such as hands and feet, keep their radii: they lie where the pose cannot turn them to.
+
+    Raises:
+        InputError: the session has no silhouettes, or no camera shows one in the first frame.
+    """
+    placed = model.at(cameras_at(session, 0)) if session.moves else model
+    cameras, seen = _silhouettes(session)
+    rig = jax.tree.map(lambda leaf: leaf[np.array(cameras)], placed.rig)
+    groups = jnp.asarray(_groups(model.body), model.body.lengths.dtype)
+    logs, before, after = _fit(model.body, rig, model.initial["pose"], groups, seen)
+    if float(before) < LEAST_OVERLAP:
+        return Outline({}, float(before), float(before))
+    radii = np.asarray(_thick(model.body, groups, logs).outline_radii, float)
+    names = model.body.topology.names
+    return Outline({name: (float(base), float(tip)) for name, (base, tip) in zip(names, radii, strict=True)}, float(before), float(after))
+
+
+def _silhouettes(session: Session) -> tuple[list[int], Silhouettes]:
+    """The numbers of the cameras that show the person in the first frame, and what they show."""
+    masks = read_frame(session, 0).masks
+    if masks is None:
+        found, remedy = "true, in a session without silhouettes", "set it to false, or give each [[camera]] its `masks` or a `background`"
+        raise wrong(WHERE, found, "silhouettes to fit to", remedy)
+    seen = {c: np.asarray(mask) for c, mask in enumerate(masks) if mask is not None and mask.any()}
+    if not seen:
+        raise wrong(WHERE, "true, and no camera shows a silhouette in the first frame", "one that does", "set it to false, or start at another frame")
+    grids = [_grid(mask) for mask in seen.values()]
+    return list(seen), Silhouettes(*(jnp.asarray(np.stack(each), float) for each in zip(*grids, strict=True)))
+
+
+def _grid(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    axes = []
+    for axis, count in zip((1, 0), GRID, strict=True):
+        hit = np.flatnonzero(mask.any(axis=1 - axis))
+        margin = MARGIN * (hit[-1] - hit[0] + 1)
+        axes.append(np.linspace(max(hit[0] - margin, 0), min(hit[-1] + margin, mask.shape[axis] - 1), count))
+    columns, rows = axes
+    inside = mask[np.rint(rows).astype(int)[:, None], np.rint(columns).astype(int)]
+    return columns - mask.shape[1] / 2, rows - mask.shape[0] / 2, inside
+
+
+def _groups(body: Body) -> Float[np.ndarray, "group part 2"]:
+    """1 where a part's base or tip follows a parameter."""
+    topology, moves = body.topology, [bool(motions) for motions in body.skeleton.topology.motions]
+    kinds = dict[tuple[str, int], np.ndarray]()
+    for p, (name, joint) in enumerate(zip(topology.names, topology.joints, strict=True)):
+        if moves[joint]:
+            for end in (0, 1):
+                # A sphere has one radius, at its base.
+                key = name.removeprefix("l_").removeprefix("r_"), 0 if topology.is_sphere[p] else end
+                kinds.setdefault(key, np.zeros((len(topology.names), 2)))[p, end] = 1.0
+    return np.stack(list(kinds.values()))
+
+
+def _thick(body: Body, groups: Float[Array, "group part 2"], logs: Float[Array, " group"]) -> Body:
+    return replace(body, outline_radii=body.outline_radii * jnp.exp(jnp.tensordot(logs, groups, 1)))
+
+
+def _overlap(body: Body, rig: Camera, pose: Pose, seen: Silhouettes) -> Scalar:
+    """The mean IoU of silhouettes and the body's projection."""
+
+    def of(forms: Array, columns: Array, rows: Array, inside: Array) -> Scalar:
+        distance = signed_distance(body.topology, forms, columns, rows)
+        covered = jax.nn.sigmoid(distance / (SOFT * (columns[1] - columns[0])))
+        both = jnp.sum(inside * covered)
+        return both / (jnp.sum(inside) + jnp.sum(covered) - both)
+
+    return jnp.mean(jax.vmap(of)(outline_forms(body, rig, pose), *seen))
+
+
+@partial(jax.jit, compiler_options=QUICK)
+def _fit(
+    body: Body, rig: Camera, pose: Pose, groups: Float[Array, "group part 2"], seen: Silhouettes
+) -> tuple[Float[Array, " group"], Scalar, Scalar]:
+    """The logarithms of the factors, and the overlap without and with them: Adam, its rate falling to nothing."""
+    adam = optax.adam(optax.cosine_decay_schedule(RATE, STEPS))
+
+    def loss(logs: Float[Array, " group"]) -> tuple[Scalar, Scalar]:
+        overlap = _overlap(_thick(body, groups, logs), rig, pose, seen)
+        return 1 - overlap + 0.5 * PULL * jnp.sum(logs**2), overlap
+
+    def step(carry: tuple[Array, optax.OptState], _: None) -> tuple[tuple[Array, optax.OptState], Scalar]:
+        logs, state = carry
+        (_, overlap), slope = jax.value_and_grad(loss, has_aux=True)(logs)
+        change, state = adam.update(slope, state)
+        return (jnp.asarray(optax.apply_updates(logs, change)), state), overlap
+
+    start = jnp.zeros(groups.shape[0], groups.dtype)
+    (logs, _), overlaps = jax.lax.scan(step, (start, adam.init(start)), None, STEPS)
+    # The last step's rate is next to nothing.
+    return logs, overlaps[0], overlaps[-1]

@@ -1,0 +1,173 @@
+"""How thick a body looks: trousers are found where they are, images see them, legs pass without them, and what cannot be fitted is said."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from bayes_body.definition import load_definition
+from bayes_body.errors import FaultyFileError, InputError
+from bayes_body.initial import FirstPose, apply_first_pose, first_pose, restored, stored, with_first_pose
+from bayes_body.initial.outline import fit_outline
+from bayes_body.model import load_model
+from bayes_body.session import Subject, load_session, save_session
+from bayes_body.view.silhouette import intersection_over_union, projected_masks
+
+STANDING = {
+    "root_z": 0.95,
+    "root_yaw": 0.4,
+    "l_hip_y": -0.3,
+    "r_hip_y": 0.25,
+    "l_knee": -0.2,
+    "r_knee": -0.5,
+    "l_shoulder_y": -1.2,
+    "r_shoulder_y": 1.2,
+}
+# Of calves in trousers, against the body's: at the knee and at the ankle.
+WIDE = (1.4, 1.9)
+
+
+@pytest.fixture(scope="module")
+def recording(scene, tmp_path_factory):
+    """`recording(masks)`: a session of four cameras whose first frame has these silhouettes; None leaves a camera's away."""
+
+    def make(masks, cameras=4, **known):
+        folder = tmp_path_factory.mktemp("outline")
+        session = scene(cameras, initial=STANDING, fit_outline=True, **known)
+        views = []
+        for view, mask in zip(session.views, masks, strict=True):
+            name = view.camera.name
+            (folder / name).mkdir()
+            # A picture of one grey level everywhere would be a camera that failed.
+            room = np.random.default_rng(0).integers(60, 120, view.camera.size_px[::-1], np.uint8)
+            cv2.imwrite(str(folder / name / "0.png"), room)
+            if mask is not None:
+                cv2.imwrite(str(folder / name / "m0.png"), np.uint8(255) * mask)
+            views.append(replace(view, images=f"{name}/%d.png", masks=f"{name}/m%d.png"))
+        return replace(session, folder=folder, views=tuple(views), frames=1)
+
+    return make
+
+
+def dressed(scene, cameras=4):
+    """A model in the pose, whose calves look thicker than they are, and its silhouettes."""
+    plain = load_model("tempered_smc", scene(cameras, initial=STANDING))
+    radii = dict(zip(plain.body.topology.names, np.asarray(plain.body.radii, float).tolist(), strict=True))
+    trousers = {f"{side}_calf": tuple(np.multiply(radii[f"{side}_calf"], WIDE).tolist()) for side in "lr"}
+    session = scene(cameras, initial=STANDING)
+    subject = replace(session.subject, body="person_31", outline_radii_m=trousers)
+    model = load_model("tempered_smc", replace(session, subject=subject))
+    return model, projected_masks(model, np.asarray(model.initial["pose"]), session)
+
+
+def ratios(outline, model):
+    radii = np.asarray(model.body.radii, float)
+    return {part: np.divide(outline.radii_m[part], radii[k]) for k, part in enumerate(model.body.topology.names)}
+
+
+def trousers(thick):
+    """Whether calves are about as thick as they look: the ankle, of few pixels, is drawn to what is usual."""
+    knee, ankle = thick["l_calf"]
+    return knee == pytest.approx(WIDE[0], rel=0.1) and 1.2 < ankle < WIDE[1]
+
+
+def test_trousers_are_found_where_they_are(scene, recording):
+    _, masks = dressed(scene)
+    session = recording(masks)
+    usual = load_model("tempered_smc", session)
+    found = fit_outline(usual, session)
+    assert found.after > found.before + 0.04
+    thick = ratios(found, usual)
+    assert trousers(thick)
+    assert thick["r_calf"] == pytest.approx(thick["l_calf"])
+    for part in ("torso", "l_thigh", "l_upper_arm", "l_forearm"):
+        assert thick[part] == pytest.approx(1, abs=0.12), part
+    for part in ("l_foot", "r_foot", "l_hand", "r_hand"):
+        assert thick[part] == pytest.approx(1, abs=1e-6), part
+
+
+def test_images_see_the_clothes_and_legs_pass_without_them(scene, recording):
+    _, masks = dressed(scene)
+    session = recording(masks)
+    usual = load_model("tempered_smc", session)
+    model = with_first_pose(usual, session)
+    calf = model.body.topology.names.index("l_calf")
+    likelihood, intersection = (factor.log_potential for factor in model.factors)
+    assert likelihood.body.outline_radii[calf, 0] > 1.3 * usual.body.radii[calf, 0]
+    assert intersection.args[0].radii[calf, 0] == usual.body.radii[calf, 0]
+    overlap = [
+        np.mean([intersection_over_union(a, b) for a, b in zip(projected_masks(m, np.asarray(m.initial["pose"]), session), masks, strict=True)])
+        for m in (usual, model)
+    ]
+    assert overlap[1] > overlap[0] + 0.03
+
+
+def test_a_camera_that_shows_nobody_is_left_out(scene, recording):
+    _, masks = dressed(scene)
+    nobody = np.zeros_like(masks[1])
+    session = recording([masks[0], nobody, masks[2], None])
+    usual = load_model("tempered_smc", session)
+    assert trousers(ratios(fit_outline(usual, session), usual))
+    with pytest.raises(InputError, match=r"fit_outline: true, and no camera shows a silhouette in the first frame; expected .*; set it to false"):
+        fit_outline(usual, recording([nobody] * 4))
+
+
+def test_without_silhouettes_it_says_what_to_give(scene, recording):
+    session = recording([None] * 4)
+    bare = replace(session, views=tuple(replace(view, masks=None) for view in session.views))
+    with pytest.raises(InputError, match=r"fit_outline: true, in a session without silhouettes; .*; set it to false, or give each \[\[camera\]\]"):
+        first_pose(load_model("tempered_smc", bare), bare)
+
+
+def test_a_pose_elsewhere_is_said_and_changes_nothing(scene, recording):
+    _, masks = dressed(scene)
+    session = replace(recording(masks), initial=STANDING | {"root_x": 0.6}, positions=frozenset({"root_x", "root_z"}))
+    usual = load_model("tempered_smc", session)
+    found = first_pose(usual, session)
+    assert not found.outline_radii_m
+    assert "overlaps with the silhouettes by 0." in found.remarks[0]
+    assert "how thick it looks was not fitted" in found.remarks[0]
+
+
+def test_what_is_kept_comes_back(model):
+    pose = model.initial["pose"]
+    found = FirstPose(pose, lengths_m={"l_thigh": 0.5}, outline_radii_m={"l_calf": (0.1, 0.07)})
+    table = stored(model, found)
+    again = restored(model, table, "run.toml")
+    assert (again.lengths_m, again.outline_radii_m) == (found.lengths_m, found.outline_radii_m)
+    assert (again.pose == pose).all()
+    for radii in ({"l_calf": 0.1}, {"l_calf": [0.1]}, [0.1, 0.1]):
+        with pytest.raises(InputError, match="lengths or radii that are none"):
+            restored(model, table | {"outline_radii_m": radii}, "run.toml")
+    with pytest.raises(InputError, match="not all of it numbers"):
+        restored(model, table | {"outline_radii_m": {"l_calf": [0.1, "thick"]}}, "run.toml")
+
+
+def test_another_bodys_outline_is_not_taken(scene):
+    session = scene(1)
+    strange = replace(session, subject=Subject(body="arm_4", height_m=1.8, outline_radii_m={"upper_arm": (0.3, 0.3)}))
+    model = load_model("tempered_smc", strange)
+    found = FirstPose(model.initial["pose"], outline_radii_m={"l_calf": (0.1, 0.07)})
+    calf = model.body.topology.names.index("l_calf")
+    assert np.asarray(apply_first_pose(model, strange, found).body.outline_radii[calf]) == pytest.approx((0.1, 0.07))
+
+
+def test_a_session_says_how_thick_somebody_looks(recording, scene):
+    session = replace(recording([None] * 4), subject=Subject(body="person_31", outline_radii_m={"l_calf": (0.09, 0.06)}))
+    again = load_session(save_session(session))
+    assert again.fit_outline
+    assert again.subject.outline_radii_m == {"l_calf": (0.09, 0.06)}
+    model = load_model(load_definition("tempered_smc"), again)
+    calf = model.body.topology.names.index("l_calf")
+    assert np.asarray(model.body.outline_radii[calf]) == pytest.approx((0.09, 0.06))
+    # Thicker than the body's own: that stays as it is.
+    assert model.body.radii[calf, 1] < 0.05
+    wrong = replace(again, subject=replace(again.subject, outline_radii_m={"l_cafl": (0.09, 0.06)}))
+    with pytest.raises(InputError, match=r"subject.outline_radii_m.l_cafl: no such name; .*l_calf"):
+        load_model(load_definition("tempered_smc"), wrong)
+    save_session(session)
+    path = session.folder / "session.toml"
+    path.write_text(path.read_text().replace("[0.09, 0.06]", "[0.09, -0.06]"))
+    with pytest.raises(FaultyFileError, match="outline_radii_m"):
+        load_session(path)
