@@ -36,7 +36,7 @@ class Size(NamedTuple):
     particles: int
 
 
-WHOLE, QUICK = Size(60, 300), Size(12, 200)
+WHOLE, QUICK = Size(60, 300), Size(12, 192)
 
 
 class Demo(NamedTuple):

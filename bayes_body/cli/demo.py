@@ -29,7 +29,7 @@ ROWS = (
 def demo(
     out: Path | None = typer.Option(None, "--out", help=f"Folder for what it makes; {FOLDER}, or the next free {FOLDER}_2 ..., by default."),
     seed: int = typer.Option(0, "--seed", help="Another person, walk, room and noise for each."),
-    quick: bool = typer.Option(False, "--quick", help="12 frames and 250 particles: to see that it works."),
+    quick: bool = typer.Option(False, "--quick", help="A fifth of the frames and fewer particles: to see that it works."),
 ) -> None:
     """Film a simulated walk, track it as a recording of yours would be, and compare with the truth."""
     from bayes_body.config import configure

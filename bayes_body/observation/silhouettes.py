@@ -1,5 +1,9 @@
-"""The silhouettes of a session without masks: each camera's background is learned when it is first asked for, and kept for the process."""
+"""The silhouettes of a session without masks: each camera's background is learned when it is first asked for, and kept for the process.
 
+So are the silhouettes, as far as there is room: a run looks at each when it tracks, measures and draws its frame.
+"""
+
+import hashlib
 import threading
 from collections import OrderedDict
 from collections.abc import Hashable, Iterator
@@ -12,6 +16,7 @@ from bayes_body.errors import wrong
 from bayes_body.observation.background import Background, learn_background, shrink, still_background
 from bayes_body.observation.pictures import Colours, read_colour
 from bayes_body.observation.segmentation import foreground_levels
+from bayes_body.observation.shelf import Shelf
 from bayes_body.recording.images import is_image
 from bayes_body.recording.images import read_colour as read_colour_image
 from bayes_body.recording.video import probe, read_video_frame, readable_frames
@@ -19,10 +24,12 @@ from bayes_body.session import Session, View
 
 # From fewer frames of a recording no background is learned: a person would be in most of them.
 LEAST_FRAMES = 10
-KEPT = 32
+# Backgrounds that are kept, and how much of the silhouettes: those of some thousand pictures, which are tracked, measured and drawn.
+KEPT, KEPT_BYTES = 32, 64 << 20
 
 _backgrounds: OrderedDict[Hashable, Background] = OrderedDict()
 _lock = threading.Lock()
+_made = Shelf(KEPT_BYTES)
 
 
 def has_silhouettes(session: Session) -> bool:
@@ -36,7 +43,10 @@ def silhouette_levels(session: Session, view: View, image: Colours) -> UInt8[np.
     Raises:
         InputError: the background cannot be learned, or its file cannot be used.
     """
-    return foreground_levels(background_of(session, view), image, session.segmentation)
+    background = background_of(session, view)
+    # By its contents: a picture has one silhouette, whatever its number and whenever its file was written.
+    key = _key(session, view), hashlib.blake2b(np.ascontiguousarray(image), digest_size=16).digest()
+    return _made.get(str(session.folder), key, lambda: foreground_levels(background, image, session.segmentation))
 
 
 def background_of(session: Session, view: View) -> Background:
@@ -45,14 +55,19 @@ def background_of(session: Session, view: View) -> Background:
     Raises:
         InputError: there are too few frames, or the empty scene's file cannot be used.
     """
-    source = view.images, view.video, view.background, view.offset, view.camera.size_px
-    key = str(session.folder), session.first_frame, session.frames, session.segmentation, source, _state(session.background_path(view))
+    key = _key(session, view)
     with _lock:
         background = _backgrounds.pop(key, None) or _learn(session, view)
         _backgrounds[key] = background
         if len(_backgrounds) > KEPT:
             _backgrounds.popitem(last=False)
     return background
+
+
+def _key(session: Session, view: View) -> Hashable:
+    """All that a background depends on."""
+    source = view.images, view.video, view.background, view.offset, view.camera.size_px
+    return str(session.folder), session.first_frame, session.frames, session.segmentation, source, _state(session.background_path(view))
 
 
 def _state(path: Path | None) -> tuple[int, int] | None:

@@ -218,6 +218,25 @@ def filmed(path, frames: range) -> None:
     writer.release()
 
 
+def test_a_silhouette_is_made_once_for_its_picture(session, tmp_path, monkeypatch):
+    made = []
+
+    def counted(*arguments):
+        made.append(arguments)
+        return foreground_levels(*arguments)
+
+    monkeypatch.setattr(silhouettes, "foreground_levels", counted)
+    first, again = (np.asarray(read_frame(session(background="empty.png"), 15).masks[0]) for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+    assert len(made) == 1
+    # The same number, another picture; and another background.
+    cv2.imwrite(str(tmp_path / "image0015.png"), photograph(room(), 15))
+    assert not np.asarray(read_frame(session(background="empty.png"), 15).masks[0]).any()
+    cv2.imwrite(str(tmp_path / "empty.png"), np.full((ROWS, COLUMNS, 3), 90, np.uint8))
+    _ = read_frame(session(background="empty.png"), 15).masks[0]
+    assert len(made) == 3
+
+
 @pytest.mark.parametrize("source", ["recording", "empty image", "empty video"])
 def test_silhouettes_of_a_session(session, tmp_path, source):
     filmed(tmp_path / "empty.avi", range(40, 60))
