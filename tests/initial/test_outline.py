@@ -113,6 +113,17 @@ def test_a_camera_that_shows_nobody_is_left_out(scene, recording):
         fit_outline(usual, recording([nobody] * 4))
 
 
+def test_a_moving_camera_looks_from_where_it_is_in_the_first_frame(scene, recording):
+    _, masks = dressed(scene)
+    session = recording(masks)
+    true = session.views[0].camera
+    np.savez(session.folder / "moving.npz", rotation=np.asarray(true.rotation)[None], translation_m=np.asarray(true.translation_m)[None])
+    elsewhere = replace(true, translation_m=np.add(true.translation_m, (1.0, 0.0, 0.0)))
+    moving = replace(session, views=(replace(session.views[0], camera=elsewhere, path="moving.npz"), *session.views[1:]))
+    still, moved = (fit_outline(load_model("tempered_smc", each), each) for each in (session, moving))
+    assert moved.after == pytest.approx(still.after, abs=1e-4)
+
+
 def test_without_silhouettes_it_says_what_to_give(scene, recording):
     session = recording([None] * 4)
     bare = replace(session, views=tuple(replace(view, masks=None) for view in session.views))
