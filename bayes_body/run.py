@@ -6,7 +6,7 @@ it has computed stays, and a later one goes on from there to the same end.
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +23,7 @@ from bayes_body.model import Model, load_model
 from bayes_body.posterior import stream_posterior
 from bayes_body.posterior.diagnostics import diagnose, sentences, worst_figures
 from bayes_body.posterior.stream import stored_frames
+from bayes_body.program import compiled_ahead
 from bayes_body.registry import find
 from bayes_body.saved_run import load_run
 from bayes_body.session import Session, load_session
@@ -93,8 +94,9 @@ def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
     record = describe(settings.session, chosen.model, definition, kind, options.model_dump(), chosen.runs, chosen.seed, chosen.frames)
     if kept:
         refuse_changes(settings.out, kept, record)
-    model, record = _with_first_pose(model, session, record, kept, settings.out, show)
     kernel = term.build(options=options)
+    with compiled_ahead(session, model, kernel, options.particles) if _fits(session, kept) else nullcontext() as ahead:
+        model, record = _with_first_pose(model, session, record, kept, settings.out, show)
     with locked(make_folder(settings.out)):
         frames = _begin(settings.out, chosen.frames or session.frames, show)
         write_run_file(settings.out, record)
@@ -103,24 +105,30 @@ def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
         with _kept(frames, settings.out, show):
             with progress_bar(bar, len(frames)) as on_frame:
                 draws = track(
-                    session, model, kernel, jax.random.key(chosen.seed), options.particles, chosen.runs, chosen.frames, on_frame, into=frames
+                    session, model, kernel, jax.random.key(chosen.seed), options.particles, chosen.runs, chosen.frames, on_frame, frames, ahead
                 )
             figures = {"kernel": kind, "seed": chosen.seed}
             return _leave(session, draws, settings.out, figures, show, bar)
+
+
+def _fits(session: Session, kept: Mapping[str, Mapping[str, Any]] | None) -> bool:
+    """Whether the first pose must be fitted: that takes long, and what is compiled meanwhile costs less."""
+    asked = session.initial_markers or session.initial_keypoints or session.fit_outline
+    return bool(asked) and not (kept and "first_pose" in kept)
 
 
 def _with_first_pose(
     model: Model, session: Session, record: Record, kept: Mapping[str, Mapping[str, Any]] | None, out: Path, show: Show
 ) -> tuple[Model, Record]:
     """The model with its first pose where that must be found, and the record with it; a run that is continued starts from the pose that it kept."""
-    if not session.initial_markers and not session.initial_keypoints and not session.fit_outline:
-        return model, record
-    if kept and "first_pose" in kept:
-        found = restored(model, kept["first_pose"], f"{out / RUN_FILE}: first_pose")
-    else:
+    if _fits(session, kept):
         found = first_pose(model, session)
         for remark in found.remarks:
             show(f"first pose: {remark}")
+    elif kept and "first_pose" in kept:
+        found = restored(model, kept["first_pose"], f"{out / RUN_FILE}: first_pose")
+    else:
+        return model, record
     return apply_first_pose(model, session, found), {**record, "first_pose": stored(model, found)}
 
 

@@ -15,14 +15,14 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from bayes_body.density import Density
 from bayes_body.draws import Draws, FrameResult, FrameStore, timing_of
 from bayes_body.errors import wrong
 from bayes_body.factor import FilterInfo, Kernel, Particles
-from bayes_body.kernels.batching import everywhere, whole
+from bayes_body.kernels.batching import everywhere
 from bayes_body.model import Model
 from bayes_body.observation.frames import prefetch, read_frame
 from bayes_body.plugins import check_own_factors
+from bayes_body.program import Ahead, program_from
 from bayes_body.recording.camera_path import cameras_at
 from bayes_body.session import Session
 from bayes_body.shapes import Key
@@ -58,6 +58,7 @@ def track(
     frames: int | None = None,
     on_frame: Callable[[Progress], None] | None = None,
     into: FrameStore | None = None,
+    ahead: Ahead | None = None,
 ) -> Draws:
     """Filter a session.
 
@@ -72,6 +73,7 @@ def track(
         on_frame: called after each frame, once it is kept.
         into: what keeps the frames, such as `storage.FrameFiles`; a list by default. Frames that it already holds are not computed again: the filters
             go on from the last of them.
+        ahead: from `compiled_ahead` of this session and kernel, and of a model of this form.
 
     Raises:
         InputError: no particles, runs or frames; `into` holds other or more of them; a frame's images cannot be read, or a frame cannot be kept.
@@ -85,7 +87,7 @@ def track(
     filters = _filters_after(store, particles, runs, count) if done else [model.start(particles)] * runs
     if done < count:
         with closing(_observations(session, model, range(done, count))) as observations:
-            _follow(store, _filter(model, kernel, key, filters, done, observations), count, on_frame)
+            _follow(store, _filter(model, kernel, key, filters, done, observations, ahead), count, on_frame)
     return Draws(model, store, timing_of(store), tuple(view.camera.name for view in session.views))
 
 
@@ -127,7 +129,9 @@ def _follow(store: FrameStore, results: Iterator[FrameResult], count: int, on_fr
             on_frame(_progress(result, done, count, seconds / (done - first)))
 
 
-def _filter(model: Model, kernel: Kernel, key: Key, filters: list[Particles], first: int, observations: Iterator[_Observed]) -> Iterator[FrameResult]:
+def _filter(
+    model: Model, kernel: Kernel, key: Key, filters: list[Particles], first: int, observations: Iterator[_Observed], ahead: Ahead | None
+) -> Iterator[FrameResult]:
     """What all runs make of each frame from `first` on; nothing of a frame is kept here but its particles."""
     last = time.perf_counter()
     run_keys = [everywhere(jax.random.fold_in(key, run)) for run in range(len(filters))]
@@ -139,7 +143,7 @@ def _filter(model: Model, kernel: Kernel, key: Key, filters: list[Particles], fi
         density, ready = placed.density(data, filters[0]), 0.0
         if step is None:
             check_own_factors(density, model.initial)
-            step = _compile(kernel, run_keys[0], filters[0], density)
+            step = program_from(ahead, kernel, run_keys[0], filters[0], density)
             last, ready = time.perf_counter(), time.perf_counter() - last
         index = everywhere(np.int32(frame))
         outcomes = [step(run_key, index, before, density) for run_key, before in zip(run_keys, filters, strict=True)]
@@ -147,15 +151,6 @@ def _filter(model: Model, kernel: Kernel, key: Key, filters: list[Particles], fi
         runs = jax.device_get(outcomes)
         last, seconds = time.perf_counter(), time.perf_counter() - last
         yield _result(runs, seen, seconds, ready)
-
-
-def _compile(kernel: Kernel, key: Key, particles: Particles, density: Density) -> Callable[..., Any]:
-    """The program of one frame, compiled ahead: it cannot retrace; what would need a second compilation is an error rather than a silent cost."""
-
-    def frame_of_run(run_key: Key, frame: Array, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
-        return kernel(jax.random.fold_in(run_key, frame), particles, density.given(particles))
-
-    return jax.jit(frame_of_run, out_shardings=whole()).lower(key, everywhere(np.int32(0)), particles, density).compile()
 
 
 def _result(outcomes: list[tuple[Particles, FilterInfo]], seen: np.ndarray, seconds: float, ready: float) -> FrameResult:
