@@ -116,7 +116,7 @@ def _groups(body: Body) -> Float[np.ndarray, "group part 2"]:
                 # A sphere has one radius, at its base.
                 key = name.removeprefix("l_").removeprefix("r_"), 0 if topology.is_sphere[p] else end
                 kinds.setdefault(key, np.zeros((len(topology.names), 2)))[p, end] = 1.0
-    return np.stack(list(kinds.values()))
+    return np.array(list(kinds.values())).reshape(-1, len(topology.names), 2)
 
 
 def _thick(body: Body, groups: Float[Array, "group part 2"], logs: Float[Array, " group"]) -> Body:
