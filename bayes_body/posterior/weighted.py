@@ -77,7 +77,9 @@ def frame_rhat(frame: FrameResult, index: int) -> Float[np.ndarray, " dof"]:
     if frame.log_weights.shape[0] < 2:
         return np.full(frame.states["pose"].shape[-1], np.nan)
     sample = equal_weight_poses(frame, index)
-    return np.asarray(az.rhat(xr.Dataset({"pose": (("chain", "draw", "dof"), sample)}))["pose"])
+    # A dof that never moves is 0 / 0.
+    with np.errstate(invalid="ignore"):
+        return np.asarray(az.rhat(xr.Dataset({"pose": (("chain", "draw", "dof"), sample)}))["pose"])
 
 
 def rhat(draws: Draws) -> Float[np.ndarray, "frame dof"]:
