@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jax.stages import Lowered
 from jaxtyping import Array
 
 from bayes_body.density import Density
@@ -44,30 +45,36 @@ def form_of(key: Key, particles: Particles, density: Density) -> Any:
     return tree, tuple((leaf.shape, leaf.dtype) for leaf in leaves)
 
 
-def compile_program(kernel: Kernel, key: Key, particles: Particles, density: Density, wanted: Callable[[], bool] = lambda: True) -> Program | None:
-    """The program of one frame; None where it is no longer wanted once it is traced."""
+def traced(kernel: Kernel, key: Key, particles: Particles, density: Density) -> Lowered:
+    """The step of one frame, traced and not yet compiled."""
 
     def frame_of_run(run_key: Key, frame: Array, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
         return kernel(jax.random.fold_in(run_key, frame), particles, density.given(particles))
 
-    program = jax.jit(frame_of_run, out_shardings=whole())
-    lowered = program.lower(key, everywhere(np.int32(0)), particles, density) if wanted() else None
-    return Program(lowered.compile(), form_of(key, particles, density)) if lowered is not None and wanted() else None
+    return jax.jit(frame_of_run, out_shardings=whole()).lower(key, everywhere(np.int32(0)), particles, density)
 
 
 @contextmanager
 def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: int) -> Iterator[Ahead]:
-    """The program that will track a session, compiled in a thread. After an error in the block nothing is begun any more: nobody waits for it."""
+    """The program that will track a session, compiled in a thread, for `track`. After an error in the block no further stage of it begins.
+
+    Args:
+        session: the recording.
+        model: of the form that the tracked one will have; its first pose and lengths may still change.
+        kernel: that will track.
+        particles: how many, a run.
+    """
     given_up = threading.Event()
     # A setting of the caller's own thread.
     x64 = bool(jax.config.jax_enable_x64)
 
     def work() -> Program | None:
         with jax.enable_x64(x64):
-            start = everywhere(model.start(particles))
+            key, start = everywhere(jax.random.key(0)), everywhere(model.start(particles))
             placed = replace(model, transition=everywhere(model.transition), factors=everywhere(model.factors))
             density = placed.density(everywhere(model.observe(read_frame(session, 0))), start)
-            return compile_program(kernel, everywhere(jax.random.key(0)), start, density, lambda: not given_up.is_set())
+            lowered = None if given_up.is_set() else traced(kernel, key, start, density)
+            return None if lowered is None or given_up.is_set() else Program(lowered.compile(), form_of(key, start, density))
 
     pool = ThreadPoolExecutor(1, thread_name_prefix="compile")
     try:
@@ -76,15 +83,15 @@ def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: in
         given_up.set()
         raise
     finally:
+        # Nobody waits for it here: XLA cannot be stopped half way.
         pool.shutdown(wait=False)
 
 
 def program_from(ahead: Ahead | None, kernel: Kernel, key: Key, particles: Particles, density: Density) -> Step:
     """The step that was compiled ahead if it takes these arguments, else one that does."""
+    # An error of the thread's is met again below, where it can be told.
     if ahead is not None and ahead.exception() is None:
         ready = ahead.result()
         if ready is not None and ready.form == form_of(key, particles, density):
             return ready.step
-    made = compile_program(kernel, key, particles, density)
-    assert made is not None
-    return made.step
+    return traced(kernel, key, particles, density).compile()

@@ -17,7 +17,7 @@ from bayes_body.definition import Definition, load_definition
 from bayes_body.draws import Draws
 from bayes_body.errors import wrong
 from bayes_body.files import make_folder, remove_partial, write_text
-from bayes_body.initial import apply_first_pose, first_pose, restored, stored
+from bayes_body.initial import apply_first_pose, first_pose, is_fitted, restored, stored
 from bayes_body.metrics import summarise, true_markers
 from bayes_body.model import Model, load_model
 from bayes_body.posterior import stream_posterior
@@ -107,14 +107,12 @@ def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
                 draws = track(
                     session, model, kernel, jax.random.key(chosen.seed), options.particles, chosen.runs, chosen.frames, on_frame, frames, ahead
                 )
-            figures = {"kernel": kind, "seed": chosen.seed}
-            return _leave(session, draws, settings.out, figures, show, bar)
+            return _leave(session, draws, settings.out, {"kernel": kind, "seed": chosen.seed}, show, bar)
 
 
 def _fits(session: Session, kept: Mapping[str, Mapping[str, Any]] | None) -> bool:
-    """Whether the first pose must be fitted: that takes long, and what is compiled meanwhile costs less."""
-    asked = session.initial_markers or session.initial_keypoints or session.fit_outline
-    return bool(asked) and not (kept and "first_pose" in kept)
+    """Whether the first pose must be fitted; a run that is continued has kept it."""
+    return is_fitted(session) and "first_pose" not in (kept or {})
 
 
 def _with_first_pose(

@@ -20,6 +20,11 @@ from bayes_body.model import Model, load_model
 from bayes_body.session import Session, Subject
 
 
+def is_fitted(session: Session) -> bool:
+    """Whether the session asks for a fit: of its first pose, or of how thick the body looks there."""
+    return bool(session.initial_markers or session.initial_keypoints or session.fit_outline)
+
+
 def with_first_pose(model: Model, session: Session) -> Model:
     """The model with the session's first pose for its initial state, and with fitted lengths and outline if the session asks for them.
 

@@ -24,7 +24,7 @@ class Shelf:
         self._bytes, self._packed = 0, dict[Hashable, Packed | None]()
 
     def get(self, owner: Hashable, key: Hashable, make: Callable[[], Picture | None]) -> Picture | None:
-        """The picture of that key, made where it is not there."""
+        """The picture of that key, made where it is not there; one that was kept is read-only."""
         with self._lock:
             if owner != self._owner:
                 self._owner, self._bytes, self._packed = owner, 0, {}

@@ -3,9 +3,13 @@
 from dataclasses import replace
 
 import cv2
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from bayes_body.body.solids import part_transforms
+from bayes_body.camera import project
 from bayes_body.definition import load_definition
 from bayes_body.errors import FaultyFileError, InputError
 from bayes_body.initial import FirstPose, apply_first_pose, first_pose, restored, stored, with_first_pose
@@ -14,6 +18,7 @@ from bayes_body.model import load_model
 from bayes_body.session import Subject, load_session, save_session
 from bayes_body.view.silhouette import intersection_over_union, projected_masks
 
+HEIGHT_M = 1.75
 STANDING = {
     "root_z": 0.95,
     "root_yaw": 0.4,
@@ -50,15 +55,39 @@ def recording(scene, tmp_path_factory):
     return make
 
 
-def dressed(scene, cameras=4):
-    """A model in the pose, whose calves look thicker than they are, and its silhouettes."""
-    plain = load_model("tempered_smc", scene(cameras, initial=STANDING))
-    radii = dict(zip(plain.body.topology.names, np.asarray(plain.body.radii, float).tolist(), strict=True))
+def dressed(scene):
+    """Silhouettes of somebody in the pose whose calves look thicker than they are: not the body that is fitted, but one with limbs of other
+    lengths, hands and feet of its own, and ragged edges."""
+    lengths = {f"{side}_{part}": share * HEIGHT_M for side in "lr" for part, share in {"thigh": 0.250, "calf": 0.242, "upper_arm": 0.182}.items()}
+    someone = replace(scene(4, initial=STANDING), subject=Subject(height_m=HEIGHT_M, lengths_m=lengths))
+    usual = load_model("deutscher_apf", someone).body
+    radii = dict(zip(usual.topology.names, np.asarray(usual.radii, float).tolist(), strict=True))
     trousers = {f"{side}_calf": tuple(np.multiply(radii[f"{side}_calf"], WIDE).tolist()) for side in "lr"}
-    session = scene(cameras, initial=STANDING)
-    subject = replace(session.subject, body="person_31", outline_radii_m=trousers)
-    model = load_model("tempered_smc", replace(session, subject=subject))
-    return model, projected_masks(model, np.asarray(model.initial["pose"]), session)
+    model = load_model("deutscher_apf", replace(someone, subject=replace(someone.subject, outline_radii_m=trousers)))
+    pose = np.asarray(model.initial["pose"])
+    limbs, ends = projected_masks(model, pose, someone), hands_and_feet(model, pose)
+    return [ragged(limb | end, seed) for seed, (limb, end) in enumerate(zip(limbs, ends, strict=True))]
+
+
+def hands_and_feet(model, pose):
+    """Discs in each camera's image: a hand below each forearm, a foot before each ankle."""
+    parts = part_transforms(model.body, jnp.asarray(pose))
+    names = model.body.topology.names
+    forward = np.array([np.cos(STANDING["root_yaw"]), np.sin(STANDING["root_yaw"]), 0])
+    masks = [np.zeros((1920, 1088), np.uint8) for _ in range(4)]
+    for part, ahead, radius in [(f"{side}_{limb}", *size) for side in "lr" for limb, size in {"calf": (0.07, 0.05), "forearm": (0.0, 0.045)}.items()]:
+        k = names.index(part)
+        place = np.asarray(parts.origin[k] + (model.body.lengths[k] + 0.03) * parts.z[k]) + ahead * forward
+        pixels = np.asarray(jax.vmap(project, (0, None))(model.rig, jnp.asarray([place, place + np.array([0, 0, radius])]))[0])
+        for mask, ((u, v), (_, top)) in zip(masks, pixels, strict=True):
+            cv2.circle(mask, (round(u), round(v)), round(abs(v - top)), 1, -1)
+    return [mask.astype(bool) for mask in masks]
+
+
+def ragged(mask, seed):
+    """With an edge that wanders by some pixels."""
+    noise = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=mask.shape), (0, 0), 4)
+    return cv2.GaussianBlur(mask.astype(float), (0, 0), 3) + np.clip(0.25 * noise / noise.std(), -0.45, 0.45) > 0.5
 
 
 def ratios(outline, model):
@@ -73,7 +102,7 @@ def trousers(thick):
 
 
 def test_trousers_are_found_where_they_are(scene, recording):
-    _, masks = dressed(scene)
+    masks = dressed(scene)
     session = recording(masks)
     usual = load_model("tempered_smc", session)
     found = fit_outline(usual, session)
@@ -88,7 +117,7 @@ def test_trousers_are_found_where_they_are(scene, recording):
 
 
 def test_images_see_the_clothes_and_legs_pass_without_them(scene, recording):
-    _, masks = dressed(scene)
+    masks = dressed(scene)
     session = recording(masks)
     usual = load_model("tempered_smc", session)
     model = with_first_pose(usual, session)
@@ -104,7 +133,7 @@ def test_images_see_the_clothes_and_legs_pass_without_them(scene, recording):
 
 
 def test_a_camera_that_shows_nobody_is_left_out(scene, recording):
-    _, masks = dressed(scene)
+    masks = dressed(scene)
     nobody = np.zeros_like(masks[1])
     session = recording([masks[0], nobody, masks[2], None])
     usual = load_model("tempered_smc", session)
@@ -114,7 +143,7 @@ def test_a_camera_that_shows_nobody_is_left_out(scene, recording):
 
 
 def test_a_moving_camera_looks_from_where_it_is_in_the_first_frame(scene, recording):
-    _, masks = dressed(scene)
+    masks = dressed(scene)
     session = recording(masks)
     true = session.views[0].camera
     np.savez(session.folder / "moving.npz", rotation=np.asarray(true.rotation)[None], translation_m=np.asarray(true.translation_m)[None])
@@ -132,7 +161,7 @@ def test_without_silhouettes_it_says_what_to_give(scene, recording):
 
 
 def test_a_pose_elsewhere_is_said_and_changes_nothing(scene, recording):
-    _, masks = dressed(scene)
+    masks = dressed(scene)
     session = replace(recording(masks), initial=STANDING | {"root_x": 0.6}, positions=frozenset({"root_x", "root_z"}))
     usual = load_model("tempered_smc", session)
     found = first_pose(usual, session)
