@@ -31,7 +31,7 @@ _HOME = {
     "Transition": "factor",
     "Variable": "factor",
     "load_plugin": "plugins",
-    "marker_positions": "body.skeleton",
+    "marker_positions": "body.kinematics",
     "project": "camera",
     "register": "registry",
 }

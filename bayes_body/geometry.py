@@ -1,68 +1,74 @@
-"""Rotations and rigid transforms, written as elementwise sums.
+"""Rotations and rigid transforms, any number at once, written as elementwise sums.
 
-A 3×3 product through `dot_general` inside `vmap` costs XLA on a CPU several times what the same sums cost elementwise; every pose of every
-particle passes here, so rotations are kept as three columns and turned by elementary rotations, which touch two columns only.
+A 3×3 product through `dot_general` inside `vmap` costs XLA on a CPU several times what the same sums cost elementwise, and every pose of every
+particle passes here.
 """
 
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
-
-from bayes_body.shapes import Rotation, Scalar, Vector3
+import numpy as np
+from jaxtyping import Array, Float, Int
 
 
 class Transform(NamedTuple):
-    """A rigid transform `T_a_b`: takes coordinates in frame b to frame a. Columns `x`, `y`, `z` are b's axes seen from a."""
+    """Rigid transforms `T_a_b`: they take coordinates in frame b to frame a.
 
-    x: Vector3
-    y: Vector3
-    z: Vector3
-    origin: Vector3
+    Attributes:
+        rotation: its columns `x`, `y`, `z` are b's axes seen from a.
+        origin: b's, metres.
+    """
 
+    rotation: Float[Array, "*batch 3 3"]
+    origin: Float[Array, "*batch 3"]
 
-def identity(dtype: jnp.dtype) -> Transform:
-    """The transform that changes nothing."""
-    x, y, z = jnp.eye(3, dtype=dtype)
-    return Transform(x, y, z, jnp.zeros(3, dtype))
+    @property
+    def x(self) -> Float[Array, "*batch 3"]:
+        """The first axis of b."""
+        return self.rotation[..., 0]
 
+    @property
+    def y(self) -> Float[Array, "*batch 3"]:
+        """The second axis of b."""
+        return self.rotation[..., 1]
 
-def apply(T_a_b: Transform, p_b: Vector3) -> Vector3:
-    """The point `p_b`, metres in frame b, in frame a."""
-    return T_a_b.origin + direction(T_a_b, p_b)
-
-
-def direction(T_a_b: Transform, v_b: Vector3) -> Vector3:
-    """The vector `v_b` of frame b in frame a."""
-    return T_a_b.x * v_b[0] + T_a_b.y * v_b[1] + T_a_b.z * v_b[2]
-
-
-def compose(T_a_b: Transform, rotation_b_c: Rotation, p_b_c: Vector3) -> Transform:
-    """`T_a_c` from `T_a_b` and a fixed rotation and origin of c in b."""
-    x, y, z = (direction(T_a_b, rotation_b_c[:, i]) for i in range(3))
-    return Transform(x, y, z, apply(T_a_b, p_b_c))
+    @property
+    def z(self) -> Float[Array, "*batch 3"]:
+        """The third axis of b."""
+        return self.rotation[..., 2]
 
 
-def turn(T: Transform, axis: int, cos: Scalar, sin: Scalar) -> Transform:
-    """`T` followed by a right-handed rotation about its own axis 0 (x), 1 (y) or 2 (z)."""
-    columns = [T.x, T.y, T.z]
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    a, b = columns[i], columns[j]
-    columns[i], columns[j] = cos * a + sin * b, cos * b - sin * a
-    x, y, z = columns
-    return Transform(x, y, z, T.origin)
+def apply(T_a_b: Transform, p_b: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+    """The points `p_b`, metres in frame b, in frame a."""
+    return T_a_b.origin + turn(T_a_b.rotation, p_b)
 
 
-def shift(T: Transform, axis: int, distance: Scalar) -> Transform:
-    """`T` followed by a translation along its own axis 0 (x), 1 (y) or 2 (z), in metres."""
-    return T._replace(origin=T.origin + T[axis] * distance)
+def turn(R_a_b: Float[Array, "*batch 3 3"], v_b: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+    """The vectors `v_b` of frame b in frame a."""
+    return R_a_b[..., 0] * v_b[..., :1] + R_a_b[..., 1] * v_b[..., 1:2] + R_a_b[..., 2] * v_b[..., 2:]
 
 
-def matrix(T: Transform) -> Float[Array, "4 4"]:
-    """The homogeneous matrix of a transform."""
-    columns = jnp.stack([T.x, T.y, T.z, T.origin], axis=1)
-    return jnp.concatenate([columns, jnp.array([[0, 0, 0, 1]], columns.dtype)])
+def multiply(R_a_b: Float[Array, "*batch 3 3"], R_b_c: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3 3"]:
+    """`R_a_c`."""
+    return R_a_b[..., :1] * R_b_c[..., :1, :] + R_a_b[..., 1:2] * R_b_c[..., 1:2, :] + R_a_b[..., 2:] * R_b_c[..., 2:, :]
+
+
+def compose(T_a_b: Transform, T_b_c: Transform) -> Transform:
+    """`T_a_c`."""
+    return Transform(multiply(T_a_b.rotation, T_b_c.rotation), apply(T_a_b, T_b_c.origin))
+
+
+def pick(T: Transform, index: int | Int[np.ndarray, " picked"]) -> Transform:
+    """One of the transforms of a stack, or several."""
+    return Transform(T.rotation[index], T.origin[index])
+
+
+def matrix(T: Transform) -> Float[Array, "*batch 4 4"]:
+    """The homogeneous matrices of transforms."""
+    columns = jnp.concatenate([T.rotation, T.origin[..., None]], axis=-1)
+    last = jnp.broadcast_to(jnp.array([0, 0, 0, 1], columns.dtype), (*columns.shape[:-2], 1, 4))
+    return jnp.concatenate([columns, last], axis=-2)
 
 
 def dot(a: Float[Array, "*batch 3"], b: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.body.build import Shape, build_body
-from bayes_body.body.skeleton import marker_positions
+from bayes_body.body.kinematics import marker_positions
 from bayes_body.body.solids import Body
 from bayes_body.camera import Camera, stack, turning_radius
 from bayes_body.definition import Definition, load_definition

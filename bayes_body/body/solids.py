@@ -23,7 +23,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body import geometry
-from bayes_body.body.skeleton import Markers, Skeleton, forward_kinematics
+from bayes_body.body.kinematics import forward_kinematics
+from bayes_body.body.skeleton import Markers, Skeleton
 from bayes_body.geometry import Transform
 from bayes_body.shapes import Pose, Vector3
 
@@ -70,10 +71,9 @@ class Body:
 
 
 def part_transforms(body: Body, pose: Pose) -> Transform:
-    """`T_world_part` of every part, stacked: each column of the result is (part, 3), metres."""
-    joints = forward_kinematics(body.skeleton, pose)
-    parts = [geometry.compose(joints[j], body.presets[p], body.offsets[p]) for p, j in enumerate(body.topology.joints)]
-    return Transform(*(jnp.stack(column) for column in zip(*parts, strict=True)))
+    """`T_world_part` of every part, stacked: rotations (part, 3, 3) and origins (part, 3), metres."""
+    joints = geometry.pick(forward_kinematics(body.skeleton, pose), np.array(body.topology.joints, int))
+    return geometry.compose(joints, Transform(body.presets, body.offsets))
 
 
 class Patches(NamedTuple):
@@ -181,18 +181,14 @@ def penetration_depths(body: Body, T_world_part: Transform) -> Float[Array, " pa
     if not body.topology.penetration:
         return jnp.zeros((0,), body.lengths.dtype)
     spheres = sphere_approximation(body, T_world_part)
-    # (x y z r, sphere, part), so that each pair of spheres below is a plain elementwise sum over the pairs of parts: as a reduction over two small
-    # axes XLA runs it unvectorised, at ten times the cost.
+    # (x y z r, sphere, part): pairs of parts last, so that all is elementwise over them.
     table = jnp.concatenate([jnp.transpose(spheres.centres, (2, 1, 0)), spheres.radii.T[None]])
     first, second = (
         jax.lax.optimization_barrier(jnp.stack([table[:, :, pair[side]] for pair in body.topology.penetration], axis=-1)) for side in (0, 1)
     )
-    count = body.topology.spheres_per_part
-    depths = [_depth(first[:, i], second[:, j]) for i in range(count) for j in range(count)]
-    return reduce(jnp.maximum, depths)
-
-
-def _depth(a: Float[Array, "4 pair"], b: Float[Array, "4 pair"]) -> Float[Array, " pair"]:
+    a, b = first[:, :, None], second[:, None]
     x, y, z = (a[k] - b[k] for k in range(3))
     # sqrt of a clamped square: its gradient at coinciding centres would be infinite.
-    return a[3] + b[3] - jnp.sqrt(jnp.maximum(x * x + y * y + z * z, 1e-12))
+    depths = a[3] + b[3] - jnp.sqrt(jnp.maximum(x * x + y * y + z * z, 1e-12))
+    # Not as a reduction over two small axes: XLA runs that unvectorised, at ten times the cost.
+    return reduce(jnp.maximum, depths.reshape(-1, depths.shape[-1]))

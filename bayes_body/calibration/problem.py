@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body.body.skeleton import marker_positions
+from bayes_body.body.kinematics import marker_positions
 from bayes_body.body.solids import Body
 from bayes_body.density import Density
 from bayes_body.errors import wrong

@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
-from bayes_body.body.skeleton import Skeleton, forward_kinematics
+from bayes_body.body.kinematics import forward_kinematics
+from bayes_body.body.skeleton import Skeleton
 from bayes_body.body.solids import Body
 from bayes_body.errors import wrong
 from bayes_body.export.motion import Motion
@@ -114,13 +115,12 @@ def _placed(
     skeleton: Skeleton, poses: Float[np.ndarray, "frame dof"]
 ) -> tuple[Float[np.ndarray, "frame joint 3 3"], Float[np.ndarray, "frame joint 3"]]:
     """World rotations and origins of the joints; poses in radians and metres."""
-    transforms = _transforms(skeleton, jnp.asarray(poses))
-    rotations = np.stack([np.stack([T.x, T.y, T.z], axis=-1) for T in transforms], axis=1)
-    return rotations.astype(float), np.stack([T.origin for T in transforms], axis=1).astype(float)
+    rotations, origins = _transforms(skeleton, jnp.asarray(poses))
+    return np.asarray(rotations, float), np.asarray(origins, float)
 
 
 @jax.jit
-def _transforms(skeleton: Skeleton, poses: Float[Array, "frame dof"]) -> tuple[Transform, ...]:
+def _transforms(skeleton: Skeleton, poses: Float[Array, "frame dof"]) -> Transform:
     return jax.vmap(forward_kinematics, (None, 0))(skeleton, poses)
 
 

@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body import geometry
-from bayes_body.body.skeleton import Markers, forward_kinematics
+from bayes_body.body.kinematics import forward_kinematics
+from bayes_body.body.skeleton import Markers
 from bayes_body.body.solids import Body
 from bayes_body.initial.quick import QUICK
 
@@ -115,8 +116,8 @@ def _facing(body: Body) -> Float[Array, "3 3"] | None:
 @partial(jax.jit, static_argnames=("crown", "left", "right"), compiler_options=QUICK)
 def _head_frame(body: Body, crown: int, left: int, right: int) -> Float[Array, "3 3"]:
     markers, transforms = body.markers, forward_kinematics(body.skeleton, jnp.zeros(len(body.dof_names), body.lengths.dtype))
-    places = [geometry.apply(transforms[markers.joints[m]], markers.offsets[m]) for m in (crown, left, right)]
-    T_world_head = transforms[markers.joints[crown]]
+    places = [geometry.apply(geometry.pick(transforms, markers.joints[m]), markers.offsets[m]) for m in (crown, left, right)]
+    T_world_head = geometry.pick(transforms, markers.joints[crown])
     up = geometry.unit(places[0] - T_world_head.origin)
     across = places[1] - places[2]
     aside = geometry.unit(across - geometry.dot(across, up) * up)

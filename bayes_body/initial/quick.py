@@ -1,3 +1,3 @@
-"""How the programs of a first pose are compiled: quickly, for they run for less time than XLA would take to make them fast."""
+"""How most programs of a first pose are compiled: quickly, for they run for less time than XLA would take to make them fast."""
 
 QUICK = {"xla_backend_optimization_level": 0}

@@ -20,7 +20,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
-from bayes_body.body.skeleton import Markers, Skeleton, forward_kinematics
+from bayes_body.body.kinematics import forward_kinematics
+from bayes_body.body.skeleton import Markers, Skeleton
 from bayes_body.draws import Draws
 from bayes_body.metrics.accuracy import FrameAccuracy, frame_accuracy
 from bayes_body.model import Model
@@ -207,8 +208,7 @@ def _stacked(runs: Sequence[tuple[FrameAccuracy, NDArray[np.floating]]]) -> tupl
 @partial(jax.jit, static_argnums=1)
 def _orientations(skeleton: Skeleton, joints: tuple[int, ...], pose: Pose) -> Float[Array, "marker 3 3"]:
     """`R_world_joint` of each marker's joint."""
-    transforms = forward_kinematics(skeleton, pose)
-    return jnp.stack([jnp.stack([transforms[j].x, transforms[j].y, transforms[j].z], axis=1) for j in joints])
+    return forward_kinematics(skeleton, pose).rotation[np.array(joints, int)]
 
 
 def mean_known(values: NDArray[np.floating], axis: int | tuple[int, ...]) -> NDArray[np.floating]:

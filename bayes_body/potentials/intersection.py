@@ -20,7 +20,7 @@ from bayes_body.factor import Factor, Variable, Variables
 from bayes_body.geometry import Transform
 from bayes_body.registry import register
 from bayes_body.schema import NonNegative, Positive, Schema
-from bayes_body.shapes import Scalar
+from bayes_body.shapes import Pose, Scalar
 
 POSE = Variable("pose")
 
@@ -33,19 +33,20 @@ class Options(Schema):
     soft_sd_m: Positive = 0.01
 
 
-def _depths(body: Body, yield_m: Scalar, values: Variables) -> jax.Array:
-    T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, values[POSE]))))
+def _depths(body: Body, yield_m: Scalar, pose: Pose) -> jax.Array:
+    T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, pose))))
     return penetration_depths(body, T_world_part) - yield_m
 
 
 def _hard(body: Body, yield_m: Scalar, soft_sd: Scalar, values: Variables, data: None) -> Scalar:
     del soft_sd, data
-    return jnp.where(jnp.any(_depths(body, yield_m, values) > 0), -jnp.inf, 0.0)
+    # A step has no gradient: none is traced.
+    return jnp.where(jnp.any(_depths(body, yield_m, jax.lax.stop_gradient(values[POSE])) > 0), -jnp.inf, 0.0)
 
 
 def _soft(body: Body, yield_m: Scalar, soft_sd: Scalar, values: Variables, data: None) -> Scalar:
     del data
-    return -0.5 * jnp.sum((jnp.maximum(_depths(body, yield_m, values), 0.0) / soft_sd) ** 2)
+    return -0.5 * jnp.sum((jnp.maximum(_depths(body, yield_m, values[POSE]), 0.0) / soft_sd) ** 2)
 
 
 @register("potential", "intersection", Options)

@@ -16,9 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_body.body.kinematics import forward_kinematics
 from bayes_body.body.schema import BodySchema
 from bayes_body.body.skeleton import Motion as Dof
-from bayes_body.body.skeleton import Skeleton, forward_kinematics
+from bayes_body.body.skeleton import Skeleton
 from bayes_body.body.solids import Body
 from bayes_body.initial.lengths import Scaling, scaling
 from bayes_body.initial.quick import QUICK
@@ -117,8 +118,7 @@ def _placements(skeleton: Skeleton, motion: Motion, joints: Mapping[str, str]) -
 @partial(jax.jit, compiler_options=QUICK)
 def _at_zero(skeleton: Skeleton) -> Float[Array, "joint 3 3"]:
     """The joints' rotations in the zero pose."""
-    joints = forward_kinematics(skeleton, jnp.zeros(len(skeleton.topology.dof_names), skeleton.offsets.dtype))
-    return jnp.stack([jnp.stack([T.x, T.y, T.z], axis=1) for T in joints])
+    return forward_kinematics(skeleton, jnp.zeros(len(skeleton.topology.dof_names), skeleton.offsets.dtype)).rotation
 
 
 def _in_parents(skeleton: Skeleton, placed: Placed) -> Placed:

@@ -18,7 +18,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int
 
-from bayes_body.body.skeleton import marker_positions
+from bayes_body.body.kinematics import marker_positions
 from bayes_body.body.solids import Body
 from bayes_body.dynamics.limits import BoxTransform
 from bayes_body.initial.fit import fit as search

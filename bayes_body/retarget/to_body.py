@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.body.build import Shape, build_body
+from bayes_body.body.kinematics import marker_positions
 from bayes_body.body.schema import BodySchema
-from bayes_body.body.skeleton import marker_positions
 from bayes_body.body.solids import Body
 from bayes_body.definition import load_body
 from bayes_body.errors import InputError, wrong

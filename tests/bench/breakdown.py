@@ -27,7 +27,7 @@ from bayes_body.likelihood.silhouette_edges import SilhouetteEdges  # noqa: E402
 
 
 def kinematics(state, density) -> jax.Array:
-    return sum(column.sum() for column in part_transforms(_likelihood(density).body, state["pose"]))
+    return sum(leaf.sum() for leaf in part_transforms(_likelihood(density).body, state["pose"]))
 
 
 def seen_patches(state, density) -> jax.Array:

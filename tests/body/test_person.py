@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayes_body.body.build import Shape, build_body
-from bayes_body.body.skeleton import marker_positions
+from bayes_body.body.kinematics import marker_positions
 from bayes_body.body.solids import part_transforms
 from bayes_body.definition import load_body
 from bayes_body.model import load_model

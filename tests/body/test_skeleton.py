@@ -2,17 +2,20 @@
 
 import math
 import tomllib
+from dataclasses import replace
 from itertools import product
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.test_util import check_grads
 
 from bayes_body import geometry
 from bayes_body.body.build import build_body
+from bayes_body.body.kinematics import forward_kinematics, marker_positions
 from bayes_body.body.schema import BodySchema
-from bayes_body.body.skeleton import forward_kinematics, marker_positions, preset_rotation
+from bayes_body.body.skeleton import preset_rotation
 from bayes_body.body.solids import Body
 from bayes_body.definition import definitions_folder
 
@@ -71,6 +74,12 @@ def vector(table: dict, offset: dict) -> list[float]:
     return [metres(offset.get(axis, 0.0)) for axis in "xyz"]
 
 
+def joints(body: Body, pose) -> dict[str, np.ndarray]:
+    """`T_world_joint` of every joint by name."""
+    T = geometry.matrix(forward_kinematics(body.skeleton, jnp.asarray(pose)))
+    return dict(zip(body.skeleton.topology.joint_names, np.asarray(T), strict=True))
+
+
 def random_pose(body: Body, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-2, 2, len(body.dof_names))
 
@@ -81,11 +90,11 @@ def test_equals_a_chain_of_matrices(x64, name, seed):
     table = document(name)
     body = build(table)
     pose = random_pose(body, seed)
-    found = dict(zip(body.skeleton.topology.joint_names, forward_kinematics(body.skeleton, jnp.asarray(pose)), strict=True))
+    found = joints(body, pose)
     expected = chain(table, dict(zip(body.dof_names, pose, strict=True)))
     assert set(found) == set(expected)
     for joint, T in expected.items():
-        np.testing.assert_allclose(geometry.matrix(found[joint]), T, atol=1e-12, err_msg=joint)
+        np.testing.assert_allclose(found[joint], T, atol=1e-12, err_msg=joint)
 
 
 def test_parents_after_their_children(x64):
@@ -105,6 +114,19 @@ def body_markers(body: Body, pose: dict[str, float]) -> dict[str, np.ndarray]:
     return dict(zip(body.markers.names, np.asarray(marker_positions(body.skeleton, body.markers, values)), strict=True))
 
 
+def test_a_joint_that_shifts_after_it_turned(x64):
+    table = document("arm_4")
+    # It turns, slides along where it then points, and turns again about where it then is.
+    table["joint"][1]["dofs"] = [{"name": name, "axis": axis} for name, axis in [("a", "z"), ("b", "ty"), ("c", "-x"), ("d", "tz"), ("e", "tz")]]
+    table["joint"][0]["dofs"] = [{"name": "f", "axis": "tx"}, {"name": "g", "axis": "-y"}, {"name": "h", "axis": "-y"}]
+    body = build(table)
+    pose = random_pose(body, 5)
+    found, expected = joints(body, pose), chain(table, dict(zip(body.dof_names, pose, strict=True)))
+    for joint, T in expected.items():
+        np.testing.assert_allclose(found[joint], T, atol=1e-12, err_msg=joint)
+    check_grads(jax.jit(lambda pose: forward_kinematics(body.skeleton, jnp.asarray(pose))), (jnp.asarray(pose),), order=2, atol=1e-6, rtol=1e-6)
+
+
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_a_minus_is_the_inverse_turn(x64, axis):
     table = document("arm_4")
@@ -116,12 +138,12 @@ def test_a_minus_is_the_inverse_turn(x64, axis):
     minus = build(table)
     pose = jnp.array([0.2, -0.4, 0.3, 0.7])
     with_plus, with_minus, opposite = (
-        geometry.matrix(forward_kinematics(b.skeleton, p)[-1]) for b, p in ((plus, pose), (minus, pose), (minus, pose.at[-1].multiply(-1)))
+        geometry.matrix(forward_kinematics(b.skeleton, p))[-1] for b, p in ((plus, pose), (minus, pose), (minus, pose.at[-1].multiply(-1)))
     )
     np.testing.assert_allclose(with_plus, opposite, atol=1e-15)
     assert np.abs(np.asarray(with_plus) - np.asarray(with_minus)).max() > 0.1
     # One after the other they undo each other: back at the elbow's unturned frame.
-    T_elbow = geometry.matrix(forward_kinematics(plus.skeleton, pose.at[-1].set(0))[-1])
+    T_elbow = geometry.matrix(forward_kinematics(plus.skeleton, pose.at[-1].set(0)))[-1]
     R_start, R_plus, R_minus = (np.asarray(T)[:3, :3] for T in (T_elbow, with_plus, with_minus))
     np.testing.assert_allclose(R_start.T @ R_plus @ R_start.T @ R_minus, np.eye(3), atol=1e-14)
 
@@ -172,3 +194,30 @@ def test_the_derivative_is_that_of_the_chain(x64, name):
     for k in range(pose.size):
         ahead, behind = (marker_positions(body.skeleton, body.markers, pose.at[k].add(sign * step)) for sign in (1, -1))
         np.testing.assert_allclose(jacobian[:, :, k], (ahead - behind) / (2 * step), atol=1e-8)
+
+
+@pytest.mark.parametrize(("name", "order"), [("arm_4", 2), ("person_31", 1)])
+def test_derivatives_in_both_modes_by_pose_and_lengths(x64, name, order):
+    body = build(document(name))
+    pose = jnp.asarray(random_pose(body, 8))
+
+    @jax.jit
+    def frames(*given):
+        pose, offsets, presets = (jnp.asarray(each) for each in given)
+        return forward_kinematics(replace(body.skeleton, offsets=offsets, presets=presets), pose)
+
+    check_grads(frames, (pose, body.skeleton.offsets, body.skeleton.presets), order=order, atol=1e-6, rtol=1e-6)
+    # Lengths alone do not go through the pose's derivative, nor do they turn anything.
+    check_grads(lambda offsets: frames(pose, offsets, body.skeleton.presets), (body.skeleton.offsets,), order=order, atol=1e-6, rtol=1e-6)
+
+
+def test_the_gradient_over_many_poses_is_that_of_each(x64):
+    body = build(document("person_31"))
+    poses = jnp.asarray(np.stack([random_pose(body, seed) for seed in range(3)]))
+    weights = jnp.asarray(np.random.default_rng(0).normal(size=(len(body.markers.names), 3)))
+
+    def total(pose):
+        return jnp.sum(weights * jnp.sin(marker_positions(body.skeleton, body.markers, pose)))
+
+    together = jax.vmap(jax.grad(total))(poses)
+    np.testing.assert_allclose(together, [jax.grad(total)(pose) for pose in poses], atol=1e-12)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from bayes_body import geometry
 from bayes_body.body.build import build_body
 from bayes_body.body.solids import outline_samples, part_transforms, patches, penetration_depths, sphere_approximation, surface_samples
 from bayes_body.definition import load_body
@@ -18,10 +19,10 @@ VIEWPOINTS = [np.array([3.0, 0.5, 1.0]), np.array([-1.0, 2.0, 0.4]), np.array([0
 
 
 def seen(body, pose, viewpoint):
-    """The part's transform and patch, as NumPy arrays of part 0."""
+    """The transform of part 0, and its patch as NumPy arrays."""
     T = part_transforms(body, jnp.asarray(pose))
     patch = patches(body, T, jnp.asarray(viewpoint))
-    return jax.tree.map(lambda leaf: np.asarray(leaf[0]), (T, patch))
+    return geometry.pick(T, 0), jax.tree.map(lambda leaf: np.asarray(leaf[0]), patch)
 
 
 def point(patch, t, s) -> np.ndarray:
@@ -50,7 +51,7 @@ def test_an_elliptical_sections_outline_by_brute_force(free_parts, viewpoint):
     angle = np.linspace(0, 2 * np.pi, 10_000, endpoint=False)[:, None]
     for end in (0, 1):
         e = T.origin + end * length * T.z
-        rim = e + radii[end] * (section[0] * np.cos(angle) * T.x + section[1] * np.sin(angle) * T.y)
+        rim = np.asarray(e + radii[end] * (section[0] * np.cos(angle) * T.x + section[1] * np.sin(angle) * T.y))
         across = rim @ np.cross(T.z, e - viewpoint)
         extremes = sorted(rim[[np.argmin(across), np.argmax(across)]].tolist())
         np.testing.assert_allclose(sorted(point(patch, end, s).tolist() for s in (-1, 1)), extremes, atol=1e-3 * radii[end])

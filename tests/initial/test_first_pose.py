@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.skeleton import marker_positions
+from bayes_body.body.kinematics import marker_positions
 from bayes_body.errors import InputError
 from bayes_body.initial import first_pose, with_first_pose
 from bayes_body.model import load_model

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from bayes_body.body.skeleton import marker_positions
+from bayes_body.body.kinematics import marker_positions
 from bayes_body.errors import InputError
 from bayes_body.factor import Factor, Variable
 from bayes_body.registry import find

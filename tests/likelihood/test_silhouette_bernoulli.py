@@ -48,7 +48,8 @@ def foreground(f: Factor, pose) -> jax.Array:
 def opencv_outline(scene, c: int, p: int) -> np.ndarray:
     """The outline of a part in a camera as a polygon, pixels, by OpenCV."""
     camera = jax.tree.map(lambda leaf: np.asarray(leaf[c], float), scene.rig)
-    x, y, z, origin = (np.asarray(column[p], float) for column in part_transforms(scene.body, scene.pose))
+    T = part_transforms(scene.body, scene.pose)
+    x, y, z, origin = (np.asarray(column[p], float) for column in (T.x, T.y, T.z, T.origin))
     length, (r0, r1), (sx, sy) = float(scene.body.lengths[p]), np.asarray(scene.body.radii[p]), np.asarray(scene.body.sections[p])
     viewpoint = -camera.rotation.T @ camera.translation
     if scene.body.topology.is_sphere[p]:

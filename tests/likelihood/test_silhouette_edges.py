@@ -26,7 +26,7 @@ def log_likelihood(scene, pose=None, maps=None, **options) -> jax.Array:
 
 def points(body, T, p, viewpoint, t, s) -> np.ndarray:
     """World points of part p at t along and s across the patch that faces the viewpoint."""
-    x, y, z, origin = (np.asarray(column[p]) for column in T)
+    x, y, z, origin = (np.asarray(column[p]) for column in (T.x, T.y, T.z, T.origin))
     length, (r0, r1), (sx, sy) = float(body.lengths[p]), np.asarray(body.radii[p]), np.asarray(body.sections[p])
     if body.topology.is_sphere[p]:
         centre = origin + length / 2 * z
