@@ -13,7 +13,7 @@ __version__ = version("bayes-body")
 _HOME = {
     "InputError": "errors",
     "configure": "config",
-    "load_session": "session",
+    "load_session": "session_file",
     "load_definition": "definition",
     "load_model": "model",
     "read_frame": "observation.frames",

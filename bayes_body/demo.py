@@ -17,7 +17,8 @@ from bayes_body.learning.walking_cycle import load_cycle, walk
 from bayes_body.recording.rig import read_rig
 from bayes_body.run import Settings, run
 from bayes_body.saved_run import load_run
-from bayes_body.session import FILE_NAME, Session
+from bayes_body.session import Session
+from bayes_body.session_file import FILE_NAME
 from bayes_body.simulation.options import Options
 from bayes_body.simulation.person import build_person
 from bayes_body.simulation.session import simulate

@@ -26,7 +26,8 @@ from bayes_body.posterior.stream import stored_frames
 from bayes_body.program import compiled_ahead
 from bayes_body.registry import find
 from bayes_body.saved_run import load_run
-from bayes_body.session import Session, load_session
+from bayes_body.session import Session
+from bayes_body.session_file import load_session
 from bayes_body.storage import FrameFiles
 from bayes_body.storage.lock import check_unlocked, locked
 from bayes_body.storage.run_file import NAME as RUN_FILE

@@ -23,7 +23,8 @@ from bayes_body.model import Model, load_model
 from bayes_body.posterior.blocks import BLOCK, pooled, pose_blocks, weights_of_runs
 from bayes_body.posterior.moments import Moments, unwrapped, weighted_moments
 from bayes_body.posterior.weighted import markers
-from bayes_body.session import Session, load_session, parse_session
+from bayes_body.session import Session
+from bayes_body.session_file import load_session, parse_session
 from bayes_body.storage.run_file import check_plugins, kept_plugins
 from bayes_body.toml_file import parse_toml, read_toml
 

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayes_body.errors import InputError
-from bayes_body.session import CameraSpec, Segmentation, Session, Subject, View, load_session, save_session
+from bayes_body.session import CameraSpec, Segmentation, Session, Subject, View
+from bayes_body.session_file import load_session, save_session
 
 SOUND = """\
 title = "one man"

@@ -16,7 +16,7 @@ from bayes_body.kernels.invariance import markov_move
 from bayes_body.model import Model, load_model
 from bayes_body.plugins import load_plugin
 from bayes_body.registry import find
-from bayes_body.session import load_session
+from bayes_body.session_file import load_session
 from bayes_body.toml_file import validate
 from bayes_body.view.progress import Watch, unwatched
 

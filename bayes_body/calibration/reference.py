@@ -17,7 +17,7 @@ from bayes_body.factor import Kernel, Particles
 from bayes_body.model import Model
 from bayes_body.observation.frames import read_frame
 from bayes_body.registry import find
-from bayes_body.session import load_session
+from bayes_body.session_file import load_session
 from bayes_body.shapes import Key
 from bayes_body.toml_file import validate
 

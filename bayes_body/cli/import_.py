@@ -183,7 +183,7 @@ def _import(importer: "Importer", source: Path, folder: Path, options: "Options"
     """Run an importer, tell its remarks, and draw the picture by which a person checks the session."""
     from bayes_body.cli.models import checked_definition
     from bayes_body.config import configure
-    from bayes_body.session import FILE_NAME
+    from bayes_body.session_file import FILE_NAME
 
     if (folder / FILE_NAME).exists() and not overwrite:
         raise wrong(folder, f"holds a {FILE_NAME} already", "a folder without one", "name another, or replace it with --overwrite")

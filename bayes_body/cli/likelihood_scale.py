@@ -68,7 +68,7 @@ def _tried(
     from bayes_body.calibration.kept import SUFFIX, Kept
     from bayes_body.learning.likelihood_scale import trials
     from bayes_body.registry import find
-    from bayes_body.session import load_session
+    from bayes_body.session_file import load_session
     from bayes_body.view.progress import watched
 
     kernel, found = find("kernel", kind).build(options=options), []

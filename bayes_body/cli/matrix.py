@@ -47,7 +47,7 @@ def matrix(
     configure()
     from bayes_body.compare import Settings, pairs
     from bayes_body.compare.matrix import QUICK
-    from bayes_body.session import load_session
+    from bayes_body.session_file import load_session
 
     if frames is not None and frames < 1:
         raise wrong("--frames", str(frames), "a whole number from 1 up", "give another number")

@@ -66,7 +66,7 @@ def track(
 def _frames_of(folder: Path) -> int:
     """How many frames the session has, once all its files are known to be there: a run that fails half way leaves nothing to use."""
     from bayes_body.recording.check import check_session
-    from bayes_body.session import FILE_NAME, load_session
+    from bayes_body.session_file import FILE_NAME, load_session
 
     if not folder.exists() or (folder.is_dir() and not (folder / FILE_NAME).exists()):
         found = f"no {FILE_NAME} in it" if folder.exists() else "no such folder"

@@ -21,7 +21,8 @@ from bayes_body.errors import InputError
 from bayes_body.metrics import accuracy_figures, draws_against_truth, log_evidence
 from bayes_body.plugins import plugins_to_blame, providing
 from bayes_body.registry import find, names
-from bayes_body.session import FILE_NAME, Session
+from bayes_body.session import Session
+from bayes_body.session_file import FILE_NAME
 from bayes_body.storage.run_file import places_of
 from bayes_body.toml_file import validate
 from bayes_body.tracking import track

@@ -26,7 +26,8 @@ from bayes_body.model import Model, load_model
 from bayes_body.observation.frames import read_frame
 from bayes_body.recording.rig import read_rig
 from bayes_body.recording.truth import MARKERS
-from bayes_body.session import CameraSpec, Session, View, load_session
+from bayes_body.session import CameraSpec, Session, View
+from bayes_body.session_file import load_session
 from bayes_body.shapes import Key
 
 RIG, FPS = "room_4", 60.0

@@ -16,7 +16,7 @@ Temperatures and steps that are chosen by the particles bias the evidence by O(1
 """
 
 from collections.abc import Callable
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +26,7 @@ from pydantic import Field
 from bayes_body.errors import wrong
 from bayes_body.factor import FilterInfo, FrameDensity, Kernel, Particles, State
 from bayes_body.kernels.batching import over_particles
+from bayes_body.kernels.climb import Climb, Ladder, start_climb
 from bayes_body.kernels.extended import Extended, Frame, Moving, make_frame, predict, state_of, walk, whitening
 from bayes_body.kernels.moves import Move, MoveName, hmc, random_walk
 from bayes_body.kernels.resampling import Resample, Scheme, resampler
@@ -57,29 +58,6 @@ class Options(Schema):
     waste_free: Annotated[bool, Field(strict=True)] = False
     most_stages: Count = 60
     resampling: Scheme = "systematic"
-
-
-class Ladder(NamedTuple):
-    """What a run chose: each stage's temperature, and the size of the step and the whitening with which it moved there."""
-
-    inverse_temperatures: Float[Array, " stage"]
-    log_scales: Float[Array, " stage"]
-    roots: dict[str, Float[Array, "stage dof dof"]]
-
-
-class _Climb(NamedTuple):
-    """What a stage hands to the next; the ladder and the rates, a value a stage, are NaN beyond the stages so far."""
-
-    particles: Extended
-    log_weights: LogWeights
-    beta: Scalar
-    stage: Int[Array, ""]
-    stages_at_top: Int[Array, ""]
-    log_evidence: Scalar
-    log_scale: Scalar
-    ladder: Ladder
-    survival_rates: Float[Array, " stage"]
-    acceptance_rates: Float[Array, " stage"]
 
 
 type Climber = Callable[[Key, Particles, FrameDensity], tuple[Particles, FilterInfo, Ladder]]
@@ -131,7 +109,7 @@ class _Sampler:
         frame = make_frame(density, particles)
         first, predicted, lost = self._begin(start_key, frame)
 
-        def unfinished(climb: _Climb) -> Array:
+        def unfinished(climb: Climb) -> Array:
             if self.frozen is not None:
                 return (climb.stage < self.stages) & ~lost
             return ((climb.beta < 1) | (climb.stages_at_top < self.options.final_stages)) & ~lost
@@ -142,7 +120,7 @@ class _Sampler:
 
     # -- stages -------------------------------------------------------------------------------------------------------------------------
 
-    def _begin(self, key: Key, frame: Frame) -> tuple[_Climb, Particles, Array]:
+    def _begin(self, key: Key, frame: Frame) -> tuple[Climb, Particles, Array]:
         """The prediction under its constraints, reweighted to the first temperature; the prediction alone; and whether it explains nothing."""
         ancestor_key, draw_key, resample_key = jax.random.split(key, 3)
         ancestors = self.resample(ancestor_key, frame.previous.log_weights)
@@ -151,17 +129,11 @@ class _Sampler:
         lost = normalise(particles.log_likelihood + log_constraints).lost
         particles = particles._replace(log_likelihood=_finite(particles.log_likelihood))
         constrained = normalise(log_constraints).log_weights
-        dtype, shape = constrained.dtype, (self.stages,)
-        unknown = jnp.full(shape, jnp.nan, dtype)
-        roots = {name: jnp.full((*shape, x.shape[1], x.shape[1]), jnp.nan, dtype) for name, x in particles.position.items()}
-        log_scale = jnp.log(jnp.asarray(self.move.scale(sum(x.shape[1] for x in particles.position.values())), dtype))
-        zero = jnp.zeros((), dtype)
-        none = jnp.zeros((), int)
-        start = _Climb(particles, constrained, zero, none, none, zero, log_scale, Ladder(unknown, unknown, roots), unknown, unknown)
+        start = start_climb(particles, constrained, self.stages, self.move.scale)
         first = self._step(resample_key, start, lambda keys, parents: (parents, jnp.nan), ancestors.shape[0])
         return first, Particles(states, jnp.full_like(constrained, -jnp.log(constrained.shape[0]))), lost
 
-    def _stage(self, key: Key, climb: _Climb, frame: Frame) -> _Climb:
+    def _stage(self, key: Key, climb: Climb, frame: Frame) -> Climb:
         """Resample, move at the temperature reached, reweight to the next."""
         climb, moving = self._prepared(climb)
         kept = self.options.moves + 1 if self.options.waste_free else 1
@@ -174,7 +146,7 @@ class _Sampler:
 
         return self._step(key, climb, move, climb.log_weights.shape[0] // kept)
 
-    def _step(self, key: Key, climb: _Climb, move: Callable[..., tuple[Extended, Any]], resampled: int) -> _Climb:
+    def _step(self, key: Key, climb: Climb, move: Callable[..., tuple[Extended, Any]], resampled: int) -> Climb:
         count, stage, at_top = climb.log_weights.shape[0], climb.stage, climb.beta >= 1
         # At the top there is nothing to reweight: the particles keep their weights, unless fewer chains than particles go on.
         kept = at_top & (resampled == count)
@@ -193,7 +165,7 @@ class _Sampler:
         beta = jnp.where(beta > 1 - 1e-6, 1.0, beta)
         acceptance = jnp.asarray(after.info, climb.beta.dtype)
         follows = jnp.where(jnp.isnan(acceptance), 0.0, GAIN * (acceptance - self.move.acceptance_rate))
-        return _Climb(
+        return Climb(
             particles=after.particles,
             log_weights=after.log_weights,
             beta=beta,
@@ -206,7 +178,7 @@ class _Sampler:
             acceptance_rates=climb.acceptance_rates.at[stage].set(acceptance),
         )
 
-    def _increment(self, log_likelihoods: LogWeights, climb: _Climb) -> Scalar:
+    def _increment(self, log_likelihoods: LogWeights, climb: Climb) -> Scalar:
         left = 1 - climb.beta
         if self.frozen is not None:
             return self.frozen.inverse_temperatures[climb.stage] - climb.beta
@@ -215,7 +187,7 @@ class _Sampler:
 
     # -- moves --------------------------------------------------------------------------------------------------------------------------
 
-    def _prepared(self, climb: _Climb) -> tuple[_Climb, Moving]:
+    def _prepared(self, climb: Climb) -> tuple[Climb, Moving]:
         """The scale and the whitening of the moves at the temperature reached, noted on the ladder."""
         rung = climb.stage - 1
         if self.frozen is not None:
@@ -224,10 +196,7 @@ class _Sampler:
         else:
             roots = {name: whitening(position, climb.log_weights) for name, position in climb.particles.position.items()}
             log_scale = climb.log_scale
-        noted = climb.ladder._replace(
-            log_scales=climb.ladder.log_scales.at[rung].set(log_scale),
-            roots={name: climb.ladder.roots[name].at[rung].set(root) for name, root in roots.items()},
-        )
+        noted = climb.ladder.noted(rung, log_scale, roots)
         return climb._replace(ladder=noted), Moving(climb.beta, jnp.exp(log_scale), roots)
 
     def _walk(self, keys: Keys, particles: Extended, frame: Frame, moving: Moving) -> tuple[Extended, Float[Array, " particle"]]:
@@ -243,7 +212,7 @@ class _Sampler:
 
     # -- results ------------------------------------------------------------------------------------------------------------------------
 
-    def _result(self, frame: Frame, top: _Climb, predicted: Particles, lost: Array) -> tuple[Particles, FilterInfo]:
+    def _result(self, frame: Frame, top: Climb, predicted: Particles, lost: Array) -> tuple[Particles, FilterInfo]:
         states = jax.vmap(state_of, (None, 0, 0))(frame, top.particles.ancestor, top.particles.position)
         found = Particles(states, normalise(top.log_weights).log_weights)
         after = jax.tree.map(lambda prediction, posterior: jnp.where(lost, prediction, posterior), predicted, found)
@@ -259,7 +228,7 @@ class _Sampler:
         )
         return after, info
 
-    def _evaluations(self, top: _Climb) -> Array:
+    def _evaluations(self, top: Climb) -> Array:
         """The prediction's, and of each stage those of its moves."""
         count, options = top.log_weights.shape[0], self.options
         moved = count // (options.moves + 1) if options.waste_free else count

@@ -14,7 +14,8 @@ from bayes_body.recording.options import Axis, Options, check_fps, check_height
 from bayes_body.recording.sources import Source, find_background, find_source, settled_size
 from bayes_body.recording.timing import align, frame_rate
 from bayes_body.recording.truth import read_truth
-from bayes_body.session import Session, Subject, View, load_session, save_session
+from bayes_body.session import Session, Subject, View
+from bayes_body.session_file import load_session, save_session
 
 # Where recordings lie in a project, beside the project's folder itself.
 PLACES = ("videos", "images")

@@ -19,7 +19,8 @@ from bayes_body.errors import InputError, nearest, wrong
 from bayes_body.recording.calibration import Calibrated, check_rig
 from bayes_body.recording.calibration_toml import read_calibration_toml
 from bayes_body.recording.rig_schema import KeyframeTable, RigCameraTable, RigFile, file_name
-from bayes_body.session import FILE_NAME, CameraSpec, parse_session
+from bayes_body.session import CameraSpec
+from bayes_body.session_file import FILE_NAME, parse_session
 from bayes_body.toml_file import read_toml, validate
 
 # A calibration does not say how fast its cameras film.

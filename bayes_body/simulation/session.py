@@ -13,7 +13,8 @@ from bayes_body.errors import wrong
 from bayes_body.files import make_folder
 from bayes_body.recording.rig import Rig
 from bayes_body.recording.truth import MARKERS
-from bayes_body.session import FILE_NAME, Session, Subject, View, load_session, save_session
+from bayes_body.session import Session, Subject, View
+from bayes_body.session_file import FILE_NAME, load_session, save_session
 from bayes_body.simulation.background import backgrounds
 from bayes_body.simulation.film import MASKS, TRUE_MASKS, Camera, Picture, Reel, cameras, empty_name, film_empty, mask_pattern, video_name
 from bayes_body.simulation.options import Options, Quality

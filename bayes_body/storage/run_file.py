@@ -19,7 +19,7 @@ from bayes_body.errors import wrong
 from bayes_body.files import write_text
 from bayes_body.plugins import loaded, providing
 from bayes_body.registry import Place, Room
-from bayes_body.session import FILE_NAME
+from bayes_body.session_file import FILE_NAME
 from bayes_body.toml_file import parse_toml, read_toml
 
 NAME = "run.toml"

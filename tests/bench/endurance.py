@@ -21,7 +21,7 @@ from bayes_body.model import load_model  # noqa: E402
 from bayes_body.posterior import stream_posterior  # noqa: E402
 from bayes_body.registry import find  # noqa: E402
 from bayes_body.run import kernel_options  # noqa: E402
-from bayes_body.session import load_session  # noqa: E402
+from bayes_body.session_file import load_session  # noqa: E402
 from bayes_body.storage import FrameFiles  # noqa: E402
 from bayes_body.tracking import Progress, track  # noqa: E402
 

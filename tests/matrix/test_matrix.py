@@ -158,7 +158,7 @@ def test_a_fault_of_the_program_is_told_apart(rows):
 
 
 def test_a_recording_that_was_given_takes_the_place_of_scenes(rows, textured_session):
-    from bayes_body.session import save_session
+    from bayes_body.session_file import save_session
 
     save_session(textured_session)
     settings = Settings(frames=2, most_particles=12, session=textured_session.folder)

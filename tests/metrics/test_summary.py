@@ -15,7 +15,7 @@ from bayes_body.metrics.figures import NAMES
 from bayes_body.model import load_model
 from bayes_body.posterior import markers, mean_poses, rhat
 from bayes_body.run import Settings, run
-from bayes_body.session import save_session
+from bayes_body.session_file import save_session
 from bayes_body.tracking import track
 from bayes_body.view.silhouette import intersection_over_union
 

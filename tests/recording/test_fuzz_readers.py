@@ -20,7 +20,7 @@ from bayes_body.recording.keypoint_layouts import choose_layout
 from bayes_body.recording.keypoints import read_people
 from bayes_body.recording.parsec_files import read_calibration
 from bayes_body.recording.truth import MARKERS, read_truth
-from bayes_body.session import load_session
+from bayes_body.session_file import load_session
 
 QUICK, MANY = 300, 10_000
 # No reader takes a second; a loop without end would not stop at ten.

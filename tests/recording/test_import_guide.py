@@ -8,7 +8,7 @@ import pytest
 from bayes_body.cli.import_ import app
 from bayes_body.recording.keypoint_layouts import LAYOUTS
 from bayes_body.recording.truth import read_truth
-from bayes_body.session import load_session
+from bayes_body.session_file import load_session
 from bayes_body.session_schema import CameraTable, InitialTable, SegmentationTable, SessionFile, SubjectTable
 
 PAGE = (Path(__file__).parents[2] / "docs" / "guide" / "recordings.md").read_text(encoding="utf-8")

@@ -14,7 +14,7 @@ from bayes_body.recording.options import Options
 from bayes_body.recording.pose2sim import import_pose2sim
 from bayes_body.recording.qualisys import import_qualisys
 from bayes_body.recording.truth import MARKERS
-from bayes_body.session import load_session, save_session
+from bayes_body.session_file import load_session, save_session
 
 SIZE = (96, 64)
 K = np.array([[90.0, 0, 48], [0, 92, 32], [0, 0, 1]])

@@ -11,7 +11,7 @@ from bayes_body.errors import FaultyFileError, InputError
 from bayes_body.recording.check import check_session
 from bayes_body.recording.parsec import import_parsec
 from bayes_body.recording.parsec_subject import DOFS, PARTS
-from bayes_body.session import load_session, save_session
+from bayes_body.session_file import load_session, save_session
 
 
 @pytest.fixture

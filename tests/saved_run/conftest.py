@@ -9,7 +9,7 @@ import tomlkit
 import xarray as xr
 
 from bayes_body.definition import load_definition
-from bayes_body.session import save_session
+from bayes_body.session_file import save_session
 
 DOFS = ("shoulder_x", "shoulder_y", "shoulder_z", "elbow")
 

@@ -10,7 +10,7 @@ from bayes_body.errors import InputError
 from bayes_body.model import load_model
 from bayes_body.posterior import markers
 from bayes_body.saved_run import angle_moments, load_run, marker_moments
-from bayes_body.session import load_session
+from bayes_body.session_file import load_session
 
 
 def test_what_was_written_is_read_back(make_run):

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from bayes_body.cli import simulate as verb
 from bayes_body.errors import InputError
 from bayes_body.recording.truth import MARKERS, read_truth
-from bayes_body.session import load_session
+from bayes_body.session_file import load_session
 from bayes_body.simulation.staging import stature_m
 
 

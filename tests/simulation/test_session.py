@@ -15,7 +15,7 @@ from bayes_body.recording.images import read_mask
 from bayes_body.recording.rig import read_rig
 from bayes_body.recording.truth import MARKERS, read_truth
 from bayes_body.recording.video import probe, read_video_frame
-from bayes_body.session import load_session
+from bayes_body.session_file import load_session
 from bayes_body.simulation.film import EMPTY_FRAMES
 from bayes_body.simulation.options import Options
 from bayes_body.simulation.person import build_person
