@@ -45,7 +45,9 @@ def test_a_model_at_the_true_angles_is_not_the_rendered_person(model, person, tm
     outline = fit_outline(replace(body, initial={"pose": poses[0]}), session)
     dressed = load_model(definition, replace(session, subject=replace(subject, outline_radii_m=outline.radii_m), initial={}))
     nearer = overlaps(dressed, poses[1:], session)
-    assert np.median(overlap[1:]) + 0.005 < np.median(nearer) <= 0.92
+    # Picture by picture: some are seen worse than others, whatever somebody wears.
+    assert np.median(nearer - overlap[1:]) > 0.003
+    assert np.median(nearer) <= 0.92
     assert nearer.max() < 0.95
 
 
