@@ -105,9 +105,8 @@ def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
             show(f"{kind}: {term.note}")
         with _kept(frames, settings.out, show):
             with progress_bar(bar, len(frames)) as on_frame:
-                draws = track(
-                    session, model, kernel, jax.random.key(chosen.seed), options.particles, chosen.runs, chosen.frames, on_frame, frames, ahead
-                )
+                key, many = jax.random.key(chosen.seed), options.particles
+                draws = track(session, model, kernel, key, many, chosen.runs, chosen.frames, on_frame, frames, ahead)
             return _leave(session, draws, settings.out, {"kernel": kind, "seed": chosen.seed}, show, bar)
 
 

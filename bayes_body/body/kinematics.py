@@ -5,7 +5,7 @@ the grandparent's and so on, twice as far each time: three rounds for a person. 
 
 A dof k that turns about the axis $a_k$ through $q_k$ (unit vector and metres, world) moves all that hangs on it with the angular velocity
 $\omega = a_k \dot s_k$ and the velocity $\omega \times (p - q_k)$ at p; one that shifts along it, with the velocity $a_k \dot s_k$. A frame's
-change is the sum over the dofs that move it (Featherstone, Rigid Body Dynamics Algorithms, 2.3): a product of matrices, and so is the gradient.
+change is the sum over the dofs that move it (Featherstone, Rigid Body Dynamics Algorithms, ch. 2): a product of matrices, and so is the gradient.
 """
 
 from functools import lru_cache, partial
@@ -92,18 +92,17 @@ def _program(topology: Topology) -> _Program:
     most = max(sum(not motion.is_shift for motion in motions) for motions in topology.motions)
     shifts, turns = np.zeros((most + 1, joints, 3, dofs)), [_no_turns(joints) for _ in range(most)]
     joint, before = np.zeros(dofs, INDEX), np.zeros(dofs, INDEX)
-    own = np.zeros((joints, dofs))
+    moves = np.zeros((joints, dofs))
     for j, motions in enumerate(topology.motions):
         turned = 0
         for motion in motions:
-            joint[motion.dof], before[motion.dof], own[j, motion.dof] = j, turned, 1
+            joint[motion.dof], before[motion.dof], moves[j, motion.dof] = j, turned, 1
             if motion.is_shift:
                 shifts[turned, j, motion.axis, motion.dof] = motion.sign
             else:
                 _write(turns[turned], j, motion)
                 turned += 1
     rounds = _rounds(topology.parents)
-    moves = own.copy()
     for ancestor in rounds:
         moves += np.where(ancestor[:, None] >= 0, moves[ancestor], 0)
     _, axis, sign, shift = (np.array(each) for each in zip(*sorted(motion for motions in topology.motions for motion in motions), strict=True))

@@ -196,8 +196,7 @@ class _Sampler:
         else:
             roots = {name: whitening(position, climb.log_weights) for name, position in climb.particles.position.items()}
             log_scale = climb.log_scale
-        noted = climb.ladder.noted(rung, log_scale, roots)
-        return climb._replace(ladder=noted), Moving(climb.beta, jnp.exp(log_scale), roots)
+        return climb._replace(ladder=climb.ladder.noted(rung, log_scale, roots)), Moving(climb.beta, jnp.exp(log_scale), roots)
 
     def _walk(self, keys: Keys, particles: Extended, frame: Frame, moving: Moving) -> tuple[Extended, Float[Array, " particle"]]:
         """All particles moved: their last states, or with `waste_free` all states (particle, move, ...); and the acceptance rate of each."""
