@@ -79,7 +79,12 @@ def sampled_only(previous: State, sampled: State) -> State:
     return sampled
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=["name"], data_fields=["conditional", "perturbation", "carry"])
+def nothing_before(first: State) -> State:
+    """The whole of a first state is what is sampled later: it remembers nothing."""
+    return first
+
+
+@partial(jax.tree_util.register_dataclass, meta_fields=["name"], data_fields=["conditional", "perturbation", "carry", "begin"])
 @dataclass(frozen=True)
 class Transition:
     """A motion prior.
@@ -90,12 +95,14 @@ class Transition:
         perturbation: (state, scale) -> the same for the noise alone, centred on the state, its standard deviation multiplied by `scale`. It is a
             proposal of annealing kernels and never enters a density.
         carry: (previous, sampled) -> the whole state, with what is remembered but not random (the pose before, of a second-order prior).
+        begin: the sampled variables of a first state -> the whole of it.
     """
 
     name: str
     conditional: Callable[[State], Mapping[str, Distribution]]
     perturbation: Callable[[State, Scalar], Mapping[str, Distribution]]
     carry: Callable[[State, State], State] = jax.tree_util.Partial(sampled_only)
+    begin: Callable[[State], State] = jax.tree_util.Partial(nothing_before)
 
     def sample(self, key: Key, previous: State) -> State:
         """One state of the next frame."""

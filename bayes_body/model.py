@@ -70,6 +70,10 @@ class Model:
         factors = jax.tree.map(placed, self.factors, is_leaf=lambda node: isinstance(node, Camera))
         return replace(self, rig=rig, factors=factors)
 
+    def beginning_at(self, pose: Pose) -> "Model":
+        """The same model with another first pose."""
+        return replace(self, initial=self.transition.begin({"pose": jnp.asarray(pose, self.body.lengths.dtype)}))
+
     def start(self, count: int) -> Particles:
         """`count` equal particles at the initial state; the first frame's transition spreads them."""
         states = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *leaf.shape)), dict(self.initial))
@@ -97,7 +101,7 @@ def load_model(name: str | Path | Definition, session: Session) -> Model:
     transition = find("dynamics", dynamics.kind).build(
         options=dynamics.options, body=body, fps=session.fps, subject_sd=_motion_sd(session.subject, definition)
     )
-    return Model(definition, body, rig, transition, tuple(factors), {"pose": _initial_pose(session, body)}, observers)
+    return Model(definition, body, rig, transition, tuple(factors), transition.begin({"pose": _initial_pose(session, body)}), observers)
 
 
 def _likelihoods(definition: Definition, body: Body, rig: Camera) -> tuple[list[Factor], dict[str, Callable[[Any], Any]]]:

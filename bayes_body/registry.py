@@ -41,6 +41,7 @@ _BUILT_IN: dict[Place, str] = {
     ("observation", "markers_gaussian"): "bayes_body.observation.markers_gaussian",
     ("observation", "silhouette_bernoulli"): "bayes_body.observation.silhouette_bernoulli",
     ("dynamics", "diffusion"): "bayes_body.dynamics.diffusion",
+    ("dynamics", "second_order"): "bayes_body.dynamics.second_order",
     ("potential", "intersection"): "bayes_body.potentials.intersection",
     ("kernel", "sir"): "bayes_body.kernels.particle_filter",
     ("kernel", "annealed"): "bayes_body.kernels.annealed_filter",

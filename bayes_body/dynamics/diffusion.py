@@ -8,7 +8,6 @@ forgotten that. Half the largest change between two frames of a training motion 
 
 import math
 from collections.abc import Mapping
-from fnmatch import fnmatchcase
 from typing import Any
 
 import jax
@@ -17,10 +16,9 @@ from jax.scipy.special import log_ndtr
 from jaxtyping import Array, Bool, Float
 from numpyro.distributions import Distribution, constraints
 
-from bayes_body.body.skeleton import Topology
 from bayes_body.body.solids import Body
+from bayes_body.dynamics.deviations import standard_deviations
 from bayes_body.dynamics.limits import Box
-from bayes_body.errors import InputError, nearest
 from bayes_body.factor import State, Transition
 from bayes_body.registry import register
 from bayes_body.schema import Positive, Schema
@@ -108,28 +106,10 @@ def build(options: Options, body: Body, fps: float, subject_sd: Mapping[str, flo
         InputError: a dof has no standard deviation, or a key of the options means no dof.
     """
     topology = body.skeleton.topology
-    by_name = _standard_deviations(options, topology, math.sqrt(options.at_fps / fps))
+    factor = math.sqrt(options.at_fps / fps)
+    by_name = {name: sd * factor for name, sd in standard_deviations(options.sd_deg, options.sd_m, topology).items()}
     if options.use_subject_sd and subject_sd:
         by_name |= {name: sd for name, sd in subject_sd.items() if name in by_name}
     sd = jnp.asarray([by_name[name] for name in topology.dof_names], body.lengths.dtype)
     arguments = (sd, body.skeleton.low, body.skeleton.high)
     return Transition("diffusion", jax.tree_util.Partial(_walk, *arguments), jax.tree_util.Partial(_noise, *arguments))
-
-
-def _standard_deviations(options: Options, topology: Topology, factor: float) -> dict[str, float]:
-    found: dict[str, float] = {}
-    for unit, field, table, si in (("rad", "sd_deg", options.sd_deg, math.pi / 180), ("m", "sd_m", options.sd_m, 1.0)):
-        dofs = [name for name, u in zip(topology.dof_names, topology.dof_units, strict=True) if u == unit]
-        for key in table:
-            if not any(fnmatchcase(name, key) for name in dofs):
-                raise InputError(
-                    f"dynamics.{field}.{key}: fits no dof of the body in {'degrees' if unit == 'rad' else 'metres'}; {nearest(key, dofs)}"
-                )
-        for name in dofs:
-            key = name if name in table else next((pattern for pattern in table if fnmatchcase(name, pattern)), None)
-            if key is None:
-                raise InputError(
-                    f"dynamics.{field}: no standard deviation for the dof '{name}'; expected one for every dof; add '{name}' or a pattern."
-                )
-            found[name] = table[key] * si * factor
-    return found

@@ -44,7 +44,7 @@ def apply_first_pose(model: Model, session: Session, found: FirstPose) -> Model:
         lengths, radii = found.lengths_m or subject.lengths_m, found.outline_radii_m or subject.outline_radii_m
         subject = replace(subject, body=model.definition.body_name, lengths_m=lengths, outline_radii_m=radii)
         model = load_model(model.definition, replace(session, subject=subject))
-    return replace(model, initial={**model.initial, "pose": jnp.asarray(found.pose, model.body.lengths.dtype)})
+    return model.beginning_at(jnp.asarray(found.pose))
 
 
 def first_pose(model: Model, session: Session) -> FirstPose:

@@ -1,0 +1,124 @@
+r"""Process noise that keeps to the joints' limits (Poon & Fleet 2002, 3.3): Beta on a limited dof, normal on a shift, wrapped normal on a full turn.
+
+On $[\mathrm{low}, \mathrm{high}]$, with $u$ the share of the range, the noise has a fixed variance $v$ of $u$ and its mode where the prediction is,
+clipped to the limits ("the densities become increasingly skewed as the prediction approaches the boundaries"):
+
+$$u \sim \mathrm{Beta}(1 + m\kappa,\ 1 + (1 - m)\kappa), \qquad
+v = \frac{(1 + m\kappa)(1 + (1 - m)\kappa)}{(2 + \kappa)^2 (3 + \kappa)}, \qquad m = \mathrm{clip}(u^p, 0, 1),$$
+
+which falls strictly in $\kappa \ge 0$ from $1/12$, the variance of the uniform law: no larger one has a mode inside.
+"""
+
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.special import betaln
+from jaxtyping import Array, Bool, Float
+from numpyro.distributions import Distribution, constraints
+
+from bayes_body.dynamics.limits import Box
+from bayes_body.shapes import Index, Key, Pose, Scalar
+
+# The largest variance of a share of the range, just below the uniform law's.
+LARGEST_VARIANCE = (1 - 1e-4) / 12
+# Nearer to a limit than this share of the range the log-density is that of this distance: it would fall to minus infinity.
+NEAREST = 1.2e-7
+# From any start these leave float64's rounding.
+NEWTON_STEPS = 12
+
+
+class JointNoise(Distribution):
+    """Independent dofs, each with the noise of its kind; scalar log_prob.
+
+    A dof that turns freely keeps its own coordinate, which counts turns: its density has the period 2π and integrates to one over a turn. A sigmoid
+    to (−π, π), as numpyro has for its von Mises distribution, would wall off the half turn.
+    """
+
+    arg_constraints = {"centre": constraints.real_vector, "scale": constraints.real_vector}
+    reparametrized_params: list[str] = []
+    pytree_data_fields = ("centre", "scale", "low", "high", "angular", "alpha", "beta", "log_norm")
+
+    def __init__(self, centre: Pose, scale: Pose, low: Pose, high: Pose, angular: Bool[Array, " dof"], *, validate_args: bool | None = None):
+        """What depends on the centre alone is computed here, once for all values that are evaluated.
+
+        Args:
+            centre: the mode, before it is clipped to the limits; radians or metres.
+            scale: standard deviations, radians or metres; of a limited dof below the range / √12.
+            low: limits, or −∞.
+            high: limits, or ∞.
+            angular: which dofs are angles.
+            validate_args: as numpyro has it.
+        """
+        self.centre, self.scale, self.low, self.high, self.angular = centre, scale, low, high, angular
+        safe_low, width = self._safe
+        share = jnp.clip((centre - safe_low) / width, 0.0, 1.0)
+        kappa = concentration(share, jnp.minimum((scale / width) ** 2, LARGEST_VARIANCE))
+        self.alpha, self.beta = 1 + share * kappa, 1 + (1 - share) * kappa
+        self.log_norm = jnp.where(self._limited, betaln(self.alpha, self.beta) + jnp.log(width), jnp.log(scale) + 0.5 * math.log(2 * math.pi))
+        super().__init__(batch_shape=(), event_shape=centre.shape, validate_args=validate_args)
+
+    # numpyro declares its base class for its own decorators; the signatures below are those that it calls.
+    @constraints.dependent_property(is_discrete=False, event_dim=1)  # pyright: ignore[reportArgumentType]
+    def support(self) -> Box:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """The joint limits."""
+        return Box(self.low, self.high)
+
+    @property
+    def _limited(self) -> Bool[Array, " dof"]:
+        return jnp.isfinite(self.low) & jnp.isfinite(self.high)
+
+    @property
+    def _safe(self) -> tuple[Pose, Pose]:
+        # Reverse mode differentiates both branches of a where: the unused one must be finite too.
+        low = jnp.where(self._limited, self.low, 0.0)
+        return low, jnp.where(self._limited, self.high, 1.0) - low
+
+    def sample(self, key: Key, sample_shape: tuple[int, ...] = ()) -> Float[Array, "*sample dof"]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Beta draws inside the limits, normal ones elsewhere: of a full turn the coordinate nearest to the mode."""
+        beta_key, normal_key = jax.random.split(key)
+        shape = (*sample_shape, *self.event_shape)
+        low, width = self._safe
+        limited = low + width * jax.random.beta(beta_key, self.alpha, self.beta, shape, self.centre.dtype)
+        free = self.centre + self.scale * jax.random.normal(normal_key, shape, self.centre.dtype)
+        return jnp.where(self._limited, jnp.clip(limited, self.low, self.high), free)
+
+    def log_prob(self, value: Pose, intermediates: Any = None) -> Scalar:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Minus infinity outside the limits."""
+        del intermediates
+        low, width = self._safe
+        share = jnp.clip((value - low) / width, NEAREST, 1 - NEAREST)
+        limited = (self.alpha - 1) * jnp.log(share) + (self.beta - 1) * jnp.log1p(-share)
+        z = value - self.centre
+        free = jnp.where(self.angular, _log_wrapped(z, self.scale), -0.5 * (z / self.scale) ** 2)
+        inside = (value >= self.low) & (value <= self.high)
+        return jnp.sum(jnp.where(inside, jnp.where(self._limited, limited, free) - self.log_norm, -jnp.inf), axis=-1)
+
+
+def _log_wrapped(z: Pose, scale: Pose) -> Pose:
+    """Of the normal law wrapped around the circle, but for its constant: the nearest turn and its two neighbours."""
+    turn = 2 * math.pi
+    nearest = z - turn * jnp.round(z / turn)
+    return jax.nn.logsumexp(jnp.stack([-0.5 * ((nearest + k * turn) / scale) ** 2 for k in (-1, 0, 1)]), axis=0)
+
+
+def concentration(mode: Float[Array, " *dof"], variance: Float[Array, " *dof"]) -> Float[Array, " *dof"]:
+    """κ of the Beta law with that mode in [0, 1] and that variance, below 1/12; differentiable by the implicit function theorem."""
+
+    def excess(kappa: Array, mode: Array, variance: Array) -> Array:
+        spread = jnp.log1p(mode * kappa) + jnp.log1p((1 - mode) * kappa)
+        return spread - 2 * jnp.log(2 + kappa) - jnp.log(3 + kappa) - jnp.log(variance)
+
+    def slope(kappa: Array, mode: Array) -> Array:
+        return mode / (1 + mode * kappa) + (1 - mode) / (1 + (1 - mode) * kappa) - 2 / (2 + kappa) - 1 / (3 + kappa)
+
+    m, v = jax.lax.stop_gradient((mode, variance))
+
+    def newton(_: Index, kappa: Array) -> Array:
+        # In log(1 + κ) the logarithm of the variance is nearly straight, with a slope between -2 and -1/3.
+        step = excess(kappa, m, v) / (slope(kappa, m) * (1 + kappa))
+        return jnp.maximum((1 + kappa) * jnp.exp(-step) - 1, 0.0)
+
+    solved = jax.lax.fori_loop(0, NEWTON_STEPS, newton, m * (1 - m) / v + jax.lax.rsqrt(v))
+    return solved - excess(solved, mode, variance) / slope(solved, m)

@@ -1,0 +1,214 @@
+"""Beta noise inside joint limits and a second-order prediction: normalised, of the asked mode and variance, drawn from as it is evaluated."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from bayes_body.body.build import Shape, build_body
+from bayes_body.body.schema import BodySchema
+from bayes_body.definition import load_body
+from bayes_body.dynamics.joint_noise import JointNoise, concentration
+from bayes_body.dynamics.second_order import Options, build
+from bayes_body.errors import InputError
+from bayes_body.toml_file import validate
+
+LOW, HIGH = -0.4, 1.9
+# Previous states in the range, on its limits, and beyond them by less and by more than the range.
+MODES = [LOW - 10.0, LOW - 0.3, LOW, LOW + 1e-4, 0.1, 0.7, HIGH - 0.01, HIGH, HIGH + 0.2, HIGH + 7.0]
+SCALES = [0.01, 0.07, 0.3, 0.6]
+
+
+@pytest.fixture(autouse=True)
+def double_precision():
+    with jax.enable_x64(True):
+        yield
+
+
+def _joint(mode, scale, low=LOW, high=HIGH, angular=True):
+    return JointNoise(*(jnp.array([value]) for value in (mode, scale, low, high)), jnp.array([angular]))
+
+
+def _density(noise, points):
+    return np.exp(jax.vmap(lambda x: noise.log_prob(x[None]))(jnp.asarray(points)))
+
+
+def _graded(number=400_001):
+    """Middles of cells that shrink towards both limits, where a skewed density is steep, and their widths."""
+    edges = LOW + (HIGH - LOW) * np.sin(np.linspace(0, math.pi / 2, number)) ** 2
+    return (edges[1:] + edges[:-1]) / 2, np.diff(edges)
+
+
+@pytest.mark.parametrize("scale", SCALES)
+@pytest.mark.parametrize("mode", MODES)
+def test_it_integrates_to_one_with_the_asked_mode_and_variance(mode, scale):
+    points, widths = _graded()
+    density = _density(_joint(mode, scale), points)
+    assert abs(np.sum(density * widths) - 1) < 1e-6
+    mean = np.sum(points * density * widths)
+    variance = np.sum((points - mean) ** 2 * density * widths)
+    assert abs(variance / scale**2 - 1) < 1e-4
+    # A grid finer than the tolerance about the mode that was asked for.
+    asked = np.clip(mode, LOW, HIGH)
+    near = np.clip(asked + np.linspace(-5e-3, 5e-3, 1001) * scale / 0.01, LOW + 1e-9, HIGH - 1e-9)
+    assert abs(near[np.argmax(_density(_joint(mode, scale), near))] - asked) < 1e-4 * max(1.0, scale / 0.01)
+
+
+def test_the_mode_is_where_the_slope_is_zero():
+    for mode in (LOW + 0.05, 0.1, 0.7, 1.5):
+        for scale in SCALES:
+            noise = _joint(mode, scale)
+            assert abs(jax.grad(lambda x, noise=noise: noise.log_prob(x[None]))(mode)) < 1e-6 / scale
+
+
+def test_the_density_is_that_of_scipy():
+    noise = _joint(0.3, 0.2)
+    points = np.linspace(LOW + 1e-3, HIGH - 1e-3, 201)
+    law = stats.beta(float(noise.alpha[0]), float(noise.beta[0]), LOW, HIGH - LOW)
+    assert np.allclose(_density(noise, points), law.pdf(points), rtol=1e-6)
+
+
+@pytest.mark.parametrize("scale", [0.07, 0.5])
+@pytest.mark.parametrize("mode", [LOW - 0.3, LOW, 0.1, HIGH, HIGH + 7.0])
+def test_draws_follow_the_density(mode, scale):
+    noise = _joint(mode, scale)
+    draws = np.asarray(noise.sample(jax.random.key(int(100 * (mode + 20) + 10 * scale)), (20_000,)))[:, 0]
+    assert draws.min() >= LOW and draws.max() <= HIGH
+    points, widths = _graded(20_001)
+    cumulative = np.cumsum(_density(noise, points) * widths)
+    assert stats.kstest(draws, lambda x: np.interp(x, points, cumulative)).pvalue > 1e-3
+
+
+def test_draws_in_single_precision_stay_inside():
+    with jax.enable_x64(False):
+        draws = _joint(HIGH + 1.0, 0.01).sample(jax.random.key(0), (20_000,))
+        values = jax.vmap(_joint(HIGH + 1.0, 0.01).log_prob)(draws)
+    assert draws.dtype == jnp.float32 and bool(jnp.all(jnp.isfinite(values)))
+
+
+@pytest.mark.parametrize("mode", [LOW, 0.5, HIGH, HIGH + 30.0])
+def test_at_the_limits_the_log_density_is_bounded_and_outside_it_is_none(mode):
+    noise = _joint(mode, 0.05)
+    value_and_grad = jax.value_and_grad(lambda x: noise.log_prob(x[None]))
+    for limit in (LOW, HIGH):
+        value, slope = value_and_grad(limit)
+        assert math.isfinite(value) and math.isfinite(slope)
+    assert noise.log_prob(jnp.array([LOW - 1e-6])) == -math.inf == noise.log_prob(jnp.array([HIGH + 1e-6]))
+
+
+def test_the_derivative_by_the_previous_state_is_that_of_differences():
+    def log_prob(mode):
+        return _joint(mode, 0.2).log_prob(jnp.array([0.35]))
+
+    for mode in (-0.2, 0.1, 1.0, 1.85):
+        difference = (log_prob(mode + 1e-6) - log_prob(mode - 1e-6)) / 2e-6
+        assert np.isclose(jax.grad(log_prob)(mode), difference, rtol=1e-6)
+    # Beyond a limit the clipped mode no longer follows the prediction.
+    assert jax.grad(log_prob)(HIGH + 0.5) == 0.0
+
+
+def test_the_concentration_over_the_whole_range():
+    modes, variances = np.meshgrid(np.linspace(0, 1, 101), np.geomspace(1e-8, 0.999 / 12, 60))
+    kappa = np.asarray(concentration(jnp.asarray(modes), jnp.asarray(variances)))
+    a, b = 1 + modes * kappa, 1 + (1 - modes) * kappa
+    assert np.all(kappa >= 0)
+    assert np.allclose(a * b / ((a + b) ** 2 * (a + b + 1)), variances, rtol=1e-9)
+
+
+def test_a_full_turn_has_no_wall_and_integrates_to_one():
+    noise = _joint(3.1, 0.4, -np.inf, np.inf)
+    turn = np.linspace(-math.pi, math.pi, 200_001)
+    middle = (turn[1:] + turn[:-1]) / 2
+    assert abs(np.sum(_density(noise, middle)) * (turn[1] - turn[0]) - 1) < 1e-8
+    assert np.allclose(_density(noise, middle), _density(noise, middle + 2 * math.pi))
+    wide = _joint(3.1, 1.5, -np.inf, np.inf)
+    assert abs(np.sum(_density(wide, middle)) * (turn[1] - turn[0]) - 1) < 1e-4
+    slope = jax.grad(lambda x: noise.log_prob(x[None]))
+    assert np.isclose(slope(math.pi), -(math.pi - 3.1) / 0.4**2) and np.isclose(slope(-math.pi), slope(math.pi))
+
+
+def test_a_shift_has_the_normal_law():
+    noise = _joint(100.0, 0.03, -np.inf, np.inf, angular=False)
+    points = 100.0 + np.linspace(-0.1, 0.1, 11)
+    assert np.allclose(_density(noise, points), stats.norm(100.0, 0.03).pdf(points))
+
+
+# -- the process ------------------------------------------------------------------------------------------------------------------------
+
+
+def _person():
+    return build_body("person_31", load_body("person_31"), Shape())
+
+
+def _options(**changes):
+    table = {"sd_deg": {"*": 2.0}, "sd_m": {"*": 0.01}} | changes
+    return validate(Options, table, "dynamics")
+
+
+def test_the_prediction_is_that_of_the_paper():
+    body = _person()
+    transition = build(_options(alpha_1=1.7, alpha_2=0.8), body, 60.0)
+    rng = np.random.default_rng(0)
+    now, before = rng.normal(size=(2, 31)) * 0.3
+    noise = transition.conditional({"pose": jnp.asarray(now), "pose_before": jnp.asarray(before)})["pose"]
+    assert np.allclose(noise.centre, 1.7 * now - 0.8 * before)
+
+
+def test_the_velocity_of_a_full_turn_is_the_shorter_way_round():
+    body = _person()
+    transition = build(_options(), body, 60.0)
+    yaw = body.dof_names.index("root_yaw")
+    now, before = jnp.zeros(31).at[yaw].set(-3.1), jnp.zeros(31).at[yaw].set(3.1)
+    noise = transition.conditional({"pose": now, "pose_before": before})["pose"]
+    assert np.isclose(noise.centre[yaw], -3.1 + 0.8 * (2 * math.pi - 6.2))
+
+
+def test_the_pose_before_is_carried_and_a_first_pose_stands_still():
+    transition = build(_options(), _person(), 60.0)
+    first = transition.begin({"pose": jnp.full(31, 0.1)})
+    assert np.allclose(transition.conditional(first)["pose"].centre, 0.1)
+    after = transition.sample(jax.random.key(0), first)
+    assert np.array_equal(after["pose_before"], first["pose"]) and not np.array_equal(after["pose"], first["pose"])
+    assert math.isfinite(transition.log_density(after, first))
+    assert set(transition.perturb(jax.random.key(1), after, first, jnp.asarray(0.5))) == {"pose", "pose_before"}
+
+
+def test_at_another_frame_rate_a_body_drifts_as_far():
+    ball = {
+        "title": "a ball on a rail",
+        "source": "none",
+        "lengths_of_height": {"ball": 0.1},
+        "joint": [{"name": "root", "parent": "world", "dofs": [{"name": "x", "axis": "tx"}]}],
+        "part": [{"name": "ball", "joint": "root", "kind": "sphere", "length": "ball", "radius_of_height": [0.05, 0.05]}],
+    }
+    body = build_body("ball", validate(BodySchema, ball, "ball"), Shape())
+    spread = {}
+    for fps in (30.0, 60.0, 120.0):
+        transition = build(_options(sd_deg={}), body, fps)
+
+        def end(key, transition=transition, frames=round(4 * fps)):
+            start = transition.begin({"pose": jnp.zeros(1)})
+            return jax.lax.scan(lambda state, own: (transition.sample(own, state), None), start, jax.random.split(key, frames))[0]["pose"][0]
+
+        spread[fps] = float(jnp.std(jax.jit(jax.vmap(end))(jax.random.split(jax.random.key(int(fps)), 2000))))
+    # The standard error of a deviation of 2000 draws is 1.6 %; with the factor of white noise or of a random walk it would be off by 30 % and more.
+    assert np.allclose([spread[30.0], spread[120.0]], spread[60.0], rtol=0.08)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"alpha_1": 0.5}, "keep -0.3 of the position"),
+        ({"alpha_1": 2.5}, r"take alpha_1 = 1 \+ alpha_2"),
+        ({"sd_deg": {"*": 2.0, "l_knee": 60.0}}, "'l_knee'.*over √12.*smaller one, or wider limits"),
+        ({"sd_deg": {"*": 2.0, "root_yaw": 100.0}}, "'root_yaw'.*a quarter turn"),
+        ({"sd_deg": {"l_*": 2.0}}, "no standard deviation for the dof 'root_yaw'"),
+        ({"sd_deg": {"*": 2.0, "l_kne": 2.0}}, "l_kne: fits no dof"),
+    ],
+)
+def test_what_cannot_be_is_said(changes, words):
+    with pytest.raises((InputError, ValueError), match=words):
+        build(_options(**changes), _person(), 60.0)
