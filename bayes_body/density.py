@@ -8,7 +8,7 @@ seen *extended* (the ancestor $i$ fixed or sampled too: particle filters, temper
 Fleet's (14) under HMC). Both views call the same factors; so do the single-variable views of belief propagation.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -16,12 +16,15 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-from numpyro.distributions import biject_to
+from numpyro.distributions import Distribution, biject_to
 from numpyro.distributions.transforms import Transform
 
 from bayes_body.errors import wrong
 from bayes_body.factor import Data, Factor, Particles, Side, State, Transition, Variable, variables
 from bayes_body.shapes import Index, Key, Scalar
+
+# By variable, a distribution for each particle of the frame before.
+type Predictions = Mapping[str, Distribution]
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=[], data_fields=["transition", "factors", "data", "previous"])
@@ -105,6 +108,17 @@ class Density:
         """Everything but the transition: the weight of a particle drawn from it."""
         return self._sum(self.factors, state, previous)
 
+    def curvature(self, state: State, previous: State) -> dict[str, Array] | None:
+        """About minus the second derivative of the log-likelihood along each entry of a state; None where a likelihood does not offer it."""
+        likelihoods = [factor for factor in self.factors if factor.side == "likelihood"]
+        values, total = variables(state, previous), {name: jnp.zeros_like(value) for name, value in state.items()}
+        for factor in likelihoods:
+            if factor.curvature is None:
+                return None
+            found = factor.curvature({v: values[v] for v in factor.scope}, self.data.get(factor.name))
+            total = {name: value + found[name] if name in found else value for name, value in total.items()}
+        return total
+
     def parts(self, state: State, previous: State | None = None) -> dict[str, Scalar]:
         """The log-potential of each factor by name, and the transition's. Without `previous` the first particle of the frame before is taken."""
         before = self.ancestor(0) if previous is None else previous
@@ -124,17 +138,26 @@ class Density:
         prior = self.previous.log_weights[ancestor] + self.transition.log_density(state, before)
         return prior + self.log_constraint(state, before) + _tempered(inverse_temperature, self.log_likelihood(state, before))
 
-    def marginal(self, state: State, inverse_temperature: float | Scalar = 1.0) -> Scalar:
-        r"""$\log \sum_i \exp \ell(i, s_t)$."""
-        each, common = self._by_ancestor(state, inverse_temperature)
-        return jax.nn.logsumexp(each) + common
+    def marginal(self, state: State, inverse_temperature: float | Scalar = 1.0, predictions: Predictions | None = None) -> Scalar:
+        r"""$\log \sum_i \exp \ell(i, s_t)$; `predictions` as `self.predictions()` makes them, where many states are evaluated."""
+        each, common = self._by_ancestor(state, inverse_temperature, predictions)
+        return (each[0] if each.shape == (1,) else jax.nn.logsumexp(each)) + common
+
+    def predictions(self) -> Predictions:
+        """The motion prior after each particle of the frame before, by variable: distributions with a leading particle axis.
+
+        What of them depends on the frame before alone is computed here, once for all states.
+        """
+        return jax.vmap(self.transition.conditional)(self.previous.states)
 
     def ancestor_log_probs(self, state: State) -> Float[Array, " particle"]:
         """log p(i | s_t): from which particle of the frame before a state comes; draws of the marginal view take their ancestor from it."""
         each, _ = self._by_ancestor(state, 1.0)
         return jax.nn.log_softmax(each)
 
-    def _by_ancestor(self, state: State, inverse_temperature: float | Scalar) -> tuple[Float[Array, " particle"], Scalar]:
+    def _by_ancestor(
+        self, state: State, inverse_temperature: float | Scalar, predictions: Predictions | None = None
+    ) -> tuple[Float[Array, " particle"], Scalar]:
         # A factor that does not read the frame before is the same for all ancestors: it is evaluated once, outside the sum.
         own = [factor for factor in self.factors if factor.reads_previous]
         shared = [factor for factor in self.factors if not factor.reads_previous]
@@ -144,10 +167,12 @@ class Density:
             rest = self._sum([f for f in factors if f.side != "likelihood"], state, before)
             return rest + _tempered(inverse_temperature, likelihood)
 
-        def one(log_weight: Scalar, before: State) -> Scalar:
-            return log_weight + self.transition.log_density(state, before) + powered(own, before)
+        def one(log_weight: Scalar, before: State, prediction: Predictions) -> Scalar:
+            link = sum((jnp.asarray(law.log_prob(state[name])) for name, law in prediction.items()), jnp.zeros(()))
+            return log_weight + link + powered(own, before)
 
-        each = jax.vmap(one)(self.previous.log_weights, self.previous.states)
+        laws = self.predictions() if predictions is None else predictions
+        each = jax.vmap(one)(self.previous.log_weights, self.previous.states, laws)
         return each, powered(shared, self.ancestor(0))
 
     def reading(self, variable: Variable) -> tuple[Factor, ...]:
@@ -157,7 +182,7 @@ class Density:
     def unconstrained(self) -> "Unconstrained":
         """The marginal view over coordinates without limits, for gradient-based kernels."""
         supports = self.transition.conditional(self.ancestor(0))
-        return Unconstrained(self, {name: biject_to(distribution.support) for name, distribution in supports.items()})
+        return Unconstrained(self, {name: biject_to(distribution.support) for name, distribution in supports.items()}, self.predictions())
 
 
 class Unconstrained(NamedTuple):
@@ -165,6 +190,7 @@ class Unconstrained(NamedTuple):
 
     density: Density
     bijections: dict[str, Transform]
+    predictions: Predictions
 
     def constrain(self, position: State) -> dict[str, Array]:
         """From coordinates without limits to the state's own."""
@@ -182,8 +208,9 @@ class Unconstrained(NamedTuple):
 
     def __call__(self, position: State, view: Callable[[State], Scalar] | None = None) -> Scalar:
         """The log-density of coordinates without limits; `view` replaces the marginal one (say, an extended view of one ancestor)."""
-        log_density = view if view is not None else self.density
-        return log_density(self.constrain(position)) + self.log_determinant(position)
+        state = self.constrain(position)
+        log_density = self.density.marginal(state, predictions=self.predictions) if view is None else view(state)
+        return log_density + self.log_determinant(position)
 
 
 def _tempered(inverse_temperature: float | Scalar, log_likelihood: Scalar) -> Scalar:

@@ -41,7 +41,9 @@ def variables(state: State, previous: State | None = None) -> dict[Variable, Arr
     return now if previous is None else now | {Variable(name, -1): value for name, value in previous.items()}
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=["name", "side", "scope", "has_gradient"], data_fields=["log_potential", "simulate"])
+@partial(
+    jax.tree_util.register_dataclass, meta_fields=["name", "side", "scope", "has_gradient"], data_fields=["log_potential", "simulate", "curvature"]
+)
 @dataclass(frozen=True)
 class Factor:
     """One term of the model.
@@ -54,6 +56,8 @@ class Factor:
         has_gradient: whether its gradient tells where it grows; that of a nearest look-up is zero everywhere.
         simulate: `(key, variables) -> data`, a draw from the distribution over a frame's data whose normalised log-density `log_potential` is; a
             `jax.tree_util.Partial`. None where the factor is no such distribution.
+        curvature: `(variables, data) -> by variable, about minus the second derivative of log_potential along each of its entries`, for the mass
+            matrix of a sampler; a `jax.tree_util.Partial`. None where the factor has none of its own.
     """
 
     name: str
@@ -62,6 +66,7 @@ class Factor:
     log_potential: Callable[[Variables, Any], Scalar]
     has_gradient: bool = True
     simulate: Callable[[Key, Variables], Any] | None = None
+    curvature: Callable[[Variables, Any], Mapping[str, Array]] | None = None
 
     def __call__(self, values: Variables, data: Data) -> Scalar:
         """The log-potential of the scoped part of `values`, given the frame's data."""
@@ -185,6 +190,31 @@ class FrameDensity(Protocol):
 
     def log_constraint(self, state: State, previous: State) -> Scalar:
         """Constraints and the prior side's other factors: what tempering leaves alone."""
+        ...
+
+    @property
+    def previous(self) -> Particles:
+        """The particles of the frame before."""
+        ...
+
+    def given(self, previous: Particles) -> Any:
+        """The same frame after other particles."""
+        ...
+
+    def ancestor(self, index: Any) -> State:
+        """One particle of the frame before."""
+        ...
+
+    def ancestor_log_probs(self, state: State) -> Array:
+        """log p(i | s): from which particle of the frame before a state comes."""
+        ...
+
+    def unconstrained(self) -> Any:
+        """The marginal view over coordinates without limits."""
+        ...
+
+    def curvature(self, state: State, previous: State) -> Mapping[str, Array] | None:
+        """About minus the second derivative of the log-likelihood along each entry of a state, where all likelihoods offer it."""
         ...
 
 

@@ -37,6 +37,8 @@ _BUILT_IN: dict[Place, str] = {
     ("likelihood", "silhouette_edges"): "bayes_body.likelihood.silhouette_edges",
     ("likelihood", "markers_gaussian"): "bayes_body.likelihood.markers_gaussian",
     ("likelihood", "silhouette_bernoulli"): "bayes_body.likelihood.silhouette_bernoulli",
+    ("likelihood", "edge_phase"): "bayes_body.likelihood.edge_phase",
+    ("observation", "edge_phase"): "bayes_body.observation.edge_phase",
     ("observation", "silhouette_edges"): "bayes_body.observation.silhouette_edges",
     ("observation", "markers_gaussian"): "bayes_body.observation.markers_gaussian",
     ("observation", "silhouette_bernoulli"): "bayes_body.observation.silhouette_bernoulli",
@@ -44,6 +46,7 @@ _BUILT_IN: dict[Place, str] = {
     ("dynamics", "second_order"): "bayes_body.dynamics.second_order",
     ("potential", "intersection"): "bayes_body.potentials.intersection",
     ("kernel", "sir"): "bayes_body.kernels.particle_filter",
+    ("kernel", "hmc"): "bayes_body.kernels.hmc_filter",
     ("kernel", "annealed"): "bayes_body.kernels.annealed_filter",
     ("kernel", "tempered"): "bayes_body.kernels.tempered_smc",
 }

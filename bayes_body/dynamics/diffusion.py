@@ -56,6 +56,11 @@ class TruncatedWalk(Distribution):
         return Box(self.low, self.high)
 
     @property
+    def variance(self) -> Pose:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Of the normal before it is cut."""
+        return self.scale**2
+
+    @property
     def _sides(self) -> tuple[Pose, Pose]:
         return (self.low - self.loc) / self.scale, (self.high - self.loc) / self.scale
 

@@ -66,6 +66,11 @@ class JointNoise(Distribution):
         return Box(self.low, self.high)
 
     @property
+    def variance(self) -> Pose:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Of each dof; around a circle that of the normal before it is wrapped."""
+        return self.scale**2
+
+    @property
     def _limited(self) -> Bool[Array, " dof"]:
         return jnp.isfinite(self.low) & jnp.isfinite(self.high)
 

@@ -1,7 +1,8 @@
-"""Kernels: from the particles of one frame to those of the next. `kernels.annealed(...)`, `kernels.sir(...)`, `kernels.tempered(...)` build them."""
+"""Kernels: from the particles of one frame to those of the next. `kernels.hmc(...)`, `kernels.sir(...)` and so on build them."""
 
 from bayes_body.kernels.annealed_filter import build_kernel as annealed
+from bayes_body.kernels.hmc_filter import build_kernel as hmc
 from bayes_body.kernels.particle_filter import build_kernel as sir
 from bayes_body.kernels.tempered_smc import build_kernel as tempered
 
-__all__ = ["annealed", "sir", "tempered"]
+__all__ = ["annealed", "hmc", "sir", "tempered"]

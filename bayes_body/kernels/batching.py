@@ -15,7 +15,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 BATCH = 32
 
 
-def over_particles(function: Callable[..., Any], particles: Any, shared: Any, batch: int = BATCH) -> Any:
+def over_particles(function: Callable[..., Any], particles: Any, shared: Any, batch: int = BATCH, checked: bool = True) -> Any:
     """`vmap(function, (0, None))(particles, shared)`, fast.
 
     Args:
@@ -23,6 +23,7 @@ def over_particles(function: Callable[..., Any], particles: Any, shared: Any, ba
         particles: pytree whose leaves have a leading particle axis.
         shared: what is the same for all particles. Arrays that are traced must come in here, not through a closure.
         batch: particles computed at once on one device.
+        checked: whether JAX keeps account of what differs from device to device; a library's loops may not tell it.
     """
     vmapped = jax.vmap(function, (0, None))
     if jax.default_backend() != "cpu":
@@ -36,7 +37,7 @@ def over_particles(function: Callable[..., Any], particles: Any, shared: Any, ba
     if len(devices) > 1:
         mesh = Mesh(np.array(devices), ("particle",))
         split = PartitionSpec("particle")
-        spread = jax.shard_map(spread, mesh=mesh, in_specs=(split, PartitionSpec()), out_specs=split)
+        spread = jax.shard_map(spread, mesh=mesh, in_specs=(split, PartitionSpec()), out_specs=split, check_vma=checked)
     results = spread(padded, shared)
     if len(devices) > 1:
         # Gathered once: left spread, every sum over particles that follows would stop all devices to exchange a number.

@@ -8,6 +8,7 @@ given these data have the same joint law before and after the move (Geweke 2004;
 - `tempered`: its own move at temperature 1, the ancestor redrawn and the state moved in coordinates without limits. Whitening and step size must not
   depend on the state that is moved: the whitening is that of a fresh prediction, the size is drawn anew for each move, between `SCALES` of the
   kernel's own first one, so that some fit however sharp the likelihood is.
+- `hmc`: its own transitions on the marginal view, and the ancestor drawn anew from p(i | state). The mass matrix is that at a fresh prediction.
 - `annealed` has none: its noise is a proposal that no weight corrects.
 """
 
@@ -21,6 +22,8 @@ from bayes_body.factor import FrameDensity, Particles, State
 from bayes_body.kernels import particle_filter
 from bayes_body.kernels.batching import over_particles
 from bayes_body.kernels.extended import Extended, Frame, Moving, bijections, log_likelihood, make_frame, predict, state_of, walk, whitening
+from bayes_body.kernels.hamiltonian import Schedule, run_chain
+from bayes_body.kernels.mass import inverse_mass
 from bayes_body.kernels.moves import Move, hmc, random_walk
 from bayes_body.shapes import Index, Key
 
@@ -93,6 +96,35 @@ def tempered_walk(move: Move, moves: int, candidates: int, repeated: int = REPEA
     return moved
 
 
+def hmc_walk(options: Any, transitions: int = REPEATED) -> MarkovMove:
+    """So many trajectories on the marginal view, each of its own size of step, and an ancestor of where they end."""
+    schedule = Schedule(1, 0, 1, options.leapfrog_steps, options.jitter, options.sampler, 0.0)
+
+    def move(key: Key, state: State, ancestor: Index, previous: Particles, density: FrameDensity) -> tuple[State, Index]:
+        del ancestor
+        mass_key, walk_key, ancestor_key = jax.random.split(key, 3)
+        density = density.given(previous)
+        target = density.unconstrained()
+        parent_key, predict_key = jax.random.split(mass_key)
+        parent = density.ancestor(jax.random.categorical(parent_key, previous.log_weights))
+        fresh = density.transition.sample(predict_key, parent)
+        mass = inverse_mass(density, target.unconstrain({name: fresh[name] for name in target.bijections}), parent)
+
+        def again(position: State, own: Key) -> tuple[State, None]:
+            step_key, chain_key = jax.random.split(own)
+            share = jnp.exp(jax.random.uniform(step_key, (), mass.dtype, jnp.log(SCALES[0]), jnp.log(SCALES[1])))
+            chain = run_chain(chain_key, position, target, options.step * share, mass, schedule)
+            return jax.tree.map(lambda leaf: leaf[-1], chain.positions), None
+
+        start = target.unconstrain({name: state[name] for name in target.bijections})
+        last, _ = jax.lax.scan(again, start, jax.random.split(walk_key, transitions))
+        sampled = target.constrain(last)
+        chosen = jax.random.categorical(ancestor_key, density.ancestor_log_probs(sampled))
+        return density.transition.carry(density.ancestor(chosen), sampled), chosen
+
+    return move
+
+
 def _roots(key: Key, frame: Frame) -> dict[str, Any]:
     """The whitening of a prediction of its own, variable by variable."""
     ancestor_key, draw_key = jax.random.split(key)
@@ -110,4 +142,4 @@ def _tempered(options: Any) -> MarkovMove:
     return tempered_walk(move, options.moves, options.candidates)
 
 
-_MOVES: dict[str, Callable[[Any], MarkovMove]] = {"sir": _sir, "tempered": _tempered}
+_MOVES: dict[str, Callable[[Any], MarkovMove]] = {"sir": _sir, "tempered": _tempered, "hmc": hmc_walk}

@@ -12,6 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from bayes_body.errors import wrong
+from bayes_body.factor import FrameDensity
 from bayes_body.shapes import Index, Key, Scalar
 
 type Position = Mapping[str, Array]
@@ -21,6 +23,22 @@ type Target = Callable[[Position], tuple[Scalar, Scalar]]
 
 # A trajectory of one length all the time would return to where it came from on a near Gaussian target.
 JITTER = (0.6, 1.4)
+
+
+def check_gradients(density: FrameDensity, what: str, other: str = "") -> None:
+    """That every likelihood tells where it grows.
+
+    Args:
+        density: of a frame.
+        what: for which a gradient is needed, in a user's words.
+        other: another remedy than a look-up with a gradient.
+
+    Raises:
+        InputError: one does not.
+    """
+    if density.without_gradient:
+        found, remedy = f"'{density.without_gradient[0]}' has no gradient", f'set its lookup = "bilinear"{other}'
+        raise wrong("the likelihood", found, f"one for {what}", remedy)
 
 
 class Moved(NamedTuple):

@@ -28,7 +28,7 @@ from bayes_body.factor import FilterInfo, FrameDensity, Kernel, Particles, State
 from bayes_body.kernels.batching import over_particles
 from bayes_body.kernels.climb import Climb, Ladder, start_climb
 from bayes_body.kernels.extended import Extended, Frame, Moving, make_frame, predict, state_of, walk, whitening
-from bayes_body.kernels.moves import Move, MoveName, hmc, random_walk
+from bayes_body.kernels.moves import Move, MoveName, check_gradients, hmc, random_walk
 from bayes_body.kernels.resampling import Resample, Scheme, resampler
 from bayes_body.kernels.smc import LOG_ZERO, feynman_kac_step, next_increment
 from bayes_body.kernels.weights import LogWeights, effective_sample_size, normalise
@@ -100,9 +100,8 @@ class _Sampler:
     def climb(self, key: Key, particles: Particles, density: FrameDensity) -> tuple[Particles, FilterInfo, Ladder]:
         start_key, stages_key = jax.random.split(key)
         count = particles.log_weights.shape[0]
-        if self.options.move == "hmc" and density.without_gradient:
-            found, remedy = f"'{density.without_gradient[0]}' has no gradient", 'set its lookup = "bilinear", or move = "random_walk"'
-            raise wrong("the likelihood", found, 'one for move = "hmc"', remedy)
+        if self.options.move == "hmc":
+            check_gradients(density, 'move = "hmc"', ', or move = "random_walk"')
         if self.options.waste_free and count % (self.options.moves + 1):
             found, expected = f"{count} particles with chains of {self.options.moves} moves", f"a multiple of {self.options.moves + 1} particles"
             raise wrong("tempered(waste_free=true)", found, expected, "change the particles or the moves")

@@ -36,6 +36,26 @@ def sample_pixels(rig: Camera, seen: Float[Array, "camera 4 part 3"], samples: S
     return jax.vmap(_pixels, in_axes=(0, 0, None))(rig, seen, samples)
 
 
+def sample_slopes(body: Body, rig: Camera, samples: Samples, pose: Pose) -> tuple[Float[Array, "dof camera part sample"], Array]:
+    """How the samples' columns and rows change with each dof, pixels a radian or metre."""
+
+    def places(pose: Pose) -> tuple[Array, Array]:
+        def of(camera: Camera, seen: Seen) -> Pixels[Array]:
+            patch, (t, s) = Patches(*seen), samples
+            X, Y, Z = (
+                patch.start[:, k, None] + t * patch.along[:, k, None] + s * patch.across[:, k, None] + t * s * patch.taper[:, k, None]
+                for k in range(3)
+            )
+            # The derivative that is written by hand goes backwards only.
+            return cameras.project_components(camera, X, Y, Z)
+
+        found = jax.vmap(of)(rig, seen_patches(body, rig, pose))
+        return found.u, found.v
+
+    slopes = jax.jacfwd(places)(pose)
+    return jnp.moveaxis(slopes[0], -1, 0), jnp.moveaxis(slopes[1], -1, 0)
+
+
 def corner_pixels(
     rig: Camera, seen: Float[Array, "camera 4 part 3"], t: Float[np.ndarray, "corner part"], s: Float[np.ndarray, "corner part"]
 ) -> Pixels[Float[Array, "camera corner part"]]:

@@ -39,13 +39,17 @@ def scenes(tmp_path_factory, keypoint_session):
     return TinyScenes(tmp_path_factory.mktemp("scenes"), keypoint_session)
 
 
+def _follows_gradients(pair, options) -> bool:
+    return pair.kernel == "hmc" or getattr(options, "move", None) == "hmc"
+
+
 def _compiles_fast(pair) -> bool:
     """Small programs: bodies of few dofs and no gradient of an image, look-ups without one; and what is refused before it is compiled."""
     definition = load_definition(pair.model)
     small = sum(len(joint.dofs) for joint in definition.body.joints) < 10
-    images = any("silhouette" in term.kind for term in definition.likelihoods)
+    images = any("silhouette" in term.kind or "edge" in term.kind for term in definition.likelihoods)
     nearest = any(getattr(term.options, "lookup", "") == "nearest" for term in definition.likelihoods)
-    refused = nearest and getattr(options_of(definition, pair.kernel, 1), "move", "") == "hmc"
+    refused = nearest and _follows_gradients(pair, options_of(definition, pair.kernel, 1))
     return refused or (pair.kernel == "sir" and (small or nearest)) or (small and not images)
 
 
@@ -63,7 +67,7 @@ def test_every_kernel_on_every_definition(scenes, pair, monkeypatch):
 
     monkeypatch.setitem(registry._terms, ("kernel", pair.kernel), term._replace(build=counted))
     blind = [f.name for f in scenes.of(definition).model.factors if f.side == "likelihood" and not f.has_gradient]
-    if blind and getattr(options, "move", None) == "hmc":
+    if blind and _follows_gradients(pair, options):
         with pytest.raises(InputError) as error:
             followed(scenes, definition, pair.kernel, options, TINY)
         # JAX adds a note of its own to what leaves a trace; the sentence is the message.

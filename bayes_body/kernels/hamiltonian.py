@@ -1,0 +1,139 @@
+"""The door onto blackjax's Hamiltonian Monte Carlo: one chain, its burn-in left out.
+
+blackjax declares no types for these functions: they are cast once, here.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from bayes_body.shapes import Key, Scalar
+
+type Position = Mapping[str, Array]
+type Sampler = Literal["hmc", "nuts"]
+
+# An error of the energy, nats, from which on a trajectory counts as divergent.
+DIVERGENCE = 1000.0
+# Doublings of a NUTS trajectory, at most.
+DOUBLINGS = 8
+
+
+class Schedule(NamedTuple):
+    """How a chain runs: draws kept, states left out first, states a draw, and its trajectories.
+
+    Attributes:
+        kept: draws.
+        burn_in: first states that are left out.
+        thinning: states for one draw.
+        leapfrog_steps: of a trajectory; NUTS chooses its own.
+        jitter: the share by which their number varies from trajectory to trajectory, evenly.
+        sampler: hmc or nuts.
+        target_acceptance: to which the step is tuned in burn-in; 0 leaves it.
+    """
+
+    kept: int
+    burn_in: int
+    thinning: int
+    leapfrog_steps: int
+    jitter: float
+    sampler: Sampler
+    target_acceptance: float
+
+
+class Chain(NamedTuple):
+    """What a chain leaves: its draws, and of each transition behind burn-in how it went.
+
+    Attributes:
+        positions: draws, with a leading axis.
+        acceptance: probabilities of acceptance.
+        divergent: whether a trajectory diverged.
+        energy: total energy, nats, up to a constant.
+        step: the factor of the step size after burn-in.
+        gradients: evaluations of the density with its gradient, burn-in included.
+    """
+
+    positions: dict[str, Float[Array, "draw *shape"]]
+    acceptance: Float[Array, " transition"]
+    divergent: Bool[Array, " transition"]
+    energy: Float[Array, " transition"]
+    step: Scalar
+    gradients: Int[Array, ""]
+
+
+def run_chain(
+    key: Key, position: Position, log_density: Callable[[Any], Scalar], step: Scalar, inverse_mass: Float[Array, " dof *dof"], schedule: Schedule
+) -> Chain:
+    """One chain.
+
+    Args:
+        key: of the chain.
+        position: where it starts.
+        log_density: the target.
+        step: size of a leapfrog step in units of the mass matrix.
+        inverse_mass: diagonal or dense, over the position's variables in alphabetical order.
+        schedule: how it runs.
+    """
+    from blackjax.adaptation.step_size import dual_averaging_adaptation
+    from blackjax.mcmc import hmc
+
+    move = _transition(log_density, inverse_mass, schedule)
+    tunes = schedule.target_acceptance > 0
+    begin, update, final = dual_averaging_adaptation(schedule.target_acceptance or 0.8)
+
+    def one(carry: tuple[Any, Any, Scalar], own: tuple[Array, Key]) -> tuple[tuple[Any, Any, Scalar], Any]:
+        (state, tuning, size), (index, own_key) = carry, own
+        state, info = move(own_key, state, size)
+        if tunes:
+            in_burn_in = index < schedule.burn_in
+            tuned = update(tuning, info.acceptance_rate)
+            tuning = jax.tree.map(lambda new, old: jnp.where(in_burn_in, new, old), tuned, tuning)
+            # While it is tuned the step follows the last transition, afterwards it is the mean.
+            size = jnp.where(index + 1 < schedule.burn_in, jnp.exp(tuning.log_step_size), final(tuning)).astype(size.dtype)
+        steps = jnp.asarray(info.num_integration_steps, jnp.int32)
+        return (state, tuning, size), (dict(state.position), info.acceptance_rate, info.is_divergent, info.energy, steps)
+
+    number = schedule.burn_in + schedule.kept * schedule.thinning
+    first = cast(Any, hmc.init)(dict(position), log_density)
+    # What is carried must differ from device to device where the position does.
+    size = step + 0 * first.logdensity
+    start = first, jax.tree.map(lambda leaf: leaf + 0 * first.logdensity, begin(size)), size
+    (_, _, size), out = jax.lax.scan(one, start, (jnp.arange(number), jax.random.split(key, number)))
+    positions, acceptance, divergent, energy, steps = out
+    behind = slice(schedule.burn_in, None)
+    draws = {name: value[schedule.burn_in + schedule.thinning - 1 :: schedule.thinning] for name, value in positions.items()}
+    return Chain(draws, acceptance[behind], divergent[behind], energy[behind], size, 1 + jnp.sum(steps))
+
+
+def effective_draws(draws: Float[Array, "chain draw dof"]) -> Float[Array, " dof"]:
+    """How many independent draws the draws of all chains are worth, by each dof's autocorrelation within chains and the spread of their means.
+
+    At most as many as there are, at least one; of fewer than four draws a chain nothing is known, and each chain counts once.
+    """
+    from blackjax.diagnostics import effective_sample_size
+
+    chains, kept, dofs = draws.shape
+    if kept < 4:
+        return jnp.full((dofs,), float(chains), draws.dtype)
+    found = jnp.asarray(cast(Any, effective_sample_size)(draws, chain_axis=0, sample_axis=1)).reshape(dofs)
+    return jnp.clip(jnp.where(jnp.isfinite(found), found, 1.0), 1.0, float(chains * kept)).astype(draws.dtype)
+
+
+def _transition(log_density: Callable[[Any], Scalar], inverse_mass: Array, schedule: Schedule) -> Callable[[Key, Any, Scalar], tuple[Any, Any]]:
+    """(key, state, step) -> the state after one transition, and information."""
+    from blackjax.mcmc import hmc, nuts
+
+    if schedule.sampler == "nuts":
+        kernel = cast(Any, nuts.build_kernel)(divergence_threshold=DIVERGENCE)
+        return lambda key, state, size: kernel(key, state, log_density, size, inverse_mass, DOUBLINGS)
+    kernel = cast(Any, hmc.build_kernel)(divergence_threshold=DIVERGENCE)
+    least, most = (max(1, round(schedule.leapfrog_steps * share)) for share in (1 - schedule.jitter, 1 + schedule.jitter))
+
+    def move(key: Key, state: Any, size: Scalar) -> tuple[Any, Any]:
+        length_key, own_key = jax.random.split(key)
+        steps = jax.random.randint(length_key, (), least, most + 1) if most > least else schedule.leapfrog_steps
+        return kernel(own_key, state, log_density, size, inverse_mass, steps)
+
+    return move

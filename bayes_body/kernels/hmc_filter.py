@@ -1,0 +1,196 @@
+r"""The hybrid Monte Carlo filter (Poon & Fleet 2002, 4), through blackjax, on the marginal view.
+
+With the particles $(w_i, s^i_{t-1})$ of the frame before, the target is the likelihood times the prediction mixture (14),
+$p(s_t \mid z_{1:t}) \propto L(s_t; z_t) \sum_i w_i\, p(s_t \mid s^i_{t-1})$, in coordinates without limits. A frame begins with M states by sampling
+importance resampling from the mixture; from each a chain runs, whose first states are burn-in. What is left of all chains are the particles, of equal
+weight, chain after chain.
+
+`carry` says what the next frame's mixture is made of: the means of the chains, as in the paper, one component a chain; or the draws themselves, with
+an ancestor of each drawn from $p(i \mid s_t)$. With means the posterior's spread is not handed on, only that of the chains: a filter of one chain
+believes that the frame before is known exactly.
+"""
+
+from collections.abc import Callable
+from typing import Annotated, Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, Int
+from pydantic import Field, model_validator
+
+from bayes_body.factor import FilterInfo, FrameDensity, Kernel, Particles, State
+from bayes_body.kernels.batching import over_particles
+from bayes_body.kernels.hamiltonian import Chain, Sampler, Schedule, effective_draws, run_chain
+from bayes_body.kernels.mass import dense, inverse_mass
+from bayes_body.kernels.moves import check_gradients
+from bayes_body.kernels.resampling import Scheme, resampler
+from bayes_body.kernels.weights import normalise
+from bayes_body.registry import register
+from bayes_body.schema import Count, Positive, Schema, Share
+from bayes_body.shapes import Key, Scalar
+from bayes_body.toml_file import validate
+
+type Carry = Literal["means", "draws"]
+type Mass = Literal["curvature", "particles"]
+
+
+class Options(Schema):
+    """Options of `[kernel] kind = "hmc"`.
+
+    `particles` is the number of draws that are kept of all `chains` together, every `thinning`-th of each after `burn_in`. `step` is the paper's
+    factor of the step size, `jitter` the share by which a trajectory's number of steps varies. With a `target_acceptance` burn-in tunes the step.
+    """
+
+    particles: Count = 400
+    chains: Count = 4
+    burn_in: Annotated[int, Field(strict=True, ge=0)] = 50
+    thinning: Count = 1
+    leapfrog_steps: Count = 20
+    step: Positive = 0.2
+    jitter: Share = 0.2
+    sampler: Sampler = "hmc"
+    target_acceptance: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.0
+    mass: Mass = "curvature"
+    starts: Annotated[int, Field(strict=True, ge=0)] = 0
+    carry: Carry = "draws"
+    resampling: Scheme = "systematic"
+
+    @model_validator(mode="after")
+    def _check_chains(self) -> "Options":
+        if self.target_acceptance and not self.burn_in:
+            raise ValueError("target_acceptance without burn_in: the step is tuned in burn-in; give a burn_in, such as 50")
+        return self
+
+
+class _Start(NamedTuple):
+    """Where a chain begins: coordinates without limits, and the ancestor that it was predicted from."""
+
+    position: dict[str, Array]
+    ancestor: Int[Array, ""]
+
+
+def build_kernel(**options: Any) -> Kernel:
+    """One frame of the filter; the number of particles is that of the particles given to it.
+
+    Args:
+        options: those of `Options`, but for the particles.
+
+    Raises:
+        InputError: an argument that does not exist or is outside its range.
+    """
+    return _Filter(validate(Options, options, "hmc()")).frame
+
+
+class _Filter:
+    """The steps of a frame, for one choice of options."""
+
+    def __init__(self, options: Options):
+        self.options = options
+        self.resample = resampler(options.resampling)
+
+    def frame(self, key: Key, particles: Particles, density: FrameDensity) -> tuple[Particles, FilterInfo]:
+        check_gradients(density, "the kernel 'hmc'")
+        start_key, chain_key, ancestor_key = jax.random.split(key, 3)
+        count = particles.log_weights.shape[0]
+        # Chains of equal length; of the last one what is over is left out.
+        kept = -(-count // min(self.options.chains, count))
+        chains = -(-count // kept)
+        mixture = _chain_means(particles, kept) if self.options.carry == "means" else particles
+        density = density.given(mixture)
+        starts, log_evidence, lost = self._starts(start_key, mixture, density, chains)
+        keys = jax.random.split(chain_key, chains)
+        batch, checked = -(-chains // jax.device_count()), self.options.sampler != "nuts"
+        ran: Chain = over_particles(self._chain(kept), (keys, starts), density, batch, checked)
+        draws = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], ran.positions)
+        states, ancestors = self._states(ancestor_key, draws, density)
+        by_chain = jax.vmap(jax.vmap(lambda position: ravel_pytree(position)[0]))(ran.positions)
+        ess = jnp.min(effective_draws(by_chain))
+        info = FilterInfo(
+            ancestors=ancestors,
+            ess=ess,
+            survival_rate=(ess / count)[None],
+            inverse_temperatures=jnp.ones((1,), particles.log_weights.dtype),
+            log_evidence=log_evidence,
+            lost=lost,
+            acceptance_rate=jnp.mean(ran.acceptance)[None],
+            evaluations=self._starts_count(chains) + jnp.sum(ran.gradients),
+        )
+        return Particles(states, jnp.full_like(particles.log_weights, -jnp.log(count))), info
+
+    def _starts_count(self, chains: int) -> int:
+        return max(self.options.starts, chains)
+
+    def _starts(self, key: Key, mixture: Particles, density: FrameDensity, chains: int) -> tuple[_Start, Scalar, Array]:
+        """M states by sampling importance resampling, the estimate of the log-evidence that comes with it, and whether nothing was explained."""
+        ancestor_key, draw_key, resample_key = jax.random.split(key, 3)
+        ancestors = self.resample(ancestor_key, mixture.log_weights, self._starts_count(chains))
+        keys = jax.random.split(draw_key, ancestors.shape[0])
+        drawn, log_likelihoods, log_constraints = over_particles(_predicted, (keys, ancestors), density)
+        weights = normalise(log_likelihoods + log_constraints)
+        chosen = self.resample(resample_key, weights.log_weights, chains)
+        position = density.unconstrained().unconstrain(jax.tree.map(lambda leaf: leaf[chosen], drawn))
+        return _Start(position, ancestors[chosen]), weights.log_sum - normalise(log_constraints).log_sum, weights.lost
+
+    def _chain(self, kept: int) -> Callable[[tuple[Key, _Start], FrameDensity], Chain]:
+        options = self.options
+        schedule = Schedule(
+            kept, options.burn_in, options.thinning, options.leapfrog_steps, options.jitter, options.sampler, options.target_acceptance
+        )
+
+        def run(own: tuple[Key, _Start], density: FrameDensity) -> Chain:
+            key, start = own
+            mass = inverse_mass(density, start.position, density.ancestor(start.ancestor))
+            if options.mass == "particles":
+                mass = dense(mass, *_coordinates(density))
+            return run_chain(key, start.position, density.unconstrained(), jnp.asarray(options.step, mass.dtype), mass, schedule)
+
+        return run
+
+    def _states(self, key: Key, draws: State, density: FrameDensity) -> tuple[State, Int[Array, " particle"]]:
+        """The whole states of draws, what they carry along taken from an ancestor of p(i | s)."""
+        target = density.unconstrained()
+
+        def whole(own: tuple[Key, State], density: FrameDensity) -> tuple[State, Int[Array, ""]]:
+            own_key, position = own
+            sampled = target.constrain(position)
+            ancestor = jax.random.categorical(own_key, density.ancestor_log_probs(sampled))
+            return density.transition.carry(density.ancestor(ancestor), sampled), ancestor
+
+        keys = jax.random.split(key, jax.tree.leaves(draws)[0].shape[0])
+        return over_particles(whole, (keys, draws), density)
+
+
+def _chain_means(particles: Particles, kept: int) -> Particles:
+    """The mean state of each chain of so many draws, equally weighted; angles as they count turns."""
+    count = particles.log_weights.shape[0]
+
+    def means(leaf: Array) -> Array:
+        return jnp.stack([jnp.mean(leaf[first : first + kept], axis=0) for first in range(0, count, kept)])
+
+    chains = -(-count // kept)
+    return Particles(jax.tree.map(means, dict(particles.states)), jnp.full((chains,), -jnp.log(chains), particles.log_weights.dtype))
+
+
+def _coordinates(density: FrameDensity) -> tuple[Float[Array, "particle dof"], Float[Array, " particle"]]:
+    """The particles of the frame before in coordinates without limits, and their weights."""
+    target = density.unconstrained()
+    previous = density.previous
+    sampled = {name: previous.states[name] for name in target.bijections}
+    flat = jax.vmap(lambda state: ravel_pytree(target.unconstrain(state))[0])(sampled)
+    return flat, jax.nn.softmax(previous.log_weights)
+
+
+def _predicted(own: tuple[Key, Array], density: FrameDensity) -> tuple[State, Scalar, Scalar]:
+    key, ancestor = own
+    previous = density.ancestor(ancestor)
+    # Without the barrier XLA draws the noise anew wherever the state is read.
+    state = jax.lax.optimization_barrier(density.transition.sample(key, previous))
+    sampled = {name: state[name] for name in density.transition.conditional(previous)}
+    return sampled, density.log_likelihood(state, previous), density.log_constraint(state, previous)
+
+
+@register("kernel", "hmc", Options)
+def build(options: Options, **_: Any) -> Kernel:
+    """The kernel of a definition."""
+    return _Filter(options).frame

@@ -1,0 +1,87 @@
+r"""What filters answer on a person's boundary: the constants of the likelihood `edge_phase`, from images whose boundaries are known.
+
+A boundary is the outline of a silhouette that is believed: a simulator's own, or one that a person has checked. Its points are steered to the
+outline's normal. $\epsilon$ at both ends of the amplitudes, and a and b of their Beta law, are of maximum likelihood (`likelihood.edge_density`);
+$\rho_{min}$ and $\rho_{max}$ hold all but one in a hundred. log p_occ lies half way between the mean log-density on boundaries and the mean
+elsewhere (about the person, at least `ELSEWHERE_PX` from the outline, in any direction): a hidden sample speaks neither for a pose nor against it.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from bayes_body.errors import wrong
+from bayes_body.likelihood.edge_density import NEAREST, EdgeStatistics, log_density, phase_and_log_amplitude, wrapped_normal
+from bayes_body.observation.edge_phase import responses
+from bayes_body.observation.outline_points import displaced, elsewhere_points, outline_points, sampled
+from bayes_body.phase_maps import Response
+
+# Of the amplitudes, what lies below ρ_min and above ρ_max.
+TAIL = 0.005
+LEAST_POINTS = 200
+
+
+def fit(boundary: Response, elsewhere: Response) -> EdgeStatistics:
+    """The constants of one scale.
+
+    Raises:
+        InputError: there are too few points.
+    """
+    if len(boundary.even) < LEAST_POINTS or len(elsewhere.even) < LEAST_POINTS:
+        found = f"{len(boundary.even)} points on boundaries, {len(elsewhere.even)} elsewhere"
+        raise wrong("edge statistics", found, f"at least {LEAST_POINTS} of each", "give more frames")
+    phase, rho = (np.asarray(each, float) for each in phase_and_log_amplitude(jnp.asarray(boundary.even), jnp.asarray(boundary.odd)))
+    low, high = np.quantile(rho, [TAIL, 1 - TAIL])
+    share = np.clip((rho - low) / (high - low), NEAREST, 1 - NEAREST)
+    without = EdgeStatistics(_epsilon(phase, share), _amplitude(share), np.array([low, high]), np.array(0.0))
+    half_way = (mean_log_density(boundary, without) + mean_log_density(elsewhere, without)) / 2
+    return without._replace(log_occluded=np.array(half_way))
+
+
+def _epsilon(phase: NDArray[np.floating], share: NDArray[np.floating]) -> NDArray[np.floating]:
+    normal = np.asarray(wrapped_normal(jnp.asarray(phase)), float)
+
+    def loss(ends: NDArray[np.floating]) -> float:
+        epsilon = ends[0] + (ends[1] - ends[0]) * share
+        return -float(np.mean(np.log(epsilon * normal + (1 - epsilon) / np.pi)))
+
+    return minimize(loss, np.array([0.5, 0.8]), bounds=[(0.0, 0.999)] * 2, method="L-BFGS-B").x
+
+
+def _amplitude(share: NDArray[np.floating]) -> NDArray[np.floating]:
+    from scipy.special import betaln
+
+    means = np.mean(np.log(share)), np.mean(np.log1p(-share))
+
+    def loss(ab: NDArray[np.floating]) -> float:
+        return float(betaln(*ab) - (ab[0] - 1) * means[0] - (ab[1] - 1) * means[1])
+
+    # Below 1 the density would be infinite at an end.
+    return minimize(loss, np.array([2.0, 2.0]), bounds=[(1.001, 100.0)] * 2, method="L-BFGS-B").x
+
+
+class Images(NamedTuple):
+    """Grey images and the silhouettes whose outlines are known, in pairs."""
+
+    pairs: Sequence[tuple[NDArray[np.uint8], NDArray[np.bool_]]]
+
+    def at(self, wavelength_px: float, by_px: float | None, seed: int = 0) -> Response:
+        """Responses on all outlines, displaced by so much; elsewhere where that is None."""
+        rng = np.random.default_rng(seed)
+        found = list(self._each(wavelength_px, by_px, rng))
+        return Response(*(np.concatenate(part) if part else np.zeros(0) for part in zip(*found, strict=True)))
+
+    def _each(self, wavelength_px: float, by_px: float | None, rng: np.random.Generator) -> Iterator[Response]:
+        for grey, mask in self.pairs:
+            outline = outline_points(mask)
+            points = elsewhere_points(mask, len(outline.places), rng) if by_px is None else displaced(outline, by_px, rng)
+            yield sampled(responses(grey, wavelength_px), points)
+
+
+def mean_log_density(response: Response, statistics: EdgeStatistics) -> float:
+    """Of one scale, nats a sample."""
+    return float(np.mean(np.asarray(log_density(jnp.asarray(response.even), jnp.asarray(response.odd), statistics))))

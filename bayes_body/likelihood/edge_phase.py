@@ -1,0 +1,151 @@
+r"""Edges by phase (Poon & Fleet 2002, 3.2): band-pass filters, steered to the normals of the parts' occluding boundaries,
+
+$$\log L(s) = \sum_c \sum_j \frac{1}{n_j} \sum_i \log L_{ij}, \qquad
+L_{ij} = \prod_{\text{scales}} p(\phi_{ij} \mid \rho_{ij}, s)\, p(\rho_{ij} \mid s) \ \text{if visible, else}\ p_{occ},$$
+
+with the densities of `edge_density` and the samples of `boundaries`. A sample that is partly hidden (soft visibility) has the mixture of both; one
+outside of the image, or in a camera that did not see the frame, counts as hidden.
+
+The factor $1/n_j$ is the paper's (8), and tempers the posterior: n measurements count as one, which "accounts for the lack of a background model",
+broadens the likelihood, and has nothing to do with how many of them are independent. Without it (`normalise_by_samples = false`) all count as
+independent, which neighbours along a boundary are not. The constant p_occ is no density of the image either: this likelihood cannot be simulated.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from pydantic import Field, model_validator
+
+from bayes_body.body.solids import Body
+from bayes_body.camera import Camera
+from bayes_body.factor import Factor, Variable, Variables
+from bayes_body.likelihood.boundaries import Boundaries, Contour, Visibility, boundaries, contour
+from bayes_body.likelihood.edge_density import PHASE_SD, EdgeStatistics, log_density
+from bayes_body.likelihood.patch_pixels import sample_slopes, seen_patches
+from bayes_body.phase_maps import PhaseMaps, look_up
+from bayes_body.registry import register
+from bayes_body.schema import Count, Finite, Positive, Schema, Share
+from bayes_body.shapes import Pose, Scalar
+
+POSE = Variable("pose")
+AboveOne = Annotated[float, Field(strict=True, gt=1, allow_inf_nan=False)]
+
+
+class Scale(Schema):
+    """A `[[likelihood.scale]]`: a filter's wavelength and what is known of its responses on boundaries (`bayes-body learn edge-statistics`)."""
+
+    wavelength_px: Annotated[float, Field(strict=True, ge=3, allow_inf_nan=False)]
+    epsilon: tuple[Share, Share]
+    amplitude: tuple[AboveOne, AboveOne]
+    log_amplitude: tuple[Finite, Finite]
+    log_occluded: Finite
+
+    @model_validator(mode="after")
+    def _check_range(self) -> "Scale":
+        low, high = self.log_amplitude
+        if not low < high:
+            raise ValueError(f"log_amplitude = [{low:g}, {high:g}]: the first is not below the second; give the least, then the largest")
+        return self
+
+
+class Options(Schema):
+    """Options of `[[likelihood]] kind = "edge_phase"`."""
+
+    scale: Annotated[tuple[Scale, ...], Field(min_length=1)]
+    samples: Count = 10
+    visibility: Visibility = "soft"
+    normalise_by_samples: Annotated[bool, Field(strict=True)] = True
+    precision: Positive = 1.0
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    meta_fields=["visibility"],
+    data_fields=["body", "rig", "contour", "statistics", "weight", "frequencies"],
+)
+@dataclass(frozen=True)
+class EdgePhase:
+    """The log-potential as a pytree.
+
+    Attributes:
+        visibility: hard or soft.
+        body: the body.
+        rig: the cameras.
+        contour: where samples stand.
+        statistics: of the scales.
+        weight: of a sample: 1/n_j or 1, times the precision.
+        frequencies: of the filters, radians a pixel.
+    """
+
+    visibility: Visibility
+    body: Body
+    rig: Camera
+    contour: Contour
+    statistics: EdgeStatistics
+    weight: Scalar
+    frequencies: Float[Array, " scale"]
+
+    def __call__(self, values: Variables, maps: PhaseMaps) -> Scalar:
+        """log p(z | pose), up to a constant."""
+        pose = values[POSE]
+        seen = boundaries(self.body, self.rig, self.contour, seen_patches(self.body, self.rig, pose), self.visibility)
+        total = jnp.sum(self.sample_log_densities(maps, seen))
+        # Clipped coordinates would hide a pose that is none.
+        return jnp.where(jnp.isfinite(jnp.sum(pose)), self.weight * total, jnp.nan)
+
+    def sample_log_densities(self, maps: PhaseMaps, seen: Boundaries) -> Float[Array, "camera part sample"]:
+        """log L_ij."""
+        response = look_up(maps, self.rig, seen.pixels, seen.normals)
+        statistics = jax.tree.map(lambda leaf: leaf[..., None, None, None], _by_scale(self.statistics))
+        shown_log = jnp.sum(log_density(response.even, response.odd, statistics), axis=0)
+        hidden_log = jnp.sum(self.statistics.log_occluded)
+        visible = seen.visible * jnp.asarray(maps.seen, seen.visible.dtype)[:, None, None]
+        if self.visibility == "hard":
+            return jnp.where(visible > 0, shown_log, hidden_log)
+        tiny = jnp.finfo(visible.dtype).tiny
+        return jnp.logaddexp(jnp.log(jnp.maximum(visible, tiny)) + shown_log, jnp.log(jnp.maximum(1 - visible, tiny)) + hidden_log)
+
+    def curvature(self, values: Variables, maps: PhaseMaps) -> dict[str, Pose]:
+        r"""About minus the second derivative by each dof: the Gaussian part of the phase alone, whose gradient is the filter's frequency (22).
+
+        All samples that can be seen are summed, where the paper takes the middle of each side.
+        """
+        pose = values[POSE]
+        seen = boundaries(self.body, self.rig, self.contour, seen_patches(self.body, self.rig, pose), self.visibility)
+        along_u, along_v = sample_slopes(self.body, self.rig, self.contour.samples, pose)
+        across = along_u * seen.normals[0] + along_v * seen.normals[1]
+        visible = seen.visible * jnp.asarray(maps.seen, pose.dtype)[:, None, None]
+        phase = jnp.sum(self.frequencies**2) / PHASE_SD**2
+        return {POSE.name: self.weight * phase * jnp.sum(visible * across**2, axis=(1, 2, 3))}
+
+
+def _curvature(potential: EdgePhase, values: Variables, maps: PhaseMaps) -> dict[str, Pose]:
+    return potential.curvature(values, maps)
+
+
+def _by_scale(statistics: EdgeStatistics) -> EdgeStatistics:
+    """The pairs' axis first, as `log_density` takes them."""
+    return EdgeStatistics(statistics.epsilon.T, statistics.amplitude.T, statistics.log_amplitude.T, statistics.log_occluded)
+
+
+@register("likelihood", "edge_phase", Options)
+def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
+    """The factor of one rig and body."""
+    dtype = body.lengths.dtype
+    scales = options.scale
+    statistics = EdgeStatistics(
+        epsilon=jnp.asarray([scale.epsilon for scale in scales], dtype),
+        amplitude=jnp.asarray([scale.amplitude for scale in scales], dtype),
+        log_amplitude=jnp.asarray([scale.log_amplitude for scale in scales], dtype),
+        log_occluded=jnp.asarray([scale.log_occluded for scale in scales], dtype),
+    )
+    weight = options.precision / (2 * options.samples if options.normalise_by_samples else 1)
+    frequencies = jnp.asarray([2 * math.pi / scale.wavelength_px for scale in scales], dtype)
+    potential = EdgePhase(options.visibility, body, rig, contour(body, options.samples), statistics, jnp.asarray(weight, dtype), frequencies)
+    curvature = jax.tree_util.Partial(_curvature, potential)
+    return Factor(name=name, side="likelihood", scope=(POSE,), log_potential=potential, curvature=curvature)

@@ -1,0 +1,200 @@
+"""The hybrid Monte Carlo filter against closed forms and quadrature, from overdispersed starts; and mutants of its chains that these find out."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from blackjax.mcmc import hmc as blackjax_hmc
+from blackjax.mcmc import metrics
+from laws.targets import conjugate, skewed
+
+from bayes_body.density import Unconstrained
+from bayes_body.errors import InputError
+from bayes_body.kernels import hmc_filter
+from bayes_body.kernels.hamiltonian import Schedule, effective_draws, run_chain
+from bayes_body.kernels.hmc_filter import build_kernel
+from bayes_body.kernels.mass import dense, differenced, inverse_mass
+
+CHAINS = 64
+OPTIONS = {"chains": CHAINS, "burn_in": 60, "leapfrog_steps": 8, "step": 0.5}
+DRAWS = 60
+
+
+def _means(density, seed=0, **options):
+    """Of each chain the mean and the mean square of its draws."""
+    kernel = jax.jit(build_kernel(**(OPTIONS | options)))
+    particles, info = kernel(jax.random.key(seed), density.previous, density)
+    draws = np.asarray(particles.states["x"], float).reshape(CHAINS, -1, density.previous.states["x"].shape[1])
+    return draws, info
+
+
+def _off(by_chain, exact):
+    """How many standard errors the mean over independent chains is from the exact value, at worst."""
+    return np.max(np.abs(by_chain.mean(axis=0) - exact) / (by_chain.std(axis=0, ddof=1) / np.sqrt(len(by_chain))))
+
+
+def _second_moment(target):
+    """E[x²] of the posterior by a long run of an independent kernel: importance sampling from the prior."""
+    density = target.density
+    keys = jax.random.split(jax.random.key(1), 400_000)
+    before = density.ancestor(0)
+    states = jax.vmap(lambda key: density.transition.sample(key, before))(keys)
+    weights = jax.nn.softmax(jax.vmap(lambda state: density.log_weight(state, before))(states))
+    return np.asarray(weights @ states["x"]), np.asarray(weights @ states["x"] ** 2)
+
+
+@pytest.fixture(scope="module", params=[conjugate, skewed], ids=["conjugate", "skewed"])
+def target(request):
+    return request.param(CHAINS * DRAWS)
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"sampler": "nuts"}, {"mass": "particles"}, {"target_acceptance": 0.8}], ids=["hmc", "nuts", "dense", "tuned"]
+)
+def test_means_and_spreads_are_those_of_the_posterior(target, options):
+    draws, info = _means(target.density, **options)
+    assert not info.lost and 0.3 < float(info.acceptance_rate[0]) <= 1
+    first, second = _second_moment(target)
+    assert np.allclose(first, target.mean, atol=0.01)
+    assert _off(draws.mean(axis=1), target.mean) < 4
+    assert _off((draws**2).mean(axis=1), second) < 4.5
+
+
+@pytest.mark.slow
+def test_tuning_comes_near_the_asked_acceptance(target):
+    _, untuned = _means(target.density, step=3.0, burn_in=0)
+    _, tuned = _means(target.density, step=3.0, target_acceptance=0.7, burn_in=200)
+    assert float(untuned.acceptance_rate[0]) < 0.3 and abs(float(tuned.acceptance_rate[0]) - 0.7) < 0.2
+
+
+def test_evidence_is_estimated_by_the_starts(target):
+    _, info = _means(target.density, starts=20_000)
+    assert abs(float(info.log_evidence) - target.log_evidence) < 0.1
+
+
+@pytest.mark.slow
+def test_overdispersed_starts_reach_the_same_posterior(target, monkeypatch):
+    honest = hmc_filter._Filter._starts
+
+    def far(self, key, mixture, density):
+        start, evidence, lost = honest(self, key, mixture, density)
+        spread = jax.random.normal(key, start.position["x"].shape)
+        return start._replace(position={"x": start.position["x"] + 1.5 * spread}), evidence, lost
+
+    monkeypatch.setattr(hmc_filter._Filter, "_starts", far)
+    draws, _ = _means(target.density, burn_in=150)
+    assert _off(draws.mean(axis=1), target.mean) < 4
+
+
+def test_the_next_frame_starts_from_the_chains_means():
+    density = conjugate(CHAINS * 2).density
+    states = {"x": jnp.arange(CHAINS * 2 * 3, dtype=jnp.float32).reshape(-1, 3)}
+    means = hmc_filter._chain_means(density.previous._replace(states=states), 2)
+    assert np.allclose(means.states["x"][0], states["x"][:2].mean(axis=0)) and means.states["x"].shape == (CHAINS, 3)
+    assert np.isclose(jax.nn.logsumexp(means.log_weights), 0, atol=1e-6)
+
+
+def test_effective_draws_of_independent_and_of_stuck_chains():
+    rng = np.random.default_rng(0)
+    independent = jnp.asarray(rng.normal(size=(4, 500, 2)))
+    assert np.all(np.asarray(effective_draws(independent)) > 1200)
+    slow = jnp.cumsum(independent, axis=1)
+    assert np.all(np.asarray(effective_draws(slow)) < 100)
+    assert np.array_equal(effective_draws(jnp.ones((4, 500, 2))), [1.0, 1.0])
+    assert np.array_equal(effective_draws(independent[:, :2]), [4.0, 4.0])
+
+
+# -- the mass matrix ----------------------------------------------------------------------------------------------------------------------
+
+
+def test_the_mass_of_a_gaussian_is_its_curvature():
+    density = conjugate(1).density
+    unknown = inverse_mass(density, {"x": jnp.array([0.3, -0.2, 0.1])}, density.ancestor(0))
+    variances = {"x": density.transition.conditional(density.ancestor(0))["x"].variance}
+    curvature = -np.diagonal(jax.hessian(lambda x: density.log_likelihood({"x": x}, density.ancestor(0)))(jnp.array([0.3, -0.2, 0.1])))
+    assert np.allclose(1 / unknown, 1 / variances["x"] + curvature, rtol=1e-3)
+
+
+def test_a_negative_curvature_does_not_count():
+    density = skewed(1).density
+    state = {"x": jnp.array([0.0, 0.9])}
+    found = differenced(density, state, density.ancestor(0), {"x": jnp.array([0.01, 0.01])})
+    assert np.isfinite(np.asarray(found["x"])).all()
+    assert np.all(np.asarray(inverse_mass(density, density.unconstrained().unconstrain(state), density.ancestor(0))) > 0)
+
+
+def test_a_dense_mass_keeps_the_scales_and_takes_the_correlations():
+    rng = np.random.default_rng(1)
+    root = np.array([[1.0, 0.0], [0.9, 0.3]])
+    particles = jnp.asarray(rng.normal(size=(4000, 2)) @ root.T)
+    found = np.asarray(dense(jnp.array([4.0, 0.25]), particles, jnp.ones(4000)))
+    assert np.allclose(np.diagonal(found), [4.0, 0.25])
+    assert np.isclose(found[0, 1] / np.sqrt(4.0 * 0.25), 0.9 * np.corrcoef(np.asarray(particles).T)[0, 1], atol=1e-3)
+    same = np.asarray(dense(jnp.array([4.0, 0.25]), jnp.ones((10, 2)), jnp.ones(10)))
+    assert np.array_equal(same, np.diag([4.0, 0.25]))
+
+
+# -- mutants ------------------------------------------------------------------------------------------------------------------------------
+
+
+def _found_out(target, **options):
+    draws, _ = _means(target.density, **options)
+    _, second = _second_moment(target)
+    return max(_off(draws.mean(axis=1), target.mean), _off((draws**2).mean(axis=1), second)) > 5
+
+
+def test_momentum_that_is_not_refreshed_is_found_out(monkeypatch):
+    honest = metrics.default_metric
+    fixed = jax.random.key(5)
+    monkeypatch.setattr(
+        metrics, "default_metric", lambda mass: (m := honest(mass))._replace(sample_momentum=lambda _, position: m.sample_momentum(fixed, position))
+    )
+    assert _found_out(skewed(CHAINS * DRAWS), jitter=0.0)
+
+
+def test_a_missing_metropolis_test_is_found_out(monkeypatch):
+    def always(key, delta, before, after):
+        del key, before
+        return after, (True, jnp.exp(jnp.minimum(delta, 0.0)), None)
+
+    honest = blackjax_hmc.build_kernel
+    proposal = partial(blackjax_hmc.hmc_proposal, sample_proposal=always)
+    monkeypatch.setattr(blackjax_hmc, "build_kernel", lambda **options: honest(**options, build_proposal=proposal))
+    # Steps near the limit of stability, or the errors would be too small to be seen.
+    assert _found_out(skewed(CHAINS * DRAWS), step=1.4)
+
+
+def test_a_missing_log_determinant_is_found_out(monkeypatch):
+    monkeypatch.setattr(Unconstrained, "log_determinant", lambda self, position: 0.0 * jnp.sum(position["x"]))
+    assert _found_out(skewed(CHAINS * DRAWS))
+
+
+def test_momenta_of_the_inverted_mass_are_found_out(monkeypatch):
+    honest = metrics.default_metric
+    monkeypatch.setattr(metrics, "default_metric", lambda mass: honest(mass)._replace(sample_momentum=honest(1 / mass).sample_momentum))
+    assert _found_out(skewed(CHAINS * DRAWS))
+
+
+# -- what cannot be -----------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"chains": 4, "particles": 8, "target_acceptance": 0.7, "burn_in": 0}, "give a burn_in"),
+        ({"chains": 4, "particles": 8, "step": 0.0}, "step"),
+        ({"chains": 4, "particles": 8, "sampler": "gibbs"}, "sampler"),
+    ],
+)
+def test_options_that_cannot_be_are_said(options, words):
+    with pytest.raises(InputError, match=words):
+        build_kernel(**options)
+
+
+def test_a_chain_keeps_every_so_many_states_behind_its_burn_in():
+    schedule = Schedule(kept=5, burn_in=7, thinning=3, leapfrog_steps=4, jitter=0.0, sampler="hmc", target_acceptance=0.0)
+    chain = run_chain(jax.random.key(0), {"x": jnp.zeros(2)}, lambda p: -0.5 * jnp.sum(p["x"] ** 2), jnp.asarray(0.5), jnp.ones(2), schedule)
+    assert chain.positions["x"].shape == (5, 2) and chain.acceptance.shape == (15,) and int(chain.gradients) == 1 + 22 * 4
+    assert not bool(chain.divergent.any()) and bool(jnp.isfinite(chain.energy).all())
