@@ -1,4 +1,4 @@
-"""`bayes-body learn`: small arrays from captured motion, and beside each the source and the command that learns it again; a likelihood's scale."""
+"""`bayes-body learn`: small arrays from captured motion, with their source and the command that learns them again; constants of likelihoods."""
 
 import os
 from pathlib import Path
@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from bayes_body.cli.edge_statistics import edge_statistics
 from bayes_body.cli.likelihood_scale import likelihood_scale
 from bayes_body.errors import wrong
 
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Learn from captured motion, or from recordings with their truth.", no_args_is_help=True)
 app.command("likelihood-scale")(likelihood_scale)
+app.command("edge-statistics")(edge_statistics)
 ENDINGS = (".amc", ".bvh", ".c3d", ".trc")
 
 

@@ -6,7 +6,7 @@ $\rho_{min}$ and $\rho_{max}$ hold all but one in a hundred. log p_occ lies half
 elsewhere (about the person, at least `ELSEWHERE_PX` from the outline, in any direction): a hidden sample speaks neither for a pose nor against it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -17,8 +17,11 @@ from scipy.optimize import minimize
 from bayes_body.errors import wrong
 from bayes_body.likelihood.edge_density import NEAREST, EdgeStatistics, log_density, phase_and_log_amplitude, wrapped_normal
 from bayes_body.observation.edge_phase import responses
+from bayes_body.observation.frames import read_frame
 from bayes_body.observation.outline_points import displaced, elsewhere_points, outline_points, sampled
 from bayes_body.phase_maps import Response
+from bayes_body.recording.images import read_mask
+from bayes_body.session import Session
 
 # Of the amplitudes, what lies below ρ_min and above ρ_max.
 TAIL = 0.005
@@ -80,6 +83,31 @@ class Images(NamedTuple):
             outline = outline_points(mask)
             points = elsewhere_points(mask, len(outline.places), rng) if by_px is None else displaced(outline, by_px, rng)
             yield sampled(responses(grey, wavelength_px), points)
+
+
+def known_pairs(session: Session, frames: int, true_masks: Callable[[str], str]) -> list[tuple[NDArray[np.uint8], NDArray[np.bool_]]]:
+    """Grey images of a recording, evenly spread over its frames, with the silhouettes that are known.
+
+    Args:
+        session: the recording.
+        frames: how many.
+        true_masks: from a camera's name to the printf pattern of silhouettes that a simulator left, from the session's folder on. Where there are
+            none, the masks that the session gives its cameras count.
+    """
+    found = []
+    for index in sorted({round(place) for place in np.linspace(0, session.frames - 1, frames)}):
+        frame = read_frame(session, index)
+        for view, image in zip(session.views, frame.images, strict=True):
+            path = session.folder / (true_masks(view.camera.name) % index)
+            if not path.is_file():
+                given = session.mask_path(view, index)
+                if given is None:
+                    continue
+                path = given
+            mask = read_mask(path, view.camera.size_px)
+            if image is not None and mask.any():
+                found.append((image, mask))
+    return found
 
 
 def mean_log_density(response: Response, statistics: EdgeStatistics) -> float:

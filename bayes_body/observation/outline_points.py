@@ -42,7 +42,9 @@ def outline_points(mask: NDArray[np.bool_]) -> Points:
 
 
 def elsewhere_points(mask: NDArray[np.bool_], number: int, rng: np.random.Generator) -> Points:
-    """Random points near a person that are not on the outline, in random directions."""
+    """Random points near a person that are not on the outline, in random directions; none where there is no person."""
+    if not mask.any():
+        return Points(np.zeros((0, 2)), np.zeros((0, 2)))
     distance = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5) + cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
     height = np.ptp(np.nonzero(mask.any(axis=1))[0])
     rows, columns = np.nonzero((distance >= ELSEWHERE_PX) & (distance <= max(height / 3, 2 * ELSEWHERE_PX)))

@@ -1,0 +1,101 @@
+"""`bayes-body learn edge-statistics`: what filters answer on a person's boundary, from recordings whose silhouettes are known."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from bayes_body.cli.track import check_range
+from bayes_body.errors import wrong
+
+if TYPE_CHECKING:
+    from bayes_body.learning.edge_statistics import Images
+    from bayes_body.likelihood.edge_density import EdgeStatistics
+
+WAVELENGTHS = "8,16"
+DISPLACED_PX = (0.0, 2.0, 5.0, 10.0)
+
+
+def edge_statistics(
+    sessions: list[Path] = typer.Argument(
+        help="Recordings with silhouettes to be believed: `bayes-body simulate --masks`, or masks you have checked."
+    ),
+    wavelengths: str = typer.Option(WAVELENGTHS, "--wavelengths", help="Of the filters, pixels, with commas between them."),
+    frames: int = typer.Option(5, "--frames", help="How many of each recording, evenly spread."),
+    held_out: list[Path] = typer.Option(
+        [], "--held-out", help="A recording that is compared with, but not learned from; may be given several times."
+    ),
+    plot: Path | None = typer.Option(None, "--plot", help="A .png of the learned densities over what was seen."),
+) -> None:
+    """Learn the [[likelihood.scale]] tables of `edge_phase`, and print them."""
+    from bayes_body.config import configure
+
+    configure()
+    from bayes_body.learning.edge_statistics import fit, mean_log_density
+    from bayes_body.view.progress import waiting
+
+    check_range("--frames", frames, 1)
+    tried, bar = _numbers(wavelengths), sys.stderr.isatty()
+    with waiting("images", bar):
+        images, others = _images(sessions, frames), _images(held_out, frames) if held_out else None
+    learned: list[tuple[float, EdgeStatistics]] = []
+    for wavelength in tried:
+        with waiting(f"wavelength {wavelength:g} px", bar):
+            learned.append((wavelength, fit(images.at(wavelength, 0.0), images.at(wavelength, None))))
+    typer.echo("\n".join(_table(wavelength, statistics) for wavelength, statistics in learned))
+    whose = "recordings held out" if others else "recordings learned from"
+    typer.echo(f"# mean log-density a sample, nats, on the {whose}: boundaries displaced by ... px, and elsewhere")
+    typer.echo("# wavelength px " + "".join(f"{by:8g}" for by in DISPLACED_PX) + "   elsewhere")
+    for wavelength, statistics in learned:
+        values = [mean_log_density((others or images).at(wavelength, by), statistics) for by in (*DISPLACED_PX, None)]
+        typer.echo(f"# {wavelength:13g} " + "".join(f"{value:8.2f}" for value in values[:-1]) + f"{values[-1]:12.2f}")
+    if plot is not None:
+        from bayes_body.view.edge_plot import draw_edge_statistics
+
+        draw_edge_statistics(plot, [(wavelength, statistics, images.at(wavelength, 0.0)) for wavelength, statistics in learned])
+        typer.echo(f"# {plot}")
+
+
+def _table(wavelength: float, statistics: "EdgeStatistics") -> str:
+    def pair(values: Any) -> str:
+        return f"[{values[0]:.3f}, {values[1]:.3f}]"
+
+    rows = [
+        "[[likelihood.scale]]",
+        f"wavelength_px = {wavelength:.1f}",
+        f"epsilon = {pair(statistics.epsilon)}",
+        f"amplitude = {pair(statistics.amplitude)}",
+        f"log_amplitude = {pair(statistics.log_amplitude)}",
+        f"log_occluded = {float(statistics.log_occluded):.2f}",
+    ]
+    return "\n".join(rows) + "\n"
+
+
+def _images(sessions: list[Path], frames: int) -> "Images":
+    """All images of some frames whose silhouettes are known."""
+    from bayes_body.learning.edge_statistics import Images, known_pairs
+    from bayes_body.session_file import load_session
+    from bayes_body.simulation.film import TRUE_MASKS, mask_pattern
+
+    pairs = []
+    for path in sessions:
+        session = load_session(path)
+        found = known_pairs(session, frames, lambda name: mask_pattern(TRUE_MASKS, name))
+        if not found:
+            raise wrong(
+                path, "no silhouettes that are known", f"a folder {TRUE_MASKS}, or masks", "simulate with --masks, or give cameras their `masks`"
+            )
+        pairs += found
+    return Images(pairs)
+
+
+def _numbers(text: str) -> list[float]:
+    """Wavelengths, ascending."""
+    try:
+        found = sorted({float(word) for word in text.split(",")})
+    except ValueError:
+        found = []
+    if not found or not all(3 <= value < float("inf") for value in found):
+        raise wrong("--wavelengths", repr(text), "numbers from 3 up with commas between them", f"give, say, {WAVELENGTHS}")
+    return found

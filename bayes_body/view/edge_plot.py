@@ -1,0 +1,45 @@
+"""A page of learned edge statistics: densities of log amplitude and phase over what was seen (Poon & Fleet 2002, Fig. 3)."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from bayes_body.files import replacing
+from bayes_body.likelihood.edge_density import EdgeStatistics, phase_and_log_amplitude, wrapped_normal
+from bayes_body.phase_maps import Response
+
+# Amplitudes at which a phase's density is drawn, as shares of their range.
+WEAK, STRONG = 0.25, 0.85
+
+
+def draw_edge_statistics(path: Path, scales: Sequence[tuple[float, EdgeStatistics, Response]]) -> None:
+    """A row for each scale (wavelength in pixels, statistics, responses on boundaries), into a .png.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    from matplotlib.figure import Figure
+    from scipy import stats
+
+    figure = Figure(figsize=(9, 3 * len(scales)), layout="constrained")
+    for (left, right), (wavelength, statistics, response) in zip(figure.subplots(len(scales), 2, squeeze=False), scales, strict=True):
+        phase, rho = (np.asarray(each) for each in phase_and_log_amplitude(jnp.asarray(response.even), jnp.asarray(response.odd)))
+        low, high = np.asarray(statistics.log_amplitude)
+        grid = np.linspace(low, high, 200)
+        left.hist(rho, bins=np.linspace(low, high, 40), density=True, color="0.8", label="seen")
+        left.plot(grid, stats.beta.pdf(grid, *np.asarray(statistics.amplitude), loc=low, scale=high - low), label="Beta law")
+        left.set(xlabel="log amplitude, log of grey levels", ylabel="density", title=f"wavelength {wavelength:g} px")
+        left.legend()
+        share, turns = (rho - low) / (high - low), np.linspace(-math.pi / 2, math.pi / 2, 200)
+        for name, of, about, colour in (("weak", share < 0.5, WEAK, "C0"), ("strong", share > 0.7, STRONG, "C1")):
+            right.hist((phase[of] + math.pi / 2) / math.pi, bins=40, density=True, histtype="step", color=colour, alpha=0.5)
+            epsilon = statistics.epsilon[0] + (statistics.epsilon[1] - statistics.epsilon[0]) * about
+            density = epsilon * np.asarray(wrapped_normal(jnp.asarray(turns))) + (1 - epsilon) / math.pi
+            right.plot((turns + math.pi / 2) / math.pi, density * math.pi, color=colour, label=f"{name} responses")
+        right.set(xlabel="phase, shares of π", ylabel="density", title="phase: a step edge has π/2")
+        right.legend()
+    with replacing(path) as partial:
+        figure.savefig(partial, format="png", dpi=120)
