@@ -84,7 +84,7 @@ def arm():
     return model, model.density(jax.tree.map(jnp.asarray, model.observe(Frame(0, images, masks))))
 
 
-KERNELS = {"sir": (kernels.sir(), 4000), "tempered": (kernels.tempered(), 1000)}
+KERNELS = {"sir": (kernels.sir(), 4000), "tempered": (kernels.tempered(), 1000), "hmc": (kernels.hmc(chains=8), 800)}
 
 
 @pytest.mark.slow

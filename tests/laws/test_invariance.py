@@ -7,6 +7,7 @@ import pytest
 from calibration import toys
 
 from bayes_body.calibration import invariance
+from bayes_body.density import Unconstrained
 from bayes_body.kernels import extended
 from bayes_body.kernels.invariance import iterated_sir, markov_move
 from bayes_body.registry import find, names
@@ -96,7 +97,32 @@ def test_an_ancestor_drawn_without_its_weight_is_found_out(monkeypatch):
     assert least_p(replications(run, 2)) < 0.001
 
 
+@pytest.fixture(scope="module")
+def trajectories():
+    """Hamiltonian Monte Carlo on the marginal view; `jacobian` scales the log-determinant."""
+    options = find("kernel", "hmc").options(leapfrog_steps=6, step=0.8)
+    move, honest = markov_move("hmc", options), Unconstrained.log_determinant
+
+    @jax.jit
+    def run(keys, jacobian):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Unconstrained, "log_determinant", lambda self, position: jacobian * honest(self, position))
+            return jax.lax.map(invariance.replicate(toys.skewed(wall=True), move, 2), keys)
+
+    return lambda jacobian=1.0: replications(run, 3, jacobian)
+
+
+def test_trajectories_on_the_marginal_view_keep_the_posterior(trajectories):
+    found = trajectories()
+    assert least_p(found) > LIMIT
+    assert found.moved.mean() > 0.9
+
+
+def test_trajectories_without_the_log_determinant_are_found_out(trajectories):
+    assert least_p(trajectories(jacobian=0.0)) < 0.001
+
+
 def test_a_mode_seeker_has_no_such_move():
     moves = {kind: markov_move(kind, find("kernel", kind).options()) for kind in names("kernel")}
     assert moves["annealed"] is None
-    assert moves["sir"] is not None and moves["tempered"] is not None
+    assert all(moves[kind] is not None for kind in ("hmc", "sir", "tempered"))
