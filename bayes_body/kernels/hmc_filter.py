@@ -63,6 +63,18 @@ class Options(Schema):
         return self
 
 
+def build_sampler(**options: Any) -> Callable[[Key, FrameDensity, int], tuple[Particles, FilterInfo]]:
+    """(key, density, number of draws) -> draws of one frame's posterior, after the prediction mixture that the density holds.
+
+    Args:
+        options: as of `build_kernel`; `carry` is not used.
+
+    Raises:
+        InputError: an argument that does not exist or is outside its range.
+    """
+    return _Filter(validate(Options, options, "hmc()")).sample
+
+
 class _Start(NamedTuple):
     """Where a chain begins: coordinates without limits, and the ancestor that it was predicted from."""
 
@@ -90,15 +102,21 @@ class _Filter:
         self.resample = resampler(options.resampling)
 
     def frame(self, key: Key, particles: Particles, density: FrameDensity) -> tuple[Particles, FilterInfo]:
+        count = particles.log_weights.shape[0]
+        mixture = _chain_means(particles, self._kept(count)) if self.options.carry == "means" else particles
+        return self.sample(key, density.given(mixture), count)
+
+    def _kept(self, count: int) -> int:
+        """Draws of a chain: all are of one length, and of the last what is over is left out."""
+        return -(-count // min(self.options.chains, count))
+
+    def sample(self, key: Key, density: FrameDensity, count: int) -> tuple[Particles, FilterInfo]:
+        """So many draws of a frame's posterior; the prediction mixture is what the density has as the frame before."""
         check_gradients(density, "the kernel 'hmc'")
         start_key, chain_key, ancestor_key = jax.random.split(key, 3)
-        count = particles.log_weights.shape[0]
-        # Chains of equal length; of the last one what is over is left out.
-        kept = -(-count // min(self.options.chains, count))
+        kept = self._kept(count)
         chains = -(-count // kept)
-        mixture = _chain_means(particles, kept) if self.options.carry == "means" else particles
-        density = density.given(mixture)
-        starts, log_evidence, lost = self._starts(start_key, mixture, density, chains)
+        starts, log_evidence, lost = self._starts(start_key, density.previous, density, chains)
         keys = jax.random.split(chain_key, chains)
         batch, checked = -(-chains // jax.device_count()), self.options.sampler != "nuts"
         ran: Chain = over_particles(self._chain(kept), (keys, starts), density, batch, checked)
@@ -110,13 +128,13 @@ class _Filter:
             ancestors=ancestors,
             ess=ess,
             survival_rate=(ess / count)[None],
-            inverse_temperatures=jnp.ones((1,), particles.log_weights.dtype),
+            inverse_temperatures=jnp.ones((1,), ess.dtype),
             log_evidence=log_evidence,
             lost=lost,
             acceptance_rate=jnp.mean(ran.acceptance)[None],
             evaluations=self._starts_count(chains) + jnp.sum(ran.gradients),
         )
-        return Particles(states, jnp.full_like(particles.log_weights, -jnp.log(count))), info
+        return Particles(states, jnp.full((count,), -jnp.log(count), ess.dtype)), info
 
     def _starts_count(self, chains: int) -> int:
         return max(self.options.starts, chains)
