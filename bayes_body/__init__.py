@@ -35,7 +35,7 @@ _HOME = {
     "project": "camera",
     "register": "registry",
 }
-_MODULES = ("kernels", "posterior", "metrics")
+_MODULES = ("compare", "kernels", "posterior", "metrics")
 __all__ = sorted({*_HOME, *_MODULES})  # pyright: ignore[reportUnsupportedDunderAll]
 
 

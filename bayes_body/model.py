@@ -15,7 +15,7 @@ from bayes_body.body.build import Shape, build_body
 from bayes_body.body.kinematics import marker_positions
 from bayes_body.body.solids import Body
 from bayes_body.camera import Camera, stack, turning_radius
-from bayes_body.definition import Definition, load_definition
+from bayes_body.definition import Definition, load_body, load_definition
 from bayes_body.density import Density
 from bayes_body.errors import InputError, nearest, wrong
 from bayes_body.factor import Data, Factor, Particles, State, Transition
@@ -101,7 +101,7 @@ def load_model(name: str | Path | Definition, session: Session) -> Model:
     transition = find("dynamics", dynamics.kind).build(
         options=dynamics.options, body=body, fps=session.fps, subject_sd=_motion_sd(session.subject, definition)
     )
-    return Model(definition, body, rig, transition, tuple(factors), transition.begin({"pose": _initial_pose(session, body)}), observers)
+    return Model(definition, body, rig, transition, tuple(factors), transition.begin({"pose": _initial_pose(session, body, definition)}), observers)
 
 
 def _likelihoods(definition: Definition, body: Body, rig: Camera) -> tuple[list[Factor], dict[str, Callable[[Any], Any]]]:
@@ -118,7 +118,15 @@ def _shape(subject: Subject, definition: Definition) -> Shape:
     if not definition.takes_measures_of(subject.body):
         # Another body's lengths mean nothing here; a height means the same for all.
         return Shape(subject.height_m)
-    return Shape(subject.height_m, subject.lengths_m, subject.radii_m, subject.sections, subject.outline_radii_m)
+    if subject.body is None or subject.body != definition.body.measured_as:
+        return Shape(subject.height_m, subject.lengths_m, subject.radii_m, subject.sections, subject.outline_radii_m)
+    # A smaller body has not all that the other one has.
+    known = {*definition.body.lengths_of_height, *(part.name for part in definition.body.parts)}
+
+    def own[Value](measures: Mapping[str, Value]) -> dict[str, Value]:
+        return {name: value for name, value in measures.items() if name in known}
+
+    return Shape(subject.height_m, own(subject.lengths_m), own(subject.radii_m), own(subject.sections), own(subject.outline_radii_m))
 
 
 def _motion_sd(subject: Subject, definition: Definition) -> Mapping[str, float]:
@@ -138,10 +146,13 @@ def _camera(spec: CameraSpec) -> Camera:
     )
 
 
-def _initial_pose(session: Session, body: Body) -> Pose:
+def _initial_pose(session: Session, body: Body, definition: Definition) -> Pose:
     """The session's first pose; a dof that it leaves out starts in the middle of its limits, or at 0 without limits."""
+    larger = definition.body.measured_as
+    also = {dof.name for joint in load_body(larger).joints for dof in joint.dofs} if larger else set()
     for name in session.initial:
-        if name not in body.dof_names:
+        # Of the body in whose names a subject is measured a smaller one leaves dofs out.
+        if name not in body.dof_names and name not in also:
             raise InputError(f"session.toml: initial: '{name}' is no dof of the body '{body.name}'; {nearest(name, body.dof_names)}")
     low, high = np.asarray(body.skeleton.low, float), np.asarray(body.skeleton.high, float)
     bounded = np.isfinite(low) & np.isfinite(high)

@@ -64,3 +64,16 @@ def test_a_model_of_another_subject_of_the_same_body_compiles_nothing_anew(textu
         model = load_model("arm", _with(textured_session, subject=Subject(height_m=height)))
         value(model.factors[0], model.initial["pose"])
     assert len(traces) == 1
+
+
+def test_a_smaller_body_takes_what_it_has_of_a_larger_ones_measures(textured_session):
+    subject = Subject(
+        body="deutscher_31", height_m=1.8, lengths_m={"l_thigh": 0.46, "head": 0.2}, radii_m={"head": (0.1, 0.1), "l_calf": (0.05, 0.03)}
+    )
+    model = load_model("poon_fleet_2002_legs", _with(textured_session, subject=subject, initial={"l_knee": -0.3, "l_elbow": -0.2}))
+    names = model.body.topology.names
+    assert np.isclose(model.body.lengths[names.index("l_thigh")], 0.46)
+    assert np.allclose(model.body.radii[names.index("l_calf")], [0.05, 0.03])
+    assert np.isclose(model.initial["pose"][model.body.dof_names.index("l_knee")], -0.3)
+    with pytest.raises(InputError, match="'l_nee' is no dof"):
+        load_model("poon_fleet_2002_legs", _with(textured_session, initial={"l_nee": -0.3}))

@@ -1,6 +1,7 @@
-"""Runs side by side: every kernel on every definition."""
+"""Runs side by side: every kernel on every definition; two samplers' errors at equal computation."""
 
+from bayes_body.compare import estimator_variance
 from bayes_body.compare.matrix import Pair, Row, Settings, matrix_rows, pairs
 from bayes_body.compare.scenes import Scene, Scenes
 
-__all__ = ["Pair", "Row", "Scene", "Scenes", "Settings", "matrix_rows", "pairs"]
+__all__ = ["Pair", "Row", "Scene", "Scenes", "Settings", "estimator_variance", "matrix_rows", "pairs"]

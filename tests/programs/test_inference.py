@@ -1,5 +1,6 @@
 """Every program of inference/: short, runs with --quick on its default model, and says in one sentence what is wrong with its input."""
 
+import json
 import re
 import subprocess
 import sys
@@ -11,6 +12,8 @@ import xarray as xr
 
 ROOT = Path(__file__).parents[2]
 PROGRAMS = sorted((ROOT / "inference").glob("*.py"))
+# Filters follow a whole recording; the others have tests of their own below.
+FILTERS = [path for path in PROGRAMS if path.stem != "estimator_variance"]
 LONGEST = 80
 PUBLIC = {"bayes_body", "bayes_body.errors"}
 
@@ -24,8 +27,13 @@ def program(request) -> Path:
     return request.param
 
 
+@pytest.fixture(params=FILTERS, ids=lambda path: path.stem)
+def filtering(request) -> Path:
+    return request.param
+
+
 def test_there_are_programs():
-    assert {"annealed_filter", "particle_filter", "tempered_smc"} <= {path.stem for path in PROGRAMS}
+    assert {"annealed_filter", "particle_filter", "tempered_smc"} <= {path.stem for path in FILTERS} < {path.stem for path in PROGRAMS}
 
 
 def test_it_is_short_and_uses_the_public_package_only(program):
@@ -34,15 +42,15 @@ def test_it_is_short_and_uses_the_public_package_only(program):
     assert set(re.findall(r"^(?:from|import) (bayes_body[\w.]*)", text, re.MULTILINE)) <= PUBLIC
 
 
-def test_quick(program, walk, tmp_path):
-    done = run(program, "--session", walk, "--out", tmp_path / "run", "--quick", "--runs", 2)
+def test_quick(filtering, walk, tmp_path):
+    done = run(filtering, "--session", walk, "--out", tmp_path / "run", "--quick", "--runs", 2)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert re.search(r"^l_knee +-?\d+\.\d ± \d+\.\d .* deg$", done.stdout, re.MULTILINE)
     assert re.search(r"^root_x +-?\d+\.\d ± \d+\.\d .* mm$", done.stdout, re.MULTILINE)
     assert "effective particles" in done.stdout
     assert "seconds" in done.stdout
-    if program.stem == "annealed_filter":
+    if filtering.stem == "annealed_filter":
         assert "mode seeker" in done.stdout
         assert "no uncertainty" in done.stdout
     else:
@@ -62,10 +70,31 @@ WRONG = {
 
 
 @pytest.mark.parametrize("fault", WRONG)
-def test_a_wrong_input_is_a_sentence(program, walk, tmp_path, fault):
+def test_a_wrong_input_is_a_sentence(filtering, walk, tmp_path, fault):
     arguments, part = WRONG[fault]
-    done = run(program, "--session", walk, "--out", tmp_path / "run", *arguments)
+    done = run(filtering, "--session", walk, "--out", tmp_path / "run", *arguments)
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
     assert part in done.stderr.splitlines()[-1]
     assert done.stdout == ""
+
+
+@pytest.mark.slow
+def test_estimator_variance_quick(walk, tmp_path):
+    program, out = ROOT / "inference" / "estimator_variance.py", tmp_path / "figures.json"
+    done = run(program, "--session", walk, "--frame", 2, "--quick", "--json", out, "--plot", tmp_path / "figures.png", "--set", "leapfrog_steps=10")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(out.read_text())
+    for row in (found, found["equal_seconds"]):
+        low, high = row["ratio_interval"]
+        assert 0 < low <= row["ratio_median"] <= high and len(row["per_dof"]) == 14
+        assert all(low <= ratio <= high for ratio, low, high in row["per_dof"].values())
+        assert min(row["seconds_hmc"], row["seconds_sir"], row["evaluations_hmc"], row["evaluations_sir"]) > 0
+    assert found["settings"]["hmc"]["leapfrog_steps"] == 10 and found["settings"]["gradient_cost"] > 1
+    assert "at equal evaluations" in done.stdout and "at equal seconds" in done.stdout
+    assert cv2.imread(str(tmp_path / "figures.png")).shape[1] > 500
+
+
+def test_estimator_variance_of_no_session_is_a_sentence(tmp_path):
+    done = run(ROOT / "inference" / "estimator_variance.py", "--session", "nowhere", "--json", tmp_path / "figures.json")
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "nowhere" in done.stderr

@@ -1,0 +1,176 @@
+r"""Estimator variance of two samplers at equal computation (Poon & Fleet 2002, 5.2, Fig. 8).
+
+Both see one frame after one fixed prediction mixture. An estimate is a run's posterior mean of each dof; its error is the mean squared deviation from
+the true posterior mean over independent runs, $\frac{1}{R} \sum_r (\hat\mu_r - \mu)^2$. The truth is a particle filter of very many particles, run
+twice: the two must agree far better than the estimates do. A particle costs one likelihood; a gradient costs what it was measured to cost.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_body.draws import Draws
+from bayes_body.factor import FilterInfo, FrameDensity, Particles
+from bayes_body.kernels.batching import everywhere, over_particles
+from bayes_body.kernels.hmc_filter import build_sampler as hmc_sampler
+from bayes_body.kernels.particle_filter import build_kernel
+from bayes_body.kernels.resampling import resampler
+from bayes_body.shapes import Key
+from bayes_body.view.progress import Watch, unwatched
+from bayes_body.view.variance_plot import draw_ratios
+
+__all__ = ["Ratios", "Runs", "Truth", "draw_ratios", "figures_of", "gradient_cost", "hmc_sampler", "mixture_after", "ratios", "run_many"]
+__all__ += ["sir_sampler", "true_mean"]
+
+# Particles of one program; a truth of millions is summed over many.
+CHUNK = 50_000
+BOOTSTRAPS = 2000
+TIMED = 8
+
+# (key, density) -> draws and information.
+type Sampler = Callable[[Key, Any], tuple[Particles, FilterInfo]]
+
+
+class Truth(NamedTuple):
+    """Mean and standard deviation of each dof's posterior, the squared difference of two independent means, and effective particles of each."""
+
+    mean: Float[np.ndarray, " dof"]
+    sd: Float[np.ndarray, " dof"]
+    error: Float[np.ndarray, " dof"]
+    effective: float
+
+
+class Runs(NamedTuple):
+    """Estimates of independent runs, evaluations of the density a run and whole seconds a run, warm."""
+
+    means: Float[np.ndarray, "run dof"]
+    evaluations: float
+    seconds: float
+
+
+class Ratios(NamedTuple):
+    """Mean squared error of one sampler over that of another: of each dof with its 95 % bootstrap interval, and the median over dofs with its own."""
+
+    per_dof: Float[np.ndarray, "dof 3"]
+    median: float
+    interval: tuple[float, float]
+
+
+def mixture_after(key: Key, draws: Draws, components: int) -> Particles:
+    """So many equally weighted particles of the last frame's first run: a prediction mixture (14) for both samplers."""
+    last = draws.frames[-1]
+    particles = Particles({name: jnp.asarray(values[0]) for name, values in last.states.items()}, jnp.asarray(last.log_weights[0]))
+    chosen = resampler("systematic")(key, particles.log_weights, components)
+    states = jax.tree.map(lambda leaf: leaf[chosen], dict(particles.states))
+    return Particles(states, jnp.full((components,), -jnp.log(components), particles.log_weights.dtype))
+
+
+def sir_sampler(particles: int) -> Sampler:
+    """The particle filter from a fixed mixture."""
+    kernel = build_kernel()
+
+    def sample(key: Key, density: FrameDensity) -> tuple[Particles, FilterInfo]:
+        # The kernel draws as many particles as it is given: of each component as many copies.
+        copies = -(-particles // density.previous.log_weights.shape[0])
+        states = jax.tree.map(lambda leaf: jnp.tile(leaf, (copies,) + (1,) * (leaf.ndim - 1))[:particles], dict(density.previous.states))
+        tiled = Particles(states, jnp.tile(density.previous.log_weights, copies)[:particles])
+        return kernel(key, tiled, density)
+
+    return sample
+
+
+def true_mean(key: Key, density: FrameDensity, particles: int, watch: Watch = unwatched) -> Truth:
+    """By two particle filters of so many particles each, in chunks."""
+    sample = sir_sampler(CHUNK)
+
+    @jax.jit
+    def chunk(key: Key, density: FrameDensity) -> tuple[Array, Array, Array, Array]:
+        found, info = sample(key, density)
+        weights = jnp.exp(found.log_weights)
+        pose = found.states["pose"]
+        return info.log_evidence, weights @ pose, weights @ pose**2, info.ess
+
+    chunks = max(-(-particles // CHUNK), 1)
+    halves = []
+    for half in range(2):
+        own = jax.random.fold_in(key, half)
+        halves.append([jax.device_get(chunk(jax.random.fold_in(own, number), density)) for number in watch(range(chunks))])
+    means, squares, effective = zip(*(_pooled(half) for half in halves), strict=True)
+    mean = np.mean(means, axis=0)
+    return Truth(mean, np.sqrt(np.mean(squares, axis=0) - mean**2), (means[0] - means[1]) ** 2, float(min(effective)))
+
+
+def _pooled(chunks: list[tuple[Any, ...]]) -> tuple[np.ndarray, np.ndarray, float]:
+    evidence, means, squares, effective = (np.array(each, float) for each in zip(*chunks, strict=True))
+    # A chunk counts by its evidence.
+    share = np.exp(evidence - evidence.max())
+    share /= share.sum()
+    return share @ means, share @ squares, float(1 / np.sum(share**2 / effective))
+
+
+def run_many(key: Key, density: FrameDensity, sampler: Sampler, runs: int, watch: Watch = unwatched) -> Runs:
+    """Independent runs of a sampler, one after the other, each alone on the machine; the first, cold one is not among them."""
+
+    @jax.jit
+    def once(key: Key, density: FrameDensity) -> tuple[Array, Array]:
+        found, info = sampler(key, density)
+        return jnp.exp(found.log_weights) @ found.states["pose"], info.evaluations
+
+    jax.block_until_ready(once(jax.random.fold_in(key, runs), density))
+    means, evaluations, start = [], [], time.perf_counter()
+    for run in watch(range(runs)):
+        mean, used = jax.device_get(once(jax.random.fold_in(key, run), density))
+        means.append(mean)
+        evaluations.append(int(used))
+    return Runs(np.array(means, float), float(np.mean(evaluations)), (time.perf_counter() - start) / runs)
+
+
+def gradient_cost(density: FrameDensity, batch: int = 512) -> float:
+    """What a value with its gradient costs, in values, both of many poses at once."""
+    previous = everywhere(density.previous)
+    poses = jnp.repeat(previous.states["pose"], -(-batch // previous.states["pose"].shape[0]), axis=0)[:batch]
+
+    def value(pose: Array, density: FrameDensity) -> Array:
+        return density.log_likelihood({"pose": pose}, density.ancestor(0))
+
+    def seconds(function: Callable[..., Any]) -> float:
+        program = jax.jit(lambda poses, density: over_particles(function, poses, density))
+        jax.block_until_ready(program(poses, density))
+        best = np.inf
+        for _ in range(TIMED):
+            start = time.perf_counter()
+            jax.block_until_ready(program(poses, density))
+            best = min(best, time.perf_counter() - start)
+        return best
+
+    return seconds(jax.value_and_grad(value)) / seconds(value)
+
+
+def ratios(over: Runs, under: Runs, truth: Truth, seed: int = 0) -> Ratios:
+    """The mean squared error of `over` divided by that of `under`, with intervals by resampling runs."""
+    rng = np.random.default_rng(seed)
+    errors = [(runs.means - truth.mean) ** 2 for runs in (over, under)]
+
+    def ratio(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        return errors[0][first].mean(axis=0) / errors[1][second].mean(axis=0)
+
+    first, second = (len(each) for each in errors)
+    whole = ratio(np.arange(first), np.arange(second))
+    drawn = np.array([ratio(rng.integers(0, first, first), rng.integers(0, second, second)) for _ in range(BOOTSTRAPS)])
+    low, high = np.quantile(drawn, [0.025, 0.975], axis=0)
+    medians = np.median(drawn, axis=1)
+    interval = tuple(float(q) for q in np.quantile(medians, [0.025, 0.975]))
+    return Ratios(np.stack([whole, low, high], axis=1), float(np.median(whole)), (interval[0], interval[1]))
+
+
+def figures_of(names: Sequence[str], over: Runs, under: Runs, truth: Truth) -> dict[str, Any]:
+    """Their ratios and costs, as plain numbers."""
+    found = ratios(over, under, truth)
+    per_dof = dict(zip(names, np.round(found.per_dof, 4).tolist(), strict=True))
+    costs = {"seconds_hmc": under.seconds, "seconds_sir": over.seconds, "evaluations_hmc": under.evaluations, "evaluations_sir": over.evaluations}
+    return {"ratio_median": found.median, "ratio_interval": found.interval, "per_dof": per_dof, **costs}

@@ -1,0 +1,86 @@
+"""Estimator variance on posteriors in closed form: the truth is found, and a sampler of n independent draws has the error of n."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from laws.targets import conjugate
+
+from bayes_body.compare import estimator_variance as ev
+from bayes_body.factor import Factor, FilterInfo, Particles, Transition, Variable
+
+POSE = Variable("pose")
+
+
+def _density():
+    """The conjugate target, its variable called `pose`."""
+    made = conjugate(8)
+    density = made.density
+    renamed = {
+        "conditional": lambda before: {"pose": density.transition.conditional({"x": before["pose"]})["x"]},
+        "perturbation": lambda state, scale: {"pose": density.transition.perturbation({"x": state["pose"]}, scale)["x"]},
+    }
+    transition = Transition("gaussian", *(jax.tree_util.Partial(each) for each in renamed.values()))
+    (seen,) = density.factors
+    factor = Factor(
+        "seen", "likelihood", (POSE,), jax.tree_util.Partial(lambda values, data: seen.log_potential({Variable("x"): values[POSE]}, data))
+    )
+    previous = Particles({"pose": density.previous.states["x"]}, density.previous.log_weights)
+    return type(density)(transition, (factor,), density.data, previous), made.mean
+
+
+@pytest.fixture(scope="module")
+def target():
+    return _density()
+
+
+def _independent(mean, sd, number):
+    """A sampler of independent draws of a normal law."""
+
+    def sample(key, density):
+        pose = mean + sd * jax.random.normal(key, (number, 3))
+        unknown = jnp.zeros(())
+        info = FilterInfo(unknown, unknown, unknown, unknown, unknown, unknown, unknown, jnp.asarray(number))
+        return Particles({"pose": pose}, jnp.full(number, -jnp.log(number))), info
+
+    return sample
+
+
+def test_the_truth_is_the_posteriors_mean(target, monkeypatch):
+    monkeypatch.setattr(ev, "CHUNK", 20_000)
+    density, mean = target
+    truth = ev.true_mean(jax.random.key(0), density, 100_000)
+    assert 100 < truth.effective < 100_000 and np.all((truth.sd > 0.1) & (truth.sd < 1.5))
+    # Two such runs: their mean, and their difference.
+    assert np.all(np.abs(truth.mean - mean) < 4 * truth.sd / np.sqrt(2 * truth.effective))
+    assert np.all(truth.error < 16 * 2 * truth.sd**2 / truth.effective)
+
+
+def test_the_error_of_n_draws_is_the_variance_over_n(target):
+    density, mean = target
+    truth = ev.Truth(np.asarray(mean), np.ones(3), np.zeros(3), 1e6)
+    few, many = (ev.run_many(jax.random.key(n), density, _independent(jnp.asarray(mean), 1.0, n), 400) for n in (10, 160))
+    found = ev.ratios(few, many, truth)
+    assert few.evaluations == 10 and many.evaluations == 160 and few.seconds > 0
+    # The standard error of a mean square of 400 runs is 7 %.
+    assert np.allclose(found.per_dof[:, 0], 16, rtol=0.35)
+    assert found.interval[0] < 16 < found.interval[1] and np.all(found.per_dof[:, 1] < 16) and np.all(found.per_dof[:, 2] > 16)
+
+
+def test_a_bias_counts(target):
+    density, mean = target
+    truth = ev.Truth(np.asarray(mean), np.ones(3), np.zeros(3), 1e6)
+    biased, honest = (ev.run_many(jax.random.key(n), density, _independent(jnp.asarray(mean) + off, 0.1, 50), 20) for n, off in ((1, 1.0), (2, 0.0)))
+    assert ev.ratios(biased, honest, truth).median > 1000
+
+
+def test_both_samplers_find_the_same_posterior(target):
+    density, mean = target
+    hmc = ev.hmc_sampler(chains=8, burn_in=40, leapfrog_steps=8, step=0.6)
+    for sampler in (lambda key, density: hmc(key, density, 800), ev.sir_sampler(20_001)):
+        runs = ev.run_many(jax.random.key(3), density, sampler, 20)
+        assert np.max(np.abs(runs.means.mean(axis=0) - mean) / (runs.means.std(axis=0, ddof=1) / np.sqrt(20))) < 4.5
+
+
+def test_a_gradient_costs_more_than_a_value(target):
+    assert 0.5 < ev.gradient_cost(target[0]) < 50
