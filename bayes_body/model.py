@@ -149,9 +149,10 @@ def _camera(spec: CameraSpec) -> Camera:
 def _initial_pose(session: Session, body: Body, definition: Definition) -> Pose:
     """The session's first pose; a dof that it leaves out starts in the middle of its limits, or at 0 without limits."""
     larger = definition.body.measured_as
-    also = {dof.name for joint in load_body(larger).joints for dof in joint.dofs} if larger else set()
+    known = [definition.body, *([load_body(larger)] if larger else [])]
+    also = {dof.name for each in known for joint in each.joints for dof in joint.dofs}
     for name in session.initial:
-        # Of the body in whose names a subject is measured a smaller one leaves dofs out.
+        # A fixed dof has its value; and of the body in whose names a subject is measured a smaller one leaves dofs out.
         if name not in body.dof_names and name not in also:
             raise InputError(f"session.toml: initial: '{name}' is no dof of the body '{body.name}'; {nearest(name, body.dof_names)}")
     low, high = np.asarray(body.skeleton.low, float), np.asarray(body.skeleton.high, float)

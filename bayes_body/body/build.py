@@ -1,14 +1,15 @@
 """From what a body file says to the arrays of one subject's body: metres, radians."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from bayes_body.body.check import WORLD
-from bayes_body.body.schema import BodySchema, Dof, Offset
+from bayes_body.body.frames import Frame, frames_of, vector
+from bayes_body.body.schema import BodySchema, Dof
 from bayes_body.body.skeleton import Markers, Motion, Skeleton, Topology, preset_rotation
 from bayes_body.body.solids import Body, PartTopology
 from bayes_body.errors import nearest, wrong
@@ -33,7 +34,8 @@ def build_body(name: str, schema: BodySchema, shape: Shape = Shape()) -> Body:
     _check_names(name, schema, shape)
     height = shape.height_m or schema.height_m
     lengths = {key: share * height for key, share in schema.lengths_of_height.items()} | dict(shape.lengths_m)
-    joint_index = {joint.name: j for j, joint in enumerate(_parents_first(schema))}
+    frames = frames_of(schema, lengths)
+    joint_index = {frame.name: j for j, frame in enumerate(frames)}
     parts = schema.parts
     radii = {part.name: shape.radii_m.get(part.name, tuple(r * height for r in part.radius_of_height)) for part in parts}
     outline = radii | dict(shape.outline_radii_m)
@@ -46,14 +48,14 @@ def build_body(name: str, schema: BodySchema, shape: Shape = Shape()) -> Body:
             penetration=_pairs(schema),
             spheres_per_part=schema.spheres_per_part,
         ),
-        skeleton=_skeleton(schema, lengths),
+        skeleton=_skeleton(frames),
         markers=Markers(
             names=tuple(schema.markers),
             joints=tuple(joint_index[marker.joint] for marker in schema.markers.values()),
-            offsets=jnp.asarray([_vector(marker.offset, lengths) for marker in schema.markers.values()]).reshape(-1, 3),
+            offsets=jnp.asarray([vector(marker.offset, lengths) for marker in schema.markers.values()]).reshape(-1, 3),
         ),
         presets=jnp.stack([preset_rotation(part.preset) for part in parts]),
-        offsets=jnp.asarray([_vector(part.offset, lengths) for part in parts]),
+        offsets=jnp.asarray([vector(part.offset, lengths) for part in parts]),
         lengths=jnp.asarray([lengths[part.length] for part in parts]),
         # Nobody is thicker than they look.
         radii=jnp.minimum(jnp.asarray([radii[part.name] for part in parts]), jnp.asarray([outline[part.name] for part in parts])),
@@ -75,37 +77,27 @@ def _check_names(name: str, schema: BodySchema, shape: Shape) -> None:
                 raise wrong(f"subject.{field}.{key}", "no such name", f"a name of the body '{name}'", nearest(key, known))
 
 
-def _parents_first(schema: BodySchema) -> list:
-    placed, waiting = [], list(schema.joints)
-    while waiting:
-        names = {joint.name for joint in placed} | {WORLD}
-        placed += [joint for joint in waiting if joint.parent in names]
-        waiting = [joint for joint in waiting if joint.parent not in names]
-    return placed
-
-
 def _pairs(schema: BodySchema) -> tuple[tuple[int, int], ...]:
     index = {part.name: p for p, part in enumerate(schema.parts)}
     return tuple((index[a], index[b]) for a, b in schema.penetration)
 
 
-def _skeleton(schema: BodySchema, lengths: Mapping[str, float]) -> Skeleton:
-    joints = _parents_first(schema)
-    index = {joint.name: j for j, joint in enumerate(joints)} | {WORLD: -1}
-    dofs = [dof for joint in joints for dof in joint.dofs]
+def _skeleton(frames: Sequence[Frame]) -> Skeleton:
+    index = {frame.name: j for j, frame in enumerate(frames)} | {WORLD: -1}
+    dofs = [dof for frame in frames for dof in frame.dofs]
     order = {dof.name: k for k, dof in enumerate(dofs)}
     topology = Topology(
-        joint_names=tuple(joint.name for joint in joints),
-        parents=tuple(index[joint.parent] for joint in joints),
-        motions=tuple(tuple(_motion(order[dof.name], dof) for dof in joint.dofs) for joint in joints),
+        joint_names=tuple(frame.name for frame in frames),
+        parents=tuple(index[frame.parent] for frame in frames),
+        motions=tuple(tuple(_motion(order[dof.name], dof) for dof in frame.dofs) for frame in frames),
         dof_names=tuple(order),
         dof_units=tuple("m" if dof.is_shift else "rad" for dof in dofs),
     )
     low, high = np.array([_limits(dof) for dof in dofs]).reshape(-1, 2).T
     return Skeleton(
         topology=topology,
-        presets=jnp.stack([preset_rotation(joint.preset) for joint in joints]),
-        offsets=jnp.asarray([_vector(joint.offset, lengths) for joint in joints]),
+        presets=jnp.asarray(np.stack([frame.rotation for frame in frames]), float),
+        offsets=jnp.asarray(np.stack([frame.offset for frame in frames]), float),
         low=jnp.asarray(low),
         high=jnp.asarray(high),
     )
@@ -120,13 +112,3 @@ def _limits(dof: Dof) -> tuple[float, float]:
     if low is None or high is None:
         return (-math.inf, math.inf)
     return (low, high) if dof.is_shift else (math.radians(low), math.radians(high))
-
-
-def _vector(offset: Offset, lengths: Mapping[str, float]) -> list[float]:
-    def metres(value: float | str) -> float:
-        if not isinstance(value, str):
-            return value
-        sign = -1.0 if value.startswith("-") else 1.0
-        return sign * lengths[value.lstrip("+-")]
-
-    return [metres(offset.x), metres(offset.y), metres(offset.z)]

@@ -16,7 +16,7 @@ Axis = Literal["x", "y", "z", "-x", "-y", "-z", "tx", "ty", "tz"]
 class Dof(Schema):
     """One degree of freedom: a turn about (`x`, `-x`, ...) or a shift along (`tx`, ...) an axis of the joint's own frame.
 
-    A turn has limits in degrees, a shift in metres; without limits it is unbounded.
+    A turn has limits in degrees, a shift in metres; without limits it is unbounded. Where both are the same it is fixed, and no dof any more.
     """
 
     name: str
@@ -36,6 +36,12 @@ class Dof(Schema):
         """The limits as written: degrees of an angle, metres of a shift."""
         return (self.low_m, self.high_m) if self.is_shift else (self.low_deg, self.high_deg)
 
+    @property
+    def is_fixed(self) -> bool:
+        """Whether its limits leave it one value."""
+        low, high = self.limits
+        return low is not None and low == high
+
     @model_validator(mode="after")
     def _check_limits(self) -> "Dof":
         unit, other = ("m", "deg") if self.is_shift else ("deg", "m")
@@ -45,10 +51,8 @@ class Dof(Schema):
         low, high = self.limits
         if (low is None) != (high is None):
             raise ValueError(f"dof '{self.name}' has one limit only: give both low_{unit} and high_{unit}, or neither")
-        if low is not None and high is not None and not low < high:
-            raise ValueError(
-                f"dof '{self.name}': low_{unit} = {low:g} is not below high_{unit} = {high:g}; swap them, or leave the dof out if it is fixed"
-            )
+        if low is not None and high is not None and low > high:
+            raise ValueError(f"dof '{self.name}': low_{unit} = {low:g} is above high_{unit} = {high:g}; swap them, or make them equal if it is fixed")
         return self
 
 

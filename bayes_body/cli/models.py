@@ -34,7 +34,7 @@ def list_models() -> None:
     table = Table("model", "dofs", "kernel", "what it is", box=None, pad_edge=False)
     for name in definition_names():
         definition = load_definition(name)
-        dofs = sum(len(joint.dofs) for joint in definition.body.joints)
+        dofs = sum(not dof.is_fixed for joint in definition.body.joints for dof in joint.dofs)
         table.add_row(name, str(dofs), definition.kernel.kind, definition.title)
     # Console() alone would wrap to 80 columns where the output is piped.
     console = Console() if Console().is_terminal else Console(width=160)

@@ -1,8 +1,10 @@
 r"""The hybrid Monte Carlo filter (Poon & Fleet 2002, 4), through blackjax, on the marginal view.
 
 With the particles $(w_i, s^i_{t-1})$ of the frame before, the target is the likelihood times the prediction mixture (14),
-$p(s_t \mid z_{1:t}) \propto L(s_t; z_t) \sum_i w_i\, p(s_t \mid s^i_{t-1})$, in coordinates without limits. A frame begins with M states by sampling
-importance resampling from the mixture; from each a chain runs, whose first states are burn-in. What is left of all chains are the particles, of equal
+$p(s_t \mid z_{1:t}) \propto L(s_t; z_t) \sum_i w_i\, p(s_t \mid s^i_{t-1})$, in coordinates without limits.
+
+A frame begins with M states by sampling importance resampling from the mixture (of `starts` draws, in the paper M), which also estimates the evidence
+as well as so many particles do. From each state a chain runs, whose first states are burn-in. What is left of all chains are the particles, of equal
 weight, chain after chain.
 
 `carry` says what the next frame's mixture is made of: the means of the chains, as in the paper, one component a chain; or the draws themselves, with
@@ -103,8 +105,12 @@ class _Filter:
 
     def frame(self, key: Key, particles: Particles, density: FrameDensity) -> tuple[Particles, FilterInfo]:
         count = particles.log_weights.shape[0]
-        mixture = _chain_means(particles, self._kept(count)) if self.options.carry == "means" else particles
-        return self.sample(key, density.given(mixture), count)
+        if self.options.carry == "draws":
+            return self.sample(key, density.given(particles), count)
+        kept = self._kept(count)
+        after, info = self.sample(key, density.given(_chain_means(particles, kept)), count)
+        # The first draw of a chain stands for its mean.
+        return after, info._replace(ancestors=info.ancestors * kept)
 
     def _kept(self, count: int) -> int:
         """Draws of a chain: all are of one length, and of the last what is over is left out."""
@@ -167,11 +173,10 @@ class _Filter:
 
     def _states(self, key: Key, draws: State, density: FrameDensity) -> tuple[State, Int[Array, " particle"]]:
         """The whole states of draws, what they carry along taken from an ancestor of p(i | s)."""
-        target = density.unconstrained()
 
         def whole(own: tuple[Key, State], density: FrameDensity) -> tuple[State, Int[Array, ""]]:
             own_key, position = own
-            sampled = target.constrain(position)
+            sampled = density.unconstrained().constrain(position)
             ancestor = jax.random.categorical(own_key, density.ancestor_log_probs(sampled))
             return density.transition.carry(density.ancestor(ancestor), sampled), ancestor
 

@@ -82,7 +82,7 @@ def _direction(camera: Camera, seen: Float[Array, "4 part 3"], contour: Contour)
     du = camera.focal[0] * ((to_x * Z - X * to_z) + camera.skew * (to_y * Z - Y * to_z))
     dv = camera.focal[1] * (to_y * Z - Y * to_z)
     # Seen exactly along its axis a side is a point: any direction is as good, as long as it is finite.
-    scale = jax.lax.rsqrt(du * du + dv * dv + (1e-3 * camera.focal[0]) ** 2 * 1e-6)
+    scale = jax.lax.rsqrt(du * du + dv * dv + (1e-6 * camera.focal[0]) ** 2)
     return Z, (-dv * scale, du * scale)
 
 
@@ -112,7 +112,7 @@ def _shown(body: Body, rig: Camera, seen: Seen, pixels: Pixels[Grid], depths: Gr
 
 
 def _insides(forms: Float[Array, "coefficient 4 part"], columns: Float[Array, " point"], rows: Float[Array, " point"]) -> Float[Array, "part point"]:
-    """How far inside of each part's outline, pixels (likelihood/outlines.py); of a sphere all four forms are the same but for the unused ones."""
+    """How far inside of each part's outline, pixels (likelihood/outlines.py); of a sphere all four forms are one and the same."""
     basis = [jnp.ones_like(columns), columns, rows, columns * columns, columns * rows, rows * rows][: forms.shape[0]]
     sides = sum(form[:, :, None] * each for form, each in zip(forms, basis, strict=True))
     return jnp.min(sides, axis=0)

@@ -2,10 +2,12 @@
 
 import tomllib
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from bayes_body.body.build import Shape, build_body
+from bayes_body.body.kinematics import marker_positions
 from bayes_body.body.schema import BodySchema
 from bayes_body.body.solids import Body
 from bayes_body.definition import definitions_folder, load_body
@@ -117,3 +119,23 @@ def test_joints_in_a_circle():
     with pytest.raises(ValueError, match=r"hang on each other in a cycle; one of them must have the parent 'world'") as error:
         BodySchema.model_validate(document)
     assert {"root", "l_hip", "l_knee"} <= set(str(error.value).split("joints ")[1].split(" hang")[0].split(" -> "))
+
+
+@pytest.mark.parametrize(
+    "fixed", [["l_hip_x"], ["l_hip_y"], ["l_hip_z", "l_knee"], ["root_z"], ["root_y", "root_roll", "l_hip_y", "l_hip_x", "l_hip_z"]], ids="+".join
+)
+def test_a_dof_whose_limits_are_equal_is_a_constant(schema, fixed):
+    values = {"l_hip_x": 20.0, "l_hip_y": -35.0, "l_hip_z": 10.0, "l_knee": -50.0, "root_z": 0.9, "root_y": -0.3, "root_roll": 15.0}
+    table = tomllib.loads((definitions_folder() / "bodies" / f"{NAME}.toml").read_text(encoding="utf-8"))
+    for joint in table["joint"]:
+        for dof in joint.get("dofs", []):
+            if dof["name"] in fixed:
+                unit = "m" if dof["axis"].startswith("t") else "deg"
+                dof |= {f"low_{unit}": values[dof["name"]], f"high_{unit}": values[dof["name"]]}
+    whole, less = build_body(NAME, schema), build_body(NAME, BodySchema.model_validate(table))
+    assert set(whole.dof_names) - set(less.dof_names) == set(fixed)
+    rng = np.random.default_rng(0)
+    pose = dict(zip(whole.dof_names, rng.uniform(-0.4, 0.4, len(whole.dof_names)), strict=True))
+    pose |= {name: values[name] if name.startswith("root") and name != "root_roll" else np.radians(values[name]) for name in fixed}
+    there, here = (marker_positions(body.skeleton, body.markers, jnp.array([pose[name] for name in body.dof_names])) for body in (whole, less))
+    np.testing.assert_allclose(here, there, atol=2e-6)

@@ -127,7 +127,6 @@ WRITTEN_OUT = (
 )
 BODY_FAULTS = {
     "low above high": (("low_deg = -150, high_deg = 0", "low_deg = 0, high_deg = -150"), ["'bend'", "low_deg = 0", "high_deg = -150", "swap them"]),
-    "low equals high": (("low_deg = -150, high_deg = 0", "low_deg = 0, high_deg = 0"), ["'bend'", "low_deg = 0", "high_deg = 0"]),
     "one limit": (("low_deg = -150, high_deg = 0", "low_deg = -150"), ["'bend'", "one limit only", "low_deg and high_deg", "neither"]),
     "metres of an angle": (("high_deg = 0", "high_m = 0"), ["'bend'", "is an angle", "low_deg and high_deg"]),
     "cycle": (('parent = "world"', 'parent = "elbow"'), ["shoulder -> elbow -> shoulder", "cycle", "'world'"]),

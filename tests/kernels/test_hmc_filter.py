@@ -96,6 +96,16 @@ def test_the_next_frame_starts_from_the_chains_means():
     assert np.isclose(jax.nn.logsumexp(means.log_weights), 0, atol=1e-6)
 
 
+def test_ancestors_are_draws_or_the_first_of_a_chain():
+    density = conjugate(32).density
+    spread = density.previous._replace(states={"x": density.previous.states["x"] + jnp.linspace(-1, 1, 32)[:, None]})
+    found = {}
+    for carry in ("draws", "means"):
+        _, info = jax.jit(build_kernel(chains=4, burn_in=5, leapfrog_steps=3, carry=carry))(jax.random.key(0), spread, density)
+        found[carry] = set(np.asarray(info.ancestors).tolist())
+    assert found["means"] <= {0, 8, 16, 24} and found["draws"] <= set(range(32)) and not found["draws"] <= {0, 8, 16, 24}
+
+
 def test_effective_draws_of_independent_and_of_stuck_chains():
     rng = np.random.default_rng(0)
     independent = jnp.asarray(rng.normal(size=(4, 500, 2)))
