@@ -1,0 +1,78 @@
+"""Sample the posterior of a person's pose, frame by frame, with the hybrid Monte Carlo filter (Poon & Fleet 2002).
+
+    python inference/hmc_filter.py --session SESSION --out RUN
+
+A few chains of Hamiltonian Monte Carlo a frame, on the likelihood times the mixture of predictions from the frame before. Where the posterior has
+several modes, a chain may stay in its own: compare chains and runs. SESSION is what `bayes-body import` makes. Copy this file and change it.
+"""
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import bayes_body as bb
+from bayes_body.errors import InputError
+
+
+def whole(least: int, most: int = 2**32 - 1) -> Callable[[str], int]:
+    def read(text: str) -> int:
+        if not (text.isdecimal() and least <= int(text) <= most):
+            raise argparse.ArgumentTypeError(f"{text}; expected a whole number from {least} to {most}; give another number")
+        return int(text)
+
+    return read
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Sample the posterior of a person's pose with the hybrid Monte Carlo filter.")
+    parser.add_argument("--session", type=Path, required=True, help="folder with a session.toml")
+    parser.add_argument("--out", type=Path, required=True, help="folder for posterior.nc and the overlay")
+    parser.add_argument("--model", default="poon_fleet_2002_legs", help="a definition's name or the path of your own (%(default)s)")
+    parser.add_argument("--particles", type=whole(1), default=400, help="draws that are kept of all chains (%(default)s)")
+    parser.add_argument("--chains", type=whole(1), default=8, help="chains a frame (%(default)s)")
+    parser.add_argument("--starts", type=whole(1), default=500, help="predictions among which the chains' starts are drawn (%(default)s)")
+    parser.add_argument("--runs", type=whole(1), default=2, help="independent filters (%(default)s)")
+    parser.add_argument("--seed", type=whole(0), default=0, help="of everything random (%(default)s)")
+    parser.add_argument("--quick", action="store_true", help="two frames, 64 draws: to see that it works")
+    return parser.parse_args()
+
+
+def main() -> None:
+    arguments = parse()
+    bb.configure()
+    session = bb.load_session(arguments.session)
+    model = bb.with_first_pose(bb.load_model(arguments.model, session), session)
+    particles, burn_in = (64, 10) if arguments.quick else (arguments.particles, 50)
+    frames = min(2, session.frames) if arguments.quick else session.frames
+    arguments.out.mkdir(parents=True, exist_ok=True)
+
+    kernel = bb.kernels.hmc(chains=arguments.chains, starts=arguments.starts, burn_in=burn_in, leapfrog_steps=30)
+    draws = bb.track(session, model, kernel, jax.random.key(arguments.seed), particles=particles, runs=arguments.runs, frames=frames)
+    posterior = bb.to_datatree(draws)
+    bb.save_posterior(posterior, arguments.out / "posterior.nc")
+    bb.draw_overlay(session, draws, arguments.out)
+
+    last = posterior["posterior"]["pose"].isel(frame=-1)  # draws of equal weight
+    print(f"{'dof':<16}{'mean':>10} ± sd        in frame {frames - 1}, all runs together")
+    for dof in last.dof.values:
+        scale, unit = (1000, "mm") if last.sel(dof=dof).unit == "m" else (np.degrees(1), "deg")
+        print(f"{dof:<16}{float(last.sel(dof=dof).mean()) * scale:10.1f} ± {float(last.sel(dof=dof).std()) * scale:<7.1f} {unit}")
+    ess, accepted = posterior["filter"]["ess"], posterior["filter"]["acceptance_rate"]
+    print(f"effective particles: {float(ess.min()):.0f} at least, {float(ess.median()):.0f} median, of {particles}, of the worst dof")
+    print(f"accepted: {float(accepted.min()):.0%} of a frame's trajectories at least; below a fifth, or above nine tenths, change the step")
+    print(f"frames lost: {len(draws.frames_lost)}; seconds: {draws.timing.total:.1f}, {draws.timing.compile:.1f} of them compilation")
+    evidence = posterior["filter"]["log_evidence"].sum("frame").values
+    print(f"log-evidence: {np.logaddexp.reduce(evidence) - np.log(len(evidence)):.2f} (by run: {', '.join(f'{value:.2f}' for value in evidence)})")
+    print("This is log p(images | model), up to the likelihood's constant, as well as the starts of the chains tell it.")
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except (InputError, OSError) as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)
