@@ -78,8 +78,8 @@ def test_evidence_is_estimated_by_the_starts(target):
 def test_overdispersed_starts_reach_the_same_posterior(target, monkeypatch):
     honest = hmc_filter._Filter._starts
 
-    def far(self, key, mixture, density):
-        start, evidence, lost = honest(self, key, mixture, density)
+    def far(self, key, mixture, density, chains):
+        start, evidence, lost = honest(self, key, mixture, density, chains)
         spread = jax.random.normal(key, start.position["x"].shape)
         return start._replace(position={"x": start.position["x"] + 1.5 * spread}), evidence, lost
 
