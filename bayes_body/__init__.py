@@ -34,6 +34,8 @@ _HOME = {
     "marker_positions": "body.kinematics",
     "project": "camera",
     "register": "registry",
+    "setting": "cli.arguments",
+    "whole_number": "cli.arguments",
 }
 _MODULES = ("compare", "kernels", "posterior", "metrics")
 __all__ = sorted({*_HOME, *_MODULES})  # pyright: ignore[reportUnsupportedDunderAll]

@@ -47,7 +47,7 @@ def _checked_factor(room: Room, factor: Factor, name: str, where: str) -> Factor
     sides = ("likelihood",) if room == "likelihood" else ("constraint", "prior")
     if factor.side not in sides:
         raise wrong(where, f'its factor has the side "{factor.side}"', f'"{sides[0]}"', "correct the factor's side")
-    functions = {key: _leafless(getattr(factor, key)) for key in ("log_potential", "simulate")}
+    functions = {key: _leafless(getattr(factor, key)) for key in ("log_potential", "simulate", "curvature")}
     return replace(factor, **functions)
 
 

@@ -24,12 +24,16 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--json", type=Path, required=True, help="file for all figures")
     parser.add_argument("--plot", type=Path, help="a .png of them")
     parser.add_argument("--model", default="poon_fleet_2002_legs", help="a definition's name or the path of your own (%(default)s)")
-    parser.add_argument("--frame", type=int, default=10, help="which, counted from 0 (%(default)s)")
-    parser.add_argument("--components", type=int, default=10, help="of the prediction mixture (%(default)s)")
-    parser.add_argument("--runs", type=int, default=50, help="of each sampler (%(default)s)")
-    parser.add_argument("--truth", type=int, default=4_000_000, help="particles of each of the two runs that find the true mean (%(default)s)")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="an option of hmc other than the model's, such as step=0.1")
-    parser.add_argument("--seed", type=int, default=0, help="of everything random (%(default)s)")
+    parser.add_argument("--frame", type=bb.whole_number(1), default=10, help="which, counted from 0 (%(default)s)")
+    parser.add_argument("--components", type=bb.whole_number(1), default=10, help="of the prediction mixture (%(default)s)")
+    parser.add_argument("--runs", type=bb.whole_number(2), default=50, help="of each sampler (%(default)s)")
+    parser.add_argument(
+        "--truth", type=bb.whole_number(1), default=4_000_000, help="particles of each of the two runs that find the true mean (%(default)s)"
+    )
+    parser.add_argument(
+        "--set", type=bb.setting, action="append", default=[], metavar="KEY=VALUE", help="an option of hmc other than the model's, such as step=0.1"
+    )
+    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="of everything random (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="10 runs, a truth of 400 000 particles")
     return parser.parse_args()
 
@@ -41,19 +45,20 @@ def main() -> None:
     model = bb.with_first_pose(bb.load_model(arguments.model, session), session)
     runs, many = (10, 400_000) if arguments.quick else (arguments.runs, arguments.truth)
     own = model.definition.kernel.options.model_dump() if model.definition.kernel.kind == "hmc" else {}
-    options = own | {key: json.loads(value) for key, value in (pair.split("=", 1) for pair in arguments.set)}
+    options = own | dict(arguments.set)
     draws, keys = options.get("particles", 400), jax.random.split(jax.random.key(arguments.seed), 6)
 
     before = bb.track(session, model, bb.kernels.sir(), keys[0], particles=20_000, frames=arguments.frame)
     mixture = ev.mixture_after(keys[1], before, arguments.components)
     density = model.density(model.observe(bb.read_frame(session, arguments.frame)), mixture)
 
-    truth, sampler, cost = ev.true_mean(keys[2], density, many), ev.hmc_sampler(**options), ev.gradient_cost(density)
-    hmc = ev.run_many(keys[3], density, lambda key, density: sampler(key, density, draws), runs)
+    sampler, cost, bar = ev.hmc_sampler(**options), ev.gradient_cost(density), sys.stderr.isatty()
+    truth = ev.true_mean(keys[2], density, many, ev.watched("chunks of the truth", bar))
+    hmc = ev.run_many(keys[3], density, lambda key, density: sampler(key, density, draws), runs, ev.watched("runs of hmc", bar))
     sizes = {"evaluations": round(hmc.evaluations * cost)}
-    equal = {"evaluations": ev.run_many(keys[4], density, ev.sir_sampler(sizes["evaluations"]), runs)}
+    equal = {"evaluations": ev.run_many(keys[4], density, ev.sir_sampler(sizes["evaluations"]), runs, ev.watched("runs of sir", bar))}
     sizes["seconds"] = max(round(sizes["evaluations"] * hmc.seconds / equal["evaluations"].seconds), 1)
-    equal["seconds"] = ev.run_many(keys[5], density, ev.sir_sampler(sizes["seconds"]), runs)
+    equal["seconds"] = ev.run_many(keys[5], density, ev.sir_sampler(sizes["seconds"]), runs, ev.watched("runs of sir", bar))
     found = {at: ev.figures_of(model.body.dof_names, sir, hmc, truth) for at, sir in equal.items()}
     for at, row in found.items():
         low, high = row["ratio_interval"]

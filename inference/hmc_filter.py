@@ -8,7 +8,6 @@ several modes, a chain may stay in its own: compare chains and runs. SESSION is 
 
 import argparse
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -18,25 +17,16 @@ import bayes_body as bb
 from bayes_body.errors import InputError
 
 
-def whole(least: int, most: int = 2**32 - 1) -> Callable[[str], int]:
-    def read(text: str) -> int:
-        if not (text.isdecimal() and least <= int(text) <= most):
-            raise argparse.ArgumentTypeError(f"{text}; expected a whole number from {least} to {most}; give another number")
-        return int(text)
-
-    return read
-
-
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Sample the posterior of a person's pose with the hybrid Monte Carlo filter.")
     parser.add_argument("--session", type=Path, required=True, help="folder with a session.toml")
     parser.add_argument("--out", type=Path, required=True, help="folder for posterior.nc and the overlay")
     parser.add_argument("--model", default="poon_fleet_2002_legs", help="a definition's name or the path of your own (%(default)s)")
-    parser.add_argument("--particles", type=whole(1), default=400, help="draws that are kept of all chains (%(default)s)")
-    parser.add_argument("--chains", type=whole(1), default=8, help="chains a frame (%(default)s)")
-    parser.add_argument("--starts", type=whole(1), default=500, help="predictions among which the chains' starts are drawn (%(default)s)")
-    parser.add_argument("--runs", type=whole(1), default=2, help="independent filters (%(default)s)")
-    parser.add_argument("--seed", type=whole(0), default=0, help="of everything random (%(default)s)")
+    parser.add_argument("--particles", type=bb.whole_number(1), default=400, help="draws that are kept of all chains (%(default)s)")
+    parser.add_argument("--chains", type=bb.whole_number(1), default=8, help="chains a frame (%(default)s)")
+    parser.add_argument("--starts", type=bb.whole_number(1), default=500, help="predictions among which the chains' starts are drawn (%(default)s)")
+    parser.add_argument("--runs", type=bb.whole_number(1), default=2, help="independent filters (%(default)s)")
+    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="of everything random (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="two frames, 64 draws: to see that it works")
     return parser.parse_args()
 

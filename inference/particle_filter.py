@@ -8,7 +8,6 @@ dofs and a sharp likelihood that takes many. SESSION is what `bayes-body import`
 
 import argparse
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -18,23 +17,14 @@ import bayes_body as bb
 from bayes_body.errors import InputError
 
 
-def whole(least: int, most: int = 2**32 - 1) -> Callable[[str], int]:
-    def read(text: str) -> int:
-        if not (text.isdecimal() and least <= int(text) <= most):
-            raise argparse.ArgumentTypeError(f"{text}; expected a whole number from {least} to {most}; give another number")
-        return int(text)
-
-    return read
-
-
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Sample the posterior of a person's pose with the particle filter.")
     parser.add_argument("--session", type=Path, required=True, help="folder with a session.toml")
     parser.add_argument("--out", type=Path, required=True, help="folder for posterior.nc and the overlay")
     parser.add_argument("--model", default="deutscher_apf", help="a definition's name or the path of your own (%(default)s)")
-    parser.add_argument("--particles", type=whole(1), default=4000, help="particles a run (%(default)s)")
-    parser.add_argument("--runs", type=whole(1), default=2, help="independent filters (%(default)s)")
-    parser.add_argument("--seed", type=whole(0), default=0, help="of everything random (%(default)s)")
+    parser.add_argument("--particles", type=bb.whole_number(1), default=4000, help="particles a run (%(default)s)")
+    parser.add_argument("--runs", type=bb.whole_number(1), default=2, help="independent filters (%(default)s)")
+    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="of everything random (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="two frames, 64 particles: to see that it works")
     return parser.parse_args()
 

@@ -39,21 +39,22 @@ def edge_statistics(
     tried, bar = _numbers(wavelengths), sys.stderr.isatty()
     with waiting("images", bar):
         images, others = _images(sessions, frames), _images(held_out, frames) if held_out else None
-    learned: list[tuple[float, EdgeStatistics]] = []
+    asked, learned, compared = (*DISPLACED_PX, None), [], []
     for wavelength in tried:
         with waiting(f"wavelength {wavelength:g} px", bar):
-            learned.append((wavelength, fit(images.at(wavelength, 0.0), images.at(wavelength, None))))
-    typer.echo("\n".join(_table(wavelength, statistics) for wavelength, statistics in learned))
+            found = images.at(wavelength, asked)
+            learned.append((wavelength, fit(found[0], found[-1]), found[0]))
+            compared.append([mean_log_density(each, learned[-1][1]) for each in (others.at(wavelength, asked) if others else found)])
+    typer.echo("\n".join(_table(wavelength, statistics) for wavelength, statistics, _ in learned))
     whose = "recordings held out" if others else "recordings learned from"
     typer.echo(f"# mean log-density a sample, nats, on the {whose}: boundaries displaced by ... px, and elsewhere")
     typer.echo("# wavelength px " + "".join(f"{by:8g}" for by in DISPLACED_PX) + "   elsewhere")
-    for wavelength, statistics in learned:
-        values = [mean_log_density((others or images).at(wavelength, by), statistics) for by in (*DISPLACED_PX, None)]
+    for (wavelength, *_), values in zip(learned, compared, strict=True):
         typer.echo(f"# {wavelength:13g} " + "".join(f"{value:8.2f}" for value in values[:-1]) + f"{values[-1]:12.2f}")
     if plot is not None:
         from bayes_body.view.edge_plot import draw_edge_statistics
 
-        draw_edge_statistics(plot, [(wavelength, statistics, images.at(wavelength, 0.0)) for wavelength, statistics in learned])
+        draw_edge_statistics(plot, learned)
         typer.echo(f"# {plot}")
 
 

@@ -21,11 +21,11 @@ from bayes_body.kernels.hmc_filter import build_sampler as hmc_sampler
 from bayes_body.kernels.particle_filter import build_kernel
 from bayes_body.kernels.resampling import resampler
 from bayes_body.shapes import Key
-from bayes_body.view.progress import Watch, unwatched
+from bayes_body.view.progress import Watch, unwatched, watched
 from bayes_body.view.variance_plot import draw_ratios
 
 __all__ = ["Ratios", "Runs", "Truth", "draw_ratios", "figures_of", "gradient_cost", "hmc_sampler", "mixture_after", "ratios", "run_many"]
-__all__ += ["sir_sampler", "true_mean"]
+__all__ += ["sir_sampler", "true_mean", "watched"]
 
 # Particles of one program; a truth of millions is summed over many.
 CHUNK = 50_000
@@ -71,15 +71,13 @@ def mixture_after(key: Key, draws: Draws, components: int) -> Particles:
 
 
 def sir_sampler(particles: int) -> Sampler:
-    """The particle filter from a fixed mixture."""
+    """The particle filter from a fixed mixture, of so many particles or a few more: of each component equally many."""
     kernel = build_kernel()
 
     def sample(key: Key, density: FrameDensity) -> tuple[Particles, FilterInfo]:
-        # The kernel draws as many particles as it is given: of each component as many copies.
+        # The kernel draws as many particles as it is given.
         copies = -(-particles // density.previous.log_weights.shape[0])
-        states = jax.tree.map(lambda leaf: jnp.tile(leaf, (copies,) + (1,) * (leaf.ndim - 1))[:particles], dict(density.previous.states))
-        tiled = Particles(states, jnp.tile(density.previous.log_weights, copies)[:particles])
-        return kernel(key, tiled, density)
+        return kernel(key, jax.tree.map(lambda leaf: jnp.tile(leaf, (copies,) + (1,) * (leaf.ndim - 1)), density.previous), density)
 
     return sample
 

@@ -18,7 +18,7 @@ from numpyro.distributions import Distribution, constraints
 
 from bayes_body.body.solids import Body
 from bayes_body.dynamics.deviations import standard_deviations
-from bayes_body.dynamics.limits import Box
+from bayes_body.dynamics.limits import InBox
 from bayes_body.factor import State, Transition
 from bayes_body.registry import register
 from bayes_body.schema import Positive, Schema
@@ -38,7 +38,7 @@ class Options(Schema):
     use_subject_sd: bool = True
 
 
-class TruncatedWalk(Distribution):
+class TruncatedWalk(InBox):
     """A normal truncated to a box with possibly infinite sides: independent dofs, scalar log_prob."""
 
     arg_constraints = {"loc": constraints.real_vector, "scale": constraints.real_vector}
@@ -48,17 +48,6 @@ class TruncatedWalk(Distribution):
     def __init__(self, loc: Pose, scale: Pose, low: Pose, high: Pose, *, validate_args: bool | None = None):
         self.loc, self.scale, self.low, self.high = loc, scale, low, high
         super().__init__(batch_shape=(), event_shape=loc.shape, validate_args=validate_args)
-
-    # numpyro declares its base class for its own decorators; the signatures below are those that it calls.
-    @constraints.dependent_property(is_discrete=False, event_dim=1)  # pyright: ignore[reportArgumentType]
-    def support(self) -> Box:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """The joint limits."""
-        return Box(self.low, self.high)
-
-    @property
-    def variance(self) -> Pose:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Of the normal before it is cut."""
-        return self.scale**2
 
     @property
     def _sides(self) -> tuple[Pose, Pose]:

@@ -16,9 +16,9 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.special import betaln
 from jaxtyping import Array, Bool, Float
-from numpyro.distributions import Distribution, constraints
+from numpyro.distributions import constraints
 
-from bayes_body.dynamics.limits import Box
+from bayes_body.dynamics.limits import InBox
 from bayes_body.shapes import Index, Key, Pose, Scalar
 
 # The largest variance of a share of the range, just below the uniform law's.
@@ -29,7 +29,7 @@ NEAREST = 1.2e-7
 NEWTON_STEPS = 12
 
 
-class JointNoise(Distribution):
+class JointNoise(InBox):
     """Independent dofs, each with the noise of its kind; scalar log_prob.
 
     A dof that turns freely keeps its own coordinate, which counts turns: its density has the period 2π and integrates to one over a turn. A sigmoid
@@ -58,17 +58,6 @@ class JointNoise(Distribution):
         self.alpha, self.beta = 1 + share * kappa, 1 + (1 - share) * kappa
         self.log_norm = jnp.where(self._limited, betaln(self.alpha, self.beta) + jnp.log(width), jnp.log(scale) + 0.5 * math.log(2 * math.pi))
         super().__init__(batch_shape=(), event_shape=centre.shape, validate_args=validate_args)
-
-    # numpyro declares its base class for its own decorators; the signatures below are those that it calls.
-    @constraints.dependent_property(is_discrete=False, event_dim=1)  # pyright: ignore[reportArgumentType]
-    def support(self) -> Box:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """The joint limits."""
-        return Box(self.low, self.high)
-
-    @property
-    def variance(self) -> Pose:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Of each dof; around a circle that of the normal before it is wrapped."""
-        return self.scale**2
 
     @property
     def _limited(self) -> Bool[Array, " dof"]:

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-from numpyro.distributions import biject_to, constraints
+from numpyro.distributions import Distribution, biject_to, constraints
 from numpyro.distributions.transforms import ParameterFreeTransform, Transform
 
 from bayes_body.shapes import Pose
@@ -88,3 +88,22 @@ class BoxTransform(Transform):
 @biject_to.register(Box)
 def _biject_to_box(constraint: Box) -> BoxTransform:
     return BoxTransform(constraint.low, constraint.high)
+
+
+class InBox(Distribution):
+    """What laws of independent dofs inside joint limits share: `scale`, `low` and `high` of each dof, radians or metres."""
+
+    scale: Pose
+    low: Pose
+    high: Pose
+
+    # numpyro declares its base class for its own decorators; the signatures below are those that it calls.
+    @constraints.dependent_property(is_discrete=False, event_dim=1)  # pyright: ignore[reportArgumentType]
+    def support(self) -> Box:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """The joint limits."""
+        return Box(self.low, self.high)
+
+    @property
+    def variance(self) -> Pose:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Of the noise, before limits cut it or a circle wraps it."""
+        return self.scale**2

@@ -6,7 +6,7 @@ $\rho_{min}$ and $\rho_{max}$ hold all but one in a hundred. log p_occ lies half
 elsewhere (about the person, at least `ELSEWHERE_PX` from the outline, in any direction): a hidden sample speaks neither for a pose nor against it.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -72,17 +72,16 @@ class Images(NamedTuple):
 
     pairs: Sequence[tuple[NDArray[np.uint8], NDArray[np.bool_]]]
 
-    def at(self, wavelength_px: float, by_px: float | None, seed: int = 0) -> Response:
-        """Responses on all outlines, displaced by so much; elsewhere where that is None."""
+    def at(self, wavelength_px: float, displacements: Sequence[float | None], seed: int = 0) -> list[Response]:
+        """Responses on all outlines displaced by so many pixels, or elsewhere where that is None: one for each of the displacements."""
         rng = np.random.default_rng(seed)
-        found = list(self._each(wavelength_px, by_px, rng))
-        return Response(*(np.concatenate(part) if part else np.zeros(0) for part in zip(*found, strict=True)))
-
-    def _each(self, wavelength_px: float, by_px: float | None, rng: np.random.Generator) -> Iterator[Response]:
+        found: list[list[Response]] = [[] for _ in displacements]
         for grey, mask in self.pairs:
-            outline = outline_points(mask)
-            points = elsewhere_points(mask, len(outline.places), rng) if by_px is None else displaced(outline, by_px, rng)
-            yield sampled(responses(grey, wavelength_px), points)
+            maps, outline = responses(grey, wavelength_px), outline_points(mask)
+            for place, by_px in zip(found, displacements, strict=True):
+                points = elsewhere_points(mask, len(outline.places), rng) if by_px is None else displaced(outline, by_px, rng)
+                place.append(sampled(maps, points))
+        return [Response(*(np.concatenate(part) for part in zip(*each, strict=True))) for each in found]
 
 
 def known_pairs(session: Session, frames: int, true_masks: Callable[[str], str]) -> list[tuple[NDArray[np.uint8], NDArray[np.bool_]]]:

@@ -177,4 +177,4 @@ def test_on_a_real_still_the_true_boundary_wins(sports2d_walk):
 
 def test_images_without_a_person_give_no_points():
     nothing = Images([(np.zeros((60, 60), np.uint8), np.zeros((60, 60), bool))])
-    assert len(nothing.at(8.0, 0.0).even) == 0 and len(nothing.at(8.0, None).odd) == 0
+    assert [len(each.even) for each in nothing.at(8.0, (0.0, None))] == [0, 0]

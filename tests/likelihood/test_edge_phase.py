@@ -359,12 +359,23 @@ def test_the_sum_of_samples_is_the_normalised_one_times_their_number():
     assert np.isclose(whole.log_potential(pose, maps), 20 * normalised.log_potential(pose, maps))
 
 
-def test_the_curvature_is_of_the_size_of_the_phases_own():
-    """On a boundary that is met exactly, second differences along a shift across it are those of (22), within the mixture's share."""
+def test_the_curvature_is_that_of_the_formula():
+    """(22), from differences of the samples' places: the weight times (2π/λσ)² of every scale, times the squared shift along the normal."""
     model = _model("hard")
     density = _density_of(model, [_image()])
-    found = density.curvature(density.ancestor(0), density.ancestor(0))["pose"]
-    assert np.all(np.asarray(found) >= 0) and np.asarray(found)[1] > 100
+    pose = _pose(model, **STANDING)
+    found = density.curvature({"pose": pose, "pose_before": pose}, density.ancestor(0))["pose"]
+
+    def seen(pose):
+        return boundaries(model.body, model.rig, contour(model.body, 10), seen_patches(model.body, model.rig, pose), "hard")
+
+    here = seen(pose)
+    phase = sum((2 * math.pi / wavelength / (0.15 * math.pi)) ** 2 for wavelength in (8.0, 16.0)) / 20
+    for dof in range(14):
+        step = 1e-5 * np.eye(14)[dof]
+        ahead, behind = seen(pose + step).pixels, seen(pose - step).pixels
+        shift = ((ahead.u - behind.u) * here.normals[0] + (ahead.v - behind.v) * here.normals[1]) / 2e-5
+        assert np.isclose(found[dof], phase * np.sum(here.visible * shift**2), rtol=1e-4)
 
 
 # -- what cannot be -----------------------------------------------------------------------------------------------------------------------

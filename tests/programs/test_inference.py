@@ -99,3 +99,10 @@ def test_estimator_variance_quick(walk, tmp_path):
 def test_estimator_variance_of_no_session_is_a_sentence(tmp_path):
     done = run(ROOT / "inference" / "estimator_variance.py", "--session", "nowhere", "--json", tmp_path / "figures.json")
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and "nowhere" in done.stderr
+
+
+@pytest.mark.parametrize("fault", [("--set", "step"), ("--set", "step=a"), ("--components", "0"), ("--frame", "0")], ids="=".join)
+def test_estimator_variance_says_which_argument_is_wrong(tmp_path, fault):
+    done = run(ROOT / "inference" / "estimator_variance.py", "--session", ".", "--json", tmp_path / "figures.json", *fault)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert f"{fault[0]}: {fault[1]}; expected" in done.stderr.splitlines()[-1]
