@@ -109,9 +109,9 @@ class Density:
         return self._sum(self.factors, state, previous)
 
     def curvature(self, state: State, previous: State) -> dict[str, Array] | None:
-        """About minus the second derivative of the log-likelihood along each entry of a state; None where a likelihood does not offer it."""
+        """About minus the second derivatives of the log-likelihood by the entries of each variable; None where a likelihood offers none."""
         likelihoods = [factor for factor in self.factors if factor.side == "likelihood"]
-        values, total = variables(state, previous), {name: jnp.zeros_like(value) for name, value in state.items()}
+        values, total = variables(state, previous), {name: jnp.zeros((value.size, value.size), value.dtype) for name, value in state.items()}
         for factor in likelihoods:
             if factor.curvature is None:
                 return None

@@ -56,8 +56,8 @@ class Factor:
         has_gradient: whether its gradient tells where it grows; that of a nearest look-up is zero everywhere.
         simulate: `(key, variables) -> data`, a draw from the distribution over a frame's data whose normalised log-density `log_potential` is; a
             `jax.tree_util.Partial`. None where the factor is no such distribution.
-        curvature: `(variables, data) -> by variable, about minus the second derivative of log_potential along each of its entries`, for the mass
-            matrix of a sampler; a `jax.tree_util.Partial`. None where the factor has none of its own.
+        curvature: `(variables, data) -> by variable, about minus the second derivatives of log_potential by its entries, (entry, entry)`, with no
+            negative eigenvalue, for the mass matrix of a sampler; a `jax.tree_util.Partial`. None where the factor has none of its own.
     """
 
     name: str
@@ -214,7 +214,7 @@ class FrameDensity(Protocol):
         ...
 
     def curvature(self, state: State, previous: State) -> Mapping[str, Array] | None:
-        """About minus the second derivative of the log-likelihood along each entry of a state, where all likelihoods offer it."""
+        """About minus the second derivatives of the log-likelihood by the entries of each variable, where all likelihoods offer them."""
         ...
 
 

@@ -24,7 +24,7 @@ from pydantic import Field, model_validator
 from bayes_body.factor import FilterInfo, FrameDensity, Kernel, Particles, State
 from bayes_body.kernels.batching import over_particles
 from bayes_body.kernels.hamiltonian import Chain, Sampler, Schedule, effective_draws, run_chain
-from bayes_body.kernels.mass import dense, inverse_mass
+from bayes_body.kernels.mass import correlated, inverse_mass
 from bayes_body.kernels.moves import check_gradients
 from bayes_body.kernels.resampling import Scheme, resampler
 from bayes_body.kernels.weights import normalise
@@ -34,7 +34,7 @@ from bayes_body.shapes import Key, Scalar
 from bayes_body.toml_file import validate
 
 type Carry = Literal["means", "draws"]
-type Mass = Literal["curvature", "particles"]
+type Mass = Literal["curvature", "curvature_matrix", "particles"]
 
 
 class Options(Schema):
@@ -164,9 +164,9 @@ class _Filter:
 
         def run(own: tuple[Key, _Start], density: FrameDensity) -> Chain:
             key, start = own
-            mass = inverse_mass(density, start.position, density.ancestor(start.ancestor))
+            mass = inverse_mass(density, start.position, density.ancestor(start.ancestor), whole=options.mass == "curvature_matrix")
             if options.mass == "particles":
-                mass = dense(mass, *_coordinates(density))
+                mass = correlated(mass, *_coordinates(density))
             return run_chain(key, start.position, density.unconstrained(), jnp.asarray(options.step, mass.dtype), mass, schedule)
 
         return run

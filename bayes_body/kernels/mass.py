@@ -1,15 +1,19 @@
 r"""The inverse mass matrix of Hamiltonian Monte Carlo from curvatures at one state (Poon & Fleet 2002, (18), (22), (23)).
 
-With the variance $v_k$ of the process noise and the curvature $c_k$ of the log-likelihood along dof k, in the coordinates x that are sampled,
+With the variances $v$ of the process noise, the matrix $C$ of minus the second derivatives of the log-likelihood and the slopes
+$S = \mathrm{diag}(\partial s_k / \partial x_k)$ of the coordinates x that are sampled,
 
-$$\frac{1}{\epsilon_k^2} = \Big(\frac{\partial s_k}{\partial x_k}\Big)^2 \Big(\frac{1}{v_k} + c_k\Big)
-  - \frac{\partial^2}{\partial x_k^2} \log \Big|\frac{\partial s_k}{\partial x_k}\Big|, \qquad M^{-1} = \mathrm{diag}(\epsilon_k^2).$$
+$$M = S\, (\mathrm{diag}(1/v) + C)\, S - \mathrm{diag}\Big(\frac{\partial^2}{\partial x_k^2} \log \Big|\frac{\partial s_k}{\partial x_k}\Big|\Big).$$
 
-A likelihood may offer $c_k$ (`Factor.curvature`); else it is found by finite differences of its gradient over a tenth of the noise's deviation, and
-counts where it is positive. The matrix depends on the chain's first state only: the moves stay reversible. Dense, the ε_k are kept, and correlations
-are those of the particles of the frame before.
+The paper takes its diagonal alone, $M^{-1} = \mathrm{diag}(\epsilon_k^2)$. Monocular posteriors are narrow along some combinations of dofs and wide
+along others: with the whole matrix a trajectory need not follow them in the narrowest one's steps.
+
+A likelihood may offer C (`Factor.curvature`); else it is found by finite differences of its gradient over a tenth of the noise's deviation, and
+counts where it is positive. The matrix depends on the chain's first state only: the moves stay reversible. With the correlations of the particles of
+the frame before, the ε_k are kept.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -25,25 +29,40 @@ DIFFERENCE = 0.1
 BELIEVED = 0.9
 
 
-def inverse_mass(density: FrameDensity, position: State, previous: State) -> Float[Array, " dof"]:
-    """The diagonal of M⁻¹ at a position, coordinates without limits; its variables one after the other in alphabetical order.
+def inverse_mass(density: FrameDensity, position: State, previous: State, whole: bool = False) -> Float[Array, " dof *dof"]:
+    """M⁻¹ at a position, coordinates without limits; its variables one after the other in alphabetical order.
 
     Args:
         density: of the frame.
         position: where a chain starts.
         previous: the state of the frame before that it was predicted from.
+        whole: the matrix, rather than the inverse of its diagonal.
     """
     target = density.unconstrained()
     state = target.constrain(position)
-    variances = {name: jnp.asarray(law.variance) for name, law in density.transition.conditional(previous).items()}
-    found = density.curvature(state, previous)
-    curvatures = differenced(density, state, previous, variances) if found is None else found
-    scales = {}
-    for name, x in position.items():
-        slope, bend = _slope_and_bend(target.bijections[name], x)
-        likelihood = jnp.maximum(jnp.where(jnp.isfinite(curvatures[name]), curvatures[name], 0.0), 0.0)
-        scales[name] = 1 / (slope * slope * (1 / variances[name] + likelihood) + bend)
-    return ravel_pytree(scales)[0]
+    variances = ravel_pytree({name: jnp.asarray(law.variance) for name, law in density.transition.conditional(previous).items()})[0]
+    offered = density.curvature(state, previous)
+    found = differenced(density, state, previous, variances) if offered is None else _blocks(offered)
+    curvature = jnp.where(jnp.isfinite(found), found, 0.0)
+    slope, bend = (ravel_pytree(parts)[0] for parts in _slopes_and_bends(target.bijections, position))
+    prior = slope * slope / variances + bend
+    if not whole:
+        return 1 / (prior + slope * slope * jnp.maximum(jnp.diagonal(curvature), 0.0))
+    # In units of the prior the smallest eigenvalue is 1, and what is no curvature of a peak is left out.
+    unit = jax.lax.rsqrt(prior)
+    scale = unit * slope
+    values, vectors = jnp.linalg.eigh(scale[:, None] * curvature * scale)
+    return unit[:, None] * ((vectors / (1 + jnp.maximum(values, 0.0))) @ vectors.T) * unit
+
+
+def _blocks(by_variable: Mapping[str, Array]) -> Float[Array, "dof dof"]:
+    """Matrices of the variables along the diagonal of one, in alphabetical order."""
+    return jax.scipy.linalg.block_diag(*(by_variable[name] for name in sorted(by_variable)))
+
+
+def _slopes_and_bends(bijections: dict[str, Any], position: State) -> tuple[dict[str, Array], dict[str, Array]]:
+    found = {name: _slope_and_bend(bijections[name], x) for name, x in position.items()}
+    return {name: slope for name, (slope, _) in found.items()}, {name: bend for name, (_, bend) in found.items()}
 
 
 def _slope_and_bend(bijection: Any, x: Array) -> tuple[Array, Array]:
@@ -63,10 +82,10 @@ def _slope_and_bend(bijection: Any, x: Array) -> tuple[Array, Array]:
     return slope(x), jnp.maximum(-jax.jvp(first, (x,), (ones,))[1], 0.0)
 
 
-def differenced(density: FrameDensity, state: State, previous: State, variances: State) -> dict[str, Array]:
-    """Curvatures of the log-likelihood along each dof, from gradients on both sides of a state."""
+def differenced(density: FrameDensity, state: State, previous: State, variances: Float[Array, " dof"]) -> Float[Array, "dof dof"]:
+    """Minus the second derivatives of the log-likelihood by all dofs, from gradients on both sides of a state."""
     flat, unravel = ravel_pytree(dict(state))
-    reach = DIFFERENCE * jnp.sqrt(ravel_pytree(dict(variances))[0])
+    reach = DIFFERENCE * jnp.sqrt(variances)
 
     def gradient(values: Array) -> Array:
         return jax.grad(lambda v: density.log_likelihood({**previous, **unravel(v)}, previous))(values)
@@ -74,12 +93,15 @@ def differenced(density: FrameDensity, state: State, previous: State, variances:
     def along(number: Array) -> Array:
         step = jnp.zeros_like(flat).at[number].set(reach[number])
         ahead, behind = jax.lax.map(gradient, jnp.stack([flat + step, flat - step]))
-        return -(ahead[number] - behind[number]) / (2 * reach[number])
+        return -(ahead - behind) / (2 * reach[number])
 
-    return unravel(jax.lax.map(along, jnp.arange(flat.shape[0])))
+    rows = jax.lax.map(along, jnp.arange(flat.shape[0]))
+    return (rows + rows.T) / 2
 
 
-def dense(diagonal: Float[Array, " dof"], particles: Float[Array, "particle dof"], weights: Float[Array, " particle"]) -> Float[Array, "dof dof"]:
+def correlated(
+    diagonal: Float[Array, " dof"], particles: Float[Array, "particle dof"], weights: Float[Array, " particle"]
+) -> Float[Array, "dof dof"]:
     """The diagonal's scales with the correlations of weighted particles, coordinates without limits."""
     weights = weights / jnp.sum(weights)
     centred = particles - weights @ particles

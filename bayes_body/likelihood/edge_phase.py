@@ -30,7 +30,7 @@ from bayes_body.likelihood.patch_pixels import sample_slopes, seen_patches
 from bayes_body.phase_maps import PhaseMaps, look_up
 from bayes_body.registry import register
 from bayes_body.schema import Count, Finite, Positive, Schema, Share
-from bayes_body.shapes import Pose, Scalar
+from bayes_body.shapes import Scalar
 
 POSE = Variable("pose")
 AboveOne = Annotated[float, Field(strict=True, gt=1, allow_inf_nan=False)]
@@ -110,21 +110,21 @@ class EdgePhase:
         tiny = jnp.finfo(visible.dtype).tiny
         return jnp.logaddexp(jnp.log(jnp.maximum(visible, tiny)) + shown_log, jnp.log(jnp.maximum(1 - visible, tiny)) + hidden_log)
 
-    def curvature(self, values: Variables, maps: PhaseMaps) -> dict[str, Pose]:
-        r"""About minus the second derivative by each dof: the Gaussian part of the phase alone, whose gradient is the filter's frequency (22).
+    def curvature(self, values: Variables, maps: PhaseMaps) -> dict[str, Float[Array, "dof dof"]]:
+        r"""About minus the second derivatives by the dofs: the Gaussian part of the phase alone, whose gradient is the filter's frequency (22).
 
-        All samples that can be seen are summed, where the paper takes the middle of each side.
+        All samples that can be seen are summed, where the paper takes the middle of each side; its formula is the diagonal.
         """
         pose = values[POSE]
         seen = boundaries(self.body, self.rig, self.contour, seen_patches(self.body, self.rig, pose), self.visibility)
         along_u, along_v = sample_slopes(self.body, self.rig, self.contour.samples, pose)
-        across = along_u * seen.normals[0] + along_v * seen.normals[1]
         visible = seen.visible * jnp.asarray(maps.seen, pose.dtype)[:, None, None]
+        across = (jnp.sqrt(visible) * (along_u * seen.normals[0] + along_v * seen.normals[1])).reshape(len(pose), -1)
         phase = jnp.sum(self.frequencies**2) / PHASE_SD**2
-        return {POSE.name: self.weight * phase * jnp.sum(visible * across**2, axis=(1, 2, 3))}
+        return {POSE.name: self.weight * phase * (across @ across.T)}
 
 
-def _curvature(potential: EdgePhase, values: Variables, maps: PhaseMaps) -> dict[str, Pose]:
+def _curvature(potential: EdgePhase, values: Variables, maps: PhaseMaps) -> dict[str, Float[Array, "dof dof"]]:
     return potential.curvature(values, maps)
 
 

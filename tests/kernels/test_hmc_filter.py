@@ -15,7 +15,7 @@ from bayes_body.errors import InputError
 from bayes_body.kernels import hmc_filter
 from bayes_body.kernels.hamiltonian import Schedule, effective_draws, run_chain
 from bayes_body.kernels.hmc_filter import build_kernel
-from bayes_body.kernels.mass import dense, differenced, inverse_mass
+from bayes_body.kernels.mass import correlated, differenced, inverse_mass
 
 CHAINS = 64
 OPTIONS = {"chains": CHAINS, "burn_in": 60, "leapfrog_steps": 8, "step": 0.5}
@@ -51,7 +51,9 @@ def target(request):
 
 
 @pytest.mark.parametrize(
-    "options", [{}, {"sampler": "nuts"}, {"mass": "particles"}, {"target_acceptance": 0.8}], ids=["hmc", "nuts", "dense", "tuned"]
+    "options",
+    [{}, {"sampler": "nuts"}, {"mass": "particles"}, {"mass": "curvature_matrix"}, {"target_acceptance": 0.8}],
+    ids=["hmc", "nuts", "correlated", "matrix", "tuned"],
 )
 def test_means_and_spreads_are_those_of_the_posterior(target, options):
     draws, info = _means(target.density, **options)
@@ -122,27 +124,32 @@ def test_effective_draws_of_independent_and_of_stuck_chains():
 def test_the_mass_of_a_gaussian_is_its_curvature():
     density = conjugate(1).density
     unknown = inverse_mass(density, {"x": jnp.array([0.3, -0.2, 0.1])}, density.ancestor(0))
-    variances = {"x": density.transition.conditional(density.ancestor(0))["x"].variance}
-    curvature = -np.diagonal(jax.hessian(lambda x: density.log_likelihood({"x": x}, density.ancestor(0)))(jnp.array([0.3, -0.2, 0.1])))
-    assert np.allclose(1 / unknown, 1 / variances["x"] + curvature, rtol=1e-3)
+    variances = density.transition.conditional(density.ancestor(0))["x"].variance
+    curvature = -jax.hessian(lambda x: density.log_likelihood({"x": x}, density.ancestor(0)))(jnp.array([0.3, -0.2, 0.1]))
+    assert np.allclose(1 / unknown, 1 / variances + np.diagonal(curvature), rtol=1e-3)
+    whole = inverse_mass(density, {"x": jnp.array([0.3, -0.2, 0.1])}, density.ancestor(0), whole=True)
+    assert np.abs(curvature - np.diag(np.diagonal(curvature))).max() > 1
+    assert np.allclose(np.linalg.inv(whole), np.diag(1 / variances) + curvature, rtol=1e-3, atol=1e-2)
 
 
 def test_a_negative_curvature_does_not_count():
     density = skewed(1).density
     state = {"x": jnp.array([0.0, 0.9])}
-    found = differenced(density, state, density.ancestor(0), {"x": jnp.array([0.01, 0.01])})
-    assert np.isfinite(np.asarray(found["x"])).all()
-    assert np.all(np.asarray(inverse_mass(density, density.unconstrained().unconstrain(state), density.ancestor(0))) > 0)
+    found = differenced(density, state, density.ancestor(0), jnp.array([0.01, 0.01]))
+    assert np.isfinite(np.asarray(found)).all()
+    position = density.unconstrained().unconstrain(state)
+    assert np.all(np.asarray(inverse_mass(density, position, density.ancestor(0))) > 0)
+    assert np.all(np.linalg.eigvalsh(inverse_mass(density, position, density.ancestor(0), whole=True)) > 0)
 
 
 def test_a_dense_mass_keeps_the_scales_and_takes_the_correlations():
     rng = np.random.default_rng(1)
     root = np.array([[1.0, 0.0], [0.9, 0.3]])
     particles = jnp.asarray(rng.normal(size=(4000, 2)) @ root.T)
-    found = np.asarray(dense(jnp.array([4.0, 0.25]), particles, jnp.ones(4000)))
+    found = np.asarray(correlated(jnp.array([4.0, 0.25]), particles, jnp.ones(4000)))
     assert np.allclose(np.diagonal(found), [4.0, 0.25])
     assert np.isclose(found[0, 1] / np.sqrt(4.0 * 0.25), 0.9 * np.corrcoef(np.asarray(particles).T)[0, 1], atol=1e-3)
-    same = np.asarray(dense(jnp.array([4.0, 0.25]), jnp.ones((10, 2)), jnp.ones(10)))
+    same = np.asarray(correlated(jnp.array([4.0, 0.25]), jnp.ones((10, 2)), jnp.ones(10)))
     assert np.array_equal(same, np.diag([4.0, 0.25]))
 
 
