@@ -148,6 +148,8 @@ class FilterInfo(NamedTuple):
         lost: no particle explained the frame; the filter went on from its prediction.
         acceptance_rate: share of a layer's Markov moves that were accepted, one value a layer; NaN from a kernel that makes none.
         evaluations: likelihoods of a whole pose that the frame took; one with its gradient counts as one.
+        markov: of a kernel that runs Markov chains, how each went, (chain,): `acceptance`, `divergences`, `energy_fraction`, `step`; `ess` of each
+            entry of a state, and the `length` of a chain, draws. Empty from any other.
 
     A kernel that chooses its number of layers pads what is one value a layer with NaN.
     """
@@ -160,6 +162,7 @@ class FilterInfo(NamedTuple):
     lost: Array
     acceptance_rate: Array
     evaluations: Array
+    markov: Mapping[str, Array] = {}  # nobody writes to it
 
 
 class FrameDensity(Protocol):

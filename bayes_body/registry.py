@@ -25,7 +25,7 @@ class Term(NamedTuple):
     Attributes:
         options: the schema of its options, a pydantic model.
         build: makes the term from them.
-        note: what a user must know before trusting its results; said at every run.
+        note: what a user must know of it before a run; said at every run.
     """
 
     options: type[BaseModel]
@@ -136,6 +136,14 @@ def names(room: Room) -> tuple[str, ...]:
 def own_names(room: Room) -> tuple[str, ...]:
     """Those that are not built in, sorted."""
     return tuple(sorted(name for r, name in _terms if r == room and (r, name) not in _BUILT_IN))
+
+
+def notes(places: Iterable[Place]) -> Iterator[str]:
+    """What must be known of these terms, a sentence each; most have none."""
+    for room, name in dict.fromkeys(places):
+        note = find(room, name).note
+        if note:
+            yield f"{name}: {note}"
 
 
 def find(room: Room, name: str) -> Term:

@@ -24,7 +24,7 @@ from bayes_body.posterior import stream_posterior
 from bayes_body.posterior.diagnostics import diagnose, sentences, worst_figures
 from bayes_body.posterior.stream import stored_frames
 from bayes_body.program import compiled_ahead
-from bayes_body.registry import find
+from bayes_body.registry import find, notes
 from bayes_body.saved_run import load_run
 from bayes_body.session import Session
 from bayes_body.session_file import load_session
@@ -101,8 +101,8 @@ def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
     with locked(make_folder(settings.out)):
         frames = _begin(settings.out, chosen.frames or session.frames, show)
         write_run_file(settings.out, record)
-        if term.note:
-            show(f"{kind}: {term.note}")
+        for note in notes([("kernel", kind), *(("likelihood", each.kind) for each in definition.likelihoods)]):
+            show(note)
         with _kept(frames, settings.out, show):
             with progress_bar(bar, len(frames)) as on_frame:
                 key, many = jax.random.key(chosen.seed), options.particles

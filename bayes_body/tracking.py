@@ -19,6 +19,7 @@ from bayes_body.draws import Draws, FrameResult, FrameStore, timing_of
 from bayes_body.errors import wrong
 from bayes_body.factor import FilterInfo, Kernel, Particles
 from bayes_body.kernels.batching import everywhere
+from bayes_body.kernels.stuck import check_chains
 from bayes_body.model import Model
 from bayes_body.observation.frames import prefetch, read_frame
 from bayes_body.plugins import check_own_factors
@@ -76,7 +77,8 @@ def track(
         ahead: from `compiled_ahead` of this session and kernel, and of a model of this form.
 
     Raises:
-        InputError: no particles, runs or frames; `into` holds other or more of them; a frame's images cannot be read, or a frame cannot be kept.
+        InputError: no particles, runs or frames; `into` holds other or more of them; a frame's images cannot be read, or a frame cannot be kept; all
+            Markov chains of a frame stand still.
     """
     count = session.frames if frames is None else frames
     for name, value, most in (("particles", particles, None), ("runs", runs, None), ("frames", count, session.frames)):
@@ -149,6 +151,8 @@ def _filter(
         outcomes = [step(run_key, index, before, density) for run_key, before in zip(run_keys, filters, strict=True)]
         filters = [after for after, _ in outcomes]
         runs = jax.device_get(outcomes)
+        for _, info in runs:
+            check_chains(info, frame)
         last, seconds = time.perf_counter(), time.perf_counter() - last
         yield _result(runs, seen, seconds, ready)
 

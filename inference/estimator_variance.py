@@ -43,7 +43,7 @@ def main() -> None:
     bb.configure()
     session = bb.load_session(arguments.session)
     model = bb.with_first_pose(bb.load_model(arguments.model, session), session)
-    runs, many = (10, 400_000) if arguments.quick else (arguments.runs, arguments.truth)
+    runs, many, long = (10, 400_000, 1000) if arguments.quick else (arguments.runs, arguments.truth, 4000)
     own = model.definition.kernel.options.model_dump() if model.definition.kernel.kind == "hmc" else {}
     options = own | dict(arguments.set)
     draws, keys = options.get("particles", 400), jax.random.split(jax.random.key(arguments.seed), 6)
@@ -53,7 +53,7 @@ def main() -> None:
     density = model.density(model.observe(bb.read_frame(session, arguments.frame)), mixture)
 
     sampler, cost, bar = ev.hmc_sampler(**options), ev.gradient_cost(density), sys.stderr.isatty()
-    truth = ev.true_mean(keys[2], density, many, ev.watched("chunks of the truth", bar))
+    truth = ev.best_truth(keys[2], density, many, long, bar)
     hmc = ev.run_many(keys[3], density, lambda key, density: sampler(key, density, draws), runs, ev.watched("runs of hmc", bar))
     sizes = {"evaluations": round(hmc.evaluations * cost)}
     equal = {"evaluations": ev.run_many(keys[4], density, ev.sir_sampler(sizes["evaluations"]), runs, ev.watched("runs of sir", bar))}
@@ -64,9 +64,10 @@ def main() -> None:
         low, high = row["ratio_interval"]
         print(f"at equal {at}: error² of sir ({sizes[at]} particles) over hmc {row['ratio_median']:.2f}, 95 % from {low:.2f} to {high:.2f}")
     doubt = float(np.max(truth.error / np.mean((hmc.means - truth.mean) ** 2, axis=0)))
-    print(f"the two truths differ by {doubt:.1%} of hmc's error² at worst; {truth.effective:.0f} particles of each are effective")
+    print(f"the truth is by {truth.by}, of {truth.effective:.0f} effective draws; its two runs differ by {doubt:.1%} of hmc's error² at worst")
     settings = vars(arguments) | {"hmc": options, "gradient_cost": cost, "runs": runs, "truth": many}
-    figures = {**found["evaluations"], "equal_seconds": found["seconds"], "settings": settings, "truth_difference": doubt}
+    settings |= {"truth_by": truth.by, "truth_rhat": truth.rhat, "truth_effective": truth.effective, "truth_difference": doubt}
+    figures = {**found["evaluations"], "equal_seconds": found["seconds"], "settings": settings}
     arguments.json.write_text(json.dumps(figures, indent=2, default=str) + "\n", encoding="utf-8")
     if arguments.plot:
         ev.draw_ratios(arguments.plot, {at: row["per_dof"] for at, row in found.items()})

@@ -47,6 +47,7 @@ def build_body(name: str, schema: BodySchema, shape: Shape = Shape()) -> Body:
             is_sphere=tuple(part.kind == "sphere" for part in parts),
             penetration=_pairs(schema),
             spheres_per_part=schema.spheres_per_part,
+            widths=_widths(schema, [dof.name for frame in frames for dof in frame.dofs]),
         ),
         skeleton=_skeleton(frames),
         markers=Markers(
@@ -82,6 +83,12 @@ def _pairs(schema: BodySchema) -> tuple[tuple[int, int], ...]:
     return tuple((index[a], index[b]) for a, b in schema.penetration)
 
 
+def _widths(schema: BodySchema, dofs: Sequence[str]) -> tuple[tuple[int, int, int], ...]:
+    """Of each end of a part that a dof widens: (part, end, dof). A fixed dof is none."""
+    named = [(p, end, name) for p, part in enumerate(schema.parts) for end, name in enumerate(part.widened)]
+    return tuple((p, end, dofs.index(name)) for p, end, name in named if name in dofs)
+
+
 def _skeleton(frames: Sequence[Frame]) -> Skeleton:
     index = {frame.name: j for j, frame in enumerate(frames)} | {WORLD: -1}
     dofs = [dof for frame in frames for dof in frame.dofs]
@@ -104,6 +111,8 @@ def _skeleton(frames: Sequence[Frame]) -> Skeleton:
 
 
 def _motion(index: int, dof: Dof) -> Motion:
+    if dof.is_width:
+        return Motion(dof=index, axis=0, sign=0, is_shift=True)
     return Motion(dof=index, axis="xyz".index(dof.axis[-1]), sign=-1 if dof.axis.startswith("-") else 1, is_shift=dof.is_shift)
 
 

@@ -14,7 +14,7 @@ WORLD = "world"
 
 def faults(body: "BodySchema") -> list[str]:
     """All that is wrong, a sentence each; empty for a sound body."""
-    return [*_repeated(body), *_dangling(body), *_cycles(body)]
+    return [*_repeated(body), *_dangling(body), *_cycles(body), *_widths(body)]
 
 
 def _repeated(body: "BodySchema") -> Iterator[str]:
@@ -45,6 +45,23 @@ def _dangling(body: "BodySchema") -> Iterator[str]:
             yield f"part '{part.name}': length '{part.length}' is not in lengths_of_height; {nearest(part.length, body.lengths_of_height)}"
     for name in {name for pair in body.penetration for name in pair} - parts:
         yield f"penetration: '{name}' is no part; {nearest(name, parts)}"
+
+
+def _widths(body: "BodySchema") -> Iterator[str]:
+    widths = {dof.name: dof for joint in body.joints for dof in joint.dofs if dof.is_width}
+    named = {name for part in body.parts for name in part.widened if name}
+    for part in body.parts:
+        for name, share in zip(part.widened, part.radius_of_height, strict=True):
+            if name and name not in widths:
+                yield f"part '{part.name}': widened by '{name}', which is no dof of axis 'width'; {nearest(name, widths)}"
+            elif name and (widths[name].low_m or 0.0) + share * body.height_m <= 0:
+                low = f"low_m = {widths[name].low_m:g} of '{name}'"
+                yield f"part '{part.name}': {low} leaves no radius of {share * body.height_m:.3g} m; give a larger low_m"
+    for name, dof in widths.items():
+        if dof.low_m is None:
+            yield f"dof '{name}' is a width without limits; give low_m and high_m"
+        if name not in named:
+            yield f"dof '{name}' widens no part; name it in a part's `widened`, or leave it out"
 
 
 def _unknown_lengths(body: "BodySchema", owner: str, offset: "Offset") -> Iterator[str]:

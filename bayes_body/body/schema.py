@@ -10,13 +10,14 @@ from pydantic import Field, model_validator
 from bayes_body.schema import Finite, Positive, Schema
 
 Preset = Literal["x90", "x180", "x270", "y90", "y180", "y270", "z90", "z180", "z270"]
-Axis = Literal["x", "y", "z", "-x", "-y", "-z", "tx", "ty", "tz"]
+Axis = Literal["x", "y", "z", "-x", "-y", "-z", "tx", "ty", "tz", "width"]
 
 
 class Dof(Schema):
-    """One degree of freedom: a turn about (`x`, `-x`, ...) or a shift along (`tx`, ...) an axis of the joint's own frame.
+    """One degree of freedom: a turn about (`x`, `-x`, ...) or a shift along (`tx`, ...) an axis of the joint's own frame, or a `width`.
 
-    A turn has limits in degrees, a shift in metres; without limits it is unbounded. Where both are the same it is fixed, and no dof any more.
+    A turn has limits in degrees, a shift in metres; without limits it is unbounded. Where both are the same it is fixed, and no dof any more. A width
+    moves nothing: it is added, metres, to the radii of the parts that are `widened` by it, and must have limits.
     """
 
     name: str
@@ -28,8 +29,13 @@ class Dof(Schema):
 
     @property
     def is_shift(self) -> bool:
-        """Whether this is a translation (metres) rather than an angle (radians)."""
-        return self.axis.startswith("t")
+        """Whether this is a length (metres) rather than an angle (radians)."""
+        return self.axis.startswith("t") or self.is_width
+
+    @property
+    def is_width(self) -> bool:
+        """Whether this changes parts, and moves nothing."""
+        return self.axis == "width"
 
     @property
     def limits(self) -> tuple[float | None, float | None]:
@@ -77,7 +83,8 @@ class Joint(Schema):
 class Part(Schema):
     """A tapered cylinder of elliptical section along +z of its frame, or a sphere about the point at half its length.
 
-    Radii and length: metres, or a share of the body's height where a subject gives none of its own.
+    Radii and length: metres, or a share of the body's height where a subject gives none of its own. `widened` names the dofs of axis `width` that are
+    added to the radii of base and tip; an empty name is none.
     """
 
     name: str
@@ -88,6 +95,7 @@ class Part(Schema):
     length: str
     radius_of_height: tuple[Positive, Positive]
     section: tuple[Positive, Positive] = (1.0, 1.0)
+    widened: tuple[str, str] = ("", "")
 
 
 class Marker(Schema):

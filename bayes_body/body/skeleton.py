@@ -14,7 +14,7 @@ from bayes_body.shapes import Rotation
 
 
 class Motion(NamedTuple):
-    """One dof of a joint: which axis it turns about or shifts along, in which sense, and which entry of the pose it reads."""
+    """One dof of a joint: which axis it turns about or shifts along, in which sense (0: it moves nothing), and which entry of the pose it reads."""
 
     dof: int
     axis: int

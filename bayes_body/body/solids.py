@@ -13,7 +13,7 @@ coefficients: $(1, t, s, ts)$ on a cylinder, with $t \in [0, 1]$ along and $s \i
 samples are the points between, on the patch that faces the camera.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial, reduce
 from typing import NamedTuple
 
@@ -31,13 +31,17 @@ from bayes_body.shapes import Pose, Vector3
 
 @dataclass(frozen=True)
 class PartTopology:
-    """The static side of the parts: names, the joint each hangs on, which are spheres, which pairs must not penetrate."""
+    """The static side of the parts: names, the joint each hangs on, which are spheres, which pairs must not penetrate.
+
+    `widths`: which ends a dof widens, as (part, 0 for its base or 1 for its tip, dof).
+    """
 
     names: tuple[str, ...]
     joints: tuple[int, ...]
     is_sphere: tuple[bool, ...]
     penetration: tuple[tuple[int, int], ...]
     spheres_per_part: int
+    widths: tuple[tuple[int, int, int], ...] = ()
 
 
 @partial(
@@ -74,6 +78,15 @@ def part_transforms(body: Body, pose: Pose) -> Transform:
     """`T_world_part` of every part, stacked: rotations (part, 3, 3) and origins (part, 3), metres."""
     joints = geometry.pick(forward_kinematics(body.skeleton, pose), np.array(body.topology.joints, int))
     return geometry.compose(joints, Transform(body.presets, body.offsets))
+
+
+def widened(body: Body, pose: Pose) -> Body:
+    """The body with the radii that the dofs of axis `width` give it."""
+    if not body.topology.widths:
+        return body
+    parts, ends, dofs = (np.array(column) for column in zip(*body.topology.widths, strict=True))
+    wider = jnp.zeros_like(body.radii).at[parts, ends].add(pose[dofs].astype(body.radii.dtype))
+    return replace(body, radii=body.radii + wider, outline_radii=body.outline_radii + wider)
 
 
 class Patches(NamedTuple):

@@ -1,12 +1,15 @@
 """`bayes-body track`: a session and a model make a run."""
 
 import sys
+from argparse import ArgumentTypeError
 from pathlib import Path
+from typing import Any
 
 import typer
 
+from bayes_body.cli.arguments import setting
 from bayes_body.cli.plugin_option import Plugins, own_terms
-from bayes_body.errors import wrong
+from bayes_body.errors import InputError, wrong
 
 # What a key of JAX is made from without 64-bit arrays.
 LARGEST_SEED = 2**32 - 1
@@ -21,13 +24,16 @@ def track(
     kernel: str | None = typer.Option(
         None,
         "--kernel",
-        help="annealed (a mode seeker: finds the pose, its spread is no uncertainty), sir or tempered; the model's own by default.",
+        help="annealed (a mode seeker: finds the pose, its spread is no uncertainty), sir, tempered or hmc; the model's own by default.",
     ),
     particles: int | None = typer.Option(None, "--particles", help="Particles a run."),
     layers: int | None = typer.Option(None, "--layers", help="Annealing layers a frame (annealed only)."),
     move: str | None = typer.Option(None, "--move", help="hmc or random_walk (tempered only)."),
     moves: int | None = typer.Option(None, "--moves", help="Markov moves of a particle in a stage (tempered only)."),
-    leapfrog_steps: int | None = typer.Option(None, "--leapfrog-steps", help="Gradients that an HMC move takes (tempered only)."),
+    leapfrog_steps: int | None = typer.Option(None, "--leapfrog-steps", help="Gradients that a trajectory takes (tempered and hmc only)."),
+    settings: list[str] = typer.Option(
+        [], "--set", metavar="NAME=VALUE", help="Any other option of the kernel, such as step=0.1; may be given several times."
+    ),
     runs: int | None = typer.Option(None, "--runs", help="Independent filters, 1 by default; two or more give an R-hat."),
     frames: int | None = typer.Option(None, "--frames", help="Only the first so many frames."),
     seed: int | None = typer.Option(None, "--seed", help="Seed of everything random, 0 by default."),
@@ -52,15 +58,23 @@ def track(
     check_range("--frames", frames, 1, most)
     check_range("--seed", seed, 0, LARGEST_SEED)
     overrides = {name: value for name, value in (counts | {"move": move}).items() if value is not None}
-    settings = Settings(session, out, model, kernel, overrides, runs, frames, seed, resume)
+    overrides |= dict(_setting(text) for text in settings)
+    asked = Settings(session, out, model, kernel, overrides, runs, frames, seed, resume)
     with own_terms(plugin):
         if resume and (out / RUN_FILE).exists():
             # Before the model is read, which would say no more than that a term does not exist.
             read_run_file(out)
         if model is not None:
             checked_definition(model)
-        run(settings, show=lambda line: typer.echo(line), bar=sys.stderr.isatty())
+        run(asked, show=lambda line: typer.echo(line), bar=sys.stderr.isatty())
     typer.echo(f"{out}: posterior.nc, summary.json, overlay.mp4, overlay/, frames/, run.toml")
+
+
+def _setting(text: str) -> tuple[str, Any]:
+    try:
+        return setting(text)
+    except ArgumentTypeError as error:
+        raise InputError(f"--set: {error}") from None
 
 
 def _frames_of(folder: Path) -> int:

@@ -1,8 +1,8 @@
 r"""Estimator variance of two samplers at equal computation (Poon & Fleet 2002, 5.2, Fig. 8).
 
 Both see one frame after one fixed prediction mixture. An estimate is a run's posterior mean of each dof; its error is the mean squared deviation from
-the true posterior mean over independent runs, $\frac{1}{R} \sum_r (\hat\mu_r - \mu)^2$. The truth is a particle filter of very many particles, run
-twice: the two must agree far better than the estimates do. A particle costs one likelihood; a gradient costs what it was measured to cost.
+the true posterior mean (`estimator_truth`) over independent runs, $\frac{1}{R} \sum_r (\hat\mu_r - \mu)^2$. A particle costs one likelihood, a
+gradient what it was measured to cost.
 """
 
 import time
@@ -14,35 +14,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_body.compare.estimator_truth import Sampler, Truth, best_truth, sir_sampler
 from bayes_body.draws import Draws
-from bayes_body.factor import FilterInfo, FrameDensity, Particles
+from bayes_body.factor import FrameDensity, Particles
 from bayes_body.kernels.batching import everywhere, over_particles
 from bayes_body.kernels.hmc_filter import build_sampler as hmc_sampler
-from bayes_body.kernels.particle_filter import build_kernel
 from bayes_body.kernels.resampling import resampler
 from bayes_body.shapes import Key
 from bayes_body.view.progress import Watch, unwatched, watched
 from bayes_body.view.variance_plot import draw_ratios
 
 __all__ = ["Ratios", "Runs", "Truth", "draw_ratios", "figures_of", "gradient_cost", "hmc_sampler", "mixture_after", "ratios", "run_many"]
-__all__ += ["sir_sampler", "true_mean", "watched"]
+__all__ += ["best_truth", "sir_sampler", "watched"]
 
-# Particles of one program; a truth of millions is summed over many.
-CHUNK = 50_000
 BOOTSTRAPS = 2000
 TIMED = 8
-
-# (key, density) -> draws and information.
-type Sampler = Callable[[Key, Any], tuple[Particles, FilterInfo]]
-
-
-class Truth(NamedTuple):
-    """Mean and standard deviation of each dof's posterior, the squared difference of two independent means, and effective particles of each."""
-
-    mean: Float[np.ndarray, " dof"]
-    sd: Float[np.ndarray, " dof"]
-    error: Float[np.ndarray, " dof"]
-    effective: float
 
 
 class Runs(NamedTuple):
@@ -68,47 +54,6 @@ def mixture_after(key: Key, draws: Draws, components: int) -> Particles:
     chosen = resampler("systematic")(key, particles.log_weights, components)
     states = jax.tree.map(lambda leaf: leaf[chosen], dict(particles.states))
     return Particles(states, jnp.full((components,), -jnp.log(components), particles.log_weights.dtype))
-
-
-def sir_sampler(particles: int) -> Sampler:
-    """The particle filter from a fixed mixture, of so many particles or a few more: of each component equally many."""
-    kernel = build_kernel()
-
-    def sample(key: Key, density: FrameDensity) -> tuple[Particles, FilterInfo]:
-        # The kernel draws as many particles as it is given.
-        copies = -(-particles // density.previous.log_weights.shape[0])
-        return kernel(key, jax.tree.map(lambda leaf: jnp.tile(leaf, (copies,) + (1,) * (leaf.ndim - 1)), density.previous), density)
-
-    return sample
-
-
-def true_mean(key: Key, density: FrameDensity, particles: int, watch: Watch = unwatched) -> Truth:
-    """By two particle filters of so many particles each, in chunks."""
-    sample = sir_sampler(CHUNK)
-
-    @jax.jit
-    def chunk(key: Key, density: FrameDensity) -> tuple[Array, Array, Array, Array]:
-        found, info = sample(key, density)
-        weights = jnp.exp(found.log_weights)
-        pose = found.states["pose"]
-        return info.log_evidence, weights @ pose, weights @ pose**2, info.ess
-
-    chunks = max(-(-particles // CHUNK), 1)
-    halves = []
-    for half in range(2):
-        own = jax.random.fold_in(key, half)
-        halves.append([jax.device_get(chunk(jax.random.fold_in(own, number), density)) for number in watch(range(chunks))])
-    means, squares, effective = zip(*(_pooled(half) for half in halves), strict=True)
-    mean = np.mean(means, axis=0)
-    return Truth(mean, np.sqrt(np.mean(squares, axis=0) - mean**2), (means[0] - means[1]) ** 2, float(min(effective)))
-
-
-def _pooled(chunks: list[tuple[Any, ...]]) -> tuple[np.ndarray, np.ndarray, float]:
-    evidence, means, squares, effective = (np.array(each, float) for each in zip(*chunks, strict=True))
-    # A chunk counts by its evidence.
-    share = np.exp(evidence - evidence.max())
-    share /= share.sum()
-    return share @ means, share @ squares, float(1 / np.sum(share**2 / effective))
 
 
 def run_many(key: Key, density: FrameDensity, sampler: Sampler, runs: int, watch: Watch = unwatched) -> Runs:

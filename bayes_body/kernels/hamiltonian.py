@@ -107,6 +107,16 @@ def run_chain(
     return Chain(draws, acceptance[behind], divergent[behind], energy[behind], size, 1 + jnp.sum(steps))
 
 
+def chain_figures(chains: Chain) -> dict[str, Array]:
+    """Of chains with a leading axis, how each went: acceptance, number of divergences, E-BFMI (Betancourt 2016), step."""
+    energy = chains.energy
+    moved, varies = jnp.sum(jnp.diff(energy, axis=1) ** 2, axis=1), jnp.sum((energy - energy.mean(axis=1, keepdims=True)) ** 2, axis=1)
+    # A chain that stands still keeps its position's energy, and its momentum's varies freely.
+    fraction = jnp.where(varies > 0, moved / jnp.where(varies > 0, varies, 1.0), jnp.nan)
+    divergences = jnp.sum(chains.divergent, axis=1, dtype=jnp.int32)
+    return {"acceptance": jnp.mean(chains.acceptance, axis=1), "divergences": divergences, "energy_fraction": fraction, "step": chains.step}
+
+
 def effective_draws(draws: Float[Array, "chain draw dof"]) -> Float[Array, " dof"]:
     """How many independent draws the draws of all chains are worth, by each dof's autocorrelation within chains and the spread of their means.
 

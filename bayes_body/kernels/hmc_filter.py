@@ -23,7 +23,7 @@ from pydantic import Field, model_validator
 
 from bayes_body.factor import FilterInfo, FrameDensity, Kernel, Particles, State
 from bayes_body.kernels.batching import over_particles
-from bayes_body.kernels.hamiltonian import Chain, Sampler, Schedule, effective_draws, run_chain
+from bayes_body.kernels.hamiltonian import Chain, Sampler, Schedule, chain_figures, effective_draws, run_chain
 from bayes_body.kernels.mass import correlated, inverse_mass
 from bayes_body.kernels.moves import check_gradients
 from bayes_body.kernels.resampling import Scheme, resampler
@@ -129,7 +129,8 @@ class _Filter:
         draws = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], ran.positions)
         states, ancestors = self._states(ancestor_key, draws, density)
         by_chain = jax.vmap(jax.vmap(lambda position: ravel_pytree(position)[0]))(ran.positions)
-        ess = jnp.min(effective_draws(by_chain))
+        by_dof = effective_draws(by_chain)
+        ess = jnp.min(by_dof)
         info = FilterInfo(
             ancestors=ancestors,
             ess=ess,
@@ -139,6 +140,7 @@ class _Filter:
             lost=lost,
             acceptance_rate=jnp.mean(ran.acceptance)[None],
             evaluations=self._starts_count(chains) + jnp.sum(ran.gradients),
+            markov=chain_figures(ran) | {"ess": by_dof, "length": jnp.asarray(kept, jnp.int32)},
         )
         return Particles(states, jnp.full((count,), -jnp.log(count), ess.dtype)), info
 

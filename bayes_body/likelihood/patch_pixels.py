@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body import camera as cameras
-from bayes_body.body.solids import Body, Patches, Samples, part_transforms, patches
+from bayes_body.body.solids import Body, Patches, Samples, part_transforms, patches, widened
 from bayes_body.camera import Camera, Pixels
 from bayes_body.geometry import Transform
 from bayes_body.shapes import Pose
@@ -26,7 +26,8 @@ def rig_pixels(body: Body, rig: Camera, samples: Samples, pose: Pose) -> Pixels[
 def seen_patches(body: Body, rig: Camera, pose: Pose) -> Float[Array, "camera 4 part 3"]:
     """The parts' patches in each camera's frame: start, along, across and taper."""
     T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, pose))))
-    seen = jax.vmap(lambda camera: _camera_patches(body, T_world_part, camera))(rig)
+    shaped = widened(body, pose)
+    seen = jax.vmap(lambda camera: _camera_patches(shaped, T_world_part, camera))(rig)
     # The barrier keeps XLA from computing the patches anew for every sample.
     return jax.lax.optimization_barrier(seen)
 

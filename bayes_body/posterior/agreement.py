@@ -19,9 +19,13 @@ def rhat_of_block(block: Block) -> Float[np.ndarray, "frame dof"]:
     runs, draws, frames, dofs = block.poses.shape
     if runs < 2 or draws < 4:
         return np.full((frames, dofs), np.nan)
-    half = draws // 2
-    sample = _equal_weight(block)
-    split = np.concatenate([sample[:, :, :half], sample[:, :, -half:]], axis=1)
+    return split_rhat(_equal_weight(block))
+
+
+def split_rhat(draws: Float[np.ndarray, "frame chain draw dof"]) -> Float[np.ndarray, "frame dof"]:
+    """Rank-normalised split R-hat of draws of equal weight, four of a chain or more; NaN where a dof never moves."""
+    half = draws.shape[2] // 2
+    split = np.concatenate([draws[:, :, :half], draws[:, :, -half:]], axis=1)
     folded = np.abs(split - np.median(split, axis=(1, 2), keepdims=True))
     return np.maximum(_rhat(_normal_scores(split)), _rhat(_normal_scores(folded)))
 

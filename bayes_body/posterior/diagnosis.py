@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from bayes_body.posterior.mixing import Mixing
+
 # Frames back to which ancestors are counted.
 LAGS = (1, 5, 10)
 
@@ -20,9 +22,15 @@ class Thresholds:
         ancestors: least particles of the frame before that have descendants.
         rhat: largest R-hat. Vehtari et al. (2021) ask for 1.01 of long chains; the runs of a filter are short.
         evidence_sd: largest standard deviation over the runs of the log-evidence, nats: a Bayes factor below e² is not seen through it.
+        markov_rhat: largest R-hat over the Markov chains of a frame, which are shorter still.
+        divergent_share: largest share of a frame's trajectories that may diverge.
+        energy_fraction: least E-BFMI of a frame's chains, the mean of them (Betancourt 2016).
         acceptance: least and largest acceptance rate of a frame's Markov moves, mean over runs and layers.
     """
 
+    markov_rhat: float = 1.1
+    divergent_share: float = 0.01
+    energy_fraction: float = 0.3
     ess_share: float = 0.02
     ess: float = 50.0
     pareto_k: float = 0.7
@@ -40,7 +48,7 @@ class Diagnosis:
         kernel: the kernel's name; empty where the tree does not say.
         particles: a run.
         dofs: names.
-        ess: effective sample size of the weights, particles.
+        ess: effective sample size of the weights, particles; of Markov chains by their autocorrelation, the least of all dofs.
         pareto_k: tail shape of the weights; -∞ where the largest weights are all the same.
         ancestors: by lag, how many particles of `lags` frames before have descendants.
         lags: frames back.
@@ -51,6 +59,7 @@ class Diagnosis:
         lost: frames that no particle explained.
         seen: whether a camera's image was of use; None where the run does not say.
         cameras: names, or numbers where the run has no names.
+        mixing: of the Markov chains of each frame; None where the kernel runs none.
     """
 
     kernel: str
@@ -67,6 +76,7 @@ class Diagnosis:
     lost: Bool[np.ndarray, "run frame"]
     seen: Bool[np.ndarray, "frame camera"] | None
     cameras: tuple[str, ...]
+    mixing: Mixing | None = None
 
     @property
     def mode_seeker(self) -> bool:

@@ -10,6 +10,7 @@ from bayes_body.posterior.agreement import independent_draws, rhat_of_block
 from bayes_body.posterior.blocks import BLOCK, pose_blocks, weights_of_runs
 from bayes_body.posterior.diagnosis import LAGS, Diagnosis, Thresholds
 from bayes_body.posterior.genealogy import unique_ancestors
+from bayes_body.posterior.mixing import mixing_of
 from bayes_body.posterior.pareto import pareto_shape
 from bayes_body.posterior.sentences import frame_ranges, sentences
 
@@ -44,12 +45,13 @@ def diagnose(run: "HasTree | xr.DataTree", block: int = BLOCK) -> Diagnosis:
         for b in pose_blocks(tree, block=block)
     ]
     ess, shapes, rhats, independent = zip(*pieces, strict=True)
-    cameras, seen = _seen(tree)
+    (cameras, seen), mixing = _seen(tree), mixing_of(tree, block)
+    by_weights = np.concatenate(ess, axis=1)
     return Diagnosis(
         kernel=str(tree.attrs.get("kernel", "")),
         particles=pose.sizes["draw"],
         dofs=tuple(np.asarray(pose["dof"]).astype(str).tolist()),
-        ess=np.concatenate(ess, axis=1),
+        ess=by_weights if mixing is None else np.minimum(by_weights, mixing.ess.min(axis=-1)),
         pareto_k=np.concatenate(shapes, axis=1),
         ancestors=unique_ancestors(tree, LAGS),
         lags=LAGS,
@@ -60,6 +62,7 @@ def diagnose(run: "HasTree | xr.DataTree", block: int = BLOCK) -> Diagnosis:
         lost=np.asarray(tree["filter"]["lost"], bool),
         seen=seen,
         cameras=cameras,
+        mixing=mixing,
     )
 
 
@@ -78,6 +81,8 @@ def worst_figures(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -
         "acceptance_rate": _extreme(np.median, diagnosis.acceptance_rate),
         "log_evidence_sd": diagnosis.evidence_sd,
     }
+    if diagnosis.mixing is not None:
+        figures |= {"markov_rhat_max": _extreme(np.max, diagnosis.mixing.rhat), "divergences": float(diagnosis.mixing.divergences.sum())}
     return {name: value if np.isfinite(value) else None for name, value in figures.items()}
 
 

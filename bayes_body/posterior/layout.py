@@ -11,6 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.draws import Draws, FrameResult
+from bayes_body.posterior.mixing import PREFIX
+
+# Of the figures of Markov chains, those that are no figure a chain.
+MARKOV_DIMS: Mapping[str, tuple[str, ...]] = {"ess": ("dof",), "length": ()}
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,7 @@ class Variable:
 
 def variables(draws: Draws) -> list[Variable]:
     """All arrays of the tree."""
-    by_draw, by_frame = ("chain", "draw", "frame"), ("chain", "frame")
+    by_draw, by_frame, markov = ("chain", "draw", "frame"), ("chain", "frame"), draws.frames[0].info.markov
     info = {"ess": "ess", "log_evidence": "log_evidence", "lost": "lost", "evaluations": "evaluations"}
     layers = {"survival_rate": "survival_rate", "inverse_temperature": "inverse_temperatures", "acceptance_rate": "acceptance_rate"}
     return [
@@ -50,6 +54,7 @@ def variables(draws: Draws) -> list[Variable]:
         Variable("sample_stats", "ancestor", by_draw, lambda frame: frame.info.ancestors),
         *(Variable("filter", name, by_frame, _info(field)) for name, field in info.items()),
         *(Variable("filter", name, (*by_frame, "layer"), _info(field)) for name, field in layers.items()),
+        *(Variable("filter", PREFIX + name, (*by_frame, *MARKOV_DIMS.get(name, ("markov_chain",))), _markov(name)) for name in markov),
         Variable("filter", "seen", ("frame", "camera"), lambda frame: frame.seen),
     ]
 
@@ -65,6 +70,10 @@ def _state(name: str) -> Callable[[FrameResult], Any]:
 
 def _info(field: str) -> Callable[[FrameResult], Any]:
     return lambda frame: getattr(frame.info, field)
+
+
+def _markov(name: str) -> Callable[[FrameResult], Any]:
+    return lambda frame: frame.info.markov[name]
 
 
 def sizes(draws: Draws) -> dict[str, int]:

@@ -1,16 +1,17 @@
 """What of a diagnosis a reader must be told: a sentence for each limit that is crossed, with the frames, the worst figure and the remedy."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from bayes_body.errors import InputError
 from bayes_body.posterior.diagnosis import Diagnosis, Thresholds
+from bayes_body.posterior.mixing_sentences import mixing_sentences
+from bayes_body.posterior.wording import at_worst, frame_ranges, largest, where
 from bayes_body.registry import find, names
 
-# Stretches of frames that a sentence names before it only counts.
-MOST_STRETCHES = 6
+__all__ = ["frame_ranges", "sentences"]
+
 # A kernel that bridges prior and posterior, for one whose particles come from the prior alone.
 BRIDGE, FROM_PRIOR = "tempered", "sir"
 
@@ -22,29 +23,12 @@ def sentences(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -> li
         diagnosis: from `diagnose`.
         thresholds: the limits.
     """
-    told = [_mode_seeker(diagnosis), _lost(diagnosis), _unseen(diagnosis), _rhat(diagnosis, thresholds)]
+    told = [_mode_seeker(diagnosis), _lost(diagnosis), _unseen(diagnosis), _rhat(diagnosis, thresholds), *mixing_sentences(diagnosis, thresholds)]
     if not diagnosis.mode_seeker:
         # A mode seeker holds the effective sample size by its choice of powers: its weights are no importance weights.
         told += [_ess(diagnosis, thresholds), _pareto_k(diagnosis, thresholds), _evidence(diagnosis, thresholds)]
     told += [_ancestors(diagnosis, thresholds), *_acceptance(diagnosis, thresholds), _single(diagnosis)]
     return [sentence for sentence in told if sentence]
-
-
-def frame_ranges(frames: Sequence[int], most: int = MOST_STRETCHES) -> str:
-    """`frame 3`, or `frames 3-7, 9`: ascending frames in words; beyond `most` stretches the rest is counted."""
-    stretches: list[list[int]] = []
-    for frame in frames:
-        if stretches and stretches[-1][1] == frame - 1:
-            stretches[-1][1] = frame
-        else:
-            stretches.append([frame, frame])
-    named = ", ".join(str(first) if first == last else f"{first}-{last}" for first, last in stretches[:most])
-    rest = sum(last - first + 1 for first, last in stretches[most:])
-    return f"frame{'s' if len(frames) > 1 else ''} {named}{f' and {rest} more' if rest else ''}"
-
-
-def _where(crossed: Bool[np.ndarray, " frame"]) -> str:
-    return frame_ranges(np.flatnonzero(crossed).tolist())
 
 
 def _remedy(diagnosis: Diagnosis, *wanted: str) -> str:
@@ -73,25 +57,25 @@ def _lost(diagnosis: Diagnosis) -> str | None:
     if not lost.any():
         return None
     found = "lost, no particle explained the images and the filter went on from its prediction"
-    return f"{_where(lost)}: {found}; look at the images, or {_remedy(diagnosis, 'particles')}."
+    return f"{where(lost)}: {found}; look at the images, or {_remedy(diagnosis, 'particles')}."
 
 
 def _unseen(diagnosis: Diagnosis) -> str | None:
     if diagnosis.seen is None or diagnosis.seen.all():
         return None
-    blind = [f"{name} in {_where(~seen)}" for name, seen in zip(diagnosis.cameras, diagnosis.seen.T, strict=True) if not seen.all()]
+    blind = [f"{name} in {where(~seen)}" for name, seen in zip(diagnosis.cameras, diagnosis.seen.T, strict=True) if not seen.all()]
     return f"nothing seen by camera {'; camera '.join(blind)}: the other cameras alone, or the motion prior, speak there; look at these images."
 
 
 def _rhat(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
-    worst = _largest(diagnosis.rhat)
+    worst = largest(diagnosis.rhat)
     crossed = worst > thresholds.rhat
     if not crossed.any():
         return None
     frame = int(worst.argmax())
     dof = diagnosis.dofs[int(np.nan_to_num(diagnosis.rhat[frame], nan=-np.inf).argmax())]
     figure = f"R-hat up to {worst[frame]:.2f} ({dof} at frame {frame}; limit {thresholds.rhat:g})"
-    return f"{_where(crossed)}: the runs disagree, {figure}; {_remedy(diagnosis, 'layers', 'particles', 'moves')}."
+    return f"{where(crossed)}: the runs disagree, {figure}; {_remedy(diagnosis, 'layers', 'particles', 'moves')}."
 
 
 def _ess(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
@@ -100,17 +84,17 @@ def _ess(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
     crossed = worst < limit
     if not crossed.any():
         return None
-    figure = f"{worst.min():.0f} effective particles of {diagnosis.particles}{_at(crossed, int(worst.argmin()))} (limit {limit:g})"
-    return f"{_where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
+    figure = f"{worst.min():.0f} effective particles of {diagnosis.particles}{at_worst(crossed, int(worst.argmin()))} (limit {limit:g})"
+    return f"{where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
 
 
 def _pareto_k(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
-    worst = _largest(diagnosis.pareto_k.T)
+    worst = largest(diagnosis.pareto_k.T)
     crossed = worst > thresholds.pareto_k
     if not crossed.any():
         return None
-    figure = f"a few weights carry the estimate, Pareto k {worst.max():.2f}{_at(crossed, int(worst.argmax()))} (limit {thresholds.pareto_k:g})"
-    return f"{_where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
+    figure = f"a few weights carry the estimate, Pareto k {worst.max():.2f}{at_worst(crossed, int(worst.argmax()))} (limit {thresholds.pareto_k:g})"
+    return f"{where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
 
 
 def _evidence(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
@@ -127,8 +111,10 @@ def _ancestors(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
     crossed = worst < min(thresholds.ancestors, diagnosis.particles)
     if not crossed.any():
         return None
-    figure = f"all particles descend from {worst.min():.0f} of the frame before{_at(crossed, int(worst.argmin()))} (limit {thresholds.ancestors:g})"
-    return f"{_where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
+    figure = (
+        f"all particles descend from {worst.min():.0f} of the frame before{at_worst(crossed, int(worst.argmin()))} (limit {thresholds.ancestors:g})"
+    )
+    return f"{where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
 
 
 def _acceptance(diagnosis: Diagnosis, thresholds: Thresholds) -> Iterator[str]:
@@ -141,21 +127,16 @@ def _acceptance(diagnosis: Diagnosis, thresholds: Thresholds) -> Iterator[str]:
         (mean > high, np.where(np.isnan(mean), -np.inf, mean).argmax(), high, "the moves are too short to get anywhere"),
     ):
         if crossed.any():
-            figure = f"{mean[place]:.2f} of the Markov moves accepted{_at(crossed, int(place))} (limit {limit:g})"
-            yield f"{_where(crossed)}: {figure}, {meaning}; {_remedy(diagnosis, 'moves', 'particles')}."
+            figure = f"{mean[place]:.2f} of the Markov moves accepted{at_worst(crossed, int(place))} (limit {limit:g})"
+            remedy = (
+                _remedy(diagnosis, "moves", "particles")
+                if diagnosis.mixing is None
+                else "change the step, by --set step=... or --set target_acceptance=0.8"
+            )
+            yield f"{where(crossed)}: {figure}, {meaning}; {remedy}."
 
 
 def _single(diagnosis: Diagnosis) -> str | None:
     if diagnosis.ess.shape[0] > 1:
         return None
     return "a single run: nothing tells whether another would agree; take --runs 2 or more."
-
-
-def _largest(values: Float[np.ndarray, "frame k"]) -> Float[np.ndarray, " frame"]:
-    """The largest of each row; -∞ where there is none."""
-    return np.where(np.isnan(values), -np.inf, values).max(axis=1)
-
-
-def _at(crossed: Bool[np.ndarray, " frame"], frame: int) -> str:
-    """Where the worst is, if that is not said yet."""
-    return f" at worst, at frame {frame}" if crossed.sum() > 1 else ""

@@ -17,7 +17,9 @@ def to_datatree(draws: Draws, attributes: Mapping[str, Any] | None = None) -> "x
 
     Groups: `posterior` (chain, draw, frame, dof), radians and metres as the `unit` coordinate says; `sample_stats` with `log_weight` and `ancestor`
     (chain, draw, frame); `filter` with `ess`, `log_evidence`, `lost` and `evaluations` (chain, frame), with `survival_rate`, `inverse_temperature`
-    and `acceptance_rate` (chain, frame, layer), and with `seen` (frame, camera).
+    and `acceptance_rate` (chain, frame, layer), and with `seen` (frame, camera). Of a kernel of Markov chains `filter` has `markov_acceptance`,
+    `markov_divergences`, `markov_energy_fraction` and `markov_step` (chain, frame, markov_chain), `markov_ess` (chain, frame, dof) and
+    `markov_length` (chain, frame), whose draws lie one chain after the other.
     """
     import xarray as xr
 

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 
-from bayes_body.body.solids import Body, part_transforms, penetration_depths
+from bayes_body.body.solids import Body, part_transforms, penetration_depths, widened
 from bayes_body.factor import Factor, Variable, Variables
 from bayes_body.geometry import Transform
 from bayes_body.registry import register
@@ -35,7 +35,7 @@ class Options(Schema):
 
 def _depths(body: Body, yield_m: Scalar, pose: Pose) -> jax.Array:
     T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, pose))))
-    return penetration_depths(body, T_world_part) - yield_m
+    return penetration_depths(widened(body, pose), T_world_part) - yield_m
 
 
 def _hard(body: Body, yield_m: Scalar, soft_sd: Scalar, values: Variables, data: None) -> Scalar:

@@ -1,6 +1,7 @@
 """Frames on disk, one file each: `000057.npz` is whole or not there, and a frame that was kept is never computed again.
 
-A file holds the arrays of a `FrameResult` and no Python objects: `states.NAME`, `log_weights`, `info.FIELD`, `seen`, `seconds`, `seconds_ready`.
+A file holds the arrays of a `FrameResult` and no Python objects: `states.NAME`, `log_weights`, `info.FIELD`, `markov.NAME`, `seen`, `seconds`,
+`seconds_ready`.
 """
 
 import zipfile
@@ -98,7 +99,8 @@ def save_frame(path: Path, result: FrameResult) -> None:
         InputError: the file system refuses it.
     """
     arrays: dict[str, Any] = {f"states.{name}": values for name, values in result.states.items()}
-    arrays |= {f"info.{name}": values for name, values in result.info._asdict().items()}
+    arrays |= {f"info.{name}": values for name, values in result.info._asdict().items() if name != "markov"}
+    arrays |= {f"markov.{name}": values for name, values in result.info.markov.items()}
     arrays |= {name: getattr(result, name) for name in ("log_weights", "seen", "seconds", "seconds_ready")}
     with replacing(path) as partial, partial.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
@@ -119,12 +121,17 @@ def load_frame(path: Path) -> FrameResult:
 
 
 def _frame(arrays: Mapping[str, NDArray[Any]]) -> FrameResult:
-    info: dict[str, Any] = {name: arrays[f"info.{name}"] for name in FilterInfo._fields}
+    info: dict[str, Any] = {name: arrays[f"info.{name}"] for name in FilterInfo._fields if name != "markov"}
+    info["markov"] = _under("markov.", arrays)
     return FrameResult(
-        states={name.removeprefix("states."): values for name, values in arrays.items() if name.startswith("states.")},
+        states=_under("states.", arrays),
         log_weights=arrays["log_weights"],
         info=FilterInfo(**info),
         seen=arrays["seen"],
         seconds=float(arrays["seconds"]),
         seconds_ready=float(arrays["seconds_ready"]),
     )
+
+
+def _under(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    return {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from bayes_body import geometry
-from bayes_body.body.solids import Body, facing_discs, part_transforms
+from bayes_body.body.solids import Body, facing_discs, part_transforms, widened
 from bayes_body.camera import Camera, project
 from bayes_body.model import Model
 from bayes_body.recording.camera_path import cameras_at
@@ -70,8 +70,8 @@ def intersection_over_union(a: Bool[np.ndarray, "row column"], b: Bool[np.ndarra
 
 @jax.jit
 def _project_rims(body: Body, rig: Camera, pose: Pose) -> tuple[Array, Array]:
-    T_world_part = part_transforms(body, pose)
-    return jax.vmap(lambda camera: project(camera, _rims(body, T_world_part, camera)))(rig)
+    T_world_part, shaped = part_transforms(body, pose), widened(body, pose)
+    return jax.vmap(lambda camera: project(camera, _rims(shaped, T_world_part, camera)))(rig)
 
 
 def _rims(body: Body, T_world_part: geometry.Transform, camera: Camera) -> Float[Array, "part point 3"]:

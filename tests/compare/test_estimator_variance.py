@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from laws.targets import conjugate
 
+from bayes_body.compare import estimator_truth
 from bayes_body.compare import estimator_variance as ev
 from bayes_body.factor import Factor, FilterInfo, Particles, Transition, Variable
 
@@ -47,13 +48,28 @@ def _independent(mean, sd, number):
 
 
 def test_the_truth_is_the_posteriors_mean(target, monkeypatch):
-    monkeypatch.setattr(ev, "CHUNK", 20_000)
+    monkeypatch.setattr(estimator_truth, "CHUNK", 20_000)
     density, mean = target
-    truth = ev.true_mean(jax.random.key(0), density, 100_000)
+    truth = estimator_truth.true_mean(jax.random.key(0), density, 100_000)
     assert 100 < truth.effective < 100_000 and np.all((truth.sd > 0.1) & (truth.sd < 1.5))
     # Two such runs: their mean, and their difference.
     assert np.all(np.abs(truth.mean - mean) < 4 * truth.sd / np.sqrt(2 * truth.effective))
     assert np.all(truth.error < 16 * 2 * truth.sd**2 / truth.effective)
+
+
+def test_the_truth_by_chains_is_the_same(target):
+    density, mean = target
+    truth = estimator_truth.true_mean_by_chains(jax.random.key(1), density, 400, chains=16, starts=2000)
+    assert truth.by == "hmc" and truth.converged and truth.rhat < 1.01 and truth.effective > 1000
+    assert np.all(np.abs(truth.mean - mean) < 4 * truth.sd / np.sqrt(2 * truth.effective))
+
+
+def test_the_better_truth_has_more_effective_draws_and_chains_that_agree():
+    nothing = np.zeros(1)
+    particles, chains = ev.Truth(nothing, nothing, nothing, 500.0), ev.Truth(nothing, nothing, nothing, 5000.0, "hmc", 1.005)
+    assert estimator_truth.better_of(particles, chains) is chains
+    assert estimator_truth.better_of(particles, chains._replace(rhat=1.05)) is particles
+    assert estimator_truth.better_of(particles._replace(effective=50_000.0), chains) is not chains
 
 
 def test_the_error_of_n_draws_is_the_variance_over_n(target):

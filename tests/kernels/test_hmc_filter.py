@@ -13,13 +13,15 @@ from laws.targets import conjugate, skewed
 from bayes_body.density import Unconstrained
 from bayes_body.errors import InputError
 from bayes_body.kernels import hmc_filter
-from bayes_body.kernels.hamiltonian import Schedule, effective_draws, run_chain
+from bayes_body.kernels.hamiltonian import Schedule, chain_figures, effective_draws, run_chain
 from bayes_body.kernels.hmc_filter import build_kernel
 from bayes_body.kernels.mass import correlated, differenced, inverse_mass
+from bayes_body.kernels.stuck import check_chains
 
 CHAINS = 64
 OPTIONS = {"chains": CHAINS, "burn_in": 60, "leapfrog_steps": 8, "step": 0.5}
 DRAWS = 60
+SHORT = Schedule(kept=5, burn_in=7, thinning=3, leapfrog_steps=4, jitter=0.0, sampler="hmc", target_acceptance=0.0)
 
 
 def _means(density, seed=0, **options):
@@ -118,6 +120,44 @@ def test_effective_draws_of_independent_and_of_stuck_chains():
     assert np.array_equal(effective_draws(independent[:, :2]), [4.0, 4.0])
 
 
+def test_figures_of_each_chain_are_left_behind():
+    kernel = jax.jit(build_kernel(chains=4, burn_in=5, leapfrog_steps=5, step=0.5))
+    target = conjugate(40)
+    _, info = kernel(jax.random.key(0), target.density.previous, target.density)
+    found = jax.device_get(info.markov)
+    assert int(found["length"]) == 10 and found["ess"].shape == (3,) and float(info.ess) == found["ess"].min()
+    assert all(found[name].shape == (4,) for name in ("acceptance", "divergences", "energy_fraction", "step"))
+    assert (
+        np.isclose(found["acceptance"].mean(), info.acceptance_rate[0])
+        and np.all(found["step"] == np.float32(0.5))
+        and not found["divergences"].any()
+    )
+    check_chains(info, 0)
+
+
+def test_the_energy_fraction_is_that_of_independent_energies_and_of_a_slow_walk():
+    rng = np.random.default_rng(0)
+    independent, slow = rng.normal(size=(1, 4000)), np.cumsum(rng.normal(size=(1, 4000)), axis=1)
+    ones, chain = (
+        jnp.ones((1, 4000)),
+        run_chain(jax.random.key(0), {"x": jnp.zeros(1)}, lambda p: -0.5 * jnp.sum(p["x"] ** 2), jnp.asarray(0.5), jnp.ones(1), SHORT),
+    )
+    for energy, low, high in ((independent, 1.8, 2.2), (slow, 0.0, 0.05)):
+        found = chain_figures(chain._replace(energy=jnp.asarray(energy), acceptance=ones, divergent=ones < 0))
+        assert low < float(found["energy_fraction"][0]) < high
+
+
+def test_chains_that_stand_still_stop_the_run_with_a_smaller_step():
+    kernel = jax.jit(build_kernel(chains=2, burn_in=0, leapfrog_steps=5, step=40.0))
+    target = conjugate(8)
+    _, info = kernel(jax.random.key(0), target.density.previous, target.density)
+    with pytest.raises(InputError, match=r"frame 7: the chains stand still: at a step factor of 40 the acceptance is .*; try step=0\.2"):
+        check_chains(info, 7)
+    check_chains(info._replace(lost=jnp.asarray(True)), 7)
+    with pytest.raises(InputError, match=r"try step=0\.05"):
+        check_chains(info._replace(markov=dict(info.markov) | {"step": jnp.full(2, 0.5)}), 7)
+
+
 # -- the mass matrix ----------------------------------------------------------------------------------------------------------------------
 
 
@@ -211,7 +251,6 @@ def test_options_that_cannot_be_are_said(options, words):
 
 
 def test_a_chain_keeps_every_so_many_states_behind_its_burn_in():
-    schedule = Schedule(kept=5, burn_in=7, thinning=3, leapfrog_steps=4, jitter=0.0, sampler="hmc", target_acceptance=0.0)
-    chain = run_chain(jax.random.key(0), {"x": jnp.zeros(2)}, lambda p: -0.5 * jnp.sum(p["x"] ** 2), jnp.asarray(0.5), jnp.ones(2), schedule)
+    chain = run_chain(jax.random.key(0), {"x": jnp.zeros(2)}, lambda p: -0.5 * jnp.sum(p["x"] ** 2), jnp.asarray(0.5), jnp.ones(2), SHORT)
     assert chain.positions["x"].shape == (5, 2) and chain.acceptance.shape == (15,) and int(chain.gradients) == 1 + 22 * 4
     assert not bool(chain.divergent.any()) and bool(jnp.isfinite(chain.energy).all())

@@ -59,7 +59,9 @@ def _tree(runs, draws, frames, dofs, units, arrays) -> xr.DataTree:
         "acceptance_rate": by_layer,
         "seen": np.ones((frames, 2), bool),
     } | arrays
-    dims = {"seen": ("frame", "camera")} | dict.fromkeys(("survival_rate", "inverse_temperature", "acceptance_rate"), ("chain", "frame", "layer"))
+    dims = {"seen": ("frame", "camera"), "markov_ess": ("chain", "frame", "dof"), "markov_length": ("chain", "frame")}
+    dims |= {name: ("chain", "frame", "markov_chain") for name in given if name.startswith("markov_") and name not in dims}
+    dims |= dict.fromkeys(("survival_rate", "inverse_temperature", "acceptance_rate"), ("chain", "frame", "layer"))
     filters = {name: (dims.get(name, ("chain", "frame")), values) for name, values in given.items() if name not in ("pose", "log_weight", "ancestor")}
     stats = {name: (("chain", "draw", "frame"), given[name]) for name in ("log_weight", "ancestor")}
     labels = {"dof": list(dofs), "unit": ("dof", list(units))}

@@ -103,7 +103,8 @@ def _layers(it: Inspection) -> Iterator[Picture]:
             yield encoded(figure, f"Layers of each frame, from {numbers.min():.0f} to {numbers.max():.0f}.")
         yield _by_layer(it, rates, "Survival rate of a layer", "share of particles", False)
         yield _by_layer(it, powers, "Inverse temperature of a layer", "power of the likelihood", True)
-    if np.isfinite(it.diagnosis.acceptance_rate).any():
+    # Of Markov chains, a section of their own shows it.
+    if np.isfinite(it.diagnosis.acceptance_rate).any() and it.diagnosis.mixing is None:
         yield _by_layer(it, it.diagnosis.acceptance_rate, "Acceptance of a layer", "share of moves", False, it.limits.acceptance)
 
 

@@ -10,6 +10,7 @@ from bayes_body.errors import wrong
 from bayes_body.files import make_folder, write_text
 from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.report.bands import band_section
+from bayes_body.view.report.chains import chain_section
 from bayes_body.view.report.figures import style
 from bayes_body.view.report.filtering import filter_section
 from bayes_body.view.report.head import findings, key_figures, verdict
@@ -32,6 +33,7 @@ SECTIONS: Sequence[tuple[str, str, Callable[[Inspection], Markup]]] = (
     ("truth", "Against the truth", truth_section),
     ("angles", "Angles and positions", band_section),
     ("filter", "Filter", filter_section),
+    ("chains", "Markov chains", chain_section),
     ("runs", "Agreement of the runs", run_section),
     ("made", "How it was made", lambda it: made_section(it.run)),
 )
@@ -65,8 +67,9 @@ def page(run: "SavedRun", watch: Watch = unwatched) -> str:
 
 
 def sections_of(it: Inspection) -> Sequence[tuple[str, str, Callable[[Inspection], Markup]]]:
-    """SECTIONS, without the one on the truth where the session names none."""
-    return [each for each in SECTIONS if each[0] != "truth" or it.has_truth]
+    """SECTIONS, without the one on the truth where the session names none, and without that on chains where the kernel runs none."""
+    missing = {"truth": not it.has_truth, "chains": it.diagnosis.mixing is None}
+    return [each for each in SECTIONS if not missing.get(each[0], False)]
 
 
 def fitted(it: Inspection, sections: Sequence[Markup], largest: int) -> str:

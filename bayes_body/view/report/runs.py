@@ -3,11 +3,10 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 from bayes_body.view.report.choice import Sample, chosen_dofs, chosen_frames, equal_weight_sample, worst_frame
 from bayes_body.view.report.close_ups import arviz_plots, distribution_plot, forest_plot, growth_plot, rank_plot
-from bayes_body.view.report.figures import INK, bins, encoded, new_panel, set_margins, whole_frames
+from bayes_body.view.report.dof_map import dof_map
 from bayes_body.view.report.head import sentence
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import spoken
@@ -77,38 +76,12 @@ def _no_agreement(it: Inspection) -> str:
     return "With a single run there is no R-hat and there are no rank plots: nothing tells whether another run would agree. Take --runs 2 or more."
 
 
-def _binned(values: Float[np.ndarray, "frame dof"]) -> Float[np.ndarray, "bin dof"]:
-    """The largest of each bin of frames: none that disagrees shall fall between two pixels."""
-    known = np.nan_to_num(values, nan=-np.inf)
-    largest = np.stack([known[piece].max(axis=0) for piece in bins(len(values))])
-    return np.where(np.isneginf(largest), np.nan, largest)
-
-
 def _rhat_map(it: Inspection) -> Picture:
-    """Dofs down, frames across."""
-    from matplotlib.ticker import MultipleLocator
-
-    frames, count = it.diagnosis.rhat.shape
-    figure, axes = new_panel("R-hat", it.x_label, "", (4.2, 0.9 + 0.17 * count))
-    set_margins(figure, 1.2, 0.42)
-    axes.grid(visible=False)
-    shown = axes.imshow(
-        _binned(it.diagnosis.rhat).T,
-        extent=(-0.5, frames - 0.5, count - 0.5, -0.5),
-        aspect="auto",
-        interpolation="nearest",
-        cmap="Blues",
-        vmin=1,
-        vmax=max(2 * it.limits.rhat - 1, 1.2),
-    )
-    axes.set_yticks(range(count), [spoken(name) for name in it.diagnosis.dofs], fontsize=8.5)
-    whole_frames(axes, frames)
-    axes.set_xlim(-0.5, frames - 0.5)
-    bar = figure.colorbar(shown, ax=axes, extend="max", pad=0.03, ticks=MultipleLocator(0.05), format="%.2f")
-    bar.ax.axhline(it.limits.rhat, color=INK, linewidth=1.2)
-    worst = float(np.nanmax(it.diagnosis.rhat))
-    return encoded(
-        figure,
-        f"R-hat of every dof and frame, at most {worst:.2f}.",
+    return dof_map(
+        it,
+        it.diagnosis.rhat,
+        "R-hat",
+        it.limits.rhat,
+        f"R-hat of every dof and frame, at most {np.nanmax(it.diagnosis.rhat):.2f}.",
         f"The colour grows with R-hat; the line on its scale is the limit {it.limits.rhat:g}.",
     )

@@ -1,0 +1,60 @@
+"""What a reader must be told of the Markov chains of a run: the frames that did not mix, and what to change."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from bayes_body.posterior.diagnosis import Diagnosis, Thresholds
+from bayes_body.posterior.mixing import Mixing
+from bayes_body.posterior.wording import at_worst, largest, where
+
+# Acceptance below which chains that disagree are told to take smaller steps, rather than to run for longer.
+SMALLER_STEPS = 0.4
+
+
+def mixing_sentences(diagnosis: Diagnosis, thresholds: Thresholds) -> Iterator[str]:
+    """A sentence for each limit that the chains cross; none where the kernel runs none."""
+    if diagnosis.mixing is None:
+        return
+    yield from _divergences(diagnosis.mixing, thresholds)
+    yield from _disagreement(diagnosis.mixing, diagnosis.dofs, thresholds)
+    yield from _energy(diagnosis.mixing, thresholds)
+
+
+def _divergences(mixing: Mixing, thresholds: Thresholds) -> Iterator[str]:
+    # Each state that is kept had one trajectory at least.
+    trajectories = mixing.length * mixing.divergences.shape[-1]
+    worst = mixing.divergences.sum(axis=-1).max(axis=0) / trajectories
+    crossed = worst > thresholds.divergent_share
+    if crossed.any():
+        figure = f"{worst.max():.0%} of the trajectories diverged{at_worst(crossed, int(worst.argmax()))} (limit {thresholds.divergent_share:.0%})"
+        yield f"{where(crossed)}: {figure}, and corners of the posterior may be missing; {_lower(mixing)}."
+
+
+def _disagreement(mixing: Mixing, dofs: tuple[str, ...], thresholds: Thresholds) -> Iterator[str]:
+    by_dof = np.where(np.isnan(mixing.rhat), -np.inf, mixing.rhat).max(axis=0)
+    worst = largest(by_dof)
+    crossed = worst > thresholds.markov_rhat
+    if not crossed.any():
+        return
+    frame = int(worst.argmax())
+    figure = f"R-hat up to {worst[frame]:.2f} ({dofs[int(by_dof[frame].argmax())]} at frame {frame}; limit {thresholds.markov_rhat:g})"
+    accepted = float(mixing.acceptance[:, crossed].mean())
+    remedy = (
+        f"with {accepted:.2f} of the trajectories accepted, {_lower(mixing)}"
+        if accepted < SMALLER_STEPS
+        else "raise --leapfrog-steps or --particles, or --set burn_in=..., or --set starts=... where they sit in several modes"
+    )
+    yield f"{where(crossed)}: the chains of a frame did not mix, {figure}; {remedy}."
+
+
+def _energy(mixing: Mixing, thresholds: Thresholds) -> Iterator[str]:
+    worst = -largest(-mixing.energy_fraction.mean(axis=-1).T)
+    crossed = worst < thresholds.energy_fraction
+    if crossed.any():
+        figure = f"E-BFMI {worst.min():.2f}{at_worst(crossed, int(worst.argmin()))} (limit {thresholds.energy_fraction:g})"
+        yield f"{where(crossed)}: momenta move the energy too little to reach the tails, {figure}; raise --particles and --set burn_in=..."
+
+
+def _lower(mixing: Mixing) -> str:
+    return f"lower the step, as by --set step={np.median(mixing.step) / 2:.2g}, or tune it by --set target_acceptance=0.8"

@@ -1,0 +1,156 @@
+"""How the Markov chains of each frame mixed, and a chain's path over the image, as Poon & Fleet 2002 show it in Fig. 5."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from cv2.typing import MatLike
+from jaxtyping import Float
+
+from bayes_body.errors import InputError
+from bayes_body.posterior.blocks import pose_blocks
+from bayes_body.posterior.mixing import Mixing, autocorrelation, by_chain
+from bayes_body.view.overlay import backdrop
+from bayes_body.view.report.dof_map import dof_map
+from bayes_body.view.report.figures import INK, RUNS, data_uri, draw_runs, encoded, new_panel, shade_lost, whole_frames
+from bayes_body.view.report.inspection import Inspection
+from bayes_body.view.report.limbs import spoken
+from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
+from bayes_body.view.silhouette import outlines, seen_in
+
+if TYPE_CHECKING:
+    pass
+
+ABOUT = (
+    "Each frame is sampled by a few Markov chains, which start from different predictions. Where they agree (R-hat near 1) they have found the same "
+    "posterior of this frame; whether another filter would have come here, the agreement of the runs tells."
+)
+PATH = (
+    "The path of one chain of that frame, from its first state behind burn-in (yellow) to its last (violet): a chain that mixes covers the posterior "
+    "many times over, one that does not creeps from one end to the other."
+)
+# States of a path that are drawn, dofs whose autocorrelation is shown, pixels of a picture's side, and WebP's scale to 100.
+STATES, SHOWN, WIDEST, QUALITY = 24, 3, 960, 75
+
+
+def chain_section(it: Inspection) -> Markup:
+    """Figures over the frames, autocorrelations and a path at the frame that mixed worst."""
+    mixing = it.diagnosis.mixing
+    if mixing is None:
+        return section("chains", "Markov chains", tag("p", "The kernel runs none."))
+    frame = worst_mixed(mixing)
+    draws = _draws(it, mixing, frame)
+    known = bool(np.isfinite(mixing.rhat).any())
+    parts = [tag("p", ABOUT), figures(_panels(it, mixing))]
+    parts += [figures([_rhat_map(it, mixing)], "wide")] if known else [tag("p", "A single chain a frame, or too few draws, have no R-hat.")]
+    parts += [tag("h3", f"Frame {frame}, which mixed worst"), figures([_autocorrelations(it, mixing, draws, frame)])]
+    try:
+        pictures = [_path(it, draws[0], frame)]
+    except InputError as error:
+        return section("chains", "Did the chains mix?", *parts, tag("p", f"No path is drawn: {error}"))
+    return section("chains", "Did the chains mix?", *parts, tag("p", PATH), figures(pictures, "stills"))
+
+
+def worst_mixed(mixing: Mixing) -> int:
+    """The frame of the largest R-hat; without one that of the fewest effective draws."""
+    if np.isfinite(mixing.rhat).any():
+        return int(np.nan_to_num(mixing.rhat, nan=-np.inf).max(axis=(0, 2)).argmax())
+    return int(mixing.ess.min(axis=(0, 2)).argmin())
+
+
+def _draws(it: Inspection, mixing: Mixing, frame: int) -> Float[np.ndarray, "chain step dof"]:
+    """Of the first run, radians and metres."""
+    (block,) = pose_blocks(it.run.tree, range(frame, frame + 1))
+    return by_chain(block.poses[:1], mixing.length)[0, :, :, 0]
+
+
+def _panels(it: Inspection, mixing: Mixing) -> Iterator[Picture]:
+    chains = mixing.acceptance.shape[-1]
+    each = f"mean of {chains} chains" if chains > 1 else "of the chain"
+    yield _panel(it, mixing.acceptance.mean(axis=-1), "Acceptance", f"probability, {each}", it.limits.acceptance, (-0.03, 1.03))
+    yield _panel(it, mixing.divergences.sum(axis=-1).astype(float), "Divergences", "trajectories a frame", (), (0.0, None))
+    yield _panel(it, mixing.ess.min(axis=-1), "Effective draws", f"of {it.diagnosis.particles:,}, the least of the dofs", (), (0.0, None))
+    yield _panel(it, mixing.energy_fraction.mean(axis=-1), "Energy", f"E-BFMI, {each}", (it.limits.energy_fraction,), (0.0, None))
+    yield _panel(it, mixing.step.mean(axis=-1), "Step", f"factor, {each}", (), (0.0, None))
+
+
+def _panel(
+    it: Inspection,
+    values: Float[np.ndarray, "run frame"],
+    title: str,
+    label: str,
+    limits: tuple[float, ...],
+    span: tuple[float, float | None],
+) -> Picture:
+    figure, axes = new_panel(title, it.x_label, label)
+    shade_lost(axes, it.lost)
+    draw_runs(axes, np.arange(values.shape[1]), values)
+    for limit in limits:
+        axes.axhline(limit, color=INK, linestyle="--", linewidth=0.9)
+    axes.set_ylim(*span)
+    whole_frames(axes, values.shape[1])
+    return encoded(figure, f"{title} over the frames: median {np.nanmedian(values):.3g}, from {np.nanmin(values):.3g} to {np.nanmax(values):.3g}.")
+
+
+def _rhat_map(it: Inspection, mixing: Mixing) -> Picture:
+    worst = np.where(np.isnan(mixing.rhat), -np.inf, mixing.rhat).max(axis=0)
+    worst = np.where(np.isneginf(worst), np.nan, worst)
+    limit = it.limits.markov_rhat
+    alt = f"R-hat over the chains of every dof and frame, at most {np.nanmax(worst):.2f}."
+    return dof_map(it, worst, "R-hat over the chains", limit, alt, f"The colour grows with R-hat; the line on its scale is the limit {limit:g}.")
+
+
+def _autocorrelations(it: Inspection, mixing: Mixing, draws: Float[np.ndarray, "chain step dof"], frame: int) -> Picture:
+    """Of the dofs with the fewest effective draws."""
+    figure, axes = new_panel("Autocorrelation", "draws apart", "correlation")
+    order = np.argsort(mixing.ess[0, frame], kind="stable")[:SHOWN].tolist()
+    for dof, colour in zip(order, RUNS, strict=False):
+        values = autocorrelation(draws[:, :, dof])
+        axes.plot(values, color=colour, label=f"{spoken(it.dofs[dof])}: {mixing.ess[0, frame, dof]:.0f} effective")
+    axes.axhline(0, color=INK, linewidth=0.8)
+    # Room for the names above the lines.
+    axes.set_ylim(-0.4, 1.9)
+    axes.set_yticks([-0.25, 0, 0.25, 0.5, 0.75, 1])
+    axes.legend(loc="upper right", handlelength=1.2)
+    named = ", ".join(f"{spoken(it.dofs[dof])} {mixing.ess[0, frame, dof]:.0f}" for dof in order)
+    return encoded(figure, f"Autocorrelation within the chains of frame {frame}; effective draws of the slowest dofs: {named}.")
+
+
+def _path(it: Inspection, chain: Float[np.ndarray, "step dof"], frame: int) -> Picture:
+    """The outlines of evenly spaced states of a chain over the first camera that saw the frame."""
+    session = it.run.session
+    model = seen_in(it.run.model, session, frame)
+    shown = _camera(it, frame)
+    image = backdrop(session, frame, session.views[shown])[0]
+    chosen = np.unique(np.linspace(0, len(chain) - 1, STATES).round().astype(int))
+    thin = max(1, round(image.shape[1] / 900))
+    inks = cv2.applyColorMap(np.linspace(255, 60, len(chosen)).astype(np.uint8)[:, None], cv2.COLORMAP_PLASMA)[:, 0]
+    drawn = [outlines(model, chain[step])[shown] for step in chosen]
+    for parts, ink in zip(drawn, inks, strict=True):
+        for outline in parts:
+            points = np.round(outline.polygon * 16).astype(np.int32)
+            cv2.polylines(image, [points], True, tuple(int(c) for c in ink), thin, cv2.LINE_AA, shift=4)
+    picture = _about(image, [outline.polygon for parts in drawn for outline in parts])
+    name = session.views[shown].camera.name
+    encoded = cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])[1].tobytes()
+    caption = f"Camera {name}, frame {frame}: {len(chosen)} of {len(chain)} states of a chain."
+    return Picture(data_uri("image/webp", encoded), f"Path of a chain over frame {frame} of camera {name}.", caption, inverts=False)
+
+
+def _camera(it: Inspection, frame: int) -> int:
+    seen = it.diagnosis.seen
+    return int(seen[frame].argmax()) if seen is not None and seen[frame].any() else 0
+
+
+def _about(image: MatLike, polygons: list[Float[np.ndarray, "_ 2"]]) -> MatLike:
+    """The part of an image that the polygons lie in, with a margin, as large as a page takes."""
+    if polygons:
+        corners = np.concatenate(polygons)
+        size, margin = np.array(image.shape[1::-1]), 0.25 * np.ptp(corners, axis=0).max()
+        left, top = np.clip(corners.min(axis=0) - margin, 0, size - 1).astype(int)
+        right, bottom = np.clip(corners.max(axis=0) + margin, 1, size).astype(int)
+        if right - left > 1 and bottom - top > 1:
+            image = image[top:bottom, left:right]
+    scale = min(WIDEST / max(image.shape[:2]), 3.0)
+    return cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
