@@ -167,12 +167,9 @@ class Density:
             rest = self._sum([f for f in factors if f.side != "likelihood"], state, before)
             return rest + _tempered(inverse_temperature, likelihood)
 
-        def one(log_weight: Scalar, before: State, prediction: Predictions) -> Scalar:
-            link = sum((jnp.asarray(law.log_prob(state[name])) for name, law in prediction.items()), jnp.zeros(()))
-            return log_weight + link + powered(own, before)
-
         laws = self.predictions() if predictions is None else predictions
-        each = jax.vmap(one)(self.previous.log_weights, self.previous.states, laws)
+        links = sum((_log_prob_each(law, state[name]) for name, law in laws.items()), self.previous.log_weights)
+        each = links + jax.vmap(lambda before: powered(own, before))(self.previous.states) if own else links
         return each, powered(shared, self.ancestor(0))
 
     def reading(self, variable: Variable) -> tuple[Factor, ...]:
@@ -211,6 +208,12 @@ class Unconstrained(NamedTuple):
         state = self.constrain(position)
         log_density = self.density.marginal(state, predictions=self.predictions) if view is None else view(state)
         return log_density + self.log_determinant(position)
+
+
+def _log_prob_each(laws: Distribution, value: Array) -> Float[Array, " particle"]:
+    """The log-densities of one value under a batch of laws, by the law's own `log_prob_each` where it shares work between them."""
+    own = getattr(laws, "log_prob_each", None)
+    return own(value) if own else jax.vmap(lambda law: jnp.asarray(law.log_prob(value)))(laws)
 
 
 def _tempered(inverse_temperature: float | Scalar, log_likelihood: Scalar) -> Scalar:

@@ -40,7 +40,7 @@ class Truth(NamedTuple):
         error: squared difference of the two runs' means.
         effective: draws that each run is worth.
         by: `sir` or `hmc`.
-        rhat: largest split R-hat over the dofs and the chains of both runs; NaN of particles.
+        rhat: largest split R-hat over the dofs and the chains of both runs, also where these were not taken; NaN where none ran.
     """
 
     mean: Float[np.ndarray, " dof"]
@@ -52,8 +52,8 @@ class Truth(NamedTuple):
 
     @property
     def converged(self) -> bool:
-        """Whether chains agree; of particles there is nothing to tell."""
-        return not self.rhat > LARGEST_RHAT
+        """Whether the chains agree, where it is theirs."""
+        return self.by != "hmc" or self.rhat <= LARGEST_RHAT
 
 
 def sir_sampler(particles: int) -> Sampler:
@@ -124,5 +124,5 @@ def best_truth(key: Key, density: FrameDensity, particles: int, draws: int, bar:
 
 
 def better_of(particles: Truth, chains: Truth) -> Truth:
-    """The chains' truth where they agree and are worth more draws, else the particles'."""
-    return chains if chains.converged and chains.effective > particles.effective else particles
+    """The one that is worth more draws; chains that disagree are worth few."""
+    return chains if chains.effective > particles.effective else particles._replace(rhat=chains.rhat)

@@ -6,7 +6,7 @@ gradient what it was measured to cost.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body.compare.estimator_truth import Sampler, Truth, best_truth, sir_sampler
+from bayes_body.compare.estimator_truth import LARGEST_RHAT, Sampler, Truth, best_truth, sir_sampler
 from bayes_body.draws import Draws
 from bayes_body.factor import FrameDensity, Particles
 from bayes_body.kernels.batching import everywhere, over_particles
@@ -24,10 +24,12 @@ from bayes_body.shapes import Key
 from bayes_body.view.progress import Watch, unwatched, watched
 from bayes_body.view.variance_plot import draw_ratios
 
-__all__ = ["Ratios", "Runs", "Truth", "draw_ratios", "figures_of", "gradient_cost", "hmc_sampler", "mixture_after", "ratios", "run_many"]
-__all__ += ["best_truth", "sir_sampler", "watched"]
+__all__ = ["Equal", "Ratios", "Runs", "Truth", "at_equal_computation", "best_truth", "draw_ratios", "figures_of", "gradient_cost", "hmc_sampler"]
+__all__ += ["mixture_after", "ratios", "run_many", "sir_sampler", "told"]
 
 BOOTSTRAPS = 2000
+# Of hmc's error², by how much two runs for the truth may differ.
+LARGEST_DIFFERENCE = 0.1
 TIMED = 8
 
 
@@ -45,6 +47,15 @@ class Ratios(NamedTuple):
     per_dof: Float[np.ndarray, "dof 3"]
     median: float
     interval: tuple[float, float]
+
+
+class Equal(NamedTuple):
+    """Runs of hmc, and of sir that may compute as much: by what is equal, `evaluations` or `seconds`, its runs and its number of particles."""
+
+    hmc: Runs
+    sir: dict[str, Runs]
+    particles: dict[str, int]
+    gradient_cost: float
 
 
 def mixture_after(key: Key, draws: Draws, components: int) -> Particles:
@@ -71,6 +82,29 @@ def run_many(key: Key, density: FrameDensity, sampler: Sampler, runs: int, watch
         means.append(mean)
         evaluations.append(int(used))
     return Runs(np.array(means, float), float(np.mean(evaluations)), (time.perf_counter() - start) / runs)
+
+
+def at_equal_computation(key: Key, density: FrameDensity, options: Mapping[str, Any], draws: int, runs: int, bar: bool = False) -> Equal:
+    """Both samplers on one frame after one mixture; with `bar`, they are watched on standard error.
+
+    Args:
+        key: of all runs.
+        density: of the frame, after the mixture.
+        options: of hmc.
+        draws: of a run of hmc.
+        runs: of each sampler.
+        bar: whether bars are drawn.
+    """
+    sampler, cost, keys = hmc_sampler(**options), gradient_cost(density), jax.random.split(key, 3)
+
+    def sir(key: Key, particles: int) -> Runs:
+        return run_many(key, density, sir_sampler(particles), runs, watched(f"runs of sir, {particles} particles", bar))
+
+    hmc = run_many(keys[0], density, lambda key, density: sampler(key, density, draws), runs, watched("runs of hmc", bar))
+    particles = {"evaluations": round(hmc.evaluations * cost)}
+    found = {"evaluations": sir(keys[1], particles["evaluations"])}
+    particles["seconds"] = max(round(particles["evaluations"] * hmc.seconds / found["evaluations"].seconds), 1)
+    return Equal(hmc, found | {"seconds": sir(keys[2], particles["seconds"])}, particles, cost)
 
 
 def gradient_cost(density: FrameDensity, batch: int = 512) -> float:
@@ -111,9 +145,39 @@ def ratios(over: Runs, under: Runs, truth: Truth, seed: int = 0) -> Ratios:
     return Ratios(np.stack([whole, low, high], axis=1), float(np.median(whole)), (interval[0], interval[1]))
 
 
-def figures_of(names: Sequence[str], over: Runs, under: Runs, truth: Truth) -> dict[str, Any]:
-    """Their ratios and costs, as plain numbers."""
+def figures_of(names: Sequence[str], equal: Equal, truth: Truth) -> dict[str, Any]:
+    """Ratios and costs at equal evaluations, therein those at `equal_seconds`, and the `settings` that they depend on, as plain numbers."""
+    by_evaluations, by_seconds = (_row(names, equal.sir[at], equal.hmc, truth) for at in ("evaluations", "seconds"))
+    doubt = float(np.max(truth.error / np.mean((equal.hmc.means - truth.mean) ** 2, axis=0)))
+    known = {"truth_by": truth.by, "truth_rhat": truth.rhat, "truth_effective": truth.effective, "truth_difference": doubt}
+    known["truth_converged"] = truth.converged
+    return {
+        **by_evaluations,
+        "equal_seconds": by_seconds,
+        "settings": {"gradient_cost": equal.gradient_cost, "particles_sir": equal.particles, **known},
+    }
+
+
+def _row(names: Sequence[str], over: Runs, under: Runs, truth: Truth) -> dict[str, Any]:
     found = ratios(over, under, truth)
     per_dof = dict(zip(names, np.round(found.per_dof, 4).tolist(), strict=True))
     costs = {"seconds_hmc": under.seconds, "seconds_sir": over.seconds, "evaluations_hmc": under.evaluations, "evaluations_sir": over.evaluations}
     return {"ratio_median": found.median, "ratio_interval": found.interval, "per_dof": per_dof, **costs}
+
+
+def told(figures: Mapping[str, Any]) -> str:
+    """The headline in sentences, of `figures_of`."""
+    settings, lines = figures["settings"], []
+    for at, row in {"evaluations": figures, "seconds": figures["equal_seconds"]}.items():
+        low, high = row["ratio_interval"]
+        median = f"{row['ratio_median']:.2f}, 95 % from {low:.2f} to {high:.2f}"
+        lines.append(
+            f"at equal {at}: error² of sir ({settings['particles_sir'][at]} particles) over hmc {median}; {row['seconds_hmc']:.2f} s a run of hmc"
+        )
+    rhat = f"R-hat of long chains {settings['truth_rhat']:.3f}"
+    lines.append(f"the truth is by {settings['truth_by']}, of {settings['truth_effective']:.0f} effective draws, {rhat}")
+    lines.append(f"its two runs differ by {settings['truth_difference']:.1%} of hmc's error² at worst")
+    if settings["truth_difference"] > LARGEST_DIFFERENCE or not settings["truth_converged"]:
+        allowed = f"an R-hat above {LARGEST_RHAT} or a difference above {LARGEST_DIFFERENCE:.0%} is too much"
+        lines.append(f"{allowed}: these ratios say nothing; leave out --quick, or take a frame whose posterior has one mode")
+    return "\n".join(lines)

@@ -1,31 +1,55 @@
-"""Error ratios of two samplers by dof, with their intervals: what Poon & Fleet's Fig. 8 compares."""
+"""Errors of two samplers at equal computation: their ratios by dof, and along frames (Poon & Fleet 2002, Fig. 8 and 9)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from bayes_body.files import replacing
 
 
-def draw_ratios(path: Path, ratios: Mapping[str, Mapping[str, Sequence[float]]]) -> None:
-    """A row of points a dof, a colour for what was held equal, by that and by dof: ratio, low, high; into a .png.
+def draw_ratios(path: Path, figures: Mapping[str, Any]) -> None:
+    """The figures of `compare.estimator_variance`, with what they have of `frames`, into a .png: whiskers are 95 % intervals.
 
     Raises:
         InputError: the file cannot be written.
     """
     from matplotlib.figure import Figure
 
-    dofs = list(next(iter(ratios.values())))
-    figure = Figure(figsize=(7, 0.35 * len(dofs) + 1.5), layout="constrained")
-    axes = figure.subplots()
+    along = figures.get("frames")
+    figure = Figure(figsize=(14 if along else 7, max(0.35 * len(figures["per_dof"]) + 1.5, 4)), layout="constrained")
+    panels = figure.subplots(1, 2 if along else 1, squeeze=False)[0]
+    _ratios_by_dof(panels[0], {"evaluations": figures["per_dof"], "seconds": figures["equal_seconds"]["per_dof"]})
+    if along:
+        _errors_by_frame(panels[1], along)
+    with replacing(path) as partial:
+        figure.savefig(partial, format="png", dpi=120)
+
+
+def _ratios_by_dof(axes: Any, ratios: Mapping[str, Mapping[str, tuple[float, float, float]]]) -> None:
+    """A row of points a dof, a colour for what was held equal."""
+    dofs = list(ratios["evaluations"])
     places = np.arange(len(dofs))
     for number, (name, of_dofs) in enumerate(ratios.items()):
         value, low, high = np.array(list(of_dofs.values())).T
         axes.errorbar(value, places + 0.15 * number, xerr=np.stack([value - low, high - value]), fmt="o", capsize=3, label=f"at equal {name}")
     axes.axvline(1, color="0.5")
-    axes.set(xscale="log", yticks=places, yticklabels=dofs, xlabel="error² of the particle filter / error² of hybrid Monte Carlo (95 % intervals)")
+    axes.set(xscale="log", yticks=places, yticklabels=dofs, xlabel="error² of the particle filter / error² of hybrid Monte Carlo")
     axes.invert_yaxis()
     axes.legend()
-    with replacing(path) as partial:
-        figure.savefig(partial, format="png", dpi=120)
+
+
+def _errors_by_frame(axes: Any, along: Mapping[str, Any]) -> None:
+    """Error² of each filter with its whiskers, its bias² dotted in the same colour."""
+    for number, (name, of) in enumerate(along.items()):
+        if name == "truth_difference":
+            axes.plot(np.arange(1, len(of) + 1), of, color="0.6", label="difference² of the truth's two runs")
+            continue
+        error, frames = np.array(of["error"]), np.arange(1, len(of["error"]) + 1) + 0.08 * number
+        low, high = np.array(of["error_interval"]).T
+        whiskers = np.stack([np.maximum(error - low, 0), np.maximum(high - error, 0)])
+        drawn = axes.errorbar(frames, error, yerr=whiskers, fmt="o-", capsize=2, label=f"{name}: error²")
+        axes.plot(frames, of["bias"], ":", color=drawn[0].get_color(), label=f"{name}: bias²")
+    axes.set(yscale="log", xlabel="frames filtered", ylabel="in units of the posterior's variance, median over dofs")
+    axes.legend(fontsize="small")

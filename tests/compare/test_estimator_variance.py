@@ -64,12 +64,22 @@ def test_the_truth_by_chains_is_the_same(target):
     assert np.all(np.abs(truth.mean - mean) < 4 * truth.sd / np.sqrt(2 * truth.effective))
 
 
-def test_the_better_truth_has_more_effective_draws_and_chains_that_agree():
+def test_the_better_truth_is_worth_more_draws():
     nothing = np.zeros(1)
     particles, chains = ev.Truth(nothing, nothing, nothing, 500.0), ev.Truth(nothing, nothing, nothing, 5000.0, "hmc", 1.005)
-    assert estimator_truth.better_of(particles, chains) is chains
-    assert estimator_truth.better_of(particles, chains._replace(rhat=1.05)) is particles
-    assert estimator_truth.better_of(particles._replace(effective=50_000.0), chains) is not chains
+    assert estimator_truth.better_of(particles, chains) is chains and chains.converged
+    assert not chains._replace(rhat=1.05).converged and not chains._replace(rhat=float("nan")).converged
+    other = estimator_truth.better_of(particles, chains._replace(effective=40.0, rhat=1.05))
+    assert other.by == "sir" and other.effective == 500 and other.rhat == 1.05 and other.converged
+
+
+def test_a_truth_whose_runs_differ_is_said():
+    one, none = np.ones((5, 1)), np.zeros(1)
+    equal = ev.Equal(ev.Runs(one, 10, 0.1), {at: ev.Runs(one, 10, 0.1) for at in ("evaluations", "seconds")}, {"evaluations": 10, "seconds": 10}, 1.3)
+    sound, doubtful = (ev.figures_of(["a"], equal, ev.Truth(none, one[0], np.array([error]), 300.0)) for error in (0.05, 0.2))
+    assert sound["settings"]["truth_difference"] == 0.05 and "say nothing" not in ev.told(sound)
+    assert "differ by 20.0% of hmc's error² at worst" in ev.told(doubtful)
+    assert "a difference above 10% is too much: these ratios say nothing; leave out --quick" in ev.told(doubtful)
 
 
 def test_the_error_of_n_draws_is_the_variance_over_n(target):

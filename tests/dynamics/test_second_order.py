@@ -130,6 +130,23 @@ def test_a_full_turn_has_no_wall_and_integrates_to_one():
     assert np.isclose(slope(math.pi), -(math.pi - 3.1) / 0.4**2) and np.isclose(slope(-math.pi), slope(math.pi))
 
 
+def test_many_laws_say_of_one_value_what_each_says():
+    """Those of a mixture, whose limits and scale are the same: inside, at and outside of limits, across the half turn, with gradients."""
+    low, high = jnp.array([LOW, -jnp.inf, -jnp.inf]), jnp.array([HIGH, jnp.inf, jnp.inf])
+    centres = jnp.array([[-1.0, math.pi - 0.1, 0.2], [0.3, -math.pi - 0.4, -0.3], [HIGH, 9.0, 0.0], [7.0, 0.0, 4.0]])
+    scale, angular = jnp.array([0.1, 0.5, 0.2]), jnp.array([True, True, False])
+    laws = jax.vmap(lambda centre: JointNoise(centre, scale, low, high, angular))(centres)
+
+    def by_one(value):
+        return jax.vmap(lambda law: law.log_prob(value))(laws)
+
+    for value in ([0.1, -math.pi + 0.1, 0.3], [LOW, 3.0, 0.0], [HIGH, 12.0, -1.0]):
+        at = jnp.array(value)
+        assert np.allclose(laws.log_prob_each(at), by_one(at), rtol=1e-12) and np.all(np.isfinite(by_one(at)))
+        assert np.allclose(jax.jacrev(laws.log_prob_each)(at), jax.jacrev(by_one)(at), rtol=1e-9)
+    assert np.all(laws.log_prob_each(jnp.array([HIGH + 0.01, 0.0, 0.0])) == -np.inf)
+
+
 def test_a_shift_has_the_normal_law():
     noise = _joint(100.0, 0.03, -np.inf, np.inf, angular=False)
     points = 100.0 + np.linspace(-0.1, 0.1, 11)

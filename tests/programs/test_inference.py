@@ -83,7 +83,8 @@ def test_a_wrong_input_is_a_sentence(filtering, walk, tmp_path, fault):
 @pytest.mark.slow
 def test_estimator_variance_quick(walk, tmp_path):
     program, out = ROOT / "inference" / "estimator_variance.py", tmp_path / "figures.json"
-    done = run(program, "--session", walk, "--frame", 2, "--quick", "--json", out, "--plot", tmp_path / "figures.png", "--set", "leapfrog_steps=10")
+    own = ("--frame", 2, "--frames", 1, "--set", "leapfrog_steps=10")
+    done = run(program, "--session", walk, "--quick", "--json", out, "--plot", tmp_path / "figures.png", *own)
     assert done.returncode == 0, done.stderr
     found = json.loads(out.read_text())
     for row in (found, found["equal_seconds"]):
@@ -92,7 +93,11 @@ def test_estimator_variance_quick(walk, tmp_path):
         assert all(low <= ratio <= high for ratio, low, high in row["per_dof"].values())
         assert min(row["seconds_hmc"], row["seconds_sir"], row["evaluations_hmc"], row["evaluations_sir"]) > 0
     assert found["settings"]["hmc"]["leapfrog_steps"] == 10 and found["settings"]["gradient_cost"] > 1
-    assert "at equal evaluations" in done.stdout and "at equal seconds" in done.stdout
+    assert found["settings"]["truth_by"] in ("hmc", "sir") and found["settings"]["truth_effective"] > 1 and found["settings"]["truth_difference"] >= 0
+    assert set(found["frames"]) == {"hmc, means", "hmc, draws", "sir", "truth_difference"}
+    for of in (found["frames"][name] for name in ("hmc, means", "hmc, draws", "sir")):
+        assert len(of["error"]) == 1 and all(error > 0 for error in of["error"])
+    assert "at equal evaluations" in done.stdout and "at equal seconds" in done.stdout and "along 1 frame, hmc, draws: error²" in done.stdout
     assert cv2.imread(str(tmp_path / "figures.png")).shape[1] > 500
 
 

@@ -1,0 +1,177 @@
+r"""Estimator error along frames of a recording, bias and variance apart (Poon & Fleet 2002, 5.2, Fig. 9).
+
+Each run filters the same frames from the same particles; after each frame its estimate is the posterior mean of each dof. Over independent runs the
+error splits exactly,
+
+$$\frac{1}{R} \sum_r (\hat\mu_r - \mu)^2 = (\bar\mu - \mu)^2 + \frac{1}{R} \sum_r (\hat\mu_r - \bar\mu)^2,$$
+
+into bias² and variance. All are in units of the true posterior's variance of that dof and frame: n independent draws have a variance of 1/n, and
+bias² cannot be told from 0 below a share 1/R of the variance. The truth is that of two long runs of the filter by chains that carries draws.
+"""
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_body.compare.estimator_truth import OPTIONS
+from bayes_body.factor import FrameDensity, Kernel, Particles
+from bayes_body.kernels.hmc_filter import build_kernel as hmc_kernel
+from bayes_body.shapes import Key
+from bayes_body.view.progress import Watch, unwatched, watched
+
+# Of a run that finds the truth: chains, draws of all of them together, and predictions that the chains' starts are drawn from.
+CHAINS, DRAWS, STARTS = 16, 1600, 20_000
+# Of each of these chains: states that are left out first, and states for one draw.
+BURN_IN, THINNING = 100, 3
+BOOTSTRAPS = 1000
+
+
+class Paths(NamedTuple):
+    """Posterior means and variances of independent runs along frames; evaluations of the density and seconds a frame, warm."""
+
+    means: Float[np.ndarray, "run frame dof"]
+    variances: Float[np.ndarray, "run frame dof"]
+    evaluations: float
+    seconds: float
+
+
+class TruePath(NamedTuple):
+    """The posterior's mean and variance after each frame, and the squared difference of two runs' means."""
+
+    mean: Float[np.ndarray, "frame dof"]
+    variance: Float[np.ndarray, "frame dof"]
+    error: Float[np.ndarray, "frame dof"]
+
+
+class Errors(NamedTuple):
+    """Of each dof after each frame, in units of the true posterior's variance: bias², variance, and their sum."""
+
+    bias: Float[np.ndarray, "frame dof"]
+    variance: Float[np.ndarray, "frame dof"]
+    error: Float[np.ndarray, "frame dof"]
+
+
+def follow(
+    key: Key, densities: Sequence[FrameDensity], first: Particles, kernel: Kernel, particles: int, runs: int, watch: Watch = unwatched
+) -> Paths:
+    """Independent runs of a filter, one after the other, each alone on the machine; what is compiled is compiled before the clock starts.
+
+    Args:
+        key: of all runs.
+        densities: of the frames, in order; whatever particles they hold, each run goes on from its own.
+        first: the mixture that stands before the first frame.
+        kernel: the filter.
+        particles: of each run, or a few more.
+        runs: how many.
+        watch: takes the numbers of the runs and gives them back, as a bar does.
+    """
+
+    @jax.jit
+    def step(key: Key, before: Particles, density: FrameDensity) -> tuple[Particles, tuple[Array, Array, Array]]:
+        after, info = kernel(key, before, density)
+        weights, pose = jnp.exp(after.log_weights), after.states["pose"]
+        mean = weights @ pose
+        return after, (mean, weights @ (pose - mean) ** 2, info.evaluations)
+
+    begin = _as_many(first, particles)
+    jax.block_until_ready(step(key, begin, densities[0]))
+    found, start = [], time.perf_counter()
+    for run in watch(range(runs)):
+        own, before = jax.random.fold_in(key, run), begin
+        for number, density in enumerate(densities):
+            before, estimate = step(jax.random.fold_in(own, number), before, density)
+            found.append(jax.device_get(estimate))
+    seconds = (time.perf_counter() - start) / len(found)
+    means, variances, evaluations = (np.array(each, float) for each in zip(*found, strict=True))
+    shape = runs, len(densities), -1
+    return Paths(means.reshape(shape), variances.reshape(shape), float(evaluations.mean()), seconds)
+
+
+def true_path(
+    key: Key, densities: Sequence[FrameDensity], first: Particles, draws: int = DRAWS, starts: int = STARTS, watch: Watch = unwatched
+) -> TruePath:
+    """By two long runs of chains, of so many draws together, that hand on all their draws."""
+    kernel = hmc_kernel(**OPTIONS, chains=CHAINS, burn_in=BURN_IN, thinning=THINNING, starts=starts, carry="draws")
+    found = follow(key, densities, first, kernel, draws, 2, watch)
+    return TruePath(found.means.mean(axis=0), found.variances.mean(axis=0), (found.means[0] - found.means[1]) ** 2)
+
+
+def errors(paths: Paths, truth: TruePath) -> Errors:
+    """Bias², variance and their sum, in units of the posterior's variance."""
+    bias, variance = (paths.means.mean(axis=0) - truth.mean) ** 2 / truth.variance, paths.means.var(axis=0) / truth.variance
+    return Errors(bias, variance, bias + variance)
+
+
+def along(
+    key: Key,
+    densities: Sequence[FrameDensity],
+    first: Particles,
+    filters: Mapping[str, tuple[Kernel, int]],
+    runs: int,
+    draws: int = DRAWS,
+    bar: bool = False,
+) -> dict[str, Any]:
+    """Figures of many runs of each filter along the frames; with `bar`, they are watched on standard error.
+
+    Args:
+        key: of the truth and of all runs.
+        densities: of the frames, in order.
+        first: the mixture that stands before the first frame.
+        filters: by name, a kernel and its number of particles.
+        runs: of each filter.
+        draws: of each of the two runs that find the truth.
+        bar: whether bars are drawn.
+
+    Returns:
+        by filter, by frame the median over dofs of `bias`², `variance` and their sum `error` with its bootstrap interval, in units of the posterior's
+        variance; `seconds` and `evaluations` a frame. `truth_difference`: by frame, how far the truth's two runs differ, likewise.
+    """
+    truth_key, own_key = jax.random.split(key)
+    truth = true_path(truth_key, densities, first, draws, watch=watched("long runs along the frames", bar))
+    found = {}
+    for number, (name, (kernel, particles)) in enumerate(filters.items()):
+        watch = watched(f"runs of {name} along the frames", bar)
+        found[name] = path_figures(follow(jax.random.fold_in(own_key, number), densities, first, kernel, particles, runs, watch), truth)
+    return found | {"truth_difference": _median(truth.error / truth.variance)}
+
+
+def path_figures(paths: Paths, truth: TruePath, seed: int = 0) -> dict[str, Any]:
+    """The figures of one filter."""
+    rng, runs = np.random.default_rng(seed), len(paths.means)
+    squared = (paths.means - truth.mean) ** 2 / truth.variance
+    drawn = [np.median(squared[rng.integers(0, runs, runs)].mean(axis=0), axis=1) for _ in range(BOOTSTRAPS)]
+    low, high = np.quantile(drawn, [0.025, 0.975], axis=0)
+    medians = {name: _median(values) for name, values in errors(paths, truth)._asdict().items()}
+    interval = np.round(np.stack([low, high], axis=1), 6).tolist()
+    return medians | {"error_interval": interval, "seconds": paths.seconds, "evaluations": paths.evaluations}
+
+
+def told(figures: Mapping[str, Any]) -> str:
+    """The figures of `along` in sentences, means over the frames."""
+    lines = []
+    for name, of in figures.items():
+        if name == "truth_difference":
+            lines.append(f"the two runs of that truth differ by {np.mean(of):.4f}")
+            continue
+        error, bias, variance = (np.mean(of[each]) for each in ("error", "bias", "variance"))
+        frames = f"{len(of['error'])} frame{'' if len(of['error']) == 1 else 's'}"
+        parts = f"error² {error:.4f} of the posterior's variance, bias² {bias:.4f}, variance {variance:.4f}"
+        lines.append(f"along {frames}, {name}: {parts} (medians over dofs), {of['seconds']:.2f} s a frame")
+    return "\n".join(lines)
+
+
+def _median(by_dof: Float[np.ndarray, "frame dof"]) -> list[float]:
+    return np.round(np.median(by_dof, axis=1), 6).tolist()
+
+
+def _as_many(mixture: Particles, particles: int) -> Particles:
+    """An equally weighted mixture as so many particles or a few more: each component as often, the copies of one next to each other."""
+    copies = -(-particles // mixture.log_weights.shape[0])
+    return Particles(
+        jax.tree.map(lambda leaf: jnp.repeat(leaf, copies, axis=0), dict(mixture.states)), jnp.repeat(mixture.log_weights, copies) - jnp.log(copies)
+    )
