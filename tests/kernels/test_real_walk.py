@@ -1,7 +1,7 @@
 """A real walk in one camera: the hybrid Monte Carlo filter keeps both legs through a crossing, and the particle filter at equal time beside it.
 
-The video is a woman who walks from right to left, in profile, on grass. The first pose and the joints of later frames were clicked once on the enlarged
-pictures; columns and rows.
+The video is a woman who walks from right to left, in profile, on grass. The first pose and the joints of later frames were clicked once, on the
+enlarged pictures; columns and rows.
 """
 
 import cv2
