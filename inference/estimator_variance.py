@@ -11,6 +11,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import jax
 
@@ -28,10 +29,8 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--components", type=bb.whole_number(1), default=10, help="of the prediction mixture (%(default)s)")
     parser.add_argument("--frames", type=bb.whole_number(0), help="along which the filters are followed (20; none with --quick)")
     parser.add_argument("--runs", type=bb.whole_number(2), default=50, help="of each sampler (%(default)s)")
-    long = "particles of each of the two runs that find the true mean (%(default)s)"
-    parser.add_argument("--truth", type=bb.whole_number(1), default=4_000_000, help=long)
-    own = "an option of hmc other than the model's, such as step=0.1"
-    parser.add_argument("--set", type=bb.setting, action="append", default=[], metavar="KEY=VALUE", help=own)
+    parser.add_argument("--truth", type=bb.whole_number(1), default=4_000_000, help="particles of each run that finds the true mean (%(default)s)")
+    parser.add_argument("--set", type=bb.setting, action="append", default=[], metavar="KEY=VALUE", help="an option of hmc, such as step=0.1")
     parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="of everything random (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="10 runs on one frame, a truth of 400 000 particles")
     return parser.parse_args()
@@ -42,8 +41,7 @@ def main() -> None:
     bb.configure()
     session = bb.load_session(arguments.session)
     model = bb.with_first_pose(bb.load_model(arguments.model, session), session)
-    quick = arguments.quick
-    runs, many, long, most = (10, 400_000, 1000, 0) if quick else (arguments.runs, arguments.truth, 4000, 20)
+    runs, many, long, most = (10, 400_000, 1000, 0) if arguments.quick else (arguments.runs, arguments.truth, 4000, 20)
     frames = most if arguments.frames is None else arguments.frames
     own = model.definition.kernel.options.model_dump() if model.definition.kernel.kind == "hmc" else {}
     options, keys = own | dict(arguments.set), jax.random.split(jax.random.key(arguments.seed), 6)
@@ -51,22 +49,27 @@ def main() -> None:
 
     before = bb.track(session, model, bb.kernels.sir(), keys[0], particles=20_000, frames=arguments.frame)
     mixture = ev.mixture_after(keys[1], before, arguments.components)
-    shown = range(arguments.frame, arguments.frame + max(frames, 1))
+    shown = range(arguments.frame, max(min(arguments.frame + frames, session.frames), arguments.frame + 1))
     densities = [model.density(model.observe(bb.read_frame(session, frame)), mixture) for frame in shown]
 
     equal = ev.at_equal_computation(keys[2], densities[0], options, draws, runs, bar)
     truth = ev.best_truth(keys[3], densities[0], many, long, bar)
     figures = ev.figures_of(model.body.dof_names, equal, truth)
+    figures["settings"] |= vars(arguments) | {"hmc": options, "runs": runs, "truth": many}
     print(ev.told(figures))
+    save(arguments, figures)
     if frames:
         filters = {f"hmc, {carry}": (bb.kernels.hmc(**options | {"carry": carry}), draws) for carry in ("means", "draws")}
         filters["sir"] = bb.kernels.sir(), equal.particles["evaluations"]
-        figures["frames"] = path.along(keys[4], densities, mixture, filters, runs, 400 if quick else 1600, bar)
+        figures["frames"] = path.along(keys[4], densities, mixture, filters, runs, 400 if arguments.quick else 1600, bar)
         print(path.told(figures["frames"]))
-    figures["settings"] = vars(arguments) | {"hmc": options, "runs": runs, "truth": many} | figures["settings"]
+        save(arguments, figures)
+
+
+def save(arguments: argparse.Namespace, figures: dict[str, Any]) -> None:
     arguments.json.write_text(json.dumps(figures, indent=2, default=str) + "\n", encoding="utf-8")
     if arguments.plot:
-        ev.draw_ratios(arguments.plot, figures)
+        bb.compare.estimator_variance.draw_ratios(arguments.plot, figures)
 
 
 if __name__ == "__main__":
