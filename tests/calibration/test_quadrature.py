@@ -89,7 +89,7 @@ def drawn(request):
 
 
 HMC = {"chains": 8, "burn_in": 30, "leapfrog_steps": 8, "step": 0.4}
-KERNELS = {"sir": (kernels.sir(), 4000), "tempered": (kernels.tempered(), 1000), "hmc": (kernels.hmc(**HMC), 800)}
+KERNELS = {"sir": (kernels.sir(), 4000), "tempered": (kernels.tempered(), 500), "hmc": (kernels.hmc(**HMC), 800)}
 
 
 @pytest.mark.slow
