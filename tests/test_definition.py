@@ -139,7 +139,9 @@ def test_definitions_of_a_checkout_are_found(monkeypatch, tmp_path):
     assert definition_names() == ()
 
 
-@pytest.mark.parametrize(("name", "said"), [("amr", "did you mean 'arm'?"), ("gorilla", "known: arm, arm_markers")], ids=["nearly", "not at all"])
+@pytest.mark.parametrize(
+    ("name", "said"), [("amr", "did you mean 'arm'?"), ("gorilla", "known: arm, arm_edges, arm_markers")], ids=["nearly", "not at all"]
+)
 def test_a_wrong_name(name, said):
     assert f"model '{name}' does not exist; {said}" in sentences(Path(name))[0]
 

@@ -1,6 +1,7 @@
 """kill -9 at any moment: the run that is continued ends as one that was never stopped, bit for bit."""
 
 import random
+import signal
 import subprocess
 import time
 
@@ -75,10 +76,13 @@ def test_an_interruption_says_how_to_go_on(looped, tmp_path):
     out = tmp_path / "run"
     # So many particles that the frames that are left take longer than the signal.
     slowly = ["--particles", 20_000, "--runs", 2]
+    # Tests that a shell runs in the background inherit that Ctrl-C is ignored, and would hand it on.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     process = subprocess.Popen(command(looped(FRAMES), out, *slowly), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    signal.signal(signal.SIGINT, before)
     while process.poll() is None and not (out / "frames" / "000003.npz").exists():
         time.sleep(0.0005)
-    process.send_signal(2)
+    process.send_signal(signal.SIGINT)
     said, errors = process.communicate()
     assert process.returncode == 130, errors
     assert "frames are kept; the same command with --resume goes on from there." in said

@@ -29,6 +29,7 @@ def result(seed: int) -> FrameResult:
         lost=np.array([True, False]),
         acceptance_rate=by_layer,
         evaluations=np.array([7, 14], np.int32),
+        markov={"acceptance": rng.random((RUNS, 2), np.float32), "divergences": rng.integers(0, 3, (RUNS, 2), np.int32)},
     )
     states = {"pose": rng.normal(size=(RUNS, PARTICLES, DOFS)).astype(np.float32), "phase": rng.normal(size=(RUNS, PARTICLES))}
     return FrameResult(states, rng.normal(size=(RUNS, PARTICLES)), info, rng.random(CAMERAS) < 0.5, rng.random(), rng.random())
@@ -36,6 +37,7 @@ def result(seed: int) -> FrameResult:
 
 def leaves(frame: FrameResult) -> dict[str, np.ndarray]:
     found = {f"states.{name}": values for name, values in frame.states.items()} | frame.info._asdict()
+    found |= {f"markov.{name}": values for name, values in found.pop("markov").items()}
     return {name: np.asarray(values) for name, values in (found | {"w": frame.log_weights, "seen": frame.seen}).items()}
 
 
