@@ -108,16 +108,19 @@ class Density:
         """Everything but the transition: the weight of a particle drawn from it."""
         return self._sum(self.factors, state, previous)
 
-    def curvature(self, state: State, previous: State) -> dict[str, Array] | None:
-        """About minus the second derivatives of the log-likelihood by the entries of each variable; None where a likelihood offers none."""
-        likelihoods = [factor for factor in self.factors if factor.side == "likelihood"]
+    def curvature(self, state: State, previous: State) -> dict[str, Array]:
+        """About minus the second derivatives by the entries of each variable, of the likelihoods that offer them."""
         values, total = variables(state, previous), {name: jnp.zeros((value.size, value.size), value.dtype) for name, value in state.items()}
-        for factor in likelihoods:
-            if factor.curvature is None:
-                return None
-            found = factor.curvature({v: values[v] for v in factor.scope}, self.data.get(factor.name))
-            total = {name: value + found[name] if name in found else value for name, value in total.items()}
+        for factor in self.factors:
+            if factor.side == "likelihood" and factor.curvature is not None:
+                found = factor.curvature({v: values[v] for v in factor.scope}, self.data.get(factor.name))
+                total = {name: value + found[name] if name in found else value for name, value in total.items()}
         return total
+
+    def without_curvature(self, state: State, previous: State) -> Scalar | None:
+        """The log-likelihood of those that offer no curvature; None where all do."""
+        rest = [factor for factor in self.factors if factor.side == "likelihood" and factor.curvature is None]
+        return self._sum(rest, state, previous) if rest else None
 
     def parts(self, state: State, previous: State | None = None) -> dict[str, Scalar]:
         """The log-potential of each factor by name, and the transition's. Without `previous` the first particle of the frame before is taken."""

@@ -216,8 +216,12 @@ class FrameDensity(Protocol):
         """The marginal view over coordinates without limits."""
         ...
 
-    def curvature(self, state: State, previous: State) -> Mapping[str, Array] | None:
-        """About minus the second derivatives of the log-likelihood by the entries of each variable, where all likelihoods offer them."""
+    def curvature(self, state: State, previous: State) -> Mapping[str, Array]:
+        """About minus the second derivatives by the entries of each variable, of the likelihoods that offer them."""
+        ...
+
+    def without_curvature(self, state: State, previous: State) -> Array | None:
+        """The log-likelihood of those that offer no curvature; None where all do."""
         ...
 
 

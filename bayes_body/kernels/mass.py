@@ -8,9 +8,9 @@ $$M = S\, (\mathrm{diag}(1/v) + C)\, S - \mathrm{diag}\Big(\frac{\partial^2}{\pa
 The paper takes its diagonal alone, $M^{-1} = \mathrm{diag}(\epsilon_k^2)$. Monocular posteriors are narrow along some combinations of dofs and wide
 along others: with the whole matrix a trajectory need not follow them in the narrowest one's steps.
 
-A likelihood may offer C (`Factor.curvature`); else it is found by finite differences of its gradient over a tenth of the noise's deviation, and
-counts where it is positive. The matrix depends on the chain's first state only: the moves stay reversible. With the correlations of the particles of
-the frame before, the ε_k are kept.
+A likelihood may offer its part of C (`Factor.curvature`); that of the others is found by finite differences of their gradient over a tenth of the
+noise's deviation. It counts where it is positive. The matrix depends on the chain's first state only: the moves stay reversible. With the
+correlations of the particles of the frame before, the ε_k are kept.
 """
 
 from collections.abc import Mapping
@@ -41,9 +41,8 @@ def inverse_mass(density: FrameDensity, position: State, previous: State, whole:
     target = density.unconstrained()
     state = target.constrain(position)
     variances = ravel_pytree({name: jnp.asarray(law.variance) for name, law in density.transition.conditional(previous).items()})[0]
-    offered = density.curvature(state, previous)
-    found = differenced(density, state, previous, variances) if offered is None else _blocks(offered)
-    curvature = jnp.where(jnp.isfinite(found), found, 0.0)
+    offered = _blocks(density.curvature(state, previous))
+    curvature = _finite(offered) + _finite(differenced(density, state, previous, variances))
     slope, bend = (ravel_pytree(parts)[0] for parts in _slopes_and_bends(target.bijections, position))
     prior = slope * slope / variances + bend
     if not whole:
@@ -53,6 +52,10 @@ def inverse_mass(density: FrameDensity, position: State, previous: State, whole:
     scale = unit * slope
     values, vectors = jnp.linalg.eigh(scale[:, None] * curvature * scale)
     return unit[:, None] * ((vectors / (1 + jnp.maximum(values, 0.0))) @ vectors.T) * unit
+
+
+def _finite(matrix: Array) -> Array:
+    return jnp.where(jnp.isfinite(matrix), matrix, 0.0)
 
 
 def _blocks(by_variable: Mapping[str, Array]) -> Float[Array, "dof dof"]:
@@ -83,12 +86,14 @@ def _slope_and_bend(bijection: Any, x: Array) -> tuple[Array, Array]:
 
 
 def differenced(density: FrameDensity, state: State, previous: State, variances: Float[Array, " dof"]) -> Float[Array, "dof dof"]:
-    """Minus the second derivatives of the log-likelihood by all dofs, from gradients on both sides of a state."""
+    """Minus the second derivatives, of the likelihoods that offer none, by all dofs: from gradients on both sides of a state."""
     flat, unravel = ravel_pytree(dict(state))
+    if density.without_curvature(state, previous) is None:
+        return jnp.zeros((flat.size, flat.size), flat.dtype)
     reach = DIFFERENCE * jnp.sqrt(variances)
 
     def gradient(values: Array) -> Array:
-        return jax.grad(lambda v: density.log_likelihood({**previous, **unravel(v)}, previous))(values)
+        return jax.grad(lambda v: density.without_curvature({**previous, **unravel(v)}, previous))(values)
 
     def along(number: Array) -> Array:
         step = jnp.zeros_like(flat).at[number].set(reach[number])

@@ -1,5 +1,6 @@
 """The hybrid Monte Carlo filter against closed forms and quadrature, from overdispersed starts; and mutants of its chains that these find out."""
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -12,6 +13,7 @@ from laws.targets import conjugate, skewed
 
 from bayes_body.density import Unconstrained
 from bayes_body.errors import InputError
+from bayes_body.factor import Factor, Variable
 from bayes_body.kernels import hmc_filter
 from bayes_body.kernels.hamiltonian import Schedule, chain_figures, effective_draws, run_chain
 from bayes_body.kernels.hmc_filter import build_kernel
@@ -170,6 +172,24 @@ def test_the_mass_of_a_gaussian_is_its_curvature():
     whole = inverse_mass(density, {"x": jnp.array([0.3, -0.2, 0.1])}, density.ancestor(0), whole=True)
     assert np.abs(curvature - np.diag(np.diagonal(curvature))).max() > 1
     assert np.allclose(np.linalg.inv(whole), np.diag(1 / variances) + curvature, rtol=1e-3, atol=1e-2)
+
+
+def _square(values, _):
+    return -2 * jnp.sum(values[Variable("x")] ** 2)
+
+
+def _square_curvature(_, __):
+    return {"x": 4 * jnp.eye(3)}
+
+
+def test_what_likelihoods_offer_is_taken_and_the_others_are_differenced():
+    density = conjugate(1).density
+    offering = Factor("square", "likelihood", (Variable("x"),), jax.tree_util.Partial(_square), curvature=jax.tree_util.Partial(_square_curvature))
+    before, at = density.ancestor(0), {"x": jnp.array([0.3, -0.2, 0.1])}
+    alone = np.linalg.inv(inverse_mass(density, at, before, whole=True))
+    both = np.linalg.inv(inverse_mass(replace(density, factors=(*density.factors, offering)), at, before, whole=True))
+    assert np.allclose(both, alone + 4 * np.eye(3), rtol=1e-3, atol=1e-2)
+    assert np.all(np.asarray(differenced(replace(density, factors=(offering,)), at, before, jnp.ones(3))) == 0)
 
 
 def test_a_negative_curvature_does_not_count():
