@@ -3,7 +3,7 @@ r"""The hybrid Monte Carlo filter (Poon & Fleet 2002, 4), through blackjax, on t
 With the particles $(w_i, s^i_{t-1})$ of the frame before, the target is the likelihood times the prediction mixture (14),
 $p(s_t \mid z_{1:t}) \propto L(s_t; z_t) \sum_i w_i\, p(s_t \mid s^i_{t-1})$, in coordinates without limits.
 
-A frame begins with M states by sampling importance resampling from the mixture (of `starts` draws, in the paper M), which also estimates the evidence
+A frame begins with M states by sampling importance resampling from the mixture (of `starts` draws, M in the paper), which also estimates the evidence
 as well as so many particles do. From each state a chain runs, whose first states are burn-in. What is left of all chains are the particles, of equal
 weight, chain after chain.
 
@@ -54,7 +54,7 @@ class Options(Schema):
     sampler: Sampler = "hmc"
     target_acceptance: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.0
     mass: Mass = "curvature"
-    starts: Annotated[int, Field(strict=True, ge=0)] = 0
+    starts: Annotated[int, Field(strict=True, ge=0)] = 100
     carry: Carry = "draws"
     resampling: Scheme = "systematic"
 
