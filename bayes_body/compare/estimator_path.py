@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body.compare.estimator_truth import OPTIONS
+from bayes_body.compare.estimator_truth import LARGEST_DIFFERENCE, OPTIONS
 from bayes_body.factor import FrameDensity, Kernel, Particles
 from bayes_body.kernels.hmc_filter import build_kernel as hmc_kernel
 from bayes_body.shapes import Key
@@ -157,12 +157,23 @@ def told(figures: Mapping[str, Any]) -> str:
     for name, of in figures.items():
         if name == "truth_difference":
             lines.append(f"the two runs of that truth differ by {np.mean(of):.4f}")
+            lines += _doubted(np.array(of), np.min([row["error"] for other, row in figures.items() if other != name], axis=0))
             continue
         error, bias, variance = (np.mean(of[each]) for each in ("error", "bias", "variance"))
         frames = f"{len(of['error'])} frame{'' if len(of['error']) == 1 else 's'}"
         parts = f"error² {error:.4f} of the posterior's variance, bias² {bias:.4f}, variance {variance:.4f}"
         lines.append(f"along {frames}, {name}: {parts} (medians over dofs), {of['seconds']:.2f} s a frame")
     return "\n".join(lines)
+
+
+def _doubted(difference: Float[np.ndarray, " frame"], smallest: Float[np.ndarray, " frame"]) -> list[str]:
+    """What to say where the truth is not known well enough for the smallest error of any filter."""
+    unknown = difference > LARGEST_DIFFERENCE * smallest
+    if not unknown.any():
+        return []
+    since = f"from number {int(np.argmax(unknown))} of these frames on, counted from 0,"
+    remedy = "the errors there say little; leave out --quick, or take another frame"
+    return [f"{since} they differ by more than {LARGEST_DIFFERENCE:.0%} of the smallest error²: {remedy}"]
 
 
 def _median(by_dof: Float[np.ndarray, "frame dof"]) -> list[float]:

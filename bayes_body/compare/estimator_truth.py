@@ -24,6 +24,8 @@ from bayes_body.view.progress import Watch, unwatched, watched
 CHUNK = 50_000
 # Chains that agree: Vehtari et al. (2021).
 LARGEST_RHAT = 1.01
+# Of the smallest error² that is told, by how much two runs for the truth may differ.
+LARGEST_DIFFERENCE = 0.1
 
 # Of the chains, whatever those of the samplers that are compared.
 OPTIONS = {"mass": "curvature_matrix", "leapfrog_steps": 20, "jitter": 0.3, "step": 0.2, "target_acceptance": 0.8}

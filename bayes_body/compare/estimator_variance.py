@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body.compare.estimator_truth import LARGEST_RHAT, Sampler, Truth, best_truth, sir_sampler
+from bayes_body.compare.estimator_truth import LARGEST_DIFFERENCE, LARGEST_RHAT, Sampler, Truth, best_truth, sir_sampler
 from bayes_body.draws import Draws
 from bayes_body.factor import FrameDensity, Particles
 from bayes_body.kernels.batching import everywhere, over_particles
@@ -28,8 +28,6 @@ __all__ = ["Equal", "Ratios", "Runs", "Truth", "at_equal_computation", "best_tru
 __all__ += ["mixture_after", "ratios", "run_many", "sir_sampler", "told"]
 
 BOOTSTRAPS = 2000
-# Of hmc's error², by how much two runs for the truth may differ.
-LARGEST_DIFFERENCE = 0.1
 TIMED = 8
 
 

@@ -100,9 +100,20 @@ def test_figures_sentences_and_a_plot(densities, truth, tmp_path, monkeypatch):
         assert all(low <= error <= high for error, (low, high) in zip(of["error"], of["error_interval"], strict=True))
     assert figures["sir"]["evaluations"] == 80 and figures["hmc, draws"]["evaluations"] > 600
     told = path.told(figures).splitlines()
-    assert len(told) == 3 and told[1].startswith("along 4 frames, sir: error²")
+    assert told[1].startswith("along 4 frames, sir: error²")
     row = {"per_dof": {"a": (2.0, 1.0, 3.0), "b": (5.0, 4.0, 8.0)}}
     draw_ratios(tmp_path / "plot.png", {**row, "equal_seconds": row, "frames": figures})
     assert cv2.imread(str(tmp_path / "plot.png")).shape[1] > 1200
     draw_ratios(tmp_path / "one.png", {**row, "equal_seconds": row})
     assert cv2.imread(str(tmp_path / "one.png")).shape[1] < 1000
+
+
+@pytest.mark.parametrize(
+    ("difference", "words"),
+    [((0.01, 0.01, 0.01), None), ((0.01, 0.03, 0.01), "from number 1 of these frames on"), ((0.5, 0.0, 0.0), "from number 0 of these frames on")],
+)
+def test_a_truth_that_is_not_known_is_said(difference, words):
+    row = {"bias": [0.1, 0.1, 0.1], "variance": [0.1, 0.1, 0.1], "error": [0.2, 0.2, 0.2], "seconds": 1.0}
+    lines = path.told({"sir": row, "truth_difference": list(difference)}).splitlines()
+    assert len(lines) == 2 + (words is not None)
+    assert words is None or lines[-1].startswith(words)
