@@ -8,7 +8,7 @@ seen *extended* (the ancestor $i$ fixed or sampled too: particle filters, temper
 Fleet's (14) under HMC). Both views call the same factors; so do the single-variable views of belief propagation.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -67,6 +67,11 @@ class Density:
         return tuple(factor.name for factor in self.factors if factor.side == "likelihood" and not factor.has_gradient)
 
     @property
+    def without_curvature(self) -> tuple[str, ...]:
+        """The likelihoods that offer none: their gradients are differenced for a mass matrix."""
+        return tuple(factor.name for factor in self.factors if factor.side == "likelihood" and factor.curvature is None)
+
+    @property
     def not_generative(self) -> tuple[str, ...]:
         """The likelihoods that are no distribution over a frame's data: nothing can be simulated from them."""
         return tuple(factor.name for factor in self.factors if factor.side == "likelihood" and factor.simulate is None)
@@ -117,10 +122,9 @@ class Density:
                 total = {name: value + found[name] if name in found else value for name, value in total.items()}
         return total
 
-    def without_curvature(self, state: State, previous: State) -> Scalar | None:
-        """The log-likelihood of those that offer no curvature; None where all do."""
-        rest = [factor for factor in self.factors if factor.side == "likelihood" and factor.curvature is None]
-        return self._sum(rest, state, previous) if rest else None
+    def log_likelihood_of(self, names: Sequence[str], state: State, previous: State) -> Scalar:
+        """The likelihoods of these names alone."""
+        return self._sum([factor for factor in self.factors if factor.name in names], state, previous)
 
     def parts(self, state: State, previous: State | None = None) -> dict[str, Scalar]:
         """The log-potential of each factor by name, and the transition's. Without `previous` the first particle of the frame before is taken."""

@@ -8,7 +8,7 @@ A state is a mapping from a variable's name to its array. A kinematic-tree model
 a second-order prior carries the pose before. All are pytrees whose functions are static and whose arrays are leaves.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, NamedTuple, Protocol
@@ -183,6 +183,11 @@ class FrameDensity(Protocol):
         """The likelihoods that have none."""
         ...
 
+    @property
+    def without_curvature(self) -> tuple[str, ...]:
+        """The likelihoods that offer none."""
+        ...
+
     def log_weight(self, state: State, previous: State) -> Scalar:
         """All factors but the transition, at full power."""
         ...
@@ -220,8 +225,8 @@ class FrameDensity(Protocol):
         """About minus the second derivatives by the entries of each variable, of the likelihoods that offer them."""
         ...
 
-    def without_curvature(self, state: State, previous: State) -> Array | None:
-        """The log-likelihood of those that offer no curvature; None where all do."""
+    def log_likelihood_of(self, names: Sequence[str], state: State, previous: State) -> Scalar:
+        """The likelihoods of these names alone."""
         ...
 
 

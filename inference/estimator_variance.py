@@ -3,8 +3,7 @@
     python inference/estimator_variance.py --session SESSION --frame 20 --json figures.json --plot figures.png
 
 The hybrid Monte Carlo filter against the particle filter, on one frame after one fixed prediction mixture: at equal evaluations of the likelihood (a
-gradient counts what it costs) and at equal seconds; and along the frames behind it. SESSION is what `bayes-body import` makes. Copy this file and
-change it.
+gradient counts what it costs) and at equal seconds; and along the frames behind it. SESSION is what `bayes-body import` makes.
 """
 
 import argparse

@@ -88,12 +88,13 @@ def _slope_and_bend(bijection: Any, x: Array) -> tuple[Array, Array]:
 def differenced(density: FrameDensity, state: State, previous: State, variances: Float[Array, " dof"]) -> Float[Array, "dof dof"]:
     """Minus the second derivatives, of the likelihoods that offer none, by all dofs: from gradients on both sides of a state."""
     flat, unravel = ravel_pytree(dict(state))
-    if density.without_curvature(state, previous) is None:
+    names = density.without_curvature
+    if not names:
         return jnp.zeros((flat.size, flat.size), flat.dtype)
     reach = DIFFERENCE * jnp.sqrt(variances)
 
     def gradient(values: Array) -> Array:
-        return jax.grad(lambda v: density.without_curvature({**previous, **unravel(v)}, previous))(values)
+        return jax.grad(lambda v: density.log_likelihood_of(names, {**previous, **unravel(v)}, previous))(values)
 
     def along(number: Array) -> Array:
         step = jnp.zeros_like(flat).at[number].set(reach[number])

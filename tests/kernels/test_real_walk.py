@@ -1,4 +1,4 @@
-"""A real walk in one camera: the hybrid Monte Carlo filter keeps both legs through seven crossings, and the particle filter at equal time beside it.
+"""A real walk in one camera: the hybrid Monte Carlo filter keeps both legs through six crossings, and the particle filter at equal time beside it.
 
 The video is a woman who walks from right to left, in profile, on grass and past a wall. The first pose and the joints of later frames were clicked
 once, on the enlarged pictures; columns and rows.

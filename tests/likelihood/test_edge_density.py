@@ -1,0 +1,56 @@
+"""The density of an edge's phase and amplitude: integrates to one, is the paper's, and is smooth where the phase wraps."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from bayes_body.likelihood.edge_density import EdgeStatistics, log_density
+
+STATISTICS = EdgeStatistics(np.array([0.3, 0.9]), np.array([3.0, 1.5]), np.array([0.2, 4.0]), np.array(-4.0))
+
+
+@pytest.fixture(autouse=True)
+def double_precision():
+    with jax.enable_x64(True):
+        yield
+
+
+def _density(phase, rho):
+    amplitude = np.exp(rho)
+    return np.exp(np.asarray(log_density(jnp.asarray(amplitude * np.cos(phase)), jnp.asarray(amplitude * np.sin(phase)), STATISTICS)))
+
+
+def test_phase_and_amplitude_have_a_density():
+    phase = (np.arange(400) + 0.5) / 400 * math.pi
+    rho = 0.2 + 3.8 * (np.arange(2000) + 0.5) / 2000
+    values = _density(*np.meshgrid(phase, rho, indexing="ij"))
+    # What is clipped at both ends of the amplitude, a hundredth of it, is not exactly what it was.
+    assert abs(values.mean() * math.pi * 3.8 - 1) < 4e-3
+    inside = (rho > 0.3) & (rho < 3.9)
+    assert np.allclose(values.mean(axis=0)[inside] * math.pi, stats.beta(3.0, 1.5, 0.2, 3.8).pdf(rho[inside]), rtol=1e-3)
+
+
+def test_the_phase_is_that_of_the_paper():
+    phase, share = np.linspace(0.1, math.pi - 0.1, 50), 0.7
+    values = _density(phase, np.full(50, 0.2 + 3.8 * share)) / stats.beta(3.0, 1.5, 0.2, 3.8).pdf(0.2 + 3.8 * share)
+    epsilon = 0.3 + 0.6 * share
+    printed = epsilon * stats.norm(math.pi / 2, 0.15 * math.pi).pdf(phase) + (1 - epsilon) / math.pi
+    assert np.allclose(values, printed, atol=5e-3)
+
+
+def test_it_is_smooth_where_the_phase_wraps():
+    def at(phase):
+        return log_density(3.0 * jnp.cos(phase), 3.0 * jnp.sin(phase), STATISTICS)
+
+    for wrap in (0.0, math.pi, -math.pi):
+        before, after = (jax.value_and_grad(at)(wrap + step) for step in (-1e-7, 1e-7))
+        assert np.isclose(before[0], after[0], atol=1e-6) and np.isclose(before[1], after[1], atol=1e-4)
+
+
+def test_no_response_at_all_has_a_finite_density_and_gradient():
+    value, slopes = jax.value_and_grad(lambda z: log_density(z[0], z[1], STATISTICS))(jnp.zeros(2))
+    assert math.isfinite(value) and np.isfinite(np.asarray(slopes)).all()
