@@ -9,13 +9,15 @@ elsewhere (about the person, at least `ELSEWHERE_PX` from the outline, in any di
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from bayes_body.errors import wrong
-from bayes_body.likelihood.edge_density import NEAREST, EdgeStatistics, log_density, phase_and_log_amplitude, wrapped_normal
+from bayes_body.likelihood.edge_density import EdgeStatistics, clipped, log_density, log_normaliser, phase_and_log_amplitude, wrapped_normal
 from bayes_body.observation.edge_phase import responses
 from bayes_body.observation.frames import read_frame
 from bayes_body.observation.outline_points import displaced, elsewhere_points, outline_points, sampled
@@ -39,7 +41,7 @@ def fit(boundary: Response, elsewhere: Response) -> EdgeStatistics:
         raise wrong("edge statistics", found, f"at least {LEAST_POINTS} of each", "give more frames")
     phase, rho = (np.asarray(each, float) for each in phase_and_log_amplitude(jnp.asarray(boundary.even), jnp.asarray(boundary.odd)))
     low, high = np.quantile(rho, [TAIL, 1 - TAIL])
-    share = np.clip((rho - low) / (high - low), NEAREST, 1 - NEAREST)
+    share = np.asarray(clipped(jnp.asarray((rho - low) / (high - low))), float)
     without = EdgeStatistics(_epsilon(phase, share), _amplitude(share), np.array([low, high]), np.array(0.0))
     half_way = (mean_log_density(boundary, without) + mean_log_density(elsewhere, without)) / 2
     return without._replace(log_occluded=np.array(half_way))
@@ -56,15 +58,17 @@ def _epsilon(phase: NDArray[np.floating], share: NDArray[np.floating]) -> NDArra
 
 
 def _amplitude(share: NDArray[np.floating]) -> NDArray[np.floating]:
-    from scipy.special import betaln
-
     means = np.mean(np.log(share)), np.mean(np.log1p(-share))
 
-    def loss(ab: NDArray[np.floating]) -> float:
-        return float(betaln(*ab) - (ab[0] - 1) * means[0] - (ab[1] - 1) * means[1])
+    def loss(ab: Array) -> Array:
+        return log_normaliser(ab[0], ab[1]) - (ab[0] - 1) * means[0] - (ab[1] - 1) * means[1]
 
-    # Below 1 the density would be infinite at an end.
-    return minimize(loss, np.array([2.0, 2.0]), bounds=[(1.001, 100.0)] * 2, method="L-BFGS-B").x
+    # In single precision the loss is too rough to be searched.
+    with jax.enable_x64(True):
+        sloped = jax.jit(jax.value_and_grad(loss))
+        # Below 1 the density would rise towards an end.
+        found = minimize(lambda ab: [np.asarray(part, float) for part in sloped(ab)], [2.0, 2.0], jac=True, bounds=[(1.001, 100.0)] * 2)
+    return found.x
 
 
 class Images(NamedTuple):

@@ -3,24 +3,30 @@ r"""How a filter answers on a boundary, steered to its normal (Nestares & Fleet 
 With the phase $\phi \in [0, \pi)$, the logarithm $\rho$ of the amplitude and $\rho' = (\rho - \rho_{min}) / (\rho_{max} - \rho_{min})$,
 
 $$p(\phi \mid \rho) = \epsilon(\rho)\, \mathcal{N}(\phi; \pi/2, \sigma^2) + (1 - \epsilon(\rho)) / \pi, \qquad
-\rho' \sim \mathrm{Beta}(a, b),$$
+p(\rho') \propto c(\rho')^{a-1} (1 - c(\rho'))^{b-1},$$
 
 $\epsilon$ linear in $\rho'$. The phase is that of a step edge, whichever side is the brighter: folded modulo $\pi$. The normal law is wrapped around
-that circle: normalised, and smooth where the phase wraps. $\rho'$ is clipped to $[\delta, 1 - \delta]$.
+that circle: normalised, and smooth where the phase wraps. The paper's law of $\rho'$ is Beta(a, b); here $c$ clips it to $[\delta, 1 - \delta]$, and
+softly: breaking off at the clip the density had slopes of $(a - 1) / \delta$ there, and a trajectory of Hamiltonian Monte Carlo had to be cut into
+steps for them. It is normalised over $[\rho_{min}, \rho_{max}]$, and a response beyond, which the paper leaves open, is worth as much as at the end.
 """
 
 import math
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import betaln
 from jaxtyping import Array, Float
 
 # σ, radians.
 PHASE_SD = 0.15 * math.pi
 # δ: with a, b above 1 the density is zero at both ends.
 NEAREST = 0.01
+# Over how much of the range of ρ' it bends towards its clip.
+BEND = 0.05
+# Nodes of the integral over ρ'.
+QUADRATURE = 64
 # Added to the square of an amplitude in grey levels, which would have no logarithm at zero.
 FLOOR = 1e-6
 
@@ -53,12 +59,34 @@ def phase_and_log_amplitude(even: Array, odd: Array) -> tuple[Array, Array]:
 def log_density(even: Array, odd: Array, statistics: EdgeStatistics) -> Array:
     """log p(φ | ρ) + log p(ρ) of responses; the statistics are broadcast against them (`epsilon[0]` is ε at ρ' = 0, and so on)."""
     phase, rho = phase_and_log_amplitude(even, odd)
-    low, high = statistics.log_amplitude
-    share = jnp.clip((rho - low) / (high - low), NEAREST, 1 - NEAREST)
+    share = share_of(rho, statistics)
     epsilon = statistics.epsilon[0] + (statistics.epsilon[1] - statistics.epsilon[0]) * share
-    log_phase = jnp.log(epsilon * wrapped_normal(phase) + (1 - epsilon) / math.pi)
-    a, b = statistics.amplitude
-    return log_phase + (a - 1) * jnp.log(share) + (b - 1) * jnp.log1p(-share) - betaln(a, b) - jnp.log(high - low)
+    return jnp.log(epsilon * wrapped_normal(phase) + (1 - epsilon) / math.pi) + amplitude_log_density(share, statistics)
+
+
+def amplitude_log_density(share: Array, statistics: EdgeStatistics) -> Array:
+    """log p(ρ), of clipped shares ρ'."""
+    (low, high), (a, b) = statistics.log_amplitude, jnp.asarray(statistics.amplitude)
+    return (a - 1) * jnp.log(share) + (b - 1) * jnp.log1p(-share) - log_normaliser(a, b) - jnp.log(high - low)
+
+
+def share_of(rho: Array, statistics: EdgeStatistics) -> Array:
+    """ρ', clipped."""
+    low, high = statistics.log_amplitude
+    return clipped((rho - low) / (high - low))
+
+
+def clipped(share: Array) -> Array:
+    """ρ' in [δ, 1 − δ]: of ρ' itself well inside, and smooth everywhere."""
+    above, below = (0.5 * (x + jnp.sqrt(x * x + (2 * BEND) ** 2)) for x in (share, 1 - share))
+    return NEAREST + (1 - 2 * NEAREST) * above / (above + below)
+
+
+def log_normaliser(a: Array, b: Array) -> Array:
+    """log of the integral of c^(a-1) (1-c)^(b-1) over ρ' in [0, 1]; the logarithm of a Beta function but for the clip."""
+    middles = clipped((jnp.arange(QUADRATURE, dtype=jnp.result_type(float)) + 0.5) / QUADRATURE)
+    logs = (a[..., None] - 1) * jnp.log(middles) + (b[..., None] - 1) * jnp.log1p(-middles)
+    return jax.nn.logsumexp(logs, axis=-1) - math.log(QUADRATURE)
 
 
 def wrapped_normal(phase: Array) -> Array:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayes_body.files import replacing
-from bayes_body.likelihood.edge_density import EdgeStatistics, phase_and_log_amplitude, wrapped_normal
+from bayes_body.likelihood.edge_density import EdgeStatistics, amplitude_log_density, phase_and_log_amplitude, share_of, wrapped_normal
 from bayes_body.phase_maps import Response
 
 # Amplitudes at which a phase's density is drawn, as shares of their range.
@@ -22,7 +22,6 @@ def draw_edge_statistics(path: Path, scales: Sequence[tuple[float, EdgeStatistic
         InputError: the file cannot be written.
     """
     from matplotlib.figure import Figure
-    from scipy import stats
 
     figure = Figure(figsize=(9, 3 * len(scales)), layout="constrained")
     for (left, right), (wavelength, statistics, response) in zip(figure.subplots(len(scales), 2, squeeze=False), scales, strict=True):
@@ -30,7 +29,7 @@ def draw_edge_statistics(path: Path, scales: Sequence[tuple[float, EdgeStatistic
         low, high = np.asarray(statistics.log_amplitude)
         grid = np.linspace(low, high, 200)
         left.hist(rho, bins=np.linspace(low, high, 40), density=True, color="0.8", label="seen")
-        left.plot(grid, stats.beta.pdf(grid, *np.asarray(statistics.amplitude), loc=low, scale=high - low), label="Beta law")
+        left.plot(grid, np.exp(amplitude_log_density(share_of(jnp.asarray(grid), statistics), statistics)), label="learned")
         left.set(xlabel="log amplitude, log of grey levels", ylabel="density", title=f"wavelength {wavelength:g} px")
         left.legend()
         share, turns = (rho - low) / (high - low), np.linspace(-math.pi / 2, math.pi / 2, 200)
