@@ -29,7 +29,7 @@ class Schedule(NamedTuple):
         burn_in: first states that are left out.
         thinning: states for one draw.
         leapfrog_steps: of a trajectory; NUTS chooses its own.
-        jitter: the share by which their number varies from trajectory to trajectory, evenly.
+        jitter: the share by which their number varies from trajectory to trajectory, evenly, alike in all chains.
         sampler: hmc or nuts.
         target_acceptance: to which the step is tuned in burn-in; 0 leaves it.
     """
@@ -85,7 +85,7 @@ def run_chain(
 
     def one(carry: tuple[Any, Any, Scalar], own: tuple[Array, Key]) -> tuple[tuple[Any, Any, Scalar], Any]:
         (state, tuning, size), (index, own_key) = carry, own
-        state, info = move(own_key, state, size)
+        state, info = move(own_key, state, size, index)
         if tunes:
             in_burn_in = index < schedule.burn_in
             tuned = update(tuning, info.acceptance_rate)
@@ -131,19 +131,25 @@ def effective_draws(draws: Float[Array, "chain draw dof"]) -> Float[Array, " dof
     return jnp.clip(jnp.where(jnp.isfinite(found), found, 1.0), 1.0, float(chains * kept)).astype(draws.dtype)
 
 
-def _transition(log_density: Callable[[Any], Scalar], inverse_mass: Array, schedule: Schedule) -> Callable[[Key, Any, Scalar], tuple[Any, Any]]:
-    """(key, state, step) -> the state after one transition, and information."""
+def leapfrog_steps(schedule: Schedule, index: Int[Array, ""]) -> Int[Array, ""]:
+    """Of the trajectory of that number: a sequence that fills the range evenly, as in Hoffman, Radul & Sountsov (2021).
+
+    Chains side by side wait for the longest trajectory: the lengths are the same in all of them.
+    """
+    least, most = (max(1, round(schedule.leapfrog_steps * share)) for share in (1 - schedule.jitter, 1 + schedule.jitter))
+    # Multiples of the golden ratio, modulo 1, in 32 bits; the first is a half.
+    turn = (jnp.asarray(index).astype(jnp.uint32) * jnp.uint32(2654435769) + jnp.uint32(1 << 31)) >> 16
+    return least + ((turn * (most - least + 1)) >> 16).astype(jnp.int32)
+
+
+def _transition(
+    log_density: Callable[[Any], Scalar], inverse_mass: Array, schedule: Schedule
+) -> Callable[[Key, Any, Scalar, Int[Array, ""]], tuple[Any, Any]]:
+    """(key, state, step, number of the transition) -> the state after it, and information."""
     from blackjax.mcmc import hmc, nuts
 
     if schedule.sampler == "nuts":
         kernel = cast(Any, nuts.build_kernel)(divergence_threshold=DIVERGENCE)
-        return lambda key, state, size: kernel(key, state, log_density, size, inverse_mass, DOUBLINGS)
+        return lambda key, state, size, _: kernel(key, state, log_density, size, inverse_mass, DOUBLINGS)
     kernel = cast(Any, hmc.build_kernel)(divergence_threshold=DIVERGENCE)
-    least, most = (max(1, round(schedule.leapfrog_steps * share)) for share in (1 - schedule.jitter, 1 + schedule.jitter))
-
-    def move(key: Key, state: Any, size: Scalar) -> tuple[Any, Any]:
-        length_key, own_key = jax.random.split(key)
-        steps = jax.random.randint(length_key, (), least, most + 1) if most > least else schedule.leapfrog_steps
-        return kernel(own_key, state, log_density, size, inverse_mass, steps)
-
-    return move
+    return lambda key, state, size, index: kernel(key, state, log_density, size, inverse_mass, leapfrog_steps(schedule, index))
