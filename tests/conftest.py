@@ -1,6 +1,7 @@
 """What every test stands on: two host devices, the compilation cache, shape checks, and the real recordings where they are."""
 
 import dataclasses
+import gc
 import hashlib
 import os
 import platform
@@ -34,6 +35,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
 import beartype  # noqa: E402
 import cv2  # noqa: E402
+import jax  # noqa: E402
 import jaxtyping  # noqa: E402
 import numpy as np  # noqa: E402
 from beartype.roar import BeartypeDecorHintException  # noqa: E402
@@ -61,6 +63,36 @@ jaxtyping.install_import_hook("bayes_body", f"{_checks.__name__}.check")
 from bayes_body.recording.keypoint_series import KeypointSeries, write_series  # noqa: E402
 from bayes_body.recording.truth import MARKERS  # noqa: E402
 from bayes_body.session import CameraSpec, Session, Subject, View  # noqa: E402
+
+
+def _mappings() -> int:
+    """How many memory mappings this process holds; zero where the system does not say."""
+    try:
+        return Path("/proc/self/maps").read_bytes().count(b"\n")
+    except OSError:
+        return 0
+
+
+# Linux gives a process 65 530 mappings, and every compiled program holds some: past the end, reading one more is a segmentation fault.
+MOST_MAPPINGS = 20_000
+
+
+def pytest_runtest_teardown(item, nextitem):
+    """Between files, let go of compiled programs before there are too many: they come back from the compilation cache."""
+    if nextitem is not None and nextitem.path != item.path and _mappings() > MOST_MAPPINGS:
+        jax.clear_caches()
+        gc.collect()
+
+
+@pytest.fixture(scope="module")
+def hasty_compiler():
+    """For programs that run for a moment: those of this process and of its children are compiled in less time, to be slower."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+        before = jax.config.read("jax_disable_most_optimizations")
+        jax.config.update("jax_disable_most_optimizations", True)
+        yield
+        jax.config.update("jax_disable_most_optimizations", before)
 
 
 @pytest.fixture(scope="session")

@@ -63,13 +63,13 @@ def test_the_radii_at_the_waist_are_added_to_and_no_others():
 
 def test_pixels_change_with_it_as_their_slopes_say():
     samples = contour(BODY, 6).samples
-    along_u, along_v = sample_slopes(BODY, RIG, samples, _pose())
-    step = 1e-3
-    ahead, behind = (rig_pixels(BODY, RIG, samples, _pose(waist)) for waist in (step, -step))
+    along_u, along_v = jax.jit(lambda pose: sample_slopes(BODY, RIG, samples, pose))(_pose())
+    step, pixels = 1e-3, jax.jit(lambda pose: rig_pixels(BODY, RIG, samples, pose))
+    ahead, behind = (pixels(_pose(waist)) for waist in (step, -step))
     assert np.allclose((ahead.u - behind.u) / (2 * step), along_u[WAIST], atol=0.5) and np.abs(along_u[WAIST]).max() > 50
     assert np.allclose((ahead.v - behind.v) / (2 * step), along_v[WAIST], atol=0.5)
-    gradient = jax.grad(lambda pose: jnp.sum(rig_pixels(BODY, RIG, samples, pose).u ** 2) * 1e-4)(_pose())
-    direct = 2e-4 * np.sum(np.asarray(rig_pixels(BODY, RIG, samples, _pose()).u) * np.asarray(along_u[WAIST]))
+    gradient = jax.jit(jax.grad(lambda pose: jnp.sum(pixels(pose).u ** 2) * 1e-4))(_pose())
+    direct = 2e-4 * np.sum(np.asarray(pixels(_pose()).u) * np.asarray(along_u[WAIST]))
     assert np.isclose(gradient[WAIST], direct, rtol=1e-3, atol=1e-2)
 
 

@@ -57,7 +57,7 @@ def test_a_path_is_accepted_as_a_whole():
 def test_a_path_starts_at_one_of_the_particles_by_weight():
     problem = toys.skewed()
     particles = alone(problem.first, 2)._replace(log_weights=jnp.log(jnp.array([0.2, 0.8])))
-    starts = jax.vmap(lambda key: draw_path(key, problem, particles, 1).start)(jax.random.split(jax.random.key(1), 2000))
+    starts = jax.jit(jax.vmap(lambda key: draw_path(key, problem, particles, 1).start))(jax.random.split(jax.random.key(1), 2000))
     assert abs(float(starts.mean()) - 0.8) < 4 * np.sqrt(0.16 / 2000)
 
 

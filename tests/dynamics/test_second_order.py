@@ -33,7 +33,7 @@ def _joint(mode, scale, low=LOW, high=HIGH, angular=True):
 
 
 def _density(noise, points):
-    return np.exp(jax.vmap(lambda x: noise.log_prob(x[None]))(jnp.asarray(points)))
+    return np.exp(jax.jit(jax.vmap(lambda x: noise.log_prob(x[None])))(jnp.asarray(points)))
 
 
 def _graded(number=400_001):
@@ -61,7 +61,7 @@ def test_the_mode_is_where_the_slope_is_zero():
     for mode in (LOW + 0.05, 0.1, 0.7, 1.5):
         for scale in SCALES:
             noise = _joint(mode, scale)
-            assert abs(jax.grad(lambda x, noise=noise: noise.log_prob(x[None]))(mode)) < 1e-6 / scale
+            assert abs(jax.jit(jax.grad(lambda x, noise=noise: noise.log_prob(x[None])))(mode)) < 1e-6 / scale
 
 
 def test_the_density_is_that_of_scipy():
@@ -85,14 +85,14 @@ def test_draws_follow_the_density(mode, scale):
 def test_draws_in_single_precision_stay_inside():
     with jax.enable_x64(False):
         draws = _joint(HIGH + 1.0, 0.01).sample(jax.random.key(0), (20_000,))
-        values = jax.vmap(_joint(HIGH + 1.0, 0.01).log_prob)(draws)
+        values = jax.jit(jax.vmap(_joint(HIGH + 1.0, 0.01).log_prob))(draws)
     assert draws.dtype == jnp.float32 and bool(jnp.all(jnp.isfinite(values)))
 
 
 @pytest.mark.parametrize("mode", [LOW, 0.5, HIGH, HIGH + 30.0])
 def test_at_the_limits_the_log_density_is_bounded_and_outside_it_is_none(mode):
     noise = _joint(mode, 0.05)
-    value_and_grad = jax.value_and_grad(lambda x: noise.log_prob(x[None]))
+    value_and_grad = jax.jit(jax.value_and_grad(lambda x: noise.log_prob(x[None])))
     for limit in (LOW, HIGH):
         value, slope = value_and_grad(limit)
         assert math.isfinite(value) and math.isfinite(slope)
@@ -105,9 +105,9 @@ def test_the_derivative_by_the_previous_state_is_that_of_differences():
 
     for mode in (-0.2, 0.1, 1.0, 1.85):
         difference = (log_prob(mode + 1e-6) - log_prob(mode - 1e-6)) / 2e-6
-        assert np.isclose(jax.grad(log_prob)(mode), difference, rtol=1e-6)
+        assert np.isclose(jax.jit(jax.grad(log_prob))(mode), difference, rtol=1e-6)
     # Beyond a limit the clipped mode no longer follows the prediction.
-    assert jax.grad(log_prob)(HIGH + 0.5) == 0.0
+    assert jax.jit(jax.grad(log_prob))(HIGH + 0.5) == 0.0
 
 
 def test_the_concentration_over_the_whole_range():
@@ -126,7 +126,7 @@ def test_a_full_turn_has_no_wall_and_integrates_to_one():
     assert np.allclose(_density(noise, middle), _density(noise, middle + 2 * math.pi))
     wide = _joint(3.1, 1.5, -np.inf, np.inf)
     assert abs(np.sum(_density(wide, middle)) * (turn[1] - turn[0]) - 1) < 1e-4
-    slope = jax.grad(lambda x: noise.log_prob(x[None]))
+    slope = jax.jit(jax.grad(lambda x: noise.log_prob(x[None])))
     assert np.isclose(slope(math.pi), -(math.pi - 3.1) / 0.4**2) and np.isclose(slope(-math.pi), slope(math.pi))
 
 
@@ -135,7 +135,7 @@ def test_many_laws_say_of_one_value_what_each_says():
     low, high = jnp.array([LOW, -jnp.inf, -jnp.inf]), jnp.array([HIGH, jnp.inf, jnp.inf])
     centres = jnp.array([[-1.0, math.pi - 0.1, 0.2], [0.3, -math.pi - 0.4, -0.3], [HIGH, 9.0, 0.0], [7.0, 0.0, 4.0]])
     scale, angular = jnp.array([0.1, 0.5, 0.2]), jnp.array([True, True, False])
-    laws = jax.vmap(lambda centre: JointNoise(centre, scale, low, high, angular))(centres)
+    laws = jax.jit(jax.vmap(lambda centre: JointNoise(centre, scale, low, high, angular)))(centres)
 
     def by_one(value):
         return jax.vmap(lambda law: law.log_prob(value))(laws)

@@ -96,7 +96,7 @@ def seen(model):
     def look(session, person, rng, outliers=0.0, noise_px=4.0):
         places = np.array(list(person.places.values())) @ TURNED[session.up].T
         rig = load_model(model.definition, session).rig
-        pixels = np.array(jax.vmap(project, (0, None))(rig, jnp.asarray(places))[0])
+        pixels = np.array(jax.jit(jax.vmap(project, (0, None)))(rig, jnp.asarray(places))[0])
         pixels += rng.normal(0, noise_px, pixels.shape)
         wrong = rng.random(pixels.shape[:2]) < outliers
         pixels[wrong] = rng.uniform((80, 80), np.array(SIZE) - 80, pixels.shape)[wrong]

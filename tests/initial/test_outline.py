@@ -79,7 +79,7 @@ def hands_and_feet(model, pose):
     for part, ahead, radius in [(f"{side}_{limb}", *size) for side in "lr" for limb, size in {"calf": (0.07, 0.05), "forearm": (0.0, 0.045)}.items()]:
         k = names.index(part)
         place = np.asarray(parts.origin[k] + (model.body.lengths[k] + 0.03) * parts.z[k]) + ahead * forward
-        pixels = np.asarray(jax.vmap(project, (0, None))(model.rig, jnp.asarray([place, place + np.array([0, 0, radius])]))[0])
+        pixels = np.asarray(jax.jit(jax.vmap(project, (0, None)))(model.rig, jnp.asarray([place, place + np.array([0, 0, radius])]))[0])
         for mask, ((u, v), (_, top)) in zip(masks, pixels, strict=True):
             cv2.circle(mask, (round(u), round(v)), round(abs(v - top)), 1, -1)
     return [mask.astype(bool) for mask in masks]

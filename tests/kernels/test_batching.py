@@ -19,11 +19,11 @@ def test_it_equals_vmap(count, batch):
     x = jax.random.normal(jax.random.key(0), (count, 3))
     y = jnp.arange(count, dtype=float)
     got = jax.jit(lambda p, s: over_particles(_both, p, s, batch))((x, y), jnp.array(2.0))
-    wanted = jax.vmap(_both, (0, None))((x, y), jnp.array(2.0))
+    wanted = jax.jit(jax.vmap(_both, (0, None)))((x, y), jnp.array(2.0))
     assert jax.tree.all(jax.tree.map(lambda a, b: np.allclose(a, b, atol=1e-6), got, wanted))
 
 
 def test_it_is_differentiable():
     x, y = jax.random.normal(jax.random.key(0), (70, 3)), jnp.zeros(70)
-    gradient = jax.grad(lambda v: jnp.sum(over_particles(_both, (v, y), jnp.array(2.0))["x"]))(x)
+    gradient = jax.jit(jax.grad(lambda v: jnp.sum(over_particles(_both, (v, y), jnp.array(2.0))["x"])))(x)
     assert np.allclose(gradient, jnp.cos(x), atol=1e-6)

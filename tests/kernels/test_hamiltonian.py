@@ -13,7 +13,7 @@ def _schedule(steps, jitter):
 
 
 def _lengths(schedule, number):
-    return np.asarray(jax.vmap(lambda index: leapfrog_steps(schedule, index))(jnp.arange(number)))
+    return np.asarray(jax.jit(jax.vmap(lambda index: leapfrog_steps(schedule, index)))(jnp.arange(number)))
 
 
 @pytest.mark.parametrize(("steps", "jitter", "least", "most"), [(15, 0.3, 10, 20), (20, 0.2, 16, 24), (1, 0.5, 1, 2), (7, 1.0, 1, 14)])
@@ -38,6 +38,6 @@ def test_chains_side_by_side_take_as_many_steps_each():
     def run(key):
         return run_chain(key, {"x": jnp.zeros(2)}, normal, jnp.asarray(0.3), jnp.ones(2), _schedule(6, 0.5))
 
-    chains = jax.vmap(run)(jax.random.split(jax.random.key(0), 3))
+    chains = jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(0), 3))
     assert np.array_equal(chains.gradients, np.full(3, 1 + _lengths(_schedule(6, 0.5), 50).sum()))
     assert len(np.unique(np.asarray(chains.positions["x"][:, -1, 0]))) == 3

@@ -14,7 +14,7 @@ WEIGHTS = np.array([0.02, 0.4, 0.0, 0.13, 0.25, 0.2])
 def _copies(scheme, repeats=4000):
     resample = resampler(scheme)
     log_weights = jnp.log(jnp.asarray(WEIGHTS))
-    chosen = jax.vmap(lambda k: resample(k, log_weights))(jax.random.split(jax.random.key(1), repeats))
+    chosen = jax.jit(jax.vmap(lambda k: resample(k, log_weights)))(jax.random.split(jax.random.key(1), repeats))
     return np.stack([np.bincount(row, minlength=len(WEIGHTS)) for row in np.asarray(chosen)])
 
 

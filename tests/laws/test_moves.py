@@ -29,7 +29,7 @@ def broken(position):
 
 def moved(name, target, scale, count=400):
     step = MOVES[name].step
-    return jax.vmap(lambda key: step(key, START, target, jnp.asarray(scale)))(jax.random.split(jax.random.key(3), count))
+    return jax.jit(jax.vmap(lambda key: step(key, START, target, jnp.asarray(scale))))(jax.random.split(jax.random.key(3), count))
 
 
 @pytest.mark.parametrize("name", MOVES)
@@ -37,7 +37,7 @@ def test_the_likelihood_is_that_of_where_it_ended(name):
     found = moved(name, target, 0.7)
     stayed = np.asarray(found.position["b"][:, 0]) == 1
     assert 0 < stayed.mean() < 1
-    expected = jax.vmap(lambda p: target(p)[1])(found.position)
+    expected = jax.jit(jax.vmap(lambda p: target(p)[1]))(found.position)
     np.testing.assert_allclose(np.asarray(found.log_likelihood), np.asarray(expected), rtol=1e-5, atol=1e-5)
     assert stayed.mean() == pytest.approx(1 - float(jnp.mean(found.acceptance_rate)), abs=0.08)
 
@@ -62,6 +62,6 @@ def test_the_error_of_a_trajectory_falls_with_the_square_of_its_step():
     key, errors = jax.random.split(jax.random.key(5), 2000), []
     for leapfrog_steps, scale in ((4, 0.2), (40, 0.02)):
         step = hmc(leapfrog_steps).step
-        rates = jax.vmap(lambda k, step=step, scale=scale: step(k, START, target, jnp.asarray(scale)).acceptance_rate)(key)
+        rates = jax.jit(jax.vmap(lambda k, step=step, scale=scale: step(k, START, target, jnp.asarray(scale)).acceptance_rate))(key)
         errors.append(1 - float(jnp.mean(rates)))
     assert 0.003 < errors[1] / errors[0] < 0.03

@@ -66,7 +66,7 @@ def test_the_marginal_view_is_the_sum_of_the_extended(density, beta):
         each = jax.vmap(lambda i: density.extended(i, state, beta))(jnp.arange(3))
         return density.marginal(state, beta) - logsumexp(each)
 
-    assert jnp.abs(jax.vmap(gap)(_states())).max() < 1e-10
+    assert jnp.abs(jax.jit(jax.vmap(gap))(_states())).max() < 1e-10
 
 
 def test_ancestor_probabilities_are_those_of_the_extended_view(density):
@@ -74,7 +74,7 @@ def test_ancestor_probabilities_are_those_of_the_extended_view(density):
         each = jax.vmap(lambda i: density.extended(i, state))(jnp.arange(3))
         return density.ancestor_log_probs(state) - jax.nn.log_softmax(each)
 
-    assert jnp.abs(jax.vmap(gap)(_states())).max() < 1e-10
+    assert jnp.abs(jax.jit(jax.vmap(gap))(_states())).max() < 1e-10
 
 
 def test_temperature_zero_is_the_constrained_prior(density):
@@ -84,14 +84,14 @@ def test_temperature_zero_is_the_constrained_prior(density):
         prior = logsumexp(jax.vmap(lambda w, s: w + density.transition.log_density(state, {"pose": s}))(*_previous(density)))
         return density.marginal(state, 0.0) - prior - _wall({POSE: state["pose"]}, None)
 
-    assert jnp.abs(jax.vmap(gap)(_states())).max() < 1e-10
+    assert jnp.abs(jax.jit(jax.vmap(gap))(_states())).max() < 1e-10
 
 
 def test_temperature_zero_silences_an_impossible_likelihood(density):
     silent = Density(density.transition, (Factor("no", "likelihood", (POSE,), jax.tree_util.Partial(_impossible)),), {}, density.previous)
     state = jax.tree.map(lambda leaf: leaf[0], _states())
     assert jnp.isfinite(silent.marginal(state, 0.0))
-    assert jnp.all(jnp.isfinite(jax.grad(lambda s: silent.marginal(s, 0.0))(state)["pose"]))
+    assert jnp.all(jnp.isfinite(jax.jit(jax.grad(lambda s: silent.marginal(s, 0.0)))(state)["pose"]))
     assert jnp.isneginf(silent.marginal(state, 0.5))
 
 
@@ -133,9 +133,9 @@ def _masses(density, log_determinant):
     s = -1.0 + 1.5 * (jnp.arange(600) + 0.5) / 600
     x = jnp.linspace(-14.0, 14.0, 1601)
     grid = lambda a: jnp.stack(jnp.meshgrid(a, y, indexing="ij"), axis=-1).reshape(-1, 2)  # noqa: E731
-    over_state = jnp.sum(jnp.exp(jax.vmap(lambda p: density({"pose": p}))(grid(s)))) * (1.5 / 600) * (y[1] - y[0])
+    over_state = jnp.sum(jnp.exp(jax.jit(jax.vmap(lambda p: density({"pose": p})))(grid(s)))) * (1.5 / 600) * (y[1] - y[0])
     view = density.unconstrained()
-    over_x = jax.vmap(lambda p: density(view.constrain({"pose": p})) + log_determinant(view, {"pose": p}))(grid(x))
+    over_x = jax.jit(jax.vmap(lambda p: density(view.constrain({"pose": p})) + log_determinant(view, {"pose": p})))(grid(x))
     return over_state, jnp.sum(jnp.exp(over_x)) * (x[1] - x[0]) * (y[1] - y[0])
 
 

@@ -19,6 +19,11 @@ POSE = Variable("pose")
 SOFT, POINTS = 2.0, 300
 
 
+@jax.jit
+def _value(factor, maps, pose):
+    return factor({POSE: pose}, {"images": maps})
+
+
 class Cover(NamedTuple):
     """The term alone, and the points that it looks at."""
 
@@ -26,7 +31,7 @@ class Cover(NamedTuple):
     maps: object
 
     def __call__(self, pose):
-        return self.factor({POSE: pose}, {"images": self.maps})
+        return _value(self.factor, self.maps, pose)
 
 
 def cover(scene, masks, terms=("cover",), **more) -> Cover:

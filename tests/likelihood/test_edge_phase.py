@@ -138,11 +138,17 @@ def _pose(model, **angles):
     return jnp.zeros(len(names)).at[jnp.array([names.index(name) for name in angles])].set(jnp.array(list(angles.values())))
 
 
+def _seen(model, samples, visibility):
+    """Pose -> where its boundaries are seen."""
+    body, rig, outline = model.body, model.rig, contour(model.body, samples)
+    return jax.jit(lambda pose: boundaries(body, rig, outline, seen_patches(body, rig, pose), visibility))
+
+
 def test_samples_stand_on_the_occluding_contour_of_the_paper():
     """e ± r (a × c) / |a × c| at both ends, projected; between them in equal steps of the axis."""
     model = _model()
     pose = _pose(model, **STANDING)
-    found = boundaries(model.body, model.rig, contour(model.body, 10), seen_patches(model.body, model.rig, pose), "soft")
+    found = _seen(model, 10, "soft")(pose)
     T = part_transforms(model.body, pose)
     camera = jax.tree.map(lambda leaf: leaf[0], model.rig)
     thigh = model.body.topology.names.index("l_thigh")
@@ -166,7 +172,7 @@ def test_normals_of_a_sphere_point_from_its_centre():
     definition = load_definition("poon_fleet_2002_legs")
     model = load_model(replace(definition, body_name="poon_fleet_22", body=load_body("poon_fleet_22"), dynamics=_everywhere(definition)), _session())
     pose = _pose(model, root_z=0.95)
-    found = boundaries(model.body, model.rig, contour(model.body, 10), seen_patches(model.body, model.rig, pose), "soft")
+    found = _seen(model, 10, "soft")(pose)
     head = model.body.topology.names.index("head")
     places = np.stack([found.pixels.u[0, head], found.pixels.v[0, head]], axis=1)
     outward = places - places.mean(axis=0)
@@ -185,12 +191,11 @@ def test_a_leg_hides_the_one_behind_it(visibility):
     model = _model(visibility)
     # The left leg raised forward, towards the camera, over the right one.
     pose = _pose(model, root_z=0.95, root_yaw=0.0, l_hip_y=0.0, l_knee=0.0, r_hip_x=0.0)
-    names = model.body.topology.names
+    names, seen = model.body.topology.names, _seen(model, 10, visibility)
 
     def shown(**angles):
-        moved = pose + _pose(model, **angles)
-        seen = boundaries(model.body, model.rig, contour(model.body, 10), seen_patches(model.body, model.rig, moved), visibility)
-        return {name: np.asarray(seen.visible)[0, k] for k, name in enumerate(names)}
+        found = seen(pose + _pose(model, **angles))
+        return {name: np.asarray(found.visible)[0, k] for k, name in enumerate(names)}
 
     apart = shown(l_hip_x=0.15, r_hip_x=-0.15)
     assert min(apart["l_calf"].mean(), apart["r_calf"].mean()) > 0.85
@@ -204,11 +209,11 @@ def test_a_leg_hides_the_one_behind_it(visibility):
 def test_slopes_of_samples_are_those_of_differences():
     model = _model()
     pose, samples = _pose(model, **STANDING), outline_samples(model.body, 4)
-    along_u, along_v = sample_slopes(model.body, model.rig, samples, pose)
+    along_u, along_v = jax.jit(lambda pose: sample_slopes(model.body, model.rig, samples, pose))(pose)
+    seen = _seen(model, 4, "soft")
 
     def places(pose):
-        seen = boundaries(model.body, model.rig, contour(model.body, 4), seen_patches(model.body, model.rig, pose), "soft")
-        return np.stack([seen.pixels.u, seen.pixels.v])
+        return np.stack([seen(pose).pixels.u, seen(pose).pixels.v])
 
     for dof in range(14):
         step = 1e-6 * np.eye(14)[dof]
@@ -292,7 +297,8 @@ def test_hard_and_soft_visibility_agree_where_nothing_is_hidden():
     for visibility in ("hard", "soft"):
         model = _model(visibility)
         pose = _pose(model, root_z=0.95, l_hip_x=0.2, r_hip_x=-0.2)
-        values.append(float(_density_of(model, [_image()]).log_likelihood({"pose": pose}, {})))
+        density = _density_of(model, [_image()])
+        values.append(float(jax.jit(lambda pose, density=density: density.log_likelihood({"pose": pose}, {}))(pose)))
     assert abs(values[0] - values[1]) < 2.0
 
 
@@ -302,7 +308,7 @@ def test_a_camera_that_did_not_see_says_the_same_of_all_poses():
     alone = _model("hard")
     single = _density_of(alone, [_image()])
     poses = _states(model, 20, seed=5)
-    values = jax.vmap(lambda pose: density.log_likelihood({"pose": pose}, {}) - single.log_likelihood({"pose": pose}, {}))(poses)
+    values = jax.jit(jax.vmap(lambda pose: density.log_likelihood({"pose": pose}, {}) - single.log_likelihood({"pose": pose}, {})))(poses)
     assert np.ptp(np.asarray(values)) < 1e-9
 
 
@@ -313,7 +319,8 @@ def test_the_sum_of_samples_is_the_normalised_one_times_their_number():
     normalised = build("edge_phase", options, model.body, model.rig)
     maps = _density_of(model, [_image()]).data["edge_phase"]
     pose = {next(iter(normalised.scope)): _pose(model, **STANDING)}
-    assert np.isclose(whole.log_potential(pose, maps), 20 * normalised.log_potential(pose, maps))
+    found = jax.jit(lambda pose: (whole.log_potential(pose, maps), normalised.log_potential(pose, maps)))(pose)
+    assert np.isclose(found[0], 20 * found[1])
 
 
 def test_the_curvature_is_that_of_the_formula():
@@ -321,11 +328,8 @@ def test_the_curvature_is_that_of_the_formula():
     model = _model("hard")
     density = _density_of(model, [_image()])
     pose = _pose(model, **STANDING)
-    found = density.curvature({"pose": pose, "pose_before": pose}, density.ancestor(0))["pose"]
-
-    def seen(pose):
-        return boundaries(model.body, model.rig, contour(model.body, 10), seen_patches(model.body, model.rig, pose), "hard")
-
+    found = jax.jit(lambda pose: density.curvature({"pose": pose, "pose_before": pose}, density.ancestor(0))["pose"])(pose)
+    seen = _seen(model, 10, "hard")
     here = seen(pose)
     phase = sum((2 * math.pi / wavelength / (0.15 * math.pi)) ** 2 for wavelength in (8.0, 16.0)) / 20
     shifts = []

@@ -29,6 +29,7 @@ def factor(scene, **options) -> Factor:
     return term.build(name="markers", options=term.options(**options), body=scene.body, rig=scene.rig)
 
 
+@jax.jit
 def log_density(f: Factor, pose, seen: SeenMarkers) -> jax.Array:
     return f({POSE: pose}, {"markers": seen})
 
@@ -129,7 +130,7 @@ def test_what_is_drawn_has_the_density(scene, noise):
     f = factor(scene, sd_px=6.0, missing=0.25, **NOISES[noise])
     other = scene.pose + jnp.array([0.02, -0.03, 0.02, 0.04])
     seen = draws(f, scene.pose)
-    ratio = np.exp(jax.vmap(lambda z: log_density(f, other, z) - log_density(f, scene.pose, z))(seen))
+    ratio = np.exp(jax.jit(jax.vmap(lambda z: log_density(f, other, z) - log_density(f, scene.pose, z)))(seen))
     assert ratio.std() > 0.1
     assert abs(ratio.mean() - 1) < 4 * ratio.std() / np.sqrt(ratio.size)
 
@@ -146,7 +147,7 @@ def test_markers_are_missing_at_their_rate(scene):
 def test_nothing_seen_says_nothing(scene):
     scene = scene("deutscher_31")
     nothing = SeenMarkers(jnp.full((2, 15, 2), jnp.nan), jnp.zeros((2, 15)))
-    value, gradient = jax.value_and_grad(lambda pose: log_density(factor(scene), pose, nothing))(scene.pose)
+    value, gradient = jax.jit(jax.value_and_grad(lambda pose: log_density(factor(scene), pose, nothing)))(scene.pose)
     assert value == 0
     assert (gradient == 0).all()
 
@@ -157,7 +158,7 @@ def test_behind_the_camera_it_is_finite_and_does_not_depend_on_the_pose(scene, n
     turn = jnp.diag(jnp.array([-1.0, 1.0, -1.0]))
     away = replace(scene.rig, rotation=turn @ scene.rig.rotation, translation=scene.rig.translation @ turn)
     f, seen = factor(scene._replace(rig=away), **NOISES[noise]), seen_near(scene)
-    value, gradient = jax.value_and_grad(lambda pose: log_density(f, pose, seen))(scene.pose)
+    value, gradient = jax.jit(jax.value_and_grad(lambda pose: log_density(f, pose, seen)))(scene.pose)
     assert np.isfinite(value) and value < log_density(factor(scene, **NOISES[noise]), scene.pose, seen)
     assert (gradient == 0).all()
     assert np.isnan(log_density(f, scene.pose.at[0].set(jnp.nan), seen))
@@ -166,7 +167,7 @@ def test_behind_the_camera_it_is_finite_and_does_not_depend_on_the_pose(scene, n
 def test_the_gradient_is_the_densitys(x64, scene):
     scene = scene("deutscher_31")
     f, seen = factor(scene, **NOISES["outliers"]), seen_near(scene)
-    value, gradient = jax.value_and_grad(lambda pose: log_density(f, pose, seen))(scene.pose)
+    value, gradient = jax.jit(jax.value_and_grad(lambda pose: log_density(f, pose, seen)))(scene.pose)
     step = 1e-6 * jax.random.normal(jax.random.key(0), gradient.shape)
     assert log_density(f, scene.pose + step, seen) - log_density(f, scene.pose - step, seen) == pytest.approx(2 * float(gradient @ step), rel=1e-5)
     assert np.isfinite(value)
@@ -179,7 +180,7 @@ def test_a_wrong_detection_moves_a_gaussian_and_not_a_student(x64, scene):
     pulls = {}
     for noise in ("gaussian", "student"):
         f = factor(scene, sd_px=3.0, noise=noise)
-        pulls[noise] = np.linalg.norm(jax.grad(lambda pose, f=f: log_density(f, pose, far))(scene.pose))
+        pulls[noise] = np.linalg.norm(jax.jit(jax.grad(lambda pose, f=f: log_density(f, pose, far)))(scene.pose))
     assert pulls["student"] < 0.05 * pulls["gaussian"]
 
 

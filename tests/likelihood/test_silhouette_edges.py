@@ -131,7 +131,7 @@ def test_cameras_that_did_not_see_say_nothing(x64, scene, gamma):
     both, first, second = values((True, True)), values((True, False)), values((False, True))
     np.testing.assert_allclose(np.add(first, second), np.subtract(both, 4 * round(255 * UNSEEN) / 255), rtol=1e-9)
     blind = man._replace(frame=man.frame._replace(images=(None, None), sizes_px=((160, 120), (128, 104)))).maps()
-    slope = jax.grad(lambda pose: log_likelihood(man, pose, blind, gamma=gamma))(man.pose)
+    slope = jax.jit(jax.grad(lambda pose: log_likelihood(man, pose, blind, gamma=gamma)))(man.pose)
     np.testing.assert_allclose(slope, 0, atol=1e-9)
 
 
@@ -187,9 +187,10 @@ def test_gradient_away_from_cell_borders(x64, scene):
     # The precondition, held up: no sample reaches a pixel's line within the step (a radian moves none by more than 500 px).
     fraction = np.stack([pixels.u, pixels.v]) % 1
     assert min(fraction.min(), 1 - fraction.max()) > 500 * step
-    found = jax.grad(lambda p: factor({POSE: p}, data))(arm.pose)
+    value = jax.jit(lambda pose: factor({POSE: pose}, data))
+    found = jax.grad(value)(arm.pose)
     for k in range(arm.pose.size):
-        ahead, behind = (factor({POSE: arm.pose.at[k].add(sign * step)}, data) for sign in (1, -1))
+        ahead, behind = (value(arm.pose.at[k].add(sign * step)) for sign in (1, -1))
         assert found[k] == pytest.approx(float(ahead - behind) / (2 * step), rel=1e-6, abs=1e-8)
     assert np.abs(np.asarray(found)).min() > 1e-3
 
@@ -199,7 +200,7 @@ def test_gradient_is_zero_outside_the_scope(scene, gamma):
     arm = scene("arm_4")
     factor = arm.factor(gamma=gamma)
     values = {POSE: arm.pose, Variable("pose", -1): arm.pose + 0.1, Variable("other"): jnp.ones(3)}
-    gradient = jax.grad(lambda v: factor(v, {"images": arm.maps()}))(values)
+    gradient = jax.jit(jax.grad(lambda v: factor(v, {"images": arm.maps()})))(values)
     assert factor.scope == (POSE,)
     assert not factor.reads_previous
     assert jnp.abs(gradient[POSE]).min() > 0

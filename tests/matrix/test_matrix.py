@@ -43,19 +43,42 @@ def _follows_gradients(pair, options) -> bool:
     return pair.kernel == "hmc" or getattr(options, "move", None) == "hmc"
 
 
+def _is_small(definition) -> bool:
+    return sum(len(joint.dofs) for joint in definition.body.joints) < 10
+
+
 def _compiles_fast(pair) -> bool:
     """Small programs: bodies of few dofs and no gradient of an image, look-ups without one; and what is refused before it is compiled."""
     definition = load_definition(pair.model)
-    small = sum(len(joint.dofs) for joint in definition.body.joints) < 10
+    small = _is_small(definition)
     images = any("silhouette" in term.kind or "edge" in term.kind for term in definition.likelihoods)
     nearest = any(getattr(term.options, "lookup", "") == "nearest" for term in definition.likelihoods)
     refused = nearest and _follows_gradients(pair, options_of(definition, pair.kernel, 1))
     return refused or (pair.kernel == "sir" and (small or nearest)) or (small and not images)
 
 
-PAIRS = [pytest.param(pair, id=f"{pair.model}-{pair.kernel}", marks=() if _compiles_fast(pair) else pytest.mark.slow) for pair in pairs()]
+def _kinds(model) -> tuple[str, ...]:
+    """What a definition is made of, its numbers apart: size of the body, dynamics, likelihoods and how they look images up."""
+    definition = load_definition(model)
+    terms = (f"{term.kind} {getattr(term.options, 'lookup', '')}" for term in definition.likelihoods)
+    return "small" if _is_small(definition) else "large", definition.dynamics.kind, *terms
 
 
+def _differs(pair, before) -> bool:
+    """Of definitions of the same kinds, the first is tried with every kernel, the others with their own and with hmc."""
+    first = next(each.model for each in before if _kinds(each.model) == _kinds(pair.model))
+    return pair.model == first or pair.kernel in (load_definition(pair.model).kernel.kind, "hmc")
+
+
+def _marks(pair):
+    return () if _compiles_fast(pair) else pytest.mark.slow
+
+
+ALL = list(pairs())
+PAIRS = [pytest.param(pair, id=f"{pair.model}-{pair.kernel}", marks=_marks(pair)) for pair in ALL if _differs(pair, ALL)]
+
+
+@pytest.mark.usefixtures("hasty_compiler")
 @pytest.mark.parametrize("pair", PAIRS)
 def test_every_kernel_on_every_definition(scenes, pair, monkeypatch):
     definition, options = load_definition(pair.model), options_of(load_definition(pair.model), pair.kernel, TINY.most_particles)
