@@ -67,7 +67,7 @@ def test_evidence_of_a_state_space_model_is_unbiased(linear_gaussian, observatio
     pilot, kernels = linear_gaussian.start(jax.random.key(3), PARTICLES), []
     for frame, y in enumerate(ys):
         kernels.append(_frozen(linear_gaussian.density(y, pilot), pilot, {}))
-        pilot, _ = kernels[-1](jax.random.fold_in(jax.random.key(4), frame), pilot, linear_gaussian.density(y, pilot))
+        pilot, _ = jax.jit(kernels[-1])(jax.random.fold_in(jax.random.key(4), frame), pilot, linear_gaussian.density(y, pilot))
 
     def once(key):
         particles, total = linear_gaussian.start(jax.random.fold_in(key, 99), PARTICLES), 0.0
@@ -86,7 +86,7 @@ def test_evidence_of_a_state_space_model_is_unbiased(linear_gaussian, observatio
 def test_at_temperature_zero_it_is_the_prior_in_law(options):
     """After three stages of moves at temperature zero the particles still are the prediction under its constraint."""
     target = skewed(PARTICLES)
-    _, _, ladder = build_climber(**options)(jax.random.key(7), target.density.previous, target.density)
+    _, _, ladder = jax.jit(build_climber(**options))(jax.random.key(7), target.density.previous, target.density)
     level = jax.tree.map(lambda leaf: jnp.stack([leaf[1]] * 4), ladder)._replace(inverse_temperatures=jnp.zeros(4))
     kernel = build_kernel(frozen_at=level, **options)
 
@@ -188,7 +188,7 @@ def test_a_likelihood_without_a_gradient_is_refused_to_hmc():
     blind = dataclasses.replace(density, factors=tuple(dataclasses.replace(factor, has_gradient=False) for factor in density.factors))
     with pytest.raises(ValueError, match="'y' has no gradient; expected one for move = \"hmc\""):
         build_kernel()(jax.random.key(0), density.previous, blind)
-    build_kernel(move="random_walk")(jax.random.key(0), density.previous, blind)
+    jax.jit(build_kernel(move="random_walk"))(jax.random.key(0), density.previous, blind)
 
 
 def test_options_are_checked():
