@@ -13,6 +13,8 @@ from bayes_body.model import load_model
 from bayes_body.registry import find, names
 from bayes_body.tracking import track
 
+pytestmark = pytest.mark.usefixtures("hasty_compiler")
+
 KEY = jax.random.key(11)
 
 

@@ -27,6 +27,8 @@ LARGEST_RHAT = 1.01
 # Of the smallest error² that is told, by how much two runs for the truth may differ.
 LARGEST_DIFFERENCE = 0.1
 
+# The burn-in of a long chain: half as many states as its draws, at most so many.
+LONGEST_BURN_IN = 1000
 # Of the chains, whatever those of the samplers that are compared.
 OPTIONS = {"mass": "curvature_matrix", "leapfrog_steps": 20, "jitter": 0.3, "step": 0.2, "target_acceptance": 0.8}
 # (key, density) -> draws and information.
@@ -99,18 +101,18 @@ def _pooled(chunks: list[tuple[Any, ...]]) -> tuple[np.ndarray, np.ndarray, floa
     return share @ means, share @ squares, float(1 / np.sum(share**2 / effective))
 
 
-def true_mean_by_chains(key: Key, density: FrameDensity, draws: int, chains: int = 16, starts: int = 200_000, watch: Watch = unwatched) -> Truth:
+def true_mean_by_chains(key: Key, density: FrameDensity, draws: int, chains: int = 32, starts: int = 200_000, watch: Watch = unwatched) -> Truth:
     """By two runs of so many chains each, their starts drawn among so many weighted predictions: modes begin with the shares that they have.
 
     Args:
         key: of both.
         density: of the frame.
-        draws: of each chain, behind a burn-in of half as many.
+        draws: of each chain, behind its burn-in.
         chains: of each run.
         starts: predictions of each run.
         watch: takes the numbers of the runs and gives them back, as a bar does.
     """
-    sample = build_sampler(chains=chains, starts=starts, burn_in=draws // 2, **OPTIONS)
+    sample = build_sampler(chains=chains, starts=starts, burn_in=min(draws // 2, LONGEST_BURN_IN), **OPTIONS)
     run = jax.jit(lambda key, density: sample(key, density, chains * draws)[0].states["pose"])
     found = [np.asarray(run(jax.random.fold_in(key, half), density), float).reshape(chains, draws, -1) for half in watch(range(2))]
     means, together = [half.mean(axis=(0, 1)) for half in found], np.concatenate(found)

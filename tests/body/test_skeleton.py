@@ -19,6 +19,8 @@ from bayes_body.body.skeleton import preset_rotation
 from bayes_body.body.solids import Body
 from bayes_body.definition import definitions_folder
 
+pytestmark = pytest.mark.usefixtures("hasty_compiler")
+
 BODIES = ["arm_4", "deutscher_31", "person_31"]
 
 

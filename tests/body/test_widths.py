@@ -14,6 +14,8 @@ from bayes_body.definition import load_definition
 from bayes_body.likelihood.boundaries import contour
 from bayes_body.likelihood.patch_pixels import rig_pixels, sample_slopes
 
+pytestmark = pytest.mark.usefixtures("hasty_compiler")
+
 DEFINITION = load_definition("poon_fleet_2002")
 BODY = build_body("poon_fleet_23", DEFINITION.body)
 WAIST = BODY.dof_names.index("waist")

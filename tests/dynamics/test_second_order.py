@@ -16,6 +16,8 @@ from bayes_body.dynamics.second_order import Options, build
 from bayes_body.errors import InputError
 from bayes_body.toml_file import validate
 
+pytestmark = pytest.mark.usefixtures("hasty_compiler")
+
 LOW, HIGH = -0.4, 1.9
 # Previous states in the range, on its limits, and beyond them by less and by more than the range.
 MODES = [LOW - 10.0, LOW - 0.3, LOW, LOW + 1e-4, 0.1, 0.7, HIGH - 0.01, HIGH, HIGH + 0.2, HIGH + 7.0]

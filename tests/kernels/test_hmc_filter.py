@@ -20,6 +20,8 @@ from bayes_body.kernels.hmc_filter import build_kernel
 from bayes_body.kernels.mass import correlated, differenced, inverse_mass
 from bayes_body.kernels.stuck import check_chains
 
+pytestmark = pytest.mark.usefixtures("hasty_compiler")
+
 CHAINS = 64
 # The particles before are all equal, and so are their means: the same target, at a sixtieth of the cost.
 OPTIONS = {"chains": CHAINS, "burn_in": 60, "leapfrog_steps": 8, "step": 0.5, "carry": "means"}

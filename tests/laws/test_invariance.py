@@ -12,6 +12,8 @@ from bayes_body.kernels import extended
 from bayes_body.kernels.invariance import iterated_sir, markov_move
 from bayes_body.registry import find, names
 
+pytestmark = pytest.mark.usefixtures("hasty_compiler")
+
 REPLICATIONS = 1000
 LIMIT = 0.05 / 5
 

@@ -7,6 +7,8 @@ import pytest
 
 from bayes_body.kernels.moves import hmc, random_walk
 
+pytestmark = pytest.mark.usefixtures("hasty_compiler")
+
 MOVES = {"hmc": hmc(6), "random_walk": random_walk()}
 START = {"a": jnp.array([0.5, -0.2]), "b": jnp.array([1.0])}
 

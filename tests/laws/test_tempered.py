@@ -12,6 +12,8 @@ from scipy import stats
 from bayes_body.kernels import extended, tempered_smc
 from bayes_body.kernels.tempered_smc import build_climber, build_kernel
 
+pytestmark = pytest.mark.usefixtures("hasty_compiler")
+
 PARTICLES, RUNS = 240, 240
 TARGETS = {"conjugate": conjugate, "skewed": skewed}
 KERNELS = {

@@ -10,6 +10,8 @@ from bayes_body.density import Density, Unconstrained
 from bayes_body.dynamics.diffusion import TruncatedWalk
 from bayes_body.factor import Factor, Particles, Transition, Variable
 
+pytestmark = pytest.mark.usefixtures("hasty_compiler")
+
 POSE, BEFORE = Variable("pose"), Variable("pose", -1)
 LOW, HIGH = (-1.0, -np.inf), (0.5, np.inf)
 SD = (0.6, 0.4)

@@ -25,6 +25,8 @@ from bayes_body.phase_maps import PhaseMaps, look_up, pack, steer
 from bayes_body.session import CameraSpec, Session, View
 from bayes_body.toml_file import validate
 
+pytestmark = pytest.mark.usefixtures("hasty_compiler")
+
 SIZE = (320, 240)
 
 

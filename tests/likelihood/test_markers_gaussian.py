@@ -15,6 +15,8 @@ from bayes_body.factor import Factor, Variable
 from bayes_body.registry import find
 from bayes_body.seen import MARKERS, SeenMarkers
 
+pytestmark = pytest.mark.usefixtures("hasty_compiler")
+
 POSE = Variable("pose")
 NOISES = {
     "gaussian": {"noise": "gaussian"},

@@ -17,6 +17,8 @@ from bayes_body.observation.silhouette_bernoulli import sample_mask
 from bayes_body.registry import find
 from bayes_body.seen import SeenSilhouettes
 
+pytestmark = pytest.mark.usefixtures("hasty_compiler")
+
 POSE = Variable("pose")
 
 
