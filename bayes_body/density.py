@@ -147,7 +147,10 @@ class Density:
 
     def marginal(self, state: State, inverse_temperature: float | Scalar = 1.0, predictions: Predictions | None = None) -> Scalar:
         r"""$\log \sum_i \exp \ell(i, s_t)$; `predictions` as `self.predictions()` makes them, where many states are evaluated."""
-        each, common = self._by_ancestor(state, inverse_temperature, predictions)
+        each = self._by_ancestor(state, inverse_temperature, predictions)
+        # A factor that does not read the frame before is the same for all ancestors: it is evaluated once, outside the sum.
+        shared = [factor for factor in self.factors if not factor.reads_previous]
+        common = self._powered(shared, state, self.ancestor(0), inverse_temperature)
         return (each[0] if each.shape == (1,) else jax.nn.logsumexp(each)) + common
 
     def predictions(self) -> Predictions:
@@ -159,25 +162,19 @@ class Density:
 
     def ancestor_log_probs(self, state: State) -> Float[Array, " particle"]:
         """log p(i | s_t): from which particle of the frame before a state comes; draws of the marginal view take their ancestor from it."""
-        each, _ = self._by_ancestor(state, 1.0)
-        return jax.nn.log_softmax(each)
+        return jax.nn.log_softmax(self._by_ancestor(state, 1.0))
 
-    def _by_ancestor(
-        self, state: State, inverse_temperature: float | Scalar, predictions: Predictions | None = None
-    ) -> tuple[Float[Array, " particle"], Scalar]:
-        # A factor that does not read the frame before is the same for all ancestors: it is evaluated once, outside the sum.
+    def _by_ancestor(self, state: State, inverse_temperature: float | Scalar, predictions: Predictions | None = None) -> Float[Array, " particle"]:
+        """What of the log-density differs between ancestors."""
         own = [factor for factor in self.factors if factor.reads_previous]
-        shared = [factor for factor in self.factors if not factor.reads_previous]
-
-        def powered(factors: list[Factor], before: State) -> Scalar:
-            likelihood = self._sum([f for f in factors if f.side == "likelihood"], state, before)
-            rest = self._sum([f for f in factors if f.side != "likelihood"], state, before)
-            return rest + _tempered(inverse_temperature, likelihood)
-
         laws = self.predictions() if predictions is None else predictions
         links = sum((_log_prob_each(law, state[name]) for name, law in laws.items()), self.previous.log_weights)
-        each = links + jax.vmap(lambda before: powered(own, before))(self.previous.states) if own else links
-        return each, powered(shared, self.ancestor(0))
+        return links + jax.vmap(lambda before: self._powered(own, state, before, inverse_temperature))(self.previous.states) if own else links
+
+    def _powered(self, factors: Sequence[Factor], state: State, before: State, inverse_temperature: float | Scalar) -> Scalar:
+        likelihood = self._sum([f for f in factors if f.side == "likelihood"], state, before)
+        rest = self._sum([f for f in factors if f.side != "likelihood"], state, before)
+        return rest + _tempered(inverse_temperature, likelihood)
 
     def reading(self, variable: Variable) -> tuple[Factor, ...]:
         """The factors in whose scope a variable is: what a belief-propagation node multiplies."""

@@ -43,7 +43,7 @@ class Comparison(NamedTuple):
     exact: Quadrature
 
 
-def compare(density: Density, kernel: Kernel, previous: Particles, key: Key, runs: int = RUNS) -> Comparison:
+def compare(density: Density, kernel: Kernel, previous: Particles, key: Key, runs: int = RUNS, exact: Quadrature | None = None) -> Comparison:
     """Independent runs of a kernel on one frame against quadrature.
 
     Args:
@@ -52,8 +52,9 @@ def compare(density: Density, kernel: Kernel, previous: Particles, key: Key, run
         previous: the particles before that the kernel starts from; they must mean the same as the density's.
         key: of the runs.
         runs: how many.
+        exact: the quadrature of the density, where it is there already.
     """
-    exact = integrate(density)
+    exact = integrate(density) if exact is None else exact
     centre = jnp.asarray(exact.mean, density.previous.log_weights.dtype)
 
     def one(own: Key, density: Density) -> tuple[jax.Array, jax.Array]:

@@ -85,9 +85,9 @@ def run_chain(
 
     def one(carry: tuple[Any, Any, Scalar], own: tuple[Array, Key]) -> tuple[tuple[Any, Any, Scalar], Any]:
         (state, tuning, size), (index, own_key) = carry, own
-        state, info = move(own_key, state, size, index)
+        state, info = move(own_key, state, jnp.where(index < 0, 0.0, size), index)
         if tunes:
-            in_burn_in = index < schedule.burn_in
+            in_burn_in = (index >= 0) & (index < schedule.burn_in)
             tuned = update(tuning, info.acceptance_rate)
             tuning = jax.tree.map(lambda new, old: jnp.where(in_burn_in, new, old), tuned, tuning)
             # While it is tuned the step follows the last transition, afterwards it is the mean.
@@ -95,16 +95,18 @@ def run_chain(
         steps = jnp.asarray(info.num_integration_steps, jnp.int32)
         return (state, tuning, size), (dict(state.position), info.acceptance_rate, info.is_divergent, info.energy, steps)
 
-    number = schedule.burn_in + schedule.kept * schedule.thinning
-    first = cast(Any, hmc.init)(dict(position), log_density)
+    # The gradient is most of a program: with one to begin from besides that of the moves it would be compiled twice. NUTS needs it.
+    evaluated = schedule.sampler == "nuts"
+    first = cast(Any, hmc.init)(dict(position), log_density) if evaluated else _unevaluated(position)
+    numbers = jnp.arange(0 if evaluated else -1, schedule.burn_in + schedule.kept * schedule.thinning)
     # What is carried must differ from device to device where the position does.
-    size = step + 0 * first.logdensity
-    start = first, jax.tree.map(lambda leaf: leaf + 0 * first.logdensity, begin(size)), size
-    (_, _, size), out = jax.lax.scan(one, start, (jnp.arange(number), jax.random.split(key, number)))
+    nothing = _nothing(position)
+    first, tuning, size = jax.tree.map(lambda leaf: leaf + nothing, (first, begin(step), step))
+    (_, _, size), out = jax.lax.scan(one, (first, tuning, size), (numbers, jax.random.split(key, numbers.size)))
     positions, acceptance, divergent, energy, steps = out
-    behind = slice(schedule.burn_in, None)
-    draws = {name: value[schedule.burn_in + schedule.thinning - 1 :: schedule.thinning] for name, value in positions.items()}
-    return Chain(draws, acceptance[behind], divergent[behind], energy[behind], size, 1 + jnp.sum(steps))
+    behind = numbers.size - schedule.kept * schedule.thinning
+    draws = {name: value[behind + schedule.thinning - 1 :: schedule.thinning] for name, value in positions.items()}
+    return Chain(draws, acceptance[behind:], divergent[behind:], energy[behind:], size, jnp.sum(steps) + evaluated)
 
 
 def chain_figures(chains: Chain) -> dict[str, Array]:
@@ -142,14 +144,32 @@ def leapfrog_steps(schedule: Schedule, index: Int[Array, ""]) -> Int[Array, ""]:
     return least + ((turn * (most - least + 1)) >> 16).astype(jnp.int32)
 
 
+def _unevaluated(position: Position) -> Any:
+    """A state whose density is still to be found: any trajectory from minus infinity is accepted, and the first one goes nowhere."""
+    from blackjax.mcmc import hmc
+
+    dtype = jax.tree.leaves(dict(position))[0].dtype
+    return hmc.HMCState(dict(position), cast(Any, jnp.full((), -jnp.inf, dtype)), jax.tree.map(jnp.zeros_like, dict(position)))
+
+
+def _nothing(position: Position) -> Scalar:
+    """Zero, whatever the position."""
+    values = jax.tree.leaves(dict(position))[0]
+    return 0 * jnp.isnan(values.ravel()[0]).astype(values.dtype)
+
+
 def _transition(
     log_density: Callable[[Any], Scalar], inverse_mass: Array, schedule: Schedule
 ) -> Callable[[Key, Any, Scalar, Int[Array, ""]], tuple[Any, Any]]:
-    """(key, state, step, number of the transition) -> the state after it, and information."""
+    """(key, state, step, number of the transition) -> the state after it, and information; that of number -1 has one step."""
     from blackjax.mcmc import hmc, nuts
 
     if schedule.sampler == "nuts":
         kernel = cast(Any, nuts.build_kernel)(divergence_threshold=DIVERGENCE)
         return lambda key, state, size, _: kernel(key, state, log_density, size, inverse_mass, DOUBLINGS)
     kernel = cast(Any, hmc.build_kernel)(divergence_threshold=DIVERGENCE)
-    return lambda key, state, size, index: kernel(key, state, log_density, size, inverse_mass, leapfrog_steps(schedule, index))
+
+    def steps(index: Array) -> Array:
+        return jnp.where(index < 0, 1, leapfrog_steps(schedule, index))
+
+    return lambda key, state, size, index: kernel(key, state, log_density, size, inverse_mass, steps(index))
