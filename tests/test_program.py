@@ -1,5 +1,8 @@
 """A program compiled ahead: taken where it fits, made anew where it does not, given up after an error, and never the cause of one."""
 
+import os
+import subprocess
+import sys
 import threading
 from concurrent.futures import Future
 from dataclasses import replace
@@ -81,3 +84,22 @@ def test_its_own_error_is_told_where_it_belongs(textured_session, arm):
     failed = Future()
     failed.set_exception(RuntimeError("in the thread"))
     assert len(track(textured_session, arm, build_kernel(), KEY, 40, frames=2, ahead=failed).frames) == 2
+
+
+LAWS = """
+import jax, jax.numpy as jnp
+from bayes_body.dynamics.diffusion import TruncatedWalk
+from bayes_body.dynamics.joint_noise import JointNoise
+zero, one = jnp.zeros(2), jnp.ones(2)
+for law in (TruncatedWalk(zero, one, -one, one), JointNoise(zero, 0.1 * one, -one, one, jnp.array([True, False]))):
+    print(jax.jit(lambda law, x: law.log_prob(x)).lower(law, zero).as_text())
+"""
+
+
+def test_a_program_is_the_same_in_every_process():
+    """Or none that is compiled would be found again: numpyro keeps what a law is made of in a set, whose order hangs on a process's hashes."""
+    texts = []
+    for seed in ("1", "2"):
+        done = subprocess.run([sys.executable, "-c", LAWS], env=os.environ | {"PYTHONHASHSEED": seed}, capture_output=True, text=True, check=True)
+        texts.append(done.stdout)
+    assert texts[0] == texts[1] and texts[0].count("func.func public") == 2

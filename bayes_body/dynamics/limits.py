@@ -97,6 +97,17 @@ class InBox(Distribution):
     low: Pose
     high: Pose
 
+    # numpyro gathers both in a set: their order, and with it the program, would differ from process to process, and no compiled one be found again.
+    @classmethod
+    def gather_pytree_data_fields(cls) -> tuple[str, ...]:
+        """In alphabetical order."""
+        return tuple(sorted(super().gather_pytree_data_fields()))
+
+    @classmethod
+    def gather_pytree_aux_fields(cls) -> tuple[str, ...]:
+        """In alphabetical order."""
+        return tuple(sorted(super().gather_pytree_aux_fields()))
+
     # numpyro declares its base class for its own decorators; the signatures below are those that it calls.
     @constraints.dependent_property(is_discrete=False, event_dim=1)  # pyright: ignore[reportArgumentType]
     def support(self) -> Box:  # pyright: ignore[reportIncompatibleMethodOverride]
