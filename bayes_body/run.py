@@ -167,9 +167,8 @@ def kernel_options(definition: Definition, kind: str | None, overrides: Mapping[
         given = {name: value for name, value in kept.items() if name != "kind"}
     for name in overrides:
         if name not in schema.model_fields:
-            raise wrong(
-                f"--{name.replace('_', '-')}", f"the kernel '{kind}' has no such option", f"one of {', '.join(schema.model_fields)}", "leave it out"
-            )
+            found, expected = f"the kernel '{kind}' has no such option", f"one of {', '.join(schema.model_fields)}"
+            raise wrong(f"--{name.replace('_', '-')}", found, expected, "leave it out")
     return kind, validate(schema, given | dict(overrides), "the kernel's options")
 
 
@@ -181,9 +180,8 @@ def _kept_record(settings: Settings) -> dict[str, dict[str, Any]] | None:
         return read_run_file(out) if frames or (out / RUN_FILE).exists() else None
     for name in (POSTERIOR, SUMMARY):
         if (out / name).exists():
-            raise wrong(
-                out, f"holds another run ({name})", "a folder without one", "name another with --out, continue it with --resume, or remove it"
-            )
+            remedy = "name another with --out, continue it with --resume, or remove it"
+            raise wrong(out, f"holds another run ({name})", "a folder without one", remedy)
     if frames:
         found, remedy = f"holds a run that stopped at frame {frames}", "continue it with --resume, or name another folder with --out"
         raise wrong(out, found, "a folder without one", remedy)

@@ -1,6 +1,7 @@
 """Motion capture files read whole, and the numbers in them: what is missing, too large, no text or no number is a sentence."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -80,13 +81,11 @@ def table(where: str, rows: Sequence[Sequence[str]], lines: Sequence[int]) -> Fl
     Raises:
         InputError: as of `numbers`, naming the line.
     """
-    try:
+    # Rows of several lengths and words that are no numbers are told below, row by row, only where there are any.
+    with suppress(ValueError):
         values = np.array(rows, dtype=np.float64)
         if (np.abs(values) <= LARGEST_NUMBER).all():
             return values
-    except ValueError:
-        pass
-    # Row by row only now that one of them is known to be wrong.
     for row, line in zip(rows, lines, strict=True):
         numbers(f"{where}: line {line}", row)
     raise InputError(f"{where}: no table of numbers; restore the file.")
