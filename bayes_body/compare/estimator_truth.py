@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.factor import FilterInfo, FrameDensity, Particles
+from bayes_body.kernels.adaptation import FEWEST
 from bayes_body.kernels.hamiltonian import effective_draws
 from bayes_body.kernels.hmc_filter import build_sampler
 from bayes_body.kernels.particle_filter import build_kernel
@@ -30,7 +31,7 @@ LARGEST_DIFFERENCE = 0.1
 # The burn-in of a long chain: half as many states as its draws, at most so many.
 LONGEST_BURN_IN = 1000
 # Of the chains, whatever those of the samplers that are compared.
-OPTIONS = {"mass": "curvature_matrix", "leapfrog_steps": 20, "jitter": 0.3, "step": 0.2, "target_acceptance": 0.8}
+OPTIONS = {"mass": "adapted", "leapfrog_steps": 10, "jitter": 0.3, "step": 0.3, "target_acceptance": 0.7}
 # (key, density) -> draws and information.
 type Sampler = Callable[[Key, Any], tuple[Particles, FilterInfo]]
 
@@ -112,7 +113,7 @@ def true_mean_by_chains(key: Key, density: FrameDensity, draws: int, chains: int
         starts: predictions of each run.
         watch: takes the numbers of the runs and gives them back, as a bar does.
     """
-    sample = build_sampler(chains=chains, starts=starts, burn_in=min(draws // 2, LONGEST_BURN_IN), **OPTIONS)
+    sample = build_sampler(chains=chains, starts=starts, burn_in=min(max(draws // 2, FEWEST), LONGEST_BURN_IN), **OPTIONS)
     run = jax.jit(lambda key, density: sample(key, density, chains * draws)[0].states["pose"])
     found = [np.asarray(run(jax.random.fold_in(key, half), density), float).reshape(chains, draws, -1) for half in watch(range(2))]
     means, together = [half.mean(axis=(0, 1)) for half in found], np.concatenate(found)

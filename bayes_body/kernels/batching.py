@@ -13,9 +13,13 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 BATCH = 32
+# The axis along which devices share particles.
+DEVICES = "particle"
 
 
-def over_particles(function: Callable[..., Any], particles: Any, shared: Any, batch: int = BATCH, checked: bool = True) -> Any:
+def over_particles(
+    function: Callable[..., Any], particles: Any, shared: Any, batch: int = BATCH, checked: bool = True, axis: str | None = None
+) -> Any:
     """`vmap(function, (0, None))(particles, shared)`, fast.
 
     Args:
@@ -24,25 +28,36 @@ def over_particles(function: Callable[..., Any], particles: Any, shared: Any, ba
         shared: what is the same for all particles. Arrays that are traced must come in here, not through a closure.
         batch: particles computed at once on one device.
         checked: whether JAX keeps account of what differs from device to device; a library's loops may not tell it.
+        axis: a name of the particle axis, for collectives of the function (`axes_of`).
     """
-    vmapped = jax.vmap(function, (0, None))
+    vmapped = jax.vmap(function, (0, None), axis_name=axis)
     if jax.default_backend() != "cpu":
         return vmapped(particles, shared)
     count = jax.tree.leaves(particles)[0].shape[0]
-    # A run of a few particles gains nothing from a second device, and padding it would cost more.
-    devices = jax.devices() if count > batch else jax.devices()[:1]
+    devices = _devices(count, batch)
     batch = min(batch, count)
     padded = jax.tree.map(lambda leaf: _pad(leaf, len(devices) * batch), particles)
     spread = _in_batches(vmapped, batch)
     if len(devices) > 1:
-        mesh = Mesh(np.array(devices), ("particle",))
-        split = PartitionSpec("particle")
+        mesh = Mesh(np.array(devices), (DEVICES,))
+        split = PartitionSpec(DEVICES)
         spread = jax.shard_map(spread, mesh=mesh, in_specs=(split, PartitionSpec()), out_specs=split, check_vma=checked)
     results = spread(padded, shared)
     if len(devices) > 1:
         # Gathered once: left spread, every sum over particles that follows would stop all devices to exchange a number.
         results = jax.lax.with_sharding_constraint(results, whole())
     return jax.tree.map(lambda leaf: leaf[:count], results)
+
+
+def axes_of(count: int, batch: int, axis: str) -> tuple[str, ...]:
+    """The names by which a collective within `over_particles` reaches all of so many particles, where each device has one batch."""
+    spread = jax.default_backend() == "cpu" and len(_devices(count, batch)) > 1
+    return (axis, DEVICES) if spread else (axis,)
+
+
+def _devices(count: int, batch: int) -> list[Any]:
+    # A run of a few particles gains nothing from a second device, and padding it would cost more.
+    return jax.devices() if count > batch else jax.devices()[:1]
 
 
 def _pad(leaf: jax.Array, multiple: int) -> jax.Array:
@@ -67,4 +82,4 @@ def everywhere[Tree](tree: Tree) -> Tree:
 
 def whole() -> NamedSharding:
     """The sharding of an array that every device holds whole."""
-    return NamedSharding(Mesh(np.array(jax.devices()), ("particle",)), PartitionSpec())
+    return NamedSharding(Mesh(np.array(jax.devices()), (DEVICES,)), PartitionSpec())

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from bayes_body.kernels import adaptation
 from bayes_body.shapes import Key, Scalar
 
 type Position = Mapping[str, Array]
@@ -32,6 +33,7 @@ class Schedule(NamedTuple):
         jitter: the share by which their number varies from trajectory to trajectory, evenly, alike in all chains.
         sampler: hmc or nuts.
         target_acceptance: to which the step is tuned in burn-in; 0 leaves it.
+        adapts_mass: whether burn-in finds the inverse mass matrix (`kernels/adaptation.py`).
     """
 
     kept: int
@@ -41,6 +43,7 @@ class Schedule(NamedTuple):
     jitter: float
     sampler: Sampler
     target_acceptance: float
+    adapts_mass: bool = False
 
 
 class Chain(NamedTuple):
@@ -64,7 +67,13 @@ class Chain(NamedTuple):
 
 
 def run_chain(
-    key: Key, position: Position, log_density: Callable[[Any], Scalar], step: Scalar, inverse_mass: Float[Array, " dof *dof"], schedule: Schedule
+    key: Key,
+    position: Position,
+    log_density: Callable[[Any], Scalar],
+    step: Scalar,
+    inverse_mass: Float[Array, " dof *dof"],
+    schedule: Schedule,
+    axes: tuple[str, ...] = (),
 ) -> Chain:
     """One chain.
 
@@ -75,25 +84,21 @@ def run_chain(
         step: size of a leapfrog step in units of the mass matrix.
         inverse_mass: diagonal or dense, over the position's variables in alphabetical order.
         schedule: how it runs.
+        axes: names of the mapped axes along which chains learn together in burn-in.
     """
-    from blackjax.adaptation.step_size import dual_averaging_adaptation
     from blackjax.mcmc import hmc
 
-    move = _transition(log_density, inverse_mass, schedule)
-    tunes = schedule.target_acceptance > 0
-    begin, update, final = dual_averaging_adaptation(schedule.target_acceptance or 0.8)
+    move = _transition(log_density, schedule)
+    plan = adaptation.Plan(schedule.burn_in, schedule.target_acceptance, schedule.adapts_mass, axes)
 
-    def one(carry: tuple[Any, Any, Scalar], own: tuple[Array, Key]) -> tuple[tuple[Any, Any, Scalar], Any]:
-        (state, tuning, size), (index, own_key) = carry, own
-        state, info = move(own_key, state, jnp.where(index < 0, 0.0, size), index)
-        if tunes:
-            in_burn_in = (index >= 0) & (index < schedule.burn_in)
-            tuned = update(tuning, info.acceptance_rate)
-            tuning = jax.tree.map(lambda new, old: jnp.where(in_burn_in, new, old), tuned, tuning)
-            # While it is tuned the step follows the last transition, afterwards it is the mean.
-            size = jnp.where(index + 1 < schedule.burn_in, jnp.exp(tuning.log_step_size), final(tuning)).astype(size.dtype)
+    def one(carry: tuple[Any, adaptation.Found], own: tuple[Array, Key]) -> tuple[tuple[Any, adaptation.Found], Any]:
+        (state, found), (index, own_key) = carry, own
+        # What is not carried is hoisted out of the loop.
+        mass = inverse_mass if found.metric is None else found.metric.inverse_mass
+        state, info = move(own_key, state, jnp.where(index < 0, 0.0, found.step), mass, index)
+        found = adaptation.after(plan, found, index, state, info.acceptance_rate)
         steps = jnp.asarray(info.num_integration_steps, jnp.int32)
-        return (state, tuning, size), (dict(state.position), info.acceptance_rate, info.is_divergent, info.energy, steps)
+        return (state, found), (dict(state.position), info.acceptance_rate, info.is_divergent, info.energy, steps)
 
     # The gradient is most of a program: with one to begin from besides that of the moves it would be compiled twice. NUTS needs it.
     evaluated = schedule.sampler == "nuts"
@@ -101,12 +106,12 @@ def run_chain(
     numbers = jnp.arange(0 if evaluated else -1, schedule.burn_in + schedule.kept * schedule.thinning)
     # What is carried must differ from device to device where the position does.
     nothing = _nothing(position)
-    first, tuning, size = jax.tree.map(lambda leaf: leaf + nothing, (first, begin(step), step))
-    (_, _, size), out = jax.lax.scan(one, (first, tuning, size), (numbers, jax.random.split(key, numbers.size)))
+    carried = jax.tree.map(lambda leaf: leaf + nothing, (first, adaptation.begin(plan, step, inverse_mass + nothing, position)))
+    (_, found), out = jax.lax.scan(one, carried, (numbers, jax.random.split(key, numbers.size)))
     positions, acceptance, divergent, energy, steps = out
     behind = numbers.size - schedule.kept * schedule.thinning
     draws = {name: value[behind + schedule.thinning - 1 :: schedule.thinning] for name, value in positions.items()}
-    return Chain(draws, acceptance[behind:], divergent[behind:], energy[behind:], size, jnp.sum(steps) + evaluated)
+    return Chain(draws, acceptance[behind:], divergent[behind:], energy[behind:], found.step, jnp.sum(steps) + evaluated)
 
 
 def chain_figures(chains: Chain) -> dict[str, Array]:
@@ -158,18 +163,16 @@ def _nothing(position: Position) -> Scalar:
     return 0 * jnp.isnan(values.ravel()[0]).astype(values.dtype)
 
 
-def _transition(
-    log_density: Callable[[Any], Scalar], inverse_mass: Array, schedule: Schedule
-) -> Callable[[Key, Any, Scalar, Int[Array, ""]], tuple[Any, Any]]:
-    """(key, state, step, number of the transition) -> the state after it, and information; that of number -1 has one step."""
+def _transition(log_density: Callable[[Any], Scalar], schedule: Schedule) -> Callable[[Key, Any, Scalar, Array, Int[Array, ""]], tuple[Any, Any]]:
+    """(key, state, step, inverse mass, number of the transition) -> the state after it, and information; that of number -1 has one step."""
     from blackjax.mcmc import hmc, nuts
 
     if schedule.sampler == "nuts":
         kernel = cast(Any, nuts.build_kernel)(divergence_threshold=DIVERGENCE)
-        return lambda key, state, size, _: kernel(key, state, log_density, size, inverse_mass, DOUBLINGS)
+        return lambda key, state, size, mass, _: kernel(key, state, log_density, size, mass, DOUBLINGS)
     kernel = cast(Any, hmc.build_kernel)(divergence_threshold=DIVERGENCE)
 
     def steps(index: Array) -> Array:
         return jnp.where(index < 0, 1, leapfrog_steps(schedule, index))
 
-    return lambda key, state, size, index: kernel(key, state, log_density, size, inverse_mass, steps(index))
+    return lambda key, state, size, mass, index: kernel(key, state, log_density, size, mass, steps(index))

@@ -22,7 +22,8 @@ from jaxtyping import Array, Float, Int
 from pydantic import Field, model_validator
 
 from bayes_body.factor import FilterInfo, FrameDensity, Kernel, Particles, State
-from bayes_body.kernels.batching import over_particles
+from bayes_body.kernels.adaptation import FEWEST
+from bayes_body.kernels.batching import axes_of, over_particles
 from bayes_body.kernels.hamiltonian import Chain, Sampler, Schedule, chain_figures, effective_draws, run_chain
 from bayes_body.kernels.mass import correlated, inverse_mass
 from bayes_body.kernels.moves import check_gradients
@@ -34,14 +35,17 @@ from bayes_body.shapes import Key, Scalar
 from bayes_body.toml_file import validate
 
 type Carry = Literal["means", "draws"]
-type Mass = Literal["curvature", "curvature_matrix", "particles"]
+type Mass = Literal["curvature", "curvature_matrix", "particles", "adapted"]
+# The axis along which chains learn together.
+CHAINS = "chain"
 
 
 class Options(Schema):
     """Options of `[kernel] kind = "hmc"`.
 
     `particles` is the number of draws that are kept of all `chains` together, every `thinning`-th of each after `burn_in`. `step` is the paper's
-    factor of the step size, `jitter` the share by which a trajectory's number of steps varies. With a `target_acceptance` burn-in tunes the step.
+    factor of the step size, `jitter` the share by which a trajectory's number of steps varies. With a `target_acceptance` burn-in tunes the step;
+    with `mass = "adapted"` it finds the mass matrix, beginning with the curvature's. All chains learn together.
     """
 
     particles: Count = 400
@@ -62,6 +66,8 @@ class Options(Schema):
     def _check_chains(self) -> "Options":
         if self.target_acceptance and not self.burn_in:
             raise ValueError("target_acceptance without burn_in: the step is tuned in burn-in; give a burn_in, such as 50")
+        if self.mass == "adapted" and self.burn_in < FEWEST:
+            raise ValueError(f"burn_in = {self.burn_in} is too short to find the mass matrix in; give at least {FEWEST}, such as 24")
         return self
 
 
@@ -124,8 +130,11 @@ class _Filter:
         chains = -(-count // kept)
         starts, log_evidence, lost = self._starts(start_key, density.previous, density, chains)
         keys = jax.random.split(chain_key, chains)
-        batch, checked = -(-chains // jax.device_count()), self.options.sampler != "nuts"
-        ran: Chain = over_particles(self._chain(kept), (keys, starts), density, batch, checked)
+        batch = -(-chains // jax.device_count())
+        # Neither NUTS' loop nor a sum over chains tells what differs from device to device.
+        checked = self.options.sampler != "nuts" and not self.options.target_acceptance and self.options.mass != "adapted"
+        chain = self._chain(kept, axes_of(chains, batch, CHAINS))
+        ran: Chain = over_particles(chain, (keys, starts), density, batch, checked, CHAINS)
         draws = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], ran.positions)
         states, ancestors = self._states(ancestor_key, draws, density)
         by_chain = jax.vmap(jax.vmap(lambda position: ravel_pytree(position)[0]))(ran.positions)
@@ -158,18 +167,19 @@ class _Filter:
         position = density.unconstrained().unconstrain(jax.tree.map(lambda leaf: leaf[chosen], drawn))
         return _Start(position, ancestors[chosen]), weights.log_sum - normalise(log_constraints).log_sum, weights.lost
 
-    def _chain(self, kept: int) -> Callable[[tuple[Key, _Start], FrameDensity], Chain]:
+    def _chain(self, kept: int, axes: tuple[str, ...]) -> Callable[[tuple[Key, _Start], FrameDensity], Chain]:
         options = self.options
         schedule = Schedule(
-            kept, options.burn_in, options.thinning, options.leapfrog_steps, options.jitter, options.sampler, options.target_acceptance
+            *(kept, options.burn_in, options.thinning, options.leapfrog_steps, options.jitter, options.sampler),
+            *(options.target_acceptance, options.mass == "adapted"),
         )
 
         def run(own: tuple[Key, _Start], density: FrameDensity) -> Chain:
             key, start = own
-            mass = inverse_mass(density, start.position, density.ancestor(start.ancestor), whole=options.mass == "curvature_matrix")
+            mass = inverse_mass(density, start.position, density.ancestor(start.ancestor), whole=options.mass in ("curvature_matrix", "adapted"))
             if options.mass == "particles":
                 mass = correlated(mass, *_coordinates(density))
-            return run_chain(key, start.position, density.unconstrained(), jnp.asarray(options.step, mass.dtype), mass, schedule)
+            return run_chain(key, start.position, density.unconstrained(), jnp.asarray(options.step, mass.dtype), mass, schedule, axes)
 
         return run
 

@@ -69,8 +69,15 @@ def target(posterior):
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"sampler": "nuts"}, {"mass": "particles"}, {"mass": "curvature_matrix"}, {"target_acceptance": 0.8}],
-    ids=["hmc", "nuts", "correlated", "matrix", "tuned"],
+    [
+        {},
+        {"sampler": "nuts"},
+        {"mass": "particles"},
+        {"mass": "curvature_matrix"},
+        {"target_acceptance": 0.8},
+        {"mass": "adapted", "target_acceptance": 0.7},
+    ],
+    ids=["hmc", "nuts", "correlated", "matrix", "tuned", "adapted"],
 )
 def test_means_and_spreads_are_those_of_the_posterior(posterior, target, options):
     draws, info = _means(target.density, **options)
