@@ -40,7 +40,7 @@ def main() -> None:
     bb.configure()
     session = bb.load_session(arguments.session)
     model = bb.with_first_pose(bb.load_model(arguments.model, session), session)
-    runs, many, long, most = (10, 400_000, 300, 0) if arguments.quick else (arguments.runs, arguments.truth, 6000, 20)
+    runs, many, long, most = (10, 400_000, 600, 0) if arguments.quick else (arguments.runs, arguments.truth, 6000, 20)
     frames = most if arguments.frames is None else arguments.frames
     own = model.definition.kernel.options.model_dump() if model.definition.kernel.kind == "hmc" else {}
     options, keys = own | dict(arguments.set), jax.random.split(jax.random.key(arguments.seed), 6)
