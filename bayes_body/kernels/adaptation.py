@@ -1,6 +1,6 @@
 r"""What burn-in finds for Hamiltonian Monte Carlo: the size of the steps and, if it is asked to, the inverse mass matrix.
 
-Chains that run side by side learn together. With the covariances $C$ of their draws and $F$ of the scores $\nabla \log p$ at them,
+Chains may learn together. With the covariances $C$ of their draws and $F$ of the scores $\nabla \log p$ at them,
 
 $$M^{-1} = C \mathbin{\#} F^{-1} = L\, (L^\top F L)^{-1/2} L^\top, \quad C = L L^\top,$$
 

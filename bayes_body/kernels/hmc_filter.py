@@ -44,8 +44,8 @@ class Options(Schema):
     """Options of `[kernel] kind = "hmc"`.
 
     `particles` is the number of draws that are kept of all `chains` together, every `thinning`-th of each after `burn_in`. `step` is the paper's
-    factor of the step size, `jitter` the share by which a trajectory's number of steps varies. With a `target_acceptance` burn-in tunes the step;
-    with `mass = "adapted"` it finds the mass matrix, beginning with the curvature's. All chains learn together.
+    factor of the step size, `jitter` the share by which a trajectory's number of steps varies. With a `target_acceptance` burn-in tunes the step.
+    With `mass = "adapted"` it finds the mass matrix, beginning with the curvature's, and all chains learn both together.
     """
 
     particles: Count = 400
@@ -131,9 +131,11 @@ class _Filter:
         starts, log_evidence, lost = self._starts(start_key, density.previous, density, chains)
         keys = jax.random.split(chain_key, chains)
         batch = -(-chains // jax.device_count())
+        # Chains that have a mass matrix each need a step each.
+        together = axes_of(chains, batch, CHAINS) if self.options.mass == "adapted" else ()
         # Neither NUTS' loop nor a sum over chains tells what differs from device to device.
-        checked = self.options.sampler != "nuts" and not self.options.target_acceptance and self.options.mass != "adapted"
-        chain = self._chain(kept, axes_of(chains, batch, CHAINS))
+        checked = self.options.sampler != "nuts" and not together
+        chain = self._chain(kept, together)
         ran: Chain = over_particles(chain, (keys, starts), density, batch, checked, CHAINS)
         draws = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], ran.positions)
         states, ancestors = self._states(ancestor_key, draws, density)
