@@ -21,25 +21,17 @@ PRECISION = jnp.asarray(np.linalg.inv(COVARIANCE))
 SCHEDULE = Schedule(kept=200, burn_in=40, thinning=1, leapfrog_steps=6, jitter=0.3, sampler="hmc", target_acceptance=0.8, adapts_mass=True)
 
 
-def _run(schedule: Schedule, start: float = 1.0) -> Chain:
-    """Eight chains on the Gaussian, from nearby starts, with a unit mass."""
+def _run(schedule: Schedule, chains: int = CHAINS) -> Chain:
+    """Chains on the Gaussian, from nearby starts, with a unit mass."""
+    batch = -(-chains // jax.device_count())
+    axes = axes_of(chains, batch, "chain")
 
     def one(own, precision) -> Chain:
         key, position = own
-        return run_chain(
-            key,
-            {"x": position},
-            lambda p: -0.5 * p["x"] @ precision @ p["x"],
-            jnp.asarray(0.3),
-            jnp.ones(DOFS),
-            schedule,
-            axes_of(CHAINS, CHAINS // jax.device_count(), "chain"),
-        )
+        return run_chain(key, {"x": position}, lambda p: -0.5 * p["x"] @ precision @ p["x"], jnp.asarray(0.3), jnp.ones(DOFS), schedule, axes)
 
-    starts = start * jax.random.normal(jax.random.key(1), (CHAINS, DOFS))
-    keys = jax.random.split(jax.random.key(0), CHAINS)
-    run = jax.jit(lambda keys, starts: over_particles(one, (keys, starts), PRECISION, CHAINS // jax.device_count(), False, "chain"))
-    return run(keys, starts)
+    starts, keys = jax.random.normal(jax.random.key(1), (chains, DOFS)), jax.random.split(jax.random.key(0), chains)
+    return jax.jit(lambda keys, starts: over_particles(one, (keys, starts), PRECISION, batch, False, "chain"))(keys, starts)
 
 
 def test_of_a_gaussian_the_geometric_mean_is_its_covariance_from_a_few_draws_anywhere() -> None:
@@ -72,6 +64,13 @@ def test_chains_that_learn_explore_a_long_valley() -> None:
     assert np.ptp(steps) == 0
     assert 0.5 < steps[0] < 1.6
     assert 0.65 < float(jnp.mean(learned.acceptance)) < 0.95
+
+
+def test_chains_that_no_device_has_equally_many_of_learn_alike() -> None:
+    chains = _run(SCHEDULE, 3)
+    steps = np.asarray(chains.step)
+    assert steps.shape == (3,) and np.ptp(steps) == 0
+    assert np.all(np.abs(np.log(scipy.linalg.eigvalsh(np.cov(np.asarray(chains.positions["x"]).reshape(-1, DOFS).T), COVARIANCE))) < 0.7)
 
 
 def test_burn_in_ends_what_is_learned() -> None:
