@@ -81,8 +81,8 @@ def begin(plan: Plan, step: Scalar, inverse_mass: Float[Array, " dof *dof"], pos
         return Found(step, _untuned(plan, step), None)
     own = jnp.diag(inverse_mass) if inverse_mass.ndim == 1 else inverse_mass
     origin, common = _mean((ravel_pytree(dict(position))[0], own), plan.axes)
-    size = 2 * origin.size + 1
-    return Found(step, _untuned(plan, step), Metric(jnp.linalg.cholesky(common), origin, jnp.zeros((size, size), origin.dtype)))
+    units = _factor(common, jnp.diag(jnp.sqrt(jnp.diagonal(common))))
+    return Found(step, _untuned(plan, step), Metric(units, origin, jnp.zeros((2 * origin.size + 1,) * 2, origin.dtype)))
 
 
 def after(plan: Plan, found: Found, index: Int[Array, ""], state: Any, acceptance: Scalar) -> Found:
@@ -150,12 +150,16 @@ def _learned(metric: Metric, within: Bool[Array, ""], state: Any) -> Metric:
 
 def _renewed(plan: Plan, found: Found, metric: Metric) -> Found:
     """With the matrix of the quarter that ends, where it is one."""
-    matrix = metric.units @ geometric_mean(_sum(metric.moments, plan.axes)) @ metric.units.T
-    factor = jnp.linalg.cholesky(matrix)
-    units = jnp.where(jnp.all(jnp.isfinite(factor)), factor, metric.units)
+    units = _factor(metric.units @ geometric_mean(_sum(metric.moments, plan.axes)) @ metric.units.T, metric.units)
     new = Found(found.step, _untuned(plan, found.step), Metric(units, metric.origin, jnp.zeros_like(metric.moments)))
     # Types stay what they are from turn to turn.
     return jax.tree.map(lambda fresh, old: jnp.asarray(fresh, old.dtype), new, found)
+
+
+def _factor(matrix: Float[Array, "dof dof"], otherwise: Float[Array, "dof dof"]) -> Float[Array, "dof dof"]:
+    """The Cholesky factor, where the matrix has one to the precision at hand."""
+    factor = jnp.linalg.cholesky(matrix)
+    return jnp.where(jnp.all(jnp.isfinite(factor)), factor, otherwise)
 
 
 def geometric_mean(moments: Float[Array, "moment moment"]) -> Float[Array, "dof dof"]:

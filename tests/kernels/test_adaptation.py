@@ -8,7 +8,7 @@ import scipy.linalg
 
 from bayes_body.errors import InputError
 from bayes_body.kernels import hmc
-from bayes_body.kernels.adaptation import FIRST_COUNTS, geometric_mean
+from bayes_body.kernels.adaptation import FIRST_COUNTS, Plan, begin, geometric_mean
 from bayes_body.kernels.batching import axes_of, over_particles
 from bayes_body.kernels.hamiltonian import Chain, Schedule, run_chain
 
@@ -97,6 +97,14 @@ def test_scores_that_are_none_teach_nothing() -> None:
     x = np.asarray(chains.positions["x"])
     assert np.all(np.isfinite(x)) and np.all(x[..., 0] >= 0)
     assert x.std() > 0.3
+
+
+def test_a_first_matrix_that_is_no_covariance_leaves_its_scales() -> None:
+    """One that rounding has made indefinite."""
+    broken = jnp.array([[4.0, 2.1], [2.1, 1.0]])
+    found = begin(Plan(8, 0.8, True), jnp.asarray(0.1), broken, {"x": jnp.zeros(2)})
+    assert found.metric is not None
+    np.testing.assert_allclose(found.metric.inverse_mass, np.diag([4.0, 1.0]), rtol=1e-6)
 
 
 def test_too_short_a_burn_in_is_refused() -> None:
