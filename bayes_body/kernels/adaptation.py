@@ -21,8 +21,7 @@ from bayes_body.shapes import Scalar
 
 # How many draws the first matrix counts as, as in Stan.
 FIRST_COUNTS = 5.0
-# Quarters of burn-in after which the matrix is found anew, and the fewest transitions that can be quartered so that it is worth it.
-QUARTERS = (1, 2, 3)
+# Transitions of the shortest burn-in that finds a matrix: two a quarter.
 FEWEST = 8
 
 
@@ -76,7 +75,14 @@ class Found(NamedTuple):
 
 
 def begin(plan: Plan, step: Scalar, inverse_mass: Float[Array, " dof *dof"], position: Mapping[str, Array]) -> Found:
-    """Before the first transition."""
+    """Before the first transition.
+
+    Args:
+        plan: what burn-in does.
+        step: size of a leapfrog step to begin with, in units of the mass matrix.
+        inverse_mass: of this chain, diagonal or dense; chains that learn together begin with its mean.
+        position: where this chain starts, coordinates without limits.
+    """
     if not plan.adapts_mass:
         return Found(step, _untuned(plan, step), None)
     own = jnp.diag(inverse_mass) if inverse_mass.ndim == 1 else inverse_mass
@@ -101,8 +107,8 @@ def after(plan: Plan, found: Found, index: Int[Array, ""], state: Any, acceptanc
     if found.metric is None:
         return found
     metric = _learned(found.metric, within, state)
-    ends = jnp.array([plan.burn_in * quarter // (len(QUARTERS) + 1) for quarter in QUARTERS])
-    return jax.lax.cond(jnp.any(index + 1 == ends), lambda: _renewed(plan, found, metric), lambda: found._replace(metric=metric))
+    quarter_ends = plan.burn_in * jnp.arange(1, 4) // 4
+    return jax.lax.cond(jnp.any(index + 1 == quarter_ends), lambda: _renewed(plan, found, metric), lambda: found._replace(metric=metric))
 
 
 def _mean[Tree](values: Tree, axes: tuple[str, ...]) -> Tree:
@@ -163,7 +169,11 @@ def _factor(matrix: Float[Array, "dof dof"], otherwise: Float[Array, "dof dof"])
 
 
 def geometric_mean(moments: Float[Array, "moment moment"]) -> Float[Array, "dof dof"]:
-    """C # F⁻¹ from the sum of the outer products of (1, draw, score), each covariance with the unit matrix as `FIRST_COUNTS` draws."""
+    """C # F⁻¹ (Seyboldt, Carlson & Carpenter 2026, (9)), each covariance with the unit matrix as `FIRST_COUNTS` draws.
+
+    Args:
+        moments: sum of the outer products of (1, draw, score).
+    """
     dofs, count = moments.shape[0] // 2, moments[0, 0]
     mean = moments[0, 1:] / count
     scatter = moments[1:, 1:] - count * mean[:, None] * mean

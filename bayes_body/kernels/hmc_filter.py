@@ -172,8 +172,14 @@ class _Filter:
     def _chain(self, kept: int, axes: tuple[str, ...]) -> Callable[[tuple[Key, _Start], FrameDensity], Chain]:
         options = self.options
         schedule = Schedule(
-            *(kept, options.burn_in, options.thinning, options.leapfrog_steps, options.jitter, options.sampler),
-            *(options.target_acceptance, options.mass == "adapted"),
+            kept=kept,
+            burn_in=options.burn_in,
+            thinning=options.thinning,
+            leapfrog_steps=options.leapfrog_steps,
+            jitter=options.jitter,
+            sampler=options.sampler,
+            target_acceptance=options.target_acceptance,
+            adapts_mass=options.mass == "adapted",
         )
 
         def run(own: tuple[Key, _Start], density: FrameDensity) -> Chain:
