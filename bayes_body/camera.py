@@ -60,17 +60,15 @@ class Pixels[T](NamedTuple):
 
 def to_camera(camera: Camera, vector: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
     """A direction of the world in the camera's frame."""
-    R = camera.rotation
-    return vector[..., 0, None] * R[:, 0] + vector[..., 1, None] * R[:, 1] + vector[..., 2, None] * R[:, 2]
+    X, Y, Z = jnp.split(vector, 3, axis=-1)
+    along_x, along_y, along_z = camera.rotation.T
+    return X * along_x + Y * along_y + Z * along_z
 
 
 def project_components(camera: Camera, X: Array, Y: Array, Z: Array) -> Pixels[Array]:
     """Pixels of points given by their components in the camera's frame (metres, any equal shapes)."""
-    before = Z > NEAR
-    # where before the division: a point behind the camera gets no infinite gradient.
-    inverse = 1 / jnp.where(before, Z, 1.0)
-    x, y = X * inverse, Y * inverse
-    k1, k2, p1, p2, k3 = (camera.distortion[i] for i in range(5))
+    x, y, before = _divided(X, Y, Z)
+    k1, k2, p1, p2, k3 = camera.distortion
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
     xy2 = 2 * x * y
@@ -79,6 +77,20 @@ def project_components(camera: Camera, X: Array, Y: Array, Z: Array) -> Pixels[A
     u = camera.focal[0] * (xd + camera.skew * yd) + camera.centre[0]
     v = camera.focal[1] * yd + camera.centre[1]
     return Pixels(u, v, before & (r2 < camera.radius_max**2))
+
+
+def in_view(camera: Camera, X: Array, Y: Array, Z: Array) -> Bool[Array, "..."]:
+    """Whether points can be seen at all, from their components in the camera's frame (metres, any equal shapes): `Pixels.visible`, alone."""
+    x, y, before = _divided(X, Y, Z)
+    return before & (x * x + y * y < camera.radius_max**2)
+
+
+def _divided(X: Array, Y: Array, Z: Array) -> tuple[Array, Array, Array]:
+    """X / Z and Y / Z, and whether a point lies before the camera."""
+    before = Z > NEAR
+    # where before the division: a point behind the camera gets no infinite gradient.
+    inverse = 1 / jnp.where(before, Z, 1.0)
+    return X * inverse, Y * inverse, before
 
 
 def project(camera: Camera, points: Float[Array, "*batch 3"]) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:

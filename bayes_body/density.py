@@ -160,9 +160,12 @@ class Density:
         """
         return jax.vmap(self.transition.conditional)(self.previous.states)
 
-    def ancestor_log_probs(self, state: State) -> Float[Array, " particle"]:
-        """log p(i | s_t): from which particle of the frame before a state comes; draws of the marginal view take their ancestor from it."""
-        return jax.nn.log_softmax(self._by_ancestor(state, 1.0))
+    def ancestor_log_probs(self, state: State, predictions: Predictions | None = None) -> Float[Array, " particle"]:
+        """log p(i | s_t): from which particle of the frame before a state comes; draws of the marginal view take their ancestor from it.
+
+        `predictions` as in `marginal`.
+        """
+        return jax.nn.log_softmax(self._by_ancestor(state, 1.0, predictions))
 
     def _by_ancestor(self, state: State, inverse_temperature: float | Scalar, predictions: Predictions | None = None) -> Float[Array, " particle"]:
         """What of the log-density differs between ancestors."""

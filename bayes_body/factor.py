@@ -213,7 +213,7 @@ class FrameDensity(Protocol):
         """One particle of the frame before."""
         ...
 
-    def ancestor_log_probs(self, state: State) -> Array:
+    def ancestor_log_probs(self, state: State, predictions: Any = None) -> Array:
         """log p(i | s): from which particle of the frame before a state comes."""
         ...
 

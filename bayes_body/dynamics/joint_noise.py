@@ -112,6 +112,8 @@ def _log_wrapped(z: Float[Array, "*component dof"], scale: Pose) -> Float[Array,
     return -0.5 * (nearest / scale) ** 2 + jnp.log(1 + neighbours)
 
 
+# Laws are made in several places of a program: what is traced once is not traced again.
+@jax.jit
 def concentration(mode: Float[Array, " *dof"], variance: Float[Array, " *dof"]) -> Float[Array, " *dof"]:
     """κ of the Beta law with that mode in [0, 1] and that variance, below 1/12; differentiable by the implicit function theorem."""
 

@@ -128,7 +128,9 @@ class _Filter:
         start_key, chain_key, ancestor_key = jax.random.split(key, 3)
         kept = self._kept(count)
         chains = -(-count // kept)
-        starts, log_evidence, lost = self._starts(start_key, density.previous, density, chains)
+        # Made once: what of it depends on the frame before alone is the same for all chains and draws.
+        target = density.unconstrained()
+        starts, log_evidence, lost = self._starts(start_key, target, chains)
         keys = jax.random.split(chain_key, chains)
         batch = -(-chains // jax.device_count())
         # Chains that have a mass matrix each need a step each.
@@ -136,9 +138,9 @@ class _Filter:
         # Neither NUTS' loop nor a sum over chains tells what differs from device to device.
         checked = self.options.sampler != "nuts" and not together
         chain = self._chain(kept, together)
-        ran: Chain = over_particles(chain, (keys, starts), density, batch, checked, CHAINS)
+        ran: Chain = over_particles(chain, (keys, starts), target, batch, checked, CHAINS)
         draws = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], ran.positions)
-        states, ancestors = self._states(ancestor_key, draws, density)
+        states, ancestors = self._states(ancestor_key, draws, target)
         by_chain = jax.vmap(jax.vmap(lambda position: ravel_pytree(position)[0]))(ran.positions)
         by_dof = effective_draws(by_chain)
         ess = jnp.min(by_dof)
@@ -158,18 +160,18 @@ class _Filter:
     def _starts_count(self, chains: int) -> int:
         return max(self.options.starts, chains)
 
-    def _starts(self, key: Key, mixture: Particles, density: FrameDensity, chains: int) -> tuple[_Start, Scalar, Array]:
+    def _starts(self, key: Key, target: Any, chains: int) -> tuple[_Start, Scalar, Array]:
         """M states by sampling importance resampling, the estimate of the log-evidence that comes with it, and whether nothing was explained."""
         ancestor_key, draw_key, resample_key = jax.random.split(key, 3)
-        ancestors = self.resample(ancestor_key, mixture.log_weights, self._starts_count(chains))
+        ancestors = self.resample(ancestor_key, target.density.previous.log_weights, self._starts_count(chains))
         keys = jax.random.split(draw_key, ancestors.shape[0])
-        drawn, log_likelihoods, log_constraints = over_particles(_predicted, (keys, ancestors), density)
+        drawn, log_likelihoods, log_constraints = over_particles(_predicted, (keys, ancestors), target)
         weights = normalise(log_likelihoods + log_constraints)
         chosen = self.resample(resample_key, weights.log_weights, chains)
-        position = density.unconstrained().unconstrain(jax.tree.map(lambda leaf: leaf[chosen], drawn))
+        position = target.unconstrain(jax.tree.map(lambda leaf: leaf[chosen], drawn))
         return _Start(position, ancestors[chosen]), weights.log_sum - normalise(log_constraints).log_sum, weights.lost
 
-    def _chain(self, kept: int, axes: tuple[str, ...]) -> Callable[[tuple[Key, _Start], FrameDensity], Chain]:
+    def _chain(self, kept: int, axes: tuple[str, ...]) -> Callable[[tuple[Key, _Start], Any], Chain]:
         options = self.options
         schedule = Schedule(
             kept=kept,
@@ -182,26 +184,27 @@ class _Filter:
             adapts_mass=options.mass == "adapted",
         )
 
-        def run(own: tuple[Key, _Start], density: FrameDensity) -> Chain:
+        def run(own: tuple[Key, _Start], target: Any) -> Chain:
             key, start = own
-            mass = inverse_mass(density, start.position, density.ancestor(start.ancestor), whole=options.mass in ("curvature_matrix", "adapted"))
+            whole = options.mass in ("curvature_matrix", "adapted")
+            mass = inverse_mass(target, start.position, target.density.ancestor(start.ancestor), whole)
             if options.mass == "particles":
-                mass = correlated(mass, *_coordinates(density))
-            return run_chain(key, start.position, density.unconstrained(), jnp.asarray(options.step, mass.dtype), mass, schedule, axes)
+                mass = correlated(mass, *_coordinates(target))
+            return run_chain(key, start.position, target, jnp.asarray(options.step, mass.dtype), mass, schedule, axes)
 
         return run
 
-    def _states(self, key: Key, draws: State, density: FrameDensity) -> tuple[State, Int[Array, " particle"]]:
+    def _states(self, key: Key, draws: State, target: Any) -> tuple[State, Int[Array, " particle"]]:
         """The whole states of draws, what they carry along taken from an ancestor of p(i | s)."""
 
-        def whole(own: tuple[Key, State], density: FrameDensity) -> tuple[State, Int[Array, ""]]:
+        def whole(own: tuple[Key, State], target: Any) -> tuple[State, Int[Array, ""]]:
             own_key, position = own
-            sampled = density.unconstrained().constrain(position)
-            ancestor = jax.random.categorical(own_key, density.ancestor_log_probs(sampled))
+            sampled, density = target.constrain(position), target.density
+            ancestor = jax.random.categorical(own_key, density.ancestor_log_probs(sampled, target.predictions))
             return density.transition.carry(density.ancestor(ancestor), sampled), ancestor
 
         keys = jax.random.split(key, jax.tree.leaves(draws)[0].shape[0])
-        return over_particles(whole, (keys, draws), density)
+        return over_particles(whole, (keys, draws), target)
 
 
 def _chain_means(particles: Particles, kept: int) -> Particles:
@@ -215,21 +218,20 @@ def _chain_means(particles: Particles, kept: int) -> Particles:
     return Particles(jax.tree.map(means, dict(particles.states)), jnp.full((chains,), -jnp.log(chains), particles.log_weights.dtype))
 
 
-def _coordinates(density: FrameDensity) -> tuple[Float[Array, "particle dof"], Float[Array, " particle"]]:
+def _coordinates(target: Any) -> tuple[Float[Array, "particle dof"], Float[Array, " particle"]]:
     """The particles of the frame before in coordinates without limits, and their weights."""
-    target = density.unconstrained()
-    previous = density.previous
+    previous = target.density.previous
     sampled = {name: previous.states[name] for name in target.bijections}
     flat = jax.vmap(lambda state: ravel_pytree(target.unconstrain(state))[0])(sampled)
     return flat, jax.nn.softmax(previous.log_weights)
 
 
-def _predicted(own: tuple[Key, Array], density: FrameDensity) -> tuple[State, Scalar, Scalar]:
-    key, ancestor = own
+def _predicted(own: tuple[Key, Array], target: Any) -> tuple[State, Scalar, Scalar]:
+    (key, ancestor), density = own, target.density
     previous = density.ancestor(ancestor)
     # Without the barrier XLA draws the noise anew wherever the state is read.
     state = jax.lax.optimization_barrier(density.transition.sample(key, previous))
-    sampled = {name: state[name] for name in density.transition.conditional(previous)}
+    sampled = {name: state[name] for name in target.bijections}
     return sampled, density.log_likelihood(state, previous), density.log_constraint(state, previous)
 
 

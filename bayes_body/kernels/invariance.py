@@ -108,7 +108,7 @@ def hmc_walk(options: Any, transitions: int = REPEATED) -> MarkovMove:
         parent_key, predict_key = jax.random.split(mass_key)
         parent = density.ancestor(jax.random.categorical(parent_key, previous.log_weights))
         fresh = density.transition.sample(predict_key, parent)
-        mass = inverse_mass(density, target.unconstrain({name: fresh[name] for name in target.bijections}), parent)
+        mass = inverse_mass(target, target.unconstrain({name: fresh[name] for name in target.bijections}), parent)
 
         def again(position: State, own: Key) -> tuple[State, None]:
             step_key, chain_key = jax.random.split(own)
@@ -119,7 +119,7 @@ def hmc_walk(options: Any, transitions: int = REPEATED) -> MarkovMove:
         start = target.unconstrain({name: state[name] for name in target.bijections})
         last, _ = jax.lax.scan(again, start, jax.random.split(walk_key, transitions))
         sampled = target.constrain(last)
-        chosen = jax.random.categorical(ancestor_key, density.ancestor_log_probs(sampled))
+        chosen = jax.random.categorical(ancestor_key, density.ancestor_log_probs(sampled, target.predictions))
         return density.transition.carry(density.ancestor(chosen), sampled), chosen
 
     return move

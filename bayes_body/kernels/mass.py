@@ -29,17 +29,16 @@ DIFFERENCE = 0.1
 BELIEVED = 0.9
 
 
-def inverse_mass(density: FrameDensity, position: State, previous: State, whole: bool = False) -> Float[Array, " dof *dof"]:
+def inverse_mass(target: Any, position: State, previous: State, whole: bool = False) -> Float[Array, " dof *dof"]:
     """M⁻¹ at a position, coordinates without limits; its variables one after the other in alphabetical order.
 
     Args:
-        density: of the frame.
+        target: the marginal view over coordinates without limits (`Density.unconstrained`).
         position: where a chain starts.
         previous: the state of the frame before that it was predicted from.
         whole: the matrix, rather than the inverse of its diagonal.
     """
-    target = density.unconstrained()
-    state = target.constrain(position)
+    state, density = target.constrain(position), target.density
     variances = ravel_pytree({name: jnp.asarray(law.variance) for name, law in density.transition.conditional(previous).items()})[0]
     offered = _blocks(density.curvature(state, previous))
     curvature = _finite(offered) + _finite(differenced(density, state, previous, variances))

@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body.body.solids import Body, Patches, Samples, outline_samples
+from bayes_body.body.solids import Body, Samples, outline_samples
 from bayes_body.camera import Camera, Pixels
 from bayes_body.likelihood.outlines import forms_of
-from bayes_body.likelihood.patch_pixels import corner_pixels, sample_pixels
+from bayes_body.likelihood.patch_pixels import by_component, corner_pixels, sample_pixels
 
 type Visibility = Literal["hard", "soft"]
 type Grid = Float[Array, "camera part sample"]
@@ -68,16 +68,9 @@ def boundaries(body: Body, rig: Camera, contour: Contour, seen: Seen, visibility
 
 def _direction(camera: Camera, seen: Float[Array, "4 part 3"], contour: Contour) -> tuple[Float[Array, "part sample"], tuple[Array, Array]]:
     """Depth of each sample, metres, and the unit normal of its contour in the image; the lens's distortion turns it by too little to count."""
-    patch, (t, s), (dt, ds) = Patches(*seen), contour.samples, contour.along
-
-    def point(k: int) -> Array:
-        return patch.start[:, k, None] + patch.along[:, k, None] * t + patch.across[:, k, None] * s + patch.taper[:, k, None] * (t * s)
-
-    def tangent(k: int) -> Array:
-        return dt * (patch.along[:, k, None] + s * patch.taper[:, k, None]) + ds * (patch.across[:, k, None] + t * patch.taper[:, k, None])
-
-    X, Y, Z = (point(k) for k in range(3))
-    to_x, to_y, to_z = (tangent(k) for k in range(3))
+    (t, s), (dt, ds), patches = contour.samples, contour.along, by_component(seen)
+    X, Y, Z = (p.start + p.along * t + p.across * s + p.taper * (t * s) for p in patches)
+    to_x, to_y, to_z = (dt * (p.along + s * p.taper) + ds * (p.across + t * p.taper) for p in patches)
     # Along the contour in the image, but for a factor.
     du = camera.focal[0] * ((to_x * Z - X * to_z) + camera.skew * (to_y * Z - Y * to_z))
     dv = camera.focal[1] * (to_y * Z - Y * to_z)

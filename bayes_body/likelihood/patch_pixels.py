@@ -42,11 +42,8 @@ def sample_slopes(body: Body, rig: Camera, samples: Samples, pose: Pose) -> tupl
 
     def places(pose: Pose) -> tuple[Array, Array]:
         def of(camera: Camera, seen: Seen) -> Pixels[Array]:
-            patch, (t, s) = Patches(*seen), samples
-            X, Y, Z = (
-                patch.start[:, k, None] + t * patch.along[:, k, None] + s * patch.across[:, k, None] + t * s * patch.taper[:, k, None]
-                for k in range(3)
-            )
+            t, s = samples
+            X, Y, Z = (p.start + t * p.along + s * p.across + t * s * p.taper for p in by_component(seen))
             # The derivative that is written by hand goes backwards only.
             return cameras.project_components(camera, X, Y, Z)
 
@@ -70,9 +67,14 @@ def corner_pixels(
     return jax.vmap(of)(rig, seen)
 
 
+def by_component(seen: Seen) -> list[Patches]:
+    """The patches' X, Y and Z in the camera's frame, metres, each vector's of shape (part, 1): for points of shape (part, sample)."""
+    return [Patches(*component) for component in jnp.moveaxis(seen, -1, 0)[..., None]]
+
+
 def _camera_patches(body: Body, T_world_part: Transform, camera: Camera) -> Seen:
     world = patches(body, T_world_part, camera.viewpoint)
-    start, *directions = (cameras.to_camera(camera, vector) for vector in world)
+    start, *directions = cameras.to_camera(camera, jnp.stack(world))
     return jnp.stack([start + camera.translation, *directions])
 
 
@@ -81,9 +83,8 @@ def _pixels(camera: Camera, seen: Seen, samples: Samples) -> Pixels[Float[Array,
 
 
 def _seen_at(camera: Camera, X: Array, Y: Array, Z: Array) -> Pixels[Array]:
-    u, v = _project(camera, X, Y, Z)
-    # `visible` carries no derivative, so it stays outside; XLA merges what the two have in common.
-    return Pixels(u, v, cameras.project_components(camera, X, Y, Z).visible)
+    # What carries no derivative stays outside; XLA merges what the two have in common.
+    return Pixels(*_project(camera, X, Y, Z), cameras.in_view(camera, X, Y, Z))
 
 
 type Components = tuple[Float[Array, "part sample"], Float[Array, "part sample"], Float[Array, "part sample"]]
@@ -92,11 +93,8 @@ type Components = tuple[Float[Array, "part sample"], Float[Array, "part sample"]
 @jax.custom_vjp
 def _spread(seen: Seen, samples: Samples) -> Components:
     """V0 + t V1 + s V2 + t s V3, by components of the camera's frame."""
-    patch = Patches(*seen)
     t, s = samples
-    X, Y, Z = (
-        patch.start[:, k, None] + patch.along[:, k, None] * t + patch.across[:, k, None] * s + patch.taper[:, k, None] * (t * s) for k in range(3)
-    )
+    X, Y, Z = (p.start + p.along * t + p.across * s + p.taper * (t * s) for p in by_component(seen))
     return X, Y, Z
 
 
@@ -130,7 +128,7 @@ def _project_backward(saved: tuple[Camera, Array, Array, Array], cotangents: tup
     before = cameras.NEAR < Z
     inverse = jnp.where(before, 1 / jnp.where(before, Z, 1.0), 0.0)
     x, y = X * inverse, Y * inverse
-    k1, k2, p1, p2, k3 = (camera.distortion[i] for i in range(5))
+    k1, k2, p1, p2, k3 = camera.distortion
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))

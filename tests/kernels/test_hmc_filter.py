@@ -104,8 +104,8 @@ def test_evidence_is_estimated_by_the_starts(target):
 def test_overdispersed_starts_reach_the_same_posterior(target, monkeypatch):
     honest = hmc_filter._Filter._starts
 
-    def far(self, key, mixture, density, chains):
-        start, evidence, lost = honest(self, key, mixture, density, chains)
+    def far(self, key, view, chains):
+        start, evidence, lost = honest(self, key, view, chains)
         spread = jax.random.normal(key, start.position["x"].shape)
         return start._replace(position={"x": start.position["x"] + 1.5 * spread}), evidence, lost
 
@@ -185,11 +185,11 @@ def test_chains_that_stand_still_stop_the_run_with_a_smaller_step():
 
 def test_the_mass_of_a_gaussian_is_its_curvature():
     density = conjugate(1).density
-    unknown = inverse_mass(density, {"x": jnp.array([0.3, -0.2, 0.1])}, density.ancestor(0))
+    unknown = inverse_mass(density.unconstrained(), {"x": jnp.array([0.3, -0.2, 0.1])}, density.ancestor(0))
     variances = density.transition.conditional(density.ancestor(0))["x"].variance
     curvature = -jax.hessian(lambda x: density.log_likelihood({"x": x}, density.ancestor(0)))(jnp.array([0.3, -0.2, 0.1]))
     assert np.allclose(1 / unknown, 1 / variances + np.diagonal(curvature), rtol=1e-3)
-    whole = inverse_mass(density, {"x": jnp.array([0.3, -0.2, 0.1])}, density.ancestor(0), whole=True)
+    whole = inverse_mass(density.unconstrained(), {"x": jnp.array([0.3, -0.2, 0.1])}, density.ancestor(0), whole=True)
     assert np.abs(curvature - np.diag(np.diagonal(curvature))).max() > 1
     assert np.allclose(np.linalg.inv(whole), np.diag(1 / variances) + curvature, rtol=1e-3, atol=1e-2)
 
@@ -206,8 +206,8 @@ def test_what_likelihoods_offer_is_taken_and_the_others_are_differenced():
     density = conjugate(1).density
     offering = Factor("square", "likelihood", (Variable("x"),), jax.tree_util.Partial(_square), curvature=jax.tree_util.Partial(_square_curvature))
     before, at = density.ancestor(0), {"x": jnp.array([0.3, -0.2, 0.1])}
-    alone = np.linalg.inv(inverse_mass(density, at, before, whole=True))
-    both = np.linalg.inv(inverse_mass(replace(density, factors=(*density.factors, offering)), at, before, whole=True))
+    alone = np.linalg.inv(inverse_mass(density.unconstrained(), at, before, whole=True))
+    both = np.linalg.inv(inverse_mass(replace(density, factors=(*density.factors, offering)).unconstrained(), at, before, whole=True))
     assert np.allclose(both, alone + 4 * np.eye(3), rtol=1e-3, atol=1e-2)
     assert np.all(np.asarray(differenced(replace(density, factors=(offering,)), at, before, jnp.ones(3))) == 0)
 
@@ -218,8 +218,8 @@ def test_a_negative_curvature_does_not_count():
     found = differenced(density, state, density.ancestor(0), jnp.array([0.01, 0.01]))
     assert np.isfinite(np.asarray(found)).all()
     position = density.unconstrained().unconstrain(state)
-    assert np.all(np.asarray(inverse_mass(density, position, density.ancestor(0))) > 0)
-    assert np.all(np.linalg.eigvalsh(inverse_mass(density, position, density.ancestor(0), whole=True)) > 0)
+    assert np.all(np.asarray(inverse_mass(density.unconstrained(), position, density.ancestor(0))) > 0)
+    assert np.all(np.linalg.eigvalsh(inverse_mass(density.unconstrained(), position, density.ancestor(0), whole=True)) > 0)
 
 
 def test_a_dense_mass_keeps_the_scales_and_takes_the_correlations():
