@@ -4,8 +4,8 @@ With the particles $(w_i, s^i_{t-1})$ of the frame before, the target is the lik
 $p(s_t \mid z_{1:t}) \propto L(s_t; z_t) \sum_i w_i\, p(s_t \mid s^i_{t-1})$, in coordinates without limits.
 
 A frame begins with M states by sampling importance resampling from the mixture (of `starts` draws, M in the paper), which also estimates the evidence
-as well as so many particles do. From each state a chain runs, whose first states are burn-in. What is left of all chains are the particles, of equal
-weight, chain after chain.
+as well as so many particles do; or with M particles of an annealed filter after it (`kernels/starts.py`). From each state a chain runs, whose first
+states are burn-in. What is left of all chains are the particles, of equal weight, chain after chain.
 
 `carry` says what the next frame's mixture is made of: the means of the chains, as in the paper, one component a chain; or the draws themselves, with
 an ancestor of each drawn from $p(i \mid s_t)$. With means the posterior's spread is not handed on, only that of the chains: a filter of one chain
@@ -13,7 +13,7 @@ believes that the frame before is known exactly.
 """
 
 from collections.abc import Callable
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -28,10 +28,10 @@ from bayes_body.kernels.hamiltonian import Chain, Sampler, Schedule, chain_figur
 from bayes_body.kernels.mass import correlated, inverse_mass
 from bayes_body.kernels.moves import check_gradients
 from bayes_body.kernels.resampling import Scheme, resampler
-from bayes_body.kernels.weights import normalise
+from bayes_body.kernels.starts import Start, Started, StartsBy, by_annealing, by_importance
 from bayes_body.registry import register
 from bayes_body.schema import Count, Positive, Schema, Share
-from bayes_body.shapes import Key, Scalar
+from bayes_body.shapes import Key
 from bayes_body.toml_file import validate
 
 type Carry = Literal["means", "draws"]
@@ -58,6 +58,7 @@ class Options(Schema):
     sampler: Sampler = "hmc"
     target_acceptance: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.0
     mass: Mass = "curvature"
+    starts_by: StartsBy = "importance"
     starts: Annotated[int, Field(strict=True, ge=0)] = 100
     carry: Carry = "draws"
     resampling: Scheme = "systematic"
@@ -81,13 +82,6 @@ def build_sampler(**options: Any) -> Callable[[Key, FrameDensity, int], tuple[Pa
         InputError: an argument that does not exist or is outside its range.
     """
     return _Filter(validate(Options, options, "hmc()")).sample
-
-
-class _Start(NamedTuple):
-    """Where a chain begins: coordinates without limits, and the ancestor that it was predicted from."""
-
-    position: dict[str, Array]
-    ancestor: Int[Array, ""]
 
 
 def build_kernel(**options: Any) -> Kernel:
@@ -130,7 +124,7 @@ class _Filter:
         chains = -(-count // kept)
         # Made once: what of it depends on the frame before alone is the same for all chains and draws.
         target = density.unconstrained()
-        starts, log_evidence, lost = self._starts(start_key, target, chains)
+        started = self._started(start_key, target, chains)
         keys = jax.random.split(chain_key, chains)
         batch = -(-chains // jax.device_count())
         # Chains that have a mass matrix each need a step each.
@@ -138,7 +132,7 @@ class _Filter:
         # Neither NUTS' loop nor a sum over chains tells what differs from device to device.
         checked = self.options.sampler != "nuts" and not together
         chain = self._chain(kept, together)
-        ran: Chain = over_particles(chain, (keys, starts), target, batch, checked, CHAINS)
+        ran: Chain = over_particles(chain, (keys, started.starts), target, batch, checked, CHAINS)
         draws = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], ran.positions)
         states, ancestors = self._states(ancestor_key, draws, target)
         by_chain = jax.vmap(jax.vmap(lambda position: ravel_pytree(position)[0]))(ran.positions)
@@ -149,29 +143,19 @@ class _Filter:
             ess=ess,
             survival_rate=(ess / count)[None],
             inverse_temperatures=jnp.ones((1,), ess.dtype),
-            log_evidence=log_evidence,
-            lost=lost,
+            log_evidence=started.log_evidence,
+            lost=started.lost,
             acceptance_rate=jnp.mean(ran.acceptance)[None],
-            evaluations=self._starts_count(chains) + jnp.sum(ran.gradients),
+            evaluations=started.evaluations + jnp.sum(ran.gradients),
             markov=chain_figures(ran) | {"ess": by_dof, "length": jnp.asarray(kept, jnp.int32)},
         )
         return Particles(states, jnp.full((count,), -jnp.log(count), ess.dtype)), info
 
-    def _starts_count(self, chains: int) -> int:
-        return max(self.options.starts, chains)
+    def _started(self, key: Key, target: Any, chains: int) -> Started:
+        begin = by_annealing if self.options.starts_by == "annealing" else by_importance
+        return begin(key, target, max(self.options.starts, chains), chains, self.resample)
 
-    def _starts(self, key: Key, target: Any, chains: int) -> tuple[_Start, Scalar, Array]:
-        """M states by sampling importance resampling, the estimate of the log-evidence that comes with it, and whether nothing was explained."""
-        ancestor_key, draw_key, resample_key = jax.random.split(key, 3)
-        ancestors = self.resample(ancestor_key, target.density.previous.log_weights, self._starts_count(chains))
-        keys = jax.random.split(draw_key, ancestors.shape[0])
-        drawn, log_likelihoods, log_constraints = over_particles(_predicted, (keys, ancestors), target)
-        weights = normalise(log_likelihoods + log_constraints)
-        chosen = self.resample(resample_key, weights.log_weights, chains)
-        position = target.unconstrain(jax.tree.map(lambda leaf: leaf[chosen], drawn))
-        return _Start(position, ancestors[chosen]), weights.log_sum - normalise(log_constraints).log_sum, weights.lost
-
-    def _chain(self, kept: int, axes: tuple[str, ...]) -> Callable[[tuple[Key, _Start], Any], Chain]:
+    def _chain(self, kept: int, axes: tuple[str, ...]) -> Callable[[tuple[Key, Start], Any], Chain]:
         options = self.options
         schedule = Schedule(
             kept=kept,
@@ -184,7 +168,7 @@ class _Filter:
             adapts_mass=options.mass == "adapted",
         )
 
-        def run(own: tuple[Key, _Start], target: Any) -> Chain:
+        def run(own: tuple[Key, Start], target: Any) -> Chain:
             key, start = own
             whole = options.mass in ("curvature_matrix", "adapted")
             mass = inverse_mass(target, start.position, target.density.ancestor(start.ancestor), whole)
@@ -224,15 +208,6 @@ def _coordinates(target: Any) -> tuple[Float[Array, "particle dof"], Float[Array
     sampled = {name: previous.states[name] for name in target.bijections}
     flat = jax.vmap(lambda state: ravel_pytree(target.unconstrain(state))[0])(sampled)
     return flat, jax.nn.softmax(previous.log_weights)
-
-
-def _predicted(own: tuple[Key, Array], target: Any) -> tuple[State, Scalar, Scalar]:
-    (key, ancestor), density = own, target.density
-    previous = density.ancestor(ancestor)
-    # Without the barrier XLA draws the noise anew wherever the state is read.
-    state = jax.lax.optimization_barrier(density.transition.sample(key, previous))
-    sampled = {name: state[name] for name in target.bijections}
-    return sampled, density.log_likelihood(state, previous), density.log_constraint(state, previous)
 
 
 @register("kernel", "hmc", Options)

@@ -76,8 +76,9 @@ def target(posterior):
         {"mass": "curvature_matrix"},
         {"target_acceptance": 0.8},
         {"mass": "adapted", "target_acceptance": 0.7},
+        {"starts_by": "annealing", "starts": 200},
     ],
-    ids=["hmc", "nuts", "correlated", "matrix", "tuned", "adapted"],
+    ids=["hmc", "nuts", "correlated", "matrix", "tuned", "adapted", "annealed"],
 )
 def test_means_and_spreads_are_those_of_the_posterior(posterior, target, options):
     draws, info = _means(target.density, **options)
@@ -95,21 +96,23 @@ def test_tuning_comes_near_the_asked_acceptance(target):
     assert float(untuned.acceptance_rate[0]) < 0.3 and abs(float(tuned.acceptance_rate[0]) - 0.7) < 0.2
 
 
-def test_evidence_is_estimated_by_the_starts(target):
-    _, info = _means(target.density, starts=20_000)
+@pytest.mark.parametrize("starts_by", ["importance", "annealing"])
+def test_evidence_is_estimated_by_the_starts(target, starts_by):
+    _, info = _means(target.density, starts=20_000, starts_by=starts_by)
     assert abs(float(info.log_evidence) - target.log_evidence) < 0.1
 
 
 @pytest.mark.slow
 def test_overdispersed_starts_reach_the_same_posterior(target, monkeypatch):
-    honest = hmc_filter._Filter._starts
+    honest = hmc_filter._Filter._started
 
     def far(self, key, view, chains):
-        start, evidence, lost = honest(self, key, view, chains)
-        spread = jax.random.normal(key, start.position["x"].shape)
-        return start._replace(position={"x": start.position["x"] + 1.5 * spread}), evidence, lost
+        started = honest(self, key, view, chains)
+        position = started.starts.position["x"]
+        moved = {"x": position + 1.5 * jax.random.normal(key, position.shape)}
+        return started._replace(starts=started.starts._replace(position=moved))
 
-    monkeypatch.setattr(hmc_filter._Filter, "_starts", far)
+    monkeypatch.setattr(hmc_filter._Filter, "_started", far)
     draws, _ = _means(target.density, burn_in=150)
     assert _off(draws.mean(axis=1), target.mean) < 4
 
