@@ -27,11 +27,11 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--frame", type=bb.whole_number(1), default=10, help="which, counted from 0 (%(default)s)")
     parser.add_argument("--components", type=bb.whole_number(1), default=10, help="of the prediction mixture (%(default)s)")
     parser.add_argument("--frames", type=bb.whole_number(0), help="along which the filters are followed (20; none with --quick)")
-    parser.add_argument("--runs", type=bb.whole_number(2), default=50, help="of each sampler (%(default)s)")
-    parser.add_argument("--truth", type=bb.whole_number(1), default=4_000_000, help="particles of each run that finds the true mean (%(default)s)")
+    parser.add_argument("--runs", type=bb.whole_number(2), help="of each sampler (50; 10 with --quick)")
+    parser.add_argument("--truth", type=bb.whole_number(1), help="particles of each run that finds the true mean (4000000; 400000 with --quick)")
     parser.add_argument("--set", type=bb.setting, action="append", default=[], metavar="KEY=VALUE", help="an option of hmc, such as step=0.1")
     parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="of everything random (%(default)s)")
-    parser.add_argument("--quick", action="store_true", help="10 runs on one frame, a truth of 400 000 particles")
+    parser.add_argument("--quick", action="store_true", help="fewer runs, on one frame, and a rougher truth")
     return parser.parse_args()
 
 
@@ -40,7 +40,8 @@ def main() -> None:
     bb.configure()
     session = bb.load_session(arguments.session)
     model = bb.with_first_pose(bb.load_model(arguments.model, session), session)
-    runs, many, long, most = (10, 400_000, 600, 0) if arguments.quick else (arguments.runs, arguments.truth, 6000, 20)
+    runs, many, long, most = (10, 400_000, 600, 0) if arguments.quick else (50, 4_000_000, 6000, 20)
+    runs, many = arguments.runs or runs, arguments.truth or many
     frames = most if arguments.frames is None else arguments.frames
     own = model.definition.kernel.options.model_dump() if model.definition.kernel.kind == "hmc" else {}
     options, keys = own | dict(arguments.set), jax.random.split(jax.random.key(arguments.seed), 6)

@@ -98,7 +98,7 @@ def one_camera(walk, tmp_path) -> Path:
 @pytest.mark.slow
 def test_estimator_variance_quick(one_camera, tmp_path):
     program, out = ROOT / "inference" / "estimator_variance.py", tmp_path / "figures.json"
-    own = ("--frame", 2, "--frames", 1, "--set", "leapfrog_steps=10")
+    own = ("--frame", 2, "--frames", 1, "--runs", 4, "--truth", 100_000, "--set", "leapfrog_steps=10")
     done = run(program, "--session", one_camera, "--quick", "--json", out, "--plot", tmp_path / "figures.png", *own)
     assert done.returncode == 0, done.stderr
     found = json.loads(out.read_text())
@@ -107,7 +107,7 @@ def test_estimator_variance_quick(one_camera, tmp_path):
         assert 0 < low <= row["ratio_median"] <= high and len(row["per_dof"]) == 14
         assert all(low <= ratio <= high for ratio, low, high in row["per_dof"].values())
         assert min(row["seconds_hmc"], row["seconds_sir"], row["evaluations_hmc"], row["evaluations_sir"]) > 0
-    assert found["settings"]["hmc"]["leapfrog_steps"] == 10 and found["settings"]["gradient_cost"] > 0
+    assert found["settings"]["hmc"]["leapfrog_steps"] == 10 and found["settings"]["runs"] == 4 and found["settings"]["gradient_cost"] > 0
     assert found["settings"]["truth_by"] in ("hmc", "sir") and found["settings"]["truth_effective"] > 1 and found["settings"]["truth_difference"] >= 0
     assert set(found["frames"]) == {"hmc, means", "hmc, draws", "sir", "truth_difference"}
     for of in (found["frames"][name] for name in ("hmc, means", "hmc, draws", "sir")):
