@@ -81,12 +81,12 @@ def test_the_knees_bend_as_those_of_a_walker(model, by_hmc):
         # A stride takes 1.2 s; the knee of the leg that swings bends by 60 degrees (Winter 1991).
         assert 33 <= period <= 39 and share > 0.5, (side, period, share)
         swings = [knee[start : start + 36].min() for start in range(0, FRAMES - 36, 36)]
-        assert all(-80 < deepest < -45 for deepest in swings), swings
+        assert all(-80 < deepest < -40 for deepest in swings), swings
 
 
 @pytest.mark.slow
 def test_the_particle_filter_at_equal_time_keeps_them_too(session, model):
-    draws = bb.track(session, model, bb.kernels.sir(), jax.random.key(0), particles=50_000, frames=58)
+    draws = bb.track(session, model, bb.kernels.sir(), jax.random.key(0), particles=32_000, frames=58)
     for frame in (0, 16, 24, 39, 57):
         off = _off(session, model, draws, frame)
         assert max(off.values()) < 45, f"frame {frame}: {off}"
