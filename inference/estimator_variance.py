@@ -40,9 +40,8 @@ def main() -> None:
     bb.configure()
     session = bb.load_session(arguments.session)
     model = bb.with_first_pose(bb.load_model(arguments.model, session), session)
-    runs, many, long, most = (10, 400_000, 600, 0) if arguments.quick else (50, 4_000_000, 6000, 20)
-    runs, many = arguments.runs or runs, arguments.truth or many
-    frames = most if arguments.frames is None else arguments.frames
+    runs, many, long, frames = (10, 400_000, 600, 0) if arguments.quick else (50, 4_000_000, 6000, 20)
+    runs, many, frames = arguments.runs or runs, arguments.truth or many, frames if arguments.frames is None else arguments.frames
     own = model.definition.kernel.options.model_dump() if model.definition.kernel.kind == "hmc" else {}
     options, keys = own | dict(arguments.set), jax.random.split(jax.random.key(arguments.seed), 6)
     draws = options.get("particles", 400)

@@ -45,7 +45,8 @@ class Options(Schema):
 
     `particles` is the number of draws that are kept of all `chains` together, every `thinning`-th of each after `burn_in`. `step` is the paper's
     factor of the step size, `jitter` the share by which a trajectory's number of steps varies. With a `target_acceptance` burn-in tunes the step.
-    With `mass = "adapted"` it finds the mass matrix, beginning with the curvature's, and all chains learn both together.
+    With `mass = "adapted"` it finds the mass matrix, beginning with the curvature's, and all chains learn both together. `starts` draws of the
+    prediction are weighted (`starts_by = "importance"`) or annealed to find the states that chains begin in.
     """
 
     particles: Count = 400

@@ -31,9 +31,9 @@ class Started(NamedTuple):
 
     Attributes:
         starts: one a chain.
-        log_evidence: the estimate that comes with them.
+        log_evidence: an estimate from draws of the prediction, nats.
         lost: nothing explained the image.
-        evaluations: of the density.
+        evaluations: of the likelihood.
     """
 
     starts: Start
@@ -46,6 +46,13 @@ def by_importance(key: Key, target: Any, count: int, chains: int, resample: Resa
     """Sampling importance resampling of so many draws of the prediction mixture (Poon & Fleet 2002, 4).
 
     Where the image tells far more than the prediction only a few of the draws are chosen, each several times.
+
+    Args:
+        key: of all draws.
+        target: the marginal view of the frame's density, after the particles of the frame before.
+        count: draws of the prediction mixture.
+        chains: starts.
+        resample: a scheme.
     """
     ancestor_key, draw_key, resample_key = jax.random.split(key, 3)
     ancestors = resample(ancestor_key, target.density.previous.log_weights, count)
@@ -62,7 +69,14 @@ def by_annealing(key: Key, target: Any, count: int, chains: int, resample: Resam
     """So many particles of the annealed filter (Deutscher & Reid 2005) after the same mixture, and starts drawn of them by weight.
 
     Its layers weigh by powers of the likelihood that leave half of the particles: modes that are worse by some tens of nats keep a start, which an
-    image or two later may prove to be the right one. The evidence is that of as many draws of the prediction.
+    image or two later may prove to be the right one. The evidence is that of as many draws of the prediction: the annealed filter tells none.
+
+    Args:
+        key: of all draws.
+        target: as of `by_importance`.
+        count: particles.
+        chains: starts.
+        resample: a scheme.
     """
     weigh_key, parent_key, anneal_key, choose_key = jax.random.split(key, 4)
     weighed = by_importance(weigh_key, target, count, chains, resample)
