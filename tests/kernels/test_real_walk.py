@@ -1,4 +1,4 @@
-"""A real walk in one camera: the hybrid Monte Carlo filter keeps both legs through six crossings, and the particle filter at equal time beside it.
+"""A real walk in one camera: the hybrid Monte Carlo filter keeps both legs through six crossings, and the particle filter beside it.
 
 The video is a woman who walks from right to left, in profile, on grass and past a wall. The first pose and the joints of later frames were clicked
 once, on the enlarged pictures; columns and rows.
@@ -85,7 +85,8 @@ def test_the_knees_bend_as_those_of_a_walker(model, by_hmc):
 
 
 @pytest.mark.slow
-def test_the_particle_filter_at_equal_time_keeps_them_too(session, model):
+def test_the_particle_filter_keeps_them_too_given_half_as_much_time_again(session, model):
+    # At equal time, with 20 000 particles, one run of three lost a leg for some frames.
     draws = bb.track(session, model, bb.kernels.sir(), jax.random.key(0), particles=32_000, frames=58)
     for frame in (0, 16, 24, 39, 57):
         off = _off(session, model, draws, frame)
