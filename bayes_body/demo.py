@@ -11,18 +11,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bayes_body.definition import definitions_folder
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.learning.walking_cycle import load_cycle, walk
+from bayes_body.model.definition import definitions_folder
 from bayes_body.recording.rig import read_rig
-from bayes_body.run import Settings, run
-from bayes_body.saved_run import load_run
-from bayes_body.session import Session
-from bayes_body.session_file import FILE_NAME
+from bayes_body.runs.run import Settings, run
+from bayes_body.session.read import FILE_NAME
+from bayes_body.session.session import Session
 from bayes_body.simulation.options import Options
 from bayes_body.simulation.person import build_person
 from bayes_body.simulation.session import simulate
 from bayes_body.simulation.staging import centred
+from bayes_body.storage.saved_run import load_run
 from bayes_body.view.progress import watched
 from bayes_body.view.report import write_report
 
@@ -64,7 +64,7 @@ def demo(out: Path, seed: int, size: Size, show: Callable[[str], None], bar: boo
         InputError: the folder holds something already or cannot be written.
     """
     if (out / SESSION / FILE_NAME).exists() or (out / RUN).exists():
-        raise wrong(out, "holds a demonstration already", "a folder without one", "name another with --out, or remove it")
+        raise input_error(out, "holds a demonstration already", "a folder without one", "name another with --out, or remove it")
     session = film(out / SESSION, seed, size.frames, bar)
     show(f"filmed     {session.frames} frames with {len(session.views)} cameras: {out / SESSION}")
     settings = Settings(out / SESSION, out / RUN, MODEL, overrides={"particles": size.particles}, seed=seed)

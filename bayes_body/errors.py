@@ -16,7 +16,7 @@ class FaultyFileError(InputError):
         super().__init__("\n".join(self.sentences))
 
 
-def wrong(subject: object, found: str, expected: str, remedy: str) -> InputError:
+def input_error(subject: object, found: str, expected: str, remedy: str) -> InputError:
     """The error `subject: found; expected ...; remedy.`, with its parts in the order in which a reader needs them."""
     return InputError(f"{subject}: {found}; expected {expected}; {remedy}.")
 

@@ -10,8 +10,8 @@ from typing import Any, Literal, NamedTuple, get_args
 
 from pydantic import BaseModel
 
-from bayes_body.errors import InputError, nearest, wrong
-from bayes_body.schema import Schema
+from bayes_body.errors import InputError, input_error, nearest
+from bayes_body.toml.schema import Schema
 
 type Room = Literal["likelihood", "observation", "dynamics", "potential", "kernel"]
 type Place = tuple[Room, str]
@@ -89,12 +89,12 @@ def _check(room: Room, name: str, options: type[BaseModel], build: Callable[...,
     if room not in ROOMS:
         raise InputError(f"register: room '{room}' does not exist; {nearest(str(room), ROOMS)}")
     if not isinstance(name, str) or not name:
-        raise wrong(f"register: {room}", f"the name {name!r}", "a text", f'name it, such as register("{room}", "mine")')
+        raise input_error(f"register: {room}", f"the name {name!r}", "a text", f'name it, such as register("{room}", "mine")')
     if not (isinstance(options, type) and issubclass(options, BaseModel)):
         shown = options.__name__ if isinstance(options, type) else repr(options)
-        raise wrong(f"{room} '{name}': options", f"{shown} is no schema", "a class that derives from Schema", "write `class Options(Schema)`")
+        raise input_error(f"{room} '{name}': options", f"{shown} is no schema", "a class that derives from Schema", "write `class Options(Schema)`")
     if not callable(build):
-        raise wrong(f"{room} '{name}'", f"{build!r} cannot be called", "a build function", "put @register above a function")
+        raise input_error(f"{room} '{name}'", f"{build!r} cannot be called", "a build function", "put @register above a function")
 
 
 def _home(build: Callable[..., Any]) -> str:

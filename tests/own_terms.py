@@ -3,7 +3,8 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from bayes_body import plugins, registry
+from bayes_body import registry
+from bayes_body.plugins import load as plugins
 
 GOOD = """
 import bayes_body as bb

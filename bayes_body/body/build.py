@@ -9,10 +9,11 @@ import numpy as np
 
 from bayes_body.body.check import WORLD
 from bayes_body.body.frames import Frame, frames_of, vector
-from bayes_body.body.schema import BodySchema, Dof
+from bayes_body.body.schema import BodySchema
 from bayes_body.body.skeleton import Markers, Motion, Skeleton, Topology, preset_rotation
 from bayes_body.body.solids import Body, PartTopology
-from bayes_body.errors import nearest, wrong
+from bayes_body.body.tables import Dof
+from bayes_body.errors import input_error, nearest
 
 
 class Shape(NamedTuple):
@@ -75,7 +76,7 @@ def _check_names(name: str, schema: BodySchema, shape: Shape) -> None:
     ):
         for key in given:
             if key not in known:
-                raise wrong(f"subject.{field}.{key}", "no such name", f"a name of the body '{name}'", nearest(key, known))
+                raise input_error(f"subject.{field}.{key}", "no such name", f"a name of the body '{name}'", nearest(key, known))
 
 
 def _pairs(schema: BodySchema) -> tuple[tuple[int, int], ...]:

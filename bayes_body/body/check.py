@@ -2,22 +2,19 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING
 
+from bayes_body.body.tables import BodyTables, Offset
 from bayes_body.errors import nearest
-
-if TYPE_CHECKING:
-    from bayes_body.body.schema import BodySchema, Offset
 
 WORLD = "world"
 
 
-def faults(body: "BodySchema") -> list[str]:
+def faults(body: BodyTables) -> list[str]:
     """All that is wrong, a sentence each; empty for a sound body."""
     return [*_repeated(body), *_dangling(body), *_cycles(body), *_widths(body)]
 
 
-def _repeated(body: "BodySchema") -> Iterator[str]:
+def _repeated(body: BodyTables) -> Iterator[str]:
     for kind, names in (
         ("joint", [joint.name for joint in body.joints]),
         ("part", [part.name for part in body.parts]),
@@ -28,7 +25,7 @@ def _repeated(body: "BodySchema") -> Iterator[str]:
                 yield f"{kind} '{name}' is defined {count} times; give each {kind} a name of its own"
 
 
-def _dangling(body: "BodySchema") -> Iterator[str]:
+def _dangling(body: BodyTables) -> Iterator[str]:
     joints = {joint.name for joint in body.joints}
     parts = {part.name for part in body.parts}
     for joint in body.joints:
@@ -47,7 +44,7 @@ def _dangling(body: "BodySchema") -> Iterator[str]:
         yield f"penetration: '{name}' is no part; {nearest(name, parts)}"
 
 
-def _widths(body: "BodySchema") -> Iterator[str]:
+def _widths(body: BodyTables) -> Iterator[str]:
     widths = {dof.name: dof for joint in body.joints for dof in joint.dofs if dof.is_width}
     named = {name for part in body.parts for name in part.widened if name}
     for part in body.parts:
@@ -64,14 +61,14 @@ def _widths(body: "BodySchema") -> Iterator[str]:
             yield f"dof '{name}' widens no part; name it in a part's `widened`, or leave it out"
 
 
-def _unknown_lengths(body: "BodySchema", owner: str, offset: "Offset") -> Iterator[str]:
+def _unknown_lengths(body: BodyTables, owner: str, offset: Offset) -> Iterator[str]:
     entries: Iterable[tuple[str, float | str]] = offset
     for axis, value in entries:
         if isinstance(value, str) and value.lstrip("+-") not in body.lengths_of_height:
             yield f"{owner}: offset {axis} = '{value}' names no length; {nearest(value.lstrip('+-'), body.lengths_of_height)}"
 
 
-def _cycles(body: "BodySchema") -> Iterator[str]:
+def _cycles(body: BodyTables) -> Iterator[str]:
     parent = {joint.name: joint.parent for joint in body.joints}
     reported: set[str] = set()
     for start in parent:

@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.body.check import WORLD
-from bayes_body.body.schema import BodySchema, Dof, Joint, Offset
+from bayes_body.body.schema import BodySchema
 from bayes_body.body.skeleton import preset_rotation
+from bayes_body.body.tables import Dof, Joint, Offset
 
 
 class Frame(NamedTuple):

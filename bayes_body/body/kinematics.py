@@ -17,9 +17,9 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool, Float, Int
 
-from bayes_body import geometry
 from bayes_body.body.skeleton import Markers, Motion, Skeleton, Topology
-from bayes_body.geometry import Transform
+from bayes_body.geometry import transforms
+from bayes_body.geometry.transforms import Transform
 from bayes_body.shapes import Pose
 
 # Some accelerators round the factors of a product of matrices to ten bits otherwise.
@@ -41,8 +41,8 @@ def forward_kinematics(skeleton: Skeleton, pose: Pose) -> Transform:
 
 def marker_positions(skeleton: Skeleton, markers: Markers, pose: Pose) -> Float[Array, "marker 3"]:
     """World positions of the virtual markers, metres."""
-    joints = geometry.pick(forward_kinematics(skeleton, pose), np.array(markers.joints, INDEX))
-    return geometry.apply(joints, markers.offsets)
+    joints = transforms.pick(forward_kinematics(skeleton, pose), np.array(markers.joints, INDEX))
+    return transforms.apply(joints, markers.offsets)
 
 
 # -- the program of a topology ----------------------------------------------------------------------------------------------------------
@@ -149,7 +149,7 @@ def _frames(skeleton: Skeleton, pose: Pose) -> tuple[Transform, list[Transform]]
         # Without barriers XLA writes all rounds before anew into every reader of this one; one for both could not be transposed where lengths alone
         # are differentiated by.
         T = jax.tree.map(jax.lax.optimization_barrier, T)
-        T = geometry.compose(_above(T, ancestor), T)
+        T = transforms.compose(_above(T, ancestor), T)
     return T, stages
 
 
@@ -159,20 +159,20 @@ def _stages(skeleton: Skeleton, program: _Program, pose: Pose) -> list[Transform
     stages: list[Transform] = []
     for k, shifts in enumerate(program.shifts):
         if shifts is not None:
-            T = T._replace(origin=geometry.apply(T, jnp.sum(pose[shifts.dofs] * shifts.signs.astype(pose.dtype), axis=0)))
+            T = T._replace(origin=transforms.apply(T, jnp.sum(pose[shifts.dofs] * shifts.signs.astype(pose.dtype), axis=0)))
         stages.append(T)
         if k < len(program.turns):
             dofs, *parts = program.turns[k]
             c, s, rest = (part.astype(pose.dtype) for part in parts)
             turned = cos[dofs][:, None, None] * c + sin[dofs][:, None, None] * s + rest
-            T = T._replace(rotation=geometry.multiply(T.rotation, turned))
+            T = T._replace(rotation=transforms.multiply(T.rotation, turned))
     return stages
 
 
 def _above(T: Transform, ancestor: Int[np.ndarray, " joint"]) -> Transform:
     """The frames of the ancestors; the world's where there is none."""
     known = (ancestor >= 0)[:, None]
-    frames = geometry.pick(T, np.maximum(ancestor, 0))
+    frames = transforms.pick(T, np.maximum(ancestor, 0))
     eye = jnp.eye(3, dtype=T.origin.dtype)
     return Transform(jnp.where(known[..., None], frames.rotation, eye), jnp.where(known, frames.origin, 0))
 
@@ -199,10 +199,10 @@ def _is_zero(tangent: Any) -> bool:
 def _by_pose(topology: Topology, T: Transform, stages: list[Transform], speed: Pose) -> Transform:
     """How the frames change with the dofs, by the formula of the module."""
     program, dtype = _program(topology), speed.dtype
-    above = geometry.pick(_above(T, np.array(topology.parents, INDEX)), program.joint)
+    above = transforms.pick(_above(T, np.array(topology.parents, INDEX)), program.joint)
     rotations, origins = (jnp.stack(column) for column in zip(*stages, strict=True))
-    axis = geometry.turn(above.rotation, rotations[program.before, program.joint, :, program.axis])
-    place = geometry.apply(above, origins[program.before, program.joint])
+    axis = transforms.turn(above.rotation, rotations[program.before, program.joint, :, program.axis])
+    place = transforms.apply(above, origins[program.before, program.joint])
     step = (program.sign.astype(dtype) * speed)[:, None] * axis
     shifts = program.shift[:, None]
     # Angular velocity, and the velocity of what is at the world's origin.

@@ -1,133 +1,20 @@
-"""What a body file says (models/bodies/*.toml, or `[body]` written out in a model): joints, their angles and limits, parts, markers.
+"""A body file whose tables fit together: the schema that definitions are read with."""
 
-Metres and degrees, as written by the user; `bayes_body.body.build` turns them into arrays in metres and radians.
-"""
+from pydantic import model_validator
 
-from typing import Annotated, Literal
-
-from pydantic import Field, model_validator
-
-from bayes_body.schema import Finite, Positive, Schema
-
-Preset = Literal["x90", "x180", "x270", "y90", "y180", "y270", "z90", "z180", "z270"]
-Axis = Literal["x", "y", "z", "-x", "-y", "-z", "tx", "ty", "tz", "width"]
+from bayes_body.body.check import faults
+from bayes_body.body.tables import BodyTables
 
 
-class Dof(Schema):
-    """One degree of freedom: a turn about (`x`, `-x`, ...) or a shift along (`tx`, ...) an axis of the joint's own frame, or a `width`.
-
-    A turn has limits in degrees, a shift in metres; without limits it is unbounded. Where both are the same it is fixed, and no dof any more. A width
-    moves nothing: it is added, metres, to the radii of the parts that are `widened` by it, and must have limits.
-    """
-
-    name: str
-    axis: Axis
-    low_deg: Finite | None = None
-    high_deg: Finite | None = None
-    low_m: Finite | None = None
-    high_m: Finite | None = None
-
-    @property
-    def is_shift(self) -> bool:
-        """Whether this is a length (metres) rather than an angle (radians)."""
-        return self.axis.startswith("t") or self.is_width
-
-    @property
-    def is_width(self) -> bool:
-        """Whether this changes parts, and moves nothing."""
-        return self.axis == "width"
-
-    @property
-    def limits(self) -> tuple[float | None, float | None]:
-        """The limits as written: degrees of an angle, metres of a shift."""
-        return (self.low_m, self.high_m) if self.is_shift else (self.low_deg, self.high_deg)
-
-    @property
-    def is_fixed(self) -> bool:
-        """Whether its limits leave it one value."""
-        low, high = self.limits
-        return low is not None and low == high
-
-    @model_validator(mode="after")
-    def _check_limits(self) -> "Dof":
-        unit, other = ("m", "deg") if self.is_shift else ("deg", "m")
-        if getattr(self, f"low_{other}") is not None or getattr(self, f"high_{other}") is not None:
-            kind = "a shift" if self.is_shift else "an angle"
-            raise ValueError(f"dof '{self.name}' is {kind}: give its limits as low_{unit} and high_{unit}")
-        low, high = self.limits
-        if (low is None) != (high is None):
-            raise ValueError(f"dof '{self.name}' has one limit only: give both low_{unit} and high_{unit}, or neither")
-        if low is not None and high is not None and low > high:
-            raise ValueError(f"dof '{self.name}': low_{unit} = {low:g} is above high_{unit} = {high:g}; swap them, or make them equal if it is fixed")
-        return self
-
-
-class Offset(Schema):
-    """A vector along the axes of a frame; each entry is metres or the name of a length, with a sign if need be: `z = "-torso"`."""
-
-    x: Finite | str = 0.0
-    y: Finite | str = 0.0
-    z: Finite | str = 0.0
-
-
-class Joint(Schema):
-    """A frame that hangs on its parent's: moved by the offset along the parent's axes, turned by the presets in order, then by its dofs in order."""
-
-    name: str
-    parent: str
-    preset: tuple[Preset, ...] = ()
-    offset: Offset = Offset()
-    dofs: tuple[Dof, ...] = ()
-
-
-class Part(Schema):
-    """A tapered cylinder of elliptical section along +z of its frame, or a sphere about the point at half its length.
-
-    Radii and length: metres, or a share of the body's height where a subject gives none of its own. `widened` names the dofs of axis `width` that are
-    added to the radii of base and tip; an empty name is none.
-    """
-
-    name: str
-    joint: str
-    kind: Literal["cylinder", "sphere"] = "cylinder"
-    preset: tuple[Preset, ...] = ()
-    offset: Offset = Offset()
-    length: str
-    radius_of_height: tuple[Positive, Positive]
-    section: tuple[Positive, Positive] = (1.0, 1.0)
-    widened: tuple[str, str] = ("", "")
-
-
-class Marker(Schema):
-    """A virtual marker: a point of a joint's frame."""
-
-    joint: str
-    offset: Offset = Offset()
-
-
-class BodySchema(Schema):
+class BodySchema(BodyTables):
     """A whole body: a tree of joints, the parts that hang on it, and its virtual markers.
 
     `measured_as` names another body with the same dofs and, as far as that has them, the same lengths and parts: what is measured of a subject in the
     names of that one holds for this one.
     """
 
-    title: str
-    source: str
-    height_m: Positive = 1.75
-    measured_as: str | None = None
-    lengths_of_height: dict[str, Positive]
-    joints: Annotated[tuple[Joint, ...], Field(min_length=1, alias="joint")]
-    parts: Annotated[tuple[Part, ...], Field(min_length=1, alias="part")]
-    markers: dict[str, Marker] = {}
-    penetration: tuple[tuple[str, str], ...] = ()
-    spheres_per_part: Annotated[int, Field(ge=2, le=20)] = 4
-
     @model_validator(mode="after")
     def _check_references(self) -> "BodySchema":
-        # The checks stand in their own module: each gives a sentence.
-        from bayes_body.body.check import faults
-
         sentences = faults(self)
         if sentences:
             raise ValueError("\n".join(sentences))

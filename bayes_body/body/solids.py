@@ -22,10 +22,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body import geometry
 from bayes_body.body.kinematics import forward_kinematics
 from bayes_body.body.skeleton import Markers, Skeleton
-from bayes_body.geometry import Transform
+from bayes_body.geometry import transforms
+from bayes_body.geometry.transforms import Transform
 from bayes_body.shapes import Pose, Vector3
 
 
@@ -76,8 +76,8 @@ class Body:
 
 def part_transforms(body: Body, pose: Pose) -> Transform:
     """`T_world_part` of every part, stacked: rotations (part, 3, 3) and origins (part, 3), metres."""
-    joints = geometry.pick(forward_kinematics(body.skeleton, pose), np.array(body.topology.joints, int))
-    return geometry.compose(joints, Transform(body.presets, body.offsets))
+    joints = transforms.pick(forward_kinematics(body.skeleton, pose), np.array(body.topology.joints, int))
+    return transforms.compose(joints, Transform(body.presets, body.offsets))
 
 
 def widened(body: Body, pose: Pose) -> Body:
@@ -115,7 +115,7 @@ def patches(body: Body, T_world_part: Transform, viewpoint: Vector3) -> Patches:
 def _side(body: Body, T_world_part: Transform, view: Float[Array, "part 3"]) -> Float[Array, "part 3"]:
     """From the axis to the occluding contour, for a section of radius one (see the module's formula)."""
     sx, sy = body.sections[:, 0], body.sections[:, 1]
-    nx, ny = geometry.dot(view, T_world_part.y) / sy, -geometry.dot(view, T_world_part.x) / sx
+    nx, ny = transforms.dot(view, T_world_part.y) / sy, -transforms.dot(view, T_world_part.x) / sx
     # Seen exactly end-on the contour is undefined; the clamp keeps it finite, and such a part shows no side anyway.
     scale = jax.lax.rsqrt(jnp.maximum(nx * nx + ny * ny, 1e-12))
     return (nx * scale * sx)[:, None] * T_world_part.x + (ny * scale * sy)[:, None] * T_world_part.y
@@ -139,10 +139,10 @@ class Discs(NamedTuple):
 def facing_discs(body: Body, T_world_part: Transform, viewpoint: Vector3) -> Discs:
     """The discs through the middle of every part, perpendicular to the view from `viewpoint`."""
     centre = T_world_part.origin + 0.5 * body.lengths[:, None] * T_world_part.z
-    view = geometry.unit(centre - viewpoint)
+    view = transforms.unit(centre - viewpoint)
     # Seen along the part's own z the disc is spanned from its x: the vectors turn, the disc stays what it is.
-    along = (jnp.abs(geometry.dot(view, T_world_part.z)) > 0.9)[:, None]
-    right = geometry.unit(jnp.cross(jnp.where(along, T_world_part.x, T_world_part.z), view))
+    along = (jnp.abs(transforms.dot(view, T_world_part.z)) > 0.9)[:, None]
+    right = transforms.unit(jnp.cross(jnp.where(along, T_world_part.x, T_world_part.z), view))
     return Discs(centre, right, jnp.cross(view, right))
 
 

@@ -7,17 +7,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bayes_body.calibration import invariance, sbc
-from bayes_body.calibration.kept import Kept
+from bayes_body.calibration.markov_moves import markov_move
 from bayes_body.calibration.problem import Problem, check_cases, problem_of
+from bayes_body.calibration.replication_log import ReplicationLog
 from bayes_body.calibration.replications import Experiments, Figures, run_replications
 from bayes_body.calibration.scene import model_in_a_room
-from bayes_body.definition import load_definition
-from bayes_body.kernels.invariance import markov_move
-from bayes_body.model import Model, load_model
-from bayes_body.plugins import load_plugin
+from bayes_body.model.build import Model, load_model
+from bayes_body.model.definition import load_definition
+from bayes_body.plugins.load import load_plugin
 from bayes_body.registry import find
-from bayes_body.session_file import load_session
-from bayes_body.toml_file import validate
+from bayes_body.session.read import load_session
+from bayes_body.toml.read import validate
 from bayes_body.view.progress import Watch, unwatched
 
 SBC, INVARIANCE = "sbc", "invariance"
@@ -102,7 +102,7 @@ def experiments(problem: Problem, kind: str, options: Any, frames: int = 2, bins
     return Experiments(seed, found, problem)
 
 
-def run_check(plan: Plan, replications: int, jobs: int = 0, kept: Kept | None = None, watch: Watch = unwatched) -> Findings:
+def run_check(plan: Plan, replications: int, jobs: int = 0, kept: ReplicationLog | None = None, watch: Watch = unwatched) -> Findings:
     """All replications of a plan.
 
     Args:
@@ -126,7 +126,7 @@ def findings(
     has_move: bool,
     replications: int,
     jobs: int = 0,
-    kept: Kept | None = None,
+    kept: ReplicationLog | None = None,
     watch: Watch = unwatched,
 ) -> Findings:
     """As `run_check`, of any problem; `make` gives its experiments."""

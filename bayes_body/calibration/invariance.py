@@ -4,8 +4,8 @@ $$s \sim p(s),\; z \sim p(z \mid s),\; s' \sim K_z(s, \cdot) \quad\Rightarrow\qu
 p(s' \mid z) = \int K_z(s, s')\, p(s \mid z)\, ds.$$
 
 Each figure of (s', z) is compared with that of independent draws of (s, z) by the Kolmogorov-Smirnov test of two samples. Nothing is approximated: a
-kernel's Markov move (kernels/invariance.py) is right or wrong, with any number of particles. The state has an ancestor, one of `ANCESTORS` weighted
-particles of the frame before, which are themselves part of what is given.
+kernel's Markov move (calibration/markov_moves.py) is right or wrong, with any number of particles. The state has an ancestor, one of `ANCESTORS`
+weighted particles of the frame before, which are themselves part of what is given.
 """
 
 from collections.abc import Callable
@@ -17,11 +17,11 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.stats import ks_2samp
 
+from bayes_body.calibration.markov_moves import MarkovMove
 from bayes_body.calibration.problem import Problem, draw_case, draw_data, draw_path
 from bayes_body.calibration.sbc import LOG_LIKELIHOOD
-from bayes_body.density import Density
-from bayes_body.factor import Particles, State
-from bayes_body.kernels.invariance import MarkovMove
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Particles, State
 from bayes_body.shapes import Index, Key
 
 ANCESTORS = 16

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bayes_body.calibration import bands
 from bayes_body.calibration.check import Findings
 from bayes_body.calibration.verdict import FAMILY, curve, ranked_quantities
-from bayes_body.files import replacing
+from bayes_body.files.atomic import replacing
 
 COLUMNS = 4
 INSIDE, OUTSIDE, BAND = "#1f5f8b", "#b3261e", "#cfd8dc"

@@ -16,10 +16,10 @@ from jaxtyping import Array, Float
 
 from bayes_body.body.kinematics import marker_positions
 from bayes_body.body.solids import Body
-from bayes_body.density import Density
-from bayes_body.errors import wrong
-from bayes_body.factor import Factor, Particles, State, Transition
-from bayes_body.model import Model
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Factor, Particles, State, Transition
+from bayes_body.errors import input_error
+from bayes_body.model.build import Model
 from bayes_body.shapes import Flag, Index, Key, Scalar
 
 # Paths that are drawn before a case is given up because its constraints refuse them all.
@@ -160,7 +160,7 @@ def check_cases(refused: Any, unbounded: Any) -> None:
     """
     if np.any(unbounded):
         found, expected = "a constraint's log-potential is above 0", "constraints of at most 0, so that a path is accepted with their exponential"
-        raise wrong("the model", found, expected, "subtract its maximum, or check the model without it")
+        raise input_error("the model", found, expected, "subtract its maximum, or check the model without it")
     if np.any(refused):
         found = f"{MOST_PATHS} paths of the motion prior were all refused by the constraints"
-        raise wrong("the model", found, "constraints that accept some of them", "start from another first pose, or check fewer frames")
+        raise input_error("the model", found, "constraints that accept some of them", "start from another first pose, or check fewer frames")

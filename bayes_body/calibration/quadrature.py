@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body.density import Density
-from bayes_body.errors import wrong
-from bayes_body.factor import State
+from bayes_body.density.density import Density
+from bayes_body.density.factor import State
+from bayes_body.errors import input_error
 
 MOST_DOFS = 4
 # Cells a side while the box is drawn in, and then, finer and finer.
@@ -52,7 +52,7 @@ def integrate(density: Density, name: str = "pose") -> Quadrature:
     """
     low, high = _reachable(density, name)
     if len(low) > MOST_DOFS:
-        raise wrong("a grid", f"{len(low)} dofs", f"at most {MOST_DOFS}", "check a smaller body")
+        raise input_error("a grid", f"{len(low)} dofs", f"at most {MOST_DOFS}", "check a smaller body")
     evaluate, count = _evaluator(density, name), 0
     for _ in range(MOST_DRAWN_IN):
         inner, used = _drawn_in(evaluate, low, high)
@@ -111,7 +111,7 @@ def _grid(evaluate: Evaluate, low: np.ndarray, high: np.ndarray, cells: int) -> 
     logs = np.where(np.isnan(logs), -np.inf, logs)
     top = logs.max()
     if not np.isfinite(top):
-        raise wrong("the posterior", "zero everywhere on the grid", "a frame that the model can explain", "start from another first pose")
+        raise input_error("the posterior", "zero everywhere on the grid", "a frame that the model can explain", "start from another first pose")
     mass = np.exp(logs - top).reshape((cells,) * len(axes))
     return axes, mass / mass.sum(), float(top + np.log(mass.sum()) + np.sum(np.log((high - low) / cells)))
 

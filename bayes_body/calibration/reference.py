@@ -11,15 +11,15 @@ from jaxtyping import Float
 
 from bayes_body.calibration.quadrature import MOST_DOFS, Quadrature, integrate
 from bayes_body.calibration.verdict import Verdict
-from bayes_body.density import Density
-from bayes_body.errors import wrong
-from bayes_body.factor import Kernel, Particles
-from bayes_body.model import Model
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Kernel, Particles
+from bayes_body.errors import input_error
+from bayes_body.model.build import Model
 from bayes_body.observation.frames import read_frame
 from bayes_body.registry import find
-from bayes_body.session_file import load_session
+from bayes_body.session.read import load_session
 from bayes_body.shapes import Key
-from bayes_body.toml_file import validate
+from bayes_body.toml.read import validate
 
 # Independent runs, and how many Monte Carlo standard errors (of their mean) a mean may be off.
 RUNS, LIMIT = 40, 4.0
@@ -89,12 +89,12 @@ def check_reference(plan: Any, model: Model, names: Sequence[str], show: Callabl
     dofs = len(model.body.dof_names)
     if dofs > MOST_DOFS:
         expected = f"generative likelihoods (markers_gaussian, silhouette_bernoulli), or a body of at most {MOST_DOFS} dofs for a quadrature"
-        raise wrong(
+        raise input_error(
             subject, found, f"{expected}, not {dofs}", "look at coverage_50 and coverage_90 of a simulated recording: bayes-body simulate, then track"
         )
     if plan.session is None:
         expected = "an image on which the kernel's means are compared with a quadrature"
-        raise wrong(subject, found, expected, "give a recording with --session; its first frame is taken")
+        raise input_error(subject, found, expected, "give a recording with --session; its first frame is taken")
     show(f"{names[0]}: {found}; instead means and variances of {RUNS} runs on the session's first frame are compared with a grid quadrature.")
     session, term = load_session(Path(plan.session)), find("kernel", plan.kernel)
     options: Any = validate(term.options, plan.options, plan.kernel)

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from bayes_body.calibration.kept import Kept
+from bayes_body.calibration.replication_log import ReplicationLog
 from bayes_body.view.progress import Watch, unwatched
 
 BLOCK = 10
@@ -36,7 +36,7 @@ class Experiments(NamedTuple):
 
 
 def run_replications(
-    make: Callable[[], Experiments], counts: Mapping[str, int], jobs: int = 0, kept: Kept | None = None, watch: Watch = unwatched
+    make: Callable[[], Experiments], counts: Mapping[str, int], jobs: int = 0, kept: ReplicationLog | None = None, watch: Watch = unwatched
 ) -> dict[str, Figures]:
     """The figures of each experiment, with a leading replication axis.
 
@@ -47,7 +47,7 @@ def run_replications(
         kept: blocks that are there already, and where new ones go.
         watch: shows how far it is, in blocks.
     """
-    kept = Kept() if kept is None else kept
+    kept = ReplicationLog() if kept is None else kept
     missing = [(name, block) for name, count in counts.items() for block in range(-(-count // BLOCK)) if (name, block) not in kept]
     with _results(make, missing, jobs) as results:
         for _ in watch(range(len(missing))):

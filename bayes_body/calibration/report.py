@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from bayes_body.calibration.check import Findings, Plan, model_of, run_check
-from bayes_body.calibration.kept import SUFFIX, Kept, settings_of
+from bayes_body.calibration.markov_moves import markov_move
 from bayes_body.calibration.picture import draw_ranks
 from bayes_body.calibration.pilot import enough_particles
 from bayes_body.calibration.reference import check_reference
+from bayes_body.calibration.replication_log import SUFFIX, ReplicationLog, settings_of
 from bayes_body.calibration.verdict import Verdict, verdict
-from bayes_body.definition import load_definition
-from bayes_body.files import write_text
-from bayes_body.kernels.invariance import markov_move
+from bayes_body.files.atomic import write_text
+from bayes_body.model.definition import load_definition
 from bayes_body.registry import find
-from bayes_body.toml_file import validate
+from bayes_body.toml.read import validate
 from bayes_body.view.progress import watched
 
 type Show = Callable[[str], None]
@@ -52,7 +52,7 @@ def run_and_tell(plan: Plan, pilot: bool, replications: int, jobs: int, json_fil
     else:
         partial_file = None if json_file is None else json_file.with_name(json_file.name + SUFFIX)
         plan = _with_particles(plan, partial_file, jobs, show) if pilot else plan
-        blocks = Kept(partial_file, _settings(plan))
+        blocks = ReplicationLog(partial_file, _settings(plan))
         if len(blocks):
             show(f"{partial_file}: going on with {len(blocks)} blocks of replications")
         found = run_check(plan, replications, jobs, blocks, watched("blocks of replications", bar))

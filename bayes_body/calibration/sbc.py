@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from bayes_body.calibration.problem import Case, Problem, alone, draw_case
-from bayes_body.factor import FilterInfo, Kernel, Particles, State
+from bayes_body.density.factor import FilterInfo, Kernel, Particles, State
 from bayes_body.shapes import Key, Scalar
 
 # Effective particles that each bin of the ranks needs.

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_body.definition import Definition, definitions_folder
-from bayes_body.model import Model, load_model
+from bayes_body.model.build import Model, load_model
+from bayes_body.model.definition import Definition, definitions_folder
 from bayes_body.recording.rig import read_rig
-from bayes_body.session import CameraSpec, Session, View
+from bayes_body.session.session import CameraSpec, Session, View
 
 RIG = "room_4"
 # The body reaches beyond its markers (a hand beyond the wrist), and moves.

@@ -9,7 +9,7 @@ import typer
 
 from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.cli.track import LARGEST_SEED, check_range
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
     from bayes_body.calibration.check import Plan
@@ -45,7 +45,7 @@ def check(
     configure()
     from bayes_body.calibration.check import Plan
     from bayes_body.cli.models import checked_definition
-    from bayes_body.run import kernel_options
+    from bayes_body.runs.run import kernel_options
 
     counts = {"particles": particles, "layers": layers, "moves": moves, "leapfrog_steps": leapfrog_steps}
     for name, value in (counts | {"frames": frames, "jobs": jobs}).items():
@@ -55,7 +55,7 @@ def check(
     check_range("--seed", seed, 0, LARGEST_SEED)
     _check_files(json_file, plot)
     if session is not None and rig is not None:
-        raise wrong("--rig", f"given beside --session {session}", "one of the two", "leave one out")
+        raise input_error("--rig", f"given beside --session {session}", "one of the two", "leave one out")
     given = {name: value for name, value in (counts | {"move": move}).items() if value is not None}
     folder, cameras = (None if path is None else str(path) for path in (session, rig))
     with own_terms(plugin):
@@ -79,6 +79,6 @@ def _check_files(json_file: Path | None, plot: Path | None) -> None:
     for option, path in (("--json", json_file), ("--plot", plot)):
         if path is not None and (path.is_dir() or not path.parent.is_dir()):
             found = "a folder" if path.is_dir() else f"there is no folder {path.parent}"
-            raise wrong(f"{option} {path}", found, "a file in a folder that exists", "make the folder, or name another file")
+            raise input_error(f"{option} {path}", found, "a file in a folder that exists", "make the folder, or name another file")
     if plot is not None and plot.suffix not in (".png", ".pdf", ".svg"):
-        raise wrong(f"--plot {plot}", f"the ending '{plot.suffix}'", ".png, .pdf or .svg", "name another file")
+        raise input_error(f"--plot {plot}", f"the ending '{plot.suffix}'", ".png, .pdf or .svg", "name another file")

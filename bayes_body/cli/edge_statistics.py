@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from bayes_body.cli.track import check_range
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
     from bayes_body.learning.edge_statistics import Images
@@ -76,7 +76,7 @@ def _table(wavelength: float, statistics: "EdgeStatistics") -> str:
 def _images(sessions: list[Path], frames: int) -> "Images":
     """All images of some frames whose silhouettes are known."""
     from bayes_body.learning.edge_statistics import Images, known_pairs
-    from bayes_body.session_file import load_session
+    from bayes_body.session.read import load_session
     from bayes_body.simulation.film import TRUE_MASKS, mask_pattern
 
     pairs = []
@@ -84,7 +84,7 @@ def _images(sessions: list[Path], frames: int) -> "Images":
         session = load_session(path)
         found = known_pairs(session, frames, lambda name: mask_pattern(TRUE_MASKS, name))
         if not found:
-            raise wrong(
+            raise input_error(
                 path, "no silhouettes that are known", f"a folder {TRUE_MASKS}, or masks", "simulate with --masks, or give cameras their `masks`"
             )
         pairs += found
@@ -98,5 +98,5 @@ def _numbers(text: str) -> list[float]:
     except ValueError:
         found = []
     if not found or not all(3 <= value < float("inf") for value in found):
-        raise wrong("--wavelengths", repr(text), "numbers from 3 up with commas between them", f"give, say, {WAVELENGTHS}")
+        raise input_error("--wavelengths", repr(text), "numbers from 3 up with commas between them", f"give, say, {WAVELENGTHS}")
     return found

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from bayes_body.cli.plugin_option import Plugins, own_terms
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
     from bayes_body.export.motion import Axis, Motion
@@ -32,13 +32,13 @@ def export(
     from bayes_body.export.formats import check_format, files_of
     from bayes_body.export.formats import export as write
     from bayes_body.export.motion import AXES
-    from bayes_body.saved_run import load_run
+    from bayes_body.storage.saved_run import load_run
 
     axis: Axis | None = next((axis for axis in AXES if axis == up), None)
     if up is not None and axis is None:
-        raise wrong("--up", up, "x, y or z", "name one of them")
+        raise input_error("--up", up, "x, y or z", "name one of them")
     if rate is not None and not (math.isfinite(rate) and rate > 0):
-        raise wrong("--rate", f"{rate:g}", "a finite number above 0", "give the frames a second")
+        raise input_error("--rate", f"{rate:g}", "a finite number above 0", "give the frames a second")
     file = out or run / f"{DEFAULT_STEM}.{check_format(to)}"
     with own_terms(plugin), load_run(run) as saved:
         motion = write(saved, check_format(to), file, fps=rate, up=axis, overwrite=overwrite)

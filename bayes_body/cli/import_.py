@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
     from bayes_body.recording.options import Options
-    from bayes_body.session import Session
+    from bayes_body.session.session import Session
 
     type Importer = Callable[[Path, Path, Options], tuple[Session, list[str]]]
 
@@ -172,9 +172,9 @@ def _offsets(texts: list[str] | None) -> dict[str, int]:
         except ValueError:
             frames = None
         if not name or frames is None or abs(frames) > 10**9:
-            raise wrong("--offset", f"'{text}'", "CAMERA=FRAMES, such as cam02=3", "give a camera's name and a whole number of frames")
+            raise input_error("--offset", f"'{text}'", "CAMERA=FRAMES, such as cam02=3", "give a camera's name and a whole number of frames")
         if name in offsets:
-            raise wrong("--offset", f"camera '{name}' twice", "an offset for each camera", "leave one of them out")
+            raise input_error("--offset", f"camera '{name}' twice", "an offset for each camera", "leave one of them out")
         offsets[name] = frames
     return offsets
 
@@ -183,10 +183,10 @@ def _import(importer: "Importer", source: Path, folder: Path, options: "Options"
     """Run an importer, tell its remarks, and draw the picture by which a person checks the session."""
     from bayes_body.cli.models import checked_definition
     from bayes_body.config import configure
-    from bayes_body.session_file import FILE_NAME
+    from bayes_body.session.read import FILE_NAME
 
     if (folder / FILE_NAME).exists() and not overwrite:
-        raise wrong(folder, f"holds a {FILE_NAME} already", "a folder without one", "name another, or replace it with --overwrite")
+        raise input_error(folder, f"holds a {FILE_NAME} already", "a folder without one", "name another, or replace it with --overwrite")
     if model != DEFAULT_MODEL:
         # Told before anything is written.
         configure()
@@ -203,7 +203,7 @@ def _draw(session: "Session", name: str, path: Path) -> Path:
     from bayes_body.config import configure
 
     configure()
-    from bayes_body.model import load_model
+    from bayes_body.model.build import load_model
     from bayes_body.view.rig_check import draw_check
 
     model = load_model(name, session)

@@ -8,7 +8,7 @@ import typer
 
 from bayes_body.cli.edge_statistics import edge_statistics
 from bayes_body.cli.likelihood_scale import likelihood_scale
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
     from bayes_body.learning.cycle import Learned
@@ -27,7 +27,7 @@ def walking_cycle(
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace files that are there already."),
 ) -> None:
     """Learn the mean stride of a walker and the modes in which strides differ, with which a simulated person walks."""
-    from bayes_body.files import write_text
+    from bayes_body.files.atomic import write_text
     from bayes_body.learning.cycle import learn, save_cycle
     from bayes_body.recording.mocap import landmarks, read_motion
 
@@ -46,10 +46,10 @@ def walking_cycle(
 
 def _check(out: Path, table: Path, overwrite: bool) -> None:
     if out.suffix != ".npz":
-        raise wrong("--out", str(out), "a file that ends in .npz", "name one")
+        raise input_error("--out", str(out), "a file that ends in .npz", "name one")
     for path in (out, table):
         if path.exists() and not overwrite:
-            raise wrong(path, "is there already", "a file that is not", "name another, or give --overwrite")
+            raise input_error(path, "is there already", "a file that is not", "name another, or give --overwrite")
 
 
 def _files(path: Path) -> list[Path]:
@@ -57,7 +57,7 @@ def _files(path: Path) -> list[Path]:
         return [path]
     found = sorted(file for file in path.iterdir() if file.suffix.lower() in ENDINGS)
     if not found:
-        raise wrong(path, "no captured motion in it", f"files that end in {', '.join(ENDINGS)}", "name another folder")
+        raise input_error(path, "no captured motion in it", f"files that end in {', '.join(ENDINGS)}", "name another folder")
     return found
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from bayes_body.cli.track import LARGEST_SEED, check_range
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
     from bayes_body.learning.likelihood_scale import Trial
@@ -37,7 +37,7 @@ def likelihood_scale(
     configure()
     from bayes_body.cli.models import checked_definition
     from bayes_body.learning.likelihood_scale import LEVEL, choose_scale, pooled
-    from bayes_body.run import kernel_options
+    from bayes_body.runs.run import kernel_options
 
     check_range("--particles", particles, 1)
     check_range("--frames", frames, 1)
@@ -65,15 +65,15 @@ def _tried(
     sessions: list[Path], definition: Any, scales: list[float], kind: str, options: Any, settings: dict[str, Any], out: Path | None
 ) -> "list[Trial]":
     """All trials, each told as soon as it is there."""
-    from bayes_body.calibration.kept import SUFFIX, Kept
+    from bayes_body.calibration.replication_log import SUFFIX, ReplicationLog
     from bayes_body.learning.likelihood_scale import trials
     from bayes_body.registry import find
-    from bayes_body.session_file import load_session
+    from bayes_body.session.read import load_session
     from bayes_body.view.progress import watched
 
     kernel, found = find("kernel", kind).build(options=options), []
     loaded = [load_session(path) for path in sessions]
-    kept = Kept(None if out is None else out.with_name(out.name + SUFFIX), settings)
+    kept = ReplicationLog(None if out is None else out.with_name(out.name + SUFFIX), settings)
     typer.echo(HEADINGS)
     watch = watched("recordings × scales", sys.stderr.isatty())
     for trial in trials(loaded, definition, scales, kernel, options.particles, settings["seed"], settings["frames"], kept, watch):
@@ -89,13 +89,13 @@ def _numbers(text: str) -> list[float]:
     except ValueError:
         found = []
     if len(found) < 2 or not all(0 < value < float("inf") for value in found):
-        raise wrong("--scales", repr(text), "two or more numbers above 0 with commas between them", f"give, say, {SCALES}")
+        raise input_error("--scales", repr(text), "two or more numbers above 0 with commas between them", f"give, say, {SCALES}")
     return found
 
 
 def _write(path: Path, figures: dict[str, Any]) -> None:
-    from bayes_body.calibration.kept import SUFFIX
-    from bayes_body.files import write_text
+    from bayes_body.calibration.replication_log import SUFFIX
+    from bayes_body.files.atomic import write_text
 
     write_text(path, json.dumps(figures, indent=2) + "\n")
     path.with_name(path.name + SUFFIX).unlink(missing_ok=True)

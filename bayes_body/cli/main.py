@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import typer
 
 from bayes_body import __version__
-from bayes_body.cli import check, demo, export, import_, learn, matrix, mocap, models, report, simulate, track
+from bayes_body.cli import benchmark, check, demo, export, import_, learn, mocap, models, report, simulate, track
 from bayes_body.errors import FaultyFileError, InputError
 
 WRONG_INPUT, OUR_FAULT, INTERRUPTED = 2, 1, 130
@@ -29,7 +29,7 @@ app.command("export")(export.export)
 app.command("simulate")(simulate.simulate)
 app.command("mocap")(mocap.mocap)
 app.command("check")(check.check)
-app.command("matrix")(matrix.matrix)
+app.command("benchmark")(benchmark.benchmark)
 app.add_typer(learn.app, name="learn")
 app.add_typer(models.app, name="models")
 

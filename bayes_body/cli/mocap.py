@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
     import numpy as np
@@ -31,7 +31,7 @@ def mocap(
     _check(out, height, overwrite)
     configure()
     from bayes_body.body.build import Shape, build_body
-    from bayes_body.definition import load_body
+    from bayes_body.model.definition import load_body
     from bayes_body.recording.mocap import landmarks, read_motion, resample
     from bayes_body.retarget import retarget
     from bayes_body.view.progress import waiting
@@ -48,19 +48,19 @@ def mocap(
 
 def _check(out: Path, height: float | None, overwrite: bool) -> None:
     if out.suffix != ".npz":
-        raise wrong("--out", str(out), "a file that ends in .npz", "name one")
+        raise input_error("--out", str(out), "a file that ends in .npz", "name one")
     if out.exists() and not overwrite:
-        raise wrong(out, "is there already", "a file that is not", "name another, or give --overwrite")
+        raise input_error(out, "is there already", "a file that is not", "name another, or give --overwrite")
     if height is not None and not 0.5 <= height <= 2.8:
-        raise wrong("--height", f"{height:g}", "metres between 0.5 and 2.8", "correct it")
+        raise input_error("--height", f"{height:g}", "metres between 0.5 and 2.8", "correct it")
 
 
 def _write(out: Path, found: "Retargeted", points: "dict[str, np.ndarray]", fps: float) -> None:
     """The motion as `recording.truth.read_truth` reads it, and what it became."""
     import numpy as np
 
-    from bayes_body.files import replacing
-    from bayes_body.recording.truth import MARKERS
+    from bayes_body.evidence.markers import MARKERS
+    from bayes_body.files.atomic import replacing
 
     with replacing(out) as partial, partial.open("wb") as file:
         np.savez_compressed(

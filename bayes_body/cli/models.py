@@ -10,7 +10,7 @@ from typer.core import TyperGroup
 from bayes_body.cli.plugin_option import Plugins, own_terms
 
 if TYPE_CHECKING:
-    from bayes_body.definition import Definition
+    from bayes_body.model.definition import Definition
 
 # Any will do: it scales the noise and nothing that could be wrong depends on it.
 SOME_FPS = 60.0
@@ -29,7 +29,7 @@ app = typer.Typer(cls=_ListByDefault, help="List the model definitions (what it 
 @app.command("list")
 def list_models() -> None:
     """List the shipped definitions, a line each."""
-    from bayes_body.definition import definition_names, definitions_folder, load_definition
+    from bayes_body.model.definition import definition_names, definitions_folder, load_definition
 
     table = Table("model", "dofs", "kernel", "what it is", box=None, pad_edge=False)
     for name in definition_names():
@@ -58,8 +58,8 @@ def checked_definition(name: str) -> "Definition":
         InputError: anything in the file is wrong; each sentence names it.
     """
     from bayes_body.body.build import build_body
-    from bayes_body.definition import load_definition
     from bayes_body.errors import InputError
+    from bayes_body.model.definition import load_definition
     from bayes_body.registry import find
 
     definition = load_definition(name)

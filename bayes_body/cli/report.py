@@ -17,8 +17,8 @@ def report(
     from bayes_body.config import configure
 
     configure()
-    from bayes_body.saved_run import load_run
     from bayes_body.storage.run_file import check_plugins
+    from bayes_body.storage.saved_run import load_run
     from bayes_body.view.progress import watched
     from bayes_body.view.report import write_report
 

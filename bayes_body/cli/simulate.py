@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from bayes_body.recording.rig import Rig
-    from bayes_body.session import Session
+    from bayes_body.session.session import Session
 
     type Landmarks = Mapping[str, np.ndarray]
 
@@ -98,7 +98,7 @@ def _quality(text: str | None) -> Literal["good", "poor"] | None:
 
 
 def _rig(name: str, cameras: str | None) -> "Rig":
-    from bayes_body.definition import definition_names, definitions_folder
+    from bayes_body.model.definition import definition_names, definitions_folder
     from bayes_body.recording.rig import read_rig
 
     shipped = definition_names("rigs")
@@ -136,7 +136,7 @@ def _angles(name: str, landmarks: "Landmarks", fps: float) -> dict[str, "np.ndar
 
     from bayes_body.body.build import build_body
     from bayes_body.config import configure
-    from bayes_body.definition import load_body
+    from bayes_body.model.definition import load_body
     from bayes_body.retarget import retarget
     from bayes_body.view.progress import waiting
 

@@ -9,7 +9,7 @@ import typer
 
 from bayes_body.cli.arguments import setting
 from bayes_body.cli.plugin_option import Plugins, own_terms
-from bayes_body.errors import InputError, wrong
+from bayes_body.errors import InputError, input_error
 
 # What a key of JAX is made from without 64-bit arrays.
 LARGEST_SEED = 2**32 - 1
@@ -47,7 +47,7 @@ def track(
 
     configure()
     from bayes_body.cli.models import checked_definition
-    from bayes_body.run import Settings, run
+    from bayes_body.runs.run import Settings, run
     from bayes_body.storage.run_file import NAME as RUN_FILE
     from bayes_body.storage.run_file import read_run_file
 
@@ -80,11 +80,11 @@ def _setting(text: str) -> tuple[str, Any]:
 def _frames_of(folder: Path) -> int:
     """How many frames the session has, once all its files are known to be there: a run that fails half way leaves nothing to use."""
     from bayes_body.recording.check import check_session
-    from bayes_body.session_file import FILE_NAME, load_session
+    from bayes_body.session.read import FILE_NAME, load_session
 
     if not folder.exists() or (folder.is_dir() and not (folder / FILE_NAME).exists()):
         found = f"no {FILE_NAME} in it" if folder.exists() else "no such folder"
-        raise wrong(folder, found, "the folder of a session", "check the path, or make a session with `bayes-body import`")
+        raise input_error(folder, found, "the folder of a session", "check the path, or make a session with `bayes-body import`")
     session = load_session(folder)
     for remark in check_session(session):
         typer.echo(f"note: {remark}")
@@ -98,4 +98,4 @@ def check_range(option: str, value: int | None, least: int, most: int | None = N
         InputError: it is outside.
     """
     if value is not None and (value < least or (most is not None and value > most)):
-        raise wrong(option, str(value), f"a whole number from {least}{f' to {most}' if most is not None else ' up'}", "give another number")
+        raise input_error(option, str(value), f"a whole number from {least}{f' to {most}' if most is not None else ' up'}", "give another number")

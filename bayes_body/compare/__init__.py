@@ -1,7 +1,7 @@
 """Runs side by side: every kernel on every definition; two samplers' errors at equal computation, on a frame and along frames."""
 
 from bayes_body.compare import estimator_path, estimator_variance
-from bayes_body.compare.matrix import Pair, Row, Settings, matrix_rows, pairs
+from bayes_body.compare.benchmark import Pair, Row, Settings, benchmark_rows, pairs
 from bayes_body.compare.scenes import Scene, Scenes
 
-__all__ = ["Pair", "Row", "Scene", "Scenes", "Settings", "estimator_path", "estimator_variance", "matrix_rows", "pairs"]
+__all__ = ["Pair", "Row", "Scene", "Scenes", "Settings", "benchmark_rows", "estimator_path", "estimator_variance", "pairs"]

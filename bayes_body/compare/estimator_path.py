@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.compare.estimator_truth import LARGEST_DIFFERENCE, OPTIONS
-from bayes_body.factor import FrameDensity, Kernel, Particles
+from bayes_body.density.factor import FrameDensity, Kernel, Particles
 from bayes_body.kernels.hmc_filter import build_kernel as hmc_kernel
 from bayes_body.shapes import Key
 from bayes_body.view.progress import Watch, unwatched, watched

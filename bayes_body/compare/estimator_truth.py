@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body.factor import FilterInfo, FrameDensity, Particles
-from bayes_body.kernels.adaptation import FEWEST
-from bayes_body.kernels.hamiltonian import effective_draws
+from bayes_body.density.factor import FilterInfo, FrameDensity, Particles
 from bayes_body.kernels.hmc_filter import build_sampler
 from bayes_body.kernels.particle_filter import build_kernel
+from bayes_body.kernels.parts.adaptation import FEWEST
+from bayes_body.kernels.parts.hamiltonian import effective_draws
 from bayes_body.posterior.agreement import split_rhat
 from bayes_body.shapes import Key
 from bayes_body.view.progress import Watch, unwatched, watched

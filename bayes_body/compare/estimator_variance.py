@@ -15,12 +15,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.compare.estimator_truth import LARGEST_DIFFERENCE, LARGEST_RHAT, Sampler, Truth, best_truth, sir_sampler
-from bayes_body.draws import Draws
-from bayes_body.factor import FrameDensity, Particles
-from bayes_body.kernels.batching import everywhere, over_particles
+from bayes_body.density.factor import FrameDensity, Particles
 from bayes_body.kernels.hmc_filter import build_sampler as hmc_sampler
-from bayes_body.kernels.resampling import resampler
+from bayes_body.kernels.parts.batching import everywhere, over_particles
+from bayes_body.kernels.parts.resampling import resampler
 from bayes_body.shapes import Key
+from bayes_body.tracking.draws import Draws
 from bayes_body.view.progress import Watch, unwatched, watched
 from bayes_body.view.variance_plot import draw_ratios
 

@@ -17,17 +17,17 @@ from jaxtyping import Float
 
 from bayes_body.calibration.problem import Case, check_cases, draw_case, problem_of
 from bayes_body.calibration.scene import model_in_a_room
-from bayes_body.camera import Camera
-from bayes_body.definition import Definition, definitions_folder
-from bayes_body.errors import InputError, wrong
-from bayes_body.files import make_folder, replacing
+from bayes_body.errors import InputError, input_error
+from bayes_body.evidence.markers import MARKERS
+from bayes_body.files.atomic import make_folder, replacing
+from bayes_body.geometry.camera import Camera
 from bayes_body.initial import with_first_pose
-from bayes_body.model import Model, load_model
+from bayes_body.model.build import Model, load_model
+from bayes_body.model.definition import Definition, definitions_folder
 from bayes_body.observation.frames import read_frame
 from bayes_body.recording.rig import read_rig
-from bayes_body.recording.truth import MARKERS
-from bayes_body.session import CameraSpec, Session, View
-from bayes_body.session_file import load_session
+from bayes_body.session.read import load_session
+from bayes_body.session.session import CameraSpec, Session, View
 from bayes_body.shapes import Key
 
 RIG, FPS = "room_4", 60.0
@@ -111,7 +111,7 @@ class Scenes:
         lacking = not_generative(model)
         if lacking:
             found = f"its likelihood '{lacking[0]}' is no distribution over data, and no recording shows the body '{definition.body_name}' alone"
-            raise wrong(definition.name, found, "data to follow", "give a recording of it with --session")
+            raise input_error(definition.name, found, "data to follow", "give a recording of it with --session")
         return drawn(model, self.folder / definition.name, self.frames, jax.random.fold_in(jax.random.key(self.seed), 1))
 
 

@@ -17,12 +17,12 @@ from jaxtyping import Array, Bool, Float
 from numpyro.distributions import Distribution, constraints
 
 from bayes_body.body.solids import Body
+from bayes_body.density.factor import State, Transition
 from bayes_body.dynamics.deviations import standard_deviations
 from bayes_body.dynamics.limits import InBox
-from bayes_body.factor import State, Transition
 from bayes_body.registry import register
-from bayes_body.schema import Positive, Schema
 from bayes_body.shapes import Key, Pose, Scalar
+from bayes_body.toml.schema import Positive, Schema
 
 
 class Options(Schema):

@@ -19,13 +19,13 @@ from numpyro.distributions import Distribution
 from pydantic import model_validator
 
 from bayes_body.body.solids import Body
+from bayes_body.density.factor import State, Transition
 from bayes_body.dynamics.deviations import standard_deviations
 from bayes_body.dynamics.joint_noise import JointNoise
-from bayes_body.errors import wrong
-from bayes_body.factor import State, Transition
+from bayes_body.errors import input_error
 from bayes_body.registry import register
-from bayes_body.schema import Positive, Schema, Share
 from bayes_body.shapes import Pose, Scalar
+from bayes_body.toml.schema import Positive, Schema, Share
 
 # In a state, the pose of the frame before.
 BEFORE = "pose_before"
@@ -130,4 +130,4 @@ def _check_sizes(body: Body, sd: np.ndarray) -> None:
         if not sd[index] < most:
             why = f"the range of {(high[index] - low[index]) * number:.4g} {unit} over √12" if limited else "a quarter turn"
             found = f"a standard deviation of {sd[index] * number:.4g} {unit} a frame for '{name}'"
-            raise wrong(f"dynamics.sd_{unit}", found, f"less than {most * number:.4g} {unit}, {why}", "give a smaller one, or wider limits")
+            raise input_error(f"dynamics.sd_{unit}", found, f"less than {most * number:.4g} {unit}, {why}", "give a smaller one, or wider limits")

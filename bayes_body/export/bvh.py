@@ -19,10 +19,10 @@ from scipy.spatial.transform import Rotation
 from bayes_body.body.kinematics import forward_kinematics
 from bayes_body.body.skeleton import Skeleton
 from bayes_body.body.solids import Body
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.export.motion import Motion
-from bayes_body.files import replacing
-from bayes_body.geometry import Transform
+from bayes_body.files.atomic import replacing
+from bayes_body.geometry.transforms import Transform
 
 CENTIMETRES = 100.0
 # About the joint's own axes, in this order.
@@ -103,7 +103,7 @@ def _depth_first(body: Body) -> list[int]:
     parents = body.skeleton.topology.parents
     roots = [j for j, parent in enumerate(parents) if parent < 0]
     if len(roots) != 1:
-        raise wrong("--to bvh", f"the body '{body.name}' has {len(roots)} roots", "one, on which all joints hang", "take npz, csv, c3d or trc")
+        raise input_error("--to bvh", f"the body '{body.name}' has {len(roots)} roots", "one, on which all joints hang", "take npz, csv, c3d or trc")
     order, ahead = [], roots
     while ahead:
         order.append(ahead.pop())

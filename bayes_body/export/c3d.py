@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.export.motion import Motion
-from bayes_body.files import replacing
+from bayes_body.files.atomic import replacing
 from bayes_body.posterior.moments import Moments
 
 MILLIMETRES = 1000.0
@@ -37,7 +37,7 @@ def write_c3d(motion: Motion, path: Path) -> None:
         InputError: more frames than the format can count, or the file system refuses it.
     """
     if motion.frames > MOST_FRAMES:
-        raise wrong("--to c3d", f"{motion.frames} frames", f"at most {MOST_FRAMES}, which is what the format can count", "take npz, csv or trc")
+        raise input_error("--to c3d", f"{motion.frames} frames", f"at most {MOST_FRAMES}, which is what the format can count", "take npz, csv or trc")
     with replacing(path) as partial:
         # ezc3d alone would say of a folder that is not there no more than "iostream error".
         partial.touch()

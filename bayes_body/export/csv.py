@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.export.motion import AXES, Motion
-from bayes_body.files import replacing
+from bayes_body.files.atomic import replacing
 
 
 def write_csv(motion: Motion, path: Path) -> None:

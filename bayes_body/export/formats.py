@@ -3,15 +3,15 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from bayes_body.errors import InputError, nearest, wrong
+from bayes_body.errors import InputError, input_error, nearest
 from bayes_body.export.bvh import write_bvh
 from bayes_body.export.c3d import write_c3d
 from bayes_body.export.csv import write_csv
 from bayes_body.export.motion import Axis, Motion, read_motion
 from bayes_body.export.npz import write_npz
 from bayes_body.export.trc import trc_files, write_trc
-from bayes_body.files import make_folder, refused
-from bayes_body.saved_run import SavedRun
+from bayes_body.files.atomic import make_folder, refused
+from bayes_body.storage.saved_run import SavedRun
 
 WRITERS: dict[str, Callable[[Motion, Path], None]] = {"trc": write_trc, "csv": write_csv, "npz": write_npz, "c3d": write_c3d, "bvh": write_bvh}
 # Programs take it for granted that y points up in a BVH file.
@@ -64,6 +64,6 @@ def _check_free(file: Path, overwrite: bool) -> None:
     except OSError as error:
         raise refused(file, "written", error) from None
     if folder:
-        raise wrong(file, "a folder", "the name of a file", "name one in it with --out")
+        raise input_error(file, "a folder", "the name of a file", "name one in it with --out")
     if there and not overwrite:
-        raise wrong(file, "is there already", "a file that is not", "name another with --out, or replace it with --overwrite")
+        raise input_error(file, "is there already", "a file that is not", "name another with --out, or replace it with --overwrite")

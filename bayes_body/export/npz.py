@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from bayes_body.export.motion import Motion
-from bayes_body.files import replacing
+from bayes_body.files.atomic import replacing
 
 
 def write_npz(motion: Motion, path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.export.motion import Motion
-from bayes_body.files import replacing
+from bayes_body.files.atomic import replacing
 
 MILLIMETRES = 1000.0
 

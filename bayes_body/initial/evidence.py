@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from bayes_body.errors import FaultyFileError, InputError, nearest
 from bayes_body.initial.points import FACE, Points
 from bayes_body.recording.keypoint_layouts import LAYOUTS
-from bayes_body.session import CameraSpec, Session
+from bayes_body.session.session import CameraSpec, Session
 
 # Fewer points leave the pose to the prior.
 FEWEST = 4

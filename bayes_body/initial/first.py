@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.initial.evidence import ignored, read_evidence
 from bayes_body.initial.fit import SETTLED, fit
 from bayes_body.initial.lengths import factors
@@ -16,8 +16,8 @@ from bayes_body.initial.outline import LEAST_OVERLAP, fit_outline
 from bayes_body.initial.points import body_points
 from bayes_body.initial.problem import build_problem
 from bayes_body.initial.report import FirstPose, tell
-from bayes_body.model import Model, load_model
-from bayes_body.session import Session, Subject
+from bayes_body.model.build import Model, load_model
+from bayes_body.session.session import Session, Subject
 
 
 def is_fitted(session: Session) -> bool:
@@ -89,7 +89,7 @@ def _check_lengths(session: Session) -> None:
     if not session.initial_markers and len(cameras) < 2:
         found = f"true, with keypoints from {len(cameras)} camera{'s' * (len(cameras) != 1)} and no markers"
         expected = "markers, or keypoints from two cameras: one camera cannot tell a small person from a far one"
-        raise wrong("session.toml: initial.fit_lengths", found, expected, "set it to false and give the subject's height_m, or give more")
+        raise input_error("session.toml: initial.fit_lengths", found, expected, "set it to false and give the subject's height_m, or give more")
 
 
 def _lengths(model: Model, session: Session, problem: Problem, z: Float[Array, " group"]) -> Mapping[str, float]:

@@ -14,11 +14,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from bayes_body import geometry
 from bayes_body.body.kinematics import forward_kinematics, marker_positions
 from bayes_body.body.solids import Body
-from bayes_body.camera import NEAR, Camera, project, to_camera
 from bayes_body.dynamics.limits import BoxTransform
+from bayes_body.geometry import transforms
+from bayes_body.geometry.camera import NEAR, Camera, project, to_camera
 from bayes_body.initial.evidence import Evidence
 from bayes_body.initial.lengths import Scaling, scaled
 from bayes_body.initial.points import Points, as_markers
@@ -117,7 +117,7 @@ def potential(problem: Problem, places: Places, far: Distances, pose: Pose, z: F
 def _surprise(problem: Problem, places: Places, pose: Pose) -> Scalar:
     prior = problem.prior
     fall = jnp.sum(prior.weights * (places @ prior.up))
-    tilt = 1 - geometry.dot(forward_kinematics(problem.body.skeleton, pose).z[0], prior.up)
+    tilt = 1 - transforms.dot(forward_kinematics(problem.body.skeleton, pose).z[0], prior.up)
     return 0.5 * jnp.sum(((pose - prior.mean) / prior.sd) ** 2) + prior.upright * tilt + fall
 
 

@@ -22,14 +22,14 @@ import optax
 from jaxtyping import Array, Float
 
 from bayes_body.body.solids import Body
-from bayes_body.camera import Camera
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
+from bayes_body.geometry.camera import Camera
 from bayes_body.initial.quick import QUICK
 from bayes_body.likelihood.outlines import outline_forms, signed_distance
-from bayes_body.model import Model
+from bayes_body.model.build import Model
 from bayes_body.observation.frames import read_frame
 from bayes_body.recording.camera_path import cameras_at
-from bayes_body.session import Session
+from bayes_body.session.session import Session
 from bayes_body.shapes import Pose, Scalar
 
 # The grid on which silhouettes are compared, laid over each with a margin of this share of its size on all sides: columns, rows.
@@ -87,10 +87,12 @@ def _silhouettes(session: Session) -> tuple[list[int], Silhouettes]:
     masks = read_frame(session, 0).masks
     if masks is None:
         found, remedy = "true, in a session without silhouettes", "set it to false, or give each [[camera]] its `masks` or a `background`"
-        raise wrong(WHERE, found, "silhouettes to fit to", remedy)
+        raise input_error(WHERE, found, "silhouettes to fit to", remedy)
     seen = {c: np.asarray(mask) for c, mask in enumerate(masks) if mask is not None and mask.any()}
     if not seen:
-        raise wrong(WHERE, "true, and no camera shows a silhouette in the first frame", "one that does", "set it to false, or start at another frame")
+        raise input_error(
+            WHERE, "true, and no camera shows a silhouette in the first frame", "one that does", "set it to false, or start at another frame"
+        )
     grids = [_grid(mask) for mask in seen.values()]
     return list(seen), Silhouettes(*(jnp.asarray(np.stack(each), float) for each in zip(*grids, strict=True)))
 

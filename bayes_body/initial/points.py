@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body import geometry
 from bayes_body.body.kinematics import forward_kinematics
 from bayes_body.body.skeleton import Markers
 from bayes_body.body.solids import Body
+from bayes_body.geometry import transforms
 from bayes_body.initial.quick import QUICK
 
 # What detectors call points that are joint centres of the body.
@@ -99,7 +99,7 @@ def as_markers(body: Body, points: Points) -> Markers:
     if not points.face.shape[0]:
         return body.markers
     crown = body.markers.offsets[points.crown]
-    face = points.face * jnp.sqrt(geometry.dot(crown, crown))
+    face = points.face * jnp.sqrt(transforms.dot(crown, crown))
     return replace(body.markers, names=points.names, joints=points.joints, offsets=jnp.concatenate([body.markers.offsets, face]))
 
 
@@ -115,11 +115,11 @@ def _facing(body: Body) -> Float[Array, "3 3"] | None:
 
 @partial(jax.jit, static_argnames=("crown", "left", "right"), compiler_options=QUICK)
 def _head_frame(body: Body, crown: int, left: int, right: int) -> Float[Array, "3 3"]:
-    markers, transforms = body.markers, forward_kinematics(body.skeleton, jnp.zeros(len(body.dof_names), body.lengths.dtype))
-    places = [geometry.apply(geometry.pick(transforms, markers.joints[m]), markers.offsets[m]) for m in (crown, left, right)]
-    T_world_head = geometry.pick(transforms, markers.joints[crown])
-    up = geometry.unit(places[0] - T_world_head.origin)
+    markers, T_world_joints = body.markers, forward_kinematics(body.skeleton, jnp.zeros(len(body.dof_names), body.lengths.dtype))
+    places = [transforms.apply(transforms.pick(T_world_joints, markers.joints[m]), markers.offsets[m]) for m in (crown, left, right)]
+    T_world_head = transforms.pick(T_world_joints, markers.joints[crown])
+    up = transforms.unit(places[0] - T_world_head.origin)
     across = places[1] - places[2]
-    aside = geometry.unit(across - geometry.dot(across, up) * up)
+    aside = transforms.unit(across - transforms.dot(across, up) * up)
     rows = [jnp.cross(aside, up), aside, up]
-    return jnp.stack([jnp.stack([geometry.dot(axis, row) for axis in (T_world_head.x, T_world_head.y, T_world_head.z)]) for row in rows])
+    return jnp.stack([jnp.stack([transforms.dot(axis, row) for axis in (T_world_head.x, T_world_head.y, T_world_head.z)]) for row in rows])

@@ -10,8 +10,8 @@ from bayes_body.initial.fit import rest
 from bayes_body.initial.lengths import fixed, scaling
 from bayes_body.initial.misfit import Prior, Problem
 from bayes_body.initial.points import Points
-from bayes_body.model import Model
-from bayes_body.session import Session
+from bayes_body.model.build import Model
+from bayes_body.session.session import Session
 
 # How sure an angle or a position is that a session gives beside markers or keypoints: radians, metres.
 GIVEN_SD = {True: 0.35, False: 0.2}

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from bayes_body.initial.evidence import Evidence
 from bayes_body.initial.misfit import Distances
 from bayes_body.initial.points import FACE, Points
-from bayes_body.session import Session
+from bayes_body.session.session import Session
 
 # Times the larger of its sd and the robust spread of its camera: farther off, a point is taken for wrong.
 OUTLIER = 4.0

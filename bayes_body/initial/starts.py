@@ -17,11 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from bayes_body import geometry
 from bayes_body.body.kinematics import forward_kinematics
 from bayes_body.body.skeleton import Skeleton
 from bayes_body.body.solids import Body
-from bayes_body.camera import Camera, to_camera
+from bayes_body.geometry import transforms
+from bayes_body.geometry.camera import Camera, to_camera
 from bayes_body.initial.misfit import Places, Problem, distances, places_of, potential
 from bayes_body.initial.quick import QUICK
 from bayes_body.shapes import Key, Pose
@@ -118,7 +118,7 @@ def orientations(body: Body) -> Float[Array, "candidate angle"]:
 
 
 def _stance(body: Body, pose: Pose, up: int) -> tuple[Bool[Array, ""], Int[Array, ""]]:
-    root = geometry.pick(forward_kinematics(body.skeleton, pose), 0)
+    root = transforms.pick(forward_kinematics(body.skeleton, pose), 0)
     a, b = root.x[(up + 1) % 3], root.x[(up + 2) % 3]
     return root.z[up] > UPRIGHT, jnp.round(jnp.arctan2(b, a) / (2 * jnp.pi) * HEADINGS).astype(int) % HEADINGS
 

@@ -7,9 +7,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.initial.report import FirstPose
-from bayes_body.model import Model
+from bayes_body.model.build import Model
 
 
 def stored(model: Model, found: FirstPose) -> dict[str, Any]:
@@ -32,10 +32,10 @@ def restored(model: Model, table: Mapping[str, Any], where: str) -> FirstPose:
     """
     pose, lengths, radii = table.get("pose"), table.get("lengths_m", {}), table.get("outline_radii_m", {})
     if not isinstance(pose, dict) or set(pose) != set(model.body.dof_names):
-        raise wrong(f"{where}: pose", "of other dofs", f"a number for each dof of the body '{model.body.name}'", "begin the run anew")
+        raise input_error(f"{where}: pose", "of other dofs", f"a number for each dof of the body '{model.body.name}'", "begin the run anew")
     if not isinstance(lengths, dict) or not isinstance(radii, dict) or not all(isinstance(ends, list) and len(ends) == 2 for ends in radii.values()):
-        raise wrong(where, "lengths or radii that are none", "a number for each length, two for each part", "begin the run anew")
+        raise input_error(where, "lengths or radii that are none", "a number for each length, two for each part", "begin the run anew")
     if not all(isinstance(value, float) for value in (*pose.values(), *lengths.values(), *chain.from_iterable(radii.values()))):
-        raise wrong(where, "not all of it numbers", "radians and metres", "begin the run anew")
+        raise input_error(where, "not all of it numbers", "radians and metres", "begin the run anew")
     placed = jnp.asarray([pose[name] for name in model.body.dof_names], model.body.lengths.dtype)
     return FirstPose(placed, lengths_m=lengths, outline_radii_m={part: (base, tip) for part, (base, tip) in radii.items()})

@@ -16,14 +16,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
-from bayes_body.factor import FilterInfo, FrameDensity, Kernel, Particles, State
-from bayes_body.kernels.batching import over_particles
-from bayes_body.kernels.resampling import Resample, Scheme, resampler
-from bayes_body.kernels.weights import LogWeights, effective_sample_size, normalise
+from bayes_body.density.factor import FilterInfo, FrameDensity, Kernel, Particles, State
+from bayes_body.kernels.parts.batching import over_particles
+from bayes_body.kernels.parts.resampling import Resample, Scheme, resampler
+from bayes_body.kernels.parts.weights import LogWeights, effective_sample_size, normalise
 from bayes_body.registry import register
-from bayes_body.schema import Count, ProperShare, Schema, Share
 from bayes_body.shapes import Index, Key, Scalar
-from bayes_body.toml_file import validate
+from bayes_body.toml.read import validate
+from bayes_body.toml.schema import Count, ProperShare, Schema, Share
 
 # Powers of the likelihood between which the survival rate is met, and how often their ratio's logarithm is halved: to 1e-7.
 LOWEST_POWER, HIGHEST_POWER = 1e-6, 1e6

@@ -4,8 +4,8 @@ With the particles $(w_i, s^i_{t-1})$ of the frame before, the target is the lik
 $p(s_t \mid z_{1:t}) \propto L(s_t; z_t) \sum_i w_i\, p(s_t \mid s^i_{t-1})$, in coordinates without limits.
 
 A frame begins with M states by sampling importance resampling from the mixture (of `starts` draws, M in the paper), which also estimates the evidence
-as well as so many particles do; or with M particles of an annealed filter after it (`kernels/starts.py`). From each state a chain runs, whose first
-states are burn-in. What is left of all chains are the particles, of equal weight, chain after chain.
+as well as so many particles do; or with M particles of an annealed filter after it (`kernels/parts/starts.py`). From each state a chain runs, whose
+first states are burn-in. What is left of all chains are the particles, of equal weight, chain after chain.
 
 `carry` says what the next frame's mixture is made of: the means of the chains, as in the paper, one component a chain; or the draws themselves, with
 an ancestor of each drawn from $p(i \mid s_t)$. With means the posterior's spread is not handed on, only that of the chains: a filter of one chain
@@ -21,18 +21,18 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 from pydantic import Field, model_validator
 
-from bayes_body.factor import FilterInfo, FrameDensity, Kernel, Particles, State
-from bayes_body.kernels.adaptation import FEWEST
-from bayes_body.kernels.batching import axes_of, over_particles
-from bayes_body.kernels.hamiltonian import Chain, Sampler, Schedule, chain_figures, effective_draws, run_chain
-from bayes_body.kernels.mass import correlated, inverse_mass
-from bayes_body.kernels.moves import check_gradients
-from bayes_body.kernels.resampling import Scheme, resampler
-from bayes_body.kernels.starts import Start, Started, StartsBy, by_annealing, by_importance
+from bayes_body.density.factor import FilterInfo, FrameDensity, Kernel, Particles, State
+from bayes_body.kernels.parts.adaptation import FEWEST
+from bayes_body.kernels.parts.batching import axes_of, over_particles
+from bayes_body.kernels.parts.hamiltonian import Chain, Sampler, Schedule, chain_figures, effective_draws, run_chain
+from bayes_body.kernels.parts.mass import correlated, inverse_mass
+from bayes_body.kernels.parts.moves import check_gradients
+from bayes_body.kernels.parts.resampling import Scheme, resampler
+from bayes_body.kernels.parts.starts import Start, Started, StartsBy, by_annealing, by_importance
 from bayes_body.registry import register
-from bayes_body.schema import Count, Positive, Schema, Share
 from bayes_body.shapes import Key
-from bayes_body.toml_file import validate
+from bayes_body.toml.read import validate
+from bayes_body.toml.schema import Count, Positive, Schema, Share
 
 type Carry = Literal["means", "draws"]
 type Mass = Literal["curvature", "curvature_matrix", "particles", "adapted"]

@@ -13,14 +13,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from bayes_body.factor import FilterInfo, FrameDensity, Kernel, Particles, State
-from bayes_body.kernels.batching import over_particles
-from bayes_body.kernels.resampling import Scheme, resampler
-from bayes_body.kernels.weights import effective_sample_size, normalise
+from bayes_body.density.factor import FilterInfo, FrameDensity, Kernel, Particles, State
+from bayes_body.kernels.parts.batching import over_particles
+from bayes_body.kernels.parts.resampling import Scheme, resampler
+from bayes_body.kernels.parts.weights import effective_sample_size, normalise
 from bayes_body.registry import register
-from bayes_body.schema import Count, Schema
 from bayes_body.shapes import Key, Scalar
-from bayes_body.toml_file import validate
+from bayes_body.toml.read import validate
+from bayes_body.toml.schema import Count, Schema
 
 
 class Options(Schema):

@@ -23,19 +23,19 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 from pydantic import Field
 
-from bayes_body.errors import wrong
-from bayes_body.factor import FilterInfo, FrameDensity, Kernel, Particles, State
-from bayes_body.kernels.batching import over_particles
-from bayes_body.kernels.climb import Climb, Ladder, start_climb
-from bayes_body.kernels.extended import Extended, Frame, Moving, make_frame, predict, state_of, walk, whitening
-from bayes_body.kernels.moves import Move, MoveName, check_gradients, hmc, random_walk
-from bayes_body.kernels.resampling import Resample, Scheme, resampler
-from bayes_body.kernels.smc import LOG_ZERO, feynman_kac_step, next_increment
-from bayes_body.kernels.weights import LogWeights, effective_sample_size, normalise
+from bayes_body.density.factor import FilterInfo, FrameDensity, Kernel, Particles, State
+from bayes_body.errors import input_error
+from bayes_body.kernels.parts.batching import over_particles
+from bayes_body.kernels.parts.extended import Extended, Frame, Moving, make_frame, predict, state_of, walk, whitening
+from bayes_body.kernels.parts.feynman_kac import LOG_ZERO, feynman_kac_step, next_increment
+from bayes_body.kernels.parts.moves import Move, MoveName, check_gradients, hmc, random_walk
+from bayes_body.kernels.parts.resampling import Resample, Scheme, resampler
+from bayes_body.kernels.parts.tempered_state import Ladder, TemperedState, init_state
+from bayes_body.kernels.parts.weights import LogWeights, effective_sample_size, normalise
 from bayes_body.registry import register
-from bayes_body.schema import Count, ProperShare, Schema
 from bayes_body.shapes import Index, Key, Keys, Scalar
-from bayes_body.toml_file import validate
+from bayes_body.toml.read import validate
+from bayes_body.toml.schema import Count, ProperShare, Schema
 
 # How strongly the logarithm of the step follows the acceptance rate of a stage.
 GAIN = 1.0
@@ -104,11 +104,11 @@ class _Sampler:
             check_gradients(density, 'move = "hmc"', ', or move = "random_walk"')
         if self.options.waste_free and count % (self.options.moves + 1):
             found, expected = f"{count} particles with chains of {self.options.moves} moves", f"a multiple of {self.options.moves + 1} particles"
-            raise wrong("tempered(waste_free=true)", found, expected, "change the particles or the moves")
+            raise input_error("tempered(waste_free=true)", found, expected, "change the particles or the moves")
         frame = make_frame(density, particles)
         first, predicted, lost = self._begin(start_key, frame)
 
-        def unfinished(climb: Climb) -> Array:
+        def unfinished(climb: TemperedState) -> Array:
             if self.frozen is not None:
                 return (climb.stage < self.stages) & ~lost
             return ((climb.beta < 1) | (climb.stages_at_top < self.options.final_stages)) & ~lost
@@ -119,7 +119,7 @@ class _Sampler:
 
     # -- stages -------------------------------------------------------------------------------------------------------------------------
 
-    def _begin(self, key: Key, frame: Frame) -> tuple[Climb, Particles, Array]:
+    def _begin(self, key: Key, frame: Frame) -> tuple[TemperedState, Particles, Array]:
         """The prediction under its constraints, reweighted to the first temperature; the prediction alone; and whether it explains nothing."""
         ancestor_key, draw_key, resample_key = jax.random.split(key, 3)
         ancestors = self.resample(ancestor_key, frame.previous.log_weights)
@@ -128,11 +128,11 @@ class _Sampler:
         lost = normalise(particles.log_likelihood + log_constraints).lost
         particles = particles._replace(log_likelihood=_finite(particles.log_likelihood))
         constrained = normalise(log_constraints).log_weights
-        start = start_climb(particles, constrained, self.stages, self.move.scale)
+        start = init_state(particles, constrained, self.stages, self.move.scale)
         first = self._step(resample_key, start, lambda keys, parents: (parents, jnp.nan), ancestors.shape[0])
         return first, Particles(states, jnp.full_like(constrained, -jnp.log(constrained.shape[0]))), lost
 
-    def _stage(self, key: Key, climb: Climb, frame: Frame) -> Climb:
+    def _stage(self, key: Key, climb: TemperedState, frame: Frame) -> TemperedState:
         """Resample, move at the temperature reached, reweight to the next."""
         climb, moving = self._prepared(climb)
         kept = self.options.moves + 1 if self.options.waste_free else 1
@@ -145,7 +145,7 @@ class _Sampler:
 
         return self._step(key, climb, move, climb.log_weights.shape[0] // kept)
 
-    def _step(self, key: Key, climb: Climb, move: Callable[..., tuple[Extended, Any]], resampled: int) -> Climb:
+    def _step(self, key: Key, climb: TemperedState, move: Callable[..., tuple[Extended, Any]], resampled: int) -> TemperedState:
         count, stage, at_top = climb.log_weights.shape[0], climb.stage, climb.beta >= 1
         # At the top there is nothing to reweight: the particles keep their weights, unless fewer chains than particles go on.
         kept = at_top & (resampled == count)
@@ -164,7 +164,7 @@ class _Sampler:
         beta = jnp.where(beta > 1 - 1e-6, 1.0, beta)
         acceptance = jnp.asarray(after.info, climb.beta.dtype)
         follows = jnp.where(jnp.isnan(acceptance), 0.0, GAIN * (acceptance - self.move.acceptance_rate))
-        return Climb(
+        return TemperedState(
             particles=after.particles,
             log_weights=after.log_weights,
             beta=beta,
@@ -177,7 +177,7 @@ class _Sampler:
             acceptance_rates=climb.acceptance_rates.at[stage].set(acceptance),
         )
 
-    def _increment(self, log_likelihoods: LogWeights, climb: Climb) -> Scalar:
+    def _increment(self, log_likelihoods: LogWeights, climb: TemperedState) -> Scalar:
         left = 1 - climb.beta
         if self.frozen is not None:
             return self.frozen.inverse_temperatures[climb.stage] - climb.beta
@@ -186,7 +186,7 @@ class _Sampler:
 
     # -- moves --------------------------------------------------------------------------------------------------------------------------
 
-    def _prepared(self, climb: Climb) -> tuple[Climb, Moving]:
+    def _prepared(self, climb: TemperedState) -> tuple[TemperedState, Moving]:
         """The scale and the whitening of the moves at the temperature reached, noted on the ladder."""
         rung = climb.stage - 1
         if self.frozen is not None:
@@ -210,7 +210,7 @@ class _Sampler:
 
     # -- results ------------------------------------------------------------------------------------------------------------------------
 
-    def _result(self, frame: Frame, top: Climb, predicted: Particles, lost: Array) -> tuple[Particles, FilterInfo]:
+    def _result(self, frame: Frame, top: TemperedState, predicted: Particles, lost: Array) -> tuple[Particles, FilterInfo]:
         states = jax.vmap(state_of, (None, 0, 0))(frame, top.particles.ancestor, top.particles.position)
         found = Particles(states, normalise(top.log_weights).log_weights)
         after = jax.tree.map(lambda prediction, posterior: jnp.where(lost, prediction, posterior), predicted, found)
@@ -226,7 +226,7 @@ class _Sampler:
         )
         return after, info
 
-    def _evaluations(self, top: Climb) -> Array:
+    def _evaluations(self, top: TemperedState) -> Array:
         """The prediction's, and of each stage those of its moves."""
         count, options = top.log_weights.shape[0], self.options
         moved = count // (options.moves + 1) if options.waste_free else count

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.definition import definitions_folder
-from bayes_body.errors import wrong
-from bayes_body.files import replacing
+from bayes_body.errors import input_error
+from bayes_body.files.atomic import replacing
 from bayes_body.learning.gait import NEEDED, TERMS, Points, Stride, height, is_run, points_of, segments, speed, strides
+from bayes_body.model.definition import definitions_folder
 
 NAME = "walking_cycle"
 EXPLAINED = 0.95
@@ -85,7 +85,7 @@ def learn(walks: Sequence[Walk]) -> Learned:
             used.append(landmarks)
     if len(found) < 2:
         told = f"{len(found)} strides ({'; '.join(left_out) or 'no walk'})"
-        raise wrong("the walks", told, "at least 2 whole strides", "give walks straight ahead of at least two steps each")
+        raise input_error("the walks", told, "at least 2 whole strides", "give walks straight ahead of at least two steps each")
     tall = float(np.mean([height(each, names) for each in used]))
     bones = np.mean([segments(each, names) for each in used], axis=0) / tall
     return _of_strides(found, names, bones, tall, tuple(left_out))
@@ -137,13 +137,13 @@ def load_cycle(path: Path | None = None) -> WalkingCycle:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise wrong(path, f"cannot be read ({error.strerror})", kind, remedy) from None
+        raise input_error(path, f"cannot be read ({error.strerror})", kind, remedy) from None
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = {key: file[key] for key in ARRAYS}
         return _checked(arrays)
     except (ValueError, TypeError, KeyError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise wrong(path, f"no such archive, or damaged ({type(error).__name__})", kind, remedy) from None
+        raise input_error(path, f"no such archive, or damaged ({type(error).__name__})", kind, remedy) from None
 
 
 def _checked(arrays: dict[str, np.ndarray]) -> WalkingCycle:

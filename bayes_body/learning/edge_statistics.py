@@ -16,14 +16,14 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
+from bayes_body.evidence.edge_phase import Response
 from bayes_body.likelihood.edge_density import EdgeStatistics, clipped, log_density, log_normaliser, phase_and_log_amplitude, wrapped_normal
 from bayes_body.observation.edge_phase import responses
 from bayes_body.observation.frames import read_frame
 from bayes_body.observation.outline_points import displaced, elsewhere_points, outline_points, sampled
-from bayes_body.phase_maps import Response
 from bayes_body.recording.images import read_mask
-from bayes_body.session import Session
+from bayes_body.session.session import Session
 
 # Of the amplitudes, what lies below ρ_min and above ρ_max.
 TAIL = 0.005
@@ -38,7 +38,7 @@ def fit(boundary: Response, elsewhere: Response) -> EdgeStatistics:
     """
     if len(boundary.even) < LEAST_POINTS or len(elsewhere.even) < LEAST_POINTS:
         found = f"{len(boundary.even)} points on boundaries, {len(elsewhere.even)} elsewhere"
-        raise wrong("edge statistics", found, f"at least {LEAST_POINTS} of each", "give more frames")
+        raise input_error("edge statistics", found, f"at least {LEAST_POINTS} of each", "give more frames")
     phase, rho = (np.asarray(each, float) for each in phase_and_log_amplitude(jnp.asarray(boundary.even), jnp.asarray(boundary.odd)))
     low, high = np.quantile(rho, [TAIL, 1 - TAIL])
     share = np.asarray(clipped(jnp.asarray((rho - low) / (high - low))), float)

@@ -19,16 +19,16 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.calibration.kept import Kept
-from bayes_body.definition import Definition
-from bayes_body.errors import wrong
-from bayes_body.factor import Kernel
+from bayes_body.calibration.replication_log import ReplicationLog
+from bayes_body.density.factor import Kernel
+from bayes_body.errors import input_error
 from bayes_body.initial import FirstPose, apply_first_pose, first_pose
 from bayes_body.metrics import accuracy_figures, draws_against_truth, log_evidence, silhouette_overlap
 from bayes_body.metrics.accuracy import LEVELS
-from bayes_body.model import Model, load_model
-from bayes_body.session import Session
-from bayes_body.tracking import track
+from bayes_body.model.build import Model, load_model
+from bayes_body.model.definition import Definition
+from bayes_body.session.session import Session
+from bayes_body.tracking.track import track
 from bayes_body.view.progress import Watch, unwatched
 
 LEVEL = 0.9
@@ -74,7 +74,7 @@ def with_scale(definition: Definition, scale: float) -> Definition:
     scaled = [index for index, term in enumerate(definition.likelihoods) if hasattr(term.options, OPTION)]
     if len(scaled) != 1:
         found = f"{len(scaled)} likelihoods with a {OPTION}"
-        raise wrong(f"the model '{definition.name}'", found, "one", "a distribution over images needs no scale; scale several one at a time")
+        raise input_error(f"the model '{definition.name}'", found, "one", "a distribution over images needs no scale; scale several one at a time")
     terms = list(definition.likelihoods)
     terms[scaled[0]] = replace(terms[scaled[0]], options=terms[scaled[0]].options.model_copy(update={OPTION: scale}))
     return replace(definition, likelihoods=tuple(terms))
@@ -88,7 +88,7 @@ def trials(
     particles: int,
     seed: int = 0,
     frames: int | None = None,
-    kept: Kept | None = None,
+    kept: ReplicationLog | None = None,
     watch: Watch = unwatched,
 ) -> Iterator[Trial]:
     """Each recording with each scale, all from the same first pose.
@@ -109,8 +109,8 @@ def trials(
     """
     for session in sessions:
         if session.truth_path is None:
-            raise wrong(session.folder, "no truth", "a session with true markers", "make one with `bayes-body simulate`")
-    kept = Kept() if kept is None else kept
+            raise input_error(session.folder, "no truth", "a session with true markers", "make one with `bayes-body simulate`")
+    kept = ReplicationLog() if kept is None else kept
     starts: dict[int, FirstPose] = {}
     for number in watch(range(len(sessions) * len(scales))):
         place, scale = number // len(scales), scales[number % len(scales)]
@@ -129,9 +129,9 @@ def _trial(session: Session, model: Model, scale: float, kernel: Kernel, particl
     draws = track(session, model, kernel, jax.random.key(seed), particles, frames=min(frames or session.frames, session.frames))
     found = draws_against_truth(session, draws)
     if found is None:
-        raise wrong(f"the model '{model.definition.name}'", "none of its markers is among the truth's", "one with markers", "take another body")
+        raise input_error(f"the model '{model.definition.name}'", "none of its markers is among the truth's", "one with markers", "take another body")
     if np.isnan(log_evidence(draws)):
-        raise wrong("--kernel", "a mode seeker", "one whose particles are draws of the posterior", "take sir or tempered")
+        raise input_error("--kernel", "a mode seeker", "one whose particles are draws of the posterior", "take sir or tempered")
     figures = accuracy_figures(found, mode_seeker=False)
     inside, known = int(found.plain.inside[LEVELS.index(LEVEL)].sum()), int(found.plain.known.sum())
     iou = float(np.nanmedian(silhouette_overlap(session, draws)))
@@ -158,7 +158,7 @@ def choose_scale(scales: Float[np.ndarray, " scale"], coverage: Float[np.ndarray
     if not crossing:
         found = f"coverage from {coverage.min():.2f} to {coverage.max():.2f} for scales from {scales[0]:g} to {scales[-1]:g}"
         remedy = "try smaller ones" if coverage.max() < level else "try larger ones"
-        raise wrong("--scales", found, f"a coverage that crosses {level:g}", remedy)
+        raise input_error("--scales", found, f"a coverage that crosses {level:g}", remedy)
     k = crossing[-1]
     share = (coverage[k] - level) / (coverage[k] - coverage[k + 1])
     return float(np.exp((1 - share) * np.log(scales[k]) + share * np.log(scales[k + 1])))

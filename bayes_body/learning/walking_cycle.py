@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.learning.cycle import WalkingCycle, load_cycle
 from bayes_body.learning.gait import TREE, terms
 
@@ -84,9 +84,11 @@ def walk(
 def _check(numbers: Mapping[str, float], coefficients: Sequence[float], modes: int) -> None:
     for name, value in numbers.items():
         if not (np.isfinite(value) and value > 0):
-            raise wrong(f"walk: {name}", f"{value:g}", "a finite number above 0", "correct it")
+            raise input_error(f"walk: {name}", f"{value:g}", "a finite number above 0", "correct it")
     if len(coefficients) > modes or not np.isfinite(coefficients).all():
-        raise wrong("walk: coefficients", str(list(coefficients)), f"at most {modes} finite numbers, one for each mode of the cycle", "correct them")
+        raise input_error(
+            "walk: coefficients", str(list(coefficients)), f"at most {modes} finite numbers, one for each mode of the cycle", "correct them"
+        )
 
 
 def _gait(

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.body.solids import Body, Samples, outline_samples
-from bayes_body.camera import Camera, Pixels
+from bayes_body.geometry.camera import Camera, Pixels
 from bayes_body.likelihood.outlines import forms_of
 from bayes_body.likelihood.patch_pixels import by_component, corner_pixels, sample_pixels
 

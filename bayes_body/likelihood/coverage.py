@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.body.solids import Body, Samples
-from bayes_body.camera import Camera, Pixels
+from bayes_body.geometry.camera import Camera, Pixels
 from bayes_body.likelihood.patch_pixels import rig_pixels
 from bayes_body.shapes import Pose, Scalar
 

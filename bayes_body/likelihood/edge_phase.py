@@ -22,15 +22,15 @@ from jaxtyping import Array, Float
 from pydantic import Field, model_validator
 
 from bayes_body.body.solids import Body
-from bayes_body.camera import Camera
-from bayes_body.factor import Factor, Variable, Variables
+from bayes_body.density.factor import Factor, Variable, Variables
+from bayes_body.evidence.edge_phase import PhaseMaps, look_up
+from bayes_body.geometry.camera import Camera
 from bayes_body.likelihood.boundaries import Boundaries, Contour, Visibility, boundaries, contour
 from bayes_body.likelihood.edge_density import PHASE_SD, EdgeStatistics, log_density
 from bayes_body.likelihood.patch_pixels import sample_slopes, seen_patches
-from bayes_body.phase_maps import PhaseMaps, look_up
 from bayes_body.registry import register
-from bayes_body.schema import Count, Finite, Positive, Schema, Share
 from bayes_body.shapes import Scalar
+from bayes_body.toml.schema import Count, Finite, Positive, Schema, Share
 
 POSE = Variable("pose")
 AboveOne = Annotated[float, Field(strict=True, gt=1, allow_inf_nan=False)]

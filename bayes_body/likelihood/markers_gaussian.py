@@ -24,13 +24,13 @@ from pydantic import Field
 
 from bayes_body.body.kinematics import marker_positions
 from bayes_body.body.solids import Body
-from bayes_body.camera import Camera, project
-from bayes_body.errors import wrong
-from bayes_body.factor import Factor, Variable, Variables
+from bayes_body.density.factor import Factor, Variable, Variables
+from bayes_body.errors import input_error
+from bayes_body.evidence.markers import MARKERS, MarkerEvidence
+from bayes_body.geometry.camera import Camera, project
 from bayes_body.registry import register
-from bayes_body.schema import NonNegative, Positive, Schema, Share
-from bayes_body.seen import MARKERS, SeenMarkers
 from bayes_body.shapes import Key, Pose, Scalar
+from bayes_body.toml.schema import NonNegative, Positive, Schema, Share
 
 POSE = Variable("pose")
 # Where a marker behind the camera is expected, from the middle of the image, in diagonals of it.
@@ -84,7 +84,7 @@ class MarkersGaussian:
     degrees_of_freedom: Scalar
     least_confidence: Scalar
 
-    def __call__(self, values: Variables, seen: SeenMarkers) -> Scalar:
+    def __call__(self, values: Variables, seen: MarkerEvidence) -> Scalar:
         """log p(z | pose), normalised."""
         pose = values[POSE]
         pixels, confidence = (jnp.asarray(each)[:, list(self.places)] for each in seen)
@@ -139,14 +139,14 @@ class MarkersGaussian:
         return jnp.where(jax.random.bernoulli(choice, self.outliers, shape)[..., None], anywhere, expected + off)
 
 
-def simulate(potential: MarkersGaussian, missing: Scalar, key: Key, values: Variables) -> SeenMarkers:
+def simulate(potential: MarkersGaussian, missing: Scalar, key: Key, values: Variables) -> MarkerEvidence:
     """A frame's markers drawn from the likelihood at a pose; each is missing in a camera with a probability that does not depend on the pose."""
     draws, losses = jax.random.split(key)
     pixels = potential.draw(draws, values[POSE])
     present = jax.random.bernoulli(losses, 1 - missing, pixels.shape[:2])
     everywhere = jnp.zeros((pixels.shape[0], len(MARKERS), 2), pixels.dtype)
     places = jnp.array(potential.places)
-    return SeenMarkers(
+    return MarkerEvidence(
         everywhere.at[:, places].set(jnp.where(present[..., None], pixels, 0.0)), everywhere[..., 0].at[:, places].set(present.astype(pixels.dtype))
     )
 
@@ -161,7 +161,7 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
     known = [(number, MARKERS.index(marker)) for number, marker in enumerate(body.markers.names) if marker in MARKERS]
     if not known:
         found = f"the body '{body.name}' has the markers {', '.join(body.markers.names) or '(none)'}"
-        raise wrong(name, found, f"some of {', '.join(MARKERS)}", "name the body's [markers] so")
+        raise input_error(name, found, f"some of {', '.join(MARKERS)}", "name the body's [markers] so")
     dtype = body.lengths.dtype
     diagonal = jnp.sqrt(jnp.sum(rig.size**2, axis=1))
     sd_px = options.sd_px * (diagonal / options.at_diagonal_px if options.at_diagonal_px else jnp.ones_like(diagonal))

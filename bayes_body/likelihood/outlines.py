@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.body.solids import Body, PartTopology
-from bayes_body.camera import Camera, Pixels
+from bayes_body.geometry.camera import Camera, Pixels
 from bayes_body.likelihood.patch_pixels import corner_pixels, seen_patches
 from bayes_body.shapes import Pose
 

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body import camera as cameras
 from bayes_body.body.solids import Body, Patches, Samples, part_transforms, patches, widened
-from bayes_body.camera import Camera, Pixels
-from bayes_body.geometry import Transform
+from bayes_body.geometry import camera as cameras
+from bayes_body.geometry.camera import Camera, Pixels
+from bayes_body.geometry.transforms import Transform
 from bayes_body.shapes import Pose
 
 type Seen = Float[Array, "4 part 3"]

@@ -19,14 +19,14 @@ from jaxtyping import Array, Bool, Float
 from pydantic import Field
 
 from bayes_body.body.solids import Body
-from bayes_body.camera import Camera
-from bayes_body.errors import wrong
-from bayes_body.factor import Factor, Variable, Variables
+from bayes_body.density.factor import Factor, Variable, Variables
+from bayes_body.errors import input_error
+from bayes_body.evidence.silhouettes import GRID, SilhouetteEvidence
+from bayes_body.geometry.camera import Camera
 from bayes_body.likelihood.outlines import Forms, outline_forms, signed_distance
 from bayes_body.registry import register
-from bayes_body.schema import Count, Positive, Schema
-from bayes_body.seen import GRID, SeenSilhouettes
 from bayes_body.shapes import Key, Pose, Scalar
+from bayes_body.toml.schema import Count, Positive, Schema
 
 POSE = Variable("pose")
 Unlikely = Annotated[float, Field(strict=True, gt=0, lt=0.5)]
@@ -62,7 +62,7 @@ class SilhouetteBernoulli:
     miss: Scalar
     soft_px: Scalar
 
-    def __call__(self, values: Variables, seen: SeenSilhouettes) -> Scalar:
+    def __call__(self, values: Variables, seen: SilhouetteEvidence) -> Scalar:
         """log p(z | pose), normalised.
 
         Raises:
@@ -71,7 +71,9 @@ class SilhouetteBernoulli:
         rows, columns = seen.foreground.shape[1:]
         if (columns, rows) != self.grid:
             found = f"silhouettes on a grid of {columns} x {rows}"
-            raise wrong("silhouette_bernoulli", found, f"{self.grid[0]} x {self.grid[1]}, the likelihood's", "observe the frame with the same grid")
+            raise input_error(
+                "silhouette_bernoulli", found, f"{self.grid[0]} x {self.grid[1]}, the likelihood's", "observe the frame with the same grid"
+            )
         pose = values[POSE]
         p = self.foreground(pose)
         terms = jnp.sum(jnp.log(jnp.where(seen.foreground, p, 1 - p)), axis=(1, 2))
@@ -100,10 +102,10 @@ def _centres(count: int, extent: Scalar) -> Float[Array, " point"]:
     return jnp.floor((2 * jnp.arange(count) + 1) * extent / (2 * count)) - extent / 2
 
 
-def simulate(potential: SilhouetteBernoulli, key: Key, values: Variables) -> SeenSilhouettes:
+def simulate(potential: SilhouetteBernoulli, key: Key, values: Variables) -> SilhouetteEvidence:
     """A frame's silhouettes drawn from the likelihood at a pose; every camera sees it."""
     foreground = potential.draw(key, values[POSE])
-    return SeenSilhouettes(foreground, jnp.ones(foreground.shape[0], bool))
+    return SilhouetteEvidence(foreground, jnp.ones(foreground.shape[0], bool))
 
 
 @register("likelihood", "silhouette_bernoulli", Options)

@@ -27,15 +27,15 @@ from jaxtyping import Array, Float, Int
 from pydantic import Field
 
 from bayes_body.body.solids import Body, Samples, outline_samples, surface_samples
-from bayes_body.camera import Camera
-from bayes_body.factor import Factor, Variable, Variables
+from bayes_body.density.factor import Factor, Variable, Variables
+from bayes_body.evidence.silhouette_edges import EDGES, SILHOUETTE, Lookup, SilhouetteEdgeMaps, look_up
+from bayes_body.geometry.camera import Camera
 from bayes_body.likelihood.coverage import projected_area
 from bayes_body.likelihood.outlines import forms_of, point_distance
 from bayes_body.likelihood.patch_pixels import sample_pixels, seen_patches
-from bayes_body.maps import EDGES, SILHOUETTE, Lookup, SilhouetteEdgeMaps, look_up
 from bayes_body.registry import register
-from bayes_body.schema import Count, NonNegative, Positive, Schema
 from bayes_body.shapes import Pose, Scalar
+from bayes_body.toml.schema import Count, NonNegative, Positive, Schema
 
 POSE = Variable("pose")
 

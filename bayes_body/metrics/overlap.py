@@ -3,11 +3,11 @@ r"""Overlap of the projected mean body with the silhouettes: intersection over u
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.draws import Draws, FrameResult
-from bayes_body.model import Model
+from bayes_body.model.build import Model
 from bayes_body.observation.frames import read_frame
 from bayes_body.posterior import mean_pose
-from bayes_body.session import Session
+from bayes_body.session.session import Session
+from bayes_body.tracking.draws import Draws, FrameResult
 from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.silhouette import intersection_over_union, projected_masks, seen_in
 

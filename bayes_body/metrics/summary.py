@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from bayes_body.draws import Draws, FrameResult
 from bayes_body.metrics.figures import accuracy_figures
 from bayes_body.metrics.overlap import frame_overlap
 from bayes_body.metrics.truth import draws_against_truth
-from bayes_body.model import Model
+from bayes_body.model.build import Model
 from bayes_body.posterior import frame_rhat, markers, mean_pose
-from bayes_body.session import Session
+from bayes_body.session.session import Session
+from bayes_body.tracking.draws import Draws, FrameResult
 from bayes_body.view.progress import Watch, unwatched
 
 

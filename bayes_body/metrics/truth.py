@@ -22,13 +22,14 @@ from numpy.typing import NDArray
 
 from bayes_body.body.kinematics import forward_kinematics
 from bayes_body.body.skeleton import Markers, Skeleton
-from bayes_body.draws import Draws
+from bayes_body.evidence.markers import MARKERS
 from bayes_body.metrics.accuracy import FrameAccuracy, frame_accuracy
-from bayes_body.model import Model
+from bayes_body.model.build import Model
 from bayes_body.posterior import markers
-from bayes_body.recording.truth import MARKERS, read_truth
-from bayes_body.session import Session
+from bayes_body.recording.truth import read_truth
+from bayes_body.session.session import Session
 from bayes_body.shapes import Pose
+from bayes_body.tracking.draws import Draws
 from bayes_body.view.progress import Watch, unwatched
 
 # Frames with a known truth below which no offset is fitted.
@@ -99,7 +100,7 @@ class AgainstTruth(NamedTuple):
 
 
 def true_markers(session: Session) -> Float[np.ndarray, "frame 15 3"] | None:
-    """The session's true markers, in the order of `recording.truth.MARKERS`, metres; None where it names none.
+    """The session's true markers, in the order of `evidence.markers.MARKERS`, metres; None where it names none.
 
     Raises:
         InputError: the file that it names cannot be used.
@@ -136,7 +137,7 @@ def against_truth(model: Model, clouds: Clouds, truth: Float[np.ndarray, "frame 
     Args:
         model: of the run.
         clouds: the particles of each frame in order, anew at each call.
-        truth: of the same frames, in the order of `recording.truth.MARKERS`, metres; NaN where unknown.
+        truth: of the same frames, in the order of `evidence.markers.MARKERS`, metres; NaN where unknown.
     """
     body = model.body.markers
     places = [place for place, name in enumerate(body.names) if name in MARKERS]

@@ -1,8 +1,8 @@
 r"""A bank of orientation-tuned band-pass filters in quadrature, prepared on the host while the device works on the frame before.
 
 Log-Gabor along the radius, $\exp(-\ln^2(f\lambda) / 2 \ln^2 \beta)$ for the wavelength $\lambda$ (Field 1987), and in direction the even and odd
-windows of `bayes_body.phase_maps`. A wave of the wavelength and of the filter's direction comes out with its own amplitude, in grey levels; a step
-edge comes out odd, with the phase π/2 or −π/2.
+windows of `bayes_body.evidence.edge_phase`. A wave of the wavelength and of the filter's direction comes out with its own amplitude, in grey levels;
+a step edge comes out odd, with the phase π/2 or −π/2.
 """
 
 from collections.abc import Callable
@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
+from bayes_body.evidence.edge_phase import ODD, PhaseMaps, pack, unseen
 from bayes_body.observation.frames import Frame
-from bayes_body.phase_maps import ODD, PhaseMaps, pack, unseen
 from bayes_body.registry import register
-from bayes_body.schema import Schema
+from bayes_body.toml.schema import Schema
 
 # β: the standard deviation of the filter over the logarithm of frequency, as a ratio; 0.65 is a band of an octave and a half.
 RATIO = 0.65
@@ -31,7 +31,7 @@ class Options(Schema):
 
 
 def responses(grey: NDArray[np.uint8], wavelength_px: float) -> NDArray[np.float32]:
-    """The seven maps of one scale: (map, row, column), in the order of `bayes_body.phase_maps`, grey levels.
+    """The seven maps of one scale: (map, row, column), in the order of `bayes_body.evidence.edge_phase`, grey levels.
 
     Args:
         grey: image (row, column).
@@ -94,4 +94,4 @@ def _check_size(shape: tuple[int, ...], wavelength_px: float) -> None:
     least = int(np.ceil(2 * SUPPORT * wavelength_px))
     if min(shape) < least:
         found = f"images of {shape[1]} x {shape[0]} pixels under a filter of wavelength {wavelength_px:g} px"
-        raise wrong("edge_phase", found, f"at least {least} pixels a side", "take a shorter `wavelength_px`, or larger images")
+        raise input_error("edge_phase", found, f"at least {least} pixels a side", "take a shorter `wavelength_px`, or larger images")

@@ -13,7 +13,7 @@ from bayes_body.observation.segmentation import EVEN
 from bayes_body.observation.silhouettes import has_silhouettes, silhouette_levels
 from bayes_body.recording.images import NotSeenError, read_mask
 from bayes_body.recording.keypoint_series import read_series
-from bayes_body.session import Keypoints, Session, View
+from bayes_body.session.session import Keypoints, Session, View
 
 
 class Frame(NamedTuple):

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
+from bayes_body.evidence.markers import MARKERS, MarkerEvidence
 from bayes_body.observation.frames import Frame
 from bayes_body.registry import register
-from bayes_body.schema import Schema
-from bayes_body.seen import MARKERS, SeenMarkers
+from bayes_body.toml.schema import Schema
 
 
 class Options(Schema):
@@ -17,15 +17,15 @@ class Options(Schema):
 
 
 @register("observation", "markers_gaussian", Options)
-def build(**_: Any) -> Callable[[Frame], SeenMarkers]:
+def build(**_: Any) -> Callable[[Frame], MarkerEvidence]:
     """From a frame's keypoints to the likelihood's markers, as NumPy arrays."""
 
-    def observe(frame: Frame) -> SeenMarkers:
+    def observe(frame: Frame) -> MarkerEvidence:
         if frame.keypoints is None:
             remedy = "import them with the recording, or give [[camera]] its `keypoints`"
-            raise wrong("session.toml", "its cameras have no keypoints", "keypoints of at least one camera", remedy)
+            raise input_error("session.toml", "its cameras have no keypoints", "keypoints of at least one camera", remedy)
         rows = np.array([_rows(keypoints or {}) for keypoints in frame.keypoints], np.float32)
-        return SeenMarkers(rows[..., :2], rows[..., 2])
+        return MarkerEvidence(rows[..., :2], rows[..., 2])
 
     return observe
 

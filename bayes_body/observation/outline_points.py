@@ -8,7 +8,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from bayes_body.phase_maps import Response, steer
+from bayes_body.evidence.edge_phase import Response, steer
 
 # Between two points along an outline, and from an outline to what is elsewhere, pixels.
 SPACING_PX, ELSEWHERE_PX = 4, 12

@@ -7,11 +7,11 @@ import numpy as np
 from cv2.typing import MatLike
 from jaxtyping import UInt8
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording.images import NotSeenError, read_grey
 from bayes_body.recording.images import read_colour as read_colour_image
 from bayes_body.recording.video import read_video_frame
-from bayes_body.session import Session, View
+from bayes_body.session.session import Session, View
 
 # Standard deviation of an image's grey values, below which it shows nothing: the camera was off, covered or blinded.
 LEAST_CONTRAST = 2.5
@@ -56,7 +56,7 @@ def check_index(session: Session, index: int) -> None:
         InputError: it does not.
     """
     if not 0 <= index < session.frames:
-        raise wrong(session.title, f"frame {index}", f"0 to {session.frames - 1}", "choose a frame of the session")
+        raise input_error(session.title, f"frame {index}", f"0 to {session.frames - 1}", "choose a frame of the session")
 
 
 def _read_video(session: Session, index: int, view: View) -> Colours | None:
@@ -68,7 +68,7 @@ def _image_path(session: Session, index: int, view: View) -> Path:
     path = session.image_path(view, index)
     if path is None:
         found = "neither images nor video"
-        raise wrong(f"{session.title}: camera '{view.camera.name}'", found, "one of the two", "give it `images` or `video`")
+        raise input_error(f"{session.title}: camera '{view.camera.name}'", found, "one of the two", "give it `images` or `video`")
     return path
 
 

@@ -31,7 +31,7 @@ from bayes_body.observation.background import Background, shrink
 from bayes_body.observation.colours import colour_bins, colour_histogram
 from bayes_body.observation.exposure import fit_exposure
 from bayes_body.observation.pictures import Colours
-from bayes_body.session import Segmentation
+from bayes_body.session.session import Segmentation
 
 type LogOdds = Float[np.ndarray, "row column"]
 

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Bool
 from numpy.typing import NDArray
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
+from bayes_body.evidence.silhouettes import GRID, SilhouetteEvidence
 from bayes_body.observation.frames import Frame
 from bayes_body.registry import register
-from bayes_body.schema import Schema
-from bayes_body.seen import GRID, SeenSilhouettes
+from bayes_body.toml.schema import Schema
 
 
 class Options(Schema):
@@ -25,7 +25,7 @@ def sample_mask(mask: NDArray[np.bool_], columns: int, rows: int) -> Bool[np.nda
 
 
 @register("observation", "silhouette_bernoulli", Options)
-def build(likelihood: Any = None, **_: Any) -> Callable[[Frame], SeenSilhouettes]:
+def build(likelihood: Any = None, **_: Any) -> Callable[[Frame], SilhouetteEvidence]:
     """From a frame's masks to the likelihood's grids, as NumPy arrays.
 
     Args:
@@ -33,14 +33,14 @@ def build(likelihood: Any = None, **_: Any) -> Callable[[Frame], SeenSilhouettes
     """
     columns, rows = getattr(likelihood, "grid", GRID)
 
-    def observe(frame: Frame) -> SeenSilhouettes:
+    def observe(frame: Frame) -> SilhouetteEvidence:
         if frame.masks is None:
             expected = "a silhouette for every image"
             remedy = "give each [[camera]] its `masks`, or an image of the empty scene as `background`"
-            raise wrong("session.toml", "its cameras have no masks, and the frames are too few to learn the background from", expected, remedy)
+            raise input_error("session.toml", "its cameras have no masks, and the frames are too few to learn the background from", expected, remedy)
         masks = list(frame.masks)
         nothing = np.zeros((rows, columns), bool)
         grids = [nothing if mask is None else sample_mask(mask, columns, rows) for mask in masks]
-        return SeenSilhouettes(np.stack(grids), np.array([mask is not None for mask in masks]))
+        return SilhouetteEvidence(np.stack(grids), np.array([mask is not None for mask in masks]))
 
     return observe

@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_body.errors import wrong
-from bayes_body.maps import UNSEEN_SHARE, SilhouetteEdgeMaps, pack
+from bayes_body.errors import input_error
+from bayes_body.evidence.silhouette_edges import UNSEEN_SHARE, SilhouetteEdgeMaps, pack
 from bayes_body.observation.frames import Frame
 from bayes_body.observation.thickness import spread_points
 from bayes_body.registry import register
-from bayes_body.schema import NonNegative, Positive, Schema, Share
+from bayes_body.toml.schema import NonNegative, Positive, Schema, Share
 
 
 class Options(Schema):
@@ -102,7 +102,7 @@ def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame
         if frame.masks is None:
             expected = "a silhouette for every image"
             remedy = "give each [[camera]] its `masks`, or an image of the empty scene as `background`"
-            raise wrong("session.toml", "its cameras have no masks, and the frames are too few to learn the background from", expected, remedy)
+            raise input_error("session.toml", "its cameras have no masks, and the frames are too few to learn the background from", expected, remedy)
         unseen = pack(np.empty((0, 0), np.float32), options.unseen_error, frame.largest)
         stacks, shares, points = [], [], []
         for image, mask in zip(frame.images, frame.masks, strict=True):

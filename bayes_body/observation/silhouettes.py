@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.observation.background import Background, learn_background, shrink, still_background
+from bayes_body.observation.picture_cache import PictureCache
 from bayes_body.observation.pictures import Colours, read_colour
 from bayes_body.observation.segmentation import foreground_levels
-from bayes_body.observation.shelf import Shelf
 from bayes_body.recording.images import is_image
 from bayes_body.recording.images import read_colour as read_colour_image
 from bayes_body.recording.video import probe, read_video_frame, readable_frames
-from bayes_body.session import Session, View
+from bayes_body.session.session import Session, View
 
 # From fewer frames of a recording no background is learned: a person would be in most of them.
 LEAST_FRAMES = 10
@@ -29,7 +29,7 @@ KEPT, KEPT_BYTES = 32, 64 << 20
 
 _backgrounds: OrderedDict[Hashable, Background] = OrderedDict()
 _lock = threading.Lock()
-_made = Shelf(KEPT_BYTES)
+_made = PictureCache(KEPT_BYTES)
 
 
 def has_silhouettes(session: Session) -> bool:
@@ -86,7 +86,7 @@ def _learn(session: Session, view: View) -> Background:
     if len(images) < (LEAST_FRAMES if path is None else 1):
         found = f"{len(images)} of its frames can be seen, and it has neither masks nor an empty scene"
         remedy = "give it `background`, an image or a video of the empty scene, or `masks`"
-        raise wrong(f"{session.title}: camera '{view.camera.name}'", found, f"{LEAST_FRAMES} or more to learn the background from", remedy)
+        raise input_error(f"{session.title}: camera '{view.camera.name}'", found, f"{LEAST_FRAMES} or more to learn the background from", remedy)
     return learn_background(images, options.follow_exposure)
 
 

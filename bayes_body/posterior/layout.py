@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_body.draws import Draws, FrameResult
 from bayes_body.posterior.mixing import PREFIX
+from bayes_body.tracking.draws import Draws, FrameResult
 
 # Of the figures of Markov chains, those that are no figure a chain.
 MARKOV_DIMS: Mapping[str, tuple[str, ...]] = {"ess": ("dof",), "length": ()}

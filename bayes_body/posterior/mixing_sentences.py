@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from bayes_body.posterior.diagnosis import Diagnosis, Thresholds
+from bayes_body.posterior.frame_text import at_worst, frames_where, largest
 from bayes_body.posterior.mixing import Mixing
-from bayes_body.posterior.wording import at_worst, largest, where
 
 # Acceptance below which chains that disagree are told to take smaller steps, rather than to run for longer.
 SMALLER_STEPS = 0.4
@@ -28,7 +28,7 @@ def _divergences(mixing: Mixing, thresholds: Thresholds) -> Iterator[str]:
     crossed = worst > thresholds.divergent_share
     if crossed.any():
         figure = f"{worst.max():.0%} of the trajectories diverged{at_worst(crossed, int(worst.argmax()))} (limit {thresholds.divergent_share:.0%})"
-        yield f"{where(crossed)}: {figure}, and corners of the posterior may be missing; {_lower(mixing)}."
+        yield f"{frames_where(crossed)}: {figure}, and corners of the posterior may be missing; {_lower(mixing)}."
 
 
 def _disagreement(mixing: Mixing, dofs: tuple[str, ...], thresholds: Thresholds) -> Iterator[str]:
@@ -45,7 +45,7 @@ def _disagreement(mixing: Mixing, dofs: tuple[str, ...], thresholds: Thresholds)
         if accepted < SMALLER_STEPS
         else "raise --leapfrog-steps or --particles, or --set burn_in=..., or --set starts=... where they sit in several modes"
     )
-    yield f"{where(crossed)}: the chains of a frame did not mix, {figure}; {remedy}."
+    yield f"{frames_where(crossed)}: the chains of a frame did not mix, {figure}; {remedy}."
 
 
 def _energy(mixing: Mixing, thresholds: Thresholds) -> Iterator[str]:
@@ -53,7 +53,7 @@ def _energy(mixing: Mixing, thresholds: Thresholds) -> Iterator[str]:
     crossed = worst < thresholds.energy_fraction
     if crossed.any():
         figure = f"E-BFMI {worst.min():.2f}{at_worst(crossed, int(worst.argmin()))} (limit {thresholds.energy_fraction:g})"
-        yield f"{where(crossed)}: momenta move the energy too little to reach the tails, {figure}; raise --particles and --set burn_in=..."
+        yield f"{frames_where(crossed)}: momenta move the energy too little to reach the tails, {figure}; raise --particles and --set burn_in=..."
 
 
 def _lower(mixing: Mixing) -> str:

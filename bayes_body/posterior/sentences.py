@@ -6,8 +6,8 @@ import numpy as np
 
 from bayes_body.errors import InputError
 from bayes_body.posterior.diagnosis import Diagnosis, Thresholds
+from bayes_body.posterior.frame_text import at_worst, frame_ranges, frames_where, largest
 from bayes_body.posterior.mixing_sentences import mixing_sentences
-from bayes_body.posterior.wording import at_worst, frame_ranges, largest, where
 from bayes_body.registry import find, names
 
 __all__ = ["frame_ranges", "sentences"]
@@ -57,13 +57,13 @@ def _lost(diagnosis: Diagnosis) -> str | None:
     if not lost.any():
         return None
     found = "lost, no particle explained the images and the filter went on from its prediction"
-    return f"{where(lost)}: {found}; look at the images, or {_remedy(diagnosis, 'particles')}."
+    return f"{frames_where(lost)}: {found}; look at the images, or {_remedy(diagnosis, 'particles')}."
 
 
 def _unseen(diagnosis: Diagnosis) -> str | None:
     if diagnosis.seen is None or diagnosis.seen.all():
         return None
-    blind = [f"{name} in {where(~seen)}" for name, seen in zip(diagnosis.cameras, diagnosis.seen.T, strict=True) if not seen.all()]
+    blind = [f"{name} in {frames_where(~seen)}" for name, seen in zip(diagnosis.cameras, diagnosis.seen.T, strict=True) if not seen.all()]
     return f"nothing seen by camera {'; camera '.join(blind)}: the other cameras alone, or the motion prior, speak there; look at these images."
 
 
@@ -75,7 +75,7 @@ def _rhat(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
     frame = int(worst.argmax())
     dof = diagnosis.dofs[int(np.nan_to_num(diagnosis.rhat[frame], nan=-np.inf).argmax())]
     figure = f"R-hat up to {worst[frame]:.2f} ({dof} at frame {frame}; limit {thresholds.rhat:g})"
-    return f"{where(crossed)}: the runs disagree, {figure}; {_remedy(diagnosis, 'layers', 'particles', 'moves')}."
+    return f"{frames_where(crossed)}: the runs disagree, {figure}; {_remedy(diagnosis, 'layers', 'particles', 'moves')}."
 
 
 def _ess(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
@@ -85,7 +85,7 @@ def _ess(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
     if not crossed.any():
         return None
     figure = f"{worst.min():.0f} effective particles of {diagnosis.particles}{at_worst(crossed, int(worst.argmin()))} (limit {limit:g})"
-    return f"{where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
+    return f"{frames_where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
 
 
 def _pareto_k(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
@@ -94,7 +94,7 @@ def _pareto_k(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
     if not crossed.any():
         return None
     figure = f"a few weights carry the estimate, Pareto k {worst.max():.2f}{at_worst(crossed, int(worst.argmax()))} (limit {thresholds.pareto_k:g})"
-    return f"{where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
+    return f"{frames_where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
 
 
 def _evidence(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
@@ -114,7 +114,7 @@ def _ancestors(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
     figure = (
         f"all particles descend from {worst.min():.0f} of the frame before{at_worst(crossed, int(worst.argmin()))} (limit {thresholds.ancestors:g})"
     )
-    return f"{where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
+    return f"{frames_where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
 
 
 def _acceptance(diagnosis: Diagnosis, thresholds: Thresholds) -> Iterator[str]:
@@ -133,7 +133,7 @@ def _acceptance(diagnosis: Diagnosis, thresholds: Thresholds) -> Iterator[str]:
                 if diagnosis.mixing is None
                 else "change the step, by --set step=... or --set target_acceptance=0.8"
             )
-            yield f"{where(crossed)}: {figure}, {meaning}; {remedy}."
+            yield f"{frames_where(crossed)}: {figure}, {meaning}; {remedy}."
 
 
 def _single(diagnosis: Diagnosis) -> str | None:

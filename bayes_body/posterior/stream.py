@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_body.draws import Draws, FrameResult
-from bayes_body.errors import wrong
-from bayes_body.files import make_folder, replacing
+from bayes_body.errors import input_error
+from bayes_body.files.atomic import make_folder, replacing
+from bayes_body.files.error_deferring import ErrorDeferringFile
 from bayes_body.posterior.layout import Variable, attributes_of, coordinates, dims_of, groups, sizes
-from bayes_body.posterior.steady_file import SteadyFile
+from bayes_body.tracking.draws import Draws, FrameResult
 
 if TYPE_CHECKING:
     import h5netcdf
@@ -37,7 +37,7 @@ def stream_posterior(draws: Draws, path: Path, attributes: Mapping[str, Any] | N
     make_folder(path.parent)
     _check_room(draws, path)
     count, step = len(draws.frames), frames_in_chunk(draws)
-    with replacing(path) as partial, SteadyFile(partial) as steady:
+    with replacing(path) as partial, ErrorDeferringFile(partial) as steady:
         with h5netcdf.File(steady, "w") as file:
             file.attrs.update(attributes_of(draws, attributes))
             arrays = [each for name, members in groups(draws).items() for each in _make_group(file, name, members, draws, step)]
@@ -69,7 +69,7 @@ def _check_room(draws: Draws, path: Path) -> None:
     a_frame = sum(np.asarray(variable.of(draws.frames[0])).nbytes for members in groups(draws).values() for variable in members)
     wanted, free = len(draws.frames) * a_frame, shutil.disk_usage(path.parent).free
     if wanted > free:
-        raise wrong(path, f"cannot be written ({free / 1e6:.1f} MB are free)", f"room for {wanted / 1e6:.1f} MB", "free some space")
+        raise input_error(path, f"cannot be written ({free / 1e6:.1f} MB are free)", f"room for {wanted / 1e6:.1f} MB", "free some space")
 
 
 def _make_group(file: "h5netcdf.File", name: str, members: Sequence[Variable], draws: Draws, step: int) -> Iterator[tuple[Variable, Any]]:

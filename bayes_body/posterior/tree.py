@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayes_body.draws import Draws
-from bayes_body.files import make_folder, replacing
+from bayes_body.files.atomic import make_folder, replacing
 from bayes_body.posterior.layout import attributes_of, coordinates, dims_of, groups
+from bayes_body.tracking.draws import Draws
 
 if TYPE_CHECKING:
     import xarray as xr

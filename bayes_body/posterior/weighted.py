@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.body.kinematics import marker_positions
-from bayes_body.draws import Draws, FrameResult
-from bayes_body.model import Model
+from bayes_body.model.build import Model
+from bayes_body.tracking.draws import Draws, FrameResult
 
 # Equal-weight draws are a matter of the posterior, not of the sampler: their seed is fixed, so that a saved run always gives the same figures.
 RESAMPLING_SEED = 0

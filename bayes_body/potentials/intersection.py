@@ -16,11 +16,11 @@ import jax
 import jax.numpy as jnp
 
 from bayes_body.body.solids import Body, part_transforms, penetration_depths, widened
-from bayes_body.factor import Factor, Variable, Variables
-from bayes_body.geometry import Transform
+from bayes_body.density.factor import Factor, Variable, Variables
+from bayes_body.geometry.transforms import Transform
 from bayes_body.registry import register
-from bayes_body.schema import NonNegative, Positive, Schema
 from bayes_body.shapes import Pose, Scalar
+from bayes_body.toml.schema import NonNegative, Positive, Schema
 
 POSE = Variable("pose")
 

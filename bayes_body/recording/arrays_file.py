@@ -9,7 +9,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from bayes_body.errors import InputError, wrong
+from bayes_body.errors import InputError, input_error
 
 LARGEST_BYTES = 500_000_000
 
@@ -30,18 +30,18 @@ def read_arrays(path: Path, keys: Sequence[str], kind: str, remedy: str) -> dict
         with zipfile.ZipFile(path) as archive:
             size = sum(member.file_size for member in archive.infolist())
             if size > LARGEST_BYTES:
-                raise wrong(path, f"{size} bytes when unpacked", f"at most {LARGEST_BYTES}", "name another file")
+                raise input_error(path, f"{size} bytes when unpacked", f"at most {LARGEST_BYTES}", "name another file")
             members = [key for key in keys if f"{key}.npy" in archive.namelist()]
             return {key: _parsed(f"{path}: {key}", _content(archive, key), kind, remedy) for key in members}
     except InputError:
         raise
     except FileNotFoundError:
-        raise wrong(path, "no such file", kind, "check the path") from None
+        raise input_error(path, "no such file", kind, "check the path") from None
     except OSError as error:
-        raise wrong(path, f"cannot be read ({error.strerror or error})", kind, "check the path and its permissions") from None
+        raise input_error(path, f"cannot be read ({error.strerror or error})", kind, "check the path and its permissions") from None
     except Exception as error:
         # A damaged archive raises whatever its damaged part runs into: zlib.error, struct.error, NotImplementedError, EOFError, ...
-        raise wrong(path, f"no such archive, or damaged ({type(error).__name__})", kind, remedy) from None
+        raise input_error(path, f"no such archive, or damaged ({type(error).__name__})", kind, remedy) from None
 
 
 def _content(archive: zipfile.ZipFile, key: str) -> bytes:
@@ -57,5 +57,5 @@ def _parsed(where: str, content: bytes, kind: str, remedy: str) -> NDArray[np.ge
     count = int(np.prod([int(side) for side in shape], dtype=object))
     values = content[file.tell() :]
     if dtype.hasobject or not dtype.itemsize or count * dtype.itemsize != len(values):
-        raise wrong(where, f"{len(values)} bytes of {dtype} for shape {shape}", kind, remedy)
+        raise input_error(where, f"{len(values)} bytes of {dtype} for shape {shape}", kind, remedy)
     return np.frombuffer(values, dtype).reshape(shape, order="F" if fortran else "C")

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording.calibration import Calibrated, check_rig
 from bayes_body.recording.faults import Faults
 from bayes_body.recording.images import read_mask
@@ -14,8 +14,8 @@ from bayes_body.recording.options import Axis, Options, check_fps, check_height
 from bayes_body.recording.sources import Source, find_background, find_source, settled_size
 from bayes_body.recording.timing import align, frame_rate
 from bayes_body.recording.truth import read_truth
-from bayes_body.session import Session, Subject, View
-from bayes_body.session_file import load_session, save_session
+from bayes_body.session.read import load_session, save_session
+from bayes_body.session.session import Session, Subject, View
 
 # Where recordings lie in a project, beside the project's folder itself.
 PLACES = ("videos", "images")
@@ -132,7 +132,7 @@ def _with_pictures(session: Session, view: View, options: Options) -> View:
         if series.first > first or series.first + series.count <= last:
             found = f"numbers {series.first} to {series.first + series.count - 1}"
             remedy = "number the masks as the camera's frames; those of a video count from 0"
-            raise wrong(f"--masks {options.masks / name}", found, f"{first} to {last}, the camera's frames in this session", remedy)
+            raise input_error(f"--masks {options.masks / name}", found, f"{first} to {last}, the camera's frames in this session", remedy)
         read_mask(series.path(first), size)
         view = replace(view, masks=_pattern(series, session.folder))
     if options.background is not None:
@@ -156,7 +156,7 @@ def source_folder(source: Path, what: str) -> Path:
         InputError: there is none.
     """
     if not source.is_dir():
-        raise wrong(source, "no such folder", what, "check the path")
+        raise input_error(source, "no such folder", what, "check the path")
     return source
 
 
@@ -169,7 +169,7 @@ def only_file(places: Sequence[Path], patterns: Sequence[str], what: str) -> Pat
     for place in places:
         paths = sorted({path for pattern in patterns for path in place.glob(pattern) if path.is_file()})
         if len(paths) > 1:
-            raise wrong(place, f"{len(paths)} calibrations ({', '.join(path.name for path in paths)})", what, "move all but one of them away")
+            raise input_error(place, f"{len(paths)} calibrations ({', '.join(path.name for path in paths)})", what, "move all but one of them away")
         if paths:
             return paths[0]
-    raise wrong(places[-1], f"no {' or '.join(patterns)} in it", what, "name the folder that holds calibration and videos")
+    raise input_error(places[-1], f"no {' or '.join(patterns)} in it", what, "name the folder that holds calibration and videos")

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording.faults import Faults
-from bayes_body.session import CameraSpec
-from bayes_body.session_schema import rotation_fault
+from bayes_body.session.schema import rotation_fault
+from bayes_body.session.session import CameraSpec
 
 # Beyond these no camera of a laboratory is meant: a unit is wrong by a factor of 1000.
 FARTHEST_M = 100.0
@@ -98,12 +98,12 @@ def calibrated(
         R = rotation_matrix(where, rotation)
     with faults.collect():
         if T.shape != (3,) or not (np.abs(T) <= FARTHEST_SANE_M).all():
-            raise wrong(f"{where}: translation", _shown(T), "three finite numbers", AGAIN)
+            raise input_error(f"{where}: translation", _shown(T), "three finite numbers", AGAIN)
     with faults.collect():
         size_px = None if size is None else whole_size(where, size)
     with faults.collect():
         if not name.strip():
-            raise wrong(where, "a camera without a name", "a name", "name it in the calibration")
+            raise input_error(where, "a camera without a name", "a name", "name it in the calibration")
     faults.raise_any()
     fx, skew, cx, fy, cy = values
     return Calibrated(name, size_px, (fx, fy), (cx, cy), skew / fx, coefficients, R, T)
@@ -113,22 +113,22 @@ def _intrinsics(where: str, K: NDArray[np.float64]) -> tuple[float, float, float
     """Of a matrix of intrinsics: fx, skew (pixels), cx, fy, cy."""
     subject = f"{where}: camera matrix"
     if K.shape != (3, 3) or not np.isfinite(K).all() or np.abs(K).max() > MOST_PIXELS:
-        raise wrong(subject, _shown(K), f"3 x 3 finite numbers, at most {MOST_PIXELS:g}", AGAIN)
+        raise input_error(subject, _shown(K), f"3 x 3 finite numbers, at most {MOST_PIXELS:g}", AGAIN)
     if not np.allclose(K[[1, 2, 2, 2], [0, 0, 1, 2]], [0, 0, 0, 1], atol=1e-9):
-        raise wrong(subject, _shown(K), "fx, skew, cx; 0, fy, cy; 0, 0, 1", "write it by rows, in pixels")
+        raise input_error(subject, _shown(K), "fx, skew, cx; 0, fy, cy; 0, 0, 1", "write it by rows, in pixels")
     for axis, focal in zip("xy", (K[0, 0], K[1, 1]), strict=True):
         if not focal >= 1:
-            raise wrong(where, f"focal length {axis} = {focal:g}", "a positive number of pixels", AGAIN)
+            raise input_error(where, f"focal length {axis} = {focal:g}", "a positive number of pixels", AGAIN)
     return float(K[0, 0]), float(K[0, 1]), float(K[0, 2]), float(K[1, 1]), float(K[1, 2])
 
 
 def _distortion(where: str, numbers: NDArray[np.float64]) -> tuple[float, float, float, float, float]:
     subject = f"{where}: distortion"
     if numbers.size not in (0, *DISTORTION_LENGTHS) or not np.isfinite(numbers).all():
-        raise wrong(subject, _shown(numbers), "4 or 5 finite numbers, k1, k2, p1, p2, k3", AGAIN)
+        raise input_error(subject, _shown(numbers), "4 or 5 finite numbers, k1, k2, p1, p2, k3", AGAIN)
     if numbers[5:].any():
         found = f"{numbers.size} numbers, with others than 0 after the fifth: a rational, thin prism or tilted lens"
-        raise wrong(
+        raise input_error(
             subject, found, "at most k1, k2, p1, p2, k3", "calibrate again with OpenCV's plain model, without CALIB_RATIONAL_MODEL and its like"
         )
     k1, k2, p1, p2, k3 = np.pad(numbers[:5], (0, 5 - min(numbers.size, 5))).tolist()
@@ -143,12 +143,12 @@ def rotation_matrix(where: str, rotation: Numbers) -> NDArray[np.float64]:
     """
     subject, numbers = f"{where}: rotation", np.asarray(rotation, float)
     if numbers.size not in (3, 9) or not np.isfinite(numbers).all() or np.abs(numbers).max() > MOST_PIXELS:
-        raise wrong(subject, _shown(numbers), "9 finite numbers by rows, or 3 of a Rodrigues vector", AGAIN)
+        raise input_error(subject, _shown(numbers), "9 finite numbers by rows, or 3 of a Rodrigues vector", AGAIN)
     R = numbers.reshape(3, 3) if numbers.size == 9 else np.asarray(cv2.Rodrigues(numbers.reshape(3, 1))[0], np.float64)
     fault = rotation_fault(R)
     if fault:
         found, expected, remedy = fault.split("; ")
-        raise wrong(subject, found, expected.removeprefix("expected "), remedy)
+        raise input_error(subject, found, expected.removeprefix("expected "), remedy)
     return R
 
 
@@ -162,7 +162,7 @@ def rotation_given_twice(where: str, matrix: Numbers, vector: Numbers) -> NDArra
     off = float(np.linalg.norm(rotation_matrix(where, vector) - R))
     if off > TWICE_TOLERANCE:
         found = f"the Rodrigues vector contradicts the rotation matrix by {off:.2g}"
-        raise wrong(where, found, "the same rotation twice", "find out which is right, and write the other anew from it")
+        raise input_error(where, found, "the same rotation twice", "find out which is right, and write the other anew from it")
     return R
 
 
@@ -173,7 +173,7 @@ def whole_size(where: str, size: Sequence[float | int]) -> tuple[int, int]:
         InputError: they are not two whole, positive numbers.
     """
     if len(size) != 2 or not all(1 <= side <= MOST_PIXELS and side == int(side) for side in size):
-        raise wrong(f"{where}: image size", _shown(np.asarray(size, float)), "width and height, whole numbers of pixels", AGAIN)
+        raise input_error(f"{where}: image size", _shown(np.asarray(size, float)), "width and height, whole numbers of pixels", AGAIN)
     return int(size[0]), int(size[1])
 
 
@@ -191,7 +191,7 @@ def check_rig(where: object, cameras: Sequence[Calibrated]) -> None:
     for name, count in Counter(camera.name for camera in cameras).items():
         with faults.collect():
             if count > 1:
-                raise wrong(f"{where}: camera '{name}'", f"the name of {count} cameras", "each name once", "rename all but one")
+                raise input_error(f"{where}: camera '{name}'", f"the name of {count} cameras", "each name once", "rename all but one")
     with faults.collect():
         _check_distances(where, np.array([camera.viewpoint_m for camera in cameras]))
     faults.raise_any()
@@ -205,9 +205,9 @@ def _check_distances(where: object, viewpoints: NDArray[np.float64]) -> None:
     expected = f"a room of {NEAREST_M:g} to {FARTHEST_M:g} m"
     if not farthest <= FARTHEST_M:
         found = f"cameras {farthest:.4g} m apart or from the world's origin"
-        raise wrong(where, found, expected, "it looks like a factor of 1000, millimetres read as metres")
+        raise input_error(where, found, expected, "it looks like a factor of 1000, millimetres read as metres")
     if len(viewpoints) > 1 and extent < NEAREST_M:
-        raise wrong(where, f"all cameras within {extent:.2g} m", expected, "it looks like a factor of 1000, metres read as millimetres")
+        raise input_error(where, f"all cameras within {extent:.2g} m", expected, "it looks like a factor of 1000, metres read as millimetres")
 
 
 def _shown(numbers: NDArray[np.float64]) -> str:

@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_body.errors import InputError, wrong
+from bayes_body.errors import InputError, input_error
+from bayes_body.files.text import read_text
 from bayes_body.recording.calibration import Calibrated, calibrated, rotation_given_twice
 from bayes_body.recording.faults import Faults
 from bayes_body.recording.images import silent
-from bayes_body.recording.small_file import read_text
 
 KIND = "a calibration in OpenCV's yml, xml or json"
 SUFFIXES = (".yml", ".yaml", ".xml", ".json")
@@ -51,7 +51,7 @@ def read_opencv(path: Path, unit_m: float) -> list[Calibrated]:
     if len(pair) == 2:
         return _easymocap(pair[INTRINSICS], pair[EXTRINSICS], unit_m)
     if not files:
-        raise wrong(path, "no yml, yaml, xml or json file in it", f"{KIND} for each camera", "name the folder that holds them")
+        raise input_error(path, "no yml, yaml, xml or json file in it", f"{KIND} for each camera", "name the folder that holds them")
     faults, cameras = Faults(), []
     for file in files:
         with faults.collect():
@@ -74,14 +74,14 @@ class _File(NamedTuple):
             if not node.isNone():
                 return _numbers(f"{self.path}: {name}", node)
         if missing is not None:
-            raise wrong(self.path, f"no {missing}", f"one under a name such as {names[0]}", "add it, or name another file")
+            raise input_error(self.path, f"no {missing}", f"one under a name such as {names[0]}", "add it, or name another file")
         return None
 
 
 def _single(path: Path, unit_m: float) -> Calibrated:
     file = _open(path)
     if any(not file.root.getNode(name).isNone() for name in ("M2", "D2")):
-        raise wrong(
+        raise input_error(
             path, "the intrinsics of a stereo pair (M1, M2)", "a file for each camera", "write each camera with its R and T to a file of its own"
         )
     return _camera(str(path), path.stem, (file, file), "", unit_m)
@@ -107,7 +107,7 @@ def _names(file: _File) -> list[str]:
     else:
         names = [key.removeprefix("K_") for key in _keys(file) if key.startswith("K_")]
     if not names:
-        raise wrong(file.path, "no camera in it", "EasyMocap's list `names`, with K_NAME and dist_NAME for each", "name another folder")
+        raise input_error(file.path, "no camera in it", "EasyMocap's list `names`, with K_NAME and dist_NAME for each", "name another folder")
     return names
 
 
@@ -170,7 +170,7 @@ def _open(path: Path) -> _File:
 
 
 def _not_read(path: Path, reason: str) -> InputError:
-    return wrong(path, f"cannot be read by OpenCV ({reason.strip().splitlines()[-1].split(') ')[-1]})", KIND, "restore the file")
+    return input_error(path, f"cannot be read by OpenCV ({reason.strip().splitlines()[-1].split(') ')[-1]})", KIND, "restore the file")
 
 
 def _numbers(where: str, node: cv2.FileNode) -> NDArray[np.float64]:
@@ -181,7 +181,7 @@ def _numbers(where: str, node: cv2.FileNode) -> NDArray[np.float64]:
         shape = [int(side.real()) if side.isInt() else 0 for side in (rows, columns)]
         numbers = np.array(list(_flat(where, node.getNode("data"))))
         if numbers.size != shape[0] * shape[1]:
-            raise wrong(where, f"{numbers.size} numbers for {shape[0]} rows and {shape[1]} columns", "an array of numbers", "restore the file")
+            raise input_error(where, f"{numbers.size} numbers for {shape[0]} rows and {shape[1]} columns", "an array of numbers", "restore the file")
         return numbers.reshape(shape)
     numbers = np.array(list(_flat(where, node)))
     return numbers.reshape(3, 3) if node.isSeq() and numbers.size == 9 else numbers
@@ -194,4 +194,4 @@ def _flat(where: str, node: cv2.FileNode, depth: int = 0) -> Iterator[float]:
     elif node.isInt() or node.isReal():
         yield node.real()
     else:
-        raise wrong(where, "no numbers", f"at most {MOST_NUMBERS} numbers", "restore the file")
+        raise input_error(where, "no numbers", f"at most {MOST_NUMBERS} numbers", "restore the file")

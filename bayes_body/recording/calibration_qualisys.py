@@ -12,10 +12,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from bayes_body.errors import InputError, wrong
+from bayes_body.errors import InputError, input_error
+from bayes_body.files.text import read_text
 from bayes_body.recording.calibration import Calibrated, calibrated
 from bayes_body.recording.faults import Faults
-from bayes_body.recording.small_file import read_text
 
 UP = "z"
 MM = 1e-3
@@ -33,7 +33,7 @@ def read_qualisys(path: Path) -> list[Calibrated]:
     """
     elements = [camera for camera in _root(path).iter("camera") if _films(camera)]
     if not elements:
-        raise wrong(path, "no video camera in it", KIND, "name the file that the calibration wrote")
+        raise input_error(path, "no video camera in it", KIND, "name the file that the calibration wrote")
     faults, cameras = Faults(), []
     for number, element in enumerate(elements, 1):
         name = element.get("serial", "")
@@ -47,11 +47,11 @@ def _root(path: Path) -> ElementTree.Element:
     text = read_text(path, KIND)
     # An entity of an entity of an entity grows without bound, and no calibration has any.
     if "<!doctype" in text.lower() or "<!entity" in text.lower():
-        raise wrong(path, "a document type or entities", f"{KIND}, which has none", "name the file that the calibration wrote")
+        raise input_error(path, "a document type or entities", f"{KIND}, which has none", "name the file that the calibration wrote")
     try:
         return ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError) as error:
-        raise wrong(path, f"no XML ({error})", KIND, "restore the file") from None
+        raise input_error(path, f"no XML ({error})", KIND, "restore the file") from None
 
 
 def _films(camera: ElementTree.Element) -> bool:
@@ -63,10 +63,10 @@ def _camera(where: str, name: str, element: ElementTree.Element) -> Calibrated:
     turned = _number(where, element, "viewrotation", 0.0)
     if turned:
         remedy = "set the view rotation to 0 in Qualisys Track Manager and export calibration and videos again"
-        raise wrong(f"{where}: viewrotation", f"{turned:g} degrees", "0, images as the sensor sees them", remedy)
+        raise input_error(f"{where}: viewrotation", f"{turned:g} degrees", "0, images as the sensor sees them", remedy)
     inner, outer, seen = (_child(where, element, tag) for tag in ("intrinsic", "transform", "fov_video"))
     if _number(where, inner, "skew", 0.0):
-        raise wrong(f"{where}: skew", f"{inner.get('skew')}", "0, as the unit of any other is not known", "calibrate again without skew")
+        raise input_error(f"{where}: skew", f"{inner.get('skew')}", "0, as the unit of any other is not known", "calibrate again without skew")
     left, top, right, bottom = (_number(where, seen, key) for key in ("left", "top", "right", "bottom"))
     fx, fy, cx, cy = (_number(where, inner, key) / SUBPIXELS for key in ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV"))
     k1, k2, k3 = (_number(where, inner, f"radialDistortion{i}", 0.0) for i in (1, 2, 3))
@@ -80,7 +80,7 @@ def _camera(where: str, name: str, element: ElementTree.Element) -> Calibrated:
 def _child(where: str, element: ElementTree.Element, tag: str) -> ElementTree.Element:
     child = element.find(tag)
     if child is None:
-        raise wrong(where, f"no <{tag}>", "<transform>, <intrinsic> and <fov_video>", "export the calibration again, with the video cameras")
+        raise input_error(where, f"no <{tag}>", "<transform>, <intrinsic> and <fov_video>", "export the calibration again, with the video cameras")
     return child
 
 
@@ -100,4 +100,4 @@ def _number(where: str, element: ElementTree.Element, key: str, default: float |
 
 def _no_number(where: str, element: ElementTree.Element, key: str, text: str | None) -> InputError:
     found = "missing" if text is None else f"'{text[:40]}'"
-    return wrong(f"{where}: {element.tag} {key}", found, "a finite number", "restore the file, or export the calibration again")
+    return input_error(f"{where}: {element.tag} {key}", found, "a finite number", "restore the file, or export the calibration again")

@@ -9,11 +9,11 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording.calibration import Calibrated, calibrated
 from bayes_body.recording.faults import Faults
-from bayes_body.schema import Finite
-from bayes_body.toml_file import read_toml, validate
+from bayes_body.toml.read import read_toml, validate
+from bayes_body.toml.schema import Finite
 
 Triple = tuple[Finite, Finite, Finite]
 
@@ -45,7 +45,7 @@ def read_calibration_toml(path: Path, unit_m: float = 1.0) -> list[Calibrated]:
     """
     tables = {key: table for key, table in read_toml(path).items() if key != "metadata"}
     if not tables:
-        raise wrong(path, "no camera in it", "a table for each camera, such as [cam_01]", "name the file that the calibration wrote")
+        raise input_error(path, "no camera in it", "a table for each camera, such as [cam_01]", "name the file that the calibration wrote")
     faults, cameras = Faults(), []
     for key, table in tables.items():
         with faults.collect():
@@ -56,10 +56,10 @@ def read_calibration_toml(path: Path, unit_m: float = 1.0) -> list[Calibrated]:
 
 def _camera(where: str, key: str, table: Any, unit_m: float) -> Calibrated:
     if not isinstance(table, dict):
-        raise wrong(where, "no table", "a camera's table", "remove it, or write a header in brackets above the camera's keys")
+        raise input_error(where, "no table", "a camera's table", "remove it, or write a header in brackets above the camera's keys")
     camera = validate(_Camera, table, where)
     if camera.fisheye:
-        raise wrong(
+        raise input_error(
             f"{where}.fisheye", "true", "a plain lens (k1, k2, p1, p2, k3)", "calibrate again without the fisheye model, or undistort the images"
         )
     translation_m = [unit_m * value for value in camera.translation]

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording.arrays_file import read_arrays
-from bayes_body.session import CameraSpec, Session
-from bayes_body.session_schema import FARTHEST_M, rotation_fault
+from bayes_body.session.schema import FARTHEST_M, rotation_fault
+from bayes_body.session.session import CameraSpec, Session
 
 KIND = "an .npz with `rotation` (frame, 3, 3) and `translation_m` (frame, 3)"
 REMEDY = "write it with numpy.savez(path, rotation=..., translation_m=...), a row for each frame of the session"
@@ -49,7 +49,7 @@ def read_camera_path(path: Path, frames: int) -> Extrinsics:
         state = 0, 0
     found = _read(path, state)
     if len(found[0]) < frames:
-        raise wrong(path, f"{len(found[0])} frames", f"{frames}, as the session has", "add the missing ones, or lower frames in session.toml")
+        raise input_error(path, f"{len(found[0])} frames", f"{frames}, as the session has", "add the missing ones, or lower frames in session.toml")
     return found
 
 
@@ -59,16 +59,18 @@ def _read(path: Path, state: tuple[int, int]) -> Extrinsics:
     arrays = read_arrays(path, ("rotation", "translation_m"), KIND, REMEDY)
     for key, form in (("rotation", (3, 3)), ("translation_m", (3,))):
         if key not in arrays:
-            raise wrong(path, f"no `{key}`", KIND, REMEDY)
+            raise input_error(path, f"no `{key}`", KIND, REMEDY)
         if arrays[key].shape[1:] != form or arrays[key].dtype.kind not in "fiu":
-            raise wrong(f"{path}: {key}", f"{arrays[key].dtype} of shape {arrays[key].shape}", KIND, REMEDY)
+            raise input_error(f"{path}: {key}", f"{arrays[key].dtype} of shape {arrays[key].shape}", KIND, REMEDY)
     rotations, translations = (arrays[key].astype(np.float64) for key in ("rotation", "translation_m"))
     if len(rotations) != len(translations):
-        raise wrong(path, f"{len(rotations)} rotations and {len(translations)} translations", "as many of both", REMEDY)
+        raise input_error(path, f"{len(rotations)} rotations and {len(translations)} translations", "as many of both", REMEDY)
     for frame, (R, t) in enumerate(zip(rotations, translations, strict=True)):
         fault = rotation_fault(R)
         if fault:
-            raise wrong(f"{path}: rotation of frame {frame}", fault, "orthonormal rows", "write it with more digits")
+            raise input_error(f"{path}: rotation of frame {frame}", fault, "orthonormal rows", "write it with more digits")
         if not np.abs(t).max() <= FARTHEST_M:
-            raise wrong(f"{path}: translation_m of frame {frame}", f"{t.tolist()}", f"metres, at most {FARTHEST_M:g}", "divide millimetres by 1000")
+            raise input_error(
+                f"{path}: translation_m of frame {frame}", f"{t.tolist()}", f"metres, at most {FARTHEST_M:g}", "divide millimetres by 1000"
+            )
     return rotations, translations

@@ -4,13 +4,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording.camera_path import read_camera_path
 from bayes_body.recording.faults import Faults
 from bayes_body.recording.images import NotSeenError, check_size, is_image, read_colour, read_grey, read_mask
 from bayes_body.recording.keypoint_series import read_series
 from bayes_body.recording.video import probe, readable_frames
-from bayes_body.session import Session, View
+from bayes_body.session.session import Session, View
 
 BLIND = "the camera counts as not seeing there"
 
@@ -54,7 +54,7 @@ def _check_series(faults: Faults, owner: str, kind: str, paths: Sequence[Path], 
     remedy = f"correct {kind}, first_frame and frames in session.toml"
     if not present:
         with faults.collect():
-            raise wrong(
+            raise input_error(
                 owner, f"all {len(paths)} {kind} are missing, the first is {paths[0]}", "a file for every frame", f"restore them, or {remedy}"
             )
         return []
@@ -83,7 +83,7 @@ def _check_video(session: Session, view: View, owner: str) -> list[str]:
     readable = max(0, readable_frames(path, first + session.frames) - first)
     if readable == 0:
         found = f"{path} has {readable_frames(path, first + 1)} frames"
-        raise wrong(owner, found, f"more than {first}, the number of the first", "correct first_frame and the camera's offset in session.toml")
+        raise input_error(owner, found, f"more than {first}, the number of the first", "correct first_frame and the camera's offset in session.toml")
     if readable == session.frames:
         return []
     missing = range(readable, session.frames)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_body.errors import InputError, wrong
+from bayes_body.errors import InputError, input_error
 
 # Above it a grey value of a silhouette image belongs to the subject.
 MASK_THRESHOLD = 127
@@ -59,12 +59,12 @@ def check_size(path: Path, found: tuple[int, int], size_px: tuple[int, int] | No
     """
     if size_px is not None and found != tuple(size_px):
         remedy = "use the images that the camera was calibrated with, or scale focal_px, centre_px and size_px to these"
-        raise wrong(path, f"{found[0]} x {found[1]} pixels", f"{size_px[0]} x {size_px[1]} as its camera has", remedy)
+        raise input_error(path, f"{found[0]} x {found[1]} pixels", f"{size_px[0]} x {size_px[1]} as its camera has", remedy)
 
 
 def not_seen(path: Path, found: str, expected: str, remedy: str) -> NotSeenError:
     """The error of a frame without a picture, in the words of `bayes_body.errors.wrong`."""
-    return NotSeenError(str(wrong(path, found, expected, remedy)))
+    return NotSeenError(str(input_error(path, found, expected, remedy)))
 
 
 def _read(path: Path, size_px: tuple[int, int] | None, flag: int) -> NDArray[np.uint8]:
@@ -95,7 +95,7 @@ def _content(path: Path) -> bytes:
 def _unreadable(path: Path, error: OSError) -> InputError:
     if isinstance(error, FileNotFoundError):
         return not_seen(path, "no such file", "an image", "restore it, or correct the session's image paths, first_frame and frames")
-    return wrong(path, f"cannot be read ({error.strerror})", "an image", "check the path and its permissions")
+    return input_error(path, f"cannot be read ({error.strerror})", "an image", "check the path and its permissions")
 
 
 def _missing_bytes(content: bytes) -> int:

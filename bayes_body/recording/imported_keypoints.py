@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording.faults import Faults
 from bayes_body.recording.keypoint_layouts import Layout, choose_layout
 from bayes_body.recording.keypoint_series import KeypointSeries, write_series
@@ -15,7 +15,7 @@ from bayes_body.recording.keypoint_subject import Places, follow_person
 from bayes_body.recording.keypoints import keypoint_files, read_openpose, read_people
 from bayes_body.recording.options import Options
 from bayes_body.recording.person import People
-from bayes_body.session import CameraSpec, Keypoints, Session, View
+from bayes_body.session.session import CameraSpec, Keypoints, Session, View
 
 # Files of a camera, evenly spaced, in which the order of the keypoints is looked for.
 FILES_FOR_LAYOUT = 20
@@ -39,9 +39,11 @@ def with_imported_keypoints(session: Session, options: Options, usual: Path | No
     folders = keypoint_folders(session, folder) if folder else {}
     what = "a folder CAMERA_json of OpenPose's files for each camera"
     if options.keypoints is not None and not folders:
-        raise wrong(f"--keypoints {folder}", "no such folder of any camera", what, "check the path and the folders' names")
+        raise input_error(f"--keypoints {folder}", "no such folder of any camera", what, "check the path and the folders' names")
     if options.layout is not None and not folders:
-        raise wrong("--layout", f"{options.layout}, but there are no keypoints{f' in {folder}' if folder else ''}", what, "leave the option out")
+        raise input_error(
+            "--layout", f"{options.layout}, but there are no keypoints{f' in {folder}' if folder else ''}", what, "leave the option out"
+        )
     return with_keypoints(session, folders, options.layout) if folders else (session, [])
 
 
@@ -108,7 +110,7 @@ def _alike(folders: Mapping[str, Path], people: Sequence[People]) -> Float[np.nd
     counts = sorted({each.shape[1] for each in people})
     if len(counts) > 1:
         where = next(iter(folders.values())).parent
-        raise wrong(where, f"people with {counts[0]} and with {counts[-1]} keypoints", "one order of keypoints", "detect them with one network")
+        raise input_error(where, f"people with {counts[0]} and with {counts[-1]} keypoints", "one order of keypoints", "detect them with one network")
     return np.concatenate(people)
 
 

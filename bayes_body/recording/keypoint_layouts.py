@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import InputError, nearest, wrong
+from bayes_body.errors import InputError, input_error, nearest
 
 _COCO = (
     *("nose", "l_eye", "r_eye", "l_ear", "r_ear", "l_shoulder", "r_shoulder", "l_elbow", "r_elbow", "l_wrist", "r_wrist"),
@@ -58,13 +58,13 @@ def choose_layout(points: Float[np.ndarray, "person keypoint 3"], name: str | No
         if name not in LAYOUTS:
             raise InputError(f"--layout: '{name}': no such order; {nearest(name, LAYOUTS)}")
         if name not in fitting:
-            raise wrong(
+            raise input_error(
                 f"--layout {name}", f"{count} keypoints a person", f"{len(LAYOUTS[name])}", "give the order in which the keypoints are written"
             )
         return Layout(name, LAYOUTS[name])
     if not fitting:
         known = ", ".join(f"{each} ({len(keypoints)})" for each, keypoints in LAYOUTS.items())
-        raise wrong("keypoints", f"{count} a person", known, "write them in one of these orders")
+        raise input_error("keypoints", f"{count} a person", known, "write them in one of these orders")
     if len(fitting) == 1:
         return Layout(fitting[0], LAYOUTS[fitting[0]])
     return _by_proportions(points, fitting)
@@ -75,7 +75,7 @@ def _by_proportions(points: Float[np.ndarray, "person keypoint 3"], names: list[
     best, second = sorted(names, key=lambda name: spreads[name])[:2]
     if not spreads[second] > CLEARLY * spreads[best]:
         remedy = f"say which with --layout {best} or --layout {second}"
-        raise wrong("keypoints", f"{points.shape[1]} a person, which may be {' or '.join(names)}", "people whose limbs tell which", remedy)
+        raise input_error("keypoints", f"{points.shape[1]} a person, which may be {' or '.join(names)}", "people whose limbs tell which", remedy)
     found = f"limbs are off a body's proportions by {spreads[best]:.0%}, and by {spreads[second]:.0%} in the order {second}"
     return Layout(best, LAYOUTS[best], f"The keypoints are taken as {best}: {found}.")
 

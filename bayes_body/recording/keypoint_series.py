@@ -1,7 +1,7 @@
 """The subject's keypoints in all frames of one camera: an .npz beside a session, with
 
 - `keypoints` (frame, keypoint, 3): column, row (pixels; NaN where not found) and confidence, between 0 and 1,
-- `names` of the keypoints, those of `keypoint_layouts` or of the fifteen markers (recording/truth.py), or others, which nothing looks at,
+- `names` of the keypoints, those of `keypoint_layouts` or of the fifteen markers (evidence/markers.py), or others, which nothing looks at,
 - `first`, the number of its first frame in the camera's own files; 0 where it is missing.
 """
 
@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from bayes_body.errors import wrong
-from bayes_body.files import make_folder, replacing
+from bayes_body.errors import input_error
+from bayes_body.files.atomic import make_folder, replacing
 from bayes_body.recording.arrays_file import read_arrays
 from bayes_body.recording.keypoints import FARTHEST_PX
 
@@ -73,7 +73,7 @@ def _read(path: Path, state: tuple[int, int]) -> KeypointSeries:
     arrays = read_arrays(path, ("keypoints", "names", "first"), KIND, REMEDY)
     for key in ("keypoints", "names"):
         if key not in arrays:
-            raise wrong(path, f"no `{key}`", KIND, REMEDY)
+            raise input_error(path, f"no `{key}`", KIND, REMEDY)
     names = _names(path, arrays["names"])
     return KeypointSeries(_points(path, arrays["keypoints"], len(names)), names, _first(path, arrays.get("first", np.array(0))))
 
@@ -84,25 +84,25 @@ def _names(path: Path, names: NDArray[np.generic]) -> tuple[str, ...]:
     if not found or len(set(said)) < len(said):
         twice = next((name for name in said if said.count(name) > 1), None)
         what = f"'{twice[:40]}' twice" if twice is not None else f"{names.dtype} of shape {names.shape}"
-        raise wrong(f"{path}: names", what, "each keypoint's name once", REMEDY)
+        raise input_error(f"{path}: names", what, "each keypoint's name once", REMEDY)
     return found
 
 
 def _points(path: Path, points: NDArray[np.generic], count: int) -> Float[np.ndarray, "frame keypoint 3"]:
     where = f"{path}: keypoints"
     if points.ndim != 3 or points.shape[1:] != (count, 3) or points.dtype.kind not in "fiu":
-        raise wrong(where, f"{points.dtype} of shape {points.shape}", f"numbers of shape (frame, {count}, 3)", REMEDY)
+        raise input_error(where, f"{points.dtype} of shape {points.shape}", f"numbers of shape (frame, {count}, 3)", REMEDY)
     points = points.astype(np.float64)
     confidence = points[..., 2][np.isfinite(points[..., 2])]
     if confidence.size and (confidence.min() < 0 or confidence.max() > 1):
-        raise wrong(where, f"a confidence of {max(confidence.max(), -confidence.min()):g}", "0 to 1", "divide by the largest that there can be")
+        raise input_error(where, f"a confidence of {max(confidence.max(), -confidence.min()):g}", "0 to 1", "divide by the largest that there can be")
     pixels = np.abs(points[..., :2])
     if (pixels[~np.isnan(pixels)] > FARTHEST_PX).any():
-        raise wrong(where, "a keypoint far outside of any image", "pixels, or NaN where not found", REMEDY)
+        raise input_error(where, "a keypoint far outside of any image", "pixels, or NaN where not found", REMEDY)
     return points
 
 
 def _first(path: Path, first: NDArray[np.generic]) -> int:
     if first.dtype.kind not in "iu" or first.size != 1:
-        raise wrong(f"{path}: first", f"{first.dtype} of shape {first.shape}", "a whole number, the first frame's", REMEDY)
+        raise input_error(f"{path}: first", f"{first.dtype} of shape {first.shape}", "a whole number, the first frame's", REMEDY)
     return int(first.ravel()[0])

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from bayes_body.recording.person import FEWEST, SAME, People, choose_person
 from bayes_body.recording.triangulate import reprojection_errors, triangulate
-from bayes_body.session import CameraSpec
+from bayes_body.session.session import CameraSpec
 
 # Median distance to the projection of the body of the frame before, of the person's size in the image.
 NEAR = 0.2

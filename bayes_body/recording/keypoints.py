@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import InputError, wrong
+from bayes_body.errors import InputError, input_error
+from bayes_body.files.text import read_text
 from bayes_body.recording.faults import Faults
-from bayes_body.recording.small_file import read_text
 
 KIND = "keypoints as OpenPose writes them, {people: [{pose_keypoints_2d: [x, y, confidence, ...]}]}"
 # The last number of a name: cam01.0007.json, walk_000000000007_keypoints.json.
@@ -39,10 +39,10 @@ def read_people(path: Path) -> Float[np.ndarray, "person keypoint 3"]:
     rows = [_row(path, number, person) for number, person in enumerate(people, 1)]
     counts = sorted({len(row) for row in rows})
     if len(counts) > 1:
-        raise wrong(path, f"people with {counts[0] // 3} and with {counts[-1] // 3} keypoints", "as many for each", "restore the file")
+        raise input_error(path, f"people with {counts[0] // 3} and with {counts[-1] // 3} keypoints", "as many for each", "restore the file")
     points = np.array(rows, float).reshape(len(rows), -1, 3)
     if not (np.isfinite(points).all() and (np.abs(points[..., :2]) <= FARTHEST_PX).all()):
-        raise wrong(path, "a keypoint that is not finite, or far outside of any image", "pixels", "restore the file")
+        raise input_error(path, "a keypoint that is not finite, or far outside of any image", "pixels", "restore the file")
     points[..., 2] = np.clip(points[..., 2], 0.0, 1.0)
     points[..., :2][points[..., 2] == 0] = np.nan
     return points
@@ -52,16 +52,16 @@ def _people(path: Path) -> list[Any]:
     try:
         content = json.loads(read_text(path, KIND))
     except (json.JSONDecodeError, RecursionError) as error:
-        raise wrong(path, f"no JSON ({error})", KIND, "restore the file") from None
+        raise input_error(path, f"no JSON ({error})", KIND, "restore the file") from None
     except InputError:
         raise
     except ValueError as error:
         # A whole number with thousands of digits.
-        raise wrong(path, f"no JSON of numbers ({error})", KIND, "restore the file") from None
+        raise input_error(path, f"no JSON of numbers ({error})", KIND, "restore the file") from None
     people = content.get("people") if isinstance(content, dict) else None
     if not isinstance(people, list) or len(people) > MOST_PEOPLE:
         found = "no list `people`" if not isinstance(people, list) else f"{len(people)} people"
-        raise wrong(path, found, f"{KIND}, at most {MOST_PEOPLE} people", "restore the file")
+        raise input_error(path, found, f"{KIND}, at most {MOST_PEOPLE} people", "restore the file")
     return people
 
 
@@ -69,10 +69,10 @@ def _row(path: Path, number: int, person: Any) -> list[float]:
     numbers = person.get("pose_keypoints_2d") if isinstance(person, dict) else None
     if not isinstance(numbers, list) or not numbers or len(numbers) % 3 or len(numbers) > 3 * MOST_KEYPOINTS:
         found = f"{len(numbers)} numbers" if isinstance(numbers, list) else "none"
-        raise wrong(f"{path}: person {number}: pose_keypoints_2d", found, "x, y, confidence of each keypoint in a row", "restore the file")
+        raise input_error(f"{path}: person {number}: pose_keypoints_2d", found, "x, y, confidence of each keypoint in a row", "restore the file")
     # No true and false, and no number too large for a float.
     if not all(type(value) in (int, float) and abs(value) <= 1e300 for value in numbers):
-        raise wrong(f"{path}: person {number}: pose_keypoints_2d", "an entry that is no finite number", "numbers", "restore the file")
+        raise input_error(f"{path}: person {number}: pose_keypoints_2d", "an entry that is no finite number", "numbers", "restore the file")
     return [float(value) for value in numbers]
 
 
@@ -85,10 +85,12 @@ def keypoint_files(folder: Path) -> dict[int, Path]:
     paths = sorted(folder.glob("*.json")) if folder.is_dir() else []
     numbered = [(int(match[1][:18]), path) for path in paths if (match := NUMBER.search(path.name))]
     if not numbered:
-        raise wrong(folder, "no numbered json files in it", "a file a frame, such as cam01.0000.json", "name the folder that holds them")
+        raise input_error(folder, "no numbered json files in it", "a file a frame, such as cam01.0000.json", "name the folder that holds them")
     files = dict(sorted(numbered))
     if len(files) < len(numbered):
-        raise wrong(folder, f"{len(numbered)} files with {len(files)} numbers", "a number for each frame", "keep the files of one recording in it")
+        raise input_error(
+            folder, f"{len(numbered)} files with {len(files)} numbers", "a number for each frame", "keep the files of one recording in it"
+        )
     return files
 
 
@@ -111,7 +113,7 @@ def read_openpose(folder: Path, frames: Sequence[int]) -> Float[np.ndarray, "fra
     missing = [number for number in frames if number not in files]
     if missing:
         found = f"no file of {len(missing)} of {len(frames)} frames, the first is {missing[0]}"
-        raise wrong(folder, found, f"a file for each frame; there are {min(files)} to {max(files)}", "restore them, or read other frames")
+        raise input_error(folder, found, f"a file for each frame; there are {min(files)} to {max(files)}", "restore them, or read other frames")
     faults, people = Faults(), []
     for number in frames:
         with faults.collect():
@@ -119,7 +121,9 @@ def read_openpose(folder: Path, frames: Sequence[int]) -> Float[np.ndarray, "fra
     faults.raise_any()
     counts = sorted({each.shape[1] for each in people if len(each)})
     if len(counts) > 1:
-        raise wrong(folder, f"frames with {counts[0]} and with {counts[-1]} keypoints a person", "as many in each", "keep one series of files in it")
+        raise input_error(
+            folder, f"frames with {counts[0]} and with {counts[-1]} keypoints a person", "as many in each", "keep one series of files in it"
+        )
     series = np.full((len(people), max(map(len, people), default=0), counts[0] if counts else 0, 3), np.nan)
     series[..., 2] = 0.0
     for frame, each in zip(series, people, strict=True):

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 
 SUFFIXES = (".bmp", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
 NAME = re.compile(r"(.*?)(\d{1,18})(\.[^.]+)")
@@ -34,10 +34,10 @@ def find_series(folder: Path) -> Series:
     matches = [match for name in names if (match := NAME.fullmatch(name))]
     kinds = sorted({(match[1], match[3]) for match in matches})
     if not matches:
-        raise wrong(folder, "no numbered images in it", "images such as image0000.png", "name the folder that holds them")
+        raise input_error(folder, "no numbered images in it", "images such as image0000.png", "name the folder that holds them")
     if len(kinds) > 1 or len(matches) < len(names):
         other = next((name for name in names if not NAME.fullmatch(name)), f"{kinds[-1][0]}...{kinds[-1][1]}")
-        raise wrong(folder, f"images of more than one kind, {kinds[0][0]}...{kinds[0][1]} and {other}", "one series", "keep one series in it")
+        raise input_error(folder, f"images of more than one kind, {kinds[0][0]}...{kinds[0][1]} and {other}", "one series", "keep one series in it")
     return _series(folder, *kinds[0], [match[2] for match in matches])
 
 
@@ -50,5 +50,5 @@ def _series(folder: Path, prefix: str, suffix: str, digits: list[str]) -> Series
     missing = [name for number in range(series.first, series.first + series.count) if (name := series.name % number) not in present]
     if missing:
         found = f"{len(missing)} of {series.count} numbers from the first on are missing, or written with other digits; the first is {missing[0]}"
-        raise wrong(folder, found, "consecutive numbers, all with as many digits", "restore the images, or number them anew")
+        raise input_error(folder, found, "consecutive numbers, all with as many digits", "restore the images, or number them anew")
     return series

@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording.assemble import Rig, assemble, saved, source_folder
 from bayes_body.recording.calibration import Calibrated
 from bayes_body.recording.calibration_opencv import SUFFIXES, read_opencv
 from bayes_body.recording.calibration_toml import read_calibration_toml
 from bayes_body.recording.imported_keypoints import with_imported_keypoints
 from bayes_body.recording.options import Options, metres_per_unit, up_axis
-from bayes_body.session import Session
+from bayes_body.session.session import Session
 
 WHAT = "a folder with a calibration file (yml, yaml, xml, json, or one toml of Anipose) and a recording of each camera"
 WHY_UNIT = "these files do not say the unit of their translations"
@@ -50,4 +50,4 @@ def _calibration(places: Sequence[Path]) -> Path:
         tomls = sorted(place.glob("*.toml"))
         if len(tomls) == 1:
             return tomls[0]
-    raise wrong(places[-1], "no calibration in it", WHAT, "name the folder that holds calibrations and recordings")
+    raise input_error(places[-1], "no calibration in it", WHAT, "name the folder that holds calibrations and recordings")

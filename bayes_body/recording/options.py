@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, cast
 
-from bayes_body.errors import InputError, nearest, wrong
-from bayes_body.session_schema import LONGEST_M
+from bayes_body.errors import InputError, input_error, nearest
+from bayes_body.session.schema import LONGEST_M
 
 type Axis = Literal["x", "y", "z"]
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
@@ -52,7 +52,7 @@ def check_height(height_m: float | None) -> None:
     if height_m is not None and not 0 < height_m <= LONGEST_M:
         unit, factor = ("centimetres", 100) if height_m <= LONGEST_CM else ("millimetres", 1000)
         remedy = f"it looks like {unit}, divide by {factor}" if height_m > 10 * LONGEST_M else "give the stature in metres"
-        raise wrong("--height", f"{height_m:g}", f"metres, above 0 and at most {LONGEST_M:g}", remedy)
+        raise input_error("--height", f"{height_m:g}", f"metres, above 0 and at most {LONGEST_M:g}", remedy)
 
 
 def check_fps(fps: float | None) -> None:
@@ -62,7 +62,7 @@ def check_fps(fps: float | None) -> None:
         InputError: it is not finite and above 0.
     """
     if fps is not None and not 0 < fps < 1e6:
-        raise wrong("--fps", f"{fps:g}", "frames a second, above 0", "give the rate at which the cameras filmed")
+        raise input_error("--fps", f"{fps:g}", "frames a second, above 0", "give the rate at which the cameras filmed")
 
 
 def metres_per_unit(unit: str | None, why: str) -> float:
@@ -76,7 +76,7 @@ def metres_per_unit(unit: str | None, why: str) -> float:
         InputError: none, or no such unit.
     """
     if unit is None:
-        raise wrong("--unit", f"not given; {why}", "m, cm or mm", "say in which unit its translations are, such as --unit mm")
+        raise input_error("--unit", f"not given; {why}", "m, cm or mm", "say in which unit its translations are, such as --unit mm")
     if unit not in METRES:
         raise InputError(f"--unit: '{unit}': no such unit; {nearest(unit, METRES)}")
     return METRES[unit]
@@ -93,7 +93,7 @@ def up_axis(up: str | None, why: str) -> Axis:
         InputError: none, or no such axis.
     """
     if up is None:
-        raise wrong("--up", f"not given; {why}", "x, y or z", "say which axis of its world points up, such as --up z")
+        raise input_error("--up", f"not given; {why}", "x, y or z", "say which axis of its world points up, such as --up z")
     if up not in ("x", "y", "z"):
-        raise wrong("--up", f"'{up}'", "x, y or z", "name the axis that points up; where one points down, turn the calibration")
+        raise input_error("--up", f"'{up}'", "x, y or z", "name the axis that points up; where one points down, turn the calibration")
     return cast(Axis, up)

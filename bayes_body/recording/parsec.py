@@ -10,7 +10,7 @@ from bayes_body.recording.options import Options, check_fps, check_height
 from bayes_body.recording.parsec_subject import POSITIONS, read_subject
 from bayes_body.recording.parsec_views import REMARK_NO_MASKS, read_views
 from bayes_body.recording.timing import align
-from bayes_body.session import Session
+from bayes_body.session.session import Session
 
 # The format does not say; the subject's steps and speed fit 60 (about 15 mm a frame).
 FPS = 60.0

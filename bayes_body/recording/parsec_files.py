@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording.calibration import Calibrated
 from bayes_body.recording.faults import Faults
-from bayes_body.session_schema import rotation_fault
+from bayes_body.session.schema import rotation_fault
 
 CALIBRATION = "focal length (2), principal point (2), skew, distortion (5), rotation (9), translation (3), Rodrigues vector (3)"
 # Between R and its Rodrigues vector: both are written with ten digits, so anything above rounding is another camera's.
@@ -35,7 +35,7 @@ def read_calibration(path: Path) -> Calibrated:
     for axis, focal in zip("xy", numbers[:2], strict=True):
         with faults.collect():
             if focal <= 0:
-                raise wrong(path, f"focal length {axis} = {focal:g}", "a positive number of pixels", "copy it from the calibration again")
+                raise input_error(path, f"focal length {axis} = {focal:g}", "a positive number of pixels", "copy it from the calibration again")
     with faults.collect():
         _check_rotation(path, rotation, numbers[22:])
     faults.raise_any()
@@ -46,11 +46,11 @@ def read_calibration(path: Path) -> Calibrated:
 def _check_rotation(path: Path, rotation: NDArray[np.float64], vector: NDArray[np.float64]) -> None:
     fault = rotation_fault(rotation)
     if fault:
-        raise wrong(f"{path}: numbers 11 to 19", fault.split("; ")[0], "a rotation, by rows", fault.split("; ")[-1])
+        raise input_error(f"{path}: numbers 11 to 19", fault.split("; ")[0], "a rotation, by rows", fault.split("; ")[-1])
     off = float(np.linalg.norm(cv2.Rodrigues(vector)[0] - rotation))
     if off > RODRIGUES_TOLERANCE:
         found = f"the Rodrigues vector (numbers 23 to 25) contradicts the matrix (numbers 11 to 19) by {off:.2g}"
-        raise wrong(path, found, "the same rotation twice", "find out which is right, and write the other anew from it")
+        raise input_error(path, found, "the same rotation twice", "find out which is right, and write the other anew from it")
 
 
 def read_numbers(path: Path, count: int, layout: str) -> NDArray[np.float64]:
@@ -69,10 +69,10 @@ def read_numbers(path: Path, count: int, layout: str) -> NDArray[np.float64]:
         lines = path.read_text(encoding="ascii", errors="replace").splitlines()
     except OSError as error:
         found = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror})"
-        raise wrong(path, found, f"a text file of {count} numbers: {layout}", remedy) from None
+        raise input_error(path, found, f"a text file of {count} numbers: {layout}", remedy) from None
     numbers = [_number(path, line, token) for line, text in enumerate(lines, 1) for token in text.split()]
     if len(numbers) != count:
-        raise wrong(path, f"{len(numbers)} numbers", f"{count}: {layout}", remedy)
+        raise input_error(path, f"{len(numbers)} numbers", f"{count}: {layout}", remedy)
     return np.array(numbers)
 
 
@@ -82,5 +82,5 @@ def _number(path: Path, line: int, token: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise wrong(f"{path}: line {line}", f"'{token}'", "a finite number", "correct it, or restore the file from the recording")
+        raise input_error(f"{path}: line {line}", f"'{token}'", "a finite number", "correct it, or restore the file from the recording")
     return value

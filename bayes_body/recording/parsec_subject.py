@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording.faults import Faults
 from bayes_body.recording.parsec_files import MM, read_numbers
-from bayes_body.session import Subject
+from bayes_body.session.session import Subject
 
 BODY = "deutscher_31"
 POSITIONS = ("root_x", "root_y", "root_z")
@@ -89,7 +89,7 @@ def _read_shape(path: Path) -> Subject:
     named = {name: float(value) for name, value in zip(LENGTHS, lengths, strict=True) if name}
     _check_positive(path, measures | {f"{name}, length": value for name, value in named.items()})
     if max(named.values()) < SHORTEST_MM:
-        raise wrong(
+        raise input_error(
             path, f"the longest length is {max(named.values()):g} mm", "millimetres", "it looks like metres: multiply radii and lengths by 1000"
         )
     return Subject(
@@ -111,7 +111,7 @@ def _check_positive(path: Path, values: Mapping[str, float]) -> None:
     for name, value in values.items():
         with faults.collect():
             if value <= 0:
-                raise wrong(path, f"{name} = {value:g}", "a positive number", "correct it, or restore the file from the recording")
+                raise input_error(path, f"{name} = {value:g}", "a positive number", "correct it, or restore the file from the recording")
     faults.raise_any()
 
 

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording.faults import Faults
 from bayes_body.recording.images import read_grey, read_mask
 from bayes_body.recording.parsec_files import read_calibration
-from bayes_body.session import View
+from bayes_body.session.session import View
 
 IMAGE = "image%04d.bmp"
 REMARK_NO_MASKS = "There are no FG folders: the session has no silhouettes; they are told from a background that is learned from its images."
@@ -55,7 +55,7 @@ def _cameras(source: Path) -> list[_Camera]:
     calibrated = _numbered(source / "CALIB", r"Camera(\d+)\.cal")
     filmed, masked = _numbered(source, r"CAM(\d+)"), _numbered(source, r"FG(\d+)")
     if not calibrated:
-        raise wrong(
+        raise input_error(
             source / "CALIB", "no Camera*.cal in it", "a calibration for each camera", "name the folder that holds CALIB, CAM1, FG1 and so on"
         )
     faults = Faults()
@@ -65,7 +65,7 @@ def _cameras(source: Path) -> list[_Camera]:
             if number not in present:
                 with faults.collect():
                     remedy = f"restore it, or move camera {number}'s other files away"
-                    raise wrong(source / pattern.format(number), "missing", f"the same of camera {number} as of the other cameras", remedy)
+                    raise input_error(source / pattern.format(number), "missing", f"the same of camera {number} as of the other cameras", remedy)
     faults.raise_any()
     return [_Camera(number, path, filmed[number], masked.get(number)) for number, path in sorted(calibrated.items())]
 
@@ -79,7 +79,7 @@ def _frames(folders: Sequence[Path]) -> range:
     """All numbers from the first to the last image that any folder has: a gap in one folder is to be seen."""
     numbers = {number for folder in folders for number in _numbered(folder, r"image(\d{4})\.bmp")}
     if not numbers:
-        raise wrong(folders[0], "no images in it", f"{IMAGE % 0}, {IMAGE % 1} and so on", "restore the images")
+        raise input_error(folders[0], "no images in it", f"{IMAGE % 0}, {IMAGE % 1} and so on", "restore the images")
     return range(min(numbers), max(numbers) + 1)
 
 
@@ -88,7 +88,7 @@ def _check_complete(folder: Path, frames: range) -> None:
     if missing:
         found = f"{len(missing)} of {len(frames)} images are missing, the first is {IMAGE % missing[0]}"
         remedy = "restore them, or remove the same frames at the start or end of all other folders"
-        raise wrong(folder, found, f"{IMAGE % frames[0]} to {IMAGE % frames[-1]}, as in the other folders", remedy)
+        raise input_error(folder, found, f"{IMAGE % frames[0]} to {IMAGE % frames[-1]}, as in the other folders", remedy)
 
 
 def _view(camera: _Camera, first_frame: int) -> View | None:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.recording.triangulate import reprojection_errors, triangulate
-from bayes_body.session import CameraSpec
+from bayes_body.session.session import CameraSpec
 
 # Median distance between a person and a body's projection, of the person's size in the image, up to which they are the same.
 SAME = 0.1

@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording import calibration_qualisys
 from bayes_body.recording.assemble import Rig, assemble, only_file, saved, source_folder
 from bayes_body.recording.calibration_toml import read_calibration_toml
 from bayes_body.recording.imported_keypoints import with_imported_keypoints
 from bayes_body.recording.options import Options, metres_per_unit, up_axis
-from bayes_body.session import Session
+from bayes_body.session.session import Session
 
 WHAT = "a project of Pose2Sim (calibration, videos, pose)"
 WHY_UP = "Pose2Sim's toml does not say which axis of its world points up, and depends on how the scene was measured"
@@ -47,6 +47,6 @@ def _rig(source: Path, path: Path, options: Options) -> tuple[Rig, list[str]]:
         up = up_axis(options.up, WHY_UP)
         return Rig(path, read_calibration_toml(path, unit_m), source, up), remarks
     if options.unit not in (None, "mm"):
-        raise wrong("--unit", options.unit or "", "mm, the unit of Qualisys's calibrations", "leave the option out")
+        raise input_error("--unit", options.unit or "", "mm, the unit of Qualisys's calibrations", "leave the option out")
     up = up_axis(options.up or calibration_qualisys.UP, "")
     return Rig(path, calibration_qualisys.read_qualisys(path), source, up), []

@@ -6,7 +6,7 @@ from bayes_body.recording.assemble import Rig, assemble, only_file, saved, sourc
 from bayes_body.recording.calibration_qualisys import UP, read_qualisys
 from bayes_body.recording.imported_keypoints import with_imported_keypoints
 from bayes_body.recording.options import Options, up_axis
-from bayes_body.session import Session
+from bayes_body.session.session import Session
 
 WHAT = "a folder with one calibration of Qualisys Track Manager (*.qca.txt or *.xml) and a video of each camera"
 

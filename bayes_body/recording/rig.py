@@ -15,13 +15,13 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from bayes_body.errors import InputError, nearest, wrong
+from bayes_body.errors import InputError, input_error, nearest
 from bayes_body.recording.calibration import Calibrated, check_rig
 from bayes_body.recording.calibration_toml import read_calibration_toml
 from bayes_body.recording.rig_schema import KeyframeTable, RigCameraTable, RigFile, file_name
-from bayes_body.session import CameraSpec
-from bayes_body.session_file import FILE_NAME, parse_session
-from bayes_body.toml_file import read_toml, validate
+from bayes_body.session.read import FILE_NAME, parse_session
+from bayes_body.session.session import CameraSpec
+from bayes_body.toml.read import read_toml, validate
 
 # A calibration does not say how fast its cameras film.
 USUAL_FPS = 60.0
@@ -191,7 +191,7 @@ def _of_calibration(path: Path) -> Rig:
 
 def _sized(path: Path, camera: Calibrated) -> CameraSpec:
     if camera.size_px is None:
-        raise wrong(f"{path}: camera '{camera.name}'", "no image size", "width and height in pixels", "add its size")
+        raise input_error(f"{path}: camera '{camera.name}'", "no image size", "width and height in pixels", "add its size")
     return camera.spec(camera.size_px)
 
 

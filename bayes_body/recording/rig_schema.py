@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from bayes_body.schema import Count, Finite, NonNegative, Positive, Schema
-from bayes_body.session_schema import Far, Rows, rotation_fault
+from bayes_body.session.schema import Far, Rows, rotation_fault
+from bayes_body.toml.schema import Count, Finite, NonNegative, Positive, Schema
 
 type Point = tuple[Far, Far, Far]
 # Nearer than this (metres) two points give no direction; a view closer to the vertical than this (sine) has no horizontal.

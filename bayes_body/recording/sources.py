@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bayes_body.errors import InputError, nearest, wrong
+from bayes_body.errors import InputError, input_error, nearest
 from bayes_body.recording.images import read_grey
 from bayes_body.recording.numbered import SUFFIXES, Series, find_series
 from bayes_body.recording.video import probe
@@ -49,7 +49,9 @@ def find_source(folders: Sequence[Path], name: str) -> Source:
     for folder in folders:
         paths = _named(folder, name)
         if len(paths) > 1:
-            raise wrong(folder, f"{', '.join(path.name for path in paths)} for camera '{name}'", "one recording of each camera", "keep one of them")
+            raise input_error(
+                folder, f"{', '.join(path.name for path in paths)} for camera '{name}'", "one recording of each camera", "keep one of them"
+            )
         if paths:
             return _source(paths[0])
     stems = [path.stem for folder in folders for path in _recordings(folder)]
@@ -91,13 +93,17 @@ def find_background(folder: Path, name: str, size_px: tuple[int, int]) -> Path:
     found = [path for path in paths if path.stem == name and path.suffix.lower() in (*VIDEOS, *SUFFIXES)]
     if len(found) != 1:
         what = "no image or video" if not found else ", ".join(path.name for path in found)
-        raise wrong(f"--background {folder}", f"{what} for camera '{name}'", f"one of the empty scene, such as {name}.png or {name}.mp4", "add it")
+        raise input_error(
+            f"--background {folder}", f"{what} for camera '{name}'", f"one of the empty scene, such as {name}.png or {name}.mp4", "add it"
+        )
     (path,) = found
     if path.suffix.lower() in SUFFIXES:
         read_grey(path, size_px)
     elif probe(path).size_px != size_px:
         width, height = probe(path).size_px
-        raise wrong(path, f"{width} x {height} pixels", f"{size_px[0]} x {size_px[1]}, as its camera's recording", "film it with the same settings")
+        raise input_error(
+            path, f"{width} x {height} pixels", f"{size_px[0]} x {size_px[1]}, as its camera's recording", "film it with the same settings"
+        )
     return path
 
 
@@ -115,4 +121,4 @@ def settled_size(where: str, calibrated_px: tuple[int, int] | None, source: Sour
         cut = f"calibrated at {width} x {height}, the recording has {w} x {h}"
         return f"{where}: {cut}: its last columns or rows are taken to be cut off, as codecs pad to multiples of {BLOCK}."
     remedy = "name the recording that the camera was calibrated for, or calibrate again"
-    raise wrong(where, f"{source.path.name} has {w} x {h} pixels", f"{width} x {height}, as its calibration says", remedy)
+    raise input_error(where, f"{source.path.name} has {w} x {h} pixels", f"{width} x {height}, as its calibration says", remedy)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from bayes_body.errors import InputError, nearest, wrong
+from bayes_body.errors import InputError, input_error, nearest
 from bayes_body.recording.faults import Faults
 
 # Two videos of one rate: their containers round it differently.
@@ -41,7 +41,7 @@ def align(counts: Mapping[str, tuple[int, int]], offsets: Mapping[str, int]) -> 
     frames = min(left.values())
     if frames < 1:
         name = min(left, key=lambda each: left[each])
-        raise wrong(
+        raise input_error(
             f"camera '{name}'", f"{counts[name][1]} frames, all before the session's first", "frames that all cameras have", "correct --offset"
         )
     starts = {name: first + skipped[name] for name, (first, _) in counts.items()}
@@ -74,12 +74,12 @@ def frame_rate(rates: Mapping[str, float], given: float | None) -> tuple[float, 
         others = [f"{name} {rate:g}" for name, rate in said.items() if abs(rate - given) > SAME_RATE * given]
         return given, [f"--fps {given:g} goes before what videos say ({', '.join(others)})."] if others else []
     if not said:
-        raise wrong(
+        raise input_error(
             "--fps", "not given, and no recording says its frame rate", "frames a second", "say at which rate the cameras filmed, such as --fps 60"
         )
     slowest, fastest = min(said.values()), max(said.values())
     if fastest - slowest > SAME_RATE * fastest:
         listed = ", ".join(f"{name} {rate:g}" for name, rate in said.items())
-        raise wrong("frame rate", f"cameras differ: {listed}", "one rate", "convert the videos to one rate, or say the true one with --fps")
+        raise input_error("frame rate", f"cameras differ: {listed}", "one rate", "convert the videos to one rate, or say the true one with --fps")
     # Containers round: 59.94 is nearer to the truth than any one camera's.
     return round(sum(said.values()) / len(said), 6), []

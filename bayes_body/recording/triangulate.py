@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bayes_body.session import CameraSpec
+from bayes_body.session.session import CameraSpec
 
 # Of an image's diagonal: how far from its ray a point may be, unless the caller says: 16 px in 640 x 480, 44 px in 1920 x 1080.
 TOLERANCE = 0.02

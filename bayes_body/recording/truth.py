@@ -10,13 +10,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
+from bayes_body.evidence.markers import MARKERS
 from bayes_body.recording.arrays_file import read_arrays
 
-MARKERS = (
-    *("pelvis", "thorax", "l_shoulder", "l_elbow", "l_wrist", "r_shoulder", "r_elbow", "r_wrist"),
-    *("l_hip", "l_knee", "l_ankle", "r_hip", "r_knee", "r_ankle", "head"),
-)
 KIND = "an .npz with `markers` (frame, 15, 3), metres, and `names`, the 15 markers' names"
 REMEDY = "write it with numpy.savez(path, markers=..., names=...)"
 # As of the session's positions: beyond it a number in metres is taken for one in millimetres.
@@ -37,16 +34,18 @@ def read_truth(path: Path, frames: int) -> Float[np.ndarray, "frame 15 3"]:
     markers, names = (_array(path, arrays, key) for key in ("markers", "names"))
     order = _order(path, names)
     if markers.ndim != 3 or markers.shape[1:] != (len(order), 3) or markers.dtype.kind not in "fiu":
-        raise wrong(f"{path}: markers", f"{markers.dtype} of shape {markers.shape}", f"numbers of shape (frame, {len(order)}, 3)", REMEDY)
+        raise input_error(f"{path}: markers", f"{markers.dtype} of shape {markers.shape}", f"numbers of shape (frame, {len(order)}, 3)", REMEDY)
     if len(markers) < frames:
         remedy = "add the missing frames (NaN where unknown), or lower frames in session.toml"
-        raise wrong(f"{path}: markers", f"{len(markers)} frames", f"{frames}, as the session has", remedy)
+        raise input_error(f"{path}: markers", f"{len(markers)} frames", f"{frames}, as the session has", remedy)
     positions = markers[:frames, order].astype(np.float64)
     if np.isinf(positions).any():
-        raise wrong(f"{path}: markers", "an infinite position", "metres, or NaN where unknown", "correct it")
+        raise input_error(f"{path}: markers", "an infinite position", "metres, or NaN where unknown", "correct it")
     farthest = float(np.nanmax(np.abs(positions), initial=0.0))
     if farthest > FARTHEST_M:
-        raise wrong(f"{path}: markers", f"a position of {farthest:g}", f"metres, at most {FARTHEST_M:g}", "it looks like millimetres, divide by 1000")
+        raise input_error(
+            f"{path}: markers", f"a position of {farthest:g}", f"metres, at most {FARTHEST_M:g}", "it looks like millimetres, divide by 1000"
+        )
     return positions
 
 
@@ -56,11 +55,11 @@ def _order(path: Path, names: NDArray[np.generic]) -> list[int]:
     if names.ndim != 1 or sorted(found) != sorted(MARKERS):
         missing, other = [name for name in MARKERS if name not in found], [name[:40] for name in found[:50] if name not in MARKERS]
         what = f"missing: {', '.join(missing) or 'none'}; unknown: {', '.join(other) or 'none'}" if found else "no list of texts"
-        raise wrong(f"{path}: names", f"{what} ({len(found)} names)", f"each of {', '.join(MARKERS)} once", REMEDY)
+        raise input_error(f"{path}: names", f"{what} ({len(found)} names)", f"each of {', '.join(MARKERS)} once", REMEDY)
     return [found.index(name) for name in MARKERS]
 
 
 def _array(path: Path, arrays: Mapping[str, NDArray[np.generic]], key: str) -> NDArray[np.generic]:
     if key not in arrays:
-        raise wrong(path, f"no `{key}`", KIND, REMEDY)
+        raise input_error(path, f"no `{key}`", KIND, REMEDY)
     return arrays[key]

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording.images import check_size, not_seen, silent
 
 # FFmpeg's own complaints say nothing that the error which follows does not; read when OpenCV opens its first video.
@@ -50,7 +50,9 @@ def probe(path: Path) -> VideoInfo:
     with _reading(path) as reader:
         image = reader.read(0)
         if image is None:
-            raise wrong(path, "a video without a frame that can be decoded", "at least one", "copy the file again, or convert it to mp4 (H.264)")
+            raise input_error(
+                path, "a video without a frame that can be decoded", "at least one", "copy the file again, or convert it to mp4 (H.264)"
+            )
         named = reader.property(cv2.CAP_PROP_FRAME_COUNT)
         rate = reader.property(cv2.CAP_PROP_FPS)
         frames = int(named) if named >= 1 else reader.count()
@@ -72,7 +74,7 @@ def read_video_frame(path: Path, number: int, size_px: tuple[int, int] | None = 
         InputError: missing, no video, a negative number, or of another size.
     """
     if number < 0:
-        raise wrong(path, f"frame {number}", "0 or later", "correct first_frame and the camera's offset in session.toml")
+        raise input_error(path, f"frame {number}", "0 or later", "correct first_frame and the camera's offset in session.toml")
     with _reading(path) as reader:
         image, end = reader.read(number), reader.end
     if image is None:
@@ -110,7 +112,7 @@ class _Reader:
             capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
         if not capture.isOpened():
             found = "no video that OpenCV can read, or cut short"
-            raise wrong(self._path, found, "a whole mp4, avi, mov or mkv", "copy the file again, or convert it to mp4 (H.264)")
+            raise input_error(self._path, found, "a whole mp4, avi, mov or mkv", "copy the file again, or convert it to mp4 (H.264)")
         self._next, self._last = 0, None
         return capture
 
@@ -200,7 +202,7 @@ def _reading(path: Path) -> Iterator[_Reader]:
         state = path.stat()
     except OSError as error:
         found = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror})"
-        raise wrong(path, found, "a video", "restore it, or correct the camera's video in session.toml") from None
+        raise input_error(path, found, "a video", "restore it, or correct the camera's video in session.toml") from None
     # A child of a fork shares its parent's place in the file, and a file may be written anew under the same name.
     key = (os.getpid(), str(path), state.st_mtime_ns, state.st_size)
     with _readers_lock:

@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 
 from bayes_body.body.schema import BodySchema
 from bayes_body.body.solids import Body
-from bayes_body.camera import Camera
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
+from bayes_body.geometry.camera import Camera
 from bayes_body.initial.evidence import Evidence
 from bayes_body.initial.fit import rest
 from bayes_body.initial.lengths import fixed, scaling
@@ -56,7 +56,7 @@ def places_of(body: Body, landmarks: Mapping[str, np.ndarray]) -> Float[np.ndarr
     for name, each in landmarks.items():
         if each.shape != (frames, 3):
             found = f"{len(each)} frames" if each.shape[1:] == (3,) else f"an array of shape {each.shape}"
-            raise wrong(f"landmarks: {name}", found, f"({frames}, 3), as the first has", "give each in every frame, NaN where unknown")
+            raise input_error(f"landmarks: {name}", found, f"({frames}, 3), as the first has", "give each in every frame, NaN where unknown")
     places = np.full((frames, len(body.markers.names), 3), np.nan)
     for m, name in enumerate(body.markers.names):
         if name in landmarks:

@@ -14,10 +14,10 @@ from bayes_body.body.build import Shape, build_body
 from bayes_body.body.kinematics import marker_positions
 from bayes_body.body.schema import BodySchema
 from bayes_body.body.solids import Body
-from bayes_body.definition import load_body
-from bayes_body.errors import InputError, wrong
+from bayes_body.errors import InputError, input_error
 from bayes_body.initial.lengths import factors, scaled
 from bayes_body.initial.quick import QUICK
+from bayes_body.model.definition import load_body
 from bayes_body.recording.mocap.landmarks import landmarks
 from bayes_body.recording.mocap.motion import Motion
 from bayes_body.retarget.exact import Exact, carried, decompose, with_ends
@@ -100,7 +100,7 @@ def _with_lengths(body: Body, schema: BodySchema, lengths: Mapping[str, float]) 
 
 def _fitted(body: Body, points: Landmarks, fps: float | None, schema: BodySchema | None, name: str) -> Retargeted:
     if fps is None or not (math.isfinite(fps) and fps > 0):
-        raise wrong(f"{name}: fps", str(fps), "frames a second, a finite number above 0", "give the rate of the capture")
+        raise input_error(f"{name}: fps", str(fps), "frames a second, a finite number above 0", "give the rate of the capture")
     places = places_of(body, points)
     _check_enough(body, points, places, name)
     problem = build_problem(body, schema)
@@ -120,7 +120,7 @@ def _check_enough(body: Body, points: Landmarks, places: Float[np.ndarray, "fram
     shared = [marker for marker in body.markers.names if marker in points]
     found = f"{', '.join(shared) or 'none'} of the body's points" if known.size else "no frame"
     expected = f"a frame with at least {fewest} of {', '.join(body.markers.names)}"
-    raise wrong(name, found, expected, "name its points as the body does, or capture more of them")
+    raise input_error(name, found, expected, "name its points as the body does, or capture more of them")
 
 
 def _result(

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording.images import is_image, read_colour
 from bayes_body.recording.rig import Rig
 from bayes_body.recording.sources import find_background
 from bayes_body.recording.video import probe, read_video_frame, readable_frames
-from bayes_body.session import CameraSpec
+from bayes_body.session.session import CameraSpec
 from bayes_body.simulation.options import Options
 from bayes_body.simulation.scene import Scene, Seen
 from bayes_body.simulation.scene_room import Kept, build_room
@@ -60,7 +60,7 @@ def _kept(posed: Sequence[Sequence[CameraSpec]], landmarks: Mapping[str, Float[n
 def _own(folder: Path, camera: CameraSpec, moves: bool) -> Seen:
     if moves:
         found = f"camera '{camera.name}' moves"
-        raise wrong(f"--background {folder}", found, "cameras that stand still", "leave the option out, or the camera (--cameras)")
+        raise input_error(f"--background {folder}", found, "cameras that stand still", "leave the option out, or the camera (--cameras)")
     path = find_background(folder, camera.name, camera.size_px)
     if is_image(path):
         picture = read_colour(path, camera.size_px).astype(np.float32)

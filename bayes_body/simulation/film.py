@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from bayes_body.files import make_folder
-from bayes_body.session import CameraSpec
+from bayes_body.files.atomic import make_folder
+from bayes_body.session.session import CameraSpec
 from bayes_body.simulation.background import Background
 from bayes_body.simulation.mesh import Mesh
 from bayes_body.simulation.options import Options, Quality

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 
 type Quality = Literal["good", "poor"]
 # Beyond it nothing looks like a room, or like a picture.
@@ -41,8 +41,8 @@ class Options:
         """
         for name, value in (("--clutter", self.clutter), ("--noise", self.noise)):
             if not 0 <= value <= LARGEST_LEVEL:
-                raise wrong(name, f"{value:g}", f"0 to {LARGEST_LEVEL:g}", "0 switches it off, 1 is usual")
+                raise input_error(name, f"{value:g}", f"0 to {LARGEST_LEVEL:g}", "0 switches it off, 1 is usual")
         if not 0 <= self.keypoint_sd_px <= 100:
-            raise wrong("--keypoint-noise", f"{self.keypoint_sd_px:g}", "0 to 100 pixels", "3 is usual")
+            raise input_error("--keypoint-noise", f"{self.keypoint_sd_px:g}", "0 to 100 pixels", "3 is usual")
         if self.seed < 0:
-            raise wrong("--seed", f"{self.seed}", "0 or above", "give another")
+            raise input_error("--seed", f"{self.seed}", "0 or above", "give another")

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.simulation.clothes import HAIR, SHIRT, TROUSERS, Folds, Outfit, folded, hanging
 from bayes_body.simulation.mesh import Mesh
 from bayes_body.simulation.person_bones import chains
@@ -122,7 +122,7 @@ def build_person(seed: int, height_m: float | None = None, shape: Shape | None =
         InputError: a stature that nobody has.
     """
     if height_m is not None and not SHORTEST_M <= height_m <= TALLEST_M:
-        raise wrong("the subject's height", f"{height_m:g} m", f"{SHORTEST_M:g} to {TALLEST_M:g} m", "give it in metres")
+        raise input_error("the subject's height", f"{height_m:g} m", f"{SHORTEST_M:g} to {TALLEST_M:g} m", "give it in metres")
     random = np.random.default_rng([seed, 1])
     drawn = ("man", "woman")[int(random.integers(2))]
     shape = shape or drawn

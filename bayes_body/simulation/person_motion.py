@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import wrong
-from bayes_body.recording.truth import MARKERS
+from bayes_body.errors import input_error
+from bayes_body.evidence.markers import MARKERS
 
 type Track = Float[np.ndarray, "frame 3"]
 type Landmarks = Mapping[str, Track]
@@ -46,11 +46,11 @@ def complete(landmarks: Landmarks) -> dict[str, Track]:
 def _check(landmarks: Landmarks) -> None:
     missing = [name for name in MARKERS if name not in landmarks]
     if missing:
-        raise wrong("the motion's landmarks", f"no {', '.join(missing)}", f"each of {', '.join(MARKERS)}", "name the file's joints")
+        raise input_error("the motion's landmarks", f"no {', '.join(missing)}", f"each of {', '.join(MARKERS)}", "name the file's joints")
     shape = landmarks["pelvis"].shape
     for name, track in landmarks.items():
         if track.shape != shape or track.ndim != 2 or track.shape[-1] != 3:
-            raise wrong(f"the motion's {name}", f"shape {track.shape}", "(frame, 3), the same for all landmarks", "give as many frames of each")
+            raise input_error(f"the motion's {name}", f"shape {track.shape}", "(frame, 3), the same for all landmarks", "give as many frames of each")
 
 
 def _filled(name: str, track: Track) -> Track:
@@ -60,7 +60,7 @@ def _filled(name: str, track: Track) -> Track:
     if known.all():
         return track
     if not known.any():
-        raise wrong(f"the motion's {name}", "unknown in every frame", "known in some", "leave out nothing that the person hangs on")
+        raise input_error(f"the motion's {name}", "unknown in every frame", "known in some", "leave out nothing that the person hangs on")
     frames = np.arange(len(track))
     return np.stack([np.interp(frames, frames[known], track[known, axis]) for axis in range(3)], axis=1)
 

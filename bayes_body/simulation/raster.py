@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from bayes_body.session import CameraSpec
+from bayes_body.session.session import CameraSpec
 from bayes_body.simulation.mesh import Mesh
 from bayes_body.simulation.person_motion import unit
 from bayes_body.simulation.raster_projection import project

@@ -8,7 +8,7 @@ column $= f_x (x' + \alpha y') + c_x$, row $= f_y y' + c_y$ (Brown 1966; Bouguet
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bayes_body.session import CameraSpec
+from bayes_body.session.session import CameraSpec
 
 # Nothing nearer than this is seen.
 NEAR_M = 0.1

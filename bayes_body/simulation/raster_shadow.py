@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.session import CameraSpec
+from bayes_body.session.session import CameraSpec
 from bayes_body.simulation.mesh import Mesh
 from bayes_body.simulation.raster import doubled_area
 from bayes_body.simulation.raster_projection import project

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from bayes_body.session import CameraSpec
+from bayes_body.session.session import CameraSpec
 from bayes_body.simulation.scene_room import Room, Surface
 from bayes_body.simulation.scene_texture import Texture
 

@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import wrong
-from bayes_body.files import make_folder
+from bayes_body.errors import input_error
+from bayes_body.evidence.markers import MARKERS
+from bayes_body.files.atomic import make_folder
 from bayes_body.recording.rig import Rig
-from bayes_body.recording.truth import MARKERS
-from bayes_body.session import Session, Subject, View
-from bayes_body.session_file import FILE_NAME, load_session, save_session
+from bayes_body.session.read import FILE_NAME, load_session, save_session
+from bayes_body.session.session import Session, Subject, View
 from bayes_body.simulation.background import backgrounds
 from bayes_body.simulation.film import MASKS, TRUE_MASKS, Camera, Picture, Reel, cameras, empty_name, film_empty, mask_pattern, video_name
 from bayes_body.simulation.options import Options, Quality
 from bayes_body.simulation.person import Performance, Person
 from bayes_body.simulation.session_files import CALIBRATION, TRUTH, camera_name, write_calibration, write_extrinsics, write_truth
-from bayes_body.simulation.sight import check_sight, detected
 from bayes_body.simulation.staging import Landmarks, stacked
+from bayes_body.simulation.visibility import check_visibility, detected
 
 type Watch = Callable[[Sequence[int]], Iterable[int]]
 WORKERS = min(8, os.cpu_count() or 2)
@@ -59,7 +59,7 @@ def simulate(
     """
     check_folder(folder)
     markers = stacked(landmarks)
-    remarks = check_sight(rig, markers)
+    remarks = check_visibility(rig, markers)
     performance = person.perform(landmarks, rig.fps)
     quality = options.segmentation or ("good" if any(path is not None for path in rig.path) else None)
     posed = rig.posed(len(markers))
@@ -85,7 +85,7 @@ def check_folder(folder: Path) -> None:
         InputError: it does.
     """
     if (folder / FILE_NAME).exists():
-        raise wrong(folder, f"holds a {FILE_NAME} already", "a folder without one", "name another, or remove it")
+        raise input_error(folder, f"holds a {FILE_NAME} already", "a folder without one", "name another, or remove it")
 
 
 def _mask_kinds(options: Options, quality: Quality | None) -> list[str]:

@@ -10,9 +10,9 @@ import tomlkit
 from jaxtyping import Float
 from tomlkit.items import Table
 
-from bayes_body.files import make_folder, replacing, write_text
-from bayes_body.recording.truth import MARKERS
-from bayes_body.session import CameraSpec
+from bayes_body.evidence.markers import MARKERS
+from bayes_body.files.atomic import make_folder, replacing, write_text
+from bayes_body.session.session import CameraSpec
 
 # Where Pose2Sim looks for a calibration in a project.
 CALIBRATION, TRUTH = "calibration/Calib.toml", "truth.npz"

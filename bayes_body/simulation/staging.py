@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import wrong
-from bayes_body.recording.truth import MARKERS
+from bayes_body.errors import input_error
+from bayes_body.evidence.markers import MARKERS
 
 type Landmarks = Mapping[str, Float[np.ndarray, "frame 3"]]
 # From the head's crown down to the ankle a body is so much of its stature; the rest is foot (Drillis & Contini 1966: 0.039 H).
@@ -23,7 +23,7 @@ def stacked(landmarks: Landmarks) -> Float[np.ndarray, "frame 15 3"]:
     """
     missing = [name for name in MARKERS if name not in landmarks]
     if missing:
-        raise wrong("the motion's landmarks", f"no {', '.join(missing)}", f"each of {', '.join(MARKERS)}", "name the file's joints")
+        raise input_error("the motion's landmarks", f"no {', '.join(missing)}", f"each of {', '.join(MARKERS)}", "name the file's joints")
     return np.stack([np.asarray(landmarks[name], np.float64) for name in MARKERS], axis=1)
 
 
@@ -60,7 +60,7 @@ def cut(landmarks: Landmarks, first: int, frames: int | None) -> dict[str, Float
     """
     there = len(next(iter(landmarks.values())))
     if not 0 <= first < there:
-        raise wrong("--first-frame", f"{first}", f"0 to {there - 1}, the motion has {there} frames at the rig's rate", "name an earlier one")
+        raise input_error("--first-frame", f"{first}", f"0 to {there - 1}, the motion has {there} frames at the rig's rate", "name an earlier one")
     if frames is not None and not 1 <= frames <= there - first:
-        raise wrong("--frames", f"{frames}", f"1 to {there - first}, the motion has no more at the rig's rate", "lower it, or leave it out")
+        raise input_error("--frames", f"{frames}", f"1 to {there - first}, the motion has no more at the rig's rate", "lower it, or leave it out")
     return {name: track[first : None if frames is None else first + frames] for name, track in landmarks.items()}

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from bayes_body.errors import InputError, wrong
-from bayes_body.files import make_folder
+from bayes_body.errors import InputError, input_error
+from bayes_body.files.atomic import make_folder
 from bayes_body.recording.images import silent
 
 CODEC = "mp4v"
@@ -67,4 +67,4 @@ def write_mask(pattern: Path, number: int, mask: Bool[np.ndarray, "row column"])
 
 
 def _refused(path: Path, found: str) -> InputError:
-    return wrong(path, found, "a folder that can be written, with room", "name another folder, or free some space")
+    return input_error(path, found, "a folder that can be written, with room", "name another folder, or free some space")

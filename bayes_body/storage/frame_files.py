@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_body.draws import FrameResult
-from bayes_body.errors import InputError, wrong
-from bayes_body.factor import FilterInfo
-from bayes_body.files import make_folder, remove_partial, replacing
+from bayes_body.density.factor import FilterInfo
+from bayes_body.errors import InputError, input_error
+from bayes_body.files.atomic import make_folder, remove_partial, replacing
+from bayes_body.tracking.draws import FrameResult
 
 # Consumers go from frame to frame; two let them look back once.
 KEPT_IN_MEMORY = 2
@@ -117,7 +117,7 @@ def load_frame(path: Path) -> FrameResult:
             return _frame(dict(file))
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
         found = f"cannot be read ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
-        raise wrong(path, found, "a frame as `bayes-body track` wrote it", "compute it again with --resume") from None
+        raise input_error(path, found, "a frame as `bayes-body track` wrote it", "compute it again with --resume") from None
 
 
 def _frame(arrays: Mapping[str, NDArray[Any]]) -> FrameResult:

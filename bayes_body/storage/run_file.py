@@ -14,13 +14,13 @@ from typing import Any
 import jax
 import tomlkit
 
-from bayes_body.definition import Definition, definition_names
-from bayes_body.errors import wrong
-from bayes_body.files import write_text
-from bayes_body.plugins import loaded, providing
+from bayes_body.errors import input_error
+from bayes_body.files.atomic import write_text
+from bayes_body.model.definition import Definition, definition_names
+from bayes_body.plugins.load import loaded, providing
 from bayes_body.registry import Place, Room
-from bayes_body.session_file import FILE_NAME
-from bayes_body.toml_file import parse_toml, read_toml
+from bayes_body.session.read import FILE_NAME
+from bayes_body.toml.read import parse_toml, read_toml
 
 NAME = "run.toml"
 # Whose numbers a run's are: another version of one of them may give others.
@@ -103,7 +103,7 @@ def read_run_file(folder: Path) -> dict[str, dict[str, Any]]:
     record = read_toml(folder / NAME)
     missing = [name for name in TABLES if not isinstance(record.get(name), dict)]
     if missing:
-        raise wrong(folder / NAME, f"no table [{missing[0]}]", "the settings of a run", "name another folder with --out, and begin anew")
+        raise input_error(folder / NAME, f"no table [{missing[0]}]", "the settings of a run", "name another folder with --out, and begin anew")
     check_plugins(folder, kept_plugins(record))
     return record
 
@@ -124,10 +124,10 @@ def check_plugins(folder: Path, kept: Mapping[str, str]) -> None:
     where = f"{folder / NAME}: plugins"
     for name, text in kept.items():
         if name not in now:
-            raise wrong(where, f"the run has terms of {name}, which is not loaded", "the run's plugins", f"give that file with --plugin {name}")
+            raise input_error(where, f"the run has terms of {name}, which is not loaded", "the run's plugins", f"give that file with --plugin {name}")
         if _meaning(now[name]) != _meaning(text):
             remedy = f"put it back: its text is in {NAME}, under [plugins]; or begin anew in another folder"
-            raise wrong(where, f"{name} changed since the run was made", "the file that the run was made with", remedy)
+            raise input_error(where, f"{name} changed since the run was made", "the file that the run was made with", remedy)
 
 
 def _meaning(code: str) -> str:
@@ -152,7 +152,7 @@ def refuse_changes(folder: Path, kept: Mapping[str, Mapping[str, Any]], now: Map
     named = [f"{key} was {_shown(before, key)} and is now {_shown(after, key)}" for key in changed[:NAMED]]
     more = [f"{len(changed) - NAMED} more differ"] if len(changed) > NAMED else []
     remedy = "put it back, or begin anew in another folder with --out"
-    raise wrong(f"{folder}: cannot be continued", "; ".join([*named, *more]), "what the run began with", remedy)
+    raise input_error(f"{folder}: cannot be continued", "; ".join([*named, *more]), "what the run began with", remedy)
 
 
 def _comparable(record: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

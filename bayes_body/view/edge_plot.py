@@ -7,9 +7,9 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from bayes_body.files import replacing
+from bayes_body.evidence.edge_phase import Response
+from bayes_body.files.atomic import replacing
 from bayes_body.likelihood.edge_density import EdgeStatistics, amplitude_log_density, phase_and_log_amplitude, share_of, wrapped_normal
-from bayes_body.phase_maps import Response
 
 # Amplitudes at which a phase's density is drawn, as shares of their range.
 WEAK, STRONG = 0.25, 0.85

@@ -11,13 +11,13 @@ import numpy as np
 from cv2.typing import MatLike
 from jaxtyping import Float
 
-from bayes_body.draws import Draws, FrameResult
-from bayes_body.errors import wrong
-from bayes_body.files import make_folder, replacing
-from bayes_body.model import Model
+from bayes_body.errors import input_error
+from bayes_body.files.atomic import make_folder, replacing
+from bayes_body.model.build import Model
 from bayes_body.observation.pictures import read_colour
 from bayes_body.posterior import equal_weight_poses, mean_pose
-from bayes_body.session import Session, View
+from bayes_body.session.session import Session, View
+from bayes_body.tracking.draws import Draws, FrameResult
 from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.silhouette import Outline, outlines, seen_in
 
@@ -60,7 +60,7 @@ def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = un
                 video.release()
         # OpenCV says nothing of a disk that is full.
         if _frames_in(partial) != frames:
-            raise wrong(folder / VIDEO, "cannot be written whole", "a folder with room", "free some space")
+            raise input_error(folder / VIDEO, "cannot be written whole", "a folder with room", "free some space")
     for path in set((folder / "overlay").glob("frame_*.png")) - set(stills.values()):
         path.unlink()
     return [folder / VIDEO, *stills.values()]
@@ -164,7 +164,7 @@ def grid(tiles: list[MatLike]) -> MatLike:
 def _open_video(path: Path, fps: float, picture: MatLike) -> cv2.VideoWriter:
     video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, picture.shape[1::-1])
     if not video.isOpened():
-        raise wrong(path, "cannot be written as a video", "a folder that can be written", "check its permissions and free space")
+        raise input_error(path, "cannot be written as a video", "a folder that can be written", "check its permissions and free space")
     return video
 
 

@@ -8,7 +8,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 from rich.progress import Progress as Bar
 from rich.progress import track as follow
 
-from bayes_body.tracking import Progress
+from bayes_body.tracking.track import Progress
 
 type Watch = Callable[[Sequence[int]], Iterable[int]]
 

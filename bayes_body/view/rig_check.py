@@ -9,12 +9,12 @@ import numpy as np
 from cv2.typing import MatLike
 from jaxtyping import Bool, Float
 
-from bayes_body.camera import Camera, project
-from bayes_body.errors import wrong
-from bayes_body.files import make_folder
-from bayes_body.model import Model
+from bayes_body.errors import input_error
+from bayes_body.files.atomic import make_folder
+from bayes_body.geometry.camera import Camera, project
+from bayes_body.model.build import Model
 from bayes_body.observation.frames import read_frame
-from bayes_body.session import Session
+from bayes_body.session.session import Session
 from bayes_body.view.overlay import backdrop, fit, grid, label, paint
 from bayes_body.view.silhouette import intersection_over_union, outlines, projected_masks
 
@@ -53,7 +53,7 @@ def draw_check(session: Session, model: Model, path: Path) -> Path:
         tiles.append(label(fit(picture), f"{view.camera.name}{note}"))
     make_folder(path.parent)
     if not cv2.imwrite(str(path), grid(tiles)):
-        raise wrong(path, "cannot be written", "a folder that can be written", "check its permissions and free space")
+        raise input_error(path, "cannot be written", "a folder that can be written", "check its permissions and free space")
     return path
 
 

@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from bayes_body import geometry
 from bayes_body.body.solids import Body, facing_discs, part_transforms, widened
-from bayes_body.camera import Camera, project
-from bayes_body.model import Model
+from bayes_body.geometry import transforms
+from bayes_body.geometry.camera import Camera, project
+from bayes_body.model.build import Model
 from bayes_body.recording.camera_path import cameras_at
-from bayes_body.session import Session
+from bayes_body.session.session import Session
 from bayes_body.shapes import Pose
 
 POINTS = 24
@@ -74,7 +74,7 @@ def _project_rims(body: Body, rig: Camera, pose: Pose) -> tuple[Array, Array]:
     return jax.vmap(lambda camera: project(camera, _rims(shaped, T_world_part, camera)))(rig)
 
 
-def _rims(body: Body, T_world_part: geometry.Transform, camera: Camera) -> Float[Array, "part point 3"]:
+def _rims(body: Body, T_world_part: transforms.Transform, camera: Camera) -> Float[Array, "part point 3"]:
     angle = jnp.arange(POINTS) * (2 * jnp.pi / POINTS)
     cos, sin = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
     ends = []

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_body.files import replacing
+from bayes_body.files.atomic import replacing
 
 
 def draw_ratios(path: Path, figures: Mapping[str, Any]) -> None:

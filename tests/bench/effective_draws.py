@@ -19,9 +19,9 @@ import jax  # noqa: E402
 import numpy as np  # noqa: E402
 from case import recording  # noqa: E402
 
-from bayes_body.definition import Definition, load_definition  # noqa: E402
+from bayes_body.model.definition import Definition, load_definition  # noqa: E402
 from bayes_body.registry import find  # noqa: E402
-from bayes_body.tracking import Draws, track  # noqa: E402
+from bayes_body.tracking.track import Draws, track  # noqa: E402
 
 # What, kernel, options, particles.
 SAMPLERS: tuple[tuple[str, str, dict[str, Any], int], ...] = (

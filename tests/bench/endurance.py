@@ -17,13 +17,13 @@ bayes_body.configure()
 import jax  # noqa: E402
 from case import recording  # noqa: E402
 
-from bayes_body.model import load_model  # noqa: E402
+from bayes_body.model.build import load_model  # noqa: E402
 from bayes_body.posterior import stream_posterior  # noqa: E402
 from bayes_body.registry import find  # noqa: E402
-from bayes_body.run import kernel_options  # noqa: E402
-from bayes_body.session_file import load_session  # noqa: E402
+from bayes_body.runs.run import kernel_options  # noqa: E402
+from bayes_body.session.read import load_session  # noqa: E402
 from bayes_body.storage import FrameFiles  # noqa: E402
-from bayes_body.tracking import Progress, track  # noqa: E402
+from bayes_body.tracking.track import Progress, track  # noqa: E402
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "resume"))
 from looped import link_looped  # noqa: E402

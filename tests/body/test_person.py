@@ -9,9 +9,9 @@ import pytest
 from bayes_body.body.build import Shape, build_body
 from bayes_body.body.kinematics import marker_positions
 from bayes_body.body.solids import part_transforms
-from bayes_body.definition import load_body
-from bayes_body.model import load_model
-from bayes_body.session import Subject
+from bayes_body.model.build import load_model
+from bayes_body.model.definition import load_body
+from bayes_body.session.session import Subject
 
 HEIGHT = 1.8
 

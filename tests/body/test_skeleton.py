@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from bayes_body import geometry
 from bayes_body.body.build import build_body
 from bayes_body.body.kinematics import forward_kinematics, marker_positions
 from bayes_body.body.schema import BodySchema
 from bayes_body.body.skeleton import preset_rotation
 from bayes_body.body.solids import Body
-from bayes_body.definition import definitions_folder
+from bayes_body.geometry import transforms
+from bayes_body.model.definition import definitions_folder
 
 pytestmark = pytest.mark.usefixtures("hasty_compiler")
 
@@ -78,7 +78,7 @@ def vector(table: dict, offset: dict) -> list[float]:
 
 def joints(body: Body, pose) -> dict[str, np.ndarray]:
     """`T_world_joint` of every joint by name."""
-    T = geometry.matrix(forward_kinematics(body.skeleton, jnp.asarray(pose)))
+    T = transforms.matrix(forward_kinematics(body.skeleton, jnp.asarray(pose)))
     return dict(zip(body.skeleton.topology.joint_names, np.asarray(T), strict=True))
 
 
@@ -140,12 +140,12 @@ def test_a_minus_is_the_inverse_turn(x64, axis):
     minus = build(table)
     pose = jnp.array([0.2, -0.4, 0.3, 0.7])
     with_plus, with_minus, opposite = (
-        geometry.matrix(forward_kinematics(b.skeleton, p))[-1] for b, p in ((plus, pose), (minus, pose), (minus, pose.at[-1].multiply(-1)))
+        transforms.matrix(forward_kinematics(b.skeleton, p))[-1] for b, p in ((plus, pose), (minus, pose), (minus, pose.at[-1].multiply(-1)))
     )
     np.testing.assert_allclose(with_plus, opposite, atol=1e-15)
     assert np.abs(np.asarray(with_plus) - np.asarray(with_minus)).max() > 0.1
     # One after the other they undo each other: back at the elbow's unturned frame.
-    T_elbow = geometry.matrix(forward_kinematics(plus.skeleton, pose.at[-1].set(0)))[-1]
+    T_elbow = transforms.matrix(forward_kinematics(plus.skeleton, pose.at[-1].set(0)))[-1]
     R_start, R_plus, R_minus = (np.asarray(T)[:3, :3] for T in (T_elbow, with_plus, with_minus))
     np.testing.assert_allclose(R_start.T @ R_plus @ R_start.T @ R_minus, np.eye(3), atol=1e-14)
 

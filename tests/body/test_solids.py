@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body import geometry
 from bayes_body.body.build import build_body
 from bayes_body.body.solids import outline_samples, part_transforms, patches, penetration_depths, sphere_approximation, surface_samples
-from bayes_body.definition import load_body
+from bayes_body.geometry import transforms
+from bayes_body.model.definition import load_body
 
 pytestmark = pytest.mark.usefixtures("x64")
 
@@ -22,7 +22,7 @@ def seen(body, pose, viewpoint):
     """The transform of part 0, and its patch as NumPy arrays."""
     T = part_transforms(body, jnp.asarray(pose))
     patch = patches(body, T, jnp.asarray(viewpoint))
-    return geometry.pick(T, 0), jax.tree.map(lambda leaf: np.asarray(leaf[0]), patch)
+    return transforms.pick(T, 0), jax.tree.map(lambda leaf: np.asarray(leaf[0]), patch)
 
 
 def point(patch, t, s) -> np.ndarray:

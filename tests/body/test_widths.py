@@ -9,10 +9,10 @@ from bayes_body.body.build import build_body
 from bayes_body.body.kinematics import forward_kinematics, marker_positions
 from bayes_body.body.schema import BodySchema
 from bayes_body.body.solids import part_transforms, sphere_approximation, widened
-from bayes_body.camera import Camera
-from bayes_body.definition import load_definition
+from bayes_body.geometry.camera import Camera
 from bayes_body.likelihood.boundaries import contour
 from bayes_body.likelihood.patch_pixels import rig_pixels, sample_slopes
+from bayes_body.model.definition import load_definition
 
 pytestmark = pytest.mark.usefixtures("hasty_compiler")
 

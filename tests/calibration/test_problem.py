@@ -10,7 +10,7 @@ from calibration import toys
 from scipy import stats
 
 from bayes_body.calibration.problem import MOST_PATHS, alone, check_cases, draw_case, draw_path
-from bayes_body.factor import Factor
+from bayes_body.density.factor import Factor
 
 
 def _always(level, values, data):

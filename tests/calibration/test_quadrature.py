@@ -7,15 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from laws.targets import CENTRE, alone, conjugate, skewed
+from closed_forms.targets import CENTRE, alone, conjugate, skewed
 
 from bayes_body import kernels
 from bayes_body.calibration.quadrature import integrate
 from bayes_body.calibration.reference import LIMIT, compare
-from bayes_body.definition import load_definition
-from bayes_body.model import load_model
+from bayes_body.model.build import load_model
+from bayes_body.model.definition import load_definition
 from bayes_body.observation.frames import Frame
-from bayes_body.session import CameraSpec, Session, View
+from bayes_body.session.session import CameraSpec, Session, View
 
 
 @pytest.mark.parametrize("make", [conjugate, skewed])

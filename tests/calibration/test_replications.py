@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import pytest
 
-from bayes_body.calibration.kept import Kept, settings_of
+from bayes_body.calibration.replication_log import ReplicationLog, settings_of
 from bayes_body.calibration.replications import BLOCK, Experiments, run_replications
 
 
@@ -60,18 +60,18 @@ def test_an_interrupted_check_goes_on_to_the_same_end(tmp_path):
         raise _StoppedError
 
     with pytest.raises(_StoppedError):
-        run_replications(MAKE, COUNTS, kept=Kept(path, SETTINGS), watch=stop)
-    before = Kept(path, SETTINGS)
+        run_replications(MAKE, COUNTS, kept=ReplicationLog(path, SETTINGS), watch=stop)
+    before = ReplicationLog(path, SETTINGS)
     assert len(before) == 2
     # The computer stopped in the middle of a line.
     with path.open("ab") as file:
         file.write(b'{"experiment": "one", "blo')
-    kept = Kept(path, SETTINGS)
+    kept = ReplicationLog(path, SETTINGS)
     assert len(kept) == 2
     asked = []
     assert same(whole, run_replications(MAKE, COUNTS, kept=kept, watch=lambda blocks: asked.extend(blocks) or blocks))
     assert len(asked) == -(-25 // BLOCK) + -(-12 // BLOCK) - 2
-    assert same(whole, run_replications(MAKE, COUNTS, kept=Kept(path, SETTINGS)))
+    assert same(whole, run_replications(MAKE, COUNTS, kept=ReplicationLog(path, SETTINGS)))
     assert settings_of(path) == json.loads(json.dumps(SETTINGS))
     kept.remove()
     assert not path.exists()
@@ -79,19 +79,19 @@ def test_an_interrupted_check_goes_on_to_the_same_end(tmp_path):
 
 def test_replications_of_something_else_are_refused(tmp_path):
     path = tmp_path / "kept"
-    Kept(path, SETTINGS)
+    ReplicationLog(path, SETTINGS)
     with pytest.raises(ValueError, match=r"kept: replications with model = 'arm'; expected model = 'leg'; give what it has, remove it"):
-        Kept(path, {**SETTINGS, "model": "leg"})
+        ReplicationLog(path, {**SETTINGS, "model": "leg"})
     path.write_text("something\n")
     with pytest.raises(ValueError, match="its first line is not that of a check"):
-        Kept(path, SETTINGS)
+        ReplicationLog(path, SETTINGS)
 
 
 def test_a_file_that_cannot_be_written_is_said(tmp_path):
     with pytest.raises(ValueError, match="cannot be"):
-        Kept(tmp_path / "missing" / "kept", SETTINGS)
+        ReplicationLog(tmp_path / "missing" / "kept", SETTINGS)
 
 
 @pytest.mark.slow
 def test_processes_change_nothing(tmp_path):
-    assert same(run_replications(MAKE, COUNTS), run_replications(MAKE, COUNTS, jobs=2, kept=Kept(tmp_path / "kept", SETTINGS)))
+    assert same(run_replications(MAKE, COUNTS), run_replications(MAKE, COUNTS, jobs=2, kept=ReplicationLog(tmp_path / "kept", SETTINGS)))

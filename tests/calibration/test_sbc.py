@@ -12,7 +12,8 @@ from bayes_body import kernels
 from bayes_body.calibration import bands, sbc
 from bayes_body.calibration.coverage import coverage
 from bayes_body.calibration.problem import alone
-from bayes_body.kernels import extended, tempered_smc
+from bayes_body.kernels import tempered_smc
+from bayes_body.kernels.parts import extended
 
 REPLICATIONS, BINS, SEED = 200, 20, 100
 LIMIT = 0.05 / 3

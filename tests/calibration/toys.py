@@ -8,8 +8,8 @@ import numpy as np
 import numpyro.distributions as dist
 
 from bayes_body.calibration.problem import Problem, Quantities
+from bayes_body.density.factor import Factor, Transition, Variable
 from bayes_body.dynamics.diffusion import TruncatedWalk
-from bayes_body.factor import Factor, Transition, Variable
 
 X = Variable("x")
 partial = jax.tree_util.Partial

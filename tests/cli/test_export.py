@@ -4,9 +4,9 @@ import ezc3d
 import numpy as np
 import pytest
 
-from bayes_body.run import Settings
-from bayes_body.run import run as run_session
-from bayes_body.saved_run import load_run, marker_moments
+from bayes_body.runs.run import Settings
+from bayes_body.runs.run import run as run_session
+from bayes_body.storage.saved_run import load_run, marker_moments
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import tomllib
 import pytest
 from own_terms import GOOD, MODEL, plugins_of_this_test
 
-from bayes_body.session_file import save_session
+from bayes_body.session.read import save_session
 
 FRAMES = 2
 

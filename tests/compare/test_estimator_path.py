@@ -8,8 +8,8 @@ import numpyro.distributions as dist
 import pytest
 
 from bayes_body.compare import estimator_path as path
-from bayes_body.density import Density
-from bayes_body.factor import Factor, Particles, Transition, Variable
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Factor, Particles, Transition, Variable
 from bayes_body.kernels import hmc, sir
 from bayes_body.view.variance_plot import draw_ratios
 

@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from laws.targets import conjugate
+from closed_forms.targets import conjugate
 
 from bayes_body.compare import estimator_truth
 from bayes_body.compare import estimator_variance as ev
-from bayes_body.factor import Factor, FilterInfo, Particles, Transition, Variable
+from bayes_body.density.factor import Factor, FilterInfo, Particles, Transition, Variable
 
 POSE = Variable("pose")
 

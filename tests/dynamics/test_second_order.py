@@ -10,11 +10,11 @@ from scipy import stats
 
 from bayes_body.body.build import Shape, build_body
 from bayes_body.body.schema import BodySchema
-from bayes_body.definition import load_body
 from bayes_body.dynamics.joint_noise import JointNoise, concentration
 from bayes_body.dynamics.second_order import Options, build
 from bayes_body.errors import InputError
-from bayes_body.toml_file import validate
+from bayes_body.model.definition import load_body
+from bayes_body.toml.read import validate
 
 pytestmark = pytest.mark.usefixtures("hasty_compiler")
 

@@ -9,7 +9,7 @@ import pytest
 from bayes_body.body.kinematics import marker_positions
 from bayes_body.errors import InputError
 from bayes_body.initial import first_pose, with_first_pose
-from bayes_body.model import load_model
+from bayes_body.model.build import load_model
 
 
 def _markers(person):

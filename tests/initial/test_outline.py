@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from bayes_body.body.solids import part_transforms
-from bayes_body.camera import project
-from bayes_body.definition import load_definition
 from bayes_body.errors import FaultyFileError, InputError
+from bayes_body.geometry.camera import project
 from bayes_body.initial import FirstPose, apply_first_pose, first_pose, restored, stored, with_first_pose
 from bayes_body.initial.outline import fit_outline
-from bayes_body.model import load_model
-from bayes_body.session import Subject
-from bayes_body.session_file import load_session, save_session
+from bayes_body.model.build import load_model
+from bayes_body.model.definition import load_definition
+from bayes_body.session.read import load_session, save_session
+from bayes_body.session.session import Subject
 from bayes_body.view.silhouette import intersection_over_union, projected_masks
 
 HEIGHT_M = 1.75

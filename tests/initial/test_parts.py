@@ -9,15 +9,15 @@ import pytest
 
 from bayes_body.body.build import Shape, build_body
 from bayes_body.body.kinematics import marker_positions
-from bayes_body.camera import project
-from bayes_body.definition import load_body
 from bayes_body.errors import FaultyFileError, InputError
+from bayes_body.geometry.camera import project
 from bayes_body.initial.evidence import read_evidence
 from bayes_body.initial.lengths import SPREAD, fields, fixed, scaled, scaling
 from bayes_body.initial.points import as_markers, body_points
 from bayes_body.initial.problem import build_problem
 from bayes_body.initial.starts import HEADINGS, candidates
-from bayes_body.model import load_model
+from bayes_body.model.build import load_model
+from bayes_body.model.definition import load_body
 
 
 def test_the_nose_is_in_front_and_ears_are_on_their_sides(model):

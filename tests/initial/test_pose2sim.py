@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from bayes_body.initial import first_pose
-from bayes_body.model import load_model
-from bayes_body.session import CameraSpec, Session, Subject, View
+from bayes_body.model.build import load_model
+from bayes_body.session.session import CameraSpec, Session, Subject, View
 
 # BODY_25B: in this order limbs have a body's proportions.
 NAMES = (

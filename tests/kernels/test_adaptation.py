@@ -8,9 +8,9 @@ import scipy.linalg
 
 from bayes_body.errors import InputError
 from bayes_body.kernels import hmc
-from bayes_body.kernels.adaptation import Plan, begin, geometric_mean
-from bayes_body.kernels.batching import axes_of, over_particles
-from bayes_body.kernels.hamiltonian import Chain, Schedule, run_chain
+from bayes_body.kernels.parts.adaptation import Plan, geometric_mean, init
+from bayes_body.kernels.parts.batching import axes_of, over_particles
+from bayes_body.kernels.parts.hamiltonian import Chain, Schedule, run_chain
 
 pytestmark = pytest.mark.usefixtures("hasty_compiler")
 DOFS, CHAINS = 6, 8
@@ -101,7 +101,7 @@ def test_scores_that_are_none_teach_nothing() -> None:
 def test_a_first_matrix_that_is_no_covariance_leaves_its_scales() -> None:
     """One that rounding has made indefinite."""
     broken = jnp.array([[4.0, 2.1], [2.1, 1.0]])
-    found = begin(Plan(8, 0.8, True), jnp.asarray(0.1), broken, {"x": jnp.zeros(2)})
+    found = init(Plan(8, 0.8, True), jnp.asarray(0.1), broken, {"x": jnp.zeros(2)})
     assert found.metric is not None
     np.testing.assert_allclose(found.metric.inverse_mass, np.diag([4.0, 1.0]), rtol=1e-6)
 

@@ -6,11 +6,11 @@ import numpy as np
 import numpyro.distributions as dist
 import pytest
 
-from bayes_body.density import Density
-from bayes_body.factor import Factor, Particles, Transition, Variable
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Factor, Particles, Transition, Variable
 from bayes_body.kernels.annealed_filter import _cross_over, _Layer, _power_for_survival, build_kernel
-from bayes_body.kernels.resampling import resampler
-from bayes_body.kernels.weights import effective_sample_size
+from bayes_body.kernels.parts.resampling import resampler
+from bayes_body.kernels.parts.weights import effective_sample_size
 
 pytestmark = pytest.mark.usefixtures("hasty_compiler")
 

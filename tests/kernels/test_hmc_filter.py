@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from blackjax.mcmc import hmc as blackjax_hmc
 from blackjax.mcmc import metrics
-from laws.targets import conjugate, skewed
+from closed_forms.targets import conjugate, skewed
 
-from bayes_body.density import Unconstrained
+from bayes_body.density.density import Unconstrained
+from bayes_body.density.factor import Factor, Variable
 from bayes_body.errors import InputError
-from bayes_body.factor import Factor, Variable
 from bayes_body.kernels import hmc_filter
-from bayes_body.kernels.hamiltonian import Schedule, chain_figures, effective_draws, run_chain
 from bayes_body.kernels.hmc_filter import build_kernel
-from bayes_body.kernels.mass import correlated, differenced, inverse_mass
-from bayes_body.kernels.stuck import check_chains
+from bayes_body.kernels.parts.hamiltonian import Schedule, chain_figures, effective_draws, run_chain
+from bayes_body.kernels.parts.mass import correlated, differenced, inverse_mass
+from bayes_body.tracking.rejected_chains import raise_if_all_rejected
 
 pytestmark = pytest.mark.usefixtures("hasty_compiler")
 
@@ -157,7 +157,7 @@ def test_figures_of_each_chain_are_left_behind():
         and np.all(found["step"] == np.float32(0.5))
         and not found["divergences"].any()
     )
-    check_chains(info, 0)
+    raise_if_all_rejected(info, 0)
 
 
 def test_the_energy_fraction_is_that_of_independent_energies_and_of_a_slow_walk():
@@ -177,10 +177,10 @@ def test_chains_that_stand_still_stop_the_run_with_a_smaller_step():
     target = conjugate(8)
     _, info = kernel(jax.random.key(0), target.density.previous, target.density)
     with pytest.raises(InputError, match=r"frame 7: the chains stand still: at a step factor of 40 the acceptance is .*; try step=0\.2"):
-        check_chains(info, 7)
-    check_chains(info._replace(lost=jnp.asarray(True)), 7)
+        raise_if_all_rejected(info, 7)
+    raise_if_all_rejected(info._replace(lost=jnp.asarray(True)), 7)
     with pytest.raises(InputError, match=r"try step=0\.05"):
-        check_chains(info._replace(markov=dict(info.markov) | {"step": jnp.full(2, 0.5)}), 7)
+        raise_if_all_rejected(info._replace(markov=dict(info.markov) | {"step": jnp.full(2, 0.5)}), 7)
 
 
 # -- the mass matrix ----------------------------------------------------------------------------------------------------------------------

@@ -9,9 +9,9 @@ import numpy as np
 import numpyro.distributions as dist
 import pytest
 
-from bayes_body.density import Density
-from bayes_body.factor import Factor, Particles, Transition, Variable
-from bayes_body.kernels.batching import everywhere, whole
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Factor, Particles, Transition, Variable
+from bayes_body.kernels.parts.batching import everywhere, whole
 from bayes_body.registry import find, names
 
 pytestmark = pytest.mark.usefixtures("hasty_compiler")

@@ -4,12 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from laws.targets import conjugate
+from closed_forms.targets import conjugate
 
-from bayes_body.density import Density
-from bayes_body.factor import Factor, Particles, Variable
-from bayes_body.kernels.resampling import resampler
-from bayes_body.kernels.starts import by_annealing, by_importance
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Factor, Particles, Variable
+from bayes_body.kernels.parts.resampling import resampler
+from bayes_body.kernels.parts.starts import by_annealing, by_importance
 
 pytestmark = pytest.mark.usefixtures("hasty_compiler")
 

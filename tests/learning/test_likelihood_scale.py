@@ -6,12 +6,12 @@ import json
 import numpy as np
 import pytest
 
-from bayes_body.calibration.kept import Kept
+from bayes_body.calibration.replication_log import ReplicationLog
 from bayes_body.cli.main import main
-from bayes_body.definition import load_definition
 from bayes_body.errors import InputError
 from bayes_body.learning import likelihood_scale
 from bayes_body.learning.likelihood_scale import Trial, choose_scale, pooled, trials, with_scale
+from bayes_body.model.definition import load_definition
 
 
 def trial(scale, inside, known=100):
@@ -72,9 +72,9 @@ def test_trials_that_were_made_are_not_made_again(textured_session, tmp_path, mo
 
     monkeypatch.setattr(likelihood_scale, "_trial", one)
     arguments = (sessions, load_definition("arm"), [1.0, 2.0], None, 10, 0, None)
-    begun = trials(*arguments, Kept(tmp_path / "t.partial", {"seed": 0}))
+    begun = trials(*arguments, ReplicationLog(tmp_path / "t.partial", {"seed": 0}))
     first = [next(begun) for _ in range(3)]
-    again = list(trials(*arguments, Kept(tmp_path / "t.partial", {"seed": 0})))
+    again = list(trials(*arguments, ReplicationLog(tmp_path / "t.partial", {"seed": 0})))
     assert made == [1.0, 2.0, 1.0, 2.0]
     assert again[:3] == first and [each.inside for each in again] == [1, 2, 3, 4]
 

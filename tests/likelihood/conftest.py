@@ -11,10 +11,10 @@ import pytest
 
 from bayes_body.body.build import build_body
 from bayes_body.body.solids import Body
-from bayes_body.camera import Camera, stack, turning_radius
-from bayes_body.definition import load_body
-from bayes_body.factor import Factor
-from bayes_body.maps import SilhouetteEdgeMaps
+from bayes_body.density.factor import Factor
+from bayes_body.evidence.silhouette_edges import SilhouetteEdgeMaps
+from bayes_body.geometry.camera import Camera, stack, turning_radius
+from bayes_body.model.definition import load_body
 from bayes_body.observation.frames import Frame
 from bayes_body.recording.parsec import import_parsec
 from bayes_body.registry import find

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayes_body.body.solids import Samples
-from bayes_body.factor import Variable
+from bayes_body.density.factor import Variable
 from bayes_body.likelihood.patch_pixels import rig_pixels
 from bayes_body.observation.frames import Frame
 from bayes_body.observation.thickness import spread_points

@@ -12,18 +12,18 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from bayes_body.body.solids import outline_samples, part_transforms
-from bayes_body.camera import Pixels, project
-from bayes_body.definition import load_body, load_definition
 from bayes_body.errors import InputError
+from bayes_body.evidence.edge_phase import PhaseMaps, look_up, pack, steer
+from bayes_body.geometry.camera import Pixels, project
 from bayes_body.likelihood.boundaries import boundaries, contour
 from bayes_body.likelihood.edge_phase import Options, build
 from bayes_body.likelihood.patch_pixels import sample_slopes, seen_patches
-from bayes_body.model import load_model
+from bayes_body.model.build import load_model
+from bayes_body.model.definition import load_body, load_definition
 from bayes_body.observation.edge_phase import responses
 from bayes_body.observation.frames import Frame
-from bayes_body.phase_maps import PhaseMaps, look_up, pack, steer
-from bayes_body.session import CameraSpec, Session, View
-from bayes_body.toml_file import validate
+from bayes_body.session.session import CameraSpec, Session, View
+from bayes_body.toml.read import validate
 
 pytestmark = pytest.mark.usefixtures("hasty_compiler")
 

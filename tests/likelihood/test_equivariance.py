@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body import geometry
 from bayes_body.body.kinematics import forward_kinematics, marker_positions
-from bayes_body.camera import Camera, project
-from bayes_body.factor import Variable
+from bayes_body.density.factor import Variable
+from bayes_body.geometry import transforms
+from bayes_body.geometry.camera import Camera, project
 from bayes_body.likelihood.patch_pixels import rig_pixels
 
 POSE = Variable("pose")
@@ -30,7 +30,7 @@ def moved_pose(body, pose) -> jax.Array:
     """The pose whose root is the moved one, T(x, y, z) Rz(yaw) Rx(roll) Ry(pitch)."""
     names = body.dof_names
     assert names[:6] == ("root_x", "root_y", "root_z", "root_yaw", "root_roll", "root_pitch")
-    root = np.asarray(geometry.matrix(forward_kinematics(body.skeleton, pose))[0], float)
+    root = np.asarray(transforms.matrix(forward_kinematics(body.skeleton, pose))[0], float)
     M, p = R_NEW_OLD @ root[:3, :3], R_NEW_OLD @ root[:3, 3] + P_NEW_OLD
     angles = [np.arctan2(-M[0, 1], M[1, 1]), np.arcsin(M[2, 1]), np.arctan2(-M[2, 0], M[2, 2])]
     return pose.at[:6].set(jnp.asarray([*p, *angles], pose.dtype))

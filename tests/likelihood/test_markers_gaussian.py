@@ -10,10 +10,10 @@ import pytest
 from scipy.stats import kstest
 
 from bayes_body.body.kinematics import marker_positions
+from bayes_body.density.factor import Factor, Variable
 from bayes_body.errors import InputError
-from bayes_body.factor import Factor, Variable
+from bayes_body.evidence.markers import MARKERS, MarkerEvidence
 from bayes_body.registry import find
-from bayes_body.seen import MARKERS, SeenMarkers
 
 pytestmark = pytest.mark.usefixtures("hasty_compiler")
 
@@ -32,7 +32,7 @@ def factor(scene, **options) -> Factor:
 
 
 @jax.jit
-def log_density(f: Factor, pose, seen: SeenMarkers) -> jax.Array:
+def log_density(f: Factor, pose, seen: MarkerEvidence) -> jax.Array:
     return f({POSE: pose}, {"markers": seen})
 
 
@@ -51,7 +51,7 @@ def opencv_pixels(scene) -> np.ndarray:
     return np.array(rows)
 
 
-def seen_near(scene, seed=3, spread=6.0) -> SeenMarkers:
+def seen_near(scene, seed=3, spread=6.0) -> MarkerEvidence:
     """Markers some pixels from where they should be; one in three of low confidence, one in three not found."""
     rng = np.random.default_rng(seed)
     pixels, confidence = np.zeros((2, len(MARKERS), 2)), np.zeros((2, len(MARKERS)))
@@ -59,7 +59,7 @@ def seen_near(scene, seed=3, spread=6.0) -> SeenMarkers:
     pixels[:, places] = opencv_pixels(scene) + rng.normal(0, spread, (2, len(places), 2))
     confidence[:, places] = rng.choice([0.0, 0.2, 0.9], (2, len(places)))
     confidence[:, places[:2]] = [[0.5, 0.9], [1.0, 0.2]]
-    return SeenMarkers(jnp.asarray(pixels), jnp.asarray(confidence))
+    return MarkerEvidence(jnp.asarray(pixels), jnp.asarray(confidence))
 
 
 @pytest.mark.parametrize("body", ["arm_4", "deutscher_31"])
@@ -92,7 +92,7 @@ def test_it_integrates_to_one_over_the_pixels_of_a_marker(x64, scene, noise):
     width, height = camera_of(scene, 0).size
     centre = opencv_pixels(scene)[0, list(scene.body.markers.names).index("l_elbow")]
     assert 30 < centre[0] < width - 30 and 30 < centre[1] < height - 30
-    empty = SeenMarkers(jnp.zeros((2, 15, 2)), jnp.zeros((2, 15)).at[0, elbow].set(0.9))
+    empty = MarkerEvidence(jnp.zeros((2, 15, 2)), jnp.zeros((2, 15)).at[0, elbow].set(0.9))
 
     @jax.jit
     @jax.vmap
@@ -107,7 +107,7 @@ def test_it_integrates_to_one_over_the_pixels_of_a_marker(x64, scene, noise):
     assert mass == pytest.approx(1, abs=2 * (1 - share) * tail + 1e-4)
 
 
-def draws(f: Factor, pose, count=4000) -> SeenMarkers:
+def draws(f: Factor, pose, count=4000) -> MarkerEvidence:
     return jax.jit(jax.vmap(lambda key: f.simulate(key, {POSE: pose})))(jax.random.split(jax.random.key(5), count))
 
 
@@ -148,7 +148,7 @@ def test_markers_are_missing_at_their_rate(scene):
 
 def test_nothing_seen_says_nothing(scene):
     scene = scene("deutscher_31")
-    nothing = SeenMarkers(jnp.full((2, 15, 2), jnp.nan), jnp.zeros((2, 15)))
+    nothing = MarkerEvidence(jnp.full((2, 15, 2), jnp.nan), jnp.zeros((2, 15)))
     value, gradient = jax.jit(jax.value_and_grad(lambda pose: log_density(factor(scene), pose, nothing)))(scene.pose)
     assert value == 0
     assert (gradient == 0).all()

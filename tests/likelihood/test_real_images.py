@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.definition import load_definition
-from bayes_body.factor import Variable
-from bayes_body.model import load_model
+from bayes_body.density.factor import Variable
+from bayes_body.model.build import load_model
+from bayes_body.model.definition import load_definition
 from bayes_body.observation.frames import read_frame
 
 POSE = Variable("pose")

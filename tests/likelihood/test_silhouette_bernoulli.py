@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from bayes_body.body.solids import part_transforms
+from bayes_body.density.factor import Factor, Variable
 from bayes_body.errors import InputError
-from bayes_body.factor import Factor, Variable
+from bayes_body.evidence.silhouettes import SilhouetteEvidence
 from bayes_body.likelihood.outlines import outline_forms, signed_distance
 from bayes_body.observation.silhouette_bernoulli import sample_mask
 from bayes_body.registry import find
-from bayes_body.seen import SeenSilhouettes
 
 pytestmark = pytest.mark.usefixtures("hasty_compiler")
 
@@ -28,17 +28,17 @@ def factor(scene, **options) -> Factor:
 
 
 @jax.jit
-def log_density(f: Factor, pose, seen: SeenSilhouettes) -> jax.Array:
+def log_density(f: Factor, pose, seen: SilhouetteEvidence) -> jax.Array:
     return f({POSE: pose}, {"images": seen})
 
 
 @jax.jit
-def gradient_of(f: Factor, pose, seen: SeenSilhouettes) -> jax.Array:
+def gradient_of(f: Factor, pose, seen: SilhouetteEvidence) -> jax.Array:
     return jax.grad(lambda s: log_density(f, s, seen))(pose)
 
 
 @jax.jit
-def drawn(f: Factor, pose) -> SeenSilhouettes:
+def drawn(f: Factor, pose) -> SilhouetteEvidence:
     return f.simulate(jax.random.key(2), {POSE: pose})
 
 
@@ -107,7 +107,7 @@ def test_all_silhouettes_of_a_grid_sum_to_one(x64, scene):
     f = factor(scene, grid=(3, 2), soft_px=8.0, false_alarm=0.1)
     assert foreground(f, scene.pose).max() > 0.3
     images = np.array(list(product([False, True], repeat=12))).reshape(-1, 2, 2, 3)
-    values = jax.jit(jax.vmap(lambda z: log_density(f, scene.pose, SeenSilhouettes(z, jnp.ones(2, bool)))))(images)
+    values = jax.jit(jax.vmap(lambda z: log_density(f, scene.pose, SilhouetteEvidence(z, jnp.ones(2, bool)))))(images)
     assert np.exp(values).sum() == pytest.approx(1, abs=1e-9)
     assert np.exp(values).max() < 0.9
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayes_body.body.solids import part_transforms
-from bayes_body.factor import Variable
+from bayes_body.density.factor import Variable
 from bayes_body.likelihood.coverage import projected_area
 from bayes_body.likelihood.patch_pixels import rig_pixels
 from bayes_body.observation.silhouette_edges import edge_proximity

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from bayes_body.evidence.markers import MARKERS
 from bayes_body.metrics.truth import Cloud
-from bayes_body.model import load_model
-from bayes_body.recording.truth import MARKERS
+from bayes_body.model.build import load_model
 
 
 @pytest.fixture(scope="module")

@@ -12,11 +12,11 @@ from bayes_body.kernels import annealed
 from bayes_body.kernels.particle_filter import build_kernel
 from bayes_body.metrics import draws_against_truth, log_evidence, marker_disagreement, silhouette_overlap, summarise
 from bayes_body.metrics.figures import NAMES
-from bayes_body.model import load_model
+from bayes_body.model.build import load_model
 from bayes_body.posterior import markers, mean_poses, rhat
-from bayes_body.run import Settings, run
-from bayes_body.session_file import save_session
-from bayes_body.tracking import track
+from bayes_body.runs.run import Settings, run
+from bayes_body.session.read import save_session
+from bayes_body.tracking.track import track
 from bayes_body.view.silhouette import intersection_over_union
 
 

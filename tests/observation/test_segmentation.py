@@ -15,7 +15,7 @@ from bayes_body.observation.background import learn_background, shrink, still_ba
 from bayes_body.observation.frames import read_frame
 from bayes_body.observation.segmentation import foreground_levels, log_odds_alone
 from bayes_body.recording.video import read_video_frame
-from bayes_body.session import Segmentation
+from bayes_body.session.session import Segmentation
 
 ROWS, COLUMNS, FRAMES = 120, 160, 30
 PERSON = (60, 90, 220)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayes_body.errors import InputError
-from bayes_body.maps import BORDER, EDGES, SILHOUETTE, UNSEEN_SHARE
+from bayes_body.evidence.silhouette_edges import BORDER, EDGES, SILHOUETTE, UNSEEN_SHARE
 from bayes_body.observation.frames import Frame
 from bayes_body.observation.silhouette_edges import edge_proximity, edges, smooth_silhouette
 from bayes_body.registry import find

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from bayes_body.draws import FrameResult
 from bayes_body.posterior import frame_rhat
 from bayes_body.posterior.agreement import independent_draws, rhat_of_block
 from bayes_body.posterior.blocks import Block
+from bayes_body.tracking.draws import FrameResult
 
 
 def block(poses, log_weights=None) -> Block:

@@ -7,8 +7,8 @@ import pytest
 
 from bayes_body.body.build import Shape, build_body
 from bayes_body.body.solids import part_transforms, penetration_depths
-from bayes_body.definition import load_body
-from bayes_body.factor import Factor, Variable
+from bayes_body.density.factor import Factor, Variable
+from bayes_body.model.definition import load_body
 from bayes_body.recording.parsec import import_parsec
 from bayes_body.registry import find
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from bayes_body.body import schema
+from bayes_body.body import schema, tables
 from bayes_body.cli.main import main
-from bayes_body.definition import definition_names, load_definition
 from bayes_body.likelihood.edge_phase import Scale
+from bayes_body.model.definition import definition_names, load_definition
 from bayes_body.registry import Room, find, names
 
 ROOT = Path(__file__).parents[2]
@@ -134,9 +134,9 @@ def _value(text: str) -> object:
     ("heading", "table"),
     [
         ("The body itself", schema.BodySchema),
-        ("`[[joint]]`", schema.Joint),
-        ("A dof", schema.Dof),
-        ("`[[part]]`", schema.Part),
+        ("`[[joint]]`", tables.Joint),
+        ("A dof", tables.Dof),
+        ("`[[part]]`", tables.Part),
         ("`[[likelihood.scale]]`", Scale),
     ],
 )
@@ -163,7 +163,7 @@ def test_toml_of_the_guide_is_sound(tmp_path, example, capsys):
 def test_public_names_mean_the_same_whatever_was_imported_before():
     # A module that has the name of a function takes its place in the package once it is imported.
     import bayes_body as bb
-    import bayes_body.run
+    import bayes_body.runs.run
 
     functions = set(bb.__all__) - {"compare", "kernels", "metrics", "posterior"}
     assert {name for name in functions if not callable(getattr(bb, name))} == set()

@@ -10,9 +10,9 @@ import pytest
 from own_terms import plugins_of_this_test
 
 from bayes_body.cli.main import main
-from bayes_body.model import load_model
+from bayes_body.model.build import load_model
 from bayes_body.observation.frames import read_frame
-from bayes_body.plugins import check_own_factors, load_plugin
+from bayes_body.plugins.load import check_own_factors, load_plugin
 
 GUIDE = (Path(__file__).parents[2] / "docs" / "guide" / "plugins.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", GUIDE, re.MULTILINE | re.DOTALL)
@@ -81,7 +81,7 @@ def test_its_program_runs_and_a_keypoint_that_is_wrong_moves_the_pose_little(fol
 def test_the_man_on_the_beam_is_tracked_with_it(folder, pose2sim_beam):
     from programs.test_beam import triangulated
 
-    from bayes_body.saved_run import load_run, marker_moments
+    from bayes_body.storage.saved_run import load_run, marker_moments
 
     (track,) = [command for command in COMMANDS if "bayes-body track" in command]
     (report,) = [command for command in COMMANDS if "bayes-body report" in command]

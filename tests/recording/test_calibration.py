@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.camera import Camera, project, turning_radius
 from bayes_body.errors import FaultyFileError, InputError
+from bayes_body.geometry.camera import Camera, project, turning_radius
 from bayes_body.recording.calibration import Calibrated, calibrated, check_rig, rotation_given_twice
 from bayes_body.recording.calibration_opencv import read_opencv
 from bayes_body.recording.calibration_qualisys import read_qualisys

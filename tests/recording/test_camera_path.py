@@ -7,7 +7,7 @@ import pytest
 
 from bayes_body.errors import InputError
 from bayes_body.recording.camera_path import cameras_at, read_camera_path
-from bayes_body.session import CameraSpec, Session, View
+from bayes_body.session.session import CameraSpec, Session, View
 
 
 def turned(angle):

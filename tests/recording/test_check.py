@@ -9,7 +9,7 @@ import pytest
 from bayes_body.errors import FaultyFileError
 from bayes_body.recording.check import check_session, named
 from bayes_body.recording.parsec import import_parsec
-from bayes_body.session import View
+from bayes_body.session.session import View
 
 
 @pytest.fixture

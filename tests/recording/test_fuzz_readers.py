@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from bayes_body.errors import InputError
+from bayes_body.evidence.markers import MARKERS
 from bayes_body.recording.calibration import check_rig
 from bayes_body.recording.calibration_opencv import read_opencv
 from bayes_body.recording.calibration_qualisys import read_qualisys
@@ -19,8 +20,8 @@ from bayes_body.recording.calibration_toml import read_calibration_toml
 from bayes_body.recording.keypoint_layouts import choose_layout
 from bayes_body.recording.keypoints import read_people
 from bayes_body.recording.parsec_files import read_calibration
-from bayes_body.recording.truth import MARKERS, read_truth
-from bayes_body.session_file import load_session
+from bayes_body.recording.truth import read_truth
+from bayes_body.session.read import load_session
 
 QUICK, MANY = 300, 10_000
 # No reader takes a second; a loop without end would not stop at ten.

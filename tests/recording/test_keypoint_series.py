@@ -11,7 +11,7 @@ from bayes_body.recording import arrays_file
 from bayes_body.recording.keypoint_layouts import LAYOUTS
 from bayes_body.recording.keypoint_series import KeypointSeries, read_series, write_series
 from bayes_body.recording.keypoint_subject import follow_person
-from bayes_body.session import CameraSpec
+from bayes_body.session.session import CameraSpec
 
 NAMES = ("neck", "mid_hip", "l_knee", "nose")
 

@@ -11,8 +11,8 @@ import pytest
 from bayes_body.errors import InputError
 from bayes_body.recording.rig import CameraPath, read_rig
 from bayes_body.recording.rig_schema import RigCameraTable
-from bayes_body.session import Session, View
-from bayes_body.session_file import save_session
+from bayes_body.session.read import save_session
+from bayes_body.session.session import Session, View
 from bayes_body.simulation.session_files import write_calibration
 
 RIGS = Path(__file__).parents[2] / "models" / "rigs"

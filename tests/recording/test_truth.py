@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from bayes_body.errors import InputError
-from bayes_body.recording.truth import MARKERS, read_truth
+from bayes_body.evidence.markers import MARKERS
+from bayes_body.recording.truth import read_truth
 
 
 @pytest.fixture
@@ -21,7 +22,7 @@ def save(folder, markers, names=MARKERS, **more):
 
 
 def test_names_are_those_of_the_bodies():
-    from bayes_body.definition import load_definition
+    from bayes_body.model.definition import load_definition
 
     assert set(load_definition("deutscher_apf").body.markers) == set(MARKERS)
 

@@ -11,10 +11,10 @@ import pytest
 import tomlkit
 import xarray as xr
 
-from bayes_body.definition import load_definition
-from bayes_body.recording.truth import MARKERS
-from bayes_body.saved_run import load_run
-from bayes_body.session_file import save_session
+from bayes_body.evidence.markers import MARKERS
+from bayes_body.model.definition import load_definition
+from bayes_body.session.read import save_session
+from bayes_body.storage.saved_run import load_run
 from bayes_body.view.report.inspection import Inspection
 
 DOFS = ("root_x", "l_hip_y", "l_knee", "r_elbow", "head_z")

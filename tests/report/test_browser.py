@@ -7,7 +7,7 @@ import subprocess
 import cv2
 import pytest
 
-from bayes_body.saved_run import load_run
+from bayes_body.storage.saved_run import load_run
 from bayes_body.view.report import write_report
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayes_body.definition import load_definition
+from bayes_body.model.definition import load_definition
 from bayes_body.view.report.chains import chain_section, worst_mixed
 from bayes_body.view.report.figures import style
 from bayes_body.view.report.page import page, sections_of

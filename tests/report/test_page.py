@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from bayes_body.errors import InputError
-from bayes_body.saved_run import load_run
+from bayes_body.storage.saved_run import load_run
 from bayes_body.view.report import page as pages
 from bayes_body.view.report.bands import band_section
 from bayes_body.view.report.figures import style
 from bayes_body.view.report.filtering import filter_section
 from bayes_body.view.report.head import findings, key_figures, verdict
 from bayes_body.view.report.inspection import Inspection
-from bayes_body.view.report.made import made_section
 from bayes_body.view.report.markup import Markup
 from bayes_body.view.report.page import LARGEST, SECTIONS, fitted, page, sections_of, write_report
 from bayes_body.view.report.pictures import QUALITIES, picture_section
+from bayes_body.view.report.provenance import provenance_section
 from bayes_body.view.report.runs import run_section
 
 
@@ -183,7 +183,7 @@ def test_pictures_get_worse_until_the_page_fits(inspect, draw_pictures, parse):
 
 
 def test_how_it_was_made(inspect):
-    text = made_section(inspect().run)
+    text = provenance_section(inspect().run)
     cells = dict(re.findall(r'<th scope="row">([^<]*)</th><td>([^<]*)</td>', text))
     assert (cells["platform"], cells["devices"], cells["bayes-body"], cells["title"]) == ("an abacus", "bead:0", "0.0.9", "blobs")
     assert cells["cameras"] == "a 160 × 120 px; b 128 × 144 px" and "kind = &quot;silhouette_edges&quot;" in text

@@ -9,8 +9,8 @@ from bayes_body.view.report.bands import SHARES, bands
 from bayes_body.view.report.choice import FEWEST_DRAWS, MOST_DRAWS, chosen_dofs, chosen_frames, equal_weight_sample
 from bayes_body.view.report.figures import MOST_POINTS, bins, draw_runs, encoded, new_panel, style
 from bayes_body.view.report.limbs import OTHER, by_limb, limb, spoken
-from bayes_body.view.report.made import LONGEST, command, made_section
 from bayes_body.view.report.markup import Markup, joined, tag
+from bayes_body.view.report.provenance import LONGEST, command, provenance_section
 from bayes_body.view.report.ranks import rank_region
 
 
@@ -129,5 +129,5 @@ def test_the_command_repeats_the_run_into_another_folder(inspect):
 
 def test_a_definition_as_long_as_a_book_is_cut(inspect):
     run = dataclasses.replace(inspect().run, texts={"text": "x" * (2 * LONGEST)})
-    text = made_section(run)
+    text = provenance_section(run)
     assert text.count("x") < 1.1 * LONGEST and "cut after 200,000 characters of 400,000" in text

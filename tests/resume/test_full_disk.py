@@ -5,7 +5,7 @@ import subprocess
 import pytest
 
 from bayes_body.cli.main import main
-from bayes_body.run import Settings, run
+from bayes_body.runs.run import Settings, run
 
 from .conftest import command, contents
 

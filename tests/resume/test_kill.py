@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from bayes_body.run import Settings, run
+from bayes_body.runs.run import Settings, run
 
 from .conftest import command, contents, track
 

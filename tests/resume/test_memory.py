@@ -14,7 +14,7 @@ import bayes_body as bb
 from bayes_body.metrics import log_evidence, marker_disagreement
 from bayes_body.posterior import stream_posterior
 from bayes_body.storage import FrameFiles
-from bayes_body.tracking import track
+from bayes_body.tracking.track import track
 
 folder, out, frames = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from bayes_body.errors import InputError
+from bayes_body.files.lock import locked
 from bayes_body.kernels import annealed
-from bayes_body.model import load_model
-from bayes_body.run import Settings, run
+from bayes_body.model.build import load_model
+from bayes_body.runs.run import Settings, run
 from bayes_body.storage import FrameFiles, frame_files
-from bayes_body.storage.lock import locked
-from bayes_body.tracking import track
+from bayes_body.tracking.track import track
 
 from .conftest import contents
 
@@ -205,7 +205,7 @@ def test_what_fails_after_the_last_frame_is_made_by_the_next_one(looped, tmp_pat
 
     name = {"posterior": "stream_posterior", "summary": "summarise", "pictures": "draw_overlay"}[what]
     with monkeypatch.context() as patch:
-        patch.setattr(f"bayes_body.run.{name}", full)
+        patch.setattr(f"bayes_body.runs.run.{name}", full)
         with pytest.raises(InputError, match=what):
             run(Settings(looped(FRAMES), out, **SMALL), lines.append, bar=False)
     assert "6 frames are kept" in lines[-1]

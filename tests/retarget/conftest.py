@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from bayes_body.body.build import Shape, build_body
 from bayes_body.cli.main import main
-from bayes_body.definition import load_body
+from bayes_body.model.definition import load_body
 from bayes_body.recording.mocap.motion import Motion
 
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from bayes_body.errors import InputError
+from bayes_body.evidence.markers import MARKERS
 from bayes_body.learning.walking_cycle import load_cycle, walk
 from bayes_body.recording.mocap import landmarks, read_motion, resample
-from bayes_body.recording.truth import MARKERS, read_truth
+from bayes_body.recording.truth import read_truth
 from bayes_body.retarget import retarget
 
 FPS = 60.0

@@ -8,8 +8,9 @@ from typer.testing import CliRunner
 
 from bayes_body.cli import simulate as verb
 from bayes_body.errors import InputError
-from bayes_body.recording.truth import MARKERS, read_truth
-from bayes_body.session_file import load_session
+from bayes_body.evidence.markers import MARKERS
+from bayes_body.recording.truth import read_truth
+from bayes_body.session.read import load_session
 from bayes_body.simulation.staging import stature_m
 
 

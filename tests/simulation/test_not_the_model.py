@@ -7,13 +7,13 @@ import pytest
 from simulation.walker import FPS, walker
 
 from bayes_body.body.build import build_body
-from bayes_body.definition import load_body, load_definition
 from bayes_body.initial.outline import fit_outline
-from bayes_body.model import load_model
+from bayes_body.model.build import load_model
+from bayes_body.model.definition import load_body, load_definition
 from bayes_body.recording.images import read_mask
 from bayes_body.recording.rig import read_rig
 from bayes_body.retarget import retarget
-from bayes_body.session import Subject
+from bayes_body.session.session import Subject
 from bayes_body.simulation.options import Options
 from bayes_body.simulation.person import build_person
 from bayes_body.simulation.session import simulate

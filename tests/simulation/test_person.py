@@ -7,8 +7,8 @@ import pytest
 from simulation.walker import FPS, walker
 
 from bayes_body.errors import InputError
+from bayes_body.evidence.markers import MARKERS
 from bayes_body.recording.mocap import landmarks, read_motion, resample
-from bayes_body.recording.truth import MARKERS
 from bayes_body.simulation.clothes import folded
 from bayes_body.simulation.person import build_person
 from bayes_body.simulation.person_frames import chain, turned

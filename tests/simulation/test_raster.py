@@ -8,7 +8,7 @@ import pytest
 from simulation.walker import FPS, walker
 
 from bayes_body.recording.mocap import landmarks, read_motion, resample
-from bayes_body.session import CameraSpec
+from bayes_body.session.session import CameraSpec
 from bayes_body.simulation.mesh import Mesh
 from bayes_body.simulation.person import build_person
 from bayes_body.simulation.raster import Light, facing, normals, rasterise

@@ -6,12 +6,12 @@ import errno
 import numpy as np
 import pytest
 
-from bayes_body.draws import FrameResult, Frames, FrameStore
+from bayes_body.density.factor import FilterInfo
 from bayes_body.errors import InputError
-from bayes_body.factor import FilterInfo
-from bayes_body.files import PARTIAL
+from bayes_body.files.atomic import PARTIAL
 from bayes_body.storage import FrameFiles
 from bayes_body.storage.frame_files import load_frame, save_frame
+from bayes_body.tracking.draws import FrameResult, Frames, FrameStore
 
 RUNS, PARTICLES, DOFS, LAYERS, CAMERAS = 2, 7, 3, 2, 4
 

@@ -10,8 +10,8 @@ import pytest
 
 from bayes_body.errors import InputError
 from bayes_body.kernels.particle_filter import build_kernel
-from bayes_body.model import load_model
-from bayes_body.tracking import track
+from bayes_body.model.build import load_model
+from bayes_body.tracking.track import track
 from bayes_body.view.overlay import LEFT, MIDDLE, RIGHT, UNSEEN, colour, draw_overlay, grid, mosaic
 from bayes_body.view.rig_check import AXIS_COLOURS, draw_check
 from bayes_body.view.silhouette import outlines, projected_masks

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import InputError, wrong
+from bayes_body.errors import InputError, input_error
 from bayes_body.recording.mocap.asf import ROOT, Bone, Skeleton, read_asf
 from bayes_body.recording.mocap.capture import Capture
 from bayes_body.recording.mocap.text import read_text, table
@@ -46,12 +46,12 @@ def find_asf(path: Path) -> Path:
     try:
         files = sorted(file for file in path.parent.iterdir() if file.suffix.lower() == ".asf")
     except OSError as error:
-        raise wrong(path.parent, f"cannot be read ({error.strerror})", "the folder of an .asf", "give the skeleton's file") from None
+        raise input_error(path.parent, f"cannot be read ({error.strerror})", "the folder of an .asf", "give the skeleton's file") from None
     own = [file for file in files if file.stem in (path.stem, path.stem.rpartition("_")[0])]
     if len(own or files) != 1:
         found = f"{len(files)} .asf beside it ({', '.join(file.name for file in files[:10])})" if files else "no .asf beside it"
         named = f"{path.stem.rpartition('_')[0] or path.stem}.asf, or one .asf in the folder"
-        raise wrong(path, found, named, "put the skeleton's file there, or give it as skeleton")
+        raise input_error(path, found, named, "put the skeleton's file there, or give it as skeleton")
     return (own or files)[0]
 
 
@@ -135,13 +135,15 @@ class _Reading:
     def end(self) -> None:
         """No more lines."""
         if not self.frames:
-            raise wrong(self.path, "no frame", KIND, "name another file, or restore this one")
+            raise input_error(self.path, "no frame", KIND, "name another file, or restore this one")
         self._check_whole()
 
     def _check_whole(self) -> None:
         missing = [name for name, rows in self.rows.items() if len(rows) < self.frames]
         if missing:
-            raise wrong(self.path, f"frame {self.label} has no values of {', '.join(missing)}", "every bone of the skeleton that moves", RESTORE)
+            raise input_error(
+                self.path, f"frame {self.label} has no values of {', '.join(missing)}", "every bone of the skeleton that moves", RESTORE
+            )
 
     def _wrong(self, line: int, found: str, expected: str) -> InputError:
-        return wrong(f"{self.path}: line {line}", found, expected, RESTORE)
+        return input_error(f"{self.path}: line {line}", found, expected, RESTORE)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording.mocap.text import numbers, read_text
 from bayes_body.recording.mocap.tree import turns
 
@@ -78,7 +78,7 @@ def read_asf(path: Path) -> Skeleton:
     degrees = float(np.degrees(1)) if "angle" in units and units["angle"].words[1].lower().startswith("rad") else 1.0
     length = float(numbers(f"{path}: line {units['length'].number}", units["length"].words[1:])[0]) if "length" in units else 1.0
     if not length > 0:
-        raise wrong(f"{path}: line {units['length'].number}", f"length {length:g}", "a number above 0", RESTORE)
+        raise input_error(f"{path}: line {units['length'].number}", f"length {length:g}", "a number above 0", RESTORE)
     root, position = _root(path, sections["root"], degrees)
     bones = {ROOT: root} | {bone.name: bone for bone in _bones(path, sections["bonedata"], degrees)}
     parents = _hierarchy(path, sections["hierarchy"], bones)
@@ -105,7 +105,7 @@ def _sections(path: Path) -> dict[str, list[Line]]:
             here.append(Line(number, words))
     missing = [f":{name}" for name in SECTIONS if name not in out]
     if missing:
-        raise wrong(path, f"no {', '.join(missing)}", KIND, "name another file, or restore this one")
+        raise input_error(path, f"no {', '.join(missing)}", KIND, "name another file, or restore this one")
     return out
 
 
@@ -115,10 +115,10 @@ def _fields(path: Path, lines: Sequence[Line], counts: Mapping[str, int]) -> dic
     where = f"{path}: line {lines[0].number}" if lines else str(path)
     for key, count in counts.items():
         if key not in fields:
-            raise wrong(where, f"no {key}", f"{key} and {count} values after it", RESTORE)
+            raise input_error(where, f"no {key}", f"{key} and {count} values after it", RESTORE)
         if len(fields[key].words) - 1 != count:
             found = f"{key} with {len(fields[key].words) - 1} values"
-            raise wrong(f"{path}: line {fields[key].number}", found, f"{count}", RESTORE)
+            raise input_error(f"{path}: line {fields[key].number}", found, f"{count}", RESTORE)
     return fields
 
 
@@ -126,7 +126,7 @@ def _root(path: Path, lines: Sequence[Line], degrees: float) -> tuple[Bone, Floa
     fields = _fields(path, lines, {"order": 6, "axis": 1, "position": 3, "orientation": 3})
     order = fields["order"]
     if sorted(word.upper() for word in order.words[1:]) != sorted(ROOT_ORDER.split()):
-        raise wrong(f"{path}: line {order.number}", " ".join(order.words)[:60], f"each of {ROOT_ORDER} once", RESTORE)
+        raise input_error(f"{path}: line {order.number}", " ".join(order.words)[:60], f"each of {ROOT_ORDER} once", RESTORE)
     position, orientation = (numbers(f"{path}: line {fields[key].number}", fields[key].words[1:]) for key in ("position", "orientation"))
     axis = _axis(path, fields["axis"], degrees * orientation)
     return Bone(ROOT, np.zeros(3), axis, tuple(word.lower() for word in order.words[1:])), position
@@ -136,7 +136,7 @@ def _axis(path: Path, line: Line, angles_deg: Float[np.ndarray, "3"]) -> Float[n
     """C; its order is the line's last word."""
     order = line.words[-1].lower()
     if sorted(order) != ["x", "y", "z"]:
-        raise wrong(f"{path}: line {line.number}", f"axis order '{order[:40]}'", "XYZ or another order of these letters", RESTORE)
+        raise input_error(f"{path}: line {line.number}", f"axis order '{order[:40]}'", "XYZ or another order of these letters", RESTORE)
     return turns(order, angles_deg[None])[0]
 
 
@@ -145,7 +145,7 @@ def _bones(path: Path, lines: Sequence[Line], degrees: float) -> Iterator[Bone]:
     for block in _blocks(path, lines):
         bone = _bone(path, block, degrees)
         if bone.name in seen:
-            raise wrong(f"{path}: line {block[0].number}", f"a second bone '{bone.name[:40]}'", "each bone once", RESTORE)
+            raise input_error(f"{path}: line {block[0].number}", f"a second bone '{bone.name[:40]}'", "each bone once", RESTORE)
         seen.add(bone.name)
         yield bone
 
@@ -157,10 +157,10 @@ def _blocks(path: Path, lines: Sequence[Line]) -> Iterator[list[Line]]:
         word = line.words[0].lower()
         if word not in ("begin", "end"):
             if block is None:
-                raise wrong(f"{path}: line {line.number}", f"'{' '.join(line.words)[:40]}' outside of begin and end", "begin", RESTORE)
+                raise input_error(f"{path}: line {line.number}", f"'{' '.join(line.words)[:40]}' outside of begin and end", "begin", RESTORE)
             block.append(line)
         elif (word == "begin") != (block is None):
-            raise wrong(f"{path}: line {line.number}", word, "'begin' and 'end' in turn", RESTORE)
+            raise input_error(f"{path}: line {line.number}", word, "'begin' and 'end' in turn", RESTORE)
         elif block is None:
             block = []
         else:
@@ -168,7 +168,7 @@ def _blocks(path: Path, lines: Sequence[Line]) -> Iterator[list[Line]]:
                 yield block
             block = None
     if block is not None:
-        raise wrong(path, "cut off: a 'begin' without its 'end'", KIND, RESTORE)
+        raise input_error(path, "cut off: a 'begin' without its 'end'", KIND, RESTORE)
 
 
 def _bone(path: Path, block: list[Line], degrees: float) -> Bone:
@@ -178,11 +178,11 @@ def _bone(path: Path, block: list[Line], degrees: float) -> Bone:
     norm = float(np.linalg.norm(direction))
     if not (length[0] >= 0 and (norm > 0 or length[0] == 0)):
         found = f"bone '{name[:40]}' of length {length[0]:g} along {direction.tolist()}"
-        raise wrong(where, found, "a length of at least 0 along a direction", RESTORE)
+        raise input_error(where, found, "a length of at least 0 along a direction", RESTORE)
     angles = numbers(f"{path}: line {fields['axis'].number}", fields["axis"].words[1:4])
     dofs = tuple(word.lower() for word in fields["dof"].words[1:]) if "dof" in fields else ()
     if not set(dofs) <= {"rx", "ry", "rz"} or len(set(dofs)) < len(dofs):
-        raise wrong(
+        raise input_error(
             f"{path}: line {fields['dof'].number}", f"dof {' '.join(dofs)[:40]}", "rx, ry, rz, each at most once", "this reader knows no others"
         )
     return Bone(name, direction * (length[0] / max(norm, 1e-300)), _axis(path, fields["axis"], degrees * angles), dofs)
@@ -196,7 +196,7 @@ def _hierarchy(path: Path, lines: Sequence[Line], bones: Mapping[str, Bone]) -> 
             unknown = [word for word in line.words if word not in bones]
             if unknown:
                 known = f"the bones of :bonedata: {', '.join(bones)}"
-                raise wrong(f"{path}: line {line.number}", f"the hierarchy has a bone '{unknown[0][:40]}' that :bonedata lacks", known, RESTORE)
+                raise input_error(f"{path}: line {line.number}", f"the hierarchy has a bone '{unknown[0][:40]}' that :bonedata lacks", known, RESTORE)
             children.setdefault(line.words[0], []).extend(line.words[1:])
     return _walked(path, children, bones)
 
@@ -206,9 +206,9 @@ def _walked(path: Path, children: Mapping[str, list[str]], bones: Mapping[str, B
     while ahead:
         name, parent = ahead.pop()
         if name in parents:
-            raise wrong(f"{path}: :hierarchy", f"the bone '{name}' twice", "each bone once", RESTORE)
+            raise input_error(f"{path}: :hierarchy", f"the bone '{name}' twice", "each bone once", RESTORE)
         parents[name] = parent
         ahead += [(child, name) for child in reversed(children.get(name, []))]
     if left := [name for name in bones if name not in parents]:
-        raise wrong(f"{path}: :hierarchy", f"nothing leads from the root to {', '.join(left)[:200]}", "every bone of :bonedata", RESTORE)
+        raise input_error(f"{path}: :hierarchy", f"nothing leads from the root to {', '.join(left)[:200]}", "every bone of :bonedata", RESTORE)
     return parents

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import InputError, wrong
+from bayes_body.errors import InputError, input_error
 from bayes_body.recording.mocap.capture import UNITS, Capture
 from bayes_body.recording.mocap.text import numbers, read_text, table
 from bayes_body.recording.mocap.tree import longest_path, place, turns
@@ -60,7 +60,7 @@ def read_bvh(path: Path) -> Capture:
     start = next((number for number, line in enumerate(lines) if line.strip().upper() == "MOTION"), None)
     joints = _joints(path, lines[:start])
     if start is None:
-        raise wrong(path, f"cut off: {len(joints)} joints, and no MOTION", KIND, RESTORE)
+        raise input_error(path, f"cut off: {len(joints)} joints, and no MOTION", KIND, RESTORE)
     fps, values = _motion(path, lines, start + 1, sum(len(joint.channels) for joint in joints))
     parents = tuple(joint.parent for joint in joints)
     offsets, local = _channels(joints, values)
@@ -72,7 +72,7 @@ def read_bvh(path: Path) -> Capture:
 def _joints(path: Path, lines: list[str]) -> list[Joint]:
     words = iter([Word(number, text) for number, line in enumerate(lines, 1) for text in line.replace("{", " { ").replace("}", " } ").split()])
     if next(words, Word(1, "")).text.upper() != "HIERARCHY":
-        raise wrong(f"{path}: line 1", f"'{lines[0].strip()[:40] if lines else ''}'", KIND, "name another file")
+        raise input_error(f"{path}: line 1", f"'{lines[0].strip()[:40] if lines else ''}'", KIND, "name another file")
     joints: list[Joint] = []
     # What is open: indices of joints, each with its brace not yet closed.
     ahead: list[int] = []
@@ -87,7 +87,7 @@ def _joints(path: Path, lines: list[str]) -> list[Joint]:
             raise _unexpected(path, word, "JOINT, End Site or }" if joints else "ROOT")
     if ahead or not joints:
         where = f"in '{joints[ahead[-1]].name}'" if joints else "before the first joint"
-        raise wrong(f"{path}: line {len(lines)}", f"cut off in the hierarchy, {where}", "a closing brace for each joint", RESTORE)
+        raise input_error(f"{path}: line {len(lines)}", f"cut off in the hierarchy, {where}", "a closing brace for each joint", RESTORE)
     return joints
 
 
@@ -96,7 +96,9 @@ def _joint(path: Path, kind: str, words: Iterator[Word], joints: list[Joint], pa
     name = "_".join(word.text for word in _until(path, words, "{"))
     name = f"{joints[parent].name}{END}" if kind == "END" else name
     if not name or any(joint.name == name for joint in joints):
-        raise wrong(path, f"a second joint '{name[:40]}'" if name else "a joint without a name", "a name of its own for each joint", "rename it")
+        raise input_error(
+            path, f"a second joint '{name[:40]}'" if name else "a joint without a name", "a name of its own for each joint", "rename it"
+        )
     offset = channels = None
     while offset is None or (channels is None and kind != "END"):
         word = next(words, None)
@@ -141,8 +143,8 @@ def _until(path: Path, words: Iterator[Word], mark: str) -> list[Word]:
 
 def _unexpected(path: Path, word: Word | None, expected: str) -> InputError:
     if word is None:
-        return wrong(path, "cut off in the hierarchy", expected, RESTORE)
-    return wrong(f"{path}: line {word.line}", f"'{word.text[:40]}' in the hierarchy", expected, RESTORE)
+        return input_error(path, "cut off in the hierarchy", expected, RESTORE)
+    return input_error(f"{path}: line {word.line}", f"'{word.text[:40]}' in the hierarchy", expected, RESTORE)
 
 
 def _motion(path: Path, lines: list[str], start: int, width: int) -> tuple[float, Float[np.ndarray, "frame channel"]]:
@@ -152,13 +154,13 @@ def _motion(path: Path, lines: list[str], start: int, width: int) -> tuple[float
     seconds = _headed(path, filled[1:2], "Frame Time:")
     rows = filled[2:]
     if not (frames >= 1 and frames == int(frames) and seconds > 1e-6):
-        raise wrong(path, f"{frames:g} frames of {seconds:g} s each", "one or more, each longer than 0", RESTORE)
+        raise input_error(path, f"{frames:g} frames of {seconds:g} s each", "one or more, each longer than 0", RESTORE)
     if len(rows) != frames:
         cut = "cut off: " if len(rows) < frames else ""
-        raise wrong(path, f"{cut}{len(rows)} frames where 'Frames:' says {frames:.0f}", "as many as that", f"{RESTORE}, or correct 'Frames:'")
+        raise input_error(path, f"{cut}{len(rows)} frames where 'Frames:' says {frames:.0f}", "as many as that", f"{RESTORE}, or correct 'Frames:'")
     for number, row in rows:
         if len(row) != width:
-            raise wrong(f"{path}: line {number}", f"{len(row)} values", f"{width}, the channels of the hierarchy", RESTORE)
+            raise input_error(f"{path}: line {number}", f"{len(row)} values", f"{width}, the channels of the hierarchy", RESTORE)
     values = table(str(path), [row for _, row in rows], [number for number, _ in rows])
     fps = 1 / seconds
     return float(round(fps)) if abs(fps - round(fps)) < WHOLE_FPS * fps else fps, values
@@ -168,12 +170,12 @@ def _headed(path: Path, line: list[tuple[int, list[str]]], head: str) -> float:
     """The number behind a head such as `Frame Time:`."""
     words = head.split()
     if not line:
-        raise wrong(path, f"cut off: no '{head}'", f"{KIND}, with '{head}' and a number", RESTORE)
+        raise input_error(path, f"cut off: no '{head}'", f"{KIND}, with '{head}' and a number", RESTORE)
     number, found = line[0]
     # `Frames:30` is one word.
     text = " ".join(found).replace(":", ": ").split()
     if [word.lower() for word in text[:-1]] != [word.lower() for word in words]:
-        raise wrong(f"{path}: line {number}", f"'{' '.join(found)[:40]}'", f"'{head}' and a number", RESTORE)
+        raise input_error(f"{path}: line {number}", f"'{' '.join(found)[:40]}'", f"'{head}' and a number", RESTORE)
     return float(numbers(f"{path}: line {number}", text[-1:], RESTORE)[0])
 
 

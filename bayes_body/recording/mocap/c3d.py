@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording.mocap.c3d_parameters import BLOCK, KIND, RESTORE, Content, open_c3d
 from bayes_body.recording.mocap.capture import Capture, known_unit
 from bayes_body.recording.mocap.text import LARGEST_NUMBER, read_bytes
@@ -34,14 +34,14 @@ def read_c3d(path: Path) -> Capture:
     labels = _labels(parameters)
     points, rate = _points(content, parameters)
     if not points.shape[1]:
-        raise wrong(path, "no points in it", KIND, "export it with its markers")
+        raise input_error(path, "no points in it", KIND, "export it with its markers")
     if len(labels) < points.shape[1]:
-        raise wrong(f"{path}: {LABELS}", f"{len(labels)} names", f"{points.shape[1]}, one for each point", RESTORE)
+        raise input_error(f"{path}: {LABELS}", f"{len(labels)} names", f"{points.shape[1]}, one for each point", RESTORE)
     own = [k for k, label in enumerate(labels[: points.shape[1]]) if label and not _is_spread(label, labels)]
     names = tuple(labels[k] for k in own)
     if len(set(names)) < len(names) or not names:
         twice = next((name for name in names if names.count(name) > 1), "no name")
-        raise wrong(
+        raise input_error(
             f"{path}: {LABELS}", f"'{twice}' {names.count(twice)} times" if names else twice, "a name of its own for each point", "rename them"
         )
     unit = (_text(parameters, UNITS) or [USUAL_UNIT])[0] or USUAL_UNIT
@@ -89,12 +89,12 @@ def _points(content: Content, parameters: Parameters) -> tuple[Float[np.ndarray,
     frames = _number(parameters, FRAMES, last - first + 1)
     rate = _number(parameters, RATE, rate)
     if not (np.isfinite(scale) and scale and 1 <= frames < LARGEST_NUMBER and start >= 1):
-        raise wrong(content.path, f"{frames:g} frames from block {start} on, scale {scale:g}", f"one or more frames of {KIND}", RESTORE)
+        raise input_error(content.path, f"{frames:g} frames from block {start} on, scale {scale:g}", f"one or more frames of {KIND}", RESTORE)
     width, kind = 4 * count + analog, "f4" if scale < 0 else "i2"
     values = content.values(kind, (start - 1) * BLOCK, int(frames) * width).reshape(int(frames), width)
     points = values[:, : 4 * count].reshape(int(frames), count, 4).astype(np.float64)
     if not (np.abs(np.nan_to_num(points[..., :3], posinf=np.inf)) <= LARGEST_NUMBER).all():
-        raise wrong(content.path, "a position beyond any", f"positions of at most {LARGEST_NUMBER:g}", RESTORE)
+        raise input_error(content.path, "a position beyond any", f"positions of at most {LARGEST_NUMBER:g}", RESTORE)
     positions = points[..., :3] * (1.0 if scale < 0 else scale)
     positions[~(points[..., 3] >= 0)] = np.nan
     return positions, rate

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 
 KIND = "a C3D file with points"
 RESTORE = "restore the file, or export it again"
@@ -41,7 +41,7 @@ class Content(NamedTuple):
         """
         size = np.dtype(kind).itemsize * count
         if count < 0 or start < 0 or start + size > len(self.data):
-            raise wrong(self.path, f"cut off: {len(self.data)} bytes", f"{max(start + size, 0)}, as its own numbers say", RESTORE)
+            raise input_error(self.path, f"cut off: {len(self.data)} bytes", f"{max(start + size, 0)}, as its own numbers say", RESTORE)
         piece = self.data[start : start + size]
         if kind == "f4" and self.processor == DEC:
             # Its two words stand the other way round, and its exponent is two more.
@@ -58,11 +58,11 @@ def open_c3d(path: Path, data: bytes) -> tuple[Content, dict[str, NDArray[np.gen
         InputError: no C3D file, or one that is cut off in its parameters.
     """
     if len(data) < BLOCK or data[1] != 0x50:
-        raise wrong(path, "no C3D header", KIND, "name another file")
+        raise input_error(path, "no C3D header", KIND, "name another file")
     start = (max(data[0], 1) - 1) * BLOCK
     processor = data[start + 3] if start + 4 <= len(data) else 0
     if processor not in (INTEL, DEC, MIPS):
-        raise wrong(path, f"processor {processor}", f"{INTEL} (Intel), {DEC} (DEC) or {MIPS} (MIPS): {KIND}", RESTORE)
+        raise input_error(path, f"processor {processor}", f"{INTEL} (Intel), {DEC} (DEC) or {MIPS} (MIPS): {KIND}", RESTORE)
     content = Content(path, data, processor)
     groups: dict[int, str] = {}
     values: dict[tuple[int, str], NDArray[np.generic]] = {}
@@ -94,7 +94,7 @@ def _records(content: Content, start: int) -> Iterator[tuple[int, str, int]]:
 def _array(content: Content, at: int) -> NDArray[np.generic]:
     code, dimensions = (int(value) for value in content.values("i1", at, 2))
     if code not in TYPES or not 0 <= dimensions <= 7:
-        raise wrong(
+        raise input_error(
             content.path, f"a parameter of type {code} with {dimensions} dimensions", f"one of the types {', '.join(map(str, TYPES))}", RESTORE
         )
     shape = [int(side) for side in content.values("u1", at + 2, dimensions)]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import InputError, wrong
+from bayes_body.errors import InputError, input_error
 from bayes_body.recording.mocap.motion import Motion
 
 # Metres of one unit. `cmu`: what the skeletons of the CMU database count in, 1/0.45 inch; conversions of it to BVH keep it.
@@ -66,12 +66,12 @@ def to_motion(path: Path, capture: Capture, unit: str | float | None, up: str | 
     turn = to_z_up(capture.up if up is None else up)
     rate = capture.fps if fps is None else fps
     if not 0 < rate <= FASTEST_FPS:
-        raise wrong(f"{path}: frames a second", f"{rate:g}", f"a number above 0, at most {FASTEST_FPS:g}", "give the right one as fps")
+        raise input_error(f"{path}: frames a second", f"{rate:g}", f"a number above 0, at most {FASTEST_FPS:g}", "give the right one as fps")
     _check_height(path, capture, metres, turn)
     positions = metres * capture.positions @ turn.T
     farthest = float(np.nanmax(np.abs(positions), initial=0.0))
     if farthest > FARTHEST_M:
-        raise wrong(path, f"a position of {farthest:g} m", f"at most {FARTHEST_M:g} m", "correct the file, or give the right unit")
+        raise input_error(path, f"a position of {farthest:g} m", f"at most {FARTHEST_M:g} m", "correct the file, or give the right unit")
     rotations = None if capture.rotations is None else turn @ capture.rotations
     return Motion(path.stem, float(rate), capture.joints, capture.parents, positions, rotations)
 
@@ -84,7 +84,7 @@ def metres_of(unit: str | float) -> float:
     """
     metres = UNITS.get(unit, math.nan) if isinstance(unit, str) else float(unit)
     if not 0 < metres < math.inf:
-        raise wrong("unit", str(unit), f"one of {', '.join(UNITS)}, or the metres of one unit", "name another")
+        raise input_error("unit", str(unit), f"one of {', '.join(UNITS)}, or the metres of one unit", "name another")
     return metres
 
 
@@ -95,7 +95,7 @@ def to_z_up(up: str) -> Float[np.ndarray, "3 3"]:
         InputError: no such axis.
     """
     if up not in AXES:
-        raise wrong("up", str(up), f"one of {', '.join(AXES)}", "name another")
+        raise input_error("up", str(up), f"one of {', '.join(AXES)}", "name another")
     axis = "xyz".index(up[-1])
     turn = np.roll(np.eye(3), 2 - axis, axis=0)
     # Half a turn about x before: y and z point the other way, and nothing is mirrored.
@@ -112,7 +112,7 @@ def known_unit(where: str, name: str) -> float:
     word = name.strip().lower().replace("metre", "meter")
     found = next((unit for unit in (word, spelled.get(word.rstrip("s"), "")) if unit in UNITS), None)
     if found is None:
-        raise wrong(where, f"'{name.strip()[:40]}'", f"one of {', '.join(UNITS)}", "correct it, or give the unit")
+        raise input_error(where, f"'{name.strip()[:40]}'", f"one of {', '.join(UNITS)}", "correct it, or give the unit")
     return UNITS[found]
 
 
@@ -138,7 +138,7 @@ def _no_height(path: Path, height: float, metres: float, bounds: tuple[float, fl
     best = min(fitting, key=lambda unit: abs(fitting[unit] - 1.7), default=None)
     remedy = f"give the unit: '{best}' would make {fitting[best]:.2f} m" if best else "give the unit, or correct the file"
     name = next((unit for unit, m in UNITS.items() if math.isclose(m, metres)), f"{metres:g} m")
-    return wrong(path, f"a person {_length(height * metres)} tall, in the unit '{name}'", f"{bounds[0]:g} to {bounds[1]:g} m", remedy)
+    return input_error(path, f"a person {_length(height * metres)} tall, in the unit '{name}'", f"{bounds[0]:g} to {bounds[1]:g} m", remedy)
 
 
 def _length(metres: float) -> str:

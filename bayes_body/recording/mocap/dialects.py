@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from bayes_body.recording.truth import MARKERS
+from bayes_body.evidence.markers import MARKERS
 
 # Of MARKERS those that are looked up; pelvis and thorax are the middles of hips and of shoulders.
 LIMBS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")

@@ -10,10 +10,10 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import nearest, wrong
+from bayes_body.errors import input_error, nearest
+from bayes_body.evidence.markers import MARKERS
 from bayes_body.recording.mocap.dialects import DIALECTS, Reading, best_reading, known_markers
 from bayes_body.recording.mocap.motion import Motion
-from bayes_body.recording.truth import MARKERS
 
 BEYOND_EYES = 0.13
 EXTRA = ("l_toe", "r_toe", "l_heel", "r_heel", "l_hand", "r_hand", "neck")
@@ -50,16 +50,18 @@ def landmarks(motion: Motion, names: Mapping[str, str] | None = None) -> Places:
 def _check_names(motion: Motion, names: Mapping[str, str]) -> None:
     for landmark, joint in names.items():
         if landmark not in (*MARKERS, *EXTRA):
-            raise wrong("names", f"'{landmark}'", "landmarks", nearest(landmark, (*MARKERS, *EXTRA)))
+            raise input_error("names", f"'{landmark}'", "landmarks", nearest(landmark, (*MARKERS, *EXTRA)))
         if joint not in motion.joints:
-            raise wrong(f"names: {landmark}", f"'{joint}', which {motion.name} lacks", "one of its joints or markers", nearest(joint, motion.joints))
+            raise input_error(
+                f"names: {landmark}", f"'{joint}', which {motion.name} lacks", "one of its joints or markers", nearest(joint, motion.joints)
+            )
 
 
 def _unknown(motion: Motion, reading: Reading) -> Exception:
     found = f"{len(motion.joints)} names ({', '.join(motion.joints[:LISTED])}{', ...' if len(motion.joints) > LISTED else ''})"
     known = "; ".join(dialect.title for dialect in DIALECTS)
     missing = ", ".join(reading.missing)
-    return wrong(motion.name, f"no {missing} among its {found}", f"names as of one of: {known}", f"say which stand for {missing} with names")
+    return input_error(motion.name, f"no {missing} among its {found}", f"names as of one of: {known}", f"say which stand for {missing} with names")
 
 
 def _crown(motion: Motion, reading: Reading, places: Places) -> Float[np.ndarray, "frame 3"]:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording.mocap.amc import read_amc
 from bayes_body.recording.mocap.bvh import read_bvh
 from bayes_body.recording.mocap.c3d import read_c3d
@@ -46,11 +46,11 @@ def read_motion(
     """
     path, kind = Path(path), Path(path).suffix.lower()
     if kind == ".asf":
-        raise wrong(path, "a skeleton without a motion", "an .amc", "name the motion; its skeleton is found beside it or given as skeleton")
+        raise input_error(path, "a skeleton without a motion", "an .amc", "name the motion; its skeleton is found beside it or given as skeleton")
     if kind not in READERS:
-        raise wrong(path, f"the ending '{kind}'", f"one of {', '.join(READERS)}", "name a file of motion capture")
+        raise input_error(path, f"the ending '{kind}'", f"one of {', '.join(READERS)}", "name a file of motion capture")
     if skeleton is not None and kind != ".amc":
-        raise wrong(path, "a skeleton is given with it", "one only with an .amc", "leave the skeleton out")
+        raise input_error(path, "a skeleton is given with it", "one only with an .amc", "leave the skeleton out")
     capture = READERS[kind](path) if skeleton is None else read_amc(path, Path(skeleton))
     return to_motion(path, capture, unit, _upward(capture) if up is None and kind in SILENT else up, fps)
 

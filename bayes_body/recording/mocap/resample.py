@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording.mocap.capture import FASTEST_FPS
 from bayes_body.recording.mocap.motion import Motion
 
@@ -25,11 +25,11 @@ def resample(motion: Motion, fps: float) -> Motion:
         InputError: a rate that is none, or of more frames than 10 million.
     """
     if not 0 < fps <= FASTEST_FPS:
-        raise wrong("fps", f"{fps:g}", f"a number above 0, at most {FASTEST_FPS:g}", "give another")
+        raise input_error("fps", f"{fps:g}", f"a number above 0, at most {FASTEST_FPS:g}", "give another")
     last = len(motion.positions_m) - 1
     count = int(last * fps / motion.fps * (1 + 1e-12) + SAME) + 1
     if count > MOST_FRAMES:
-        raise wrong("fps", f"{fps:g}, {count} frames", f"at most {MOST_FRAMES} frames", "give a lower one")
+        raise input_error("fps", f"{fps:g}, {count} frames", f"at most {MOST_FRAMES} frames", "give a lower one")
     places = np.arange(count) * (motion.fps / fps)
     near = np.rint(places)
     places = np.where(np.abs(places - near) < SAME * np.maximum(near, 1), near, places).clip(0, last)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import InputError, wrong
+from bayes_body.errors import InputError, input_error
 
 # An hour of a hundred markers is half of it.
 LARGEST_BYTES = 1_000_000_000
@@ -27,15 +27,15 @@ def read_bytes(path: Path, kind: str) -> bytes:
     """
     try:
         if path.stat().st_size > LARGEST_BYTES:
-            raise wrong(path, f"{path.stat().st_size} bytes", f"{kind} of at most {LARGEST_BYTES}", "cut the recording into pieces")
+            raise input_error(path, f"{path.stat().st_size} bytes", f"{kind} of at most {LARGEST_BYTES}", "cut the recording into pieces")
         return path.read_bytes()
     except FileNotFoundError:
-        raise wrong(path, "no such file", kind, "check the path") from None
+        raise input_error(path, "no such file", kind, "check the path") from None
     except OSError as error:
-        raise wrong(path, f"cannot be read ({error.strerror})", kind, "check the path and its permissions") from None
+        raise input_error(path, f"cannot be read ({error.strerror})", kind, "check the path and its permissions") from None
     # A path with a null character in it.
     except ValueError as error:
-        raise wrong(repr(str(path)), str(error), kind, "check the path") from None
+        raise input_error(repr(str(path)), str(error), kind, "check the path") from None
 
 
 def read_text(path: Path, kind: str) -> str:
@@ -47,7 +47,7 @@ def read_text(path: Path, kind: str) -> str:
     content = read_bytes(path, kind)
     if b"\0" in content:
         line = content[: content.index(b"\0")].count(b"\n") + 1
-        raise wrong(f"{path}: line {line}", "the byte 0x00: no text", kind, "name another file, or restore this one")
+        raise input_error(f"{path}: line {line}", "the byte 0x00: no text", kind, "name another file, or restore this one")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -68,10 +68,10 @@ def numbers(where: str, words: Sequence[str], remedy: str = "correct it, or rest
     try:
         values = np.array(words, dtype=np.float64)
     except ValueError:
-        raise wrong(where, f"'{_first_bad(words)[:40]}'", "numbers", remedy) from None
+        raise input_error(where, f"'{_first_bad(words)[:40]}'", "numbers", remedy) from None
     bad = ~(np.abs(values) <= LARGEST_NUMBER)
     if bad.any():
-        raise wrong(where, words[int(bad.argmax())][:40], f"finite numbers, at most {LARGEST_NUMBER:g}", remedy)
+        raise input_error(where, words[int(bad.argmax())][:40], f"finite numbers, at most {LARGEST_NUMBER:g}", remedy)
     return values
 
 

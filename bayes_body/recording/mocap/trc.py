@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import wrong
+from bayes_body.errors import input_error
 from bayes_body.recording.mocap.capture import Capture, known_unit
 from bayes_body.recording.mocap.text import numbers, read_text, table
 
@@ -26,13 +26,13 @@ def read_trc(path: Path) -> Capture:
     """
     lines = read_text(path, KIND).splitlines()
     if len(lines) < HEADER_LINES or not lines[0].startswith("PathFileType"):
-        raise wrong(path, f"'{lines[0].strip()[:40] if lines else ''}' and {len(lines)} lines", KIND, "name another file, or restore this one")
+        raise input_error(path, f"'{lines[0].strip()[:40] if lines else ''}' and {len(lines)} lines", KIND, "name another file, or restore this one")
     header = _header(path, lines[1], lines[2])
     names = _names(path, lines[3], header["NumMarkers"])
     positions = _rows(path, lines, len(names))
     if len(positions) != int(header["NumFrames"]):
         cut = "cut off: " if len(positions) < int(header["NumFrames"]) else ""
-        raise wrong(path, f"{cut}{len(positions)} rows where NumFrames says {header['NumFrames']}", "as many as that", RESTORE)
+        raise input_error(path, f"{cut}{len(positions)} rows where NumFrames says {header['NumFrames']}", "as many as that", RESTORE)
     rate = float(numbers(f"{path}: line 3: DataRate", [header["DataRate"]])[0])
     return Capture(rate, names, (-1,) * len(names), positions, known_unit(f"{path}: line 3: Units", header["Units"]), "y")
 
@@ -41,10 +41,10 @@ def _header(path: Path, names: str, values: str) -> dict[str, str]:
     header = dict(zip(names.split(), values.split(), strict=False))
     missing = [name for name in NEEDED if name not in header]
     if missing:
-        raise wrong(f"{path}: lines 2 and 3", f"no {', '.join(missing)}", KIND, RESTORE)
+        raise input_error(f"{path}: lines 2 and 3", f"no {', '.join(missing)}", KIND, RESTORE)
     for name in ("NumFrames", "NumMarkers"):
         if not (header[name].isascii() and header[name].isdigit() and len(header[name]) < 10 and int(header[name])):
-            raise wrong(f"{path}: line 3: {name}", f"'{header[name][:40]}'", "a whole number above 0", RESTORE)
+            raise input_error(f"{path}: line 3: {name}", f"'{header[name][:40]}'", "a whole number above 0", RESTORE)
     return header
 
 
@@ -53,10 +53,10 @@ def _names(path: Path, line: str, count: str) -> tuple[str, ...]:
     names = tuple(cell.strip() for cell in cells[::3])
     if len(names) != int(count) or "" in names or any(cell.strip() for k in (1, 2) for cell in cells[k::3]):
         found = f"{len(names)} names, three columns apart: {', '.join(names)[:120]}"
-        raise wrong(f"{path}: line 4", found, f"{int(count)}, as NumMarkers says", RESTORE)
+        raise input_error(f"{path}: line 4", found, f"{int(count)}, as NumMarkers says", RESTORE)
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise wrong(f"{path}: line 4", f"'{twice[:40]}' {names.count(twice)} times", "a name of its own for each marker", "rename them")
+        raise input_error(f"{path}: line 4", f"'{twice[:40]}' {names.count(twice)} times", "a name of its own for each marker", "rename them")
     return names
 
 
@@ -67,7 +67,7 @@ def _rows(path: Path, lines: list[str], markers: int) -> Float[np.ndarray, "fram
     for number, line in filled:
         cells = [cell.strip() for cell in line.split("\t")]
         if len(cells) < width or any(cells[width:]):
-            raise wrong(f"{path}: line {number}", f"a ragged row of {len(cells)} cells", f"{width}: frame, time and {markers} markers", RESTORE)
+            raise input_error(f"{path}: line {number}", f"a ragged row of {len(cells)} cells", f"{width}: frame, time and {markers} markers", RESTORE)
         gaps.append([cell.lower() in ("", "nan") for cell in cells[FIRST:width]])
         rows.append(["0" if gap else cell for cell, gap in zip(cells[FIRST:width], gaps[-1], strict=True)])
     if not rows:

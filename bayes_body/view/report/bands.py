@@ -15,7 +15,7 @@ from bayes_body.view.report.limbs import by_limb, spoken
 from bayes_body.view.report.markup import Markup, Picture, details, figures, section, tag
 
 if TYPE_CHECKING:
-    from bayes_body.saved_run import SavedRun
+    from bayes_body.storage.saved_run import SavedRun
 
 SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
 # A panel shows at least so much, in degrees and metres: what moves less is noise, and shall look like it.

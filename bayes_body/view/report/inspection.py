@@ -12,7 +12,7 @@ from bayes_body.posterior.diagnostics import Diagnosis, Thresholds, diagnose, se
 from bayes_body.view.report.figures import frame_label, frames_a_point
 
 if TYPE_CHECKING:
-    from bayes_body.saved_run import SavedRun
+    from bayes_body.storage.saved_run import SavedRun
 
 
 @dataclass(frozen=True, eq=False)

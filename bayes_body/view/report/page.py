@@ -6,8 +6,8 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING
 
-from bayes_body.errors import wrong
-from bayes_body.files import make_folder, write_text
+from bayes_body.errors import input_error
+from bayes_body.files.atomic import make_folder, write_text
 from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.report.bands import band_section
 from bayes_body.view.report.chains import chain_section
@@ -15,14 +15,14 @@ from bayes_body.view.report.figures import style
 from bayes_body.view.report.filtering import filter_section
 from bayes_body.view.report.head import findings, key_figures, verdict
 from bayes_body.view.report.inspection import Inspection
-from bayes_body.view.report.made import made_section
 from bayes_body.view.report.markup import Markup, joined, tag
 from bayes_body.view.report.pictures import QUALITIES, picture_section
+from bayes_body.view.report.provenance import provenance_section
 from bayes_body.view.report.runs import run_section
 from bayes_body.view.report.truth import truth_section
 
 if TYPE_CHECKING:
-    from bayes_body.saved_run import SavedRun
+    from bayes_body.storage.saved_run import SavedRun
 
 FILE_NAME = "report.html"
 # Bytes; what a mail takes, and a phone opens.
@@ -35,7 +35,7 @@ SECTIONS: Sequence[tuple[str, str, Callable[[Inspection], Markup]]] = (
     ("filter", "Filter", filter_section),
     ("chains", "Markov chains", chain_section),
     ("runs", "Agreement of the runs", run_section),
-    ("made", "How it was made", lambda it: made_section(it.run)),
+    ("made", "How it was made", lambda it: provenance_section(it.run)),
 )
 PICTURES = 1
 
@@ -87,7 +87,7 @@ def fitted(it: Inspection, sections: Sequence[Markup], largest: int) -> str:
     if len(text.encode()) < largest:
         return text
     found, remedy = f"{len(text.encode()) / 1e6:.1f} MB without pictures", "this run has more dofs than a page holds: read posterior.nc instead"
-    raise wrong("the report", found, f"less than {largest / 1e6:g} MB", remedy)
+    raise input_error("the report", found, f"less than {largest / 1e6:g} MB", remedy)
 
 
 def _filled(it: Inspection, sections: Sequence[Markup]) -> str:

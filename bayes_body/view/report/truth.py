@@ -18,7 +18,7 @@ from bayes_body.view.report.limbs import spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, table, tag
 
 if TYPE_CHECKING:
-    from bayes_body.saved_run import SavedRun
+    from bayes_body.storage.saved_run import SavedRun
 
 ERROR = "A line is a run's error: the distance of its mean markers from the true ones, mean over the markers."
 EXPECTED = (

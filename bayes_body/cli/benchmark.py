@@ -1,0 +1,124 @@
+"""`bayes-body benchmark`: every kernel on every definition, side by side."""
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from bayes_body.cli.plugin_option import Plugins, own_terms
+from bayes_body.errors import input_error
+
+if TYPE_CHECKING:
+    from bayes_body.compare import Pair, Row, Settings
+
+# Of the table: heading, the row's key, how it is written.
+COLUMNS = (
+    ("s/frame", "seconds_per_frame", ".3f"),
+    ("ESS/s", "ess_per_second", ",.0f"),
+    ("error mm", "error_mm_mean", ".0f"),
+    ("coverage of 90 %", "coverage_90", ".2f"),
+    ("log evidence", "log_evidence", ",.1f"),
+    ("lost", "frames_lost", "d"),
+)
+WIDTH = 160
+
+
+def benchmark(
+    out: Path | None = typer.Option(None, "--json", help="File for the rows; rows that it has already, made with the same settings, are kept."),
+    quick: bool = typer.Option(False, "--quick", help="5 frames, at most 200 particles: whether everything runs, not how well."),
+    session: Path | None = typer.Option(None, "--session", help="Folder of a session to try all on; by default scenes are simulated."),
+    model: list[str] | None = typer.Option(None, "--model", help="Only this definition, a name or a path; may be given more than once."),
+    kernel: list[str] | None = typer.Option(None, "--kernel", help="Only this kernel; may be given more than once."),
+    frames: int | None = typer.Option(None, "--frames", help="Frames of each run, 60 by default."),
+    seed: int = typer.Option(0, "--seed", help="Seed of everything random."),
+    plugin: Plugins = None,
+) -> None:
+    """Run each kernel on each model: seconds a frame, ESS a second, error, coverage, evidence; or one sentence why not."""
+    from dataclasses import replace
+
+    from bayes_body.config import configure
+
+    configure()
+    from bayes_body.compare import Settings, pairs
+    from bayes_body.compare.benchmark import QUICK
+    from bayes_body.session.read import load_session
+
+    if frames is not None and frames < 1:
+        raise input_error("--frames", str(frames), "a whole number from 1 up", "give another number")
+    if session is not None:
+        load_session(session)
+    settings = replace(QUICK if quick else Settings(), seed=seed, session=session)
+    settings = settings if frames is None else replace(settings, frames=frames)
+    with own_terms(plugin):
+        asked = pairs(model or (), kernel or ())
+        rows = _made(asked, settings, out)
+    _show(rows)
+    if any(row["error"] for row in rows):
+        raise typer.Exit(1)
+
+
+def _made(asked: "tuple[Pair, ...]", settings: "Settings", out: Path | None) -> "list[Row]":
+    """All rows; the file holds each as soon as it is there."""
+    from bayes_body.compare import benchmark_rows
+
+    kept = _kept(out)
+    columns = (TextColumn("{task.description}"), MofNCompleteColumn(), BarColumn(), TimeElapsedColumn())
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory(prefix="bayes-body-benchmark-") as folder, Progress(
+        *columns, console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True
+    ) as bar:  # fmt: skip
+        task = bar.add_task(_named(asked[0]), total=len(asked))
+        for number, row in enumerate(benchmark_rows(asked, settings, Path(folder), list(kept.values())), 1):
+            rows.append(row)
+            kept[row["model"], row["kernel"]] = row
+            _write(out, list(kept.values()))
+            bar.update(task, completed=number, description=_named(asked[min(number, len(asked) - 1)]))
+    return rows
+
+
+def _named(pair: "Pair") -> str:
+    return f"{Path(pair.model).stem} × {pair.kernel}"
+
+
+def _kept(out: Path | None) -> "dict[tuple[Any, Any], Row]":
+    """The rows that the file has, by model and kernel."""
+    if out is None or not out.exists():
+        return {}
+    try:
+        rows = json.loads(out.read_text(encoding="utf-8"))["rows"]
+        return {(row["model"], row["kernel"]): row for row in rows}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise input_error(out, f"cannot be read ({type(error).__name__})", "rows that this command wrote", "name another file with --json") from None
+
+
+def _write(out: Path | None, rows: "list[Row]") -> None:
+    from bayes_body.files.atomic import write_text
+
+    if out is not None:
+        write_text(out, json.dumps({"rows": rows}, indent=2) + "\n")
+
+
+def _show(rows: "list[Row]") -> None:
+    table = Table("model", "kernel", "data", box=None, pad_edge=False)
+    for heading, _, _ in COLUMNS:
+        table.add_column(heading, justify="right")
+    for row in rows:
+        if row["why_not"] is None and row["error"] is None:
+            table.add_row(Path(row["model"]).stem, row["kernel"], row["scene"], *(_cell(row[key], form) for _, key, form in COLUMNS))
+    console = Console() if Console().is_terminal else Console(width=WIDTH)
+    if table.row_count:
+        console.print(table)
+    for row in rows:
+        said = row["why_not"] or (f"an internal error, {row['error']}; this is a fault of the program" if row["error"] else None)
+        if said:
+            console.print(f"{Path(row['model']).stem} × {row['kernel']}: {said}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _cell(value: float | int | None, form: str) -> str:
+    return "-" if value is None else f"{value:{form}}"

@@ -1,0 +1,1 @@
+"""The arrays of one frame, as observations write them and likelihoods read them."""

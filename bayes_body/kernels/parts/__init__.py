@@ -1,0 +1,1 @@
+"""What kernels are built from: resampling, weights, moves, mass matrices, batching."""

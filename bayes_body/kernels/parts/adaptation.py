@@ -1,0 +1,186 @@
+r"""What burn-in finds for Hamiltonian Monte Carlo: the size of the steps and, if it is asked to, the inverse mass matrix.
+
+Chains may learn together. With the covariances $C$ of their draws and $F$ of the scores $\nabla \log p$ at them,
+
+$$M^{-1} = C \mathbin{\#} F^{-1} = L\, (L^\top F L)^{-1/2} L^\top, \quad C = L L^\top,$$
+
+the geometric mean, minimises the Fisher divergence to a Gaussian (Seyboldt, Carlson & Carpenter 2026). Of a Gaussian it is the covariance as soon as
+there are more draws than dofs, wherever the chains stand: a short burn-in is enough. Each quarter of burn-in but the last finds the matrix for the
+next, in units of its own, towards which a few more draws are taken to point; the step is tuned anew.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float, Int
+
+from bayes_body.shapes import Scalar
+
+# How many draws the first matrix counts as, as in Stan.
+FIRST_COUNTS = 5.0
+# Transitions of the shortest burn-in that finds a matrix: two a quarter.
+FEWEST = 8
+
+
+class Plan(NamedTuple):
+    """What burn-in does.
+
+    Attributes:
+        burn_in: its transitions.
+        target_acceptance: to which the step is tuned; 0 leaves it.
+        adapts_mass: whether the inverse mass matrix is found.
+        axes: names of the mapped axes along which chains learn together.
+    """
+
+    burn_in: int
+    target_acceptance: float
+    adapts_mass: bool
+    axes: tuple[str, ...] = ()
+
+
+class Metric(NamedTuple):
+    """The inverse mass matrix, and what this quarter of burn-in has seen.
+
+    Attributes:
+        units: Cholesky factor of the matrix.
+        origin: where the chains began, in the mean.
+        moments: sum of the outer products of (1, draw, score), in those units.
+    """
+
+    units: Float[Array, "dof dof"]
+    origin: Float[Array, " dof"]
+    moments: Float[Array, "moment moment"]
+
+    @property
+    def inverse_mass(self) -> Float[Array, "dof dof"]:
+        """What a trajectory takes."""
+        return self.units @ self.units.T
+
+
+class AdaptationState(NamedTuple):
+    """What burn-in has found so far.
+
+    Attributes:
+        step: for the next trajectory.
+        tuning: blackjax's state of the dual averaging.
+        metric: None where no matrix is looked for.
+    """
+
+    step: Scalar
+    tuning: Any
+    metric: Metric | None
+
+
+def init(plan: Plan, step: Scalar, inverse_mass: Float[Array, " dof *dof"], position: Mapping[str, Array]) -> AdaptationState:
+    """Before the first transition.
+
+    Args:
+        plan: what burn-in does.
+        step: size of a leapfrog step to begin with, in units of the mass matrix.
+        inverse_mass: of this chain, diagonal or dense; chains that learn together begin with its mean.
+        position: where this chain starts, coordinates without limits.
+    """
+    if not plan.adapts_mass:
+        return AdaptationState(step, _untuned(plan, step), None)
+    own = jnp.diag(inverse_mass) if inverse_mass.ndim == 1 else inverse_mass
+    origin, common = _mean((ravel_pytree(dict(position))[0], own), plan.axes)
+    units = _factor(common, jnp.diag(jnp.sqrt(jnp.diagonal(common))))
+    return AdaptationState(step, _untuned(plan, step), Metric(units, origin, jnp.zeros((2 * origin.size + 1,) * 2, origin.dtype)))
+
+
+def update(plan: Plan, found: AdaptationState, index: Int[Array, ""], state: Any, acceptance: Scalar) -> AdaptationState:
+    """After the transition of that number, counted from 0; a trajectory before the first, and those behind burn-in, teach nothing.
+
+    Args:
+        plan: what burn-in does.
+        found: before it.
+        index: number of the transition.
+        state: of blackjax, with its gradient.
+        acceptance: probability of acceptance.
+    """
+    within = (index >= 0) & (index < plan.burn_in)
+    if plan.target_acceptance:
+        found = _tuned(plan, found, index, within, acceptance)
+    if found.metric is None:
+        return found
+    metric = _learned(found.metric, within, state)
+    quarter_ends = plan.burn_in * jnp.arange(1, 4) // 4
+    return jax.lax.cond(jnp.any(index + 1 == quarter_ends), lambda: _renewed(plan, found, metric), lambda: found._replace(metric=metric))
+
+
+def _mean[Tree](values: Tree, axes: tuple[str, ...]) -> Tree:
+    # One after the other: one that maps over devices and one that does not are no pair to JAX.
+    for axis in axes:
+        values = jax.lax.pmean(values, axis)
+    return values
+
+
+def _sum(values: Array, axes: tuple[str, ...]) -> Array:
+    for axis in axes:
+        values = jax.lax.psum(values, axis)
+    return values
+
+
+def _dual_averaging(plan: Plan) -> Any:
+    from blackjax.adaptation.step_size import dual_averaging_adaptation
+
+    return cast(Any, dual_averaging_adaptation)(plan.target_acceptance or 0.8)
+
+
+def _untuned(plan: Plan, step: Scalar) -> Any:
+    # blackjax draws the step towards ten times what it is given: a trajectory at the wrong end of that teaches nothing.
+    return _dual_averaging(plan)[0](step / 10)
+
+
+def _tuned(plan: Plan, found: AdaptationState, index: Array, within: Bool[Array, ""], acceptance: Scalar) -> AdaptationState:
+    _, update, final = _dual_averaging(plan)
+    tuned = update(found.tuning, _mean(acceptance, plan.axes))
+    tuning = jax.tree.map(lambda new, old: jnp.where(within, new, old).astype(old.dtype), tuned, found.tuning)
+    # While it is tuned the step follows the last transition, afterwards it is the mean.
+    step = jnp.where(index + 1 < plan.burn_in, jnp.exp(tuning.log_step_size), final(tuning))
+    return found._replace(tuning=tuning, step=jnp.where(index < 0, found.step, step).astype(found.step.dtype))
+
+
+def _learned(metric: Metric, within: Bool[Array, ""], state: Any) -> Metric:
+    """With a draw and its score added."""
+    draw, score = (ravel_pytree(dict(part))[0] for part in (state.position, state.logdensity_grad))
+    own = jax.scipy.linalg.solve_triangular(metric.units, draw - metric.origin, lower=True)
+    row = jnp.concatenate([jnp.ones((1,), own.dtype), own, metric.units.T @ score])
+    # A score that is none teaches nothing.
+    row = jnp.where(within & jnp.all(jnp.isfinite(row)), row, 0.0)
+    return metric._replace(moments=metric.moments + row[:, None] * row)
+
+
+def _renewed(plan: Plan, found: AdaptationState, metric: Metric) -> AdaptationState:
+    """With the matrix of the quarter that ends, where it is one."""
+    units = _factor(metric.units @ geometric_mean(_sum(metric.moments, plan.axes)) @ metric.units.T, metric.units)
+    new = AdaptationState(found.step, _untuned(plan, found.step), Metric(units, metric.origin, jnp.zeros_like(metric.moments)))
+    # Types stay what they are from turn to turn.
+    return jax.tree.map(lambda fresh, old: jnp.asarray(fresh, old.dtype), new, found)
+
+
+def _factor(matrix: Float[Array, "dof dof"], otherwise: Float[Array, "dof dof"]) -> Float[Array, "dof dof"]:
+    """The Cholesky factor, where the matrix has one to the precision at hand."""
+    factor = jnp.linalg.cholesky(matrix)
+    return jnp.where(jnp.all(jnp.isfinite(factor)), factor, otherwise)
+
+
+def geometric_mean(moments: Float[Array, "moment moment"]) -> Float[Array, "dof dof"]:
+    """C # F⁻¹ (Seyboldt, Carlson & Carpenter 2026, (9)), each covariance with the unit matrix as `FIRST_COUNTS` draws.
+
+    Args:
+        moments: sum of the outer products of (1, draw, score).
+    """
+    dofs, count = moments.shape[0] // 2, moments[0, 0]
+    mean = moments[0, 1:] / count
+    scatter = moments[1:, 1:] - count * mean[:, None] * mean
+    draws, scores = (
+        (part + FIRST_COUNTS * jnp.eye(dofs, dtype=part.dtype)) / (count + FIRST_COUNTS) for part in (scatter[:dofs, :dofs], scatter[dofs:, dofs:])
+    )
+    factor = jnp.linalg.cholesky(draws)
+    values, vectors = jnp.linalg.eigh(factor.T @ scores @ factor)
+    root = factor @ (vectors * jnp.maximum(values, jnp.finfo(values.dtype).tiny) ** -0.25)
+    return root @ root.T

@@ -1,0 +1,121 @@
+r"""The inverse mass matrix of Hamiltonian Monte Carlo from curvatures at one state (Poon & Fleet 2002, (18), (22), (23)).
+
+With the variances $v$ of the process noise, the matrix $C$ of minus the second derivatives of the log-likelihood and the slopes
+$S = \mathrm{diag}(\partial s_k / \partial x_k)$ of the coordinates x that are sampled,
+
+$$M = S\, (\mathrm{diag}(1/v) + C)\, S - \mathrm{diag}\Big(\frac{\partial^2}{\partial x_k^2} \log \Big|\frac{\partial s_k}{\partial x_k}\Big|\Big).$$
+
+The paper takes its diagonal alone, $M^{-1} = \mathrm{diag}(\epsilon_k^2)$. Monocular posteriors are narrow along some combinations of dofs and wide
+along others: with the whole matrix a trajectory need not follow them in the narrowest one's steps.
+
+A likelihood may offer its part of C (`Factor.curvature`); that of the others is found by finite differences of their gradient over a tenth of the
+noise's deviation. It counts where it is positive. The matrix depends on the chain's first state only: the moves stay reversible. With the
+correlations of the particles of the frame before, the ε_k are kept.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from bayes_body.density.factor import FrameDensity, State
+
+# Over which share of the noise's deviation a gradient is differenced.
+DIFFERENCE = 0.1
+# How much of the particles' correlations is believed.
+BELIEVED = 0.9
+
+
+def inverse_mass(target: Any, position: State, previous: State, whole: bool = False) -> Float[Array, " dof *dof"]:
+    """M⁻¹ at a position, coordinates without limits; its variables one after the other in alphabetical order.
+
+    Args:
+        target: the marginal view over coordinates without limits (`Density.unconstrained`).
+        position: where a chain starts.
+        previous: the state of the frame before that it was predicted from.
+        whole: the matrix, rather than the inverse of its diagonal.
+    """
+    state, density = target.constrain(position), target.density
+    variances = ravel_pytree({name: jnp.asarray(law.variance) for name, law in density.transition.conditional(previous).items()})[0]
+    offered = _blocks(density.curvature(state, previous))
+    curvature = _finite(offered) + _finite(differenced(density, state, previous, variances))
+    slope, bend = (ravel_pytree(parts)[0] for parts in _slopes_and_bends(target.bijections, position))
+    prior = slope * slope / variances + bend
+    if not whole:
+        return 1 / (prior + slope * slope * jnp.maximum(jnp.diagonal(curvature), 0.0))
+    # In units of the prior the smallest eigenvalue is 1, and what is no curvature of a peak is left out.
+    unit = jax.lax.rsqrt(prior)
+    scale = unit * slope
+    values, vectors = jnp.linalg.eigh(scale[:, None] * curvature * scale)
+    return unit[:, None] * ((vectors / (1 + jnp.maximum(values, 0.0))) @ vectors.T) * unit
+
+
+def _finite(matrix: Array) -> Array:
+    return jnp.where(jnp.isfinite(matrix), matrix, 0.0)
+
+
+def _blocks(by_variable: Mapping[str, Array]) -> Float[Array, "dof dof"]:
+    """Matrices of the variables along the diagonal of one, in alphabetical order."""
+    return jax.scipy.linalg.block_diag(*(by_variable[name] for name in sorted(by_variable)))
+
+
+def _slopes_and_bends(bijections: dict[str, Any], position: State) -> tuple[dict[str, Array], dict[str, Array]]:
+    found = {name: _slope_and_bend(bijections[name], x) for name, x in position.items()}
+    return {name: slope for name, (slope, _) in found.items()}, {name: bend for name, (_, bend) in found.items()}
+
+
+def _slope_and_bend(bijection: Any, x: Array) -> tuple[Array, Array]:
+    """∂s/∂x of a bijection that acts on each entry alone, and minus the second derivative of its logarithm where that is positive."""
+    ones = jnp.ones_like(x)
+
+    def slope(x: Array) -> Array:
+        return jax.jvp(bijection, (x,), (ones,))[1]
+
+    def log_slope(x: Array) -> Array:
+        # A limit reached to the last bit has no slope left.
+        return jnp.log(jnp.maximum(jnp.abs(slope(x)), jnp.finfo(x.dtype).tiny))
+
+    def first(x: Array) -> Array:
+        return jax.jvp(log_slope, (x,), (ones,))[1]
+
+    return slope(x), jnp.maximum(-jax.jvp(first, (x,), (ones,))[1], 0.0)
+
+
+def differenced(density: FrameDensity, state: State, previous: State, variances: Float[Array, " dof"]) -> Float[Array, "dof dof"]:
+    """Minus the second derivatives, of the likelihoods that offer none, by all dofs: from gradients on both sides of a state."""
+    flat, unravel = ravel_pytree(dict(state))
+    names = density.without_curvature
+    if not names:
+        return jnp.zeros((flat.size, flat.size), flat.dtype)
+    reach = DIFFERENCE * jnp.sqrt(variances)
+
+    def gradient(values: Array) -> Array:
+        return jax.grad(lambda v: density.log_likelihood_of(names, {**previous, **unravel(v)}, previous))(values)
+
+    def along(number: Array) -> Array:
+        step = jnp.zeros_like(flat).at[number].set(reach[number])
+        ahead, behind = jax.lax.map(gradient, jnp.stack([flat + step, flat - step]))
+        return -(ahead - behind) / (2 * reach[number])
+
+    rows = jax.lax.map(along, jnp.arange(flat.shape[0]))
+    return (rows + rows.T) / 2
+
+
+def correlated(
+    diagonal: Float[Array, " dof"], particles: Float[Array, "particle dof"], weights: Float[Array, " particle"]
+) -> Float[Array, "dof dof"]:
+    """The diagonal's scales with the correlations of weighted particles, coordinates without limits."""
+    weights = weights / jnp.sum(weights)
+    centred = particles - weights @ particles
+    covariance = (weights[:, None] * centred).T @ centred
+    deviations = jnp.sqrt(jnp.diagonal(covariance))
+    # Particles that are all the same, as at a first frame, have no correlations.
+    spread = deviations > 1e-6 * jnp.sqrt(diagonal)
+    safe = jnp.where(spread, deviations, 1.0)
+    correlation = jnp.where(spread[:, None] & spread[None, :], covariance / (safe[:, None] * safe[None, :]), 0.0)
+    off = ~jnp.eye(diagonal.shape[0], dtype=bool)
+    scales = jnp.sqrt(diagonal)
+    return jnp.where(off, BELIEVED * correlation, 1.0) * scales[:, None] * scales[None, :]

@@ -1,0 +1,1 @@
+"""Definitions (TOML), and the model that a definition and a session make."""

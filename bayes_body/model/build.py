@@ -1,0 +1,174 @@
+"""A definition and a session make a model: arrays in metres and radians, one density for every frame."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_body.body.build import Shape, build_body
+from bayes_body.body.kinematics import marker_positions
+from bayes_body.body.solids import Body
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Data, Factor, Particles, State, Transition
+from bayes_body.errors import InputError, input_error, nearest
+from bayes_body.geometry.camera import Camera, stack, turning_radius
+from bayes_body.model.definition import Definition, load_body, load_definition
+from bayes_body.registry import find
+from bayes_body.session.session import CameraSpec, Session, Subject
+from bayes_body.shapes import Pose
+
+
+@dataclass(frozen=True)
+class Model:
+    """A definition made concrete for one session.
+
+    Attributes:
+        definition: what it was built from.
+        body: of the session's subject.
+        rig: the session's cameras, stacked.
+        transition: the motion prior at the session's frame rate.
+        factors: everything else.
+        initial: the state of frame 0 as the session gives it.
+        observers: for each factor that looks at images, from a frame's images to its arrays (host side).
+    """
+
+    definition: Definition
+    body: Body
+    rig: Camera
+    transition: Transition
+    factors: tuple[Factor, ...]
+    initial: State
+    observers: Mapping[str, Callable[[Any], Any]]
+
+    def observe(self, frame: Any) -> Data:
+        """A frame's images (`observation.frames.Frame`) as the arrays that the factors need, by factor name."""
+        return {name: observer(frame) for name, observer in self.observers.items()}
+
+    def density(self, observation: Data, previous: Particles | None = None) -> Density:
+        """The posterior of a frame as a log-density of the state.
+
+        Args:
+            observation: from `observe`.
+            previous: the particles of the frame before; by default one, the initial state.
+        """
+        point_mass = Particles(jax.tree.map(lambda leaf: leaf[None], dict(self.initial)), jnp.zeros(1, self.body.lengths.dtype))
+        return Density(self.transition, self.factors, jax.tree.map(jnp.asarray, observation), point_mass if previous is None else previous)
+
+    def at(self, cameras: Sequence[CameraSpec]) -> "Model":
+        """The same model with its cameras standing so: what a frame of moving cameras needs. Shapes stay, so nothing is compiled anew."""
+        rig = stack([_camera(spec) for spec in cameras])
+
+        def placed(node: Any) -> Any:
+            return rig if isinstance(node, Camera) else node
+
+        factors = jax.tree.map(placed, self.factors, is_leaf=lambda node: isinstance(node, Camera))
+        return replace(self, rig=rig, factors=factors)
+
+    def beginning_at(self, pose: Pose) -> "Model":
+        """The same model with another first pose."""
+        return replace(self, initial=self.transition.begin({"pose": jnp.asarray(pose, self.body.lengths.dtype)}))
+
+    def start(self, count: int) -> Particles:
+        """`count` equal particles at the initial state; the first frame's transition spreads them."""
+        states = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *leaf.shape)), dict(self.initial))
+        return Particles(states, jnp.full((count,), -math.log(count), self.body.lengths.dtype))
+
+    def markers(self, pose: Pose) -> Float[Array, "marker 3"]:
+        """World positions of the body's virtual markers, metres."""
+        return marker_positions(self.body.skeleton, self.body.markers, pose)
+
+
+def load_model(name: str | Path | Definition, session: Session) -> Model:
+    """The model of that name (or path), for a session.
+
+    Raises:
+        InputError: the definition or what the session says of the subject cannot be used.
+    """
+    definition = name if isinstance(name, Definition) else load_definition(name)
+    body = build_body(definition.body_name, definition.body, _shape(session.subject, definition))
+    rig = stack([_camera(view.camera) for view in session.views])
+    factors, observers = _likelihoods(definition, body, rig)
+    for index, term in enumerate(definition.constraints):
+        name = f"{term.kind}_{index + 1}" if index else term.kind
+        factors.append(find("potential", term.kind).build(name=name, options=term.options, body=body))
+    dynamics = definition.dynamics
+    transition = find("dynamics", dynamics.kind).build(
+        options=dynamics.options, body=body, fps=session.fps, subject_sd=_motion_sd(session.subject, definition)
+    )
+    return Model(definition, body, rig, transition, tuple(factors), transition.begin({"pose": _initial_pose(session, body, definition)}), observers)
+
+
+def _likelihoods(definition: Definition, body: Body, rig: Camera) -> tuple[list[Factor], dict[str, Callable[[Any], Any]]]:
+    factors, observers = [], {}
+    for index, term in enumerate(definition.likelihoods):
+        name = f"{term.kind}_{index + 1}" if index else term.kind
+        factors.append(find("likelihood", term.kind).build(name=name, options=term.options, body=body, rig=rig))
+        observers[name] = find("observation", term.kind).build(options=term.observation, likelihood=term.options)
+    return factors, observers
+
+
+def _shape(subject: Subject, definition: Definition) -> Shape:
+    """The subject's measures, as far as they are measures of this body."""
+    if not definition.takes_measures_of(subject.body):
+        # Another body's lengths mean nothing here; a height means the same for all.
+        return Shape(subject.height_m)
+    if subject.body is None or subject.body != definition.body.measured_as:
+        return Shape(subject.height_m, subject.lengths_m, subject.radii_m, subject.sections, subject.outline_radii_m)
+    # A smaller body has not all that the other one has.
+    known = {*definition.body.lengths_of_height, *(part.name for part in definition.body.parts)}
+
+    def own[Value](measures: Mapping[str, Value]) -> dict[str, Value]:
+        return {name: value for name, value in measures.items() if name in known}
+
+    return Shape(subject.height_m, own(subject.lengths_m), own(subject.radii_m), own(subject.sections), own(subject.outline_radii_m))
+
+
+def _motion_sd(subject: Subject, definition: Definition) -> Mapping[str, float]:
+    return subject.motion_sd if definition.takes_measures_of(subject.body) else {}
+
+
+def _camera(spec: CameraSpec) -> Camera:
+    return Camera(
+        rotation=jnp.asarray(spec.rotation, float),
+        translation=jnp.asarray(spec.translation_m, float),
+        focal=jnp.asarray(spec.focal_px, float),
+        centre=jnp.asarray(spec.centre_px, float),
+        skew=jnp.asarray(spec.skew, float),
+        distortion=jnp.asarray(spec.distortion, float),
+        radius_max=jnp.asarray(turning_radius(np.asarray(spec.distortion)), float),
+        size=jnp.asarray(spec.size_px, float),
+    )
+
+
+def _initial_pose(session: Session, body: Body, definition: Definition) -> Pose:
+    """The session's first pose; a dof that it leaves out starts in the middle of its limits, or at 0 without limits."""
+    larger = definition.body.measured_as
+    known = [definition.body, *([load_body(larger)] if larger else [])]
+    also = {dof.name for each in known for joint in each.joints for dof in joint.dofs}
+    for name in session.initial:
+        # A fixed dof has its value; and of the body in whose names a subject is measured a smaller one leaves dofs out.
+        if name not in body.dof_names and name not in also:
+            raise InputError(f"session.toml: initial: '{name}' is no dof of the body '{body.name}'; {nearest(name, body.dof_names)}")
+    low, high = np.asarray(body.skeleton.low, float), np.asarray(body.skeleton.high, float)
+    bounded = np.isfinite(low) & np.isfinite(high)
+    middle = np.where(bounded, (np.where(bounded, low, 0) + np.where(bounded, high, 0)) / 2, 0.0)
+    values = np.array([session.initial.get(name, default) for name, default in zip(body.dof_names, middle, strict=True)])
+    for name, value, least, most in zip(body.dof_names, values, low, high, strict=True):
+        if not least <= value <= most:
+            unit = "rad" if name in _angles(body) else "m"
+            found, expected = f"{value:.4g} {unit}", f"a value between {least:.4g} and {most:.4g} {unit}, the limits of the body '{body.name}'"
+            raise input_error(
+                f"session.toml: initial: '{name}'", found, expected, "correct the initial pose, or widen the limits in a body file of your own"
+            )
+    return jnp.asarray(values, body.lengths.dtype)
+
+
+def _angles(body: Body) -> set[str]:
+    topology = body.skeleton.topology
+    return {name for name, angular in zip(topology.dof_names, topology.angular, strict=True) if angular}

@@ -1,0 +1,217 @@
+"""Model definitions: the schema of models/*.toml, found by name or by path, read and validated.
+
+A definition names terms; what a term's table may hold is the term's own schema, found through the registry. Nothing here builds arrays.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from bayes_body.body.schema import BodySchema
+from bayes_body.errors import FaultyFileError, InputError, input_error, nearest
+from bayes_body.registry import Room, find, names
+from bayes_body.toml.read import parse_toml, read_toml, validate
+from bayes_body.toml.schema import Schema
+
+
+class TermTable(BaseModel):
+    """A table that names a term by `kind`; its other keys are the term's options."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+    kind: str
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """All but the kind."""
+        return dict(self.model_extra or {})
+
+
+class _File(Schema):
+    """A whole definition, its terms still unread."""
+
+    title: str
+    source: str
+    body: dict[str, Any]
+    dynamics: TermTable
+    likelihoods: tuple[TermTable, ...] = Field(alias="likelihood", min_length=1)
+    constraints: tuple[TermTable, ...] = Field(alias="constraint", default=())
+    kernel: TermTable
+
+
+@dataclass(frozen=True)
+class TermDefinition:
+    """One term: its kind, and its validated options (a pydantic model of the term's own)."""
+
+    kind: str
+    options: Any
+
+
+@dataclass(frozen=True)
+class LikelihoodDefinition(TermDefinition):
+    """A likelihood and how its observation is prepared."""
+
+    observation: Any
+
+
+@dataclass(frozen=True)
+class Definition:
+    """A model as declared: the file's own text, titles, a body, and terms with validated options."""
+
+    name: str
+    text: str
+    title: str
+    source: str
+    body_name: str
+    body_text: str
+    body: BodySchema
+    dynamics: TermDefinition
+    likelihoods: tuple[LikelihoodDefinition, ...]
+    constraints: tuple[TermDefinition, ...]
+    kernel: TermDefinition
+
+    def takes_measures_of(self, body: str | None) -> bool:
+        """Whether a subject's lengths and first pose in the names of that body (None: no certain one) are in those of this definition's body."""
+        return body in (None, self.body_name, self.body.measured_as)
+
+
+def definitions_folder() -> Path:
+    """Where the shipped definitions lie: inside the package in a wheel, beside it in a checkout."""
+    package = Path(__file__).parents[1]
+    inside = package / "_models"
+    return inside if inside.is_dir() else package.parent / "models"
+
+
+def definition_names(folder: str = "") -> tuple[str, ...]:
+    """Names of the shipped models, or with `folder` = "bodies" of the shipped bodies."""
+    return tuple(sorted(path.stem for path in (definitions_folder() / folder).glob("*.toml")))
+
+
+def load_definition(name: str | Path) -> Definition:
+    """A shipped definition by name, or a user's by path.
+
+    Raises:
+        InputError: there is none of that name, or the file is no TOML.
+        FaultyFileError: one sentence for each thing in it that is wrong.
+    """
+    path = _locate(str(name), "", "model", Path())
+    where = path.name if path.parent == definitions_folder() else str(path)
+    # Read first by what says it in a sentence if there is no such file.
+    tables = read_toml(path)
+    return _read(path.stem, path.read_text(encoding="utf-8-sig"), tables, _Collector(where, path.parent))
+
+
+def parse_definition(name: str, text: str, body_text: str | None, where: str = "") -> Definition:
+    """A definition from its own text, as a run keeps it: whatever the files say by now.
+
+    Args:
+        name: what it shall be called.
+        text: the model file's.
+        body_text: the body file's; without it a body that the model names is looked up.
+        where: what the sentences shall call the text; the name by default.
+
+    Raises:
+        InputError: the text is no TOML.
+        FaultyFileError: one sentence for each thing in it that is wrong.
+    """
+    where = where or name
+    return _read(name, text, parse_toml(text, where), _Collector(where, Path(), body_text or None))
+
+
+def _read(name: str, text: str, data: Mapping[str, Any], collect: "_Collector") -> Definition:
+    file = collect.attempt(lambda: validate(_File, data, collect.where))
+    # Read from the tables themselves, so that a fault in one place does not hide those in another.
+    body_name, body_text, body = collect.body(data.get("body"))
+    likelihoods = tuple(collect.likelihood(index, table) for index, table in _tables(data.get("likelihood")))
+    constraints = tuple(collect.term("potential", f"constraint #{index + 1}", table) for index, table in _tables(data.get("constraint")))
+    (dynamics, kernel) = (next((collect.term(room, room, table) for _, table in _tables([data.get(room)])), None) for room in ("dynamics", "kernel"))
+    if collect.sentences or file is None or dynamics is None or kernel is None or body is None:
+        raise FaultyFileError(collect.sentences)
+    return Definition(name, text, file.title, file.source, body_name, body_text, body, dynamics, likelihoods, constraints, kernel)
+
+
+def _tables(value: Any) -> Iterator[tuple[int, TermTable]]:
+    """Those of a list that name a term; what is wrong with the others the schema of the file says."""
+    for index, table in enumerate(value if isinstance(value, list) else []):
+        if isinstance(table, dict) and isinstance(table.get("kind"), str):
+            yield index, TermTable(**table)
+
+
+def load_body(name: str, beside: Path = Path()) -> BodySchema:
+    """A shipped body by name, or a user's by path, from the folder `beside` on.
+
+    Raises:
+        InputError: as `load_definition`.
+    """
+    path = _locate(name, "bodies", "body", beside)
+    return validate(BodySchema, read_toml(path), path.name if path.parent.parent == definitions_folder() else str(path))
+
+
+def _locate(name: str, folder: str, kind: str, beside: Path) -> Path:
+    shipped = definitions_folder() / folder / f"{name}.toml"
+    if shipped.is_file():
+        return shipped
+    if name.endswith(".toml") or (beside / name).exists():
+        return beside / name
+    raise InputError(f"{kind} '{name}' does not exist; {nearest(name, definition_names(folder))} (or give the path of a .toml file)")
+
+
+class _Collector:
+    """Reads the terms of one file and gathers what is wrong, so that a user sees all of it at once."""
+
+    def __init__(self, where: str, folder: Path, body_text: str | None = None):
+        self.where, self.folder, self.body_text = where, folder, body_text
+        self.sentences: list[str] = []
+
+    def body(self, table: Any) -> tuple[str, str, BodySchema | None]:
+        """The body's name, the text of its file, and the body: by name, or written out in the model itself (which has no text of its own)."""
+        if not isinstance(table, dict):
+            return "", "", None
+        if "name" not in table:
+            return "written out in the model", "", self.attempt(lambda: validate(BodySchema, table, f"{self.where}: body"))
+        name = table["name"]
+        for key in table:
+            if key != "name":
+                self.sentences.append(f"{self.where}: body.{key}: unknown key beside a body's name; {nearest(key, ['name'])}")
+        if not isinstance(name, str):
+            self.sentences.append(str(input_error(f"{self.where}: body.name", str(name), "a text", "put the name of a body in double quotes")))
+            return "", "", None
+        if self.body_text is not None:
+            return name, self.body_text, self._parsed_body(name, self.body_text)
+        body = self.attempt(lambda: load_body(name, self.folder), f"{self.where}: body.name: ")
+        text = _locate(name, "bodies", "body", self.folder).read_text(encoding="utf-8-sig") if body else ""
+        return name, text, body
+
+    def _parsed_body(self, name: str, text: str) -> BodySchema | None:
+        where = f"{self.where}: the body '{name}'"
+        return self.attempt(lambda: validate(BodySchema, parse_toml(text, where), where))
+
+    def term(self, room: Room, place: str, table: TermTable) -> TermDefinition:
+        """A term with its options, held against the schema that its kind registered."""
+        return TermDefinition(table.kind, self._options(room, place, table.kind, table.options))
+
+    def likelihood(self, index: int, table: TermTable) -> LikelihoodDefinition:
+        """A likelihood; its sub-table `observation` belongs to the observation of the same kind."""
+        place, options = f"likelihood #{index + 1}", table.options
+        observation = options.pop("observation", {})
+        read = self._options("likelihood", place, table.kind, options)
+        # A kind that does not exist is said once.
+        known = table.kind in names("likelihood")
+        prepared = self._options("observation", f"{place}.observation", table.kind, observation) if known else None
+        return LikelihoodDefinition(table.kind, read, prepared)
+
+    def _options(self, room: Room, place: str, kind: str, options: Any) -> Any:
+        term = self.attempt(lambda: find(room, kind), f"{self.where}: {place}.kind: ")
+        return self.attempt(lambda: validate(term.options, options, f"{self.where}: {place}")) if term else None
+
+    def attempt[Result](self, action: Callable[[], Result], prefix: str = "") -> Result | None:
+        """The action's result; None if an input is wrong, and then the sentences are kept."""
+        try:
+            return action()
+        except FaultyFileError as error:
+            self.sentences += error.sentences
+        except InputError as error:
+            self.sentences.append(f"{prefix}{error}")
+        return None

@@ -1,0 +1,1 @@
+"""A user's own terms: loaded from a file, checked before a run."""

@@ -1,0 +1,216 @@
+"""A user's own terms: a Python file that registers likelihoods, observations, dynamics, potentials or kernels by name, for use from TOML.
+
+A definition never names code. A plugin is run only where its file is named, by `load_plugin` or `--plugin`; its terms are held to the promises of
+built-in ones, and what is wrong with them is said in a sentence that names the file and the line.
+"""
+
+import sys
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from bayes_body import registry
+from bayes_body.density.factor import State
+from bayes_body.errors import InputError, input_error
+from bayes_body.plugins.check import check_factors, checked_term
+from bayes_body.registry import Place, Room
+
+# Where plugins' modules lie among those of Python: no import statement finds them.
+MODULES = "bayes_body plugin"
+
+
+class Plugin(NamedTuple):
+    """A plugin that was run.
+
+    Attributes:
+        path: its file.
+        text: what that held when it was run.
+        places: room and name of each of its terms.
+    """
+
+    path: Path
+    text: str
+    places: tuple[Place, ...]
+
+
+_loaded: dict[Path, Plugin] = {}
+
+
+def load_plugin(path: Path | str) -> Plugin:
+    """Run a file that registers terms; again only if it changed since, and then its new terms take the place of the old.
+
+    Raises:
+        InputError: no such file, no Python, it fails, it registers nothing or a name that is taken, or a term of it can be of no use.
+    """
+    path = Path(path).resolve()
+    text = _read(path)
+    before = _loaded.get(path)
+    if before and before.text == text:
+        return before
+    for other in _loaded.values():
+        if other.path.name == path.name and other.path != path:
+            raise input_error(path, f"the plugin {other.path} has the same file name", "one of its own, by which runs know it", "rename one of them")
+    if before:
+        unload(before)
+    with registry.additions() as places:
+        _execute(path, text)
+    plugin = _loaded[path] = Plugin(path, text, tuple(places))
+    try:
+        _check(plugin)
+    except InputError:
+        unload(plugin)
+        raise
+    for place in places:
+        term = registry.find(*place)
+        registry.replace(place, term._replace(build=_guarded(plugin, place, term.build)))
+    return plugin
+
+
+def unload(plugin: Plugin) -> None:
+    """Forget a plugin and its terms."""
+    registry.forget(plugin.places)
+    _loaded.pop(plugin.path, None)
+    sys.modules.pop(_module_name(plugin.path), None)
+
+
+def loaded() -> tuple[Plugin, ...]:
+    """The plugins that were run, in that order."""
+    return tuple(_loaded.values())
+
+
+def providing(places: Collection[Place]) -> tuple[Plugin, ...]:
+    """Those to which at least one of the terms belongs."""
+    return tuple(plugin for plugin in loaded() if set(plugin.places) & set(places))
+
+
+def check_own_factors(density: Any, state: State) -> None:
+    """Hold the factors that are not built in against what a density needs; without such factors it costs nothing.
+
+    Args:
+        density: of the first frame (`bayes_body.density.density.Density`).
+        state: the first pose.
+
+    Raises:
+        InputError: as `plugin_checks.check_factors`.
+    """
+    files = {place: f"{plugin.path}: " for plugin in loaded() for place in plugin.places}
+    rooms: tuple[Room, ...] = ("likelihood", "potential")
+    own = {name: f"{files.get((room, name), '')}{room} '{name}'" for room in rooms for name in registry.own_names(room)}
+    if own:
+        check_factors(density, state, own)
+
+
+@contextmanager
+def plugins_to_blame() -> Iterator[None]:
+    """Whatever fails inside in a plugin's code is an InputError that names the plugin's line.
+
+    Raises:
+        InputError: as just said.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        for plugin in loaded():
+            if line := _line_in(plugin.path, error):
+                raise _failure(plugin.path, plugin.text, error, line) from error
+        raise
+
+
+# -- reading and running ----------------------------------------------------------------------------------------------------------------------
+
+
+def _read(path: Path) -> str:
+    if not path.is_file():
+        raise input_error(path, "a folder" if path.exists() else "no such file", "a Python file that registers terms", "check the path")
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise input_error(path, f"cannot be read ({error.strerror})", "a Python file", "check its permissions") from None
+    except UnicodeDecodeError:
+        raise input_error(path, "not text", "a Python file in UTF-8", "check the path, or save the file as UTF-8") from None
+
+
+def _execute(path: Path, text: str) -> None:
+    """Run the file as a module of its own.
+
+    Not by Python's loader: that would leave a folder of compiled code beside the user's file, and could run another text than the one that is kept.
+    """
+    try:
+        code = compile(text, str(path), "exec", dont_inherit=True)
+    except SyntaxError as error:
+        found = f"{error.msg} in the line `{(error.text or '').strip()}`"
+        raise input_error(f"{path}: line {error.lineno}", found, "Python", "correct that line") from None
+    except ValueError as error:
+        raise input_error(path, str(error), "Python", "check the path") from None
+    module = ModuleType(_module_name(path))
+    module.__file__ = str(path)
+    # Annotations are looked up in a class's module.
+    sys.modules[module.__name__] = module
+    try:
+        exec(code, module.__dict__)
+    except (Exception, SystemExit) as error:
+        sys.modules.pop(module.__name__)
+        line = _line_in(path, error)
+        if isinstance(error, InputError):
+            raise InputError(f"{path}: line {line}: {error}") from error
+        raise _failure(path, text, error, line) from error
+
+
+def _module_name(path: Path) -> str:
+    return f"{MODULES} {path.stem}"
+
+
+def _check(plugin: Plugin) -> None:
+    """That its terms can be used at all; of a likelihood also that its data will be prepared."""
+    if not plugin.places:
+        raise input_error(plugin.path, "registers nothing", "at least one term", 'put @bb.register("likelihood", "mine") above a build function')
+    for room, name in plugin.places:
+        where = f"{plugin.path}: {room} '{name}'"
+        if room == "likelihood" and name not in registry.names("observation"):
+            remedy = 'give its @register observation="markers_gaussian" or another, or register an observation of the same name'
+            raise input_error(where, "no observation", "what prepares its data", remedy)
+        if room == "kernel" and "particles" not in registry.find(room, name).options.model_fields:
+            raise input_error(where, "its options have no `particles`", "their number", "add `particles: Count = 1000` to them")
+
+
+# -- its terms ----------------------------------------------------------------------------------------------------------------------------------
+
+
+def _guarded(plugin: Plugin, place: Place, build: Callable[..., Any]) -> Callable[..., Any]:
+    room, name = place
+    where = f"{plugin.path}: {room} '{name}'"
+
+    @wraps(build)
+    def guarded(**arguments: Any) -> Any:
+        try:
+            term = build(**arguments)
+        except InputError:
+            raise
+        except Exception as error:
+            raise _failure(plugin.path, plugin.text, error, _line_in(plugin.path, error)) from error
+        return checked_term(room, term, arguments.get("name", name), where)
+
+    return guarded
+
+
+def _failure(path: Path, text: str, error: BaseException, line: int | None) -> InputError:
+    """The last line of the error, and the plugin's line that it comes from."""
+    lines = str(error).strip().splitlines()
+    said = f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
+    at = f": line {line}, `{text.splitlines()[line - 1].strip()}`" if line else ""
+    return input_error(f"{path}{at}", said.rstrip("."), "code that runs", "correct the plugin")
+
+
+def _line_in(path: Path, error: BaseException) -> int | None:
+    """The last line of a file that an error passed through."""
+    line, trace = None, error.__traceback__
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == str(path):
+            line = trace.tb_lineno
+        trace = trace.tb_next
+    return line

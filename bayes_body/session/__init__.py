@@ -1,0 +1,1 @@
+"""What a recording is: plain data, its file, its schema."""

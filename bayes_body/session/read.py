@@ -1,0 +1,89 @@
+"""A session on disk: a folder with a `session.toml` (metres, degrees, pixels), which a person can read and edit."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+
+from bayes_body.errors import input_error
+from bayes_body.session.document import document
+from bayes_body.session.schema import CameraTable, SessionFile, SubjectTable, to_radians
+from bayes_body.session.session import CameraSpec, Segmentation, Session, Subject, View
+from bayes_body.toml.read import read_toml, validate
+
+FILE_NAME = "session.toml"
+
+
+def load_session(path: Path | str) -> Session:
+    """The session of a folder that holds `session.toml`, or of that file.
+
+    Raises:
+        InputError: no such file, or not TOML.
+        FaultyFileError: one sentence for each thing in it that is wrong.
+    """
+    path = Path(path)
+    path = path / FILE_NAME if path.is_dir() else path
+    return parse_session(read_toml(path), path.resolve().parent, str(path))
+
+
+def parse_session(tables: Mapping[str, Any], folder: Path, where: str) -> Session:
+    """The session that the tables of a `session.toml` describe; relative paths start at `folder`, sentences call the file `where`.
+
+    Raises:
+        FaultyFileError: one sentence for each thing that is wrong.
+    """
+    table = validate(SessionFile, tables, where)
+    return Session(
+        folder=folder,
+        title=table.title,
+        up=table.up,
+        fps=table.fps,
+        frames=table.frames,
+        first_frame=table.first_frame,
+        views=tuple(_view(camera) for camera in table.cameras),
+        subject=_subject(table.subject),
+        initial=to_radians(table.initial.angles_deg) | table.initial.positions_m,
+        positions=table.positions,
+        initial_markers=table.initial.markers_m,
+        initial_keypoints=table.initial.keypoints_px,
+        fit_lengths=table.initial.fit_lengths,
+        fit_outline=table.initial.fit_outline,
+        segmentation=Segmentation(**table.segmentation.model_dump()),
+        truth=table.truth,
+    )
+
+
+def _view(table: CameraTable) -> View:
+    camera = CameraSpec(
+        name=table.name,
+        size_px=table.size_px,
+        focal_px=table.focal_px,
+        centre_px=table.centre_px,
+        skew=table.skew,
+        distortion=table.distortion,
+        rotation=np.array(table.rotation),
+        translation_m=np.array(table.translation_m),
+    )
+    return View(camera, table.images, table.masks, table.video, table.background, table.offset, table.keypoints, table.path)
+
+
+def _subject(table: SubjectTable) -> Subject:
+    motion_sd = to_radians(table.motion_sd_deg) | table.motion_sd_m
+    return Subject(table.body, table.height_m, table.lengths_m, table.radii_m, table.sections, motion_sd, table.outline_radii_m)
+
+
+def save_session(session: Session) -> Path:
+    """Write `session.toml` into the session's folder, which is made if need be; angles and metres are rounded to 1e-9.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    path = session.folder / FILE_NAME
+    try:
+        session.folder.mkdir(parents=True, exist_ok=True)
+        path.write_text(tomlkit.dumps(document(session)), encoding="utf-8")
+    except OSError as error:
+        raise input_error(path, f"cannot be written ({error.strerror})", "a folder for the session", "name a folder that you may write to") from None
+    return path

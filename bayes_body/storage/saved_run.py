@@ -1,0 +1,248 @@
+"""A run read back from its folder: settings, model and session as they were when it was made, and the posterior, opened lazily.
+
+The model is built from the text that `run.toml` keeps, not from the user's file, which may have changed since. The session likewise: its images are
+looked for where they were, its numbers are those that the run saw.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from bayes_body.errors import input_error
+from bayes_body.initial import apply_first_pose, restored
+from bayes_body.model.build import Model, load_model
+from bayes_body.model.definition import parse_definition
+from bayes_body.posterior.blocks import BLOCK, pooled, pose_blocks, weights_of_runs
+from bayes_body.posterior.moments import Moments, unwrapped, weighted_moments
+from bayes_body.posterior.weighted import markers
+from bayes_body.session.read import load_session, parse_session
+from bayes_body.session.session import Session
+from bayes_body.storage.run_file import check_plugins, kept_plugins
+from bayes_body.toml.read import parse_toml, read_toml
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+RUN_FILE, POSTERIOR_FILE, SUMMARY_FILE, FRAMES_FOLDER = "run.toml", "posterior.nc", "summary.json", "frames"
+GROUPS = ("posterior", "sample_stats", "filter")
+# Poses whose markers are computed at a time.
+CHUNK = 8192
+AGAIN = "make the run again with `bayes-body track`"
+
+
+@dataclass(frozen=True, eq=False)
+class SavedRun:
+    """What a run left behind. `with load_run(folder) as run:` closes the posterior's file at the end, and so does `run.close()`.
+
+    Attributes:
+        folder: of the run.
+        settings: the table `[run]` of `run.toml`: session, model, runs, seed, and frames where it was given.
+        kernel: the kernel's `kind` and every option.
+        versions: of Python and of the packages, by name.
+        texts: of the definition (`title`, `text`, `body_text`) and of the `session`, as far as the run keeps them.
+        tree: `posterior.nc` as `posterior.to_datatree` describes it; its arrays are read when they are asked for.
+        summary: what `summary.json` holds; empty where the run has none.
+        first_pose: the pose and the lengths that were fitted to the session's markers or keypoints; empty where it has none.
+        plugins: the texts of the user's own files that registered terms of it, by file name.
+    """
+
+    folder: Path
+    settings: Mapping[str, Any]
+    kernel: Mapping[str, Any]
+    versions: Mapping[str, str]
+    texts: Mapping[str, str]
+    tree: "xr.DataTree"
+    summary: Mapping[str, Any]
+    first_pose: Mapping[str, Any] = field(default_factory=dict)
+    plugins: Mapping[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def session(self) -> Session:
+        """The session as the run saw it; a run that kept no text of it takes the `session.toml` that is there now.
+
+        Raises:
+            InputError: the run kept none and there is none.
+        """
+        folder = Path(self.settings["session"])
+        if "session" not in self.texts:
+            return load_session(folder)
+        where = f"{self.folder / RUN_FILE}: the session's text"
+        return parse_session(parse_toml(self.texts["session"], where), folder, where)
+
+    @cached_property
+    def model(self) -> Model:
+        """The model of the definition and the session that `run.toml` keeps.
+
+        Raises:
+            InputError: they cannot be used, the posterior is of another body, or a plugin of the run is not loaded.
+        """
+        check_plugins(self.folder, self.plugins)
+        name, where = Path(str(self.settings["model"])).stem, f"{self.folder / RUN_FILE}: the definition's text"
+        model = load_model(parse_definition(name, self.texts["text"], self.texts.get("body_text"), where), self.session)
+        dofs = np.asarray(self.tree["posterior"]["dof"]).astype(str).tolist()
+        if dofs != list(model.body.dof_names):
+            found = f"dofs {', '.join(dofs)}"
+            raise input_error(self.folder / POSTERIOR_FILE, found, f"those of {RUN_FILE}: {', '.join(model.body.dof_names)}", AGAIN)
+        if not self.first_pose:
+            return model
+        return apply_first_pose(model, self.session, restored(model, self.first_pose, f"{self.folder / RUN_FILE}: first_pose"))
+
+    @property
+    def frames(self) -> int:
+        """How many frames it has."""
+        return self.tree["posterior"].sizes["frame"]
+
+    @property
+    def fps(self) -> float:
+        """Frames a second, of the session."""
+        return self.session.fps
+
+    def close(self) -> None:
+        """Close the posterior's file."""
+        self.tree.close()
+
+    def __enter__(self) -> Self:
+        """The run itself."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Close the posterior's file."""
+        self.close()
+
+
+def load_run(folder: Path | str) -> SavedRun:
+    """The run that `bayes-body track` left in a folder.
+
+    Raises:
+        InputError: no such folder, no run in it, a run that stopped half way, or a file in it that cannot be read.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise input_error(folder, "a file" if folder.exists() else "no such folder", "the folder of a run", "check the path")
+    if not (folder / RUN_FILE).exists():
+        raise input_error(folder, f"no {RUN_FILE} in it", "the folder of a run", "check the path, or make a run with `bayes-body track`")
+    tables = read_toml(folder / RUN_FILE)
+    settings, kernel, versions, definition = (_table(folder, tables, name) for name in ("run", "kernel", "versions", "definition"))
+    _check_keys(folder, {"run": (settings, ("session", "model")), "kernel": (kernel, ("kind",)), "definition": (definition, ("text",))})
+    session = tables.get("session")
+    if isinstance(session, dict) and isinstance(session.get("text"), str):
+        definition = definition | {"session": session["text"]}
+    first_pose = tables.get("first_pose")
+    kept = first_pose if isinstance(first_pose, dict) else {}
+    tree, summary = _open_posterior(folder, settings), _summary(folder)
+    return SavedRun(folder, settings, kernel, versions, definition, tree, summary, kept, kept_plugins(tables))
+
+
+def _table(folder: Path, tables: Mapping[str, Any], name: str) -> dict[str, Any]:
+    table = tables.get(name)
+    if not isinstance(table, dict):
+        raise input_error(f"{folder / RUN_FILE}: {name}", "missing" if table is None else "no table", f"a table [{name}]", AGAIN)
+    return table
+
+
+def _check_keys(folder: Path, wanted: Mapping[str, tuple[Mapping[str, Any], tuple[str, ...]]]) -> None:
+    for name, (table, keys) in wanted.items():
+        for key in keys:
+            if not isinstance(table.get(key), str):
+                raise input_error(f"{folder / RUN_FILE}: {name}.{key}", "missing" if key not in table else f"{table[key]}", "a text", AGAIN)
+
+
+def _open_posterior(folder: Path, settings: Mapping[str, Any]) -> "xr.DataTree":
+    import xarray as xr
+
+    path = folder / POSTERIOR_FILE
+    if not path.exists():
+        raise _unfinished(folder, settings)
+    try:
+        tree = xr.open_datatree(path, engine="h5netcdf")
+    # A damaged file is anything to the reader, from OSError to KeyError.
+    except Exception as error:
+        raise input_error(
+            path, f"cannot be read ({str(error).splitlines()[0] if str(error) else type(error).__name__})", "a posterior", AGAIN
+        ) from None
+    missing = [name for name in GROUPS if name not in tree.children]
+    if missing:
+        tree.close()
+        raise input_error(path, f"no group {', '.join(missing)} in it", f"the groups {', '.join(GROUPS)}", AGAIN)
+    return tree
+
+
+def _unfinished(folder: Path, settings: Mapping[str, Any]) -> Exception:
+    if any((folder / FRAMES_FOLDER).glob("*.npz")):
+        command = f"bayes-body track {settings['session']} --out {folder} --resume"
+        return input_error(folder, f"holds frames but no {POSTERIOR_FILE}", "a run that went on to its end", f"continue it with `{command}`")
+    return input_error(folder, f"holds no {POSTERIOR_FILE}", "a run that went on to its end", AGAIN)
+
+
+def _summary(folder: Path) -> dict[str, Any]:
+    path = folder / SUMMARY_FILE
+    if not path.exists():
+        return {}
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise input_error(path, f"cannot be read ({error})", "the figures of a run, as JSON", f"remove it, or {AGAIN}") from None
+    if not isinstance(summary, dict):
+        raise input_error(path, type(summary).__name__, "the figures of a run, as JSON", f"remove it, or {AGAIN}")
+    return summary
+
+
+def marker_moments(run: SavedRun, frames: range | None = None, block: int = BLOCK) -> Moments:
+    """Of the virtual markers, (frame, marker, 3), metres, pooled over the runs: each has the same weight.
+
+    Args:
+        run: read back from its folder.
+        frames: which frames; all by default.
+        block: the most frames held in memory at a time.
+
+    Raises:
+        InputError: the run's body has no virtual markers.
+    """
+    if not run.model.body.markers.names:
+        raise input_error(f"the body '{run.model.body.name}'", "no virtual markers", "at least one", "give the body file a table [markers]")
+
+    def place(poses: Float[np.ndarray, "frame draw dof"], weights: Float[np.ndarray, "frame draw"]) -> Float[np.ndarray, "frame draw marker 3"]:
+        del weights
+        flat = poses.reshape(-1, poses.shape[-1])
+        # One shape for all pieces: a shorter last one would be compiled anew.
+        chunks = [markers(run.model, _padded(flat[start : start + CHUNK])) for start in range(0, len(flat), CHUNK)]
+        return np.concatenate(chunks)[: len(flat)].reshape(*poses.shape[:-1], -1, 3).astype(float)
+
+    return _moments(run, frames, block, 3 * len(run.model.body.markers.names), place)
+
+
+def angle_moments(run: SavedRun, frames: range | None = None, block: int = BLOCK) -> Moments:
+    """Of the dofs, (frame, dof), radians and metres, pooled over the runs: each has the same weight.
+
+    An angle without limits, such as the direction a walker faces, is brought within half a turn of its circular mean first; an angle with limits is
+    taken as it is. Arguments as of `marker_moments`.
+    """
+    skeleton = run.model.body.skeleton
+    endless = np.asarray(skeleton.topology.angular) & ~np.isfinite(np.asarray(skeleton.low)) & ~np.isfinite(np.asarray(skeleton.high))
+
+    def unwind(poses: Float[np.ndarray, "frame draw dof"], weights: Float[np.ndarray, "frame draw"]) -> Float[np.ndarray, "frame draw dof"]:
+        poses[..., endless] = unwrapped(poses[..., endless], weights)
+        return poses
+
+    return _moments(run, frames, block, len(endless), unwind)
+
+
+def _moments(run: SavedRun, frames: range | None, block: int, width: int, of: Callable[..., NDArray[np.floating]]) -> Moments:
+    """Moments of what `of` makes of the poses and weights (frame, draw, ...) of each piece."""
+    found = []
+    for piece in pose_blocks(run.tree, frames, block, width):
+        weights = pooled(weights_of_runs(piece.log_weights)) / piece.poses.shape[0]
+        found.append(weighted_moments(of(pooled(piece.poses), weights), weights))
+    return Moments(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+def _padded(poses: Float[np.ndarray, "draw dof"]) -> Float[np.ndarray, "chunk dof"]:
+    return np.concatenate([poses, np.broadcast_to(poses[-1:], (CHUNK - len(poses), poses.shape[1]))])

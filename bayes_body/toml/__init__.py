@@ -1,0 +1,1 @@
+"""TOML files read and checked; what is wrong with them as sentences."""

@@ -1,0 +1,84 @@
+"""TOML files that a user writes: read, and held against a pydantic schema; whatever is wrong comes back as one sentence a fault."""
+
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from bayes_body.errors import FaultyFileError, InputError, input_error
+from bayes_body.toml.faults import sentences, shown
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file.
+
+    Raises:
+        InputError: no such file, a folder, unreadable, not UTF-8, or not TOML (line and column are named).
+    """
+    if path.is_dir():
+        raise input_error(path, "a folder", "a TOML file", "name the file in it")
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise input_error(path, "no such file", "a TOML file", "check the path") from None
+    except OSError as error:
+        raise input_error(path, f"cannot be read ({error.strerror})", "a TOML file", "check the path and its permissions") from None
+    try:
+        # Some editors put a byte order mark first; tomllib would stumble over it.
+        return parse_toml(content.decode("utf-8-sig"), path)
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        raise input_error(f"{path}: line {line}", f"the byte 0x{content[error.start]:02x}", "text in UTF-8", "save the file as UTF-8") from None
+
+
+def parse_toml(text: str, where: object) -> dict[str, Any]:
+    """The tables of a TOML text.
+
+    Args:
+        text: the file's content.
+        where: the file, as the sentence shall call it.
+
+    Raises:
+        InputError: not TOML (line and column are named).
+    """
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise _syntax_error(where, text, str(error)) from None
+    except (ValueError, RecursionError) as error:
+        # A whole number with thousands of digits; lists in lists in lists.
+        raise input_error(where, f"cannot be read ({error})", "TOML, such as key = value or [table]", "restore the file") from None
+
+
+def _syntax_error(where: object, text: str, message: str) -> InputError:
+    lines = text.split("\n")
+    place = re.search(r"\s*\(at (?:line (\d+), column (\d+)|end of document)\)$", message)
+    reason = message[: place.start()] if place else message
+    if place and place[1]:
+        line, column = int(place[1]), int(place[2])
+    else:
+        line, column = len(lines), len(lines[-1]) + 1
+    line_text = shown(lines[line - 1].strip()).strip('"')
+    found = f"{reason[:1].lower()}{reason[1:]} in the line `{line_text}`"
+    return input_error(f"{where}: line {line}, column {column}", found, "TOML, such as key = value or [table]", "correct that line")
+
+
+def validate[Schema: BaseModel](schema: type[Schema], data: Mapping[str, Any], where: str) -> Schema:
+    """The data as an instance of `schema`.
+
+    Args:
+        schema: a pydantic model.
+        data: tables as `read_toml` gives them.
+        where: the file, as the sentences shall call it.
+
+    Raises:
+        FaultyFileError: one sentence for each fault, in the order of the schema.
+    """
+    try:
+        return schema.model_validate(data)
+    except ValidationError as error:
+        faults = sentences(schema, data, where, error.errors(include_url=False))
+    raise FaultyFileError(faults)

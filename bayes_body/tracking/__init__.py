@@ -1,0 +1,1 @@
+"""A model, a kernel and a session make draws."""

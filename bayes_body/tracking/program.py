@@ -1,0 +1,97 @@
+"""The program of a frame: compiled once, for arguments of one form, so that it cannot retrace.
+
+What would need a second compilation is an error rather than a silent cost. A model has its form before it has its first pose: `compiled_ahead`
+compiles in a thread while the pose is fitted, on the core that the fit leaves idle.
+"""
+
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax.stages import Lowered
+from jaxtyping import Array
+
+from bayes_body.density.density import Density
+from bayes_body.density.factor import FilterInfo, Kernel, Particles
+from bayes_body.kernels.parts.batching import everywhere, whole
+from bayes_body.model.build import Model
+from bayes_body.observation.frames import read_frame
+from bayes_body.session.session import Session
+from bayes_body.shapes import Key
+
+# (key of the run, number of the frame, particles, density) -> particles and information.
+type Step = Callable[..., tuple[Particles, FilterInfo]]
+
+
+class Program(NamedTuple):
+    """A compiled step, and the form (tree, shapes and types) of what it takes."""
+
+    step: Step
+    form: Any
+
+
+# What is compiled ahead; None where it was given up.
+type Ahead = Future[Program | None]
+
+
+def form_of(key: Key, particles: Particles, density: Density) -> Any:
+    """Equal for arguments that one program takes."""
+    leaves, tree = jax.tree.flatten((key, particles, density))
+    return tree, tuple((leaf.shape, leaf.dtype) for leaf in leaves)
+
+
+def traced(kernel: Kernel, key: Key, particles: Particles, density: Density) -> Lowered:
+    """The step of one frame, traced and not yet compiled."""
+
+    def frame_of_run(run_key: Key, frame: Array, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
+        return kernel(jax.random.fold_in(run_key, frame), particles, density.given(particles))
+
+    return jax.jit(frame_of_run, out_shardings=whole()).lower(key, everywhere(np.int32(0)), particles, density)
+
+
+@contextmanager
+def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: int) -> Iterator[Ahead]:
+    """The program that will track a session, compiled in a thread, for `track`. After an error in the block no further stage of it begins.
+
+    Args:
+        session: the recording.
+        model: of the form that the tracked one will have; its first pose and lengths may still change.
+        kernel: that will track.
+        particles: how many, a run.
+    """
+    given_up = threading.Event()
+    # A setting of the caller's own thread.
+    x64 = bool(jax.config.jax_enable_x64)
+
+    def work() -> Program | None:
+        with jax.enable_x64(x64):
+            key, start = everywhere(jax.random.key(0)), everywhere(model.start(particles))
+            placed = replace(model, transition=everywhere(model.transition), factors=everywhere(model.factors))
+            density = placed.density(everywhere(model.observe(read_frame(session, 0))), start)
+            lowered = None if given_up.is_set() else traced(kernel, key, start, density)
+            return None if lowered is None or given_up.is_set() else Program(lowered.compile(), form_of(key, start, density))
+
+    pool = ThreadPoolExecutor(1, thread_name_prefix="compile")
+    try:
+        yield pool.submit(work)
+    except BaseException:
+        given_up.set()
+        raise
+    finally:
+        # Nobody waits for it here: XLA cannot be stopped half way.
+        pool.shutdown(wait=False)
+
+
+def program_from(ahead: Ahead | None, kernel: Kernel, key: Key, particles: Particles, density: Density) -> Step:
+    """The step that was compiled ahead if it takes these arguments, else one that does."""
+    # An error of the thread's is met again below, where it can be told.
+    if ahead is not None and ahead.exception() is None:
+        ready = ahead.result()
+        if ready is not None and ready.form == form_of(key, particles, density):
+            return ready.step
+    return traced(kernel, key, particles, density).compile()

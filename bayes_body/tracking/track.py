@@ -1,0 +1,183 @@
+"""A model, a kernel and a session make draws, frame by frame.
+
+All frames and all runs go through one compiled program: images, particles and keys are its arguments. While the device works on a frame the host
+prepares the next one's maps. Keys are folded by run and frame, so that no frame's randomness depends on how many came before it: a filter goes on
+from the last frame that is kept to the same end, bit for bit.
+"""
+
+import time
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array
+
+from bayes_body.density.factor import FilterInfo, Kernel, Particles
+from bayes_body.errors import input_error
+from bayes_body.kernels.parts.batching import everywhere
+from bayes_body.model.build import Model
+from bayes_body.observation.frames import prefetch, read_frame
+from bayes_body.plugins.load import check_own_factors
+from bayes_body.recording.camera_path import cameras_at
+from bayes_body.session.session import Session
+from bayes_body.shapes import Key
+from bayes_body.tracking.draws import Draws, FrameResult, FrameStore, timing_of
+from bayes_body.tracking.program import Ahead, program_from
+from bayes_body.tracking.rejected_chains import raise_if_all_rejected
+
+
+class Progress(NamedTuple):
+    """What a bar shows after a frame: how far, how fast, how well.
+
+    Attributes:
+        frame: frames done.
+        frames: frames in all.
+        seconds_per_frame: mean so far in this process, all runs together, compilation left out.
+        ess: smallest effective sample size over the runs, particles.
+        survival_rate: smallest final survival rate over the runs.
+        lost: whether a run lost this frame.
+    """
+
+    frame: int
+    frames: int
+    seconds_per_frame: float
+    ess: float
+    survival_rate: float
+    lost: bool
+
+
+def track(
+    session: Session,
+    model: Model,
+    kernel: Kernel,
+    key: Key,
+    particles: int = 1000,
+    runs: int = 1,
+    frames: int | None = None,
+    on_frame: Callable[[Progress], None] | None = None,
+    into: FrameStore | None = None,
+    ahead: Ahead | None = None,
+) -> Draws:
+    """Filter a session.
+
+    Args:
+        session: the recording.
+        model: from `load_model`, for this session.
+        kernel: such as `kernels.annealed.build_kernel()`.
+        key: of the whole; runs and frames fold theirs from it.
+        particles: particles a run.
+        runs: independent filters; ArviZ's chains.
+        frames: how many frames from the first on; all by default.
+        on_frame: called after each frame, once it is kept.
+        into: what keeps the frames, such as `storage.FrameFiles`; a list by default. Frames that it already holds are not computed again: the filters
+            go on from the last of them.
+        ahead: from `compiled_ahead` of this session and kernel, and of a model of this form.
+
+    Raises:
+        InputError: no particles, runs or frames; `into` holds other or more of them; a frame's images cannot be read, or a frame cannot be kept; all
+            Markov chains of a frame stand still.
+    """
+    count = session.frames if frames is None else frames
+    for name, value, most in (("particles", particles, None), ("runs", runs, None), ("frames", count, session.frames)):
+        if value < 1 or (most is not None and value > most):
+            raise input_error(name, str(value), f"a whole number from 1{f' to {most}' if most else ' up'}", "give another number")
+    store: FrameStore = [] if into is None else into
+    done = len(store)
+    filters = _filters_after(store, particles, runs, count) if done else [model.start(particles)] * runs
+    if done < count:
+        with closing(_observations(session, model, range(done, count))) as observations:
+            _follow(store, _filter(model, kernel, key, filters, done, observations, ahead), count, on_frame)
+    return Draws(model, store, timing_of(store), tuple(view.camera.name for view in session.views))
+
+
+def _filters_after(store: FrameStore, particles: int, runs: int, count: int) -> list[Particles]:
+    """Each run's particles at the last frame that is kept."""
+    last = store[len(store) - 1]
+    for name, kept, asked in zip(("runs", "particles"), last.log_weights.shape, (runs, particles), strict=True):
+        if kept != asked:
+            raise input_error(name, str(asked), f"the {kept} of the frames that are kept", "give that number, or begin anew")
+    if len(store) > count:
+        raise input_error("frames", str(count), f"at least the {len(store)} that are kept", "give a larger number, or begin anew")
+    return [Particles({name: values[run] for name, values in last.states.items()}, last.log_weights[run]) for run in range(runs)]
+
+
+class _Observed(NamedTuple):
+    """Of a frame: which cameras saw it, what the factors need of it, and the factors where a camera moves (else None: those of the model)."""
+
+    seen: np.ndarray
+    data: Any
+    factors: Any
+
+
+def _observations(session: Session, model: Model, frames: range) -> Generator[_Observed]:
+    def observe(index: int) -> _Observed:
+        frame = read_frame(session, index)
+        factors = everywhere(model.at(cameras_at(session, index)).factors) if session.moves else None
+        return _Observed(np.array(frame.seen), everywhere(model.observe(frame)), factors)
+
+    return prefetch(frames, observe)
+
+
+def _follow(store: FrameStore, results: Iterator[FrameResult], count: int, on_frame: Callable[[Progress], None] | None) -> None:
+    """Keep each frame as it comes."""
+    first, seconds = len(store), 0.0
+    for done, result in enumerate(results, first + 1):
+        store.append(result)
+        seconds += result.seconds
+        if on_frame:
+            on_frame(_progress(result, done, count, seconds / (done - first)))
+
+
+def _filter(
+    model: Model, kernel: Kernel, key: Key, filters: list[Particles], first: int, observations: Iterator[_Observed], ahead: Ahead | None
+) -> Iterator[FrameResult]:
+    """What all runs make of each frame from `first` on; nothing of a frame is kept here but its particles."""
+    last = time.perf_counter()
+    run_keys = [everywhere(jax.random.fold_in(key, run)) for run in range(len(filters))]
+    filters = [everywhere(particles) for particles in filters]
+    model = replace(model, transition=everywhere(model.transition), factors=everywhere(model.factors))
+    step = None
+    for frame, (seen, data, factors) in enumerate(observations, first):
+        placed = model if factors is None else replace(model, factors=factors)
+        density, ready = placed.density(data, filters[0]), 0.0
+        if step is None:
+            check_own_factors(density, model.initial)
+            step = program_from(ahead, kernel, run_keys[0], filters[0], density)
+            last, ready = time.perf_counter(), time.perf_counter() - last
+        index = everywhere(np.int32(frame))
+        outcomes = [step(run_key, index, before, density) for run_key, before in zip(run_keys, filters, strict=True)]
+        filters = [after for after, _ in outcomes]
+        runs = jax.device_get(outcomes)
+        for _, info in runs:
+            raise_if_all_rejected(info, frame)
+        last, seconds = time.perf_counter(), time.perf_counter() - last
+        yield _result(runs, seen, seconds, ready)
+
+
+def _result(outcomes: list[tuple[Particles, FilterInfo]], seen: np.ndarray, seconds: float, ready: float) -> FrameResult:
+    particles, info = jax.tree.map(lambda *leaves: np.stack(leaves), *outcomes)
+    if not seen.any():
+        # The likelihood was the same for all particles: a kernel alone cannot tell that from a frame that it explains.
+        info = info._replace(lost=np.ones_like(info.lost))
+    return FrameResult(dict(particles.states), particles.log_weights, info, seen, seconds, ready)
+
+
+def _progress(result: FrameResult, frame: int, frames: int, seconds: float) -> Progress:
+    return Progress(
+        frame=frame,
+        frames=frames,
+        seconds_per_frame=seconds,
+        ess=float(np.min(result.info.ess)),
+        survival_rate=float(_final(result.info.survival_rate).min()),
+        lost=result.lost,
+    )
+
+
+def _final(by_layer: Array | np.ndarray) -> np.ndarray:
+    """Of each run, the last layer that was reached; a kernel that chooses their number leaves the others NaN."""
+    values = np.asarray(by_layer)
+    reached = np.isfinite(values).sum(axis=-1)
+    return values[np.arange(len(values)), np.maximum(reached, 1) - 1]

@@ -1,0 +1,78 @@
+"""How a run was made: the command that repeats it, versions, machine, the recording, and the definition's own text."""
+
+import shlex
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from bayes_body.errors import InputError
+from bayes_body.toml.read import read_toml
+from bayes_body.view.report.markup import Markup, details, section, table, tag
+
+if TYPE_CHECKING:
+    from bayes_body.storage.saved_run import SavedRun
+
+# Beyond so many characters a text is cut: it is a definition, not a book, and the page has a limit.
+LONGEST = 200_000
+KERNEL_OPTIONS = ("particles", "layers", "move", "moves", "leapfrog_steps")
+
+
+def command(run: "SavedRun") -> str:
+    """`bayes-body track ...` with the settings that the command line has; what it has no option for is in the definition."""
+    settings, words = run.settings, ["bayes-body", "track", str(run.settings["session"]), "--out", f"{run.folder.resolve()}_again"]
+    options = {"model": settings["model"], "kernel": run.kernel["kind"]}
+    options |= {name: run.kernel[name] for name in KERNEL_OPTIONS if name in run.kernel}
+    options |= {name: settings[name] for name in ("runs", "frames", "seed") if name in settings}
+    for name, value in options.items():
+        words += [f"--{name.replace('_', '-')}", str(value)]
+    return shlex.join(words)
+
+
+def provenance_section(run: "SavedRun") -> Markup:
+    """The section; it needs neither the session's folder nor its images."""
+    parts: list[str] = [
+        tag("p", "This repeats it; with the same versions on the same kind of processor bit for bit."),
+        tag("pre", tag("code", command(run))),
+        tag("h3", "Kernel"),
+        table((), [(key, str(value)) for key, value in run.kernel.items()]),
+        tag("h3", "Recording"),
+        _recording(run),
+        tag("h3", "Versions and machine"),
+        table((), [*_rows(run.versions), *_rows(_machine(run))]),
+    ]
+    names = {"text": f"Definition: {run.settings['model']}", "body_text": "Body", "session": "Session, as the run saw it"}
+    parts += [details(title, tag("pre", tag("code", _cut(run.texts[key])))) for key, title in names.items() if run.texts.get(key)]
+    return section("made", "How it was made", *parts)
+
+
+def _rows(values: Mapping[str, Any]) -> list[tuple[str, str]]:
+    return [(str(key), ", ".join(map(str, value)) if isinstance(value, list) else str(value)) for key, value in values.items()]
+
+
+def _machine(run: "SavedRun") -> Mapping[str, Any]:
+    machine = read_toml(run.folder / "run.toml").get("machine")
+    return machine if isinstance(machine, dict) else {}
+
+
+def _recording(run: "SavedRun") -> Markup:
+    """What the session says of itself."""
+    try:
+        session = run.session
+    except InputError as error:
+        return tag("p", f"The session can no longer be read: {error}")
+    cameras = "; ".join(f"{view.camera.name} {view.camera.size_px[0]} × {view.camera.size_px[1]} px" for view in session.views)
+    rows = [
+        ("title", session.title),
+        ("folder", str(session.folder)),
+        ("cameras", cameras),
+        ("frames", f"{session.frames}, at {session.fps:g} a second"),
+    ]
+    return table((), [*rows, ("subject", _subject(session.subject.height_m, len(session.subject.lengths_m)))])
+
+
+def _subject(height: float | None, lengths: int) -> str:
+    tall = "stature unknown" if height is None else f"{height:g} m tall"
+    return f"{tall}; {lengths} segment lengths measured"
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}\n[cut after {LONGEST:,} characters of {len(text):,}]"

@@ -1,0 +1,92 @@
+"""What holds for every shipped definition: it loads, its factors keep to their scopes, its transition is a distribution, its density finite."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_body.density.density import Density
+from bayes_body.density.factor import variables
+from bayes_body.model.build import load_model
+from bayes_body.model.definition import definition_names, load_definition
+from bayes_body.observation.frames import read_frame
+
+pytestmark = pytest.mark.usefixtures("hasty_compiler")
+
+
+@pytest.fixture(params=definition_names())
+def model(request, keypoint_session):
+    return load_model(request.param, keypoint_session)
+
+
+@pytest.fixture
+def density(model, keypoint_session) -> Density:
+    return model.density(model.observe(read_frame(keypoint_session, 0)))
+
+
+def test_it_says_what_it_is(model):
+    definition = model.definition
+    assert definition == load_definition(definition.name)
+    assert len(definition.title) > 20 and len(definition.source) > 20
+
+
+def test_the_density_of_the_initial_state_is_finite(model, density):
+    whole, parts = jax.jit(lambda state: (density(state), density.parts(state)))(model.initial)
+    assert np.isfinite(list(parts.values())).all(), parts
+    assert np.isclose(whole, sum(parts.values()), rtol=1e-5)
+
+
+def test_gradients_are_finite_everywhere_a_particle_may_go(model, density):
+    view = density.unconstrained()
+    at = view.unconstrain(model.initial)["pose"]
+    positions = at + jax.random.normal(jax.random.key(0), (200, at.size))
+    values, gradients = jax.jit(jax.vmap(jax.value_and_grad(lambda x: view({"pose": x}))))(positions)
+    # A hard constraint makes a value minus infinity, never a NaN.
+    assert not np.isnan(values).any()
+    assert np.isfinite(gradients).all()
+
+
+def test_a_factor_reads_its_scope_and_its_own_data(model, density):
+    """No more, or it could not be traced from them; and all of its scope: one that only says it reads the frame before costs every ancestor."""
+    values = variables(model.initial, model.initial)
+    for factor in density.factors:
+        own = {name: data for name, data in density.data.items() if name == factor.name}
+        traced = jax.make_jaxpr(lambda scoped, f=factor, own=own: f(scoped, own))({variable: values[variable] for variable in factor.scope})
+        read = {id(variable) for equation in traced.jaxpr.eqns for variable in equation.invars}
+        assert [variable.aval.shape for variable in traced.jaxpr.outvars] == [()]
+        assert all(id(variable) in read for variable in traced.jaxpr.invars), factor.name
+
+
+def test_each_dof_of_the_transition_integrates_to_one(model):
+    """The dofs are independent: varying one alone leaves the others' log-density constant, which is divided out."""
+    with jax.enable_x64(True):
+        double = jax.tree.map(_in_double, (model.transition, dict(model.initial)))
+        transition, state = double
+        distribution = transition.conditional(state)["pose"]
+        whole = jax.jit(transition.log_density)(state, state)
+        moved = jax.jit(jax.vmap(lambda x, k: distribution.log_prob(state["pose"].at[k].set(x)), in_axes=(0, None)))
+        for k in range(state["pose"].size):
+            low, high = (jnp.clip(side[k], state["pose"][k] - 12 * distribution.scale[k], state["pose"][k] + 12 * distribution.scale[k])
+                         for side in (distribution.low, distribution.high))  # fmt: skip
+            points = low + (high - low) * (jnp.arange(20_000) + 0.5) / 20_000
+            alone = moved(points, k)
+            one = whole - _own(distribution, state["pose"], k)
+            mass = jnp.sum(jnp.exp(alone - one)) * (high - low) / 20_000
+            assert abs(mass - 1) < 1e-6, model.body.dof_names[k]
+
+
+def _in_double(leaf):
+    return jnp.asarray(leaf, jnp.float64) if jnp.issubdtype(jnp.asarray(leaf).dtype, jnp.floating) else leaf
+
+
+def _own(distribution, pose, k):
+    names = ("loc", "scale", "low", "high") if hasattr(distribution, "loc") else ("centre", "scale", "low", "high", "angular")
+    part = type(distribution)(*(getattr(distribution, name)[k : k + 1] for name in names))
+    return part.log_prob(pose[k : k + 1])
+
+
+def test_particles_of_the_transition_stay_inside_the_limits(model):
+    states = jax.jit(jax.vmap(lambda key: model.transition.sample(key, model.initial)))(jax.random.split(jax.random.key(1), 500))
+    skeleton = model.body.skeleton
+    assert (states["pose"] >= skeleton.low).all() and (states["pose"] <= skeleton.high).all()
+    assert np.isfinite(jax.jit(jax.vmap(lambda s: model.transition.log_density(s, model.initial)))(states)).all()

@@ -1,0 +1,214 @@
+"""Every kernel on every definition, generated from the registry and the definitions' folder: one that is added is here without an edit."""
+
+import json
+import re
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from own_terms import plugins_of_this_test
+
+from bayes_body import registry
+from bayes_body.compare import Row, Scene, Scenes, Settings, benchmark_rows, pairs
+from bayes_body.compare.benchmark import FIGURES, followed, measured, options_of
+from bayes_body.compare.scenes import not_generative
+from bayes_body.errors import InputError
+from bayes_body.model.build import load_model
+from bayes_body.model.definition import load_definition
+
+TINY = Settings(frames=2, most_particles=12)
+# One sentence: found, expected, remedy.
+SENTENCE = re.compile(r"^[^\n]+; expected [^\n]+; [^\n]+\.$")
+
+
+class TinyScenes(Scenes):
+    """Data drawn from the model where its likelihoods are distributions, else images of drifting blobs: so that every view is tried."""
+
+    def __init__(self, folder, session):
+        super().__init__(folder, TINY.frames)
+        self.blobs = session
+
+    def _make(self, definition):
+        model = load_model(definition, self.blobs)
+        return Scene(self.blobs, model, "blobs") if not_generative(model) else self._drawn(definition)
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory, keypoint_session):
+    return TinyScenes(tmp_path_factory.mktemp("scenes"), keypoint_session)
+
+
+def _follows_gradients(pair, options) -> bool:
+    return pair.kernel == "hmc" or getattr(options, "move", None) == "hmc"
+
+
+def _is_small(definition) -> bool:
+    return sum(len(joint.dofs) for joint in definition.body.joints) < 10
+
+
+def _compiles_fast(pair) -> bool:
+    """Small programs: bodies of few dofs and no gradient of an image, look-ups without one; and what is refused before it is compiled."""
+    definition = load_definition(pair.model)
+    small = _is_small(definition)
+    images = any("silhouette" in term.kind or "edge" in term.kind for term in definition.likelihoods)
+    nearest = any(getattr(term.options, "lookup", "") == "nearest" for term in definition.likelihoods)
+    refused = nearest and _follows_gradients(pair, options_of(definition, pair.kernel, 1))
+    return refused or (pair.kernel == "sir" and (small or nearest)) or (small and not images)
+
+
+def _kinds(model) -> tuple[str, ...]:
+    """What a definition is made of, its numbers apart: size of the body, dynamics, likelihoods and how they look images up."""
+    definition = load_definition(model)
+    terms = (f"{term.kind} {getattr(term.options, 'lookup', '')}" for term in definition.likelihoods)
+    return "small" if _is_small(definition) else "large", definition.dynamics.kind, *terms
+
+
+def _differs(pair, before) -> bool:
+    """Of definitions of the same kinds, the first is tried with every kernel, the others with their own and with hmc."""
+    first = next(each.model for each in before if _kinds(each.model) == _kinds(pair.model))
+    return pair.model == first or pair.kernel in (load_definition(pair.model).kernel.kind, "hmc")
+
+
+def _marks(pair):
+    return () if _compiles_fast(pair) else pytest.mark.slow
+
+
+ALL = list(pairs())
+PAIRS = [pytest.param(pair, id=f"{pair.model}-{pair.kernel}", marks=_marks(pair)) for pair in ALL if _differs(pair, ALL)]
+
+
+@pytest.mark.usefixtures("hasty_compiler")
+@pytest.mark.parametrize("pair", PAIRS)
+def test_every_kernel_on_every_definition(scenes, pair, monkeypatch):
+    definition, options = load_definition(pair.model), options_of(load_definition(pair.model), pair.kernel, TINY.most_particles)
+    term, traces = registry.find("kernel", pair.kernel), []
+
+    def counted(**arguments):
+        kernel = term.build(**arguments)
+        return lambda *state: traces.append(1) or kernel(*state)
+
+    monkeypatch.setitem(registry._terms, ("kernel", pair.kernel), term._replace(build=counted))
+    blind = [f.name for f in scenes.of(definition).model.factors if f.side == "likelihood" and not f.has_gradient]
+    if blind and _follows_gradients(pair, options):
+        with pytest.raises(InputError) as error:
+            followed(scenes, definition, pair.kernel, options, TINY)
+        # JAX adds a note of its own to what leaves a trace; the sentence is the message.
+        assert SENTENCE.match(str(error.value)) and f"'{blind[0]}' has no gradient" in str(error.value)
+        return
+    scene, draws = followed(scenes, definition, pair.kernel, options, TINY)
+    assert len(traces) == 1
+    _check_draws(scene, draws)
+    figures = measured(scene.session, draws)
+    assert set(figures) == set(FIGURES) and figures["seconds_per_frame"] > 0
+    mode_seeker = bool(term.note)
+    assert (figures["log_evidence"] is None) == (figures["ess_per_second"] is None) == mode_seeker
+    if scene.kind == "drawn":
+        assert 0 < figures["error_mm_mean"] < 500
+        assert (figures["coverage_90"] is None) == mode_seeker
+
+
+def _check_draws(scene, draws):
+    count, dofs = draws.particles, len(scene.model.body.dof_names)
+    for frame in draws.frames:
+        assert frame.states["pose"].shape == (1, count, dofs) and np.isfinite(frame.states["pose"]).all()
+        assert np.isclose(np.exp(np.asarray(frame.log_weights, float)).sum(), 1, atol=1e-4)
+        assert frame.info.ancestors.shape == (1, count) and not frame.lost
+        assert 1 - 1e-4 <= frame.info.ess.item() <= count + 1e-3
+        low, high = np.asarray(scene.model.body.skeleton.low), np.asarray(scene.model.body.skeleton.high)
+        assert (frame.states["pose"] >= low - 1e-5).all() and (frame.states["pose"] <= high + 1e-5).all()
+
+
+def test_pairs_are_all_of_them():
+    every = pairs()
+    assert len(every) == len(set(every)) == len({pair.model for pair in every}) * len(registry.names("kernel"))
+    assert ("arm", "sir") in every
+    assert pairs(["arm"], ["sir"]) == (("arm", "sir"),)
+    with pytest.raises(InputError, match="kernel 'sirr' does not exist; did you mean 'sir'"):
+        pairs(["arm"], ["sirr"])
+
+
+@pytest.fixture
+def rows(tmp_path):
+    def made(asked, done=(), settings=TINY) -> list[Row]:
+        (tmp_path / "scenes").mkdir(exist_ok=True)
+        return list(benchmark_rows(asked, settings, tmp_path / "scenes", done))
+
+    return made
+
+
+def test_a_row_that_is_there_is_not_made_again(rows):
+    asked = pairs(["arm_markers"], ["sir"])
+    (first,) = rows(asked)
+    assert first["scene"] == "drawn" and first["why_not"] is first["error"] is None and first["error_mm_mean"] > 0
+    # As it comes back from a file.
+    kept = json.loads(json.dumps(first)) | {"error_mm_mean": -1.0}
+    assert rows(asked, [kept]) == [kept]
+    for settings in (Settings(frames=3, most_particles=12), Settings(frames=2, most_particles=13), Settings(frames=2, most_particles=12, seed=1)):
+        assert rows(asked, [kept], settings)[0]["error_mm_mean"] > 0
+    assert rows(asked, [kept | {"error": "it failed"}])[0]["error_mm_mean"] > 0
+
+
+def test_the_same_settings_make_the_same_row(rows):
+    one, other = (rows(pairs(["arm_markers"], ["sir"]))[0] for _ in range(2))
+    assert [one[key] for key in ("error_mm_mean", "coverage_90", "log_evidence")] == [
+        other[key] for key in ("error_mm_mean", "coverage_90", "log_evidence")
+    ]
+
+
+def test_what_cannot_be_has_its_sentence_and_the_others_go_on(rows, tmp_path):
+    asked = [*pairs(["arm", "no_such"], ["sir"]), *pairs(["arm_markers"], ["sir"])]
+    lonely, missing, fine = rows(asked)
+    assert SENTENCE.match(lonely["why_not"])
+    assert "'silhouette_edges' is no distribution over data" in lonely["why_not"] and "--session" in lonely["why_not"]
+    assert "model 'no_such' does not exist" in missing["why_not"]
+    assert all(row[figure] is None for row in (lonely, missing) for figure in FIGURES)
+    assert fine["error_mm_mean"] > 0
+
+
+def test_a_fault_of_the_program_is_told_apart(rows):
+    from bayes_body.toml.schema import Count, Schema
+
+    class Options(Schema):
+        particles: Count = 10
+
+    def fails(key, particles, density):
+        raise ZeroDivisionError("by design")
+
+    with plugins_of_this_test():
+        registry.register("kernel", "broken", Options)(lambda **_: fails)
+        # In the matrix at once, because it is registered.
+        assert ("arm_markers", "broken") in pairs()
+        broken, fine = rows(pairs(["arm_markers"], ["broken", "sir"]))
+    assert (broken["error"], broken["why_not"]) == ("ZeroDivisionError: by design", None) and "Traceback" in broken["details"]
+    assert fine["error"] is None and fine["error_mm_mean"] > 0
+
+
+def test_a_recording_that_was_given_takes_the_place_of_scenes(rows, textured_session):
+    from bayes_body.session.read import save_session
+
+    save_session(textured_session)
+    settings = Settings(frames=2, most_particles=12, session=textured_session.folder)
+    arm, markers = rows(pairs(["arm", "arm_markers"], ["sir"]), settings=settings)
+    assert arm["scene"] == "recording" and arm["log_evidence"] < 0 and arm["error_mm_mean"] is None
+    assert "no keypoints" in markers["why_not"]
+
+
+def test_what_is_drawn_is_the_model_s_own(tmp_path):
+    """The truth of a drawn scene is what its data are of: at the true pose they lie within their own noise."""
+    scene = Scenes(tmp_path, 4).of(load_definition("arm_markers"))
+    truth = np.load(scene.session.truth_path)
+    known = list(scene.model.body.markers.names)
+    positions = truth["markers"][:, [list(truth["names"]).index(name) for name in known]]
+    assert np.isfinite(positions).all() and np.isnan(truth["markers"]).any()
+    from bayes_body.evidence.markers import MARKERS
+    from bayes_body.geometry.camera import project
+    from bayes_body.observation.frames import read_frame
+
+    places = [MARKERS.index(name) for name in known]
+    for frame in range(4):
+        seen = scene.model.observe(read_frame(scene.session, frame))["markers_gaussian"]
+        pixels = jax.vmap(project, (0, None))(scene.model.rig, jnp.asarray(positions[frame], jnp.float32))[0]
+        off = np.abs(np.asarray(seen.pixels)[:, places] - pixels)
+        assert np.median(off) < 12 and (seen.confidence[:, places] > 0).mean() > 0.5
+    assert not (positions[0] == positions[3]).all()

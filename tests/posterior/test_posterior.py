@@ -1,0 +1,144 @@
+"""Draws as a DataTree: dimensions, units, weights kept; and diagnostics that respect the weights."""
+
+import dataclasses
+
+import arviz as az
+import h5py
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray as xr
+
+from bayes_body.errors import InputError
+from bayes_body.kernels.particle_filter import build_kernel
+from bayes_body.model.build import load_model
+from bayes_body.posterior import equal_weight_draws, markers, mean_poses, rhat, save_posterior, stream_posterior, to_datatree
+from bayes_body.posterior import stream as streaming
+from bayes_body.tracking.track import track
+
+RUNS, FRAMES, PARTICLES = 3, 5, 400
+FILTER = {
+    **dict.fromkeys(("ess", "log_evidence", "lost", "evaluations"), ("chain", "frame")),
+    **dict.fromkeys(("survival_rate", "inverse_temperature", "acceptance_rate"), ("chain", "frame", "layer")),
+    "seen": ("frame", "camera"),
+}
+
+
+@pytest.fixture(scope="module")
+def draws(textured_session):
+    return track(textured_session, load_model("arm", textured_session), build_kernel(), jax.random.key(2), particles=PARTICLES, runs=RUNS)
+
+
+def test_the_tree_holds_draws_weights_and_ancestors(draws, tmp_path):
+    save_posterior(to_datatree(draws, {"seed": 2}), tmp_path / "posterior.nc")
+    tree = xr.open_datatree(tmp_path / "posterior.nc")
+    pose = tree["posterior"]["pose"]
+    assert pose.dims == ("chain", "draw", "frame", "dof") and pose.shape == (RUNS, PARTICLES, FRAMES, 4)
+    assert list(pose.dof.values) == ["shoulder_x", "shoulder_y", "shoulder_z", "elbow"] and set(pose.unit.values) == {"rad"}
+    assert (pose.sel(chain=1, frame=2).values == draws.states["pose"][1, 2]).all()
+    for name, values in (("log_weight", draws.log_weights), ("ancestor", draws.info.ancestors)):
+        stored = tree["sample_stats"][name]
+        assert stored.dims == ("chain", "draw", "frame")
+        assert (stored.sel(chain=2, frame=3).values == values[2, 3]).all()
+    for name, dims in FILTER.items():
+        assert tree["filter"][name].dims == dims
+    assert list(tree["filter"]["camera"].values) == ["a", "b"] and tree["filter"]["seen"].values.all()
+    assert (tree["filter"]["evaluations"] == PARTICLES).all()
+    assert tree.attrs["model"] == "arm" and tree.attrs["seed"] == 2
+
+
+@pytest.mark.parametrize(("chunk_bytes", "frames"), [(1, 1), (15_000, 2), (2**20, FRAMES)])
+def test_the_streamed_file_is_the_tree(draws, tmp_path, monkeypatch, chunk_bytes, frames):
+    """Whatever the size of the pieces; five frames are no multiple of two."""
+    monkeypatch.setattr(streaming, "CHUNK_BYTES", chunk_bytes)
+    path = tmp_path / "posterior.nc"
+    stream_posterior(draws, path, {"kernel": "sir", "seed": 2})
+    tree = to_datatree(draws, {"kernel": "sir", "seed": 2})
+    for opened in (xr.open_datatree(path), az.from_netcdf(path)):
+        assert opened.identical(tree)
+        for group in ("posterior", "sample_stats", "filter"):
+            for name, array in tree[group].data_vars.items():
+                assert opened[group][name].dtype == array.dtype and opened[group][name].values.tobytes() == array.values.tobytes()
+    with h5py.File(path) as file:
+        assert file["posterior/pose"].chunks == (1, PARTICLES, frames, 4)
+    assert streaming.stored_frames(path) == FRAMES
+
+
+def test_the_file_is_the_same_whenever_it_is_made(draws, tmp_path):
+    slower = [dataclasses.replace(frame, seconds=9.0 + frame.seconds) for frame in draws.frames]
+    stream_posterior(draws, tmp_path / "a.nc")
+    stream_posterior(dataclasses.replace(draws, frames=slower), tmp_path / "b.nc")
+    assert (tmp_path / "a.nc").read_bytes() == (tmp_path / "b.nc").read_bytes()
+
+
+def test_a_second_variable_is_kept_with_dimensions_of_its_own(draws, tmp_path):
+    """What a prior of second order remembers."""
+    frames = [dataclasses.replace(frame, states=frame.states | {"velocity": 2 * frame.states["pose"][..., :2]}) for frame in draws.frames]
+    more = dataclasses.replace(draws, frames=frames)
+    stream_posterior(more, tmp_path / "posterior.nc")
+    stored = xr.open_datatree(tmp_path / "posterior.nc")
+    assert stored.identical(to_datatree(more))
+    assert stored["posterior"]["velocity"].dims == ("chain", "draw", "frame", "velocity_dim_0")
+
+
+def test_a_file_that_is_none_holds_no_frames(tmp_path):
+    assert streaming.stored_frames(tmp_path / "posterior.nc") == 0
+    (tmp_path / "posterior.nc").write_bytes(b"CDF")
+    assert streaming.stored_frames(tmp_path / "posterior.nc") == 0
+
+
+def test_a_posterior_without_room_is_refused_before_it_is_begun(draws, tmp_path, monkeypatch):
+    monkeypatch.setattr(streaming.shutil, "disk_usage", lambda path: type("Usage", (), {"free": 1000})())
+    with pytest.raises(InputError, match=r"posterior\.nc: cannot be written \(0\.0 MB are free\); expected room for 0\.1 MB"):
+        stream_posterior(draws, tmp_path / "posterior.nc")
+    assert not list(tmp_path.iterdir())
+
+
+def test_arviz_takes_it(draws):
+    assert "pose" in az.summary(to_datatree(draws).sel(frame=1), var_names=["pose"]).index[0]
+
+
+def test_equal_weight_draws_have_the_weighted_mean(draws):
+    sample = equal_weight_draws(draws, 20_000)
+    mcse = sample.std(axis=2) / np.sqrt(20_000)
+    assert (np.abs(sample.mean(axis=2) - mean_poses(draws)) < 4 * mcse + 1e-6).all()
+
+
+def test_weights_are_not_forgotten(draws):
+    plain = draws.states["pose"].mean(axis=2)
+    assert np.abs(plain - mean_poses(draws)).max() > 1e-3
+
+
+def _fake(draws, states, log_weights):
+    """Draws of these poses (run, frame, particle, dof) and log-weights."""
+    frames = [
+        dataclasses.replace(draws.frames[0], states={"pose": states[:, frame]}, log_weights=log_weights[:, frame]) for frame in range(states.shape[1])
+    ]
+    return dataclasses.replace(draws, frames=frames)
+
+
+def test_rhat_sees_runs_that_disagree_and_counts_weights(draws):
+    rng = np.random.default_rng(0)
+    states = rng.normal(size=(4, 1, 2000, 2))
+    equal = np.full((4, 1, 2000), -np.log(2000))
+    assert rhat(_fake(draws, states, equal)).max() < 1.01
+    moved = states.copy()
+    moved[0, 0, :, 1] += 2.0
+    apart = rhat(_fake(draws, moved, equal))
+    assert apart[0, 0] < 1.01 and apart[0, 1] > 1.1
+    # The same particles, weighted so that one run stands elsewhere: only the weights tell.
+    tilted = equal.copy()
+    tilted[0, 0] += 2.0 * states[0, 0, :, 0]
+    assert rhat(_fake(draws, states, tilted))[0, 0] > 1.1
+
+
+def test_rhat_of_one_run_is_nan(draws):
+    assert np.isnan(rhat(_fake(draws, draws.states["pose"][:1], draws.log_weights[:1]))).all()
+
+
+def test_markers_are_computed_on_demand(draws):
+    poses = mean_poses(draws)
+    positions = markers(draws.model, poses)
+    assert positions.shape == (RUNS, FRAMES, 3, 3)
+    assert np.allclose(positions[1, 2], draws.model.markers(jnp.asarray(poses[1, 2])), atol=1e-5)

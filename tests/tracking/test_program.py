@@ -1,0 +1,105 @@
+"""A program compiled ahead: taken where it fits, made anew where it does not, given up after an error, and never the cause of one."""
+
+import os
+import subprocess
+import sys
+import threading
+from concurrent.futures import Future
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from bayes_body.errors import InputError
+from bayes_body.kernels.particle_filter import build_kernel
+from bayes_body.model.build import load_model
+from bayes_body.tracking.program import compiled_ahead
+from bayes_body.tracking.track import track
+
+KEY = jax.random.key(11)
+
+
+@pytest.fixture(scope="module")
+def arm(textured_session):
+    return load_model("arm", textured_session)
+
+
+class Counted:
+    """A kernel that counts how often it is traced."""
+
+    def __init__(self):
+        self.kernel, self.traces = build_kernel(), 0
+
+    def __call__(self, key, particles, density):
+        self.traces += 1
+        return self.kernel(key, particles, density)
+
+
+def test_what_was_compiled_ahead_is_what_tracks(textured_session, arm):
+    kernel = Counted()
+    with compiled_ahead(textured_session, arm, kernel, 40) as ahead:
+        pass
+    draws = track(textured_session, arm, kernel, KEY, 40, runs=2, ahead=ahead)
+    assert kernel.traces == 1
+    plain = track(textured_session, arm, build_kernel(), KEY, 40, runs=2)
+    np.testing.assert_array_equal(draws.states["pose"], plain.states["pose"])
+
+
+def test_of_another_form_it_is_made_anew(textured_session, arm):
+    kernel = Counted()
+    with compiled_ahead(textured_session, arm, kernel, 40) as ahead:
+        pass
+    assert track(textured_session, arm, kernel, KEY, 50, ahead=ahead).log_weights.shape == (1, 5, 50)
+    assert kernel.traces == 2
+
+
+def test_in_double_precision_too(textured_session):
+    with jax.enable_x64(True):
+        arm, kernel = load_model("arm", textured_session), Counted()
+        with compiled_ahead(textured_session, arm, kernel, 40) as ahead:
+            pass
+        assert track(textured_session, arm, kernel, KEY, 40, ahead=ahead).states["pose"].dtype == np.float64
+    assert kernel.traces == 1
+
+
+def test_after_an_error_nothing_is_begun(textured_session, arm):
+    go, kernel = threading.Event(), Counted()
+
+    def late(observer):
+        return lambda frame: observer(frame) if go.wait(60) else None
+
+    slow = replace(arm, observers={name: late(observer) for name, observer in arm.observers.items()})
+    with pytest.raises(InputError, match="no first pose"), compiled_ahead(textured_session, slow, kernel, 40) as ahead:
+        raise InputError("no first pose")
+    go.set()
+    assert ahead.result(60) is None
+    assert kernel.traces == 0
+    # Whoever goes on all the same gets a program.
+    track(textured_session, arm, kernel, KEY, 40, frames=1, ahead=ahead)
+    assert kernel.traces == 1
+
+
+def test_its_own_error_is_told_where_it_belongs(textured_session, arm):
+    failed = Future()
+    failed.set_exception(RuntimeError("in the thread"))
+    assert len(track(textured_session, arm, build_kernel(), KEY, 40, frames=2, ahead=failed).frames) == 2
+
+
+LAWS = """
+import jax, jax.numpy as jnp
+from bayes_body.dynamics.diffusion import TruncatedWalk
+from bayes_body.dynamics.joint_noise import JointNoise
+zero, one = jnp.zeros(2), jnp.ones(2)
+for law in (TruncatedWalk(zero, one, -one, one), JointNoise(zero, 0.1 * one, -one, one, jnp.array([True, False]))):
+    print(jax.jit(lambda law, x: law.log_prob(x)).lower(law, zero).as_text())
+"""
+
+
+def test_a_program_is_the_same_in_every_process():
+    """Or none that is compiled would be found again: numpyro keeps what a law is made of in a set, whose order hangs on a process's hashes."""
+    texts = []
+    for seed in ("1", "2"):
+        done = subprocess.run([sys.executable, "-c", LAWS], env=os.environ | {"PYTHONHASHSEED": seed}, capture_output=True, text=True, check=True)
+        texts.append(done.stdout)
+    assert texts[0] == texts[1] and texts[0].count("func.func public") == 2
