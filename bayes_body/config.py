@@ -8,13 +8,13 @@ CACHE_LIMIT_BYTES = 2**30
 
 
 def configure(devices: int | None = None, cache: bool = True) -> None:
-    """Prepare JAX: one host device a core (at most `devices`), and a persistent compilation cache in the user's cache folder.
+    """Prepare JAX: one host device per core (at most `devices`), and a persistent compilation cache in the user's cache folder.
 
-    Particles are spread over the host devices. Call it before the first JAX computation; a setting that the environment already makes is left alone.
+    Particles are distributed over the host devices. Call this before the first JAX computation. Settings that the environment already makes are kept.
 
     Args:
-        devices: how many host devices to make; by default one a core, at most 16.
-        cache: whether compiled programs are kept between processes.
+        devices: number of host devices; default: one per core, at most 16.
+        cache: whether to keep compiled programs between processes.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if "xla_force_host_platform_device_count" not in flags:
@@ -24,7 +24,7 @@ def configure(devices: int | None = None, cache: bool = True) -> None:
 
     if cache and not jax.config.jax_compilation_cache_dir:
         jax.config.update("jax_compilation_cache_dir", str(_cache_folder(jax.__version__)))
-    # XLA's default leaves out what compiles fast; all our programs together are what the user waits for.
+    # By default XLA does not cache programs that compile fast, but together they take most of the user's waiting time.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     jax.config.update("jax_compilation_cache_max_size", CACHE_LIMIT_BYTES)
@@ -33,7 +33,7 @@ def configure(devices: int | None = None, cache: bool = True) -> None:
 def _cache_folder(version: str) -> Path:
     import platformdirs
 
-    # Compiled code is for one processor: on a home shared by several machines each needs a folder of its own.
+    # Compiled code is for one type of processor: on a home folder shared by several machines, each type needs a separate cache.
     return Path(platformdirs.user_cache_dir("bayes_body")) / f"jax-{version}-{_processor()}"
 
 
@@ -46,6 +46,6 @@ def _processor() -> str:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         text += "".join(sorted({line for line in lines if line.startswith(("model name", "flags"))}))
     except OSError:
-        # No such file on this system: the architecture and platform must do.
+        # No such file on this system: architecture and platform are the best information available.
         text += platform.processor()
     return hashlib.sha256(text.encode()).hexdigest()[:12]

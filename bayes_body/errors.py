@@ -1,4 +1,4 @@
-"""What a user reads when an input is wrong: which thing, its value, what was expected, and the remedy, in one sentence."""
+"""Errors about a user's input: which input, its value, what was expected, and the remedy, in one sentence."""
 
 import difflib
 from collections.abc import Iterable
@@ -9,7 +9,7 @@ class InputError(ValueError):
 
 
 class FaultyFileError(InputError):
-    """All that is wrong with one file, a sentence each."""
+    """All faults of one file, one sentence each."""
 
     def __init__(self, sentences: Iterable[str]):
         self.sentences = tuple(sentences)
@@ -17,12 +17,12 @@ class FaultyFileError(InputError):
 
 
 def input_error(subject: object, found: str, expected: str, remedy: str) -> InputError:
-    """The error `subject: found; expected ...; remedy.`, with its parts in the order in which a reader needs them."""
+    """The error `subject: found; expected ...; remedy.`"""
     return InputError(f"{subject}: {found}; expected {expected}; {remedy}.")
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """`did you mean 'x'?` where a known name is close, else the list of the known names."""
+    """`did you mean 'x'?` if a known name is similar, else the list of known names."""
     known = sorted(known)
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     return f"did you mean '{close[0]}'?" if close else f"known: {', '.join(known) or 'none'}"

@@ -55,13 +55,13 @@ def main() -> None:
     truth = ev.best_truth(keys[3], densities[0], many, long, bar)
     figures = ev.figures_of(model.body.dof_names, equal, truth)
     figures["settings"] |= vars(arguments) | {"hmc": options, "runs": runs, "truth": many}
-    print(ev.told(figures))
+    print(ev.summary(figures))
     save(arguments, figures)
     if frames:
         filters = {f"hmc, {carry}": (bb.kernels.hmc(**options | {"carry": carry}), draws) for carry in ("means", "draws")}
         filters["sir"] = bb.kernels.sir(), equal.particles["evaluations"]
         figures["frames"] = path.along(keys[4], densities, mixture, filters, runs, 400 if arguments.quick else 1600, bar)
-        print(path.told(figures["frames"]))
+        print(path.summary(figures["frames"]))
         save(arguments, figures)
 
 

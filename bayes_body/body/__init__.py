@@ -1,1 +1,1 @@
-"""Bodies: joints, solids, and what a body file may say."""
+"""Bodies: joints, solids, and the schema of a body file."""

@@ -1,4 +1,4 @@
-"""From what a body file says to the arrays of one subject's body: metres, radians."""
+"""Convert a body file to the arrays of one subject's body: metres, radians."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ from bayes_body.errors import input_error, nearest
 
 
 class Shape(NamedTuple):
-    """A subject's measures, by name; what is missing follows from the height by the body file's proportions."""
+    """A subject's measurements, by name. What is missing follows from the height and the body file's proportions."""
 
     height_m: float | None = None
     lengths_m: Mapping[str, float] = {}
@@ -27,10 +27,10 @@ class Shape(NamedTuple):
 
 
 def build_body(name: str, schema: BodySchema, shape: Shape = Shape()) -> Body:
-    """The body of one subject.
+    """Build the body of one subject.
 
     Raises:
-        InputError: the shape names a length or a part that the body does not have.
+        InputError: the shape names an unknown length or part.
     """
     _check_names(name, schema, shape)
     height = shape.height_m or schema.height_m
@@ -59,7 +59,7 @@ def build_body(name: str, schema: BodySchema, shape: Shape = Shape()) -> Body:
         presets=jnp.stack([preset_rotation(part.preset) for part in parts]),
         offsets=jnp.asarray([vector(part.offset, lengths) for part in parts]),
         lengths=jnp.asarray([lengths[part.length] for part in parts]),
-        # Nobody is thicker than they look.
+        # No part is thicker than its outline.
         radii=jnp.minimum(jnp.asarray([radii[part.name] for part in parts]), jnp.asarray([outline[part.name] for part in parts])),
         outline_radii=jnp.asarray([outline[part.name] for part in parts]),
         sections=jnp.asarray([shape.sections.get(part.name, part.section) for part in parts]),
@@ -85,7 +85,7 @@ def _pairs(schema: BodySchema) -> tuple[tuple[int, int], ...]:
 
 
 def _widths(schema: BodySchema, dofs: Sequence[str]) -> tuple[tuple[int, int, int], ...]:
-    """Of each end of a part that a dof widens: (part, end, dof). A fixed dof is none."""
+    """(part, end, dof) for each end of a part that a free dof widens."""
     named = [(p, end, name) for p, part in enumerate(schema.parts) for end, name in enumerate(part.widened)]
     return tuple((p, end, dofs.index(name)) for p, end, name in named if name in dofs)
 

@@ -1,4 +1,4 @@
-"""What can be wrong with a body file beyond its types: names that mean nothing, names given twice, a joint tree that is none."""
+"""Checks of a body file beyond its types: unknown names, duplicate names, a joint hierarchy that is not a tree."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -10,11 +10,11 @@ WORLD = "world"
 
 
 def faults(body: BodyTables) -> list[str]:
-    """All that is wrong, a sentence each; empty for a sound body."""
-    return [*_repeated(body), *_dangling(body), *_cycles(body), *_widths(body)]
+    """All faults, one sentence each; empty for a valid body."""
+    return [*_duplicate_names(body), *_unknown_names(body), *_cycles(body), *_widths(body)]
 
 
-def _repeated(body: BodyTables) -> Iterator[str]:
+def _duplicate_names(body: BodyTables) -> Iterator[str]:
     for kind, names in (
         ("joint", [joint.name for joint in body.joints]),
         ("part", [part.name for part in body.parts]),
@@ -22,15 +22,15 @@ def _repeated(body: BodyTables) -> Iterator[str]:
     ):
         for name, count in Counter(names).items():
             if count > 1:
-                yield f"{kind} '{name}' is defined {count} times; give each {kind} a name of its own"
+                yield f"{kind} '{name}' is defined {count} times; give each {kind} a unique name"
 
 
-def _dangling(body: BodyTables) -> Iterator[str]:
+def _unknown_names(body: BodyTables) -> Iterator[str]:
     joints = {joint.name for joint in body.joints}
     parts = {part.name for part in body.parts}
     for joint in body.joints:
         if joint.parent not in joints | {WORLD}:
-            yield f"joint '{joint.name}': parent '{joint.parent}' is no joint; {nearest(joint.parent, joints | {WORLD})}"
+            yield f"joint '{joint.name}': parent '{joint.parent}' is not a joint; {nearest(joint.parent, joints | {WORLD})}"
         yield from _unknown_lengths(body, f"joint '{joint.name}'", joint.offset)
     for kind, item in [("part", part) for part in body.parts] + [("marker", marker) for marker in body.markers.items()]:
         name, thing = item if isinstance(item, tuple) else (item.name, item)
@@ -41,7 +41,7 @@ def _dangling(body: BodyTables) -> Iterator[str]:
         if part.length not in body.lengths_of_height:
             yield f"part '{part.name}': length '{part.length}' is not in lengths_of_height; {nearest(part.length, body.lengths_of_height)}"
     for name in {name for pair in body.penetration for name in pair} - parts:
-        yield f"penetration: '{name}' is no part; {nearest(name, parts)}"
+        yield f"penetration: '{name}' is not a part; {nearest(name, parts)}"
 
 
 def _widths(body: BodyTables) -> Iterator[str]:
@@ -50,22 +50,22 @@ def _widths(body: BodyTables) -> Iterator[str]:
     for part in body.parts:
         for name, share in zip(part.widened, part.radius_of_height, strict=True):
             if name and name not in widths:
-                yield f"part '{part.name}': widened by '{name}', which is no dof of axis 'width'; {nearest(name, widths)}"
+                yield f"part '{part.name}': widened by '{name}', which is not a dof of axis 'width'; {nearest(name, widths)}"
             elif name and (widths[name].low_m or 0.0) + share * body.height_m <= 0:
                 low = f"low_m = {widths[name].low_m:g} of '{name}'"
-                yield f"part '{part.name}': {low} leaves no radius of {share * body.height_m:.3g} m; give a larger low_m"
+                yield f"part '{part.name}': {low} removes the whole radius of {share * body.height_m:.3g} m; give a larger low_m"
     for name, dof in widths.items():
         if dof.low_m is None:
             yield f"dof '{name}' is a width without limits; give low_m and high_m"
         if name not in named:
-            yield f"dof '{name}' widens no part; name it in a part's `widened`, or leave it out"
+            yield f"dof '{name}' widens no part; name it in a part's `widened`, or remove it"
 
 
 def _unknown_lengths(body: BodyTables, owner: str, offset: Offset) -> Iterator[str]:
     entries: Iterable[tuple[str, float | str]] = offset
     for axis, value in entries:
         if isinstance(value, str) and value.lstrip("+-") not in body.lengths_of_height:
-            yield f"{owner}: offset {axis} = '{value}' names no length; {nearest(value.lstrip('+-'), body.lengths_of_height)}"
+            yield f"{owner}: offset {axis} = '{value}' is not a length; {nearest(value.lstrip('+-'), body.lengths_of_height)}"
 
 
 def _cycles(body: BodyTables) -> Iterator[str]:
@@ -78,5 +78,5 @@ def _cycles(body: BodyTables) -> Iterator[str]:
         if path[-1] in parent and start not in reported:
             loop = path[path.index(parent[path[-1]]) :]
             if not reported & set(loop):
-                yield f"joints {' -> '.join([*loop, loop[0]])} hang on each other in a cycle; one of them must have the parent '{WORLD}'"
+                yield f"joints {' -> '.join([*loop, loop[0]])} form a cycle of parents; one of them must have the parent '{WORLD}'"
             reported |= set(path)

@@ -1,6 +1,6 @@
-"""Joints as frames: what a body file says of a joint, with its fixed dofs turned into constants.
+"""Turn the joints of a body file into frames, with fixed dofs as constants.
 
-A dof whose limits are equal is fixed. What comes before it among a joint's dofs becomes a frame of its own, on which the fixed turn or shift stands.
+A dof with equal limits is fixed. The dofs before it become a separate frame, to which the fixed rotation or translation is attached.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from bayes_body.body.tables import Dof, Joint, Offset
 
 
 class Frame(NamedTuple):
-    """A joint's frame in its parent's: moved by `offset` (metres), turned by `rotation`, then by its dofs, none of which is fixed."""
+    """A joint's frame relative to its parent: translated by `offset` (metres), rotated by `rotation`, then moved by its dofs (none is fixed)."""
 
     name: str
     parent: str
@@ -26,12 +26,12 @@ class Frame(NamedTuple):
 
 
 def frames_of(schema: BodySchema, lengths: Mapping[str, float]) -> list[Frame]:
-    """All frames, parents first; a joint's last frame has its name."""
+    """All frames, parents first. A joint's last frame has the joint's name."""
     return [frame for joint in _parents_first(schema) for frame in _split(joint, lengths)]
 
 
 def vector(offset: Offset, lengths: Mapping[str, float]) -> list[float]:
-    """An offset's components, metres."""
+    """The components of an offset, metres."""
 
     def metres(value: float | str) -> float:
         if not isinstance(value, str):
@@ -52,7 +52,7 @@ def _parents_first(schema: BodySchema) -> list[Joint]:
 
 
 def _split(joint: Joint, lengths: Mapping[str, float]) -> list[Frame]:
-    found: list[Frame] = []
+    frames: list[Frame] = []
     offset, rotation = np.array(vector(joint.offset, lengths)), np.asarray(preset_rotation(joint.preset), float)
     parent, free = joint.parent, []
     for dof in joint.dofs:
@@ -60,11 +60,11 @@ def _split(joint: Joint, lengths: Mapping[str, float]) -> list[Frame]:
             free.append(dof)
             continue
         if free:
-            # The name cannot be a user's: it has a character that no key of a table starts with.
-            found.append(Frame(f"#{len(found) + 1} {joint.name}", parent, offset, rotation, tuple(free)))
-            parent, free, offset, rotation = found[-1].name, [], np.zeros(3), np.eye(3)
+            # No user can have chosen this name: TOML keys do not start with this character.
+            frames.append(Frame(f"#{len(frames) + 1} {joint.name}", parent, offset, rotation, tuple(free)))
+            parent, free, offset, rotation = frames[-1].name, [], np.zeros(3), np.eye(3)
         offset, rotation = (offset + rotation @ _shift(dof), rotation) if dof.is_shift else (offset, rotation @ _turn(dof))
-    return [*found, Frame(joint.name, parent, offset, rotation, tuple(free))]
+    return [*frames, Frame(joint.name, parent, offset, rotation, tuple(free))]
 
 
 def _axis(dof: Dof) -> Float[np.ndarray, "3"]:

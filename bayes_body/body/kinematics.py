@@ -1,11 +1,11 @@
 r"""Forward kinematics of all joints at once: $T_{world,j} = T_{world,parent(j)} \cdot P_j \cdot D_j(s)$, and its derivative in closed form.
 
-First every joint moves in its parent's frame, the k-th turns of all joints together. Then each frame is composed with its parent's, the result with
-the grandparent's and so on, twice as far each time: three rounds for a person. Written out joint by joint it takes the compiler three times as long.
-
-A dof k that turns about the axis $a_k$ through $q_k$ (unit vector and metres, world) moves all that hangs on it with the angular velocity
-$\omega = a_k \dot s_k$ and the velocity $\omega \times (p - q_k)$ at p; one that shifts along it, with the velocity $a_k \dot s_k$. A frame's
-change is the sum over the dofs that move it (Featherstone, Rigid Body Dynamics Algorithms, ch. 2): a product of matrices, and so is the gradient.
+First every joint moves in its parent's frame: the k-th rotations of all joints are computed together. Then each frame is composed with its parent's,
+the result with the grandparent's and so on, doubling the distance each time: three rounds for a person. Joint by joint, compilation takes three times
+as long. A dof k that rotates about the axis $a_k$ through $q_k$ (unit vector and metres, world) moves everything below it with the angular velocity
+$\omega = a_k \dot s_k$ and, at p, the velocity $\omega \times (p - q_k)$; one that translates along $a_k$, with the velocity $a_k \dot s_k$. The
+change of a frame is the sum over the dofs that move it (Featherstone, Rigid Body Dynamics Algorithms, ch. 2): a matrix product, and so is the
+gradient.
 """
 
 from functools import lru_cache, partial
@@ -22,9 +22,9 @@ from bayes_body.geometry import transforms
 from bayes_body.geometry.transforms import Transform
 from bayes_body.shapes import Pose
 
-# Some accelerators round the factors of a product of matrices to ten bits otherwise.
+# Without this, some accelerators round the factors of a matrix product to ten bits.
 EXACT = jax.lax.Precision.HIGHEST
-# Programs are kept for the process, and an index of 64 bits that JAX took in single precision it does not take in double.
+# Programs are cached, so indices must be 32 bits wide: JAX rejects in double precision a 64-bit index that it traced in single precision.
 INDEX = np.int32
 
 
@@ -33,7 +33,7 @@ def forward_kinematics(skeleton: Skeleton, pose: Pose) -> Transform:
     """`T_world_joint` of every joint, stacked: rotations (joint, 3, 3) and origins (joint, 3), metres.
 
     Args:
-        skeleton: joints of the body.
+        skeleton: the body's joints.
         pose: radians and metres, in the order of `topology.dof_names`.
     """
     return _frames(skeleton, pose)[0]
@@ -49,14 +49,14 @@ def marker_positions(skeleton: Skeleton, markers: Markers, pose: Pose) -> Float[
 
 
 class _Shifts(NamedTuple):
-    """How joints shift along their axes: the sum over n of pose[dofs[n]] * signs[n]; a sign of 0 is no shift."""
+    """How joints translate along their axes: the sum over n of pose[dofs[n]] * signs[n]; a sign of 0 means no translation."""
 
     dofs: Int[np.ndarray, "n joint 3"]
     signs: Float[np.ndarray, "n joint 3"]
 
 
 class _Turns(NamedTuple):
-    """The k-th turn of every joint: rotation = cos(angle) * cos + sin(angle) * sin + rest, by joint; none is the identity, in `rest`."""
+    """The k-th rotation of every joint: cos(angle) * cos + sin(angle) * sin + rest. Joints without one have the identity in `rest`."""
 
     dofs: Int[np.ndarray, " joint"]
     cos: Float[np.ndarray, "joint 3 3"]
@@ -65,14 +65,14 @@ class _Turns(NamedTuple):
 
 
 class _Program(NamedTuple):
-    """What a topology's kinematics consist of.
+    """The kinematics of a topology.
 
     Attributes:
-        shifts: those before each turn and after the last one; None where no joint has any.
-        turns: in order.
-        ancestors: of each round, whose frame a joint's is composed with; -1 for none.
-        moves: (joint, dof) 1 where the dof moves the joint.
-        joint, before, axis, sign, shift: of each dof, its joint, the number of its joint's turns before it, and what it does.
+        shifts: those before each rotation and after the last one; None where no joint has any.
+        turns: the rotations, in order.
+        ancestors: for each round, the frame with which a joint's is composed; -1 for none.
+        moves: (joint, dof); 1 if the dof moves the joint.
+        joint, before, axis, sign, shift: for each dof, its joint, the number of its joint's rotations before it, and its effect.
     """
 
     shifts: tuple[_Shifts | None, ...]
@@ -129,7 +129,7 @@ def _write(turns: _Turns, joint: int, motion: Motion) -> None:
 
 
 def _rounds(parents: tuple[int, ...]) -> tuple[Int[np.ndarray, " joint"], ...]:
-    """Parents, then whom the parents' frames are known from by then, until all are known from the world."""
+    """For each round, the ancestors with whose frames the joints' are composed: parents first, then twice as far each time, up to the world."""
     rounds, above = [], np.array(parents, INDEX)
     while (above >= 0).any():
         rounds.append(above)
@@ -141,13 +141,13 @@ def _rounds(parents: tuple[int, ...]) -> tuple[Int[np.ndarray, " joint"], ...]:
 
 
 def _frames(skeleton: Skeleton, pose: Pose) -> tuple[Transform, list[Transform]]:
-    """Every joint in the world; and in its parent's frame before each of its turns and after them."""
+    """Every joint in the world, and in its parent's frame before each of its rotations and after them."""
     program = _program(skeleton.topology)
     stages = _stages(skeleton, program, pose)
     T = stages[-1]
     for ancestor in program.ancestors:
-        # Without barriers XLA writes all rounds before anew into every reader of this one; one for both could not be transposed where lengths alone
-        # are differentiated by.
+        # Without barriers XLA copies all earlier rounds into every reader of this one. A single barrier for both could not be transposed when only
+        # lengths are differentiated.
         T = jax.tree.map(jax.lax.optimization_barrier, T)
         T = transforms.compose(_above(T, ancestor), T)
     return T, stages
@@ -170,7 +170,7 @@ def _stages(skeleton: Skeleton, program: _Program, pose: Pose) -> list[Transform
 
 
 def _above(T: Transform, ancestor: Int[np.ndarray, " joint"]) -> Transform:
-    """The frames of the ancestors; the world's where there is none."""
+    """The frames of the ancestors; the world's if there is none."""
     known = (ancestor >= 0)[:, None]
     frames = transforms.pick(T, np.maximum(ancestor, 0))
     eye = jnp.eye(3, dtype=T.origin.dtype)
@@ -192,12 +192,12 @@ def _change(primals: tuple[Skeleton, Pose], tangents: tuple[Skeleton, Any]) -> t
 
 
 def _is_zero(tangent: Any) -> bool:
-    """Whether it says that this is not what is differentiated by."""
+    """Whether a tangent marks an argument that is not differentiated."""
     return isinstance(tangent, SymbolicZero)
 
 
 def _by_pose(topology: Topology, T: Transform, stages: list[Transform], speed: Pose) -> Transform:
-    """How the frames change with the dofs, by the formula of the module."""
+    """How the frames change with the dofs (formula of the module)."""
     program, dtype = _program(topology), speed.dtype
     above = transforms.pick(_above(T, np.array(topology.parents, INDEX)), program.joint)
     rotations, origins = (jnp.stack(column) for column in zip(*stages, strict=True))
@@ -205,7 +205,7 @@ def _by_pose(topology: Topology, T: Transform, stages: list[Transform], speed: P
     place = transforms.apply(above, origins[program.before, program.joint])
     step = (program.sign.astype(dtype) * speed)[:, None] * axis
     shifts = program.shift[:, None]
-    # Angular velocity, and the velocity of what is at the world's origin.
+    # Angular velocity, and the velocity of the point at the world's origin.
     twists = jnp.concatenate([jnp.where(shifts, 0, step), jnp.where(shifts, step, jnp.cross(place, step))], axis=1)
     spin, drift = jnp.split(jnp.tensordot(program.moves.astype(dtype), twists, 1, precision=EXACT), 2, axis=1)
     return Transform(jnp.cross(spin[:, :, None], T.rotation, axis=1), jnp.cross(spin, T.origin) + drift)

@@ -1,4 +1,4 @@
-"""A body file whose tables fit together: the schema that definitions are read with."""
+"""The schema of a body file, with the check that its tables fit together."""
 
 from pydantic import model_validator
 
@@ -7,10 +7,10 @@ from bayes_body.body.tables import BodyTables
 
 
 class BodySchema(BodyTables):
-    """A whole body: a tree of joints, the parts that hang on it, and its virtual markers.
+    """A whole body: a tree of joints, the parts attached to it, and its virtual markers.
 
-    `measured_as` names another body with the same dofs and, as far as that has them, the same lengths and parts: what is measured of a subject in the
-    names of that one holds for this one.
+    `measured_as` names another body with the same dofs and the same lengths and parts, as far as the other has them. A subject's measurements under
+    the other body's names are valid for this one.
     """
 
     @model_validator(mode="after")

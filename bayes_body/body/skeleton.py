@@ -1,4 +1,4 @@
-"""A tree of joints: in its parent's frame each has a fixed preset and offset, then its own dofs in order (body/kinematics.py)."""
+"""A tree of joints. Each has a fixed preset and offset in its parent's frame, then its own dofs in order (body/kinematics.py)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from bayes_body.shapes import Rotation
 
 
 class Motion(NamedTuple):
-    """One dof of a joint: which axis it turns about or shifts along, in which sense (0: it moves nothing), and which entry of the pose it reads."""
+    """One dof of a joint: the axis of its rotation or translation, the sign (0: it moves nothing), and its index in the pose."""
 
     dof: int
     axis: int
@@ -24,7 +24,7 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True)
 class Topology:
-    """The static side of a skeleton: hashable, so that a new subject of the same body compiles nothing anew."""
+    """The static side of a skeleton. It is hashable, so a new subject with the same body needs no new compilation."""
 
     joint_names: tuple[str, ...]
     parents: tuple[int, ...]
@@ -34,14 +34,14 @@ class Topology:
 
     @property
     def angular(self) -> tuple[bool, ...]:
-        """For each dof, whether it is an angle (radians) and not a shift (metres)."""
+        """For each dof, whether it is an angle (radians) or not (metres)."""
         return tuple(unit == "rad" for unit in self.dof_units)
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=["topology"], data_fields=["presets", "offsets", "low", "high"])
 @dataclass(frozen=True)
 class Skeleton:
-    """Joints as arrays: `presets` and `offsets` (metres) of each joint in its parent's frame; limits of each dof, radians or metres, or infinite."""
+    """Joints as arrays: `presets` and `offsets` (metres) of each in its parent's frame; limits of each dof, radians or metres, possibly infinite."""
 
     topology: Topology
     presets: Float[Array, "joint 3 3"]
@@ -53,7 +53,7 @@ class Skeleton:
 @partial(jax.tree_util.register_dataclass, meta_fields=["joints", "names"], data_fields=["offsets"])
 @dataclass(frozen=True)
 class Markers:
-    """Virtual markers: points of joint frames, metres."""
+    """Virtual markers: points in joint frames, metres."""
 
     names: tuple[str, ...]
     joints: tuple[int, ...]

@@ -1,16 +1,16 @@
-r"""Parts as solids, and what a camera sees of them.
+r"""The parts of a body as solids, and their projection to a camera.
 
-A tapered cylinder has the ends $e_0, e_1 = e_0 + \ell a$, radii $r_0, r_1$ and an elliptical section of semi-axes $(r s_x, r s_y)$ along its own x
-and y. Seen along $c$ (in the part's frame), the point of a section whose normal is perpendicular to the view is
+A tapered cylinder has the ends $e_0, e_1 = e_0 + \ell a$, radii $r_0, r_1$ and an elliptical section with semi-axes $(r s_x, r s_y)$ along its own
+x and y. For a view along $c$ (in the part's frame), the contour point of a section is where the normal is perpendicular to the view,
 
 $$p_\pm = e \pm r\,(s_x \cos\theta,\ s_y \sin\theta), \qquad (\cos\theta, \sin\theta) \propto (c_y / s_y,\ -c_x / s_x),$$
 
-which for a circular section is the occluding contour of Poon & Fleet (2002, 3.2), $e \pm r (a \times c)/\|a \times c\|$. Only the view across the
-axis enters, and it is the same from both ends. A sphere is seen as the disc through its centre, perpendicular to the view.
+For a circular section this is the occluding contour of Poon & Fleet (2002, 3.2), $e \pm r (a \times c)/\|a \times c\|$. Only the component of the
+view perpendicular to the axis matters, and it is the same at both ends. A sphere appears as the disc through its centre perpendicular to the view.
 
-Every point that a likelihood looks at is then a sum of four vectors of its part, $V_0 + \alpha V_1 + \beta V_2 + \gamma V_3$, with fixed
-coefficients: $(1, t, s, ts)$ on a cylinder, with $t \in [0, 1]$ along and $s \in [-1, 1]$ across it. The outline is $s = \pm 1$; the surface
-samples are the points between, on the patch that faces the camera.
+Every point that a likelihood reads is therefore a sum of four vectors of its part, $V_0 + \alpha V_1 + \beta V_2 + \gamma V_3$, with fixed
+coefficients: $(1, t, s, ts)$ on a cylinder, with $t \in [0, 1]$ along and $s \in [-1, 1]$ across it. The outline is $s = \pm 1$; surface samples are
+points in between, on the patch that faces the camera.
 """
 
 from dataclasses import dataclass, replace
@@ -31,9 +31,9 @@ from bayes_body.shapes import Pose, Vector3
 
 @dataclass(frozen=True)
 class PartTopology:
-    """The static side of the parts: names, the joint each hangs on, which are spheres, which pairs must not penetrate.
+    """The static side of the parts: names, each part's joint, which parts are spheres, and which pairs must not penetrate.
 
-    `widths`: which ends a dof widens, as (part, 0 for its base or 1 for its tip, dof).
+    `widths`: the part ends that a dof widens, as (part, 0 for base or 1 for tip, dof).
     """
 
     names: tuple[str, ...]
@@ -51,10 +51,10 @@ class PartTopology:
 )
 @dataclass(frozen=True)
 class Body:
-    """A body of one subject: skeleton, markers, solids.
+    """The body of one subject: skeleton, markers, solids.
 
-    Lengths, offsets and radii (base, tip) in metres; sections are scale factors of x and y. `radii` are those of the solids that cannot stand in one
-    another, `outline_radii` those of what cameras see, clothes included.
+    Lengths, offsets and radii (base, tip) in metres; sections are scale factors in x and y. `radii` are those of the solids, which cannot penetrate
+    each other. `outline_radii` are those that cameras see, clothes included.
     """
 
     name: str
@@ -81,7 +81,7 @@ def part_transforms(body: Body, pose: Pose) -> Transform:
 
 
 def widened(body: Body, pose: Pose) -> Body:
-    """The body with the radii that the dofs of axis `width` give it."""
+    """The body with its radii changed by the dofs of axis `width`."""
     if not body.topology.widths:
         return body
     parts, ends, dofs = (np.array(column) for column in zip(*body.topology.widths, strict=True))
@@ -90,7 +90,7 @@ def widened(body: Body, pose: Pose) -> Body:
 
 
 class Patches(NamedTuple):
-    """The four vectors V0..V3 of every part for one view point, metres: `V0 + t V1 + s V2 + t s V3` is a point of the patch that faces it."""
+    """The four vectors V0..V3 of every part for one viewpoint, metres: `V0 + t V1 + s V2 + t s V3` is a point on the patch that faces it."""
 
     start: Float[Array, "part 3"]
     along: Float[Array, "part 3"]
@@ -99,9 +99,9 @@ class Patches(NamedTuple):
 
 
 def patches(body: Body, T_world_part: Transform, viewpoint: Vector3) -> Patches:
-    """The visible patch of every part, seen from `viewpoint` (metres, world)."""
+    """The visible patch of every part, for a `viewpoint` (metres, world)."""
     base = T_world_part.origin
-    # Base and tip differ along the axis only, which the side does not see: one side serves both ends.
+    # Base and tip differ along the axis only, so the direction to the contour is the same at both ends.
     side = _side(body, T_world_part, base - viewpoint)
     near, far = body.outline_radii[:, :1], body.outline_radii[:, 1:]
     cylinders = Patches(base, body.lengths[:, None] * T_world_part.z, side * near, side * (far - near))
@@ -113,10 +113,10 @@ def patches(body: Body, T_world_part: Transform, viewpoint: Vector3) -> Patches:
 
 
 def _side(body: Body, T_world_part: Transform, view: Float[Array, "part 3"]) -> Float[Array, "part 3"]:
-    """From the axis to the occluding contour, for a section of radius one (see the module's formula)."""
+    """From the axis to the occluding contour, for a section of radius one (formula of the module)."""
     sx, sy = body.sections[:, 0], body.sections[:, 1]
     nx, ny = transforms.dot(view, T_world_part.y) / sy, -transforms.dot(view, T_world_part.x) / sx
-    # Seen exactly end-on the contour is undefined; the clamp keeps it finite, and such a part shows no side anyway.
+    # For a view exactly end-on the contour is undefined. The clamp keeps it finite; such a part has no visible side anyway.
     scale = jax.lax.rsqrt(jnp.maximum(nx * nx + ny * ny, 1e-12))
     return (nx * scale * sx)[:, None] * T_world_part.x + (ny * scale * sy)[:, None] * T_world_part.y
 
@@ -124,12 +124,12 @@ def _side(body: Body, T_world_part: Transform, view: Float[Array, "part 3"]) -> 
 def _discs(body: Body, T_world_part: Transform, viewpoint: Vector3) -> Patches:
     disc = facing_discs(body, T_world_part, viewpoint)
     radius = body.outline_radii[:, :1]
-    # t runs over a diameter: V0 + t V1 goes from -r to r, and the samples' s is shortened to the circle.
+    # t runs over a diameter: V0 + t V1 goes from -r to r, and the samples' s is reduced to the circle.
     return Patches(disc.centre - radius * disc.up, 2 * radius * disc.up, radius * disc.right, jnp.zeros_like(disc.centre))
 
 
 class Discs(NamedTuple):
-    """Of every part taken as a sphere: its centre (metres, world) and two unit vectors that span the disc facing a viewpoint."""
+    """Every part as a sphere: its centre (metres, world) and two unit vectors that span the disc facing a viewpoint."""
 
     centre: Float[Array, "part 3"]
     right: Float[Array, "part 3"]
@@ -140,32 +140,32 @@ def facing_discs(body: Body, T_world_part: Transform, viewpoint: Vector3) -> Dis
     """The discs through the middle of every part, perpendicular to the view from `viewpoint`."""
     centre = T_world_part.origin + 0.5 * body.lengths[:, None] * T_world_part.z
     view = transforms.unit(centre - viewpoint)
-    # Seen along the part's own z the disc is spanned from its x: the vectors turn, the disc stays what it is.
+    # For a view along the part's z, the disc is spanned from its x: the vectors change, the disc does not.
     along = (jnp.abs(transforms.dot(view, T_world_part.z)) > 0.9)[:, None]
     right = transforms.unit(jnp.cross(jnp.where(along, T_world_part.x, T_world_part.z), view))
     return Discs(centre, right, jnp.cross(view, right))
 
 
 class Samples(NamedTuple):
-    """Where a likelihood looks: coefficients (t, s) of points on every part's patch."""
+    """Coefficients (t, s) of sample points on every part's patch."""
 
     t: Float[Array, "part sample"]
     s: Float[Array, "part sample"]
 
 
 def outline_samples(body: Body, per_side: int) -> Samples:
-    """Points on both sides of every part's occluding contour, `2 * per_side` a part, evenly spaced."""
+    """Points on both sides of every part's occluding contour, `2 * per_side` per part, evenly spaced."""
     return _samples(body, (np.arange(per_side) + 0.5) / per_side, np.array([-1.0, 1.0]))
 
 
 def surface_samples(body: Body, along: int, across: int) -> Samples:
-    """A grid of `along * across` points on the patch that faces the camera, away from its edge by half a step."""
+    """A grid of `along * across` points on the patch that faces the camera, half a step away from its edge."""
     return _samples(body, (np.arange(along) + 0.5) / along, (2 * np.arange(across) + 1) / across - 1)
 
 
 def _samples(body: Body, t: np.ndarray, s: np.ndarray) -> Samples:
     grid_t, grid_s = (axis.ravel() for axis in np.meshgrid(t, s))
-    # A sphere's outline is the circle: at the height t its half width is that of the chord.
+    # A sphere's outline is a circle: at the height t its half width is that of the chord.
     chord = 2 * np.sqrt(grid_t * (1 - grid_t)) * grid_s
     rows = [chord if sphere else grid_s for sphere in body.topology.is_sphere]
     dtype = body.lengths.dtype
@@ -190,11 +190,11 @@ def sphere_approximation(body: Body, T_world_part: Transform) -> Spheres:
 
 
 def penetration_depths(body: Body, T_world_part: Transform) -> Float[Array, " pair"]:
-    """How deep the spheres of each pair of `topology.penetration` stand in one another at the worst place, metres; negative where they are apart."""
+    """The largest penetration of the spheres of each pair in `topology.penetration`, metres; negative if they are apart."""
     if not body.topology.penetration:
         return jnp.zeros((0,), body.lengths.dtype)
     spheres = sphere_approximation(body, T_world_part)
-    # (x y z r, sphere, part): pairs of parts last, so that all is elementwise over them.
+    # (x y z r, sphere, part): pairs of parts last, so that everything is elementwise over them.
     table = jnp.concatenate([jnp.transpose(spheres.centres, (2, 1, 0)), spheres.radii.T[None]])
     first, second = (
         jax.lax.optimization_barrier(jnp.stack([table[:, :, pair[side]] for pair in body.topology.penetration], axis=-1)) for side in (0, 1)
@@ -203,5 +203,5 @@ def penetration_depths(body: Body, T_world_part: Transform) -> Float[Array, " pa
     x, y, z = (a[k] - b[k] for k in range(3))
     # sqrt of a clamped square: its gradient at coinciding centres would be infinite.
     depths = a[3] + b[3] - jnp.sqrt(jnp.maximum(x * x + y * y + z * z, 1e-12))
-    # Not as a reduction over two small axes: XLA runs that unvectorised, at ten times the cost.
+    # Not a reduction over two small axes, which XLA runs unvectorised, ten times slower.
     return reduce(jnp.maximum, depths.reshape(-1, depths.shape[-1]))

@@ -1,6 +1,6 @@
-"""What a body file says (models/bodies/*.toml, or `[body]` written out in a model): joints, their angles and limits, parts, markers.
+"""The tables of a body file (models/bodies/*.toml, or `[body]` in a model): joints, their angles and limits, parts, markers.
 
-Metres and degrees, as written by the user; `bayes_body.body.build` turns them into arrays in metres and radians.
+Metres and degrees, as the user writes them. `bayes_body.body.build` converts them to arrays in metres and radians.
 """
 
 from typing import Annotated, Literal
@@ -14,10 +14,10 @@ Axis = Literal["x", "y", "z", "-x", "-y", "-z", "tx", "ty", "tz", "width"]
 
 
 class Dof(Schema):
-    """One degree of freedom: a turn about (`x`, `-x`, ...) or a shift along (`tx`, ...) an axis of the joint's own frame, or a `width`.
+    """One degree of freedom: a rotation about (`x`, `-x`, ...) or a translation along (`tx`, ...) an axis of the joint's own frame, or a `width`.
 
-    A turn has limits in degrees, a shift in metres; without limits it is unbounded. Where both are the same it is fixed, and no dof any more. A width
-    moves nothing: it is added, metres, to the radii of the parts that are `widened` by it, and must have limits.
+    A rotation has limits in degrees, a translation in metres; without limits it is unbounded. With equal limits it is fixed, and no longer a dof. A
+    width moves nothing: it is added, in metres, to the radii of the parts whose `widened` names it, and must have limits.
     """
 
     name: str
@@ -34,17 +34,17 @@ class Dof(Schema):
 
     @property
     def is_width(self) -> bool:
-        """Whether this changes parts, and moves nothing."""
+        """Whether this changes radii and moves nothing."""
         return self.axis == "width"
 
     @property
     def limits(self) -> tuple[float | None, float | None]:
-        """The limits as written: degrees of an angle, metres of a shift."""
+        """The limits as written: degrees for an angle, metres for a translation or a width."""
         return (self.low_m, self.high_m) if self.is_shift else (self.low_deg, self.high_deg)
 
     @property
     def is_fixed(self) -> bool:
-        """Whether its limits leave it one value."""
+        """Whether its limits allow one value only."""
         low, high = self.limits
         return low is not None and low == high
 
@@ -56,14 +56,14 @@ class Dof(Schema):
             raise ValueError(f"dof '{self.name}' is {kind}: give its limits as low_{unit} and high_{unit}")
         low, high = self.limits
         if (low is None) != (high is None):
-            raise ValueError(f"dof '{self.name}' has one limit only: give both low_{unit} and high_{unit}, or neither")
+            raise ValueError(f"dof '{self.name}' has only one limit: give both low_{unit} and high_{unit}, or neither")
         if low is not None and high is not None and low > high:
             raise ValueError(f"dof '{self.name}': low_{unit} = {low:g} is above high_{unit} = {high:g}; swap them, or make them equal if it is fixed")
         return self
 
 
 class Offset(Schema):
-    """A vector along the axes of a frame; each entry is metres or the name of a length, with a sign if need be: `z = "-torso"`."""
+    """A vector along the axes of a frame. Each entry is in metres or the name of a length, with an optional sign: `z = "-torso"`."""
 
     x: Finite | str = 0.0
     y: Finite | str = 0.0
@@ -71,7 +71,7 @@ class Offset(Schema):
 
 
 class Joint(Schema):
-    """A frame that hangs on its parent's: moved by the offset along the parent's axes, turned by the presets in order, then by its dofs in order."""
+    """A frame attached to its parent: translated along the parent's axes, rotated by the presets in order, then moved by its dofs in order."""
 
     name: str
     parent: str
@@ -81,10 +81,10 @@ class Joint(Schema):
 
 
 class Part(Schema):
-    """A tapered cylinder of elliptical section along +z of its frame, or a sphere about the point at half its length.
+    """A tapered cylinder with an elliptical section along +z of its frame, or a sphere about the point at half its length.
 
-    Radii and length: metres, or a share of the body's height where a subject gives none of its own. `widened` names the dofs of axis `width` that are
-    added to the radii of base and tip; an empty name is none.
+    Radii and length are in metres, or shares of the body's height for subjects without their own measurements. `widened` names the dofs of axis
+    `width` that are added to the radii of base and tip; an empty name means none.
     """
 
     name: str
@@ -99,7 +99,7 @@ class Part(Schema):
 
 
 class Marker(Schema):
-    """A virtual marker: a point of a joint's frame."""
+    """A virtual marker: a point in a joint's frame."""
 
     joint: str
     offset: Offset = Offset()

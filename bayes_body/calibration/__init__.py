@@ -1,4 +1,4 @@
-"""Is a kernel's posterior the model's? Ranks of simulated truths, invariance of Markov moves, coverage; quadrature where nothing can be simulated."""
+"""Check that a kernel samples the model's posterior: ranks of simulated truths, invariance of Markov moves, coverage, quadrature."""
 
 from bayes_body.calibration.problem import Problem, Quantities, problem_of
 

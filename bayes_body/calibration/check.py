@@ -1,4 +1,4 @@
-"""A model and a kernel, checked: which experiments there are, how they are run, and what comes out of them."""
+"""Check a model and a kernel: the experiments, how they run, and their results."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -21,25 +21,25 @@ from bayes_body.toml.read import validate
 from bayes_body.view.progress import Watch, unwatched
 
 SBC, INVARIANCE = "sbc", "invariance"
-# A move costs a small part of a filter: more of them can be afforded.
+# A move costs a small part of a filter, so more replications are affordable.
 MOVES_A_REPLICATION = 2
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is checked; whatever changes a replication's figures stands here.
+    """What is checked: everything that affects the figures of a replication.
 
     Attributes:
-        model: a definition's name or path.
-        kernel: a kernel's name.
-        options: every option of it, the particles too.
-        session: folder whose cameras, subject and first pose are taken; None takes a room of four cameras.
-        rig: file of other cameras for that room.
-        frames: that a filter goes through.
-        bins: of the ranks.
-        wandering: steps of the motion prior that part the first states of the replications from each other.
-        seed: of everything random.
-        plugins: files of the user's own terms, which each process loads.
+        model: name or path of a definition.
+        kernel: name of a kernel.
+        options: all its options, including particles.
+        session: folder of a session that supplies cameras, subject and first pose; None: a room with four cameras.
+        rig: file with other cameras for that room.
+        frames: number of frames that a filter processes.
+        bins: number of bins of the ranks.
+        wandering: number of steps of the motion prior that separate the first states of the replications.
+        seed: the seed of everything random.
+        plugins: files with the user's own terms, which each process loads.
     """
 
     model: str
@@ -55,7 +55,7 @@ class Plan:
 
 
 class Findings(NamedTuple):
-    """What the experiments gave: names and figures of the ranks, and of the Markov move where the kernel has one."""
+    """The results of the experiments: names and figures of the ranks, and of the Markov move if the kernel has one."""
 
     names: tuple[str, ...]
     ranks: Figures
@@ -64,7 +64,7 @@ class Findings(NamedTuple):
 
 
 def model_of(plan: Plan) -> Model:
-    """The plan's model, in its session or in a room.
+    """The plan's model, with its session or in a room.
 
     Raises:
         InputError: the definition, the session or the rig cannot be used.
@@ -78,22 +78,22 @@ def model_of(plan: Plan) -> Model:
 
 
 def experiments_of(plan: Plan) -> Experiments:
-    """Built anew in each process."""
+    """Build the experiments; called in each process."""
     problem = problem_of(model_of(plan), plan.wandering)
     term = find("kernel", plan.kernel)
     return experiments(problem, plan.kernel, validate(term.options, plan.options, plan.kernel), plan.frames, plan.bins, plan.seed)
 
 
 def experiments(problem: Problem, kind: str, options: Any, frames: int = 2, bins: int = 20, seed: int = 0) -> Experiments:
-    """Of a kernel and any problem, a user's own too.
+    """The experiments for a kernel and any problem, including a user's own.
 
     Args:
-        problem: the model.
+        problem: the model and what is ranked.
         kind: the kernel's name.
-        options: its options, as its schema has them.
-        frames: that a filter goes through.
-        bins: of the ranks.
-        seed: of everything random.
+        options: the kernel's options, in its schema.
+        frames: number of frames that a filter processes.
+        bins: number of bins of the ranks.
+        seed: the seed of everything random.
     """
     kernel, move = find("kernel", kind).build(options=options), markov_move(kind, options)
     found: dict[str, Any] = {SBC: sbc.replicate(problem, kernel, options.particles, frames, bins)}
@@ -103,14 +103,14 @@ def experiments(problem: Problem, kind: str, options: Any, frames: int = 2, bins
 
 
 def run_check(plan: Plan, replications: int, jobs: int = 0, kept: ReplicationLog | None = None, watch: Watch = unwatched) -> Findings:
-    """All replications of a plan.
+    """Run all replications of a plan.
 
     Args:
         plan: what is checked.
-        replications: how many ranks.
-        jobs: processes; 0 computes in this one.
-        kept: replications that are there already, and where new ones go.
-        watch: shows how far it is.
+        replications: number of replications for the ranks.
+        jobs: number of processes; 0 computes in this one.
+        kept: existing replications, to which new ones are added.
+        watch: shows the progress.
 
     Raises:
         InputError: nothing can be simulated from the model.
@@ -129,7 +129,7 @@ def findings(
     kept: ReplicationLog | None = None,
     watch: Watch = unwatched,
 ) -> Findings:
-    """As `run_check`, of any problem; `make` gives its experiments."""
+    """Like `run_check`, for any problem; `make` builds its experiments."""
     counts = {SBC: replications} | ({INVARIANCE: MOVES_A_REPLICATION * replications} if has_move else {})
     found = run_replications(make, counts, jobs, kept, watch)
     for figures in found.values():

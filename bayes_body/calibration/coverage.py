@@ -1,4 +1,4 @@
-"""How often the truth lies inside the posterior's intervals: weighted, equal-tailed; each share with its own binomial interval."""
+"""How often the truth is inside the posterior's weighted, equal-tailed intervals. Each share has a binomial interval."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ CONFIDENCE = 0.95
 
 
 class Coverage(NamedTuple):
-    """The share of truths inside, and between which shares the probability lies by the binomial law (Wilson 1927)."""
+    """The share of truths inside, and a binomial interval for its probability (Wilson 1927)."""
 
     share: float
     low: float
@@ -19,11 +19,11 @@ class Coverage(NamedTuple):
 
 
 def coverage(levels: Float[np.ndarray, " replication"], width: float) -> Coverage:
-    """Of one quantity.
+    """The coverage of one quantity.
 
     Args:
         levels: posterior probability below the truth, by replication.
-        width: of the interval, such as 0.9.
+        width: posterior probability of the interval, such as 0.9.
     """
     inside = int(np.sum(np.abs(levels - 0.5) <= width / 2))
     interval = binomtest(inside, len(levels)).proportion_ci(CONFIDENCE, method="wilson")

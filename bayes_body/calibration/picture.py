@@ -1,4 +1,4 @@
-"""The ranks of each quantity as the difference of their distribution function from the uniform one, with its band."""
+"""Plot the ranks of each quantity: the difference between their distribution function and the uniform one, with its band."""
 
 from pathlib import Path
 
@@ -17,13 +17,13 @@ INSIDE, OUTSIDE, BAND = "#1f5f8b", "#b3261e", "#cfd8dc"
 
 
 def draw_ranks(findings: Findings, bins: int, path: Path, title: str) -> None:
-    """A panel a quantity.
+    """Draw one panel per quantity.
 
     Args:
         findings: the replications' figures.
-        bins: of the ranks.
-        path: of the picture; its ending says of which kind.
-        title: above all panels.
+        bins: number of bins of the ranks.
+        path: the picture; its suffix gives the format.
+        title: title above all panels.
 
     Raises:
         InputError: the file cannot be written.
@@ -35,15 +35,15 @@ def draw_ranks(findings: Findings, bins: int, path: Path, title: str) -> None:
     rows = -(-len(places) // COLUMNS)
     figure = Figure(figsize=(3.0 * COLUMNS, 2.1 * rows + 0.9), layout="constrained")
     axes = figure.subplots(rows, COLUMNS, sharex=True, sharey=True, squeeze=False)
-    for axis, place, own, value in zip(axes.flat, places, counts, p, strict=False):
-        _panel(axis, findings.names[place], own, band, float(value), bool(value > limit))
+    for axis, place, ranked, value in zip(axes.flat, places, counts, p, strict=False):
+        _panel(axis, findings.names[place], ranked, band, float(value), bool(value > limit))
     for axis in list(axes.flat)[len(places) :]:
         axis.set_visible(False)
     for axis in list(axes.flat)[max(len(places) - COLUMNS, 0) : len(places)]:
         axis.tick_params(labelbottom=True)
     figure.suptitle(title, fontsize=11)
     figure.supxlabel("posterior level of the truth", fontsize=9)
-    figure.supylabel("share of truths below, less the level", fontsize=9)
+    figure.supylabel("share of truths below, minus the level", fontsize=9)
     with replacing(path) as partial:
         figure.savefig(partial, dpi=110)
 
@@ -51,10 +51,10 @@ def draw_ranks(findings: Findings, bins: int, path: Path, title: str) -> None:
 def _panel(axis: Axes, name: str, counts: NDArray[np.integer], band: bands.Bands, p: float, inside: bool) -> None:
     ends = np.array([0.0])
     points = np.concatenate([ends, band.points, ends + 1])
-    low, high, own = (np.concatenate([ends, side - band.points, ends]) for side in (band.low, band.high, curve(counts)))
+    low, high, ranked = (np.concatenate([ends, side - band.points, ends]) for side in (band.low, band.high, curve(counts)))
     axis.fill_between(points, low, high, color=BAND, linewidth=0)
     axis.axhline(0, color="white", linewidth=1)
-    axis.plot(points, own, color=INSIDE if inside else OUTSIDE, linewidth=1.6)
+    axis.plot(points, ranked, color=INSIDE if inside else OUTSIDE, linewidth=1.6)
     axis.set_title(f"{name}   p = {p:.2g}", fontsize=9, color="black" if inside else OUTSIDE)
     axis.tick_params(labelsize=8)
     axis.set_xlim(0, 1)

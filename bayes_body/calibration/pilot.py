@@ -1,4 +1,4 @@
-"""How many particles a kernel needs, so that its draws are as good as independent: a few replications with more and more of them."""
+"""Find how many particles a kernel needs for nearly independent draws: a few replications with increasing numbers of particles."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,20 +11,20 @@ from bayes_body.calibration.check import SBC, Plan, experiments_of
 from bayes_body.calibration.problem import check_cases
 from bayes_body.calibration.replications import run_replications
 
-# Replications of a pilot, and how many times as many effective particles as are needed its worst one shall have.
+# Replications of a pilot, and the factor by which its worst effective size must exceed the required one.
 REPLICATIONS, MARGIN = 20, 1.2
 MOST_PARTICLES = 2**16
-# The replications of the check itself are others.
+# The replications of the check itself use other keys.
 OTHER_SEED = 2**31
 
 
 def enough_particles(plan: Plan, jobs: int, show: Callable[[str], None]) -> Plan:
-    """The plan with twice as many particles again and again, until they suffice, up to `MOST_PARTICLES`.
+    """The plan with the number of particles doubled until they suffice, up to `MOST_PARTICLES`.
 
     Args:
-        plan: whose options hold the number to begin with.
-        jobs: processes.
-        show: takes a line for each number that is tried.
+        plan: its options give the initial number.
+        jobs: number of processes.
+        show: receives a line for each number that is tried.
 
     Raises:
         InputError: nothing can be simulated from the model.
@@ -39,6 +39,6 @@ def enough_particles(plan: Plan, jobs: int, show: Callable[[str], None]) -> Plan
         show(f"pilot: {particles} particles, {ess:.0f} effective at worst ({needed:.0f} wanted).")
         if ess >= needed or particles >= MOST_PARTICLES:
             return plan
-        # The effective size grows about as the particles do; a mode seeker's does not.
+        # The effective size grows approximately with the number of particles, except for a mode seeker.
         doublings = int(np.clip(np.ceil(np.log2(needed / max(ess, 1.0))), 1, 3))
         plan = replace(plan, options={**plan.options, "particles": min(particles * 2**doublings, MOST_PARTICLES)})

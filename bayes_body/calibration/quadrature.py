@@ -1,9 +1,9 @@
-r"""A posterior of few dimensions by summing over a grid: what samplers are held against where nothing can be simulated.
+r"""A posterior of few dimensions by summation over a grid. Samplers are compared with it where nothing can be simulated.
 
 $$\hat\mu = \frac{\sum_g s_g\, e^{\ell(s_g)}}{\sum_g e^{\ell(s_g)}},$$
 
-with the marginal view's $\ell$ at the midpoints $s_g$ of a box. The box begins as what the motion prior can reach, inside the joint limits; it is
-drawn in around the posterior's mass on a coarse grid, and then the grid is made finer until mean and standard deviation stand still.
+with the marginal view's $\ell$ at the midpoints $s_g$ of a box. The box starts as the region that the motion prior can reach, inside the joint
+limits. A coarse grid shrinks it to the posterior's mass. Then the grid is refined until mean and standard deviation are stable.
 """
 
 from collections.abc import Callable
@@ -19,9 +19,10 @@ from bayes_body.density.factor import State
 from bayes_body.errors import input_error
 
 MOST_DOFS = 4
-# Cells a side while the box is drawn in, and then, finer and finer.
+# Cells per side while the box shrinks, and then for increasingly fine grids.
 COARSE, FINE = 13, (13, 17, 23, 31, 41)
-# Of the mass, what a slice at the border of the box may hold and be cut off; of a standard deviation, what a finer grid may change.
+# The share of the mass in a slice at the box's border below which it is cut off; the change of a mean or standard deviation, in standard deviations,
+# below which the grid is fine enough.
 NEGLIGIBLE, TOLERANCE = 1e-6, 0.005
 PREDICTED, REACH, MOST_DRAWN_IN = 4096, 6.0, 12
 BATCH = 2048
@@ -31,7 +32,7 @@ type Evaluate = Callable[[np.ndarray], np.ndarray]
 
 
 class Quadrature(NamedTuple):
-    """Of each dof of a variable the mean and standard deviation, how far the last two grids were apart, and log p(z) up to its constant."""
+    """Mean and standard deviation of each dof of a variable, the difference between the last two grids, and log p(z) up to a constant."""
 
     mean: Float[np.ndarray, " dof"]
     sd: Float[np.ndarray, " dof"]
@@ -41,21 +42,21 @@ class Quadrature(NamedTuple):
 
 
 def integrate(density: Density, name: str = "pose") -> Quadrature:
-    """The posterior of one frame by quadrature.
+    """Integrate the posterior of one frame.
 
     Args:
         density: its marginal view is integrated.
-        name: of the only variable that the motion prior draws.
+        name: the only variable that the motion prior draws.
 
     Raises:
-        InputError: more dofs than a grid can hold.
+        InputError: too many dofs for a grid.
     """
     low, high = _reachable(density, name)
     if len(low) > MOST_DOFS:
         raise input_error("a grid", f"{len(low)} dofs", f"at most {MOST_DOFS}", "check a smaller body")
     evaluate, count = _evaluator(density, name), 0
     for _ in range(MOST_DRAWN_IN):
-        inner, used = _drawn_in(evaluate, low, high)
+        inner, used = _shrunk(evaluate, low, high)
         count += used
         shrunk = np.prod((inner[1] - inner[0]) / (high - low))
         low, high = inner
@@ -73,7 +74,7 @@ def integrate(density: Density, name: str = "pose") -> Quadrature:
 
 
 def _reachable(density: Density, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """The box that the motion prior reaches from the particles before, inside its support."""
+    """The box that the motion prior reaches from the previous particles, inside its support."""
     keys = jax.random.split(jax.random.key(0), PREDICTED)
     ancestors = jax.random.categorical(jax.random.key(1), density.previous.log_weights, shape=(PREDICTED,))
     drawn = jax.vmap(lambda key, ancestor: density.transition.sample(key, density.ancestor(ancestor)))(keys, ancestors)
@@ -120,12 +121,12 @@ def _marginals(mass: np.ndarray) -> list[np.ndarray]:
     return [mass.sum(axis=tuple(other for other in range(mass.ndim) if other != axis)) for axis in range(mass.ndim)]
 
 
-def _drawn_in(evaluate: Evaluate, low: np.ndarray, high: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], int]:
+def _shrunk(evaluate: Evaluate, low: np.ndarray, high: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], int]:
     axes, mass, _ = _grid(evaluate, low, high, COARSE)
     width, ends = (high - low) / COARSE, []
     for axis, marginal, step, least, most in zip(axes, _marginals(mass), width, low, high, strict=True):
         held = np.flatnonzero(marginal > NEGLIGIBLE)
-        # A cell more on each side: between midpoints the mass is not seen.
+        # Keep one more cell on each side, because the mass between midpoints is unknown.
         ends.append((max(axis[held[0]] - 1.5 * step, least), min(axis[held[-1]] + 1.5 * step, most)))
     inner = np.array(ends).T
     return (inner[0], inner[1]), mass.size

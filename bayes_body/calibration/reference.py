@@ -1,4 +1,4 @@
-"""A model from which nothing can be simulated: a kernel's posterior over independent runs against a grid quadrature, on a session's first frame."""
+"""For a model that cannot be simulated: compare a kernel's posterior over independent runs with grid quadrature, on a session's first frame."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -21,18 +21,18 @@ from bayes_body.session.read import load_session
 from bayes_body.shapes import Key
 from bayes_body.toml.read import validate
 
-# Independent runs, and how many Monte Carlo standard errors (of their mean) a mean may be off.
+# Number of independent runs, and the largest accepted error of a mean, in Monte Carlo standard errors.
 RUNS, LIMIT = 40, 4.0
 
 
 class Comparison(NamedTuple):
-    """By dof, radians or metres: what independent runs say of the posterior, and the quadrature.
+    """Estimates by independent runs and by quadrature, by dof, radians or metres.
 
     Attributes:
-        means: of each run.
-        variances: of each run, about the quadrature's mean.
-        off: how far the runs' mean is from the quadrature's, in Monte Carlo standard errors.
-        variance_off: the same of the variances.
+        means: the mean of each run.
+        variances: the variance of each run, about the quadrature's mean.
+        off: distance of the runs' mean from the quadrature's, in Monte Carlo standard errors.
+        variance_off: the same for the variances.
         exact: the quadrature.
     """
 
@@ -44,57 +44,57 @@ class Comparison(NamedTuple):
 
 
 def compare(density: Density, kernel: Kernel, previous: Particles, key: Key, runs: int = RUNS, exact: Quadrature | None = None) -> Comparison:
-    """Independent runs of a kernel on one frame against quadrature.
+    """Compare independent runs of a kernel on one frame with quadrature.
 
     Args:
-        density: of the frame; its particles before are all that the quadrature sums over, and few will do where all are one.
-        kernel: whose means are looked at.
-        previous: the particles before that the kernel starts from; they must mean the same as the density's.
-        key: of the runs.
-        runs: how many.
-        exact: the quadrature of the density, where it is there already.
+        density: the frame's density. The quadrature sums over its previous particles; if all are equal, a few suffice.
+        kernel: the kernel to check.
+        previous: the previous particles for the kernel; they must represent the same distribution as the density's.
+        key: for the runs.
+        runs: number of runs.
+        exact: the quadrature of the density, if it was computed already.
     """
     exact = integrate(density) if exact is None else exact
     centre = jnp.asarray(exact.mean, density.previous.log_weights.dtype)
 
-    def one(own: Key, density: Density) -> tuple[jax.Array, jax.Array]:
-        after, _ = kernel(own, previous, density.given(previous))
+    def one(run_key: Key, density: Density) -> tuple[jax.Array, jax.Array]:
+        after, _ = kernel(run_key, previous, density.given(previous))
         weights, pose = jax.nn.softmax(after.log_weights), after.states["pose"]
         return weights @ pose, weights @ (pose - centre) ** 2
 
-    every = jax.jit(lambda keys, density: jax.lax.map(lambda own: one(own, density), keys))
+    every = jax.jit(lambda keys, density: jax.lax.map(lambda run_key: one(run_key, density), keys))
     means, variances = (np.asarray(each, float) for each in every(jax.random.split(key, runs), density))
     return Comparison(means, variances, _off(means, exact.mean), _off(variances, exact.sd**2), exact)
 
 
 def _off(found: Float[np.ndarray, "run dof"], exact: Float[np.ndarray, " dof"]) -> Float[np.ndarray, " dof"]:
-    """How many of its standard errors the mean of runs is off."""
+    """Distance of the runs' mean from the exact value, in standard errors of that mean."""
     return np.abs(found.mean(axis=0) - exact) / (found.std(axis=0, ddof=1) / np.sqrt(len(found)))
 
 
 def check_reference(plan: Any, model: Model, names: Sequence[str], show: Callable[[str], None]) -> Verdict:
-    """What is checked of a model with likelihoods that are not generative.
+    """Check a model with likelihoods that are not generative.
 
     Args:
-        plan: the check's.
-        model: of the plan.
-        names: of these likelihoods.
-        show: takes lines for the user.
+        plan: the plan of the check.
+        model: the plan's model.
+        names: names of these likelihoods.
+        show: receives lines for the user.
 
     Raises:
-        InputError: there is no image to compare on, or the body has too many dofs for a grid.
+        InputError: there is no image to use, or the body has too many dofs for a grid.
     """
     subject = f"the likelihood '{names[0]}'"
-    found = "it is no distribution over images, so that nothing can be simulated from it and no rank be taken"
+    found = "it is not a distribution over images, so nothing can be simulated from it and there are no ranks"
     dofs = len(model.body.dof_names)
     if dofs > MOST_DOFS:
         expected = f"generative likelihoods (markers_gaussian, silhouette_bernoulli), or a body of at most {MOST_DOFS} dofs for a quadrature"
         raise input_error(
-            subject, found, f"{expected}, not {dofs}", "look at coverage_50 and coverage_90 of a simulated recording: bayes-body simulate, then track"
+            subject, found, f"{expected}, not {dofs}", "use coverage_50 and coverage_90 on a simulated recording: bayes-body simulate, then track"
         )
     if plan.session is None:
         expected = "an image on which the kernel's means are compared with a quadrature"
-        raise input_error(subject, found, expected, "give a recording with --session; its first frame is taken")
+        raise input_error(subject, found, expected, "give a recording with --session; its first frame is used")
     show(f"{names[0]}: {found}; instead means and variances of {RUNS} runs on the session's first frame are compared with a grid quadrature.")
     session, term = load_session(Path(plan.session)), find("kernel", plan.kernel)
     options: Any = validate(term.options, plan.options, plan.kernel)
@@ -119,7 +119,7 @@ def _verdict(dofs: Sequence[str], found: Comparison) -> Verdict:
     for what, off in (("mean", found.off), ("variance", found.variance_off)):
         worst = int(np.argmax(off))
         farthest.append(f"the {what} of '{dofs[worst]}' is {off[worst]:.1f} Monte Carlo standard errors from that of a grid")
-    said = f"quadrature ({exact.evaluations:,} evaluations): {', '.join(farthest)}, the farthest of {len(dofs)}; {LIMIT:.0f} are allowed."
+    sentence = f"quadrature ({exact.evaluations:,} evaluations): {', '.join(farthest)}, the largest of {len(dofs)} dofs; the limit is {LIMIT:.0f}."
     passed = bool(max(found.off.max(), found.variance_off.max()) < LIMIT)
     figures = {"reference": {"runs": len(found.means), "limit": LIMIT, "quantities": quantities}}
-    return Verdict(passed, (said, "PASS." if passed else "FAIL."), figures)
+    return Verdict(passed, (sentence, "PASS." if passed else "FAIL."), figures)

@@ -1,4 +1,4 @@
-"""Replications on disk: a line of JSON a block, the settings in the first; a line that was cut off is computed again."""
+"""Replications on disk: one line of JSON per block, the settings in the first line. A truncated line is computed again."""
 
 import json
 import os
@@ -15,17 +15,17 @@ SUFFIX = ".partial"
 
 
 class ReplicationLog:
-    """Blocks of replications by experiment and number; with a path they are on the disk as soon as they are added."""
+    """Blocks of replications by experiment and number. With a path, a block is on disk as soon as it is added."""
 
     def __init__(self, path: Path | None = None, settings: Mapping[str, Any] | None = None):
-        """Those that the file holds.
+        """Read the blocks of an existing file.
 
         Args:
-            path: the file; None keeps them in memory.
-            settings: what the replications are of.
+            path: the file; None keeps the blocks in memory.
+            settings: the settings of the replications.
 
         Raises:
-            InputError: the file holds replications of something else, or cannot be read or written.
+            InputError: the file holds replications with other settings, or cannot be read or written.
         """
         self.path, self._blocks = path, {}
         if path is None:
@@ -34,7 +34,7 @@ class ReplicationLog:
         if head is not None and head != (wanted := json.loads(json.dumps(settings))):
             name = next(key for key in {**head, **wanted} if head.get(key) != wanted.get(key))
             found, expected = f"replications with {name} = {head.get(name)!r}", f"{name} = {wanted.get(name)!r}"
-            raise input_error(path, found, expected, "give what it has, remove it, or name another file with --json")
+            raise input_error(path, found, expected, "use its settings, remove it, or name another file with --json")
         self._blocks = blocks
         if head is None:
             self._write(json.dumps({"settings": settings}), 0)
@@ -51,7 +51,7 @@ class ReplicationLog:
         return len(self._blocks)
 
     def add(self, experiment: str, block: int, figures: dict[str, np.ndarray]) -> None:
-        """Keep a block.
+        """Store a block.
 
         Raises:
             InputError: the file cannot be written.
@@ -62,12 +62,12 @@ class ReplicationLog:
             self._write(json.dumps({"experiment": experiment, "block": block, "figures": values}))
 
     def remove(self) -> None:
-        """Remove the file: what it held is told elsewhere."""
+        """Remove the file, because its content was reported elsewhere."""
         if self.path is not None:
             self.path.unlink(missing_ok=True)
 
     def _write(self, line: str, size: int | None = None) -> None:
-        """Add a line, after the file's first `size` bytes where that is given."""
+        """Append a line; if `size` is given, after the file's first `size` bytes."""
         assert self.path is not None
         try:
             with self.path.open("ab") as file:
@@ -81,7 +81,7 @@ class ReplicationLog:
 
 
 def settings_of(path: Path) -> dict[str, Any] | None:
-    """What the replications of a file are of; None where there are none.
+    """The settings of the replications in a file; None if there are none.
 
     Raises:
         InputError: the file cannot be read.
@@ -90,7 +90,7 @@ def settings_of(path: Path) -> dict[str, Any] | None:
 
 
 def _read(path: Path) -> tuple[dict[str, Any] | None, dict[tuple[str, int], dict[str, np.ndarray]], int]:
-    """Settings, blocks, and how many bytes of the file are whole lines of ours."""
+    """Settings, blocks, and the size in bytes of the complete lines that this class wrote."""
     try:
         content = path.read_bytes()
     except FileNotFoundError:

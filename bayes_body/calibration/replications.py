@@ -1,7 +1,7 @@
-"""Many replications of experiments: in blocks, over processes, kept as they come, so that an interrupted check goes on where it stopped.
+"""Run many replications of experiments: in blocks, on several processes, stored as they finish, so that an interrupted check can continue.
 
-A replication's key is folded by its experiment and its number, and each process computes on one device: whatever the number of processes, and
-wherever a check was interrupted, a replication's figures are the same bit for bit.
+A replication's key depends on its experiment and its number, and each process computes on one device. Its figures are therefore bit-identical
+whatever the number of processes, and wherever a check was interrupted.
 """
 
 import os
@@ -28,7 +28,7 @@ type Figures = dict[str, np.ndarray]
 
 
 class Experiments(NamedTuple):
-    """Experiments by name: each from a key, and where there is a problem (a pytree) from that too, to a NamedTuple of arrays."""
+    """Experiments by name: functions of a key, and of the problem (a pytree) if there is one, to a NamedTuple of arrays."""
 
     seed: int
     by_name: Mapping[str, Experiment]
@@ -38,14 +38,14 @@ class Experiments(NamedTuple):
 def run_replications(
     make: Callable[[], Experiments], counts: Mapping[str, int], jobs: int = 0, kept: ReplicationLog | None = None, watch: Watch = unwatched
 ) -> dict[str, Figures]:
-    """The figures of each experiment, with a leading replication axis.
+    """Compute the figures of each experiment, with a leading replication axis.
 
     Args:
         make: builds the experiments; with `jobs` above 0 it is called in each process, and must be picklable.
-        counts: how many replications of each experiment.
-        jobs: processes; 0 computes in this one.
-        kept: blocks that are there already, and where new ones go.
-        watch: shows how far it is, in blocks.
+        counts: number of replications of each experiment.
+        jobs: number of processes; 0 computes in this one.
+        kept: existing blocks, to which new ones are added.
+        watch: shows the progress, in blocks.
     """
     kept = ReplicationLog() if kept is None else kept
     missing = [(name, block) for name, count in counts.items() for block in range(-(-count // BLOCK)) if (name, block) not in kept]
@@ -91,14 +91,14 @@ def _results(make: Callable[[], Experiments], tasks: Sequence[tuple[str, int]], 
         pool.shutdown(wait=False, cancel_futures=True)
 
 
-# -- in a process of its own --------------------------------------------------------------------------------------------------------------
+# -- in a worker process ------------------------------------------------------------------------------------------------------------------
 
 _runner: _Runner | None = None
 
 
 def _begin(make: Callable[[], Experiments], parent: int) -> None:
     global _runner
-    # An interruption is the parent's to tell.
+    # The parent process reports an interruption.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     flags = re.sub(r"--xla_force_host_platform_device_count=\d+", "", os.environ.get("XLA_FLAGS", ""))
@@ -110,7 +110,7 @@ def _begin(make: Callable[[], Experiments], parent: int) -> None:
 
 
 def _end_with(parent: int) -> None:
-    """A killed parent cannot stop its processes."""
+    """Exit when the parent has gone: a killed parent cannot stop its processes."""
     while os.getppid() == parent:
         time.sleep(1)
     os._exit(1)

@@ -1,4 +1,4 @@
-"""A check from its plan to its verdict: how many particles, all replications, figures as JSON, a picture, and sentences."""
+"""A check from its plan to its verdict: the number of particles, all replications, figures as JSON, a picture, and sentences."""
 
 import json
 import time
@@ -23,50 +23,50 @@ from bayes_body.view.progress import watched
 
 type Show = Callable[[str], None]
 
-# Another version of one of them may give other figures.
+# Packages whose version may affect the figures.
 COMPUTING = ("bayes-body", "jax", "jaxlib", "numpyro", "blackjax")
 
 
-def run_and_tell(plan: Plan, pilot: bool, replications: int, jobs: int, json_file: Path | None, plot: Path | None, show: Show, bar: bool) -> bool:
-    """Check, write, and say what was found; returns whether the kernel passed.
+def run_and_report(plan: Plan, pilot: bool, replications: int, jobs: int, json_file: Path | None, plot: Path | None, show: Show, bar: bool) -> bool:
+    """Check, write the results and report them; returns whether the kernel passed.
 
     Args:
         plan: what is checked.
-        pilot: whether the number of particles is found by a pilot; else it is the plan's.
-        replications: truths that are drawn.
-        jobs: processes.
-        json_file: where the figures go.
-        plot: where the picture goes.
-        show: takes lines for the user.
-        bar: whether a progress bar is drawn on standard error.
+        pilot: whether a pilot determines the number of particles; otherwise the plan's is used.
+        replications: number of truths to draw.
+        jobs: number of processes.
+        json_file: file for the figures.
+        plot: file for the picture.
+        show: receives lines for the user.
+        bar: whether to show a progress bar on standard error.
 
     Raises:
-        InputError: nothing can be checked, or something cannot be written.
+        InputError: nothing can be checked, or a file cannot be written.
     """
     started, model = time.perf_counter(), model_of(plan)
     term = find("kernel", plan.kernel)
     if term.note:
         show(f"{plan.kernel}: {term.note}")
     if not_generative := [f.name for f in model.factors if f.side == "likelihood" and f.simulate is None]:
-        told, extra = check_reference(plan, model, not_generative, show), {}
+        result, extra = check_reference(plan, model, not_generative, show), {}
     else:
         partial_file = None if json_file is None else json_file.with_name(json_file.name + SUFFIX)
         plan = _with_particles(plan, partial_file, jobs, show) if pilot else plan
         blocks = ReplicationLog(partial_file, _settings(plan))
         if len(blocks):
-            show(f"{partial_file}: going on with {len(blocks)} blocks of replications")
+            show(f"{partial_file}: continuing with {len(blocks)} blocks of replications")
         found = run_check(plan, replications, jobs, blocks, watched("blocks of replications", bar))
-        told = verdict(found, plan.bins, _without_move(plan))
-        _draw(found, plan, plot, told)
+        result = verdict(found, plan.bins, _without_move(plan))
+        _draw(found, plan, plot, result)
         extra = {"replications": replications}
-    for sentence in told.sentences:
+    for sentence in result.sentences:
         show(sentence)
     if json_file is not None:
         seconds = time.perf_counter() - started
-        figures = _settings(plan) | extra | told.figures | {"seconds": seconds, "passed": told.passed, "verdict": " ".join(told.sentences)}
+        figures = _settings(plan) | extra | result.figures | {"seconds": seconds, "passed": result.passed, "verdict": " ".join(result.sentences)}
         write_text(json_file, json.dumps(figures, indent=2) + "\n")
         json_file.with_name(json_file.name + SUFFIX).unlink(missing_ok=True)
-    return told.passed
+    return result.passed
 
 
 def _settings(plan: Plan) -> dict[str, Any]:
@@ -74,13 +74,13 @@ def _settings(plan: Plan) -> dict[str, Any]:
 
 
 def _text(plan: Plan) -> str:
-    """What the definition says: a changed file is another model."""
+    """The text of the definition: a changed file is a different model."""
     definition = load_definition(plan.model)
     return f"{definition.text}\n{definition.body_text}"
 
 
 def _with_particles(plan: Plan, partial_file: Path | None, jobs: int, show: Show) -> Plan:
-    """The plan with enough particles: those of the replications that are kept, or what a pilot finds."""
+    """The plan with enough particles: the number used by existing replications, or the pilot's result."""
     before = None if partial_file is None else settings_of(partial_file)
     if before is not None:
         return replace(plan, options={**plan.options, "particles": before["options"]["particles"]})
@@ -91,10 +91,10 @@ def _without_move(plan: Plan) -> str:
     options = validate(find("kernel", plan.kernel).options, plan.options, plan.kernel)
     if markov_move(plan.kernel, options) is not None:
         return ""
-    return f"Markov move: '{plan.kernel}' has none that keeps the posterior, so that exact invariance is not tested."
+    return f"Markov move: '{plan.kernel}' has none that leaves the posterior invariant, so exact invariance is not tested."
 
 
-def _draw(found: Findings, plan: Plan, plot: Path | None, told: Verdict) -> None:
+def _draw(found: Findings, plan: Plan, plot: Path | None, result: Verdict) -> None:
     if plot is not None:
-        outcome = "passed" if told.passed else "not passed"
+        outcome = "passed" if result.passed else "not passed"
         draw_ranks(found, plan.bins, plot, f"{plan.kernel} on {Path(plan.model).stem}: {outcome}")

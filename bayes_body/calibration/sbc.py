@@ -1,13 +1,13 @@
-r"""Simulation-based calibration (Talts et al. 2018): the truth's rank among draws of its own posterior is uniform.
+r"""Simulation-based calibration (Talts et al. 2018): the truth's rank among draws from its posterior is uniform.
 
-A truth from the model, the data that it makes, a filter over these data; then L = bins - 1 independent draws from the particles of the last frame.
-If the particles represent the posterior, truth and draws are exchangeable, and the truth's rank among them is uniform on 0 ... L, for every figure of
-the state and of the data (the log-likelihood is one: it sees what single dofs do not). Ties, such as two states at the same joint limit, are broken
-at random.
+Draw a truth from the model, simulate its data, and filter them. Then take L = bins - 1 independent draws from the particles of the last frame. If the
+particles represent the posterior, truth and draws are exchangeable, and the truth's rank among them is uniform on 0 ... L. This holds for every
+figure of the state and the data. (The log-likelihood is one: it detects errors that single dofs do not.) Ties, such as two states at the same joint
+limit, are broken at random.
 
-The draws must be as good as independent: L of them are taken from particles that are worth at least `DRAWS_A_BIN` independent draws a bin. What
-particles are worth is the smallest of three effective sizes: of the weights; of the weights once equal states are counted together; and, after the
-first frame, once all descendants of one particle of the frame before are.
+The draws must be nearly independent. They come from particles with an effective size of at least `DRAWS_A_BIN` per bin. The effective size is the
+smallest of three: of the weights; of the weights after merging equal states; and, after the first frame, after merging all descendants of one
+particle of the previous frame.
 """
 
 from collections.abc import Callable
@@ -17,26 +17,26 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from bayes_body.calibration.problem import Case, Problem, alone, draw_case
+from bayes_body.calibration.problem import Case, Problem, draw_case, point_mass
 from bayes_body.density.factor import FilterInfo, Kernel, Particles, State
 from bayes_body.shapes import Key, Scalar
 
-# Effective particles that each bin of the ranks needs.
+# Effective particles required per bin of the ranks.
 DRAWS_A_BIN = 10
 LOG_LIKELIHOOD = "log-likelihood"
 
 
 class Replication(NamedTuple):
-    """What is kept of a truth and its posterior.
+    """The figures of one truth and its posterior.
 
     Attributes:
-        ranks: of the truth among the draws, by quantity; the log-likelihood is the last.
-        levels: the posterior probability below the truth, by quantity but the log-likelihood.
-        truth: the quantities of the truth, log-likelihood last.
+        ranks: ranks of the truth among the draws, by quantity; the log-likelihood is last.
+        levels: posterior probability below the truth, by quantity without the log-likelihood.
+        truth: the quantities of the truth; the log-likelihood is last.
         ess: effective sizes: by weights, by distinct states, by ancestors.
         lost: whether the filter lost a frame.
-        refused: as of the case.
-        unbounded: as of the case.
+        refused: as in the case.
+        unbounded: as in the case.
     """
 
     ranks: Int[Array, " quantity"]
@@ -49,14 +49,14 @@ class Replication(NamedTuple):
 
 
 def replicate(problem: Problem, kernel: Kernel, particles: int, frames: int = 2, bins: int = 20) -> Callable[..., Replication]:
-    """One replication as a function of its key, and of the problem where a compiled program takes that as an argument.
+    """One replication as a function of its key, and of the problem if a compiled program takes it as an argument.
 
     Args:
         problem: the model.
-        kernel: whose posterior is checked.
-        particles: how many the filter has.
-        frames: that it filters; the last is looked at.
-        bins: ranks that there are, one more than draws.
+        kernel: the kernel to check.
+        particles: number of particles of the filter.
+        frames: number of filtered frames; the last one is ranked.
+        bins: number of possible ranks, one more than draws.
     """
 
     def one(key: Key, problem: Problem = problem) -> Replication:
@@ -79,10 +79,10 @@ def replicate(problem: Problem, kernel: Kernel, particles: int, frames: int = 2,
 
 def _filtered(key: Key, problem: Problem, kernel: Kernel, case: Case, count: int) -> tuple[Particles, Particles, FilterInfo, Array]:
     """The particles before and after the last frame, its info, and whether any frame was lost."""
-    start = alone(case.first, count)
+    start = point_mass(case.first, count)
 
-    def frame(particles: Particles, own: tuple[Key, Any]) -> tuple[Particles, tuple[Particles, FilterInfo]]:
-        frame_key, data = own
+    def frame(particles: Particles, key_and_data: tuple[Key, Any]) -> tuple[Particles, tuple[Particles, FilterInfo]]:
+        frame_key, data = key_and_data
         after, info = kernel(frame_key, particles, problem.density(data, particles))
         return _like(after, particles), (particles, info)
 
@@ -93,14 +93,14 @@ def _filtered(key: Key, problem: Problem, kernel: Kernel, case: Case, count: int
 
 
 def _like(tree: Any, other: Any) -> Any:
-    """A scan hands on what it was given."""
+    """The particles with the dtypes of `other`, as a scan's carry needs them."""
     return jax.tree.map(lambda leaf, wanted: jnp.asarray(leaf, wanted.dtype), Particles(dict(tree.states), tree.log_weights), other)
 
 
 def _figures(
     problem: Problem, case: Case, before: Particles, after: Particles, info: FilterInfo, chosen: Int[Array, " draw"]
 ) -> tuple[Float[Array, " quantity"], Float[Array, "draw quantity"], Float[Array, "particle level"]]:
-    """Of the truth and of the draws with the log-likelihood, of all particles without it."""
+    """The quantities of the truth and of the draws with the log-likelihood, and of all particles without it."""
     frames = jax.tree.leaves(case.path)[0].shape[0]
     true = jax.tree.map(lambda leaf: leaf[-1], case.path)
     before_true = jax.tree.map(lambda leaf: leaf[-2], case.path) if frames > 1 else case.first
@@ -111,7 +111,7 @@ def _figures(
 
     draws = jax.tree.map(lambda leaf: leaf[chosen], after.states)
     parents = jax.tree.map(lambda leaf: leaf[info.ancestors[chosen]], before.states)
-    # All through one program: compiled apart, a draw equal to the truth might differ from it in the last bit.
+    # One program for all of them: compiled separately, a draw equal to the truth might differ in the last bit.
     joined = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), (dict(true), dict(before_true)), (dict(draws), dict(parents)))
     both = jax.lax.map(lambda pair: with_likelihood(*pair), joined)
     return both[0], both[1:], jax.vmap(problem.quantities.of)(after.states)
@@ -122,7 +122,7 @@ def _ess(weights: Float[Array, " particle"]) -> Scalar:
 
 
 def _merged(weights: Float[Array, " particle"], states: State) -> Scalar:
-    """The effective size once equal states are one."""
+    """The effective size after merging equal states."""
     marks = sum(jnp.tensordot(leaf.reshape(leaf.shape[0], -1), _marks(leaf), 1) for leaf in jax.tree.leaves(dict(states)))
     marks = jnp.asarray(marks)
     order = jnp.argsort(marks)
@@ -131,12 +131,12 @@ def _merged(weights: Float[Array, " particle"], states: State) -> Scalar:
 
 
 def _marks(leaf: Array) -> Array:
-    """Fixed random factors: equal states, and but for rounding only these, have equal sums."""
+    """Sums with fixed random factors: equal states, and up to rounding only these, have equal sums."""
     return jax.random.normal(jax.random.key(0), (leaf[0].size,), leaf.dtype)
 
 
 def _by_ancestor(weights: Float[Array, " particle"], before: Particles, info: FilterInfo, frames: int) -> Scalar:
-    """The effective size once all descendants of a state of the frame before are one; all come from one state in the first frame."""
+    """The effective size after merging all descendants of a state of the previous frame. In the first frame all come from one state."""
     if frames == 1:
         return jnp.asarray(jnp.inf, weights.dtype)
     return _merged(weights, jax.tree.map(lambda leaf: leaf[info.ancestors], before.states))

@@ -1,8 +1,8 @@
-"""A room for a model that is checked without a recording: the shipped rig of four cameras, aimed at the body.
+"""A room for checking a model without a recording: the shipped rig of four cameras, aimed at the body.
 
-Their images show the body small, a quarter as large as they could: that leaves a posterior about as wide as what the motion prior allows, and some
-thousand particles are enough. From nearer the same laws hold, but a sampler from the prior would need millions. The cameras of a rig that is given
-stay where they are.
+The body appears small in the images, a quarter as large as it could be. Then the posterior is about as wide as the motion prior, and some thousand
+particles are enough. Nearer cameras would change nothing in principle, but a sampler from the prior would need millions. The cameras of a rig that
+the user gives are not moved.
 """
 
 from dataclasses import replace
@@ -16,18 +16,18 @@ from bayes_body.recording.rig import read_rig
 from bayes_body.session.session import CameraSpec, Session, View
 
 RIG = "room_4"
-# The body reaches beyond its markers (a hand beyond the wrist), and moves.
+# The body extends beyond its markers (a hand beyond the wrist), and moves.
 REACH = 1.6
-# Of half the smaller side of an image, the share that the body's reach takes.
+# The body's extent, as a share of half the smaller side of an image.
 FILLED = 0.225
 
 
 def model_in_a_room(definition: Definition, rig: Path | None = None) -> Model:
-    """The model as the cameras of a rig see it; nothing is recorded.
+    """The model with the cameras of a rig, without a recording.
 
     Args:
-        definition: of the model.
-        rig: file of the rig; by default the shipped one, aimed at the body.
+        definition: the definition of the model.
+        rig: file of the rig; default: the shipped one, aimed at the body.
 
     Raises:
         InputError: the rig cannot be read.
@@ -43,7 +43,7 @@ def model_in_a_room(definition: Definition, rig: Path | None = None) -> Model:
 
 
 def _moved(camera: CameraSpec, centre: np.ndarray, reach: float) -> CameraSpec:
-    """The camera with its direction, on a line through the body's centre, as near as `FILLED` says."""
+    """The camera with its direction, on a line through the body's centre, at the distance that `FILLED` gives."""
     half = min(camera.size_px) / 2
     distance = reach * min(camera.focal_px) / (FILLED * half)
     return replace(camera, translation_m=-camera.rotation @ centre + np.array([0.0, 0.0, distance]))

@@ -1,4 +1,4 @@
-"""What the figures of a check say: each quantity's ranks against its band, coverage, the Markov move, effective sizes; and a verdict in words."""
+"""Turn the figures of a check into a verdict: ranks and bands of each quantity, coverage, the Markov move, effective sizes; and sentences."""
 
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ from bayes_body.calibration.check import Findings
 from bayes_body.calibration.coverage import WIDTHS, coverage
 
 FAMILY = 0.95
-# Of the replications, how many may have too few effective particles; and how many states a move must change for its test to say something.
+# The share of replications that may have too few effective particles; the share of states that a move must change for its test to be informative.
 MOST_SHORT, LEAST_MOVED = 0.05, 0.1
 ESS_NAMES = ("weights", "distinct", "ancestors")
 
@@ -25,12 +25,12 @@ class Verdict(NamedTuple):
 
 
 def verdict(findings: Findings, bins: int, no_move: str = "") -> Verdict:
-    """Of a check.
+    """The verdict of a check.
 
     Args:
         findings: the replications' figures.
-        bins: of the ranks.
-        no_move: what to say where the kernel has no Markov move.
+        bins: number of bins of the ranks.
+        no_move: the sentence for a kernel without a Markov move.
     """
     (ranked, ranks_said, ranks), (enough, ess_said, ess) = _ranks(findings, bins), _effective(findings, bins)
     moved, move_said, moves = (True, no_move, None) if findings.moves is None else _moves(findings)
@@ -42,7 +42,7 @@ def verdict(findings: Findings, bins: int, no_move: str = "") -> Verdict:
 
 
 def ranked_quantities(findings: Findings) -> NDArray[np.intp]:
-    """Places of those that vary: a shoulder that stands still has no rank to look at."""
+    """Indices of the quantities that vary: the ranks of a constant one mean nothing."""
     return np.flatnonzero(np.ptp(findings.ranks["truth"].astype(float), axis=0) > 0)
 
 
@@ -54,8 +54,8 @@ def _ranks(findings: Findings, bins: int) -> tuple[bool, str, dict[str, Any]]:
     names = [findings.names[place] for place in places]
     limit = (1 - FAMILY) / len(names)
     quantities = {
-        name: {"histogram": own.tolist(), "p_value": float(value), "inside": bool(value > limit), "coverage": _coverage(findings, int(place))}
-        for name, place, own, value in zip(names, places, counts, p, strict=True)
+        name: {"histogram": counted.tolist(), "p_value": float(value), "inside": bool(value > limit), "coverage": _coverage(findings, int(place))}
+        for name, place, counted, value in zip(names, places, counts, p, strict=True)
     }
     worst = int(np.argmin(p))
     if rejected.any():
@@ -66,25 +66,25 @@ def _ranks(findings: Findings, bins: int) -> tuple[bool, str, dict[str, Any]]:
         )
     else:
         said = (
-            f"ranks: all {len(names)} quantities lie inside their bands ({FAMILY:.0%} for all together), {count} replications; the least p is "
-            f"{p[worst]:.2g}, of '{names[worst]}', with {limit:.2g} the limit."
+            f"ranks: all {len(names)} quantities lie inside their bands ({FAMILY:.0%} for all together), {count} replications; the smallest p is "
+            f"{p[worst]:.2g}, for '{names[worst]}'; the limit is {limit:.2g}."
         )
     return not rejected.any(), said, {"replications": count, "bins": bins, "limit": limit, "quantities": quantities}
 
 
 def _coverage(findings: Findings, place: int) -> dict[str, Any] | None:
-    """None of the log-likelihood, for which no levels are kept."""
+    """The coverage of a quantity; None for the log-likelihood, which has no levels."""
     levels = findings.ranks["levels"]
     return {f"{width:.0%}": coverage(levels[:, place], width)._asdict() for width in WIDTHS} if place < levels.shape[1] else None
 
 
 def _shape(counts: NDArray[np.integer]) -> str:
-    """What uneven ranks mean: by their mean and their spread, whichever is farther from a uniform one's."""
+    """The meaning of uneven ranks, from their mean or their spread, whichever differs more from a uniform distribution's."""
     total, bins = counts.sum(), len(counts)
     level = (np.arange(bins) + 0.5) / bins
     mean = counts @ level / total - 0.5
     spread = counts @ (level - 0.5) ** 2 / total - 1 / 12
-    # Standard deviations under uniform ranks.
+    # In standard deviations under uniform ranks.
     mean, spread = mean * np.sqrt(12 * total), spread * np.sqrt(180 * total)
     if abs(mean) > abs(spread):
         return "the posterior lies too low" if mean > 0 else "the posterior lies too high"
@@ -97,7 +97,7 @@ def _effective(findings: Findings, bins: int) -> tuple[bool, str, dict[str, Any]
     short = float(np.mean(least < needed))
     figures: dict[str, Any] = {"needed": needed, "short_share": short}
     for name, column in zip(ESS_NAMES, ess.T, strict=True):
-        # One frame has no ancestors to tell apart.
+        # A single frame has no ancestors to distinguish.
         figures[name] = {"median": float(np.median(column)), "least": float(column.min())} if np.isfinite(column).all() else None
     said = f"particles: {np.median(least):.0f} effective (median), {least.min():.0f} (least), {needed} wanted for {bins} bins"
     if short:
@@ -114,10 +114,10 @@ def _moves(findings: Findings) -> tuple[bool, str, dict[str, Any]]:
     names = [findings.move_names[place] for place in places]
     worst, limit = int(np.argmin(p)), (1 - FAMILY) / len(names)
     figures = {"replications": len(after), "moved_share": moved, "limit": limit, "p_values": dict(zip(names, map(float, p), strict=True))}
-    said = f"Markov move: the least p of {len(names)} figures is {p[worst]:.2g}, of '{names[worst]}', with {limit:.2g} the limit"
-    said += ": it does not keep the posterior" if rejected.any() else ": it keeps the posterior"
+    said = f"Markov move: the smallest p of {len(names)} figures is {p[worst]:.2g}, for '{names[worst]}'; the limit is {limit:.2g}"
+    said += ": it does not leave the posterior invariant" if rejected.any() else ": it leaves the posterior invariant"
     if moved < LEAST_MOVED:
-        said += f"; but only {moved:.1%} of the states moved, so that this says little"
+        said += f"; but only {moved:.1%} of the states moved, so this test is not informative"
     return not rejected.any(), f"{said}.", figures
 
 

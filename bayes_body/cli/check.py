@@ -69,9 +69,9 @@ def check(
 
 def _run(plan: "Plan", pilot: bool, replications: int, jobs: int, json_file: Path | None, plot: Path | None) -> bool:
     """Whether it passed."""
-    from bayes_body.calibration.report import run_and_tell
+    from bayes_body.calibration.report import run_and_report
 
-    return run_and_tell(plan, pilot, replications, jobs, json_file, plot, lambda line: typer.echo(line), sys.stderr.isatty())
+    return run_and_report(plan, pilot, replications, jobs, json_file, plot, lambda line: typer.echo(line), sys.stderr.isatty())
 
 
 def _check_files(json_file: Path | None, plot: Path | None) -> None:

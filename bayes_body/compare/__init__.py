@@ -1,4 +1,4 @@
-"""Runs side by side: every kernel on every definition; two samplers' errors at equal computation, on a frame and along frames."""
+"""Compare runs: every kernel on every definition; and the errors of two samplers at equal computation, on one frame and along frames."""
 
 from bayes_body.compare import estimator_path, estimator_variance
 from bayes_body.compare.benchmark import Pair, Row, Settings, benchmark_rows, pairs

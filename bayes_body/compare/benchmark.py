@@ -1,6 +1,6 @@
-"""Every kernel on every definition for which the view exists, and one sentence for each for which it does not.
+"""A benchmark of every kernel on every definition, and one sentence for each pair that cannot be run.
 
-Both come from where they are registered: a kernel or a definition that is added is in the matrix without another word.
+The registry lists kernels and definitions, so a new kernel or definition is included automatically.
 """
 
 import hashlib
@@ -27,9 +27,9 @@ from bayes_body.toml.read import validate
 from bayes_body.tracking.draws import Draws
 from bayes_body.tracking.track import track
 
-# Of a row's figures; None where one does not exist.
+# Names of the figures in a row; a figure that does not exist is None.
 FIGURES = ("seconds_per_frame", "ess_per_second", "error_mm_mean", "coverage_90", "log_evidence", "frames_lost")
-# Whose change makes other figures.
+# Packages whose version affects the figures.
 PACKAGES = ("bayes-body", "jax")
 
 type Row = dict[str, Any]
@@ -44,14 +44,14 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True)
 class Settings:
-    """How large the runs of a matrix are.
+    """The sizes of the benchmark's runs.
 
     Attributes:
-        frames: of each.
-        most_particles: a kernel's own number, but no more than so many; None leaves it.
-        runs: independent filters.
-        seed: of everything random.
-        session: folder of a recording to try them all on; None takes scenes of our own (`Scenes`).
+        frames: frames of each run.
+        most_particles: upper limit on a kernel's own number of particles; None: no limit.
+        runs: number of independent filters.
+        seed: the seed of everything random.
+        session: folder of a recording to use for all; None: generated scenes (`Scenes`).
     """
 
     frames: int = 60
@@ -65,11 +65,11 @@ QUICK = Settings(frames=5, most_particles=200)
 
 
 def pairs(models: Sequence[str] = (), kernels: Sequence[str] = ()) -> tuple[Pair, ...]:
-    """Definitions by kernels, in the order in which they are listed.
+    """All pairs of definitions and kernels, in the order in which they are listed.
 
     Args:
-        models: definitions, by name or path; all that ship by default.
-        kernels: all that are registered by default.
+        models: definitions, by name or path; default: all that ship.
+        kernels: default: all that are registered.
 
     Raises:
         InputError: there is no such kernel.
@@ -80,21 +80,21 @@ def pairs(models: Sequence[str] = (), kernels: Sequence[str] = ()) -> tuple[Pair
 
 
 def benchmark_rows(asked: Sequence[Pair], settings: Settings, folder: Path, done: Collection[Row] = ()) -> Iterator[Row]:
-    """A row for each pair, as soon as it is known; what goes wrong with one is its own matter.
+    """Yield a row for each pair as soon as it is known. An error in one pair does not affect the others.
 
     Args:
-        asked: which pairs.
-        settings: how large the runs are.
-        folder: where scenes are made; it must outlast the iteration.
-        done: rows that are there already: one that was made with the same settings is taken as it is, unless it failed.
+        asked: the pairs.
+        settings: the sizes of the runs.
+        folder: for the scenes; it must exist during the iteration.
+        done: existing rows. A row with the same settings is reused unless it failed.
 
     Yields:
-        model, kernel, scene, `made_of` (what the figures depend on), FIGURES, and either `why_not`, `error` or neither.
+        model, kernel, scene, `made_of` (what the figures depend on), FIGURES, and `why_not`, `error` or neither.
     """
     scenes = Scenes(folder, settings.frames, settings.seed, settings.session)
-    kept = {(row.get("model"), row.get("kernel")): row for row in done}
+    existing = {(row.get("model"), row.get("kernel")): row for row in done}
     for pair in asked:
-        before = kept.get(pair, {})
+        before = existing.get(pair, {})
         row: Row = {
             "model": pair.model,
             "kernel": pair.kernel,
@@ -122,7 +122,7 @@ def benchmark_rows(asked: Sequence[Pair], settings: Settings, folder: Path, done
 
 
 def options_of(definition: Definition, kernel: str, most_particles: int | None) -> Any:
-    """A kernel's options: the definition's where it is the definition's kernel, else the kernel's own defaults; with no more particles than given.
+    """A kernel's options: the definition's if it names this kernel, else the kernel's defaults; with at most the given number of particles.
 
     Raises:
         InputError: there is no such kernel.
@@ -135,10 +135,10 @@ def options_of(definition: Definition, kernel: str, most_particles: int | None) 
 
 
 def followed(scenes: Scenes, definition: Definition, kernel: str, options: Any, settings: Settings) -> tuple[Scene, Draws]:
-    """A model's scene, and what a kernel makes of it.
+    """A model's scene, and a kernel's draws on it.
 
     Raises:
-        InputError: the view does not exist: no data to follow, or not what this kernel needs.
+        InputError: the pair cannot be run: there are no data to follow, or the model lacks what this kernel needs.
     """
     scene = scenes.of(definition)
     frames = min(settings.frames, scene.session.frames)
@@ -147,9 +147,9 @@ def followed(scenes: Scenes, definition: Definition, kernel: str, options: Any, 
 
 
 def measured(session: Session, draws: Draws) -> dict[str, Any]:
-    """FIGURES of a run.
+    """The FIGURES of a run.
 
-    The effective samples a second count every frame of every run; those of a mode seeker are no samples of the posterior, and do not count.
+    Effective samples per second count every frame of every run. A mode seeker's particles are not samples of the posterior, so it has none.
     """
     working, evidence = draws.timing.total - draws.timing.compile, log_evidence(draws)
     mode_seeker = np.isnan([frame.info.log_evidence for frame in draws.frames]).all()
@@ -166,7 +166,7 @@ def measured(session: Session, draws: Draws) -> dict[str, Any]:
 
 
 def _made_of(definition: Definition, kernel: str, options: Any, settings: Settings) -> dict[str, Any]:
-    """All that the figures depend on, in short: a row whose own is the same need not be made again."""
+    """A digest of everything that the figures depend on. A row with the same digest need not be computed again."""
     recording = None if settings.session is None else _short((settings.session / FILE_NAME).read_text(encoding="utf-8-sig"))
     return {
         "definition": _short(definition.text + definition.body_text),

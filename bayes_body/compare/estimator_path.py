@@ -1,12 +1,12 @@
-r"""Estimator error along frames of a recording, bias and variance apart (Poon & Fleet 2002, 5.2, Fig. 9).
+r"""Estimator error along the frames of a recording, split into bias and variance (Poon & Fleet 2002, 5.2, Fig. 9).
 
-Each run filters the same frames from the same particles; after each frame its estimate is the posterior mean of each dof. Over independent runs the
+Each run filters the same frames from the same particles. After each frame its estimate is the posterior mean of each dof. Over independent runs the
 error splits exactly,
 
 $$\frac{1}{R} \sum_r (\hat\mu_r - \mu)^2 = (\bar\mu - \mu)^2 + \frac{1}{R} \sum_r (\hat\mu_r - \bar\mu)^2,$$
 
-into bias² and variance. All are in units of the true posterior's variance of that dof and frame: n independent draws have a variance of 1/n, and
-bias² cannot be told from 0 below a share 1/R of the variance. The truth is that of two long runs of the filter by chains that carries draws.
+into bias² and variance. All are in units of the true posterior's variance of that dof and frame: n independent draws have a variance of 1/n. A bias²
+below a share 1/R of the variance cannot be distinguished from 0. The truth comes from two long runs of the chain-based filter that carries all draws.
 """
 
 import time
@@ -24,15 +24,15 @@ from bayes_body.kernels.hmc_filter import build_kernel as hmc_kernel
 from bayes_body.shapes import Key
 from bayes_body.view.progress import Watch, unwatched, watched
 
-# Of a run that finds the truth: chains, draws of all of them together, and predictions that the chains' starts are drawn from.
+# For a run that estimates the truth: chains, total draws, and predictions from which the chains' starts are drawn.
 CHAINS, DRAWS, STARTS = 16, 1600, 20_000
-# Of each of these chains: states that are left out first, and states for one draw.
+# For each of these chains: burn-in states, and states per draw.
 BURN_IN, THINNING = 100, 3
 BOOTSTRAPS = 1000
 
 
 class Paths(NamedTuple):
-    """Posterior means and variances of independent runs along frames; evaluations of the density and seconds a frame, warm."""
+    """Posterior means and variances of independent runs along frames; density evaluations and seconds per frame, without compilation."""
 
     means: Float[np.ndarray, "run frame dof"]
     variances: Float[np.ndarray, "run frame dof"]
@@ -41,7 +41,7 @@ class Paths(NamedTuple):
 
 
 class TruePath(NamedTuple):
-    """The posterior's mean and variance after each frame, and the squared difference of two runs' means."""
+    """The posterior's mean and variance after each frame, and the squared difference between the means of two runs."""
 
     mean: Float[np.ndarray, "frame dof"]
     variance: Float[np.ndarray, "frame dof"]
@@ -49,7 +49,7 @@ class TruePath(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """Of each dof after each frame, in units of the true posterior's variance: bias², variance, and their sum."""
+    """For each dof after each frame, in units of the true posterior's variance: bias², variance, and their sum."""
 
     bias: Float[np.ndarray, "frame dof"]
     variance: Float[np.ndarray, "frame dof"]
@@ -59,16 +59,16 @@ class Errors(NamedTuple):
 def follow(
     key: Key, densities: Sequence[FrameDensity], first: Particles, kernel: Kernel, particles: int, runs: int, watch: Watch = unwatched
 ) -> Paths:
-    """Independent runs of a filter, one after the other, each alone on the machine; what is compiled is compiled before the clock starts.
+    """Independent runs of a filter, one after the other, each with the whole machine. Compilation happens before the clock starts.
 
     Args:
-        key: of all runs.
-        densities: of the frames, in order; whatever particles they hold, each run goes on from its own.
-        first: the mixture that stands before the first frame.
+        key: for all runs.
+        densities: those of the frames, in order. Their particles are replaced by those of each run.
+        first: the mixture before the first frame.
         kernel: the filter.
-        particles: of each run, or a few more.
-        runs: how many.
-        watch: takes the numbers of the runs and gives them back, as a bar does.
+        particles: least number of particles of each run.
+        runs: number of runs.
+        watch: wraps the iteration over runs, to show progress.
     """
 
     @jax.jit
@@ -78,7 +78,7 @@ def follow(
         mean = weights @ pose
         return after, (mean, weights @ (pose - mean) ** 2, info.evaluations)
 
-    begin = _as_many(first, particles)
+    begin = _replicated(first, particles)
     jax.block_until_ready(step(key, begin, densities[0]))
     found, start = [], time.perf_counter()
     for run in watch(range(runs)):
@@ -95,7 +95,7 @@ def follow(
 def true_path(
     key: Key, densities: Sequence[FrameDensity], first: Particles, draws: int = DRAWS, starts: int = STARTS, watch: Watch = unwatched
 ) -> TruePath:
-    """By two long runs of chains, of so many draws together, that hand on all their draws."""
+    """Estimate the truth by two long runs of chains that carry on all their draws; `draws` is the total of each."""
     kernel = hmc_kernel(**OPTIONS, chains=CHAINS, burn_in=BURN_IN, thinning=THINNING, starts=starts, carry="draws")
     found = follow(key, densities, first, kernel, draws, 2, watch)
     return TruePath(found.means.mean(axis=0), found.variances.mean(axis=0), (found.means[0] - found.means[1]) ** 2)
@@ -116,20 +116,21 @@ def along(
     draws: int = DRAWS,
     bar: bool = False,
 ) -> dict[str, Any]:
-    """Figures of many runs of each filter along the frames; with `bar`, they are watched on standard error.
+    """Figures of many runs of each filter along the frames; with `bar`, progress is shown on standard error.
 
     Args:
-        key: of the truth and of all runs.
-        densities: of the frames, in order.
-        first: the mixture that stands before the first frame.
+        key: for the truth and all runs.
+        densities: those of the frames, in order.
+        first: the mixture before the first frame.
         filters: by name, a kernel and its number of particles.
-        runs: of each filter.
-        draws: of each of the two runs that find the truth.
-        bar: whether bars are drawn.
+        runs: number of runs of each filter.
+        draws: of each of the two runs that estimate the truth.
+        bar: whether to show progress bars.
 
     Returns:
-        by filter, by frame the median over dofs of `bias`², `variance` and their sum `error` with its bootstrap interval, in units of the posterior's
-        variance; `seconds` and `evaluations` a frame. `truth_difference`: by frame, how far the truth's two runs differ, likewise.
+        by filter: for each frame the median over dofs of `bias`², `variance` and their sum `error` with its bootstrap interval, in units of the
+            posterior's variance; `seconds` and `evaluations` per frame. `truth_difference`: for each frame the difference between the truth's two
+            runs, in the same units.
     """
     truth_key, own_key = jax.random.split(key)
     truth = true_path(truth_key, densities, first, draws, watch=watched("long runs along the frames", bar))
@@ -151,13 +152,13 @@ def path_figures(paths: Paths, truth: TruePath, seed: int = 0) -> dict[str, Any]
     return medians | {"error_interval": interval, "seconds": paths.seconds, "evaluations": paths.evaluations}
 
 
-def told(figures: Mapping[str, Any]) -> str:
-    """The figures of `along` in sentences, means over the frames."""
+def summary(figures: Mapping[str, Any]) -> str:
+    """The figures of `along` in sentences, as means over the frames."""
     lines = []
     for name, of in figures.items():
         if name == "truth_difference":
             lines.append(f"the two runs of that truth differ by {np.mean(of):.4f}")
-            lines += _doubted(np.array(of), np.min([row["error"] for other, row in figures.items() if other != name], axis=0))
+            lines += _unreliable(np.array(of), np.min([row["error"] for other, row in figures.items() if other != name], axis=0))
             continue
         error, bias, variance = (np.mean(of[each]) for each in ("error", "bias", "variance"))
         frames = f"{len(of['error'])} frame{'' if len(of['error']) == 1 else 's'}"
@@ -166,13 +167,13 @@ def told(figures: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _doubted(difference: Float[np.ndarray, " frame"], smallest: Float[np.ndarray, " frame"]) -> list[str]:
-    """What to say where the truth is not known well enough for the smallest error of any filter."""
+def _unreliable(difference: Float[np.ndarray, " frame"], smallest: Float[np.ndarray, " frame"]) -> list[str]:
+    """A warning if the truth is not known well enough for the smallest error of any filter."""
     unknown = difference > LARGEST_DIFFERENCE * smallest
     if not unknown.any():
         return []
-    since = f"from number {int(np.argmax(unknown))} of these frames on, counted from 0,"
-    remedy = "the errors there say little; leave out --quick, or take another frame"
+    since = f"from frame {int(np.argmax(unknown))} of these on, counted from 0,"
+    remedy = "the errors there are unreliable; leave out --quick, or choose another frame"
     return [f"{since} they differ by more than {LARGEST_DIFFERENCE:.0%} of the smallest error²: {remedy}"]
 
 
@@ -180,8 +181,8 @@ def _median(by_dof: Float[np.ndarray, "frame dof"]) -> list[float]:
     return np.round(np.median(by_dof, axis=1), 6).tolist()
 
 
-def _as_many(mixture: Particles, particles: int) -> Particles:
-    """An equally weighted mixture as so many particles or a few more: each component as often, the copies of one next to each other."""
+def _replicated(mixture: Particles, particles: int) -> Particles:
+    """An equally weighted mixture with at least `particles` particles: each component occurs equally often, with its copies next to each other."""
     copies = -(-particles // mixture.log_weights.shape[0])
     return Particles(
         jax.tree.map(lambda leaf: jnp.repeat(leaf, copies, axis=0), dict(mixture.states)), jnp.repeat(mixture.log_weights, copies) - jnp.log(copies)

@@ -1,7 +1,7 @@
-"""The true posterior mean of one frame, by two long independent runs that must agree: of a particle filter, or of many chains.
+"""The true posterior mean of one frame, from two long independent runs that must agree: of a particle filter, or of many chains.
 
-Which is the better one depends on the posterior: where it is hardly narrower than the prediction, millions of particles are worth hundreds of
-thousands of draws; where it is far narrower they are worth a handful, and chains that mix find it (Poon & Fleet 2002 took 4 million particles).
+Which one is better depends on the posterior. If it is hardly narrower than the prediction, millions of particles are worth hundreds of thousands of
+draws. If it is far narrower, they are worth a handful, and chains that mix find it (Poon & Fleet 2002 used 4 million particles).
 """
 
 from collections.abc import Callable
@@ -21,16 +21,16 @@ from bayes_body.posterior.agreement import split_rhat
 from bayes_body.shapes import Key
 from bayes_body.view.progress import Watch, unwatched, watched
 
-# Particles of one program; a truth of millions is summed over many.
+# Particles of one program call; millions are summed over many calls.
 CHUNK = 50_000
-# Chains that agree: Vehtari et al. (2021).
+# Largest R-hat of chains that agree: Vehtari et al. (2021).
 LARGEST_RHAT = 1.01
-# Of the smallest error² that is told, by how much two runs for the truth may differ.
+# Largest difference between the truth's two runs, relative to the smallest error² that is reported.
 LARGEST_DIFFERENCE = 0.1
 
-# The burn-in of a long chain: half as many states as its draws, at most so many.
+# Burn-in of a long chain: half as many states as draws, up to this limit.
 LONGEST_BURN_IN = 1000
-# Of the chains, whatever those of the samplers that are compared.
+# Options of these chains, whatever the options of the samplers that are compared.
 OPTIONS = {"mass": "adapted", "leapfrog_steps": 10, "jitter": 0.3, "step": 0.3, "target_acceptance": 0.7}
 # (key, density) -> draws and information.
 type Sampler = Callable[[Key, Any], tuple[Particles, FilterInfo]]
@@ -40,12 +40,12 @@ class Truth(NamedTuple):
     """A posterior's mean, and how well it is known.
 
     Attributes:
-        mean: of each dof, radians and metres.
+        mean: mean of each dof, radians and metres.
         sd: standard deviation of each dof.
         error: squared difference of the two runs' means.
-        effective: draws that each run is worth.
+        effective: effective number of draws of each run.
         by: `sir` or `hmc`.
-        rhat: largest split R-hat over the dofs and the chains of both runs, also where these were not taken; NaN where none ran.
+        rhat: largest split R-hat over the dofs and over the chains of both runs, even if sir was chosen; NaN if no chains ran.
     """
 
     mean: Float[np.ndarray, " dof"]
@@ -57,12 +57,12 @@ class Truth(NamedTuple):
 
     @property
     def converged(self) -> bool:
-        """Whether the chains agree, where it is theirs."""
+        """Whether the chains agree, if the truth is theirs."""
         return self.by != "hmc" or self.rhat <= LARGEST_RHAT
 
 
 def sir_sampler(particles: int) -> Sampler:
-    """The particle filter from a fixed mixture, of so many particles or a few more: of each component equally many."""
+    """The particle filter from a fixed mixture, with at least `particles` particles: equally many from each component."""
     kernel = build_kernel()
 
     def sample(key: Key, density: FrameDensity) -> tuple[Particles, FilterInfo]:
@@ -74,7 +74,7 @@ def sir_sampler(particles: int) -> Sampler:
 
 
 def true_mean(key: Key, density: FrameDensity, particles: int, watch: Watch = unwatched) -> Truth:
-    """By two particle filters of so many particles each, in chunks."""
+    """Estimate the mean by two particle filters with `particles` particles each, in chunks."""
     sample = sir_sampler(CHUNK)
 
     @jax.jit
@@ -96,22 +96,22 @@ def true_mean(key: Key, density: FrameDensity, particles: int, watch: Watch = un
 
 def _pooled(chunks: list[tuple[Any, ...]]) -> tuple[np.ndarray, np.ndarray, float]:
     evidence, means, squares, effective = (np.array(each, float) for each in zip(*chunks, strict=True))
-    # A chunk counts by its evidence.
+    # A chunk is weighted by its evidence.
     share = np.exp(evidence - evidence.max())
     share /= share.sum()
     return share @ means, share @ squares, float(1 / np.sum(share**2 / effective))
 
 
 def true_mean_by_chains(key: Key, density: FrameDensity, draws: int, chains: int = 32, starts: int = 200_000, watch: Watch = unwatched) -> Truth:
-    """By two runs of so many chains each, their starts drawn among so many weighted predictions: modes begin with the shares that they have.
+    """Estimate the mean by two runs of chains. Their starts are drawn from weighted predictions, so modes start with their probabilities.
 
     Args:
-        key: of both.
-        density: of the frame.
-        draws: of each chain, behind its burn-in.
-        chains: of each run.
-        starts: predictions of each run.
-        watch: takes the numbers of the runs and gives them back, as a bar does.
+        key: for both runs.
+        density: the frame's density.
+        draws: draws of each chain after its burn-in.
+        chains: chains of each run.
+        starts: number of predictions of each run.
+        watch: wraps the iteration over runs, to show progress.
     """
     sample = build_sampler(chains=chains, starts=starts, burn_in=min(max(draws // 2, FEWEST), LONGEST_BURN_IN), **OPTIONS)
     run = jax.jit(lambda key, density: sample(key, density, chains * draws)[0].states["pose"])
@@ -123,11 +123,11 @@ def true_mean_by_chains(key: Key, density: FrameDensity, draws: int, chains: int
 
 
 def best_truth(key: Key, density: FrameDensity, particles: int, draws: int, bar: bool = False) -> Truth:
-    """The better one of so many particles and of chains of so many draws each; with `bar`, both are watched on standard error."""
+    """The better estimate, by particles or by chains; with `bar`, progress is shown on standard error."""
     by_particles = true_mean(key, density, particles, watched("chunks of the truth", bar))
     return better_of(by_particles, true_mean_by_chains(key, density, draws, watch=watched("long runs of hmc", bar)))
 
 
 def better_of(particles: Truth, chains: Truth) -> Truth:
-    """The one that is worth more draws; chains that disagree are worth few."""
+    """The one with more effective draws; chains that disagree have few."""
     return chains if chains.effective > particles.effective else particles._replace(rhat=chains.rhat)

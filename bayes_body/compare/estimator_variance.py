@@ -1,8 +1,8 @@
 r"""Estimator variance of two samplers at equal computation (Poon & Fleet 2002, 5.2, Fig. 8).
 
-Both see one frame after one fixed prediction mixture. An estimate is a run's posterior mean of each dof; its error is the mean squared deviation from
-the true posterior mean (`estimator_truth`) over independent runs, $\frac{1}{R} \sum_r (\hat\mu_r - \mu)^2$. A particle costs one likelihood, a
-gradient what it was measured to cost.
+Both work on one frame after one fixed prediction mixture. An estimate is a run's posterior mean of each dof. Its error is the mean squared deviation
+from the true posterior mean (`estimator_truth`) over independent runs, $\frac{1}{R} \sum_r (\hat\mu_r - \mu)^2$. A particle costs one likelihood
+evaluation; a gradient costs as many as were measured.
 """
 
 import time
@@ -25,14 +25,14 @@ from bayes_body.view.progress import Watch, unwatched, watched
 from bayes_body.view.variance_plot import draw_ratios
 
 __all__ = ["Equal", "Ratios", "Runs", "Truth", "at_equal_computation", "best_truth", "draw_ratios", "figures_of", "gradient_cost", "hmc_sampler"]
-__all__ += ["mixture_after", "ratios", "run_many", "sir_sampler", "told"]
+__all__ += ["mixture_after", "ratios", "run_many", "sir_sampler", "summary"]
 
 BOOTSTRAPS = 2000
 TIMED = 8
 
 
 class Runs(NamedTuple):
-    """Estimates of independent runs, evaluations of the density a run and whole seconds a run, warm."""
+    """Estimates of independent runs; density evaluations and seconds per run, without compilation."""
 
     means: Float[np.ndarray, "run dof"]
     evaluations: float
@@ -40,7 +40,7 @@ class Runs(NamedTuple):
 
 
 class Ratios(NamedTuple):
-    """Mean squared error of one sampler over that of another: of each dof with its 95 % bootstrap interval, and the median over dofs with its own."""
+    """Ratio of the mean squared errors of two samplers: for each dof with its 95 % bootstrap interval, and the median over dofs with its interval."""
 
     per_dof: Float[np.ndarray, "dof 3"]
     median: float
@@ -48,7 +48,7 @@ class Ratios(NamedTuple):
 
 
 class Equal(NamedTuple):
-    """Runs of hmc, and of sir that may compute as much: by what is equal, `evaluations` or `seconds`, its runs and its number of particles."""
+    """Runs of hmc, and of sir at equal computation. What is equal is `evaluations` or `seconds`; each has runs and a number of particles."""
 
     hmc: Runs
     sir: dict[str, Runs]
@@ -57,7 +57,7 @@ class Equal(NamedTuple):
 
 
 def mixture_after(key: Key, draws: Draws, components: int) -> Particles:
-    """So many equally weighted particles of the last frame's first run: a prediction mixture (14) for both samplers."""
+    """Equally weighted particles of the first run's last frame: a prediction mixture (14) for both samplers."""
     last = draws.frames[-1]
     particles = Particles({name: jnp.asarray(values[0]) for name, values in last.states.items()}, jnp.asarray(last.log_weights[0]))
     chosen = resampler("systematic")(key, particles.log_weights, components)
@@ -66,7 +66,7 @@ def mixture_after(key: Key, draws: Draws, components: int) -> Particles:
 
 
 def run_many(key: Key, density: FrameDensity, sampler: Sampler, runs: int, watch: Watch = unwatched) -> Runs:
-    """Independent runs of a sampler, one after the other, each alone on the machine; the first, cold one is not among them."""
+    """Independent runs of a sampler, one after the other, each with the whole machine. The first run, which compiles, is not included."""
 
     @jax.jit
     def once(key: Key, density: FrameDensity) -> tuple[Array, Array]:
@@ -83,15 +83,15 @@ def run_many(key: Key, density: FrameDensity, sampler: Sampler, runs: int, watch
 
 
 def at_equal_computation(key: Key, density: FrameDensity, options: Mapping[str, Any], draws: int, runs: int, bar: bool = False) -> Equal:
-    """Both samplers on one frame after one mixture; with `bar`, they are watched on standard error.
+    """Both samplers on one frame after one mixture; with `bar`, progress is shown on standard error.
 
     Args:
-        key: of all runs.
-        density: of the frame, after the mixture.
-        options: of hmc.
-        draws: of a run of hmc.
-        runs: of each sampler.
-        bar: whether bars are drawn.
+        key: for all runs.
+        density: the frame's density, after the mixture.
+        options: options of hmc.
+        draws: draws of a run of hmc.
+        runs: number of runs of each sampler.
+        bar: whether to show progress bars.
     """
     sampler, cost, keys = hmc_sampler(**options), gradient_cost(density), jax.random.split(key, 3)
 
@@ -106,7 +106,7 @@ def at_equal_computation(key: Key, density: FrameDensity, options: Mapping[str, 
 
 
 def gradient_cost(density: FrameDensity, batch: int = 512) -> float:
-    """What a value with its gradient costs, in values, both of many poses at once."""
+    """The cost of a value with its gradient, in units of a value's cost, both for many poses at once."""
     previous = everywhere(density.previous)
     poses = jnp.repeat(previous.states["pose"], -(-batch // previous.states["pose"].shape[0]), axis=0)[:batch]
 
@@ -127,7 +127,7 @@ def gradient_cost(density: FrameDensity, batch: int = 512) -> float:
 
 
 def ratios(over: Runs, under: Runs, truth: Truth, seed: int = 0) -> Ratios:
-    """The mean squared error of `over` divided by that of `under`, with intervals by resampling runs."""
+    """The mean squared error of `over` divided by that of `under`, with intervals from resampling runs."""
     rng = np.random.default_rng(seed)
     errors = [(runs.means - truth.mean) ** 2 for runs in (over, under)]
 
@@ -144,7 +144,7 @@ def ratios(over: Runs, under: Runs, truth: Truth, seed: int = 0) -> Ratios:
 
 
 def figures_of(names: Sequence[str], equal: Equal, truth: Truth) -> dict[str, Any]:
-    """Ratios and costs at equal evaluations, therein those at `equal_seconds`, and the `settings` that they depend on, as plain numbers."""
+    """Ratios and costs at equal evaluations, the same for `equal_seconds`, and the `settings` that they depend on, as plain numbers."""
     by_evaluations, by_seconds = (_row(names, equal.sir[at], equal.hmc, truth) for at in ("evaluations", "seconds"))
     doubt = float(np.max(truth.error / np.mean((equal.hmc.means - truth.mean) ** 2, axis=0)))
     known = {"truth_by": truth.by, "truth_rhat": truth.rhat, "truth_effective": truth.effective, "truth_difference": doubt}
@@ -163,8 +163,8 @@ def _row(names: Sequence[str], over: Runs, under: Runs, truth: Truth) -> dict[st
     return {"ratio_median": found.median, "ratio_interval": found.interval, "per_dof": per_dof, **costs}
 
 
-def told(figures: Mapping[str, Any]) -> str:
-    """The headline in sentences, of `figures_of`."""
+def summary(figures: Mapping[str, Any]) -> str:
+    """The headline of `figures_of` in sentences."""
     settings, lines = figures["settings"], []
     for at, row in {"evaluations": figures, "seconds": figures["equal_seconds"]}.items():
         low, high = row["ratio_interval"]
@@ -174,8 +174,8 @@ def told(figures: Mapping[str, Any]) -> str:
         )
     rhat = f"R-hat of long chains {settings['truth_rhat']:.3f}"
     lines.append(f"the truth is by {settings['truth_by']}, of {settings['truth_effective']:.0f} effective draws, {rhat}")
-    lines.append(f"its two runs differ by {settings['truth_difference']:.1%} of hmc's error² at worst")
+    lines.append(f"its two runs differ by at most {settings['truth_difference']:.1%} of hmc's error²")
     if settings["truth_difference"] > LARGEST_DIFFERENCE or not settings["truth_converged"]:
         allowed = f"an R-hat above {LARGEST_RHAT} or a difference above {LARGEST_DIFFERENCE:.0%} is too much"
-        lines.append(f"{allowed}: these ratios say nothing; leave out --quick, or take a frame whose posterior has one mode")
+        lines.append(f"{allowed}: these ratios are meaningless; leave out --quick, or choose a frame whose posterior has one mode")
     return "\n".join(lines)

@@ -1,7 +1,7 @@
-"""What a model is tried on, always with a truth: a recording that was given, a rendered walk, or data that the model itself draws.
+"""Scenes with known truth for a model: a given recording, a rendered walk, or data drawn from the model itself.
 
-A body with a pelvis walks through the shipped four cameras, drawn by a renderer that knows nothing of the model. No recording shows an arm alone;
-there, and where a recording has not what a likelihood looks at, the data are drawn from the model, if its likelihoods are distributions over data.
+A body with a pelvis walks in front of the four shipped cameras, drawn by a renderer that does not use the model. No recording shows an arm alone.
+There, and where a recording lacks what a likelihood reads, data are drawn from the model if its likelihoods are distributions over data.
 """
 
 from collections.abc import Callable
@@ -32,14 +32,14 @@ from bayes_body.shapes import Key
 
 RIG, FPS = "room_4", 60.0
 TRUTH = "truth.npz"
-# The walker's build, clothes and stature: anybody's.
+# An arbitrary walker: build, clothes and stature.
 PERSON, HEIGHT_M = 4, 1.76
-# What a body must have to walk through a room.
+# A body needs these markers to walk through a room.
 ROOT = "pelvis"
 
 
 class Scene(NamedTuple):
-    """A model with what it is to follow.
+    """A model with the data that it is to follow.
 
     Attributes:
         session: cameras, frames and truth.
@@ -53,13 +53,13 @@ class Scene(NamedTuple):
 
 
 class Scenes:
-    """The scenes of one matrix: what several rows share is made once.
+    """The scenes of one benchmark. What several rows share is computed once.
 
     Args:
-        folder: where scenes are kept, as long as they are needed.
-        frames: of each scene.
-        seed: of the walk, the renderer's noise, and what models draw.
-        session: folder of a recording, which then takes the place of all others.
+        folder: for the scenes, as long as they are needed.
+        frames: number of frames of each scene.
+        seed: for the walk, the renderer's noise, and data drawn from models.
+        session: folder of a recording that replaces all other scenes.
     """
 
     def __init__(self, folder: Path, frames: int, seed: int = 0, session: Path | None = None):
@@ -70,17 +70,17 @@ class Scenes:
         """The scene of a model.
 
         Raises:
-            InputError: there is none; the sentence says why.
+            InputError: there is none; the message gives the reason.
         """
         if definition.name not in self._made:
             try:
                 self._made[definition.name] = self._make(definition)
             except InputError as error:
                 self._made[definition.name] = error
-        made = self._made[definition.name]
-        if isinstance(made, InputError):
-            raise made
-        return made
+        scene = self._made[definition.name]
+        if isinstance(scene, InputError):
+            raise scene
+        return scene
 
     @cached_property
     def session(self) -> Session:
@@ -95,14 +95,14 @@ class Scenes:
         try:
             return self._seen(definition, "rendered")
         except InputError:
-            # Such as a likelihood of keypoints, which no detector has found here.
+            # For example a likelihood of keypoints, for which no detector ran here.
             if not_generative(load_model(definition, self.session)):
                 raise
             return self._drawn(definition)
 
-    def _seen(self, definition: Definition, kind: str) -> Scene:
+    def _recorded(self, definition: Definition, kind: str) -> Scene:
         model = load_model(definition, self.session)
-        # What a likelihood looks at, and whether the recording has it, is known before the first pose is looked for.
+        # Check that the recording has what the likelihoods read, before fitting the first pose.
         model.observe(read_frame(self.session, 0))
         return Scene(self.session, with_first_pose(model, self.session), kind)
 
@@ -110,7 +110,7 @@ class Scenes:
         model = model_in_a_room(definition)
         lacking = not_generative(model)
         if lacking:
-            found = f"its likelihood '{lacking[0]}' is no distribution over data, and no recording shows the body '{definition.body_name}' alone"
+            found = f"its likelihood '{lacking[0]}' is not a distribution over data, and no recording shows the body '{definition.body_name}' alone"
             raise input_error(definition.name, found, "data to follow", "give a recording of it with --session")
         return drawn(model, self.folder / definition.name, self.frames, jax.random.fold_in(jax.random.key(self.seed), 1))
 
@@ -139,7 +139,7 @@ def rendered(folder: Path, frames: int, seed: int) -> Session:
 
 
 def drawn(model: Model, folder: Path, frames: int, key: Key) -> Scene:
-    """A path of the model's own motion prior and the data that its likelihoods make of it: what the model takes for possible.
+    """A path drawn from the model's motion prior, with data drawn from its likelihoods.
 
     Raises:
         InputError: the model cannot be simulated, or the folder cannot be written.
@@ -160,7 +160,7 @@ def _of_frame(data: Any) -> Callable[[Any], Any]:
 
 
 def _write_truth(path: Path, model: Model, poses: Float[np.ndarray, "frame dof"]) -> None:
-    """The markers that the body has; the others are unknown."""
+    """Write the markers that the body has; the others are unknown."""
     names = model.body.markers.names
     positions = np.full((len(poses), len(MARKERS), 3), np.nan)
     for frame, pose in enumerate(poses):
@@ -182,9 +182,9 @@ def _cameras(rig: Camera) -> list[CameraSpec]:
 
 
 def _blank(folder: Path, camera: CameraSpec) -> str:
-    """The pattern of a camera's images, one for all frames: whoever follows reads images, though here nobody looks at them."""
+    """The pattern of a camera's images, one image for all frames: a tracker reads images, even if no likelihood uses them."""
     width, height = camera.size_px
-    # One grey everywhere would count as a camera that saw nothing.
+    # An image with a single grey level would count as not seen.
     (folder / f"{camera.name}.pgm").write_bytes(b"P5 %d %d 255\n" % (width, height) + np.arange(width * height).astype(np.uint8).tobytes())
-    # The frame's number, cut to no letters.
+    # `%.0s` consumes the frame number and prints nothing.
     return f"{camera.name}%.0s.pgm"

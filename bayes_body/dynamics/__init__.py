@@ -1,1 +1,1 @@
-"""One file a motion prior, in JAX: the previous state becomes a Transition."""
+"""Motion priors in JAX, one per file: each maps the previous state to a Transition."""

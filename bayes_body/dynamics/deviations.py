@@ -1,4 +1,4 @@
-"""Standard deviations a frame, as a definition writes them: by names of dofs or patterns, at one frame rate."""
+"""Standard deviations per frame, as a definition gives them: by dof names or patterns, at one frame rate."""
 
 import math
 from collections.abc import Mapping
@@ -9,23 +9,23 @@ from bayes_body.errors import InputError, nearest
 
 
 def standard_deviations(sd_deg: Mapping[str, float], sd_m: Mapping[str, float], topology: Topology) -> dict[str, float]:
-    """For every dof, radians or metres. An exact name wins, else the first pattern that fits.
+    """The standard deviation of every dof, radians or metres. An exact name wins, else the first pattern that matches.
 
     Raises:
-        InputError: a dof has none, or a key means no dof.
+        InputError: a dof has none, or a key matches no dof.
     """
-    found: dict[str, float] = {}
+    deviations: dict[str, float] = {}
     for unit, field, table, si in (("rad", "sd_deg", sd_deg, math.pi / 180), ("m", "sd_m", sd_m, 1.0)):
         dofs = [name for name, u in zip(topology.dof_names, topology.dof_units, strict=True) if u == unit]
         for key in table:
             if not any(fnmatchcase(name, key) for name in dofs):
                 measure = "degrees" if unit == "rad" else "metres"
-                raise InputError(f"dynamics.{field}.{key}: fits no dof of the body in {measure}; {nearest(key, dofs)}")
+                raise InputError(f"dynamics.{field}.{key}: matches no dof of the body in {measure}; {nearest(key, dofs)}")
         for name in dofs:
             key = name if name in table else next((pattern for pattern in table if fnmatchcase(name, pattern)), None)
             if key is None:
                 raise InputError(
                     f"dynamics.{field}: no standard deviation for the dof '{name}'; expected one for every dof; add '{name}' or a pattern."
                 )
-            found[name] = table[key] * si
-    return found
+            deviations[name] = table[key] * si
+    return deviations

@@ -2,8 +2,8 @@ r"""A random walk inside the joint limits (Darby, Li & Costen 2008, 6.2: "the ad
 
 $$s_t^k \mid s_{t-1}^k \sim \mathcal{N}(s_{t-1}^k, \sigma_k^2) \text{ truncated to } [\mathrm{low}_k, \mathrm{high}_k].$$
 
-The truncated normal is normalised for each previous state: near a limit the density is higher, and a rejection after drawing would have
-forgotten that. Half the largest change between two frames of a training motion is what the paper takes for $\sigma_k$.
+The truncated normal is normalised for each previous state: near a limit its density is higher, which rejection after drawing would ignore. The paper
+sets $\sigma_k$ to half the largest change between two frames of a training motion.
 """
 
 import math
@@ -26,10 +26,10 @@ from bayes_body.toml.schema import Positive, Schema
 
 
 class Options(Schema):
-    """Options of `[dynamics] kind = "diffusion"`: a standard deviation a frame for every dof.
+    """Options of `[dynamics] kind = "diffusion"`: a standard deviation per frame for every dof.
 
-    Keys are names of dofs or patterns (`*_hip_?`); an exact name wins, else the first pattern that fits. `at_fps` is the frame rate at which they
-    hold: a random walk's standard deviation grows with the square root of the time between frames.
+    Keys are names of dofs or patterns (`*_hip_?`); an exact name wins, else the first pattern that matches. The values are valid at the frame rate
+    `at_fps`. A random walk's standard deviation grows with the square root of the time between frames.
     """
 
     sd_deg: Mapping[str, Positive] = {}
@@ -39,7 +39,7 @@ class Options(Schema):
 
 
 class TruncatedWalk(InBox):
-    """A normal truncated to a box with possibly infinite sides: independent dofs, scalar log_prob."""
+    """A normal distribution truncated to a box, with possibly infinite sides: independent dofs, scalar log_prob."""
 
     arg_constraints = {"loc": constraints.real_vector, "scale": constraints.real_vector}
     reparametrized_params = ["loc", "scale"]
@@ -54,10 +54,10 @@ class TruncatedWalk(InBox):
         return (self.low - self.loc) / self.scale, (self.high - self.loc) / self.scale
 
     def sample(self, key: Key, sample_shape: tuple[int, ...] = ()) -> Float[Array, "*sample dof"]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """By inversion: one uniform number a dof, whatever the limits.
+        """Sample by inversion: one uniform number per dof, whatever the limits.
 
-        Between erf of the two sides rather than between their probabilities: it takes two thirds of the time of ndtri, and is as exact while `loc`
-        lies in the box.
+        The uniform number is drawn between the erf values of the two sides, not between their probabilities. This takes two thirds of the time of
+        ndtri, and is as exact while `loc` is inside the box.
         """
         root_half = math.sqrt(0.5)
         low, high = (jax.lax.erf(side * root_half) for side in self._sides)
@@ -67,7 +67,7 @@ class TruncatedWalk(InBox):
         return jnp.clip(self.loc + self.scale * z, self.low, self.high)
 
     def log_prob(self, value: Pose, intermediates: Any = None) -> Scalar:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Minus infinity outside the limits."""
+        """The log-density; minus infinity outside the limits."""
         del intermediates
         z = (value - self.loc) / self.scale
         density = -0.5 * z * z - jnp.log(self.scale) - 0.5 * math.log(2 * math.pi) - _log_mass(*self._sides)
@@ -75,10 +75,10 @@ class TruncatedWalk(InBox):
 
 
 def _log_mass(a: Pose, b: Pose) -> Pose:
-    r"""$\log(\Phi(b) - \Phi(a))$, from whichever tail is the shorter, so that nothing cancels."""
+    r"""$\log(\Phi(b) - \Phi(a))$, computed in the shorter tail to avoid cancellation."""
     mirrored: Bool[Array, " dof"] = a > 0
     a, b = jnp.where(mirrored, -b, a), jnp.where(mirrored, -a, b)
-    # An infinite side has an infinite derivative times zero in reverse mode: beyond 30 sds it makes no difference.
+    # In reverse mode an infinite side gives infinity times zero. Beyond 30 standard deviations the clamp makes no difference.
     a, b = jnp.clip(a, -30.0, 30.0), jnp.clip(b, -30.0, 30.0)
     upper = log_ndtr(b)
     return upper + jnp.log1p(-jnp.exp(jnp.minimum(log_ndtr(a) - upper, -1e-7)))
@@ -94,10 +94,10 @@ def _noise(sd: Pose, low: Pose, high: Pose, state: State, scale: Scalar) -> dict
 
 @register("dynamics", "diffusion", Options)
 def build(options: Options, body: Body, fps: float, subject_sd: Mapping[str, float] | None = None, **_: Any) -> Transition:
-    """The random walk of one body at one frame rate.
+    """Build the random walk for one body and frame rate.
 
     Raises:
-        InputError: a dof has no standard deviation, or a key of the options means no dof.
+        InputError: a dof has no standard deviation, or a key of the options matches no dof.
     """
     topology = body.skeleton.topology
     factor = math.sqrt(options.at_fps / fps)

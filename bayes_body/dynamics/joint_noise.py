@@ -1,12 +1,12 @@
-r"""Process noise that keeps to the joints' limits (Poon & Fleet 2002, 3.3): Beta on a limited dof, normal on a shift, wrapped normal on a full turn.
+r"""Process noise within the joint limits (Poon & Fleet 2002, 3.3): Beta for a limited dof, normal for a translation, wrapped normal for a full turn.
 
-On $[\mathrm{low}, \mathrm{high}]$, with $u$ the share of the range, the noise has a fixed variance $v$ of $u$ and its mode where the prediction is,
-clipped to the limits ("the densities become increasingly skewed as the prediction approaches the boundaries"):
+On $[\mathrm{low}, \mathrm{high}]$, with $u$ the share of the range, the noise has a fixed variance $v$ of $u$, and its mode at the prediction clipped
+to the limits ("the densities become increasingly skewed as the prediction approaches the boundaries"):
 
 $$u \sim \mathrm{Beta}(1 + m\kappa,\ 1 + (1 - m)\kappa), \qquad
 v = \frac{(1 + m\kappa)(1 + (1 - m)\kappa)}{(2 + \kappa)^2 (3 + \kappa)}, \qquad m = \mathrm{clip}(u^p, 0, 1),$$
 
-which falls strictly in $\kappa \ge 0$ from $1/12$, the variance of the uniform law: no larger one has a mode inside.
+$v$ decreases strictly in $\kappa \ge 0$ from $1/12$, the variance of the uniform distribution: no larger variance has a mode inside.
 """
 
 import math
@@ -21,19 +21,19 @@ from numpyro.distributions import constraints
 from bayes_body.dynamics.limits import InBox
 from bayes_body.shapes import Index, Key, Pose, Scalar
 
-# The largest variance of a share of the range, just below the uniform law's.
+# The largest variance of a share of the range, just below that of the uniform distribution.
 LARGEST_VARIANCE = (1 - 1e-4) / 12
-# Nearer to a limit than this share of the range the log-density is that of this distance: it would fall to minus infinity.
+# Nearer to a limit than this share of the range, the log-density is constant; otherwise it would go to minus infinity.
 NEAREST = 1.2e-7
-# From any start these leave float64's rounding.
+# These many iterations reach float64's rounding from any start.
 NEWTON_STEPS = 12
 
 
 class JointNoise(InBox):
-    """Independent dofs, each with the noise of its kind; scalar log_prob.
+    """Independent dofs, each with its kind of noise; scalar log_prob.
 
-    A dof that turns freely keeps its own coordinate, which counts turns: its density has the period 2π and integrates to one over a turn. A sigmoid
-    to (−π, π), as numpyro has for its von Mises distribution, would wall off the half turn.
+    A freely turning dof keeps its own coordinate, which counts turns: its density has the period 2π and integrates to one over a turn. A sigmoid to
+    (−π, π), as in numpyro's von Mises distribution, would make the half turn a barrier.
     """
 
     arg_constraints = {"centre": constraints.real_vector, "scale": constraints.real_vector}
@@ -41,15 +41,15 @@ class JointNoise(InBox):
     pytree_data_fields = ("centre", "scale", "low", "high", "angular", "alpha", "beta", "log_norm")
 
     def __init__(self, centre: Pose, scale: Pose, low: Pose, high: Pose, angular: Bool[Array, " dof"], *, validate_args: bool | None = None):
-        """What depends on the centre alone is computed here, once for all values that are evaluated.
+        """Compute what depends only on the centre, once for all values that are evaluated.
 
         Args:
-            centre: the mode, before it is clipped to the limits; radians or metres.
-            scale: standard deviations, radians or metres; of a limited dof below the range / √12.
+            centre: the mode before clipping to the limits; radians or metres.
+            scale: standard deviations, radians or metres; for a limited dof less than the range / √12.
             low: limits, or −∞.
             high: limits, or ∞.
             angular: which dofs are angles.
-            validate_args: as numpyro has it.
+            validate_args: as in numpyro.
         """
         self.centre, self.scale, self.low, self.high, self.angular = centre, scale, low, high, angular
         safe_low, width = self._safe
@@ -65,12 +65,12 @@ class JointNoise(InBox):
 
     @property
     def _safe(self) -> tuple[Pose, Pose]:
-        # Reverse mode differentiates both branches of a where: the unused one must be finite too.
+        # Reverse mode differentiates both branches of a where, so the unused one must be finite too.
         low = jnp.where(self._limited, self.low, 0.0)
         return low, jnp.where(self._limited, self.high, 1.0) - low
 
     def sample(self, key: Key, sample_shape: tuple[int, ...] = ()) -> Float[Array, "*sample dof"]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Beta draws inside the limits, normal ones elsewhere: of a full turn the coordinate nearest to the mode."""
+        """Beta draws inside the limits, normal draws elsewhere. For a full turn, the coordinate is the one nearest to the mode."""
         beta_key, normal_key = jax.random.split(key)
         shape = (*sample_shape, *self.event_shape)
         low, width = self._safe
@@ -79,43 +79,43 @@ class JointNoise(InBox):
         return jnp.where(self._limited, jnp.clip(limited, self.low, self.high), free)
 
     def log_prob(self, value: Pose, intermediates: Any = None) -> Scalar:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Minus infinity outside the limits."""
+        """The log-density; minus infinity outside the limits."""
         del intermediates
         return _log_probs(value, self, self)
 
     def log_prob_each(self, value: Pose) -> Float[Array, " component"]:
-        """The log-densities of one value under a batch of laws, whose leading axis is that of the components, of one scale and the same limits.
+        """The log-densities of one value under a batch of distributions with equal scale and limits; the leading axis is the component.
 
-        What does not depend on the component, the logarithms of the shares of the range above all, is computed once.
+        What does not depend on the component, above all the logarithms of the shares of the range, is computed once.
         """
         return _log_probs(value, self, jax.tree.map(lambda leaf: leaf[0], self))
 
 
-def _log_probs(value: Pose, laws: JointNoise, one: JointNoise) -> Float[Array, " *component"]:
-    """Of a law, or of a batch of them of which `one` has the limits and the scale that all have."""
+def _log_probs(value: Pose, batch: JointNoise, one: JointNoise) -> Float[Array, " *component"]:
+    """The log-density of one distribution, or of a batch; `one` has the limits and scale that all share."""
     low, width = one._safe
     limited, inside = one._limited, (value >= one.low) & (value <= one.high)
     share = jnp.clip((value - low) / width, NEAREST, 1 - NEAREST)
-    beta = (laws.alpha - 1) @ jnp.where(limited, jnp.log(share), 0.0) + (laws.beta - 1) @ jnp.where(limited, jnp.log1p(-share), 0.0)
-    z = jnp.where(limited, 0.0, value - laws.centre)
+    beta = (batch.alpha - 1) @ jnp.where(limited, jnp.log(share), 0.0) + (batch.beta - 1) @ jnp.where(limited, jnp.log1p(-share), 0.0)
+    z = jnp.where(limited, 0.0, value - batch.centre)
     free = jnp.where(one.angular & ~limited, _log_wrapped(z, one.scale), -0.5 * (z / one.scale) ** 2)
-    return jnp.where(jnp.all(inside), beta + jnp.sum(free - laws.log_norm, axis=-1), -jnp.inf)
+    return jnp.where(jnp.all(inside), beta + jnp.sum(free - batch.log_norm, axis=-1), -jnp.inf)
 
 
 def _log_wrapped(z: Float[Array, "*component dof"], scale: Pose) -> Float[Array, "*component dof"]:
-    """Of the normal law wrapped around the circle, but for its constant: the nearest turn and its two neighbours."""
+    """The normal density wrapped around the circle, without its constant: the nearest turn and its two neighbours."""
     turn = 2 * math.pi
     nearest = z - turn * jnp.round(z / turn)
-    # The neighbours as shares of the nearest: -((z ± 2π)² - z²) / 2.
+    # The neighbours relative to the nearest: -((z ± 2π)² - z²) / 2.
     neighbours = jnp.exp((-turn * (turn / 2 + nearest)) / scale**2) + jnp.exp((-turn * (turn / 2 - nearest)) / scale**2)
-    # A plain logarithm takes a third of log1p's time, and what it rounds off is nothing beside the first term.
+    # A plain logarithm takes a third of log1p's time, and its rounding error is negligible beside the first term.
     return -0.5 * (nearest / scale) ** 2 + jnp.log(1 + neighbours)
 
 
-# Laws are made in several places of a program: what is traced once is not traced again.
+# Several places of a program build these distributions; jit avoids tracing this again.
 @jax.jit
 def concentration(mode: Float[Array, " *dof"], variance: Float[Array, " *dof"]) -> Float[Array, " *dof"]:
-    """κ of the Beta law with that mode in [0, 1] and that variance, below 1/12; differentiable by the implicit function theorem."""
+    """κ of the Beta distribution with this mode in [0, 1] and this variance below 1/12; differentiable by the implicit function theorem."""
 
     def excess(kappa: Array, mode: Array, variance: Array) -> Array:
         spread = jnp.log1p(mode * kappa) + jnp.log1p((1 - mode) * kappa)
@@ -127,7 +127,7 @@ def concentration(mode: Float[Array, " *dof"], variance: Float[Array, " *dof"]) 
     m, v = jax.lax.stop_gradient((mode, variance))
 
     def newton(_: Index, kappa: Array) -> Array:
-        # In log(1 + κ) the logarithm of the variance is nearly straight, with a slope between -2 and -1/3.
+        # In log(1 + κ) the logarithm of the variance is nearly linear, with a slope between -2 and -1/3.
         step = excess(kappa, m, v) / (slope(kappa, m) * (1 + kappa))
         return jnp.maximum((1 + kappa) * jnp.exp(-step) - 1, 0.0)
 

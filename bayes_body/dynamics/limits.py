@@ -1,6 +1,6 @@
-"""A box of joint limits as the support of a distribution; sides may be infinite, and each dof has its own.
+"""A box of joint limits as the support of a distribution. Sides may be infinite, and each dof has its own.
 
-numpyro's `interval` has a sigmoid for its bijector, which is NaN on an infinite side; here a dof without limits keeps its own coordinate.
+numpyro's `interval` uses a sigmoid as its bijector, which is NaN for an infinite side. Here a dof without limits keeps its own coordinate.
 """
 
 from typing import Any
@@ -15,7 +15,7 @@ from bayes_body.shapes import Pose
 
 
 class Box(constraints.Constraint):
-    """low ≤ x ≤ high along the last axis; radians or metres, ±inf where there is no limit."""
+    """low ≤ x ≤ high along the last axis; radians or metres, ±inf if there is no limit."""
 
     event_dim = 1
 
@@ -23,15 +23,15 @@ class Box(constraints.Constraint):
         self.low, self.high = low, high
 
     def __call__(self, x: Float[Array, "*batch dof"]) -> Any:
-        """Whether x lies in the box."""
+        """Whether x is in the box."""
         return jnp.all((x >= self.low) & (x <= self.high), axis=-1)
 
     def feasible_like(self, prototype: Array) -> Array:
-        """A point inside."""
+        """A point inside the box."""
         return BoxTransform(self.low, self.high)(jnp.zeros_like(prototype))
 
     def tree_flatten(self) -> Any:
-        """As numpyro's constraints have it."""
+        """As for numpyro's constraints."""
         return (self.low, self.high), (("low", "high"), {})
 
 
@@ -54,11 +54,11 @@ class BoxTransform(Transform):
 
     @property
     def _safe(self) -> tuple[Pose, Pose]:
-        # Reverse mode differentiates both branches of a where: the unused one must be finite too.
+        # Reverse mode differentiates both branches of a where, so the unused one must be finite too.
         return jnp.where(self._finite, self.low, 0.0), jnp.where(self._finite, self.high, 1.0)
 
     def __call__(self, x: Array) -> Array:
-        """From the real line into the box."""
+        """Map the real line into the box."""
         low, high = self._safe
         return jnp.where(self._finite, low + (high - low) * jax.nn.sigmoid(x), x)
 
@@ -76,7 +76,7 @@ class BoxTransform(Transform):
         return jnp.sum(jnp.where(self._finite, bounded, 0.0), axis=-1)
 
     def tree_flatten(self) -> Any:
-        """As numpyro's transforms have it."""
+        """As for numpyro's transforms."""
         return (self.low, self.high), (("low", "high"), {})
 
     def __eq__(self, other: object) -> Any:
@@ -91,13 +91,13 @@ def _biject_to_box(constraint: Box) -> BoxTransform:
 
 
 class InBox(Distribution):
-    """What laws of independent dofs inside joint limits share: `scale`, `low` and `high` of each dof, radians or metres."""
+    """The base of distributions of independent dofs inside joint limits: `scale`, `low` and `high` of each dof, radians or metres."""
 
     scale: Pose
     low: Pose
     high: Pose
 
-    # numpyro gathers both in a set: their order, and with it the program, would differ from process to process, and no compiled one be found again.
+    # numpyro gathers both in a set, whose order differs between processes. Then the program would differ too, and the compilation cache would miss.
     @classmethod
     def gather_pytree_data_fields(cls) -> tuple[str, ...]:
         """In alphabetical order."""
@@ -108,7 +108,7 @@ class InBox(Distribution):
         """In alphabetical order."""
         return tuple(sorted(super().gather_pytree_aux_fields()))
 
-    # numpyro declares its base class for its own decorators; the signatures below are those that it calls.
+    # numpyro declares the base class for its own decorators; the signatures below are the ones that it calls.
     @constraints.dependent_property(is_discrete=False, event_dim=1)  # pyright: ignore[reportArgumentType]
     def support(self) -> Box:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The joint limits."""
@@ -116,5 +116,5 @@ class InBox(Distribution):
 
     @property
     def variance(self) -> Pose:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Of the noise, before limits cut it or a circle wraps it."""
+        """The variance of the noise, before truncation by limits or wrapping around a circle."""
         return self.scale**2

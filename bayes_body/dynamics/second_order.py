@@ -3,8 +3,8 @@ r"""Smooth motion with soft joint limits (Poon & Fleet 2002, 3.3): a second-orde
 $$s_t \sim \mathrm{noise}\big(\alpha_1 s_{t-1} - \alpha_2 s_{t-2}\big)
   = \mathrm{noise}\big((\alpha_1 - \alpha_2)\, s_{t-1} + \alpha_2 (s_{t-1} - s_{t-2})\big),$$
 
-with the noise of `joint_noise`: Beta of fixed variance where a dof has limits, normal for the position, wrapped normal for the rotation of the torso,
-whose velocity is the shorter way round. The pose before is carried along and not random; at a first pose the body stands still.
+with the noise of `joint_noise`: Beta with a fixed variance for a dof with limits, normal for the position, wrapped normal for the torso's rotation,
+whose velocity is the shorter way round. The pose before is carried along and not random. At a first pose the body stands still.
 """
 
 import math
@@ -27,17 +27,17 @@ from bayes_body.registry import register
 from bayes_body.shapes import Pose, Scalar
 from bayes_body.toml.schema import Positive, Schema, Share
 
-# In a state, the pose of the frame before.
+# The key of the previous frame's pose in a state.
 BEFORE = "pose_before"
-# Of a freely turning dof, rad: with a larger one more than the nearest turns would count.
+# Largest standard deviation of a freely turning dof, rad: with a larger one, more than the nearest turns would matter.
 LARGEST_TURN = math.pi / 2
 
 
 class Options(Schema):
     """Options of `[dynamics] kind = "second_order"`.
 
-    `alpha_2` is the share of the velocity that is kept from frame to frame, `alpha_1 - alpha_2` that of the position. Both and the noise's standard
-    deviations hold at `at_fps` frames a second; at another rate velocities fade as fast in seconds, and a body left alone drifts as far.
+    `alpha_2` is the share of the velocity that is kept from frame to frame, `alpha_1 - alpha_2` that of the position. Both, and the noise's standard
+    deviations, are valid at `at_fps` frames per second. At another rate, velocities decay at the same rate in seconds, and the prior drifts as far.
     """
 
     alpha_1: Positive = 1.8
@@ -50,7 +50,7 @@ class Options(Schema):
     def _check_position(self) -> "Options":
         if not 0 < self.alpha_1 - self.alpha_2 <= 1:
             found = f"alpha_1 = {self.alpha_1:g} and alpha_2 = {self.alpha_2:g} keep {self.alpha_1 - self.alpha_2:g} of the position"
-            raise ValueError(f"{found}; expected a share above 0 and up to 1; take alpha_1 = 1 + alpha_2")
+            raise ValueError(f"{found}; expected a share above 0 and up to 1; set alpha_1 = 1 + alpha_2")
         return self
 
 
@@ -84,10 +84,10 @@ def _begin(first: State) -> dict[str, Array]:
 
 @register("dynamics", "second_order", Options)
 def build(options: Options, body: Body, fps: float, **_: Any) -> Transition:
-    """The process of one body at one frame rate. What a session says of its subject's changes from frame to frame is no such noise: it is not read.
+    """Build the process for one body and frame rate. It ignores the session's standard deviations of changes between frames, which are not its noise.
 
     Raises:
-        InputError: a dof has no standard deviation or too large a one, or a key of the options means no dof.
+        InputError: a dof has no standard deviation or too large a one, or a key of the options matches no dof.
     """
     topology, skeleton = body.skeleton.topology, body.skeleton
     time = options.at_fps / fps
@@ -114,13 +114,13 @@ def build(options: Options, body: Body, fps: float, **_: Any) -> Transition:
 
 
 def _noise_factor(velocity: float, at_rate: float, time: float) -> float:
-    """Of the noise at another frame rate: so that the variance of the distance drifted in a second, σ² fps / (1 − α2)², stays what it is."""
+    """The factor of the noise at another frame rate. It keeps the variance of the distance drifted in a second, σ² fps / (1 − α2)²."""
     faded = time if velocity == 1 else (1 - at_rate) / (1 - velocity)
     return faded * math.sqrt(time)
 
 
 def _check_sizes(body: Body, sd: np.ndarray) -> None:
-    """A Beta law has a mode only with less variance than the uniform one."""
+    """Check that Beta distributions have a mode: their variance must be below that of the uniform distribution."""
     topology = body.skeleton.topology
     low, high = np.asarray(body.skeleton.low, float), np.asarray(body.skeleton.high, float)
     for index, (name, angular) in enumerate(zip(topology.dof_names, topology.angular, strict=True)):
@@ -130,4 +130,4 @@ def _check_sizes(body: Body, sd: np.ndarray) -> None:
         if not sd[index] < most:
             why = f"the range of {(high[index] - low[index]) * number:.4g} {unit} over √12" if limited else "a quarter turn"
             found = f"a standard deviation of {sd[index] * number:.4g} {unit} a frame for '{name}'"
-            raise input_error(f"dynamics.sd_{unit}", found, f"less than {most * number:.4g} {unit}, {why}", "give a smaller one, or wider limits")
+            raise input_error(f"dynamics.sd_{unit}", found, f"less than {most * number:.4g} {unit}, {why}", "give a smaller value, or wider limits")

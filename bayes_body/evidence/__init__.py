@@ -1,1 +1,1 @@
-"""The arrays of one frame, as observations write them and likelihoods read them."""
+"""The arrays of one frame that observations write and likelihoods read."""

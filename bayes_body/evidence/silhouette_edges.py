@@ -1,8 +1,8 @@
-"""Image maps: how the host packs them and how the device looks values up, nearest or bilinear.
+"""Image maps: how the host packs them, and how the device looks values up, nearest or bilinear.
 
-A map arrives *packed*: each 32-bit word holds a pixel's value and those of its right, lower and lower-right neighbours, 8 bits each, so that a
-bilinear look-up is one memory access instead of four; on a CPU it is the accesses that cost (docs/decisions). Around the image lies a border of the
-value that counts where nothing is seen, one pixel wide, and a point outside is moved onto it: no test at every sample, and a continuous density.
+A map is *packed*: each 32-bit word holds a pixel's value and those of its right, lower and lower-right neighbours, 8 bits each. A bilinear look-up is
+then one memory access instead of four, and on a CPU memory accesses dominate (docs/decisions). A border of one pixel around the image holds the value
+for "not seen". A point outside is moved onto the border, so no sample needs a test, and the density is continuous.
 """
 
 from functools import partial
@@ -22,17 +22,17 @@ type Packed = UInt32[Array | np.ndarray, "camera map row column"]
 BORDER = 1
 _OUTSIDE = -9.0
 
-# The two maps of a camera in SilhouetteEdgeMaps, in the order of the stack.
+# The order of the two maps of a camera in SilhouetteEdgeMaps.
 SILHOUETTE, EDGES = 0, 1
-# In place of the share of foreground where there is no silhouette.
+# The share of foreground for a camera without a silhouette.
 UNSEEN_SHARE = -1.0
 
 
 class SilhouetteEdgeMaps(NamedTuple):
-    """Of one frame: the error maps (1 − V)² of silhouette and edges, packed, and the share of foreground pixels of each silhouette.
+    """For one frame: the error maps (1 − V)² of silhouette and edges, packed, and the share of foreground pixels of each silhouette.
 
-    `points` are pixels of each silhouette, column and row from the image's middle on, for the likelihood's term "cover"; none where it is not used.
-    A camera that did not see the frame has one error everywhere, and the share `UNSEEN_SHARE`.
+    `points` are pixels of each silhouette, column and row relative to the image's centre, for the likelihood's term "cover"; empty if it is not used.
+    A camera that did not see the frame has the same error everywhere, and the share `UNSEEN_SHARE`.
     """
 
     errors: Packed
@@ -41,7 +41,7 @@ class SilhouetteEdgeMaps(NamedTuple):
 
 
 def pack(values: NDArray[np.floating], outside: float, shape: tuple[int, int]) -> NDArray[np.uint32]:
-    """A map (row, column) of values in [0, 1], packed; bordered by `outside`, filled with it up to `shape`, the largest (rows, columns)."""
+    """Pack a map (row, column) of values in [0, 1], with a border of `outside`, padded with it to `shape`, the largest (rows, columns)."""
     rows, columns = (extent + 2 * BORDER for extent in shape)
     level = np.full((rows + 1, columns + 1), round(outside * 255), np.uint8)
     inner = level[BORDER : BORDER + values.shape[0], BORDER : BORDER + values.shape[1]]
@@ -55,14 +55,14 @@ def pack(values: NDArray[np.floating], outside: float, shape: tuple[int, int]) -
 def look_up(
     maps: Packed, map_index: Int[Array, " sample"], kind: Lookup, rig: Camera, pixels: Pixels[Float[Array, "camera part sample"]]
 ) -> Float[Array, "camera part sample"]:
-    """The values, in [0, 1], of each camera's maps at its pixels; not visible or outside the image: the border's.
+    """The values, in [0, 1], of each camera's maps at its pixels. A point that is not visible or outside the image gets the border's value.
 
     Args:
         maps: packed maps of every camera.
-        map_index: which of a camera's maps each sample looks at.
+        map_index: which of a camera's maps each sample reads.
         kind: nearest or bilinear.
-        rig: cameras, for the sizes of their images.
-        pixels: where to look.
+        rig: cameras, for their image sizes.
+        pixels: where to look up.
     """
     width, height = (rig.size[:, i, None, None] for i in (0, 1))
     u = jnp.where(pixels.visible, pixels.u, _OUTSIDE) + BORDER
@@ -72,16 +72,16 @@ def look_up(
     first = (jnp.arange(cameras, dtype=jnp.int32)[:, None, None] * kinds + map_index) * (rows * columns)
     if kind == "nearest":
         return _nearest(words, first, columns, jnp.clip(u, 0, width + BORDER), jnp.clip(v, 0, height + BORDER))
-    # Just inside the border's far edge, so that the cell to the right and below exists.
+    # Stay just inside the border's far edge, so that the pixels to the right and below exist.
     inset = 1e-3
     u, v = jnp.clip(u, 0, width + BORDER - inset), jnp.clip(v, 0, height + BORDER - inset)
-    # XLA would otherwise project anew for each of the values made of u and v.
+    # Without the barrier XLA would repeat the projection for each value derived from u and v.
     u, v = jax.lax.optimization_barrier((u, v))
     return _bilinear(columns, words, first, u, v)
 
 
 def _gather(words: UInt32[Array, " word"], index: Array) -> Array:
-    # Barriers on both sides: a gather that is fused runs its producers once a lane, and its consumers unvectorised.
+    # Barriers on both sides: a fused gather would run its producers once per lane, and its consumers unvectorised.
     index = jax.lax.optimization_barrier(index)
     return jax.lax.optimization_barrier(words.at[index].get(mode="promise_in_bounds"))
 
@@ -110,7 +110,7 @@ def _bilinear(columns: int, words: UInt32[Array, " word"], first: Int[Array, "ca
 
 @_bilinear.defjvp
 def _bilinear_jvp(columns: int, primals: tuple[Array, ...], tangents: tuple[Any, ...]) -> tuple[Array, Array]:
-    # The tangents of the whole-number words and offsets have a type of their own and say nothing.
+    # The tangents of the integer words and offsets have a special type and carry nothing.
     words, first, u, v = primals
     value, along_u, along_v = _interpolate(words, first, columns, u, v)
     return value, along_u * tangents[2] + along_v * tangents[3]

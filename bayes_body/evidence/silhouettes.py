@@ -1,6 +1,6 @@
 """Silhouettes of one frame on a grid of pixels: what an observation writes and the silhouette likelihood reads.
 
-Such data can be made from a recording (observation/) as well as drawn from a model (`Factor.simulate`).
+Such data can come from a recording (observation/) or be simulated by a model (`Factor.simulate`).
 """
 
 from typing import NamedTuple
@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Bool
 
-# Columns and rows of the grid, unless a definition says otherwise.
+# Default columns and rows of the grid.
 GRID = (64, 48)
 
 
@@ -16,8 +16,8 @@ class SilhouetteEvidence(NamedTuple):
     """The subject's silhouette in each camera, sampled on a grid of pixels.
 
     Attributes:
-        foreground: whether the pixel at a point of the grid is the subject's.
-        seen: whether the camera saw the frame; where it did not, its foreground says nothing.
+        foreground: whether the pixel at a grid point belongs to the subject.
+        seen: whether the camera saw the frame; if not, its foreground means nothing.
     """
 
     foreground: Bool[Array | np.ndarray, "camera row column"]

@@ -1,1 +1,1 @@
-"""How files are written and read: whole or not at all, locked, with errors that a user understands."""
+"""Write and read files: completely or not at all, locked, with errors that a user understands."""

@@ -1,4 +1,4 @@
-"""Folders and files written for a user: whole or not at all; what the file system refuses is said as a sentence."""
+"""Write folders and files for a user: completely or not at all. What the file system refuses becomes an InputError."""
 
 import os
 from collections.abc import Iterator
@@ -7,12 +7,12 @@ from pathlib import Path
 
 from bayes_body.errors import InputError, input_error
 
-# Before the name, so that a writer that goes by the ending sees the file's own.
+# A prefix, so that a writer that depends on the suffix sees the file's own.
 PARTIAL = ".partial-"
 
 
 def make_folder(path: Path) -> Path:
-    """The folder, made with its parents if need be.
+    """The folder, created with its parents if needed.
 
     Raises:
         InputError: it cannot be made.
@@ -25,7 +25,7 @@ def make_folder(path: Path) -> Path:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text in UTF-8, whole or not at all.
+    """Write a text in UTF-8, completely or not at all.
 
     Raises:
         InputError: it cannot be written.
@@ -36,9 +36,9 @@ def write_text(path: Path, text: str) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A name in the same folder to write to, which takes the place of `path` once the block is through and its content is on the disk.
+    """Yield a temporary name in the same folder. The file written there replaces `path` after the block, once its content is on the disk.
 
-    Whatever interrupts the block, `path` is as it was before, or whole; what is left of the other name is removed, or written over the next time.
+    If the block is interrupted, `path` is unchanged or complete. The temporary file is removed, or overwritten the next time.
 
     Raises:
         InputError: the file system refuses it.
@@ -69,12 +69,12 @@ def _remove(path: Path) -> None:
     try:
         path.unlink(missing_ok=True)
     except OSError:
-        # What could not be written may not be removable either; the first error is the one to tell.
+        # What could not be written may not be removable either; the first error is the one to report.
         return
 
 
 def remove_partial(folder: Path) -> None:
-    """Remove what an interrupted `replacing` has left in a folder.
+    """Remove what an interrupted `replacing` left in a folder.
 
     Raises:
         InputError: the file system refuses it.
@@ -87,6 +87,6 @@ def remove_partial(folder: Path) -> None:
 
 
 def refused(path: Path, done: str, error: OSError) -> InputError:
-    """What to say when the file system does not let something be `done` to `path`."""
+    """The error for a file system that refuses to let `path` be `done`."""
     reason = os.strerror(error.errno) if error.errno else str(error)
-    return input_error(path, f"cannot be {done} ({reason})", "a folder that can be written, with room", "name another folder, or free some space")
+    return input_error(path, f"cannot be {done} ({reason})", "a writable folder with free space", "name another folder, or free some space")

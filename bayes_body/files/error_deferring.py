@@ -1,7 +1,7 @@
 """A file for HDF5 on a disk that may fill up.
 
-HDF5 does not survive a write that fails: it tries again while it closes and brings the process down. This file holds what the disk refuses in memory,
-so that HDF5 can close, and says afterwards what happened. Whoever writes looks at `error` now and then and stops, so that little is held.
+HDF5 does not survive a failed write: it tries again on closing and crashes the process. This file keeps in memory what the disk refuses, so that HDF5
+can close, and reports the error afterwards. Writers should check `error` regularly and stop, so that little is kept.
 """
 
 import io
@@ -11,13 +11,13 @@ from pathlib import Path
 
 
 class ErrorDeferringFile(io.RawIOBase):
-    """A new file to read and write, whose writes never fail.
+    """A new file for reading and writing, whose writes never fail.
 
     Args:
-        path: its name; what was there is overwritten.
+        path: its name; an existing file is overwritten.
 
     Attributes:
-        error: what the disk refused first; None as long as all went well. The file is of no use then.
+        error: the first error of the disk; None while there is none. After an error the file is useless.
     """
 
     def __init__(self, path: Path):
@@ -28,28 +28,28 @@ class ErrorDeferringFile(io.RawIOBase):
         self._held: list[tuple[int, bytes]] = []
 
     def readable(self) -> bool:
-        """It is."""
+        """Always true."""
         return True
 
     def writable(self) -> bool:
-        """It is."""
+        """Always true."""
         return True
 
     def seekable(self) -> bool:
-        """It is."""
+        """Always true."""
         return True
 
     def seek(self, offset: int, whence: int = os.SEEK_SET, /) -> int:
-        """Go to a place, counted from the start, from here or from the end."""
+        """Set the position, relative to the start, to the current position or to the end."""
         self._place = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._place, os.SEEK_END: self._size}[whence]
         return self._place
 
     def readinto(self, buffer: Buffer, /) -> int:
-        """What was written, whether the disk took it or not."""
+        """Read what was written, whether the disk accepted it or not."""
         view = memoryview(buffer).cast("B")
         count = max(0, min(len(view), self._size - self._place))
-        found = os.pread(self._handle, count, self._place)
-        view[:count] = found.ljust(count, b"\0")
+        content = os.pread(self._handle, count, self._place)
+        view[:count] = content.ljust(count, b"\0")
         for start, data in self._held:
             first, last = max(start, self._place), min(start + len(data), self._place + count)
             if first < last:
@@ -58,7 +58,7 @@ class ErrorDeferringFile(io.RawIOBase):
         return count
 
     def write(self, data: Buffer, /) -> int:
-        """All of it, always."""
+        """Accept all of the data."""
         content = bytes(data)
         if not self.error:
             self._try_to_write(content)
@@ -78,7 +78,7 @@ class ErrorDeferringFile(io.RawIOBase):
             self.error = error
 
     def truncate(self, size: int | None = None, /) -> int:
-        """Give it a size; zeros where it grows."""
+        """Set the size; the file grows with zeros."""
         self._size = self._place if size is None else size
         try:
             os.ftruncate(self._handle, self._size)
@@ -87,7 +87,7 @@ class ErrorDeferringFile(io.RawIOBase):
         return self._size
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the file."""
         if not self.closed:
             os.close(self._handle)
         super().close()

@@ -1,4 +1,4 @@
-"""One process a run: a lock of the operating system, which ends with the process however it ends."""
+"""One process per run: a lock of the operating system, which ends with the process however it ends."""
 
 import os
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ NAME = ".lock"
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold the folder of a run; its lock file names the process.
+    """Lock the folder of a run; the lock file names the process.
 
     Raises:
         InputError: another process holds it, or the file system refuses the lock.
@@ -27,7 +27,7 @@ def locked(folder: Path) -> Iterator[None]:
         path.write_text(str(os.getpid()), encoding="utf-8")
     except Timeout:
         raise input_error(
-            folder, f"{_holder(path)} works on it", "a folder of its own for each process", "wait for it, or name another folder"
+            folder, f"{_holder(path)} works on it", "a separate folder for each process", "wait for it, or name another folder"
         ) from None
     except OSError as error:
         lock.release()
@@ -39,10 +39,10 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def check_unlocked(folder: Path) -> None:
-    """Refuse a folder that another process works on, without making anything in it.
+    """Refuse a folder that another process works on, without writing anything into it.
 
     Raises:
-        InputError: as `locked`.
+        InputError: as for `locked`.
     """
     if (folder / NAME).exists():
         with locked(folder):

@@ -1,10 +1,10 @@
-"""Text files of others (calibrations, keypoints), read whole: what is missing, too large or no text is a sentence."""
+"""Read text files of other programs (calibrations, keypoints). A file that is missing, too large or not text raises an InputError."""
 
 from pathlib import Path
 
 from bayes_body.errors import input_error
 
-# Far above any calibration or any frame's keypoints.
+# Much larger than any calibration or the keypoints of any frame.
 LARGEST_BYTES = 20_000_000
 
 

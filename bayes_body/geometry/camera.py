@@ -3,8 +3,8 @@ r"""A pinhole camera with Bouguet's (OpenCV's) distortion.
 $x = X/Z,\ y = Y/Z,\ r^2 = x^2 + y^2$ in the camera's frame; $x_d = x (1 + k_1 r^2 + k_2 r^4 + k_3 r^6) + 2 p_1 x y + p_2 (r^2 + 2 x^2)$ and likewise
 $y_d$; $u = f_x (x_d + \alpha y_d) + c_x,\ v = f_y y_d + c_y$, pixels, the first pixel's centre at (0, 0).
 
-The radial polynomial turns back at some radius: points far outside the field of view would land inside the image again. `radius_max` is where
-it turns; what lies beyond it, or behind the camera, is not visible.
+The radial polynomial stops growing at some radius. Beyond it, points far outside the field of view would land inside the image again. `radius_max` is
+that radius; points beyond it, or behind the camera, are not visible.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from bayes_body.shapes import Rotation, Scalar, Vector3
 
-# Nearer than this to the plane of the camera (metres) a point counts as behind it, and the division stays finite.
+# A point nearer to the camera's plane than this (metres) counts as behind it, so the division stays finite.
 NEAR = 0.05
 
 
@@ -32,7 +32,7 @@ NEAR = 0.05
 class Camera:
     """One camera: `X_camera = rotation @ X_world + translation` (metres), intrinsics in pixels, `size` = (width, height).
 
-    A rig is a Camera whose leaves have a leading camera axis; functions here take one camera and are vmapped over it.
+    A rig is a Camera whose leaves have a leading camera axis. The functions here take one camera and are vmapped over a rig.
     """
 
     rotation: Rotation
@@ -51,7 +51,7 @@ class Camera:
 
 
 class Pixels[T](NamedTuple):
-    """Projected points: column `u`, row `v`, and whether the point can be seen at all (before, not behind; not past the lens's turning point)."""
+    """Projected points: column `u`, row `v`, and whether the point is visible (in front of the camera, and not past the lens's turning point)."""
 
     u: T
     v: T
@@ -59,14 +59,14 @@ class Pixels[T](NamedTuple):
 
 
 def to_camera(camera: Camera, vector: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
-    """A direction of the world in the camera's frame."""
+    """A direction of the world, expressed in the camera's frame."""
     X, Y, Z = jnp.split(vector, 3, axis=-1)
     along_x, along_y, along_z = camera.rotation.T
     return X * along_x + Y * along_y + Z * along_z
 
 
 def project_components(camera: Camera, X: Array, Y: Array, Z: Array) -> Pixels[Array]:
-    """Pixels of points given by their components in the camera's frame (metres, any equal shapes)."""
+    """Project points given by their components in the camera's frame (metres, any equal shapes)."""
     x, y, before = _divided(X, Y, Z)
     k1, k2, p1, p2, k3 = camera.distortion
     r2 = x * x + y * y
@@ -80,28 +80,28 @@ def project_components(camera: Camera, X: Array, Y: Array, Z: Array) -> Pixels[A
 
 
 def in_view(camera: Camera, X: Array, Y: Array, Z: Array) -> Bool[Array, "..."]:
-    """Whether points can be seen at all, from their components in the camera's frame (metres, any equal shapes): `Pixels.visible`, alone."""
+    """Only `Pixels.visible`: whether points are visible, from their components in the camera's frame (metres, any equal shapes)."""
     x, y, before = _divided(X, Y, Z)
     return before & (x * x + y * y < camera.radius_max**2)
 
 
 def _divided(X: Array, Y: Array, Z: Array) -> tuple[Array, Array, Array]:
-    """X / Z and Y / Z, and whether a point lies before the camera."""
+    """X / Z and Y / Z, and whether a point is in front of the camera."""
     before = Z > NEAR
-    # where before the division: a point behind the camera gets no infinite gradient.
+    # `where` before the division: a point behind the camera must not get an infinite gradient.
     inverse = 1 / jnp.where(before, Z, 1.0)
     return X * inverse, Y * inverse, before
 
 
 def project(camera: Camera, points: Float[Array, "*batch 3"]) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
-    """Pixel coordinates (column, row) of world points (metres), and whether each is visible; equal to `cv2.projectPoints` where it is."""
+    """Pixel coordinates (column, row) of world points (metres), and whether each is visible. Visible points agree with `cv2.projectPoints`."""
     p = to_camera(camera, points) + camera.translation
     pixels = project_components(camera, p[..., 0], p[..., 1], p[..., 2])
     return jnp.stack([pixels.u, pixels.v], axis=-1), pixels.visible
 
 
 def turning_radius(distortion: NDArray[np.floating], limit: float = 1e3) -> float:
-    r"""The radius $\sqrt{x^2 + y^2}$ at which $r (1 + k_1 r^2 + k_2 r^4 + k_3 r^6)$ stops growing, at most `limit` (a lens that never turns)."""
+    r"""The radius $\sqrt{x^2 + y^2}$ at which $r (1 + k_1 r^2 + k_2 r^4 + k_3 r^6)$ stops growing; `limit` if that is further out or never."""
     k1, k2, _, _, k3 = np.asarray(distortion, float)
     roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])
     real = roots[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)].real
@@ -109,5 +109,5 @@ def turning_radius(distortion: NDArray[np.floating], limit: float = 1e3) -> floa
 
 
 def stack(cameras: list[Camera]) -> Camera:
-    """A rig: the cameras' leaves stacked along a leading camera axis."""
+    """Stack the cameras' leaves along a leading camera axis, which makes a rig."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *cameras)

@@ -1,7 +1,7 @@
-"""Rotations and rigid transforms, any number at once, written as elementwise sums.
+"""Rotations and rigid transforms, batched, written as elementwise sums.
 
-A 3×3 product through `dot_general` inside `vmap` costs XLA on a CPU several times what the same sums cost elementwise, and every pose of every
-particle passes here.
+Inside `vmap`, XLA's `dot_general` makes a 3×3 product several times slower on a CPU than the same sums elementwise, and every pose of every particle
+uses these functions.
 """
 
 from typing import NamedTuple
@@ -13,11 +13,11 @@ from jaxtyping import Array, Float, Int
 
 
 class Transform(NamedTuple):
-    """Rigid transforms `T_a_b`: they take coordinates in frame b to frame a.
+    """Rigid transforms `T_a_b`, which map coordinates in frame b to frame a.
 
     Attributes:
-        rotation: its columns `x`, `y`, `z` are b's axes seen from a.
-        origin: b's, metres.
+        rotation: its columns `x`, `y`, `z` are b's axes in frame a.
+        origin: b's origin in frame a, metres.
     """
 
     rotation: Float[Array, "*batch 3 3"]
@@ -40,12 +40,12 @@ class Transform(NamedTuple):
 
 
 def apply(T_a_b: Transform, p_b: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
-    """The points `p_b`, metres in frame b, in frame a."""
+    """Map the points `p_b`, metres in frame b, to frame a."""
     return T_a_b.origin + turn(T_a_b.rotation, p_b)
 
 
 def turn(R_a_b: Float[Array, "*batch 3 3"], v_b: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
-    """The vectors `v_b` of frame b in frame a."""
+    """Rotate the vectors `v_b` from frame b to frame a."""
     return R_a_b[..., 0] * v_b[..., :1] + R_a_b[..., 1] * v_b[..., 1:2] + R_a_b[..., 2] * v_b[..., 2:]
 
 
@@ -60,12 +60,12 @@ def compose(T_a_b: Transform, T_b_c: Transform) -> Transform:
 
 
 def pick(T: Transform, index: int | Int[np.ndarray, " picked"]) -> Transform:
-    """One of the transforms of a stack, or several."""
+    """Select one or several transforms from a stack."""
     return Transform(T.rotation[index], T.origin[index])
 
 
 def matrix(T: Transform) -> Float[Array, "*batch 4 4"]:
-    """The homogeneous matrices of transforms."""
+    """The transforms as homogeneous matrices."""
     columns = jnp.concatenate([T.rotation, T.origin[..., None]], axis=-1)
     last = jnp.broadcast_to(jnp.array([0, 0, 0, 1], columns.dtype), (*columns.shape[:-2], 1, 4))
     return jnp.concatenate([columns, last], axis=-2)
@@ -77,6 +77,6 @@ def dot(a: Float[Array, "*batch 3"], b: Float[Array, "*batch 3"]) -> Float[Array
 
 
 def unit(v: Float[Array, "*batch 3"], tiny: float = 1e-12) -> Float[Array, "*batch 3"]:
-    """`v` scaled to length one; a null vector stays null, with a finite gradient."""
-    # rsqrt of a clamped square, not a `where` around sqrt: reverse mode differentiates both branches, and sqrt'(0) is infinite.
+    """`v` scaled to length one; a zero vector stays zero, with a finite gradient."""
+    # rsqrt of a clamped square instead of a `where` around sqrt: reverse mode differentiates both branches, and sqrt'(0) is infinite.
     return v * jax.lax.rsqrt(jnp.maximum(dot(v, v), tiny))[..., None]

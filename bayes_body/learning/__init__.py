@@ -1,1 +1,1 @@
-"""What is learned from captured motion or from images, as small arrays that ship with the command that learns them again."""
+"""Learn from captured motion or from images. The results are small arrays that ship with the package."""

@@ -1,6 +1,6 @@
-r"""A walking cycle: the mean stride of a walker and the first modes in which strides differ, $x = \bar x + \sum_k c_k m_k$ with $c_k \sim N(0, 1)$.
+r"""A walking cycle: a walker's mean stride and the main modes of variation between strides, $x = \bar x + \sum_k c_k m_k$ with $c_k \sim N(0, 1)$.
 
-Strides are those of `bayes_body.learning.gait`; modes are the first left singular vectors of the strides about their mean, as many as explain 95 %.
+Strides are those of `bayes_body.learning.gait`. Modes are the first singular vectors of the centred strides; so many as explain 95 % of the variance.
 """
 
 import io
@@ -22,22 +22,22 @@ NAME = "walking_cycle"
 EXPLAINED = 0.95
 ARRAYS = ("names", "mean", "modes", "pace", "pace_modes", "segments", "height_m")
 
-# Walks are of different lengths: one name of an axis would not do.
+# Walks have different lengths, so the axis has no fixed name.
 type Walk = tuple[str, Mapping[str, np.ndarray], float]
 
 
 @dataclass(frozen=True, eq=False)
 class WalkingCycle:
-    """Strides of one walker, in heights.
+    """Strides of one walker, in units of body height.
 
     Attributes:
-        names: of the points beside the pelvis.
-        mean: Fourier terms; columns as `Stride.series`.
-        modes: likewise, one standard deviation each.
+        names: the points besides the pelvis.
+        mean: Fourier terms; columns as in `Stride.series`.
+        modes: Fourier terms of each mode, for one standard deviation.
         pace: logarithms of the mean stride's duration, s, and length, heights.
-        pace_modes: what each mode adds to them.
-        segments: the distance of each point from what it hangs on, heights.
-        height_m: of the walker.
+        pace_modes: change of `pace` by each mode.
+        segments: distance of each point from its parent, heights.
+        height_m: the walker's height.
     """
 
     names: tuple[str, ...]
@@ -51,7 +51,7 @@ class WalkingCycle:
 
 @dataclass(frozen=True)
 class Learned:
-    """A cycle, how many strides it is the mean of, what share of their spread its modes explain, and sentences on walks that were left out."""
+    """A cycle, its number of strides, the share of variance that its modes explain, and remarks on walks that were left out."""
 
     cycle: WalkingCycle
     strides: int
@@ -60,15 +60,15 @@ class Learned:
 
 
 def learn(walks: Sequence[Walk]) -> Learned:
-    """The cycle of one person's walks straight ahead.
+    """Learn the cycle from one person's straight walks.
 
     Args:
-        walks: of each its name, its landmarks (metres, z up) and its frames a second. Runs, and what has no whole stride, are left out.
+        walks: for each walk its name, its landmarks (metres, z up) and its frames per second. Runs, and walks without a whole stride, are left out.
 
     Raises:
         InputError: fewer than two strides are left.
     """
-    found: list[Stride] = []
+    all_strides: list[Stride] = []
     used: list[Points] = []
     left_out: list[str] = []
     shared = [points_of(landmarks) for _, landmarks, _ in walks]
@@ -81,34 +81,36 @@ def learn(walks: Sequence[Walk]) -> Learned:
         elif not (here := strides(landmarks, names, fps, height(landmarks, names))):
             left_out.append(f"{name}: no whole stride: left out")
         else:
-            found += here
+            all_strides += here
             used.append(landmarks)
-    if len(found) < 2:
-        told = f"{len(found)} strides ({'; '.join(left_out) or 'no walk'})"
-        raise input_error("the walks", told, "at least 2 whole strides", "give walks straight ahead of at least two steps each")
+    if len(all_strides) < 2:
+        found = f"{len(all_strides)} strides ({'; '.join(left_out) or 'no walk'})"
+        raise input_error("the walks", found, "at least 2 whole strides", "give walks straight ahead of at least two steps each")
     tall = float(np.mean([height(each, names) for each in used]))
     bones = np.mean([segments(each, names) for each in used], axis=0) / tall
-    return _of_strides(found, names, bones, tall, tuple(left_out))
+    return _of_strides(all_strides, names, bones, tall, tuple(left_out))
 
 
-def _of_strides(found: list[Stride], names: tuple[str, ...], bones: Float[np.ndarray, " point"], tall: float, left_out: tuple[str, ...]) -> Learned:
-    rows = np.stack([np.concatenate([stride.series.ravel(), stride.pace]) for stride in found])
+def _of_strides(
+    all_strides: list[Stride], names: tuple[str, ...], bones: Float[np.ndarray, " point"], tall: float, left_out: tuple[str, ...]
+) -> Learned:
+    rows = np.stack([np.concatenate([stride.series.ravel(), stride.pace]) for stride in all_strides])
     mean = rows.mean(axis=0)
     _, sizes, directions = np.linalg.svd(rows - mean, full_matrices=False)
     shares = np.cumsum(sizes**2) / max(float((sizes**2).sum()), 1e-12)
     count = int(np.searchsorted(shares, EXPLAINED)) + 1
-    # A mode and its negative are the same: the one that lengthens the stride is kept.
+    # A mode and its negative are equivalent: choose the one that lengthens the stride.
     signs = np.where(directions[:count, -1] < 0, -1.0, 1.0)
-    modes = (signs * sizes[:count])[:, None] * directions[:count] / np.sqrt(len(found) - 1)
+    modes = (signs * sizes[:count])[:, None] * directions[:count] / np.sqrt(len(all_strides) - 1)
     columns = 3 * len(names) + 3
     cycle = WalkingCycle(
         names, mean[:-2].reshape(TERMS, columns), modes[:, :-2].reshape(count, TERMS, columns), mean[-2:], modes[:, -2:], bones, tall
     )
-    return Learned(cycle, len(found), float(shares[count - 1]), left_out)
+    return Learned(cycle, len(all_strides), float(shares[count - 1]), left_out)
 
 
 def save_cycle(cycle: WalkingCycle, path: Path) -> None:
-    """Write a cycle as an .npz of single precision, modes of half.
+    """Write a cycle as an .npz with single precision, modes with half precision.
 
     Raises:
         InputError: it cannot be written.
@@ -127,10 +129,10 @@ def save_cycle(cycle: WalkingCycle, path: Path) -> None:
 
 
 def load_cycle(path: Path | None = None) -> WalkingCycle:
-    """A walking cycle from its file; the shipped one by default.
+    """Read a walking cycle; by default the one that ships with the package.
 
     Raises:
-        InputError: no such file, or not of that form.
+        InputError: no such file, or malformed.
     """
     path = definitions_folder() / "learned" / f"{NAME}.npz" if path is None else path
     kind, remedy = "a walking cycle", "make one with `bayes-body learn walking-cycle`"
@@ -143,7 +145,7 @@ def load_cycle(path: Path | None = None) -> WalkingCycle:
             arrays = {key: file[key] for key in ARRAYS}
         return _checked(arrays)
     except (ValueError, TypeError, KeyError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise input_error(path, f"no such archive, or damaged ({type(error).__name__})", kind, remedy) from None
+        raise input_error(path, f"not such an archive, or damaged ({type(error).__name__})", kind, remedy) from None
 
 
 def _checked(arrays: dict[str, np.ndarray]) -> WalkingCycle:

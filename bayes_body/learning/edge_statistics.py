@@ -1,9 +1,10 @@
-r"""What filters answer on a person's boundary: the constants of the likelihood `edge_phase`, from images whose boundaries are known.
+r"""Filter responses on a person's boundary: the constants of the likelihood `edge_phase`, learned from images with known boundaries.
 
-A boundary is the outline of a silhouette that is believed: a simulator's own, or one that a person has checked. Its points are steered to the
-outline's normal. $\epsilon$ at both ends of the amplitudes, and a and b of their Beta law, are of maximum likelihood (`likelihood.edge_density`);
-$\rho_{min}$ and $\rho_{max}$ hold all but one in a hundred. log p_occ lies half way between the mean log-density on boundaries and the mean
-elsewhere (about the person, at least `ELSEWHERE_PX` from the outline, in any direction): a hidden sample speaks neither for a pose nor against it.
+A boundary is the outline of a trusted silhouette: a simulator's, or one that a person has checked. Filters are steered to the outline's normal at its
+points. $\epsilon$ at both ends of the amplitudes, and a and b of their Beta distribution, are maximum likelihood estimates
+(`likelihood.edge_density`). $\rho_{min}$ and $\rho_{max}$ contain 99 % of the amplitudes. log p_occ is half way between the mean log-density on
+boundaries and the mean elsewhere (near the person, at least `ELSEWHERE_PX` from the outline, in any direction): a hidden sample is no evidence for or
+against a pose.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,13 +26,13 @@ from bayes_body.observation.outline_points import displaced, elsewhere_points, o
 from bayes_body.recording.images import read_mask
 from bayes_body.session.session import Session
 
-# Of the amplitudes, what lies below ρ_min and above ρ_max.
+# Shares of the amplitudes below ρ_min and above ρ_max.
 TAIL = 0.005
 LEAST_POINTS = 200
 
 
 def fit(boundary: Response, elsewhere: Response) -> EdgeStatistics:
-    """The constants of one scale.
+    """Fit the constants of one scale.
 
     Raises:
         InputError: there are too few points.
@@ -63,7 +64,7 @@ def _amplitude(share: NDArray[np.floating]) -> NDArray[np.floating]:
     def loss(ab: Array) -> Array:
         return log_normaliser(ab[0], ab[1]) - (ab[0] - 1) * means[0] - (ab[1] - 1) * means[1]
 
-    # In single precision the loss is too rough to be searched.
+    # The loss is too rough for optimisation in single precision.
     with jax.enable_x64(True):
         sloped = jax.jit(jax.value_and_grad(loss))
         # Below 1 the density would rise towards an end.
@@ -72,12 +73,12 @@ def _amplitude(share: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 class Images(NamedTuple):
-    """Grey images and the silhouettes whose outlines are known, in pairs."""
+    """Pairs of grey images and silhouettes with known outlines."""
 
     pairs: Sequence[tuple[NDArray[np.uint8], NDArray[np.bool_]]]
 
     def at(self, wavelength_px: float, displacements: Sequence[float | None], seed: int = 0) -> list[Response]:
-        """Responses on all outlines displaced by so many pixels, or elsewhere where that is None: one for each of the displacements."""
+        """Responses on all outlines, one item for each displacement: moved by so many pixels, or elsewhere if it is None."""
         rng = np.random.default_rng(seed)
         found: list[list[Response]] = [[] for _ in displacements]
         for grey, mask in self.pairs:
@@ -89,13 +90,14 @@ class Images(NamedTuple):
 
 
 def known_pairs(session: Session, frames: int, true_masks: Callable[[str], str]) -> list[tuple[NDArray[np.uint8], NDArray[np.bool_]]]:
-    """Grey images of a recording, evenly spread over its frames, with the silhouettes that are known.
+    """Grey images of a recording, evenly spread over its frames, with known silhouettes.
 
     Args:
         session: the recording.
-        frames: how many.
-        true_masks: from a camera's name to the printf pattern of silhouettes that a simulator left, from the session's folder on. Where there are
-            none, the masks that the session gives its cameras count.
+        frames: number of frames.
+        true_masks: maps a camera's name to the printf pattern of the simulator's silhouettes, relative to the session's folder. If there are none,
+        the
+            session's masks are used.
     """
     found = []
     for index in sorted({round(place) for place in np.linspace(0, session.frames - 1, frames)}):
@@ -114,5 +116,5 @@ def known_pairs(session: Session, frames: int, true_masks: Callable[[str], str])
 
 
 def mean_log_density(response: Response, statistics: EdgeStatistics) -> float:
-    """Of one scale, nats a sample."""
+    """The mean for one scale, nats per sample."""
     return float(np.mean(np.asarray(log_density(jnp.asarray(response.even), jnp.asarray(response.odd), statistics))))

@@ -1,9 +1,8 @@
-r"""One stride as numbers that fit any person: landmarks against the pelvis, along the way walked, in heights of the person, as a Fourier series.
+r"""One stride as numbers that fit any person: landmarks relative to the pelvis, along the walking direction, in body heights, as a Fourier series.
 
-$x(\varphi) = a_0 + \sum_{k=1}^{8} a_k \cos 2\pi k\varphi + b_k \sin 2\pi k\varphi$, phase $\varphi$ from one strike of the left heel (0) to the
-next (1).
-Strikes are where the ankle is farthest before the pelvis (Zeni et al. 2008, Two simple methods for determining gait events). A stride of the right
-foot is the mirrored stride of a left one, so a walk counts twice.
+$x(\varphi) = a_0 + \sum_{k=1}^{8} a_k \cos 2\pi k\varphi + b_k \sin 2\pi k\varphi$, with the phase $\varphi$ from one strike of the left heel (0) to
+the next (1). A strike is when the ankle is farthest in front of the pelvis (Zeni et al. 2008, Two simple methods for determining gait events). A
+stride of the right foot is the mirrored stride of a left one, so every walk counts twice.
 """
 
 from collections.abc import Mapping
@@ -16,14 +15,14 @@ from scipy.signal import find_peaks
 
 HARMONICS = 8
 TERMS = 2 * HARMONICS + 1
-# Strides take from 0.6 s (fast) to 2 s (slow); a step carries the ankle past the pelvis by more than this, heights.
+# Strides take from 0.6 s (fast) to 2 s (slow). In a step the ankle passes the pelvis by more than this, heights.
 SHORTEST_S, PROMINENCE = 0.6, 0.08
-# Speed squared over gravity and leg's length: people run above 0.5 (Kram et al. 1997).
+# Squared speed over gravity and leg length: people run above 0.5 (Kram et al. 1997).
 GRAVITY, RUN = 9.81, 0.5
-# An ankle that stands is as low as in this share of the frames, percent.
+# The height of a standing ankle is this percentile over the frames.
 STANDING = 10
 
-# Each point and what it hangs on: segments keep their lengths.
+# Each point and its parent: segments keep their lengths.
 TREE = {
     "thorax": "pelvis",
     "neck": "thorax",
@@ -34,18 +33,19 @@ TREE = {
     **{f"{side}_shoulder": "thorax" for side in "lr"},
 }
 
-# Without these there is no stride.
+# These are required for a stride.
 NEEDED = ("thorax", "head", *(f"{side}_{joint}" for side in "lr" for joint in ("hip", "knee", "ankle")))
 
 type Points = Mapping[str, Float[np.ndarray, "frame 3"]]
 
 
 class Stride(NamedTuple):
-    """A stride of a person, in heights of that person.
+    """A stride of a person, in units of the person's height.
 
     Attributes:
-        series: Fourier terms of x (forward), y (left) and z (up) of every point against the pelvis, then of the pelvis against its steady way.
-        pace: logarithms of its duration, s, and of its length, heights.
+        series: Fourier terms of x (forward), y (left) and z (up): of every point relative to the pelvis, then of the pelvis relative to steady
+            motion.
+        pace: logarithms of the duration, s, and of the length, heights.
     """
 
     series: Float[np.ndarray, "term column"]
@@ -53,43 +53,43 @@ class Stride(NamedTuple):
 
 
 def points_of(landmarks: Points) -> tuple[str, ...]:
-    """The points of a stride: those that hang on others and are known in every frame, in the order of `TREE`."""
+    """The points of a stride: those that have a parent and are known in every frame, in the order of `TREE`."""
     known = {name for name, each in landmarks.items() if np.isfinite(each).all()}
 
-    def hangs(name: str) -> bool:
-        return name in known and (name not in TREE or hangs(TREE[name]))
+    def has_parent(name: str) -> bool:
+        return name in known and (name not in TREE or has_parent(TREE[name]))
 
-    return tuple(name for name in TREE if hangs(name))
+    return tuple(name for name in TREE if has_parent(name))
 
 
 def segments(landmarks: Points, names: tuple[str, ...]) -> Float[np.ndarray, " point"]:
-    """The mean distance of each point from what it hangs on, metres; left and right alike."""
+    """The mean distance of each point from its parent, metres; equal for left and right."""
     lengths = {name: float(np.linalg.norm(landmarks[name] - landmarks[TREE[name]], axis=1).mean()) for name in names}
     return np.array([np.mean([lengths[each] for each in (name, _mirrored(name)) if each in lengths]) for name in names])
 
 
 def height(landmarks: Points, names: tuple[str, ...]) -> float:
-    """How tall the person is, metres: the segments from the floor to the crown, put upright."""
+    """The person's height, metres: the sum of the segments from the floor to the crown."""
     length = dict(zip(names, segments(landmarks, names), strict=True))
     ankle = float(np.mean([np.percentile(landmarks[f"{side}_ankle"][:, 2], STANDING) for side in "lr"]))
     return float(ankle + sum(length[name] for name in ("l_knee", "l_ankle", "thorax", "head")))
 
 
 def speed(landmarks: Points, fps: float) -> float:
-    """Of the whole recording, m/s over the floor."""
+    """The mean speed over the floor in the whole recording, m/s."""
     way = landmarks["pelvis"][-1, :2] - landmarks["pelvis"][0, :2]
     return float(np.linalg.norm(way)) * fps / max(len(landmarks["pelvis"]) - 1, 1)
 
 
 def is_run(landmarks: Points, fps: float) -> bool:
-    """Whether people of that build run at that speed."""
+    """Whether people of this build run at this speed."""
     names = points_of(landmarks)
     length = dict(zip(names, segments(landmarks, names), strict=True))
     return bool(speed(landmarks, fps) ** 2 > RUN * GRAVITY * (length["l_knee"] + length["l_ankle"]))
 
 
 def strides(landmarks: Points, names: tuple[str, ...], fps: float, height_m: float) -> list[Stride]:
-    """The strides of a walk straight ahead, those of the left foot as they are and those of the right foot mirrored."""
+    """The strides of a straight walk: those of the left foot unchanged, those of the right foot mirrored."""
     ahead = _ahead(landmarks)
     mirrored = {_mirrored(name): each * (1, -1, 1) for name, each in ahead.items()}
     return [stride for side in (ahead, mirrored) for stride in _of_left(side, names, fps, height_m)]
@@ -102,7 +102,7 @@ def terms(phase: Float[np.ndarray, " sample"]) -> Float[np.ndarray, "sample term
 
 
 def _ahead(landmarks: Points) -> dict[str, Float[np.ndarray, "frame 3"]]:
-    """The walk turned so that it goes along x."""
+    """The walk rotated so that it goes along x."""
     way = landmarks["pelvis"][-1, :2] - landmarks["pelvis"][0, :2]
     c, s = way / max(np.linalg.norm(way), 1e-9)
     R = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
@@ -122,7 +122,7 @@ def _stride(ahead: Points, names: tuple[str, ...], fps: float, height_m: float, 
     steady = np.outer(phase, pelvis[-1] - pelvis[0]) * (1, 1, 0)
     moved = pelvis - steady - (pelvis - steady).mean(axis=0) * (1, 1, 0)
     columns = np.concatenate([*(ahead[name][frames] / height_m - pelvis for name in names), moved], axis=1)
-    # What does not come back to where it began is spread over the stride: a series does.
+    # The series is periodic, so the difference between the stride's ends is spread over it.
     closed = columns - np.outer(phase - 0.5, columns[-1] - columns[0])
     series = np.linalg.lstsq(terms(phase[:-1]), closed[:-1], rcond=None)[0]
     return Stride(series, np.log([(last - first) / fps, np.linalg.norm(pelvis[-1, :2] - pelvis[0, :2])]))

@@ -1,14 +1,14 @@
-r"""The scale of a likelihood that is no distribution over images: the one at which intervals hold the truth as often as they say.
+r"""Choose the scale of a likelihood that is not a distribution over images, so that intervals contain the truth as often as they should.
 
-A sum of squares is a log-likelihood up to a factor $\rho$ that nothing in the images gives. Simulated recordings, whose truth is known, do: over a
-grid of $\rho$ each recording is tracked, and with the coverage $c(\rho)$ of the 90 % intervals, pooled over recordings, markers and axes,
+A sum of squares is a log-likelihood up to a factor $\rho$ that the images alone do not determine. Simulated recordings with known truth do. Each
+recording is tracked for a grid of $\rho$. With the coverage $c(\rho)$ of the 90 % intervals, pooled over recordings, markers and axes,
 
 $$c(\rho^*) = 0.9, \qquad c \text{ interpolated linearly in } \log \rho.$$
 
-Where no scale reaches 0.9, because at small ones a wrong motion prior decides, the largest scale whose coverage is within
-0.02 of the best is taken: four recordings know it no better, and the sharper posterior is the more useful one.
+If no scale reaches 0.9, because at small ones a wrong motion prior dominates, choose the largest scale whose coverage is within 0.02 of the best.
+Four recordings do not determine it better, and the sharper posterior is more useful.
 
-The value is worth what the recordings are: people, motions and seeds that it is later used on must not be among them.
+The value is only as good as the recordings. They must not contain people, motions and seeds on which it is used later.
 """
 
 from collections.abc import Iterator, Sequence
@@ -33,22 +33,22 @@ from bayes_body.view.progress import Watch, unwatched
 
 LEVEL = 0.9
 OPTION = "precision"
-# What coverages may differ by and count as the same.
+# Coverages that differ by at most this count as equal.
 NEAR = 0.02
 KEPT = "trials"
 
 
 class Trial(NamedTuple):
-    """One recording tracked with one scale.
+    """The result of tracking one recording with one scale.
 
     Attributes:
         recording: its title.
-        scale: the likelihood's.
-        inside: how many coordinates of true markers lie in their 90 % intervals.
-        known: of how many.
-        error_mm: mean distance of the markers.
+        scale: the likelihood's scale.
+        inside: number of coordinates of true markers inside their 90 % intervals.
+        known: number of known coordinates.
+        error_mm: mean distance of the markers from the truth.
         iou: median overlap with the silhouettes.
-        ess: median, particles.
+        ess: median effective sample size, particles.
     """
 
     recording: str
@@ -61,15 +61,15 @@ class Trial(NamedTuple):
 
     @property
     def coverage(self) -> float:
-        """Share of the coordinates inside."""
+        """The share of known coordinates inside their intervals."""
         return self.inside / self.known
 
 
 def with_scale(definition: Definition, scale: float) -> Definition:
-    """The definition with that scale of its likelihood.
+    """The definition with this scale in its likelihood.
 
     Raises:
-        InputError: no likelihood of it has a scale, or more than one has.
+        InputError: none of its likelihoods has a scale, or more than one has.
     """
     scaled = [index for index, term in enumerate(definition.likelihoods) if hasattr(term.options, OPTION)]
     if len(scaled) != 1:
@@ -91,18 +91,18 @@ def trials(
     kept: ReplicationLog | None = None,
     watch: Watch = unwatched,
 ) -> Iterator[Trial]:
-    """Each recording with each scale, all from the same first pose.
+    """Track each recording with each scale, all from the same first pose.
 
     Args:
-        sessions: with their truth.
-        definition: of the model.
-        scales: to be tried.
-        kernel: a posterior sampler; a mode seeker's intervals promise nothing.
-        particles: of a run.
-        seed: of everything random.
-        frames: only the first so many.
+        sessions: recordings with truth.
+        definition: the model.
+        scales: the scales to try.
+        kernel: a posterior sampler; the intervals of a mode seeker mean nothing.
+        particles: number of particles of a run.
+        seed: the seed of everything random.
+        frames: use only the first so many frames.
         kept: trials that are there already, and where new ones go.
-        watch: goes through the numbers of the trials, to show how far it is.
+        watch: wraps the iteration over trials, to show progress.
 
     Raises:
         InputError: a session has no truth, or the model no scale.
@@ -117,10 +117,10 @@ def trials(
         if (KEPT, number) not in kept:
             model = load_model(with_scale(definition, scale), sessions[place])
             if place not in starts:
-                # The fit of the first pose knows no images: it is the same for each scale.
+                # The fit of the first pose does not use the images, so it is the same for each scale.
                 starts[place] = first_pose(model, sessions[place])
             trial = _trial(sessions[place], apply_first_pose(model, sessions[place], starts[place]), scale, kernel, particles, seed, frames)
-            # Numbers alone: what is kept knows no texts.
+            # Only numbers: the log does not store text.
             kept.add(KEPT, number, {name: np.asarray(value) for name, value in trial._asdict().items() if name != "recording"})
         yield Trial(sessions[place].title, **{name: value.item() for name, value in kept[KEPT, number].items()})
 
@@ -129,9 +129,9 @@ def _trial(session: Session, model: Model, scale: float, kernel: Kernel, particl
     draws = track(session, model, kernel, jax.random.key(seed), particles, frames=min(frames or session.frames, session.frames))
     found = draws_against_truth(session, draws)
     if found is None:
-        raise input_error(f"the model '{model.definition.name}'", "none of its markers is among the truth's", "one with markers", "take another body")
+        raise input_error(f"the model '{model.definition.name}'", "none of its markers is in the truth", "one with markers", "use another body")
     if np.isnan(log_evidence(draws)):
-        raise input_error("--kernel", "a mode seeker", "one whose particles are draws of the posterior", "take sir or tempered")
+        raise input_error("--kernel", "a mode seeker", "one whose particles are draws of the posterior", "use sir or tempered")
     figures = accuracy_figures(found, mode_seeker=False)
     inside, known = int(found.plain.inside[LEVELS.index(LEVEL)].sum()), int(found.plain.known.sum())
     iou = float(np.nanmedian(silhouette_overlap(session, draws)))
@@ -146,10 +146,10 @@ def pooled(found: Sequence[Trial]) -> tuple[Float[np.ndarray, " scale"], Float[n
 
 
 def choose_scale(scales: Float[np.ndarray, " scale"], coverage: Float[np.ndarray, " scale"], level: float = LEVEL) -> float:
-    """The largest scale at which the coverage, falling from left to right, crosses the level; else the largest as good as the best.
+    """The largest scale at which the decreasing coverage crosses the level; otherwise the largest scale that is about as good as the best.
 
     Raises:
-        InputError: neither lies within the scales.
+        InputError: there is neither within the scales.
     """
     near = int(np.flatnonzero(coverage >= coverage.max() - NEAR)[-1])
     if coverage.max() < level and 0 < near < len(scales) - 1:

@@ -1,8 +1,8 @@
-r"""Walks of any length, speed and heading from a walking cycle, as landmarks.
+r"""Generate walks of any length, speed and heading from a walking cycle, as landmarks.
 
-The pose at a phase comes from the cycle; its segments are given their lengths again, parents first. What stands on the floor moves no more than in
-the mean stride, where its velocity is $u_i$ (a foot rolls): $\dot p = \sum_i w_i (u_i - \dot f_i) / \sum_i w_i$ of the pelvis, $f_i$ a point's
-place against it, with weights that fall with $|u_i|$.
+The cycle gives the pose at a phase. Its segments are then scaled to their lengths, parents first. A standing foot moves as little as in the mean
+stride, where its velocity is $u_i$ (a foot rolls): the pelvis moves with $\dot p = \sum_i w_i (u_i - \dot f_i) / \sum_i w_i$, where $f_i$ is a
+point's position relative to it, and the weights decrease with $|u_i|$.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,24 +19,24 @@ from bayes_body.learning.gait import TREE, terms
 __all__ = ["WalkingCycle", "load_cycle", "walk"]
 
 HEIGHT_M = 1.75
-# Of the coefficients, in the sds between strides: how far walkers of different seeds lie apart, how far the strides of one, and the farthest.
+# Coefficients, in standard deviations between strides: the spread between walkers, the spread between a walker's strides, and the largest value.
 BETWEEN, WITHIN, FARTHEST = 0.8, 0.25, 1.5
-# A point of a foot that moves slower than this, heights/s, stands.
+# A point of a foot that moves more slowly than this, heights/s, is standing.
 STANDS = 0.12
 FEET = tuple(f"{side}_{point}" for side in "lr" for point in ("ankle", "heel", "toe"))
-# Samples of the mean stride from which weights are read.
+# Number of samples of the mean stride from which weights are computed.
 SAMPLES = 256
 
 
 class _Feet(NamedTuple):
-    """Points of the feet in the mean stride: how firmly each stands, and by how much it moves over the floor for each phase, heights."""
+    """Points of the feet in the mean stride: the weight with which each stands, and its motion over the floor per phase, heights."""
 
     weights: Float[np.ndarray, "frame foot"]
     moves: Float[np.ndarray, "frame foot 2"]
 
 
 class _Gait(NamedTuple):
-    """A walk before it stands on the floor: phase of every frame, and the columns of the cycle then, heights."""
+    """A walk before its contact with the floor: the phase of every frame, and the cycle's columns at these phases, heights."""
 
     phase: Float[np.ndarray, " frame"]
     columns: Float[np.ndarray, "frame column"]
@@ -54,22 +54,22 @@ def walk(
     height_m: float = HEIGHT_M,
     phase: float = 0.0,
 ) -> dict[str, Float[np.ndarray, "frame 3"]]:
-    """A walk straight ahead as landmarks by name, metres, z up, on a floor at 0.
+    """Generate a straight walk as landmarks by name, metres, z up, on a floor at 0.
 
     Args:
-        cycle: how to walk.
-        seconds: how long.
-        fps: frames a second.
-        speed: by how much faster than the cycle strides follow each other.
-        coefficients: of the cycle's modes, in standard deviations; the others are 0.
-        seed: of a walker of its own whose strides differ a little; None walks the same stride again and again.
+        cycle: the walking cycle.
+        seconds: duration.
+        fps: frames per second.
+        speed: stride rate relative to the cycle.
+        coefficients: coefficients of the cycle's modes, in standard deviations; missing ones are 0.
+        seed: the seed of a random walker whose strides differ a little; None repeats the same stride.
         heading: direction, radians from the world's x towards y.
-        start: where the pelvis is in the first frame, metres.
-        height_m: of the walker.
-        phase: of the first frame; 0 is a strike of the left heel.
+        start: position of the pelvis in the first frame, metres.
+        height_m: the walker's height.
+        phase: phase of the first frame; 0 is a strike of the left heel.
 
     Raises:
-        InputError: a number that is none, or not above 0.
+        InputError: a number is not finite, or not above 0.
     """
     _check({"seconds": seconds, "fps": fps, "speed": speed, "height_m": height_m}, coefficients, len(cycle.modes))
     gait = _gait(cycle, max(round(seconds * fps), 1), fps, speed, coefficients, seed, height_m, phase)
@@ -96,7 +96,7 @@ def _gait(
 ) -> _Gait:
     given = np.zeros(len(cycle.modes))
     given[: len(coefficients)] = coefficients
-    # Steps of like people take times like the square root of their heights (dynamic similarity, Alexander 1989).
+    # For dynamically similar people, step times are proportional to the square root of height (Alexander 1989).
     tempo = speed / np.sqrt(height_m / cycle.height_m) / fps
     quickest = np.exp(-cycle.pace[0] + FARTHEST * np.abs(cycle.pace_modes[:, 0]).sum() + np.abs(given @ cycle.pace_modes[:, 0]))
     course = _course(given, seed, frames * tempo * quickest)
@@ -110,18 +110,18 @@ def _gait(
 
 
 def _course(given: Float[np.ndarray, " mode"], seed: int | None, strides: float) -> CubicSpline:
-    """The coefficients over the strides: smooth, other in every stride."""
+    """The coefficients over the strides: a smooth curve, with different values in every stride."""
     count = int(strides) + 3
     drawn = np.zeros((count, given.size))
     if seed is not None:
         rng = np.random.default_rng(seed)
-        own = np.clip(BETWEEN * rng.standard_normal(given.size), -FARTHEST, FARTHEST)
-        drawn = np.clip(own + WITHIN * rng.standard_normal(drawn.shape), -FARTHEST, FARTHEST)
+        walker = np.clip(BETWEEN * rng.standard_normal(given.size), -FARTHEST, FARTHEST)
+        drawn = np.clip(walker + WITHIN * rng.standard_normal(drawn.shape), -FARTHEST, FARTHEST)
     return CubicSpline(np.arange(count), given + drawn)
 
 
 def _upright(cycle: WalkingCycle, columns: Float[np.ndarray, "frame column"]) -> dict[str, Float[np.ndarray, "frame 3"]]:
-    """Places against the pelvis, heights, with segments of constant length."""
+    """Positions relative to the pelvis, heights, with segments of constant length."""
     raw = {"pelvis": np.zeros((len(columns), 3))} | {name: columns[:, 3 * i : 3 * i + 3] for i, name in enumerate(cycle.names)}
     places = {"pelvis": raw["pelvis"]}
     for name, length in sorted(zip(cycle.names, cycle.segments, strict=True), key=lambda each: _depth(each[0])):
@@ -135,13 +135,13 @@ def _depth(name: str) -> int:
 
 
 def _travelled(cycle: WalkingCycle, gait: _Gait, bodies: Mapping[str, Float[np.ndarray, "frame 3"]]) -> Float[np.ndarray, "frame 3"]:
-    """The pelvis on its way, heights: carried by the feet that stand, at the cycle's own height, from 0 along x."""
+    """The path of the pelvis, heights: carried by the standing feet, at the cycle's height, from 0 along x."""
     middle = _feet(cycle, (gait.phase[1:] + gait.phase[:-1]) / 2)
     feet = np.stack([bodies[name] for name in cycle.names if name in FEET], axis=1)[..., :2]
     steps = middle.moves * np.diff(gait.phase)[:, None, None] - np.diff(feet, axis=0)
     steps = np.einsum("fi,fia->fa", middle.weights, steps) / middle.weights.sum(axis=1, keepdims=True)
     way = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    # Steps to the left and to the right do not quite cancel: on the whole it goes straight ahead.
+    # Sideways steps do not quite cancel; remove the drift so that the walk is straight on average.
     way[:, 1] -= np.linspace(0.0, way[-1, 1], len(way))
     return np.concatenate([way, gait.columns[:, -1:]], axis=1)
 
@@ -157,13 +157,13 @@ def _feet(cycle: WalkingCycle, phase: Float[np.ndarray, " frame"]) -> _Feet:
     ahead[[0, -1], :, 0] += length
     moves = ahead * SAMPLES / 2
     speeds = np.linalg.norm(moves, axis=2) / duration
-    # A trace everywhere, so that there is always a foot to go by.
+    # A small weight everywhere, so that the sum of weights is never 0.
     weights = np.exp(-((speeds / STANDS) ** 2)) + 1e-6
     return _Feet(_between(weights, phase), _between(moves[..., :2], phase))
 
 
 def _between(samples: Float[np.ndarray, "sample *rest"], phase: Float[np.ndarray, " frame"]) -> Float[np.ndarray, "frame *rest"]:
-    """Samples of a stride at these phases, linearly."""
+    """Samples of a stride, interpolated linearly at these phases."""
     closed = np.concatenate([samples, samples[:1]])
     place = (phase % 1.0) * len(samples)
     before = np.minimum(place.astype(int), len(samples) - 1)

@@ -1,1 +1,1 @@
-"""One file an image likelihood, in JAX."""
+"""Image likelihoods in JAX, one per file."""

@@ -1,7 +1,7 @@
-r"""How much of an image a body covers: the share of the points of a coarse grid that lie in the projection of any part.
+r"""The share of an image that a body covers: of the points of a coarse grid, those in the projection of any part.
 
-A grid point's membership of a part's quadrilateral is soft over one step of the grid, $\prod$ of sigmoids of the distances to its four sides, so
-that the area has a gradient; the union over parts is $1 - \prod_p (1 - m_p)$.
+The membership of a grid point in a part's quadrilateral is soft over one step of the grid: $\prod$ of sigmoids of the distances to its four sides.
+Therefore the area has a gradient. The union over parts is $1 - \prod_p (1 - m_p)$.
 """
 
 import math
@@ -18,15 +18,15 @@ from bayes_body.shapes import Pose, Scalar
 
 
 def projected_area(body: Body, rig: Camera, pose: Pose, grid: tuple[int, int]) -> Float[Array, " camera"]:
-    """The covered share of each camera's image, in [0, 1]; a part with a corner that is not visible covers nothing.
+    """The covered share of each camera's image, in [0, 1]. A part with a corner that is not visible covers nothing.
 
     Args:
         body: the body.
         rig: cameras.
         pose: radians and metres.
-        grid: columns and rows of the grid that is stretched over each image.
+        grid: columns and rows of the grid over each image.
     """
-    # Corners of each part's patch; a disc's square is shrunk to the disc's area.
+    # Corners of each part's patch. A disc's square is shrunk to the disc's area.
     shrink = np.where(np.array(body.topology.is_sphere), math.sqrt(math.pi) / 2, 1.0)[:, None]
     t = 0.5 + shrink * np.array([[-0.5, 0.5, 0.5, -0.5]])
     s = shrink * np.array([[-1.0, -1.0, 1.0, 1.0]])

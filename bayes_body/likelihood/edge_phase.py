@@ -1,14 +1,14 @@
-r"""Edges by phase (Poon & Fleet 2002, 3.2): band-pass filters, steered to the normals of the parts' occluding boundaries,
+r"""Edges by phase (Poon & Fleet 2002, 3.2): band-pass filters steered to the normals of the parts' occluding boundaries,
 
 $$\log L(s) = \sum_c \sum_j \frac{1}{n_j} \sum_i \log L_{ij}, \qquad
 L_{ij} = \prod_{\text{scales}} p(\phi_{ij} \mid \rho_{ij}, s)\, p(\rho_{ij} \mid s) \ \text{if visible, else}\ p_{occ},$$
 
-with the densities of `edge_density` and the samples of `boundaries`. A sample that is partly hidden (soft visibility) has the mixture of both; one
-outside of the image, or in a camera that did not see the frame, counts as hidden.
+with the densities of `edge_density` and the samples of `boundaries`. A partly hidden sample (soft visibility) has the mixture of both. A sample
+outside the image, or in a camera that did not see the frame, counts as hidden.
 
-The factor $1/n_j$ is the paper's (8), and tempers the posterior: n measurements count as one, which "accounts for the lack of a background model",
-broadens the likelihood, and has nothing to do with how many of them are independent. Without it (`normalise_by_samples = false`) all count as
-independent, which neighbours along a boundary are not. The constant p_occ is no density of the image either: this likelihood cannot be simulated.
+The factor $1/n_j$ is the paper's (8). It tempers the posterior: n measurements count as one, which "accounts for the lack of a background model" and
+broadens the likelihood; it does not depend on how many of them are independent. Without it (`normalise_by_samples = false`) all count as independent,
+which neighbours along a boundary are not. The constant p_occ is not a density of the image either, so this likelihood cannot be simulated.
 """
 
 import math
@@ -37,7 +37,7 @@ AboveOne = Annotated[float, Field(strict=True, gt=1, allow_inf_nan=False)]
 
 
 class Scale(Schema):
-    """A `[[likelihood.scale]]`: a filter's wavelength and what is known of its responses on boundaries (`bayes-body learn edge-statistics`)."""
+    """A `[[likelihood.scale]]`: a filter's wavelength and the statistics of its responses on boundaries (`bayes-body learn edge-statistics`)."""
 
     wavelength_px: Annotated[float, Field(strict=True, ge=3, allow_inf_nan=False)]
     epsilon: tuple[Share, Share]
@@ -49,7 +49,7 @@ class Scale(Schema):
     def _check_range(self) -> "Scale":
         low, high = self.log_amplitude
         if not low < high:
-            raise ValueError(f"log_amplitude = [{low:g}, {high:g}]: the first is not below the second; give the least, then the largest")
+            raise ValueError(f"log_amplitude = [{low:g}, {high:g}]: the first is not below the second; give the smallest, then the largest")
         return self
 
 
@@ -76,10 +76,10 @@ class EdgePhase:
         visibility: hard or soft.
         body: the body.
         rig: the cameras.
-        contour: where samples stand.
-        statistics: of the scales.
-        weight: of a sample: 1/n_j or 1, times the precision.
-        frequencies: of the filters, radians a pixel.
+        contour: the positions of the samples.
+        statistics: the statistics of the scales.
+        weight: the weight of a sample: 1/n_j or 1, times the precision.
+        frequencies: the filters' frequencies, radians per pixel.
     """
 
     visibility: Visibility
@@ -93,33 +93,33 @@ class EdgePhase:
     def __call__(self, values: Variables, maps: PhaseMaps) -> Scalar:
         """log p(z | pose), up to a constant."""
         pose = values[POSE]
-        seen = boundaries(self.body, self.rig, self.contour, seen_patches(self.body, self.rig, pose), self.visibility)
-        total = jnp.sum(self.sample_log_densities(maps, seen))
-        # Clipped coordinates would hide a pose that is none.
+        edges = boundaries(self.body, self.rig, self.contour, seen_patches(self.body, self.rig, pose), self.visibility)
+        total = jnp.sum(self.sample_log_densities(maps, edges))
+        # Clipping coordinates would hide an invalid pose.
         return jnp.where(jnp.isfinite(jnp.sum(pose)), self.weight * total, jnp.nan)
 
-    def sample_log_densities(self, maps: PhaseMaps, seen: Boundaries) -> Float[Array, "camera part sample"]:
+    def sample_log_densities(self, maps: PhaseMaps, edges: Boundaries) -> Float[Array, "camera part sample"]:
         """log L_ij."""
-        response = look_up(maps, self.rig, seen.pixels, seen.normals)
+        response = look_up(maps, self.rig, edges.pixels, edges.normals)
         statistics = jax.tree.map(lambda leaf: leaf[..., None, None, None], _by_scale(self.statistics))
         shown_log = jnp.sum(log_density(response.even, response.odd, statistics), axis=0)
         hidden_log = jnp.sum(self.statistics.log_occluded)
-        visible = seen.visible * jnp.asarray(maps.seen, seen.visible.dtype)[:, None, None]
+        visible = edges.visible * jnp.asarray(maps.seen, edges.visible.dtype)[:, None, None]
         if self.visibility == "hard":
             return jnp.where(visible > 0, shown_log, hidden_log)
         tiny = jnp.finfo(visible.dtype).tiny
         return jnp.logaddexp(jnp.log(jnp.maximum(visible, tiny)) + shown_log, jnp.log(jnp.maximum(1 - visible, tiny)) + hidden_log)
 
     def curvature(self, values: Variables, maps: PhaseMaps) -> dict[str, Float[Array, "dof dof"]]:
-        r"""About minus the second derivatives by the dofs: the Gaussian part of the phase alone, whose gradient is the filter's frequency (22).
+        r"""Approximate minus second derivatives by the dofs: only the Gaussian part of the phase, whose gradient is the filter's frequency (22).
 
-        All samples that can be seen are summed, where the paper takes the middle of each side; its formula is the diagonal.
+        The sum is over all visible samples. The paper uses the middle of each side, and its formula is the diagonal.
         """
         pose = values[POSE]
-        seen = boundaries(self.body, self.rig, self.contour, seen_patches(self.body, self.rig, pose), self.visibility)
+        edges = boundaries(self.body, self.rig, self.contour, seen_patches(self.body, self.rig, pose), self.visibility)
         along_u, along_v = sample_slopes(self.body, self.rig, self.contour.samples, pose)
-        visible = seen.visible * jnp.asarray(maps.seen, pose.dtype)[:, None, None]
-        across = (jnp.sqrt(visible) * (along_u * seen.normals[0] + along_v * seen.normals[1])).reshape(len(pose), -1)
+        visible = edges.visible * jnp.asarray(maps.seen, pose.dtype)[:, None, None]
+        across = (jnp.sqrt(visible) * (along_u * edges.normals[0] + along_v * edges.normals[1])).reshape(len(pose), -1)
         phase = jnp.sum(self.frequencies**2) / PHASE_SD**2
         return {POSE.name: self.weight * phase * (across @ across.T)}
 
@@ -129,13 +129,13 @@ def _curvature(potential: EdgePhase, values: Variables, maps: PhaseMaps) -> dict
 
 
 def _by_scale(statistics: EdgeStatistics) -> EdgeStatistics:
-    """The pairs' axis first, as `log_density` takes them."""
+    """Move the axis of the pairs to the front, as `log_density` expects."""
     return EdgeStatistics(statistics.epsilon.T, statistics.amplitude.T, statistics.log_amplitude.T, statistics.log_occluded)
 
 
 @register("likelihood", "edge_phase", Options, note="it reads grey levels; the pictures of a colour video are converted")
 def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
-    """The factor of one rig and body."""
+    """Build the factor for one rig and body."""
     dtype = body.lengths.dtype
     scales = options.scale
     statistics = EdgeStatistics(

@@ -1,15 +1,15 @@
-r"""Markers where cameras see them, a distribution over their pixels: with the projection $\pi_c(m(s))$ of marker m in camera c,
+r"""Markers seen by cameras, as a distribution over their pixels: with the projection $\pi_c(m(s))$ of marker m in camera c,
 
 $$p(z \mid s) = \prod_{c, m \,\text{present}} \Big[ (1 - \epsilon)\, f\big(\|z_{cm} - \pi_c(m(s))\|; \sigma_{cm}\big)
   + \frac{\epsilon}{W_c H_c} \Big],$$
 
-f Gaussian, $\frac{1}{2\pi\sigma^2} e^{-r^2/2\sigma^2}$, or Student's t in two dimensions (Lange et al. 1989), which has the same constant,
-$\frac{1}{2\pi\sigma^2} (1 + r^2/\nu\sigma^2)^{-(\nu+2)/2}$; $\epsilon$ is the share of outliers, anywhere in the image, and
-$\sigma_{cm} = \sigma_c / q_{cm}^a$ with the confidence q. Which markers are present, and with what confidence, is taken as given. A marker that a
-camera cannot see, for it is behind it, is expected at one place far outside of the image: unlikely, finite, and still a distribution.
+where f is Gaussian, $\frac{1}{2\pi\sigma^2} e^{-r^2/2\sigma^2}$, or Student's t in two dimensions (Lange et al. 1989), which has the same constant,
+$\frac{1}{2\pi\sigma^2} (1 + r^2/\nu\sigma^2)^{-(\nu+2)/2}$; $\epsilon$ is the share of outliers, uniform over the image, and
+$\sigma_{cm} = \sigma_c / q_{cm}^a$ with the confidence q. Which markers are present, and their confidence, is given. A marker behind a camera is
+expected at a fixed place far outside the image: this is unlikely but finite, and the density is still normalised.
 
-Errors of keypoint networks are alike from frame to frame and among cameras (a hip is always found outside and above the joint's centre), and here
-they are independent: on real keypoints the posterior is too narrow, the more so the more frames there are a second.
+Errors of keypoint networks are correlated between frames and cameras (a hip is always found outside and above the joint's centre). Here they are
+independent, so on real keypoints the posterior is too narrow, and more so at higher frame rates.
 """
 
 import math
@@ -33,7 +33,7 @@ from bayes_body.shapes import Key, Pose, Scalar
 from bayes_body.toml.schema import NonNegative, Positive, Schema, Share
 
 POSE = Variable("pose")
-# Where a marker behind the camera is expected, from the middle of the image, in diagonals of it.
+# Where a marker behind the camera is expected: its distance from the image's centre, in diagonals of the image.
 BEHIND = 2.0
 Rare = Annotated[float, Field(strict=True, ge=0, lt=1)]
 
@@ -58,19 +58,19 @@ class Options(Schema):
 )
 @dataclass(frozen=True)
 class MarkersGaussian:
-    """The log-potential as a pytree, and the distribution that it is the density of.
+    """The log-potential as a pytree, and the distribution with that density.
 
     Attributes:
         noise: gaussian or student.
-        markers: the body's markers that can be seen, by their number in the body.
-        places: where each stands in `MARKERS`.
-        outliers: share of the markers that are seen anywhere in the image.
+        markers: indices of the visible markers in the body.
+        places: their indices in `MARKERS`.
+        outliers: share of the markers that are outliers, uniform over the image.
         by_confidence: the power a of the confidence.
         body: the body.
         rig: the cameras.
-        sd_px: of each camera; Student's scale.
-        degrees_of_freedom: Student's.
-        least_confidence: up to this a marker counts as not present.
+        sd_px: standard deviation in each camera; the scale for Student's t.
+        degrees_of_freedom: of Student's t.
+        least_confidence: a marker with at most this confidence counts as not present.
     """
 
     noise: Literal["gaussian", "student"]
@@ -84,19 +84,19 @@ class MarkersGaussian:
     degrees_of_freedom: Scalar
     least_confidence: Scalar
 
-    def __call__(self, values: Variables, seen: MarkerEvidence) -> Scalar:
+    def __call__(self, values: Variables, evidence: MarkerEvidence) -> Scalar:
         """log p(z | pose), normalised."""
         pose = values[POSE]
-        pixels, confidence = (jnp.asarray(each)[:, list(self.places)] for each in seen)
+        pixels, confidence = (jnp.asarray(each)[:, list(self.places)] for each in evidence)
         present = confidence > self.least_confidence
-        # What is not there may be NaN, which a `where` around the density alone would let into the gradient.
+        # Absent data may be NaN. Without this, a `where` around the density would still let NaN into the gradient.
         pixels, confidence = jnp.where(present[..., None], pixels, 0.0), jnp.where(present, confidence, 1.0)
         densities = self._log_density(pixels, confidence, self.expected(pose))
-        # Where a marker is behind a camera its place does not depend on the pose, and would hide a NaN.
+        # If a marker is behind a camera, its expected place does not depend on the pose, which would hide a NaN.
         return jnp.where(jnp.isfinite(jnp.sum(pose)), jnp.sum(jnp.where(present, densities, 0.0)), jnp.nan)
 
     def expected(self, pose: Pose) -> Float[Array, "camera seen 2"]:
-        """Where each camera sees the body's markers, pixels."""
+        """The expected pixels of the body's markers in each camera."""
         points = marker_positions(self.body.skeleton, self.body.markers, pose)[list(self.markers), :]
 
         def of(camera: Camera) -> Float[Array, "seen 2"]:
@@ -122,11 +122,11 @@ class MarkersGaussian:
         return self.sd_px[:, None] / confidence**self.by_confidence
 
     def _inside(self, pixels: Float[Array, "camera seen 2"]) -> Bool[Array, "camera seen"]:
-        # The first pixel's centre is (0, 0): an image begins half a pixel before it.
+        # The first pixel's centre is (0, 0), so an image begins half a pixel before it.
         return jnp.all((pixels >= -0.5) & (pixels <= self.rig.size[:, None] - 0.5), axis=-1)
 
     def draw(self, key: Key, pose: Pose) -> Float[Array, "camera seen 2"]:
-        """Pixels of the body's markers, all with confidence 1."""
+        """Draw pixels of the body's markers, all with confidence 1."""
         noise, spread, choice, place = jax.random.split(key, 4)
         expected = self.expected(pose)
         shape, dtype = expected.shape[:2], expected.dtype
@@ -140,7 +140,7 @@ class MarkersGaussian:
 
 
 def simulate(potential: MarkersGaussian, missing: Scalar, key: Key, values: Variables) -> MarkerEvidence:
-    """A frame's markers drawn from the likelihood at a pose; each is missing in a camera with a probability that does not depend on the pose."""
+    """Draw a frame's markers from the likelihood at a pose. Each is missing in a camera with a probability that does not depend on the pose."""
     draws, losses = jax.random.split(key)
     pixels = potential.draw(draws, values[POSE])
     present = jax.random.bernoulli(losses, 1 - missing, pixels.shape[:2])
@@ -153,7 +153,7 @@ def simulate(potential: MarkersGaussian, missing: Scalar, key: Key, values: Vari
 
 @register("likelihood", "markers_gaussian", Options)
 def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
-    """The factor of one rig and body.
+    """Build the factor for one rig and body.
 
     Raises:
         InputError: the body has none of the markers.
@@ -161,7 +161,7 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
     known = [(number, MARKERS.index(marker)) for number, marker in enumerate(body.markers.names) if marker in MARKERS]
     if not known:
         found = f"the body '{body.name}' has the markers {', '.join(body.markers.names) or '(none)'}"
-        raise input_error(name, found, f"some of {', '.join(MARKERS)}", "name the body's [markers] so")
+        raise input_error(name, found, f"some of {', '.join(MARKERS)}", "use these names in the body's [markers]")
     dtype = body.lengths.dtype
     diagonal = jnp.sqrt(jnp.sum(rig.size**2, axis=1))
     sd_px = options.sd_px * (diagonal / options.at_diagonal_px if options.at_diagonal_px else jnp.ones_like(diagonal))

@@ -1,9 +1,9 @@
-r"""How far inside of a body's projection points of the image are, pixels: a signed distance, positive inside, with a gradient by the pose.
+r"""How far image points are inside a body's projection, pixels: a signed distance, positive inside, with a gradient by the pose.
 
-A part's outline on a cylinder is a quadrilateral, $d_p(x) = \min_i\, n_i \cdot (x - x_i)$ over its sides; of a sphere it is an ellipse,
-$d_p(x) = \frac{r}{2} (1 - |M^{-1}(x - x_0)|^2)$ with its half-axes in M and $r = \sqrt{|\det M|}$, which on the outline has the distance's slope.
-The union of parts is $d(x) = \max_p d_p(x)$. Each $d_p$ is a minimum of forms $f \cdot (1, u, v, u^2, uv, v^2)$: a point belongs to one form, and the
-gradient by a form's coefficients is a sum over the points that belong to it, which is how it is written below (reverse mode only).
+The outline of a cylinder is a quadrilateral, $d_p(x) = \min_i\, n_i \cdot (x - x_i)$ over its sides. The outline of a sphere is an ellipse,
+$d_p(x) = \frac{r}{2} (1 - |M^{-1}(x - x_0)|^2)$ with its half-axes in M and $r = \sqrt{|\det M|}$, which has the slope of the distance on the
+outline. The union of parts is $d(x) = \max_p d_p(x)$. Each $d_p$ is a minimum of forms $f \cdot (1, u, v, u^2, uv, v^2)$, so one form determines d at
+a point. The gradient by a form's coefficients is a sum over its points, and the code below computes it so (reverse mode only).
 """
 
 from functools import partial
@@ -18,30 +18,30 @@ from bayes_body.geometry.camera import Camera, Pixels
 from bayes_body.likelihood.patch_pixels import corner_pixels, seen_patches
 from bayes_body.shapes import Pose
 
-# In place of the distance to a part that is not wholly before the camera, pixels.
+# The distance, in pixels, to a part that is not completely in front of the camera.
 FAR_PX = 1e6
 
-# Parts last, so that what is done to all of them is one loop over contiguous numbers; three coefficients (1, u, v) where no part is a sphere.
+# Parts are last, so that operations on all of them are one loop over contiguous numbers. Three coefficients (1, u, v) if no part is a sphere.
 type Forms = Float[Array, "coefficient 4 part"]
 type Parts = Float[Array, " part"]
 type Line = Float[Array, " point"]
 type Grid = Float[Array, "row column"]
-# How far inside, and the number of the form that says so.
+# The distance inside, and the index of the form that determines it.
 type Reached = tuple[Array, Array]
 
 
 def outline_forms(body: Body, rig: Camera, pose: Pose) -> Float[Array, "camera coefficient 4 part"]:
-    """The forms of every part's outline in each camera: four of a cylinder, the first alone of a sphere. From the image's middle on, pixels."""
+    """The forms of every part's outline in each camera: four for a cylinder, one (repeated) for a sphere. Relative to the image's centre, pixels."""
     return forms_of(body.topology, rig, seen_patches(body, rig, pose))
 
 
-def forms_of(topology: PartTopology, rig: Camera, seen: Float[Array, "camera 4 part 3"]) -> Float[Array, "camera coefficient 4 part"]:
-    """The same, of the parts' patches in each camera's frame."""
+def forms_of(topology: PartTopology, rig: Camera, in_camera: Float[Array, "camera 4 part 3"]) -> Float[Array, "camera coefficient 4 part"]:
+    """The same, from the parts' patches in each camera's frame."""
     is_sphere = np.array(topology.is_sphere)
-    # Corners of a cylinder's patch, in order; of a sphere the centre, and the ends of two radii.
+    # For a cylinder, the corners of its patch in order; for a sphere, its centre and the ends of two radii.
     t = np.where(is_sphere, [[0.5], [1.0], [0.5], [0.5]], [[0.0], [1.0], [1.0], [0.0]])
     s = np.where(is_sphere, [[0.0], [0.0], [1.0], [1.0]], [[-1.0], [-1.0], [1.0], [1.0]])
-    points = corner_pixels(rig, seen, t.astype(seen.dtype), s.astype(seen.dtype))
+    points = corner_pixels(rig, in_camera, t.astype(in_camera.dtype), s.astype(in_camera.dtype))
     centred = points._replace(u=points.u - rig.size[:, 0, None, None] / 2, v=points.v - rig.size[:, 1, None, None] / 2)
     return jax.vmap(lambda each: _forms(each, is_sphere))(centred)
 
@@ -61,7 +61,7 @@ def _sides(u: list[Parts], v: list[Parts]) -> Forms:
     rows = []
     for k, n in enumerate(following):
         along_u, along_v = u[n] - u[k], v[n] - v[k]
-        # Which way round the corners go; a side without a length (a cone's tip) keeps a finite gradient.
+        # The orientation of the corners. A side of length zero (a cone's tip) must have a finite gradient.
         scale = jnp.where(area < 0, -1.0, 1.0) * jax.lax.rsqrt(along_u**2 + along_v**2 + 1e-6)
         nu, nv = -along_v * scale, along_u * scale
         rows.append((-(nu * u[k] + nv * v[k]), nu, nv))
@@ -80,12 +80,12 @@ def _ellipses(u: list[Parts], v: list[Parts]) -> Forms:
 
 
 def signed_distance(topology: PartTopology, forms: Forms, u: Float[Array, " column"], v: Float[Array, " row"]) -> Grid:
-    """d of one camera at the columns u and rows v, from the image's middle on, pixels."""
+    """d of one camera at the columns u and rows v, relative to the image's centre, pixels."""
     return _distance(topology.is_sphere, forms, u[None, :], v[:, None])
 
 
 def point_distance(topology: PartTopology, forms: Forms, u: Line, v: Line) -> Line:
-    """d of one camera at single points, from the image's middle on, pixels."""
+    """d of one camera at single points, relative to the image's centre, pixels."""
     return _distance(topology.is_sphere, forms, u, v)
 
 
@@ -95,7 +95,7 @@ def _distance(is_sphere: tuple[bool, ...], forms: Forms, columns: Array, rows: A
 
 
 def _search(is_sphere: tuple[bool, ...], forms: Forms, columns: Array, rows: Array) -> Reached:
-    """The distance at columns and rows broadcast against each other, and the number of the form that it is the value of."""
+    """The distance at columns and rows (broadcast), and the index of the form that determines it."""
     cylinders, parts = np.flatnonzero(~np.array(is_sphere)), len(is_sphere)
 
     def farthest(reached: Reached, part: tuple[Array, Array]) -> tuple[Reached, None]:
@@ -107,9 +107,9 @@ def _search(is_sphere: tuple[bool, ...], forms: Forms, columns: Array, rows: Arr
             inside = jnp.minimum(inside, other)
         return (jnp.maximum(best, inside), jnp.where(inside > best, parts * side + number, which)), None
 
-    # A loop hands on what differs from device to device where the forms do: so must what it starts from.
+    # Inside shard_map, the loop's state varies over devices where the forms do, so the initial state must vary too.
     nothing = jnp.broadcast_to(0 * forms[0, 0, 0], jnp.broadcast_shapes(columns.shape, rows.shape))
-    # A loop: written out part by part the compiler works on it ten times as long.
+    # A loop, because compiling unrolled code takes ten times as long.
     start = nothing - jnp.inf, nothing.astype(jnp.int32)
     (best, which), _ = jax.lax.scan(farthest, start, (jnp.asarray(cylinders, jnp.int32), jnp.moveaxis(forms[:3, :, cylinders], 2, 0)))
     for part in np.flatnonzero(is_sphere):
@@ -130,9 +130,9 @@ def _backward(is_sphere: tuple[bool, ...], saved: tuple[Array, ...], cotangent: 
     columns, rows = jnp.broadcast_arrays(u, v)
     basis = [jnp.ones_like(columns), columns, rows]
     basis += [columns * columns, columns * rows, rows * rows] if any(is_sphere) else []
-    # A scatter: sums made form by form, each over all points, take a fifth longer for as few as fifty.
+    # A scatter: summing form by form, each over all points, is a fifth slower even with fifty points.
     sums = jnp.stack([jax.ops.segment_sum((cotangent * each).ravel(), which.ravel(), 4 * len(is_sphere)) for each in basis])
-    # Where the grid stands is not inferred.
+    # The grid's position is not inferred.
     return sums.reshape(forms.shape), jnp.zeros_like(u), jnp.zeros_like(v)
 
 

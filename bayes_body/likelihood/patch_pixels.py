@@ -1,7 +1,7 @@
-"""Pixels of points on the parts' patches: the inner loop of every likelihood that looks at fixed points of a body.
+"""Pixels of points on the parts' patches: the inner loop of every likelihood that evaluates fixed points of a body.
 
-Two thousand points an evaluation pass here, so its derivative is written by hand: with it a gradient costs a third less than with the one that
-reverse mode finds (docs/decisions). Reverse mode only; `camera.project` is the same map with every derivative.
+An evaluation projects two thousand points, so the derivative is written by hand: a gradient costs a third less than with automatic reverse mode
+(docs/decisions). Reverse mode only; `camera.project` is the same map with all derivatives.
 """
 
 import jax
@@ -15,11 +15,11 @@ from bayes_body.geometry.camera import Camera, Pixels
 from bayes_body.geometry.transforms import Transform
 from bayes_body.shapes import Pose
 
-type Seen = Float[Array, "4 part 3"]
+type CameraPatches = Float[Array, "4 part 3"]
 
 
 def rig_pixels(body: Body, rig: Camera, samples: Samples, pose: Pose) -> Pixels[Float[Array, "camera part sample"]]:
-    """Where each camera of a rig sees each sample of each part of a posed body."""
+    """The pixels of each sample of each part of a posed body, in each camera of a rig."""
     return sample_pixels(rig, seen_patches(body, rig, pose), samples)
 
 
@@ -27,63 +27,63 @@ def seen_patches(body: Body, rig: Camera, pose: Pose) -> Float[Array, "camera 4 
     """The parts' patches in each camera's frame: start, along, across and taper."""
     T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, pose))))
     shaped = widened(body, pose)
-    seen = jax.vmap(lambda camera: _camera_patches(shaped, T_world_part, camera))(rig)
-    # The barrier keeps XLA from computing the patches anew for every sample.
-    return jax.lax.optimization_barrier(seen)
+    in_camera = jax.vmap(lambda camera: _camera_patches(shaped, T_world_part, camera))(rig)
+    # The barrier keeps XLA from recomputing the patches for every sample.
+    return jax.lax.optimization_barrier(in_camera)
 
 
-def sample_pixels(rig: Camera, seen: Float[Array, "camera 4 part 3"], samples: Samples) -> Pixels[Float[Array, "camera part sample"]]:
-    """Where each camera sees samples of its patches."""
-    return jax.vmap(_pixels, in_axes=(0, 0, None))(rig, seen, samples)
+def sample_pixels(rig: Camera, in_camera: Float[Array, "camera 4 part 3"], samples: Samples) -> Pixels[Float[Array, "camera part sample"]]:
+    """The pixels of patch samples in each camera."""
+    return jax.vmap(_pixels, in_axes=(0, 0, None))(rig, in_camera, samples)
 
 
 def sample_slopes(body: Body, rig: Camera, samples: Samples, pose: Pose) -> tuple[Float[Array, "dof camera part sample"], Array]:
-    """How the samples' columns and rows change with each dof, pixels a radian or metre."""
+    """The derivatives of the samples' columns and rows by each dof, pixels per radian or metre."""
 
     def places(pose: Pose) -> tuple[Array, Array]:
-        def of(camera: Camera, seen: Seen) -> Pixels[Array]:
+        def of(camera: Camera, in_camera: CameraPatches) -> Pixels[Array]:
             t, s = samples
-            X, Y, Z = (p.start + t * p.along + s * p.across + t * s * p.taper for p in by_component(seen))
-            # The derivative that is written by hand goes backwards only.
+            X, Y, Z = (p.start + t * p.along + s * p.across + t * s * p.taper for p in by_component(in_camera))
+            # The hand-written derivative supports reverse mode only.
             return cameras.project_components(camera, X, Y, Z)
 
-        found = jax.vmap(of)(rig, seen_patches(body, rig, pose))
-        return found.u, found.v
+        pixels = jax.vmap(of)(rig, seen_patches(body, rig, pose))
+        return pixels.u, pixels.v
 
     slopes = jax.jacfwd(places)(pose)
     return jnp.moveaxis(slopes[0], -1, 0), jnp.moveaxis(slopes[1], -1, 0)
 
 
 def corner_pixels(
-    rig: Camera, seen: Float[Array, "camera 4 part 3"], t: Float[np.ndarray, "corner part"], s: Float[np.ndarray, "corner part"]
+    rig: Camera, in_camera: Float[Array, "camera 4 part 3"], t: Float[np.ndarray, "corner part"], s: Float[np.ndarray, "corner part"]
 ) -> Pixels[Float[Array, "camera corner part"]]:
-    """The same of a few points a part: parts last, since a loop over four numbers does not fill a processor's registers."""
+    """The same for a few points per part: parts are last, since a loop over four numbers does not fill a processor's registers."""
 
-    def of(camera: Camera, seen: Seen) -> Pixels[Float[Array, "corner part"]]:
-        patch = Patches(*seen)
+    def of(camera: Camera, in_camera: CameraPatches) -> Pixels[Float[Array, "corner part"]]:
+        patch = Patches(*in_camera)
         X, Y, Z = (patch.start[:, k] + t * patch.along[:, k] + s * patch.across[:, k] + t * s * patch.taper[:, k] for k in range(3))
         return _seen_at(camera, X, Y, Z)
 
-    return jax.vmap(of)(rig, seen)
+    return jax.vmap(of)(rig, in_camera)
 
 
-def by_component(seen: Seen) -> list[Patches]:
-    """The patches' X, Y and Z in the camera's frame, metres, each vector's of shape (part, 1): for points of shape (part, sample)."""
-    return [Patches(*component) for component in jnp.moveaxis(seen, -1, 0)[..., None]]
+def by_component(in_camera: CameraPatches) -> list[Patches]:
+    """The patches' X, Y and Z in the camera's frame, metres. Each vector has the shape (part, 1), for points of shape (part, sample)."""
+    return [Patches(*component) for component in jnp.moveaxis(in_camera, -1, 0)[..., None]]
 
 
-def _camera_patches(body: Body, T_world_part: Transform, camera: Camera) -> Seen:
+def _camera_patches(body: Body, T_world_part: Transform, camera: Camera) -> CameraPatches:
     world = patches(body, T_world_part, camera.viewpoint)
     start, *directions = cameras.to_camera(camera, jnp.stack(world))
     return jnp.stack([start + camera.translation, *directions])
 
 
-def _pixels(camera: Camera, seen: Seen, samples: Samples) -> Pixels[Float[Array, "part sample"]]:
-    return _seen_at(camera, *_spread(seen, samples))
+def _pixels(camera: Camera, in_camera: CameraPatches, samples: Samples) -> Pixels[Float[Array, "part sample"]]:
+    return _seen_at(camera, *_spread(in_camera, samples))
 
 
 def _seen_at(camera: Camera, X: Array, Y: Array, Z: Array) -> Pixels[Array]:
-    # What carries no derivative stays outside; XLA merges what the two have in common.
+    # Visibility has no derivative and stays outside; XLA merges the common part of both.
     return Pixels(*_project(camera, X, Y, Z), cameras.in_view(camera, X, Y, Z))
 
 
@@ -91,20 +91,20 @@ type Components = tuple[Float[Array, "part sample"], Float[Array, "part sample"]
 
 
 @jax.custom_vjp
-def _spread(seen: Seen, samples: Samples) -> Components:
-    """V0 + t V1 + s V2 + t s V3, by components of the camera's frame."""
+def _spread(in_camera: CameraPatches, samples: Samples) -> Components:
+    """V0 + t V1 + s V2 + t s V3, by components in the camera's frame."""
     t, s = samples
-    X, Y, Z = (p.start + p.along * t + p.across * s + p.taper * (t * s) for p in by_component(seen))
+    X, Y, Z = (p.start + p.along * t + p.across * s + p.taper * (t * s) for p in by_component(in_camera))
     return X, Y, Z
 
 
-def _spread_forward(seen: Seen, samples: Samples) -> tuple[Components, Samples]:
-    return _spread(seen, samples), samples
+def _spread_forward(in_camera: CameraPatches, samples: Samples) -> tuple[Components, Samples]:
+    return _spread(in_camera, samples), samples
 
 
 def _spread_backward(samples: Samples, cotangents: Components) -> tuple[Array, Samples]:
     t, s = samples
-    # As a product of matrices: twelve separate sums would each compute the cotangents anew.
+    # A matrix product: twelve separate sums would each recompute the cotangents.
     basis = jnp.stack([jnp.ones_like(t), t, s, t * s])
     back = [jnp.einsum("kpn,pn->kp", basis, component) for component in jax.lax.optimization_barrier(cotangents)]
     return jnp.stack(back, axis=-1), jax.tree.map(jnp.zeros_like, samples)
@@ -132,15 +132,15 @@ def _project_backward(saved: tuple[Camera, Array, Array, Array], cotangents: tup
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))
-    # The Jacobian of the distortion is symmetric: one mixed entry.
+    # The Jacobian of the distortion is symmetric, so there is one mixed entry.
     mixed = x * y * slope + 2 * (p1 * x + p2 * y)
-    # The barrier keeps XLA from looking the maps up anew for each of the three components.
+    # The barrier keeps XLA from repeating the map look-up for each of the three components.
     along_u, along_v = jax.lax.optimization_barrier(cotangents)
     a = camera.focal[0] * along_u
     b = camera.focal[1] * along_v + camera.skew * a
     back_X = (a * (radial + x * x * slope + 2 * p1 * y + 6 * p2 * x) + b * mixed) * inverse
     back_Y = (a * mixed + b * (radial + y * y * slope + 2 * p2 * x + 6 * p1 * y)) * inverse
-    # A rig is calibrated, not inferred: its cotangent is never used.
+    # A rig is calibrated, not inferred, so its cotangent is never used.
     return jax.tree.map(jnp.zeros_like, camera), back_X, back_Y, -(back_X * x + back_Y * y)
 
 

@@ -1,12 +1,12 @@
-r"""Whole silhouettes, a distribution over binary images: each pixel x of a grid is foreground, independently of the others, with
+r"""Whole silhouettes, as a distribution over binary images: each pixel x of a grid is foreground, independently of the others, with
 
 $$p(z_x = 1 \mid s) = \alpha + (1 - \alpha - \mu)\, c(x; s), \qquad c(x; s) = \frac{1}{1 + e^{-d(x; s) / h}},$$
 
-$\alpha$ = `false_alarm`, $\mu$ = `miss`, h = `soft_px`, and d how far inside of the union of the body's projected parts the pixel's centre is
+$\alpha$ = `false_alarm`, $\mu$ = `miss`, h = `soft_px`, and d the distance of the pixel's centre inside the union of the body's projected parts
 (likelihood/outlines.py). The log-likelihood is the sum of the pixels' Bernoulli terms, normalised, over all cameras that saw the frame.
 
-The pixels of a real silhouette are not independent: a hand that the body does not have, a shadow or a hole changes many at once. On real images the
-posterior is therefore too narrow; a coarser grid counts fewer of them.
+The pixels of a real silhouette are not independent: a hand that the body model lacks, a shadow or a hole changes many at once. On real images the
+posterior is therefore too narrow. A coarser grid counts fewer pixels.
 """
 
 from dataclasses import dataclass
@@ -44,15 +44,15 @@ class Options(Schema):
 @partial(jax.tree_util.register_dataclass, meta_fields=["grid"], data_fields=["body", "rig", "false_alarm", "miss", "soft_px"])
 @dataclass(frozen=True)
 class SilhouetteBernoulli:
-    """The log-potential as a pytree, and the distribution that it is the density of.
+    """The log-potential as a pytree, and the distribution with that density.
 
     Attributes:
-        grid: columns and rows of the grid that is stretched over each image.
+        grid: columns and rows of the grid over each image.
         body: the body.
         rig: the cameras.
-        false_alarm: probability of foreground far outside of the body.
-        miss: probability of background deep inside of it.
-        soft_px: how far the one goes over into the other, pixels.
+        false_alarm: probability of foreground far outside the body.
+        miss: probability of background deep inside it.
+        soft_px: width of the transition between the two, pixels.
     """
 
     grid: tuple[int, int]
@@ -62,13 +62,13 @@ class SilhouetteBernoulli:
     miss: Scalar
     soft_px: Scalar
 
-    def __call__(self, values: Variables, seen: SilhouetteEvidence) -> Scalar:
+    def __call__(self, values: Variables, evidence: SilhouetteEvidence) -> Scalar:
         """log p(z | pose), normalised.
 
         Raises:
-            InputError: the data are on another grid.
+            InputError: the data have another grid.
         """
-        rows, columns = seen.foreground.shape[1:]
+        rows, columns = evidence.foreground.shape[1:]
         if (columns, rows) != self.grid:
             found = f"silhouettes on a grid of {columns} x {rows}"
             raise input_error(
@@ -76,41 +76,41 @@ class SilhouetteBernoulli:
             )
         pose = values[POSE]
         p = self.foreground(pose)
-        terms = jnp.sum(jnp.log(jnp.where(seen.foreground, p, 1 - p)), axis=(1, 2))
+        terms = jnp.sum(jnp.log(jnp.where(evidence.foreground, p, 1 - p)), axis=(1, 2))
         # A part that no camera sees would hide a NaN.
-        return jnp.where(jnp.isfinite(jnp.sum(pose)), jnp.sum(jnp.where(seen.seen, terms, 0.0)), jnp.nan)
+        return jnp.where(jnp.isfinite(jnp.sum(pose)), jnp.sum(jnp.where(evidence.seen, terms, 0.0)), jnp.nan)
 
     def foreground(self, pose: Pose) -> Float[Array, "camera row column"]:
-        """The probability of foreground at each point of the grid."""
+        """The probability of foreground at each grid point."""
         columns, rows = self.grid
 
         def of(size: Float[Array, "2"], forms: Forms) -> Float[Array, "row column"]:
             u, v = (_centres(count, size[axis]) for axis, count in ((0, columns), (1, rows)))
             return jax.nn.sigmoid(signed_distance(self.body.topology, forms, u, v) / self.soft_px)
 
-        # As an argument of the map: closed over, the forms would be made anew for every point.
+        # `forms` is an argument of the map: as a closure it would be recomputed for every point.
         forms = jax.lax.optimization_barrier(outline_forms(self.body, self.rig, pose))
         return self.false_alarm + (1 - self.false_alarm - self.miss) * jax.vmap(of)(self.rig.size, forms)
 
     def draw(self, key: Key, pose: Pose) -> Bool[Array, "camera row column"]:
-        """Silhouettes at a pose."""
+        """Draw silhouettes at a pose."""
         return jax.random.bernoulli(key, self.foreground(pose))
 
 
 def _centres(count: int, extent: Scalar) -> Float[Array, " point"]:
-    """The centres of the pixels in which the grid's points lie, from the image's middle on: what observation/silhouette_bernoulli.py looks at."""
+    """The centres of the pixels that contain the grid points, relative to the image's centre, as in observation/silhouette_bernoulli.py."""
     return jnp.floor((2 * jnp.arange(count) + 1) * extent / (2 * count)) - extent / 2
 
 
 def simulate(potential: SilhouetteBernoulli, key: Key, values: Variables) -> SilhouetteEvidence:
-    """A frame's silhouettes drawn from the likelihood at a pose; every camera sees it."""
+    """Draw a frame's silhouettes from the likelihood at a pose; every camera sees it."""
     foreground = potential.draw(key, values[POSE])
     return SilhouetteEvidence(foreground, jnp.ones(foreground.shape[0], bool))
 
 
 @register("likelihood", "silhouette_bernoulli", Options)
 def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
-    """The factor of one rig and body."""
+    """Build the factor for one rig and body."""
     rates = (jnp.asarray(value, body.lengths.dtype) for value in (options.false_alarm, options.miss, options.soft_px))
     potential = SilhouetteBernoulli(options.grid, body, rig, *rates)
     return Factor(name=name, side="likelihood", scope=(POSE,), log_potential=potential, simulate=jax.tree_util.Partial(simulate, potential))

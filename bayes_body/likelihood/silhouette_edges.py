@@ -5,15 +5,15 @@ $$-\log p(z \mid s) = \rho \sum_c \Big[ \frac{1}{W_c\,|\xi|} \sum_{\xi \in \text
 
 $$W_c = \Big(1 - \frac{|g_z - g_x|}{\max(g_z, g_x)}\Big)^\gamma, \qquad g = \text{foreground pixels} / \text{background pixels}.$$
 
-This is blind to what the body leaves uncovered: where clothes are full of edges, all limbs may fold into the torso's silhouette. A third term,
-"cover", which is not the paper's, looks the other way (Sminchisescu & Telea 2002). With points x spread over the silhouette's foreground, d how far
-outside of the body's projection they lie (likelihood/outlines.py; 0 inside) and h = `cover_soft_px`, it adds to the bracket
+These terms ignore the silhouette that the body leaves uncovered: where clothes are full of edges, all limbs may fold into the torso's silhouette. A
+third term, "cover", is not in the paper and tests the other direction (Sminchisescu & Telea 2002). For points x spread over the silhouette's
+foreground, d is their distance outside the body's projection (likelihood/outlines.py; 0 inside). With h = `cover_soft_px`, it adds to the bracket
 
 $$\frac{1}{|x|} \sum_x \big(1 - e^{-d(x)^2 / 2h^2}\big)^2.$$
 
-The maps that are looked up hold $(1 - V)^2$ (observation/silhouette_edges.py). The paper gives the left side up to a constant: $\rho$ is
-`precision`, 1 as printed; an annealing kernel that chooses its own powers does not see it, a posterior sampler does. The edges' sum
-is multiplied by `edge_weight`, 1 as printed. This is a sum of squares, not a distribution over images: it can be sampled from, but not simulated.
+The maps hold $(1 - V)^2$ (observation/silhouette_edges.py). The paper gives the left side up to a constant: $\rho$ is `precision`, 1 as printed. It
+matters for a posterior sampler, but not for an annealing kernel that chooses its own powers. The edges' sum is multiplied by `edge_weight`, 1 as
+printed. This is a sum of squares, not a distribution over images: the posterior can be sampled, but images cannot be simulated.
 """
 
 from dataclasses import dataclass
@@ -62,18 +62,18 @@ class Options(Schema):
 )
 @dataclass(frozen=True)
 class SilhouetteEdges:
-    """The log-potential as a pytree: what is static chooses the program, what is an array does not.
+    """The log-potential as a pytree. Static attributes determine the program, arrays do not.
 
     Attributes:
         lookup: nearest or bilinear.
-        gamma: of (9).
-        area_grid: columns and rows of the grid on which projected area is measured.
-        covers: whether the term "cover" counts.
+        gamma: the exponent in (9).
+        area_grid: columns and rows of the grid on which the projected area is measured.
+        covers: whether the term "cover" is used.
         body: the body.
         rig: the cameras.
         samples: surface samples, then outline samples, so that all are projected at once.
-        map_index: for each sample, the map it looks at.
-        weights: (term, sample): 1/|ξ| where the sample belongs to the term; of the edges, times their weight.
+        map_index: for each sample, the map that it reads.
+        weights: (term, sample): 1/|ξ| if the sample belongs to the term; for edges, times `edge_weight`.
         precision: ρ.
         soft_px: h of "cover", pixels.
     """
@@ -103,12 +103,12 @@ class SilhouetteEdges:
             error = jnp.sum(silhouette / self._area_agreement(maps, pose) + edges)
         if self.covers:
             error = error + self._uncovered(maps, seen)
-        # A nearest look-up turns NaN into pixel 0 and would hide it.
+        # A nearest look-up would turn NaN into pixel 0 and hide it.
         return jnp.where(jnp.isfinite(jnp.sum(pose)), -self.precision * error, jnp.nan)
 
     def _uncovered(self, maps: SilhouetteEdgeMaps, seen: Float[Array, "camera 4 part 3"]) -> Scalar:
         """The term "cover", summed over the cameras that saw the frame."""
-        # As an argument of the map: closed over, the forms would be made anew for every point.
+        # `forms` is an argument of the map: as a closure it would be recomputed for every point.
         forms = jax.lax.optimization_barrier(forms_of(self.body.topology, self.rig, seen))
         points = jnp.asarray(maps.points, forms.dtype)
         inside = jax.vmap(partial(point_distance, self.body.topology))(forms, points[..., 0], points[..., 1])
@@ -117,7 +117,7 @@ class SilhouetteEdges:
         return jnp.sum(jnp.where(maps.foreground > 0, errors, 0.0))
 
     def _area_agreement(self, maps: SilhouetteEdgeMaps, pose: Pose) -> Float[Array, " camera"]:
-        """W of (9), kept above 1e-3: a body that a camera does not see would divide by zero; 1 where the camera did not see the frame."""
+        """W of (9), at least 1e-3, since a body that a camera does not see would divide by zero; 1 if the camera did not see the frame."""
         share = projected_area(self.body, self.rig, pose, self.area_grid)
         seen, projected = (jnp.clip(s, 1e-6, 1 - 1e-6) / (1 - jnp.clip(s, 1e-6, 1 - 1e-6)) for s in (maps.foreground, share))
         agreement = 1 - jnp.abs(seen - projected) / jnp.maximum(seen, projected)
@@ -126,7 +126,7 @@ class SilhouetteEdges:
 
 @register("likelihood", "silhouette_edges", Options)
 def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
-    """The factor of one rig and body."""
+    """Build the factor for one rig and body."""
     surface, outline = surface_samples(body, *options.surface_samples), outline_samples(body, options.outline_samples)
     counts = (surface.t.shape[1], outline.t.shape[1])
     parts = len(body.topology.names)

@@ -1,1 +1,1 @@
-"""Host side: a frame's images become the arrays that likelihoods look at."""
+"""Host side: turn a frame's images into the arrays that likelihoods read."""

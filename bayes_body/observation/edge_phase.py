@@ -1,8 +1,8 @@
-r"""A bank of orientation-tuned band-pass filters in quadrature, prepared on the host while the device works on the frame before.
+r"""A bank of orientation-tuned band-pass filters in quadrature, computed on the host while the device works on the previous frame.
 
-Log-Gabor along the radius, $\exp(-\ln^2(f\lambda) / 2 \ln^2 \beta)$ for the wavelength $\lambda$ (Field 1987), and in direction the even and odd
-windows of `bayes_body.evidence.edge_phase`. A wave of the wavelength and of the filter's direction comes out with its own amplitude, in grey levels;
-a step edge comes out odd, with the phase π/2 or −π/2.
+Log-Gabor in radius, $\exp(-\ln^2(f\lambda) / 2 \ln^2 \beta)$ for the wavelength $\lambda$ (Field 1987); in direction, the even and odd windows of
+`bayes_body.evidence.edge_phase`. A wave with the filter's wavelength and direction gives a response with the wave's amplitude, in grey levels. A
+step edge gives an odd response, with the phase π/2 or −π/2.
 """
 
 from collections.abc import Callable
@@ -20,39 +20,39 @@ from bayes_body.observation.frames import Frame
 from bayes_body.registry import register
 from bayes_body.toml.schema import Schema
 
-# β: the standard deviation of the filter over the logarithm of frequency, as a ratio; 0.65 is a band of an octave and a half.
+# β: the filter's standard deviation over the logarithm of frequency, as a ratio; 0.65 is a band of one and a half octaves.
 RATIO = 0.65
-# A filter's even and odd waves have died away this many wavelengths from its centre.
+# A filter's response vanishes beyond this many wavelengths from its centre.
 SUPPORT = 1.5
 
 
 class Options(Schema):
-    """Options of `[likelihood.observation]` of `edge_phase`: it has none; the wavelengths are those of the likelihood's scales."""
+    """Options of `[likelihood.observation]` of `edge_phase`. There are none; the wavelengths are the likelihood's scales."""
 
 
 def responses(grey: NDArray[np.uint8], wavelength_px: float) -> NDArray[np.float32]:
-    """The seven maps of one scale: (map, row, column), in the order of `bayes_body.evidence.edge_phase`, grey levels.
+    """The seven response maps of one scale: (map, row, column), in the order of `bayes_body.evidence.edge_phase`, grey levels.
 
     Args:
         grey: image (row, column).
-        wavelength_px: of the filter, pixels.
+        wavelength_px: the filter's wavelength, pixels.
     """
     margin = int(np.ceil(2 * SUPPORT * wavelength_px))
     rows, columns = grey.shape
-    # Around the image its mirror: a wall of black would be an edge.
+    # Reflect the image at its border, since a black border would be an edge.
     wide = cv2.copyMakeBorder(grey, margin, margin, margin, margin, cv2.BORDER_REFLECT_101).astype(np.float32)
     shape = tuple(fft.next_fast_len(extent, real=True) for extent in wide.shape)
     spectrum = fft.rfft2(wide, shape, workers=-1)
-    found = np.empty((7, rows, columns), np.float32)
+    maps = np.empty((7, rows, columns), np.float32)
     for number, window in enumerate(_windows(shape, wavelength_px)):
         filtered = np.asarray(fft.irfft2(spectrum * window, shape, workers=-1))
-        found[number] = filtered[margin : margin + rows, margin : margin + columns]
-    return found
+        maps[number] = filtered[margin : margin + rows, margin : margin + columns]
+    return maps
 
 
 @lru_cache(maxsize=8)
 def _windows(shape: tuple[int, int], wavelength_px: float) -> NDArray[np.complex64]:
-    """Of the seven filters in the frequencies of a real transform: (map, row, column)."""
+    """The seven filters in the frequencies of a real transform: (map, row, column)."""
     fy, fx = fft.fftfreq(shape[0])[:, None], fft.rfftfreq(shape[1])[None, :]
     radius = np.hypot(fx, fy)
     radius[0, 0] = 1.0
@@ -67,11 +67,11 @@ def _windows(shape: tuple[int, int], wavelength_px: float) -> NDArray[np.complex
 
 @register("observation", "edge_phase", Options)
 def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame], PhaseMaps]:
-    """From a frame's images to the filters' responses, as NumPy arrays.
+    """Compute the filter responses of a frame's images, as NumPy arrays.
 
     Args:
         options: none.
-        likelihood: the options of the likelihood that reads them: its scales.
+        likelihood: the options of the likelihood that reads the responses; its scales are used.
     """
     del options
     wavelengths = [scale.wavelength_px for scale in likelihood.scale]
@@ -83,8 +83,8 @@ def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame
 
     def observe(frame: Frame) -> PhaseMaps:
         nothing = np.stack([unseen(frame.largest)] * len(wavelengths)), np.ones(len(wavelengths), np.float32)
-        found = [nothing if image is None else maps_of(image, frame.largest) for image in frame.images]
-        words, levels = zip(*found, strict=True)
+        maps = [nothing if image is None else maps_of(image, frame.largest) for image in frame.images]
+        words, levels = zip(*maps, strict=True)
         return PhaseMaps(np.stack(words), np.stack(levels), np.array(frame.seen, np.float32))
 
     return observe
@@ -94,4 +94,4 @@ def _check_size(shape: tuple[int, ...], wavelength_px: float) -> None:
     least = int(np.ceil(2 * SUPPORT * wavelength_px))
     if min(shape) < least:
         found = f"images of {shape[1]} x {shape[0]} pixels under a filter of wavelength {wavelength_px:g} px"
-        raise input_error("edge_phase", found, f"at least {least} pixels a side", "take a shorter `wavelength_px`, or larger images")
+        raise input_error("edge_phase", found, f"at least {least} pixels a side", "use a shorter `wavelength_px`, or larger images")

@@ -1,9 +1,9 @@
-r"""How much brighter or darker than a reference an image is, by trimmed least squares: for each colour channel
+r"""Fit how much brighter or darker an image is than a reference, by trimmed least squares: for each colour channel
 
 $$I(x, y) \approx g\,B(x, y) + \sum_{i+j \le 3} a_{ij}\, x^i y^j.$$
 
-Automatic exposure and white balance act by the gain g and a constant; veiling glare and flickering lamps add what varies slowly over the image. A
-person changes some pixels, abruptly: the line is fitted again and again to those pixels that it already explains.
+Automatic exposure and white balance change the gain g and a constant; veiling glare and flickering lamps add slowly varying terms. A person changes
+some pixels abruptly. The fit is therefore iterated on the pixels that it already explains.
 """
 
 from functools import cache
@@ -14,18 +14,18 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
 
-# About so many pixels, evenly spaced, settle eleven numbers a channel.
+# About so many evenly spaced pixels are enough to fit eleven numbers per channel.
 PIXELS = 4_000
 ROUNDS = 4
 DEGREE = 3
-# Grey levels: what a pixel may be off however well the line fits.
+# Tolerances in grey levels: how far a pixel may be from a perfect fit.
 LEAST_SPREAD = 2.0
-# Beyond these a value may have been cut off, and says nothing about the line.
+# Values beyond these may be clipped and are not used.
 DARKEST, BRIGHTEST = 4, 250
 STRONGEST_GAIN = 3.0
-# An image of which fewer pixels lie within `AGREEING` grey levels of the line shows something else than the reference, or nothing.
+# If fewer pixels are within `AGREEING` grey levels of the fit, the image shows something else, or nothing.
 LEAST_SHARE, AGREEING = 0.5, 20.0
-# The slowly varying part is computed at so many points a side.
+# The slowly varying part is computed at so many points per side.
 GRID = 16
 
 
@@ -37,7 +37,7 @@ class Exposure(NamedTuple):
 
 
 def fit_exposure(image: UInt8[np.ndarray, "row column channel"], reference: Float[np.ndarray, "row column channel"]) -> Exposure | None:
-    """What brings the reference to the image, or None where nothing does: another scene, a black or an overexposed image."""
+    """The exposure that maps the reference to the image; None if none fits: another scene, a black or an overexposed image."""
     rows, columns, channels = image.shape
     stride = max(1, round(np.sqrt(rows * columns / PIXELS)))
     values, references = (a[::stride, ::stride].reshape(-1, channels).astype(np.float32) for a in (image, reference))
@@ -52,13 +52,13 @@ def fit_exposure(image: UInt8[np.ndarray, "row column channel"], reference: Floa
 
 @cache
 def _terms(rows: int, columns: int) -> NDArray[np.float32]:
-    """The monomials, (pixel, term), at evenly spaced points of an image whose sides go from -1 to 1."""
+    """The monomials, (pixel, term), at evenly spaced points of an image with coordinates from -1 to 1."""
     x, y = np.meshgrid(*((np.arange(n) + 0.5) * 2 / n - 1 for n in (columns, rows)))
     return np.stack([(x**i * y**j).ravel() for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)], axis=1).astype(np.float32)
 
 
 def _fit(x: NDArray[np.float32], y: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Gain and the polynomial's coefficients; gain 1 and nothing added where too few values tell them."""
+    """Gain and polynomial coefficients; gain 1 and offset 0 if too few values are usable."""
     unchanged = np.eye(1, 1 + terms.shape[1], dtype=np.float32)[0]
     whole = (x > DARKEST) & (x < BRIGHTEST) & (y > DARKEST) & (y < BRIGHTEST)
     x, y, terms = x[whole], y[whole], terms[whole]
@@ -69,9 +69,9 @@ def _fit(x: NDArray[np.float32], y: NDArray[np.float32], terms: NDArray[np.float
     line = unchanged
     for _ in range(ROUNDS):
         near = np.abs(rest) <= max(2.5 * 1.4826 * float(np.median(np.abs(rest))), LEAST_SPREAD)
-        kept = columns[near]
-        # A trace of a prior (gain 1, nothing added) settles what an image of one colour leaves open.
-        normal = kept.T @ kept + np.eye(kept.shape[1], dtype=np.float32)
-        line = unchanged + np.linalg.solve(normal, kept.T @ (y[near] - x[near])).astype(np.float32)
+        used = columns[near]
+        # A weak prior (gain 1, offset 0) determines what an image of one colour leaves open.
+        normal = used.T @ used + np.eye(used.shape[1], dtype=np.float32)
+        line = unchanged + np.linalg.solve(normal, used.T @ (y[near] - x[near])).astype(np.float32)
         rest = y - columns @ line
     return line if 1 / STRONGEST_GAIN < line[0] < STRONGEST_GAIN else unchanged

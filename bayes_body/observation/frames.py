@@ -1,4 +1,4 @@
-"""A session's frames: what all cameras saw at one instant, and reading ahead of whoever works on them."""
+"""A session's frames: what all cameras saw at one instant; and reading ahead of the consumer."""
 
 from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,15 +17,15 @@ from bayes_body.session.session import Keypoints, Session, View
 
 
 class Frame(NamedTuple):
-    """One instant, an entry for each view; None in place of what a camera did not see.
+    """One instant, with one entry per view; None for a camera that did not see it.
 
-    `images` are grey values (height, width). `masks` (height, width) are the session's files, or computed from the background; `foreground` is the
-    probability of foreground, in [0, 1], float32: 0 and 1 where masks are files. Both are made when an entry is first looked at, and may raise an
-    InputError then. An image that cannot be brought to the background's exposure has no silhouette, though it is there. Both are None as a whole
-    where the session can have no silhouettes: without masks, without an empty scene and with too few frames to learn the background from.
-    `keypoints` are column, row (pixels) and confidence of the subject's, by the markers' names where they are markers, else a detector's. Empty where
-    nothing was found; None for a camera without keypoints, or that did not see the frame, and as a whole where no camera has any.
-    `sizes_px` are (width, height) of every camera's images, those that are not there included; () stands for those of `images`.
+    `images` are grey values (height, width). `masks` (height, width) come from the session's files, or are computed from the background. `foreground`
+    is the probability of foreground, in [0, 1], float32; it is 0 or 1 if masks are files. Both are computed on first access and may raise an
+    InputError then. An image whose exposure cannot be matched to the background's has no silhouette. Both are None as a whole if the session can have
+    no silhouettes: no masks, no empty scene, and too few frames to learn the background. `keypoints` are column, row (pixels) and confidence of the
+    subject's keypoints, by the marker's name where they are markers, else by the detector's name. An entry is empty if nothing was found, and None if
+    the camera has no keypoints or did not see the frame; all of it is None if no camera has any. `sizes_px` are (width, height) of every camera's
+    images, including those that did not see the frame; () means the sizes of `images`.
     """
 
     index: int  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -42,16 +42,16 @@ class Frame(NamedTuple):
 
     @property
     def largest(self) -> tuple[int, int]:
-        """(rows, columns) that hold an image of any camera: the same in every frame, whoever sees it."""
+        """(rows, columns) that hold an image of any camera: the same in every frame, whichever cameras see it."""
         sizes = self.sizes_px or [image.shape[::-1] for image in self.images if image is not None]
         return max(rows for _, rows in sizes), max(columns for columns, _ in sizes)
 
 
 def read_frame(session: Session, index: int) -> Frame:
-    """Frame `index` of a session, counted from 0.
+    """Read frame `index` of a session, counted from 0.
 
     Raises:
-        InputError: no such frame, no video, an image that is not of its camera's size, or keypoints that cannot be read.
+        InputError: no such frame, not a video, an image of a wrong size, or unreadable keypoints.
     """
     check_index(session, index)
     images = tuple(read_greys(session, index, view) for view in session.views)
@@ -73,7 +73,7 @@ def _keypoints(session: Session, index: int, seen: Sequence[bool]) -> tuple[Keyp
 
 
 class _Silhouette:
-    """What a camera's image says of the person, computed once it is asked for."""
+    """The silhouette in a camera's image, computed on first access."""
 
     def __init__(self, session: Session, index: int, view: View, seen: bool):
         self._session, self._index, self._view, self._seen = session, index, view, seen
@@ -103,7 +103,7 @@ class _Silhouette:
 
 
 class _OnDemand[Item](Sequence[Item]):
-    """A sequence whose items are made when they are looked at."""
+    """A sequence whose items are computed on access."""
 
     def __init__(self, make: Sequence[Callable[[], Item]]):
         self._make = tuple(make)
@@ -120,15 +120,15 @@ class _OnDemand[Item](Sequence[Item]):
 
 
 def prefetch[Item, Result](items: Iterable[Item], function: Callable[[Item], Result]) -> Generator[Result, None, None]:
-    """`function(item)` of each item, in order; the next one is computed in a background thread while the consumer works on this one.
+    """Yield `function(item)` for each item, in order. A background thread computes the next one while the consumer works on this one.
 
-    An exception, of the function or of `items`, reaches the consumer in its item's turn. One that stops early waits for the item under way.
+    An exception in the function or in `items` is raised when its item's turn comes. If the consumer stops early, it waits for the item in progress.
     """
     remaining = iter(items)
     end = object()
 
     def following() -> Result | object:
-        # A StopIteration would not pass through a future into a generator.
+        # A StopIteration cannot pass through a future into a generator.
         item = next(remaining, end)
         return end if item is end else function(item)  # pyright: ignore[reportArgumentType]
 

@@ -1,4 +1,4 @@
-"""Keypoints of a frame by the markers that they are: what `markers_gaussian` reads."""
+"""A frame's keypoints as markers: what `markers_gaussian` reads."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -13,17 +13,17 @@ from bayes_body.toml.schema import Schema
 
 
 class Options(Schema):
-    """There is nothing to choose in `[likelihood.observation]` of `markers_gaussian`."""
+    """`[likelihood.observation]` of `markers_gaussian` has no options."""
 
 
 @register("observation", "markers_gaussian", Options)
 def build(**_: Any) -> Callable[[Frame], MarkerEvidence]:
-    """From a frame's keypoints to the likelihood's markers, as NumPy arrays."""
+    """Extract the markers from a frame's keypoints, as NumPy arrays."""
 
     def observe(frame: Frame) -> MarkerEvidence:
         if frame.keypoints is None:
             remedy = "import them with the recording, or give [[camera]] its `keypoints`"
-            raise input_error("session.toml", "its cameras have no keypoints", "keypoints of at least one camera", remedy)
+            raise input_error("session.toml", "its cameras have no keypoints", "keypoints from at least one camera", remedy)
         rows = np.array([_rows(keypoints or {}) for keypoints in frame.keypoints], np.float32)
         return MarkerEvidence(rows[..., :2], rows[..., 2])
 

@@ -1,4 +1,4 @@
-"""Points on the outline of a silhouette, beside it and elsewhere, and what filters answer there."""
+"""Points on the outline of a silhouette, beside it and elsewhere, and the filter responses there."""
 
 from typing import NamedTuple
 
@@ -10,21 +10,21 @@ from scipy.ndimage import map_coordinates
 
 from bayes_body.evidence.edge_phase import Response, steer
 
-# Between two points along an outline, and from an outline to what is elsewhere, pixels.
+# Distance in pixels between two points along an outline, and between an outline and points elsewhere.
 SPACING_PX, ELSEWHERE_PX = 4, 12
-# A pixel's silhouette has corners; its normals are those of one smoothed so much.
+# The outline of a pixel mask has corners; normals are computed after smoothing by this standard deviation.
 SMOOTH_PX = 2.5
 
 
 class Points(NamedTuple):
-    """Points of an image: column and row, and unit vectors along which filters are steered."""
+    """Points in an image: column and row, and the unit vectors along which filters are steered."""
 
     places: Float[np.ndarray, "point 2"]
     normals: Float[np.ndarray, "point 2"]
 
 
 def outline_points(mask: NDArray[np.bool_]) -> Points:
-    """Of a silhouette (row, column): its outline without what the image's border cuts, every few pixels, on the pixels' edges."""
+    """The outline of a silhouette (row, column), sampled every few pixels on pixel edges; parts on the image border are left out."""
     smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), SMOOTH_PX)
     slope = np.stack([cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)], axis=-1)
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -37,12 +37,12 @@ def outline_points(mask: NDArray[np.bool_]) -> Points:
     length = np.linalg.norm(outward, axis=1)
     known = length > 1e-6
     normals = outward[known] / length[known, None]
-    # A contour's pixels are the last inside: the edge is half a pixel on.
+    # A contour follows the last pixels inside: the edge is half a pixel further out.
     return Points(pixels[known] + 0.5 * normals, normals)
 
 
 def elsewhere_points(mask: NDArray[np.bool_], number: int, rng: np.random.Generator) -> Points:
-    """Random points near a person that are not on the outline, in random directions; none where there is no person."""
+    """Random points near a person but not on the outline, with random directions; none if there is no person."""
     if not mask.any():
         return Points(np.zeros((0, 2)), np.zeros((0, 2)))
     distance = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5) + cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
@@ -54,13 +54,13 @@ def elsewhere_points(mask: NDArray[np.bool_], number: int, rng: np.random.Genera
 
 
 def displaced(points: Points, by_px: float, rng: np.random.Generator) -> Points:
-    """The same boundary moved along its normals, each point to either side."""
+    """The points moved along their normals, each to a random side."""
     sides = rng.choice([-1.0, 1.0], len(points.places))
     return points._replace(places=points.places + by_px * sides[:, None] * points.normals)
 
 
 def sampled(maps: Float[np.ndarray, "map row column"], points: Points) -> Response:
-    """Responses of one image at points, looked up bilinearly as the likelihood does."""
+    """The responses in one image at the points, interpolated bilinearly as in the likelihood."""
     where = points.places.T[::-1]
     values = [map_coordinates(each, where, order=1, mode="nearest") for each in maps]
     return steer(values, points.normals[:, 0], points.normals[:, 1])

@@ -1,4 +1,4 @@
-"""Pictures that took long to make, kept packed for whoever looks at them again."""
+"""A cache of compressed pictures that are expensive to compute."""
 
 import threading
 import zlib
@@ -8,14 +8,15 @@ import numpy as np
 from jaxtyping import UInt8
 
 type Picture = UInt8[np.ndarray, "row column"]
-# Of a packed picture: its shape and its bytes.
+# A compressed picture: its shape and its bytes.
 type Packed = tuple[tuple[int, ...], bytes]
 
 
 class PictureCache:
-    """Up to so many bytes of the pictures of one owner; another owner's take their place. When it is full nothing more is kept.
+    """At most so many bytes of the pictures of one owner; a new owner's pictures replace them. A full cache keeps no further pictures.
 
-    A recording is looked at from its first frame to its last, again and again: a shelf that gave up its oldest for its newest would be no use to it.
+    A recording is read from its first frame to its last, several times. A cache that replaced its oldest picture by its newest would never have a
+    hit.
     """
 
     def __init__(self, most_bytes: int):
@@ -24,12 +25,12 @@ class PictureCache:
         self._bytes, self._packed = 0, dict[Hashable, Packed | None]()
 
     def get(self, owner: Hashable, key: Hashable, make: Callable[[], Picture | None]) -> Picture | None:
-        """The picture of that key, made where it is not there; one that was kept is read-only."""
+        """The picture of a key, computed if it is not cached; cached pictures are read-only."""
         with self._lock:
             if owner != self._owner:
                 self._owner, self._bytes, self._packed = owner, 0, {}
-            found, packed = key in self._packed, self._packed.get(key)
-        if found:
+            cached, packed = key in self._packed, self._packed.get(key)
+        if cached:
             return None if packed is None else np.frombuffer(zlib.decompress(packed[1]), np.uint8).reshape(packed[0])
         picture = make()
         self._keep(owner, key, None if picture is None else (picture.shape, zlib.compress(picture, 1)))

@@ -1,4 +1,4 @@
-"""What one camera saw at one instant: the image of a file or of a video, or nothing."""
+"""What one camera saw at one instant: an image from a file or a video, or nothing."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from bayes_body.recording.images import read_colour as read_colour_image
 from bayes_body.recording.video import read_video_frame
 from bayes_body.session.session import Session, View
 
-# Standard deviation of an image's grey values, below which it shows nothing: the camera was off, covered or blinded.
+# An image with a smaller standard deviation of grey values shows nothing: the camera was off, covered or blinded.
 LEAST_CONTRAST = 2.5
 
 type Greys = UInt8[np.ndarray, "row column"]
@@ -21,12 +21,12 @@ type Colours = UInt8[np.ndarray, "row column 3"]
 
 
 def read_colour(session: Session, index: int, view: View) -> Colours | None:
-    """A frame's image in blue, green and red; None where the camera did not see that frame.
+    """A frame's image in blue, green and red; None if the camera did not see the frame.
 
-    It did not where its file is missing, cut short or no image, where its video has ended, and where the image is all but constant.
+    That is the case if its file is missing, truncated or not an image, if its video has ended, or if the image is almost constant.
 
     Raises:
-        InputError: no such frame, no video, or an image of another size than its camera's.
+        InputError: no such frame, not a video, or an image whose size differs from its camera's.
     """
     check_index(session, index)
     try:
@@ -39,7 +39,7 @@ def read_colour(session: Session, index: int, view: View) -> Colours | None:
 
 
 def read_greys(session: Session, index: int, view: View) -> Greys | None:
-    """A frame's grey values; None where the camera did not see that frame. Errors are those of `read_colour`."""
+    """A frame's grey values; None if the camera did not see the frame. Errors as for `read_colour`."""
     check_index(session, index)
     try:
         image = _read_video(session, index, view)
@@ -53,7 +53,7 @@ def check_index(session: Session, index: int) -> None:
     """Refuse a frame that the session does not have.
 
     Raises:
-        InputError: it does not.
+        InputError: it does not have it.
     """
     if not 0 <= index < session.frames:
         raise input_error(session.title, f"frame {index}", f"0 to {session.frames - 1}", "choose a frame of the session")

@@ -1,25 +1,25 @@
-r"""How likely each pixel is foreground, given the camera's background.
+r"""The probability of foreground for each pixel, given the camera's background.
 
-The background's colour is Gaussian about its mean, $N(\mu, \Sigma)$, and the foreground's, to begin with, is uniform over all $V$ colours. With a
-prior share $\pi$ of foreground Bayes' rule gives
+The background's colour is Gaussian about its mean, $N(\mu, \Sigma)$. The foreground's is, at first, uniform over all $V$ colours. With a prior
+probability $\pi$ of foreground, Bayes' rule gives
 
 $$\frac{p}{1-p} = \frac{\pi / V}{(1-\pi)\, |2\pi\Sigma|^{-1/2} e^{-d^2/2}} \quad\Longrightarrow\quad p = \frac{1}{1 + e^{-(d^2 - \theta)/2}},
 \qquad \theta = 2 \ln \frac{(1-\pi) V}{\pi\, |2\pi\Sigma|^{1/2}},$$
 
-$d^2 = (I-\mu)^T \Sigma^{-1} (I-\mu)$, where each channel counts by itself: $\Sigma$ is diagonal. The threshold $\theta$ is an option
+$d^2 = (I-\mu)^T \Sigma^{-1} (I-\mu)$. The channels are independent: $\Sigma$ is diagonal. The threshold $\theta$ is an option
 (`segmentation.threshold`): a standard deviation of 5 in each of three channels and $\pi = 1/2$ give 18.
 
-Exposure: the background is first brought to the image's (observation/exposure.py), with values cut off where an image cuts them off. Shadows: as in
-OpenCV's mixture, a pixel may be the background darkened by any factor a of [1/2, 1], so that its distance is the least over a; grey cameras show
-nothing by which a shadow could be told from a dark thing, and have none.
+Exposure: the background is first matched to the image's exposure (observation/exposure.py), and clipped where the image is. Shadows: as in OpenCV's
+mixture, a pixel may be the background darkened by any factor a in [1/2, 1], so its distance is the minimum over a. In a grey image a shadow looks
+like a dark object, so grey cameras have no shadows.
 
-What is almost sure tells of what is not, in two ways. The colours of the sure foreground, $h(I)$, are the person's: the foreground's density becomes
-$u / V + (1-u)\, h(I)$. And a pixel is what its neighbours are: with the log-odds $x^0$ of each alone, those of a field with Ising's coupling are, in
-the mean-field approximation,
+Two kinds of context improve uncertain pixels. First, the colours $h(I)$ of the certain foreground are the person's: the foreground's density
+becomes $u / V + (1-u)\, h(I)$. Second, neighbours tend to be alike: from the log-odds $x^0$ of each pixel by itself, the mean-field approximation of
+an Ising field gives
 
 $$x \leftarrow x^0 + c\, G * \tanh(x / 2),$$
 
-$G$ a Gaussian over the neighbours. What is left is cleaned of specks. All of it is made of this one image.
+with $G$ a Gaussian over the neighbours. Finally, specks are removed. Everything is computed from this one image.
 """
 
 import cv2
@@ -36,42 +36,42 @@ from bayes_body.session.session import Segmentation
 type LogOdds = Float[np.ndarray, "row column"]
 
 DARKEST_SHADOW = 0.5
-# At the size worked on: a speck is smaller than this many pixels, or than this share of the largest piece.
+# At the working size: a speck has fewer pixels than this, or than this share of the largest component.
 LEAST_PIXELS, LEAST_SHARE = 30, 0.02
-# Levels of the foreground's probability, of 255.
+# Levels of the foreground's probability, out of 255.
 EVEN, ENCLOSED, CERTAIN = 127, 191, 200
-# Log-odds beyond which nothing is surer, for float32's sake.
+# Log-odds are clipped here, for float32's sake.
 SURE = 30.0
-# The person's colours: from so many pixels at least, and u, the share of those that the sure ones do not show.
+# The person's colours: the least number of pixels, and u, the share of colours that the certain pixels do not show.
 LEAST_SURE, UNSEEN = 200, 0.5
-# They say something of pixels within this distance of the sure ones.
+# They affect pixels within this distance of the certain ones.
 NEAR = 16
-# The neighbours: the strength c and the standard deviation of their coupling, pixels, and how often the field is gone through.
+# Neighbours: strength c and standard deviation (pixels) of the coupling, and number of iterations.
 COUPLING, REACH, ROUNDS = 4.0, 2.0, 5
 SATURATED = 250
-# Pixels at the size worked on: gaps in a silhouette's outline up to this width still enclose.
+# Pixels at the working size: an outline with gaps up to this width still encloses its interior.
 BRIDGED = 21
 
 
 def foreground_levels(background: Background, image: Colours, options: Segmentation) -> UInt8[np.ndarray, "row column"] | None:
-    """The foreground's probability times 255, of the image's size; None if the image cannot be brought to the background's exposure."""
+    """The foreground's probability times 255, in the image's size; None if the image's exposure cannot be matched to the background's."""
     small = shrink(image)[..., : background.mean.shape[-1]]
-    alone = log_odds_alone(background, small, options)
-    if alone is None:
+    independent = independent_log_odds(background, small, options)
+    if independent is None:
         return None
-    log_odds = _among_neighbours(alone + _by_the_persons_colours(small, alone))
+    log_odds = _among_neighbours(independent + _by_the_persons_colours(small, independent))
     levels = _clean(np.asarray(cv2.medianBlur(_levels(log_odds), 3), np.uint8), background.doubtful)
     height, width = image.shape[:2]
     return np.asarray(cv2.resize(levels, (width, height), interpolation=cv2.INTER_LINEAR), np.uint8)
 
 
-def log_odds_alone(background: Background, small: UInt8[np.ndarray, "row column channel"], options: Segmentation) -> LogOdds | None:
-    """ln p / (1 - p) of each pixel by itself, against a foreground of all colours; None as above.
+def independent_log_odds(background: Background, small: UInt8[np.ndarray, "row column channel"], options: Segmentation) -> LogOdds | None:
+    """ln p / (1 - p) of each pixel by itself, with a uniform foreground; None as above.
 
     Args:
-        background: of the camera.
-        small: the image at the background's size and with its channels.
-        options: the session's.
+        background: the camera's background.
+        small: the image in the background's size and channels.
+        options: the session's options.
     """
     expected, sd = background.mean, background.sd
     if options.follow_exposure:
@@ -88,7 +88,7 @@ def log_odds_alone(background: Background, small: UInt8[np.ndarray, "row column 
 def _distance(image: NDArray[np.uint8], expected: NDArray[np.float32], sd: NDArray[np.float32], saturated: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Squared Mahalanobis distance, (row, column)."""
     off = (image - expected) / sd
-    # Where the background is as bright as can be, only what is darker differs from it.
+    # Where the background is saturated, only darker values differ from it.
     off[saturated & (off > 0)] = 0
     return np.einsum("ijc,ijc->ij", off, off)
 
@@ -96,7 +96,7 @@ def _distance(image: NDArray[np.uint8], expected: NDArray[np.float32], sd: NDArr
 def _forgive_shadows(
     distance: NDArray[np.float32], image: NDArray[np.uint8], expected: NDArray[np.float32], sd: NDArray[np.float32], threshold: float
 ) -> None:
-    """Put the distance from the darkened background where it is less (in place); only pixels that are otherwise likely foreground are looked at."""
+    """Use the distance from the darkened background where it is smaller (in place). Only pixels that are otherwise likely foreground are examined."""
     likely = np.flatnonzero(distance > threshold / 2)
     values, lit, deviation = (np.take(a.reshape(-1, a.shape[-1]), likely, axis=0) for a in (image, expected, sd))
     values, lit = values / deviation, lit / deviation
@@ -111,12 +111,12 @@ def _levels(log_odds: LogOdds) -> NDArray[np.uint8]:
 
 
 def _by_the_persons_colours(image: NDArray[np.uint8], log_odds: LogOdds) -> LogOdds:
-    """What is added to the log-odds where the colours of the sure foreground take the place of all colours.
+    """The change of the log-odds when the colours of the certain foreground replace the uniform distribution.
 
-    Nothing where too little is sure, and nothing far from it: a tree may have the colours of a coat.
+    It is 0 if too few pixels are certain, and far from the certain ones: a tree may have the colours of a coat.
     """
     sure = _without_specks(_levels(log_odds)) > CERTAIN
-    # At its rim the person mixes with what is behind it.
+    # At its edge the person's colours mix with the background's.
     core = cv2.erode(sure.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     if core.sum() < LEAST_SURE:
         return np.zeros_like(log_odds)
@@ -126,16 +126,16 @@ def _by_the_persons_colours(image: NDArray[np.uint8], log_odds: LogOdds) -> LogO
     return np.where(cv2.distanceTransform((~sure).astype(np.uint8), cv2.DIST_L2, 3) < NEAR, added, 0)
 
 
-def _among_neighbours(alone: LogOdds) -> LogOdds:
-    log_odds = alone
+def _among_neighbours(independent: LogOdds) -> LogOdds:
+    log_odds = independent
     for _ in range(ROUNDS):
         neighbours = cv2.GaussianBlur(np.tanh(log_odds / 2), (0, 0), REACH)
-        log_odds = alone + np.asarray(COUPLING * neighbours, np.float32)
+        log_odds = independent + np.asarray(COUPLING * neighbours, np.float32)
     return log_odds
 
 
 def _clean(levels: NDArray[np.uint8], doubtful: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Without specks, and with those holes filled whose background is in doubt: there the person may have been learned as background."""
+    """Remove specks, and fill holes where the background is doubtful: there the person may have been learned as background."""
     levels = _without_specks(levels)
     if doubtful.any():
         bridge = np.ones((BRIDGED, BRIDGED), np.uint8)

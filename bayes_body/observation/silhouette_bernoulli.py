@@ -15,21 +15,21 @@ from bayes_body.toml.schema import Schema
 
 
 class Options(Schema):
-    """There is nothing to choose in `[likelihood.observation]` of `silhouette_bernoulli`: the grid is the likelihood's."""
+    """`[likelihood.observation]` of `silhouette_bernoulli` has no options: the grid is the likelihood's."""
 
 
 def sample_mask(mask: NDArray[np.bool_], columns: int, rows: int) -> Bool[np.ndarray, "row column"]:
-    """The pixels of a mask (height, width) in which the points of the grid lie that is stretched over it; any may be looked at several times."""
+    """The mask (height, width) sampled at the points of a grid stretched over it. A fine grid may read a pixel several times."""
     row, column = ((2 * np.arange(count) + 1) * extent // (2 * count) for count, extent in zip((rows, columns), mask.shape, strict=True))
     return mask[np.ix_(row, column)]
 
 
 @register("observation", "silhouette_bernoulli", Options)
 def build(likelihood: Any = None, **_: Any) -> Callable[[Frame], SilhouetteEvidence]:
-    """From a frame's masks to the likelihood's grids, as NumPy arrays.
+    """Sample the likelihood's grids from a frame's masks, as NumPy arrays.
 
     Args:
-        likelihood: the options of the likelihood that reads them; its `grid` is taken.
+        likelihood: the options of the likelihood that reads them; its `grid` is used.
     """
     columns, rows = getattr(likelihood, "grid", GRID)
 
@@ -37,7 +37,7 @@ def build(likelihood: Any = None, **_: Any) -> Callable[[Frame], SilhouetteEvide
         if frame.masks is None:
             expected = "a silhouette for every image"
             remedy = "give each [[camera]] its `masks`, or an image of the empty scene as `background`"
-            raise input_error("session.toml", "its cameras have no masks, and the frames are too few to learn the background from", expected, remedy)
+            raise input_error("session.toml", "its cameras have no masks, and there are too few frames to learn the background", expected, remedy)
         masks = list(frame.masks)
         nothing = np.zeros((rows, columns), bool)
         grids = [nothing if mask is None else sample_mask(mask, columns, rows) for mask in masks]

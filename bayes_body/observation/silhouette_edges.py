@@ -1,9 +1,9 @@
-"""Error maps of silhouettes and edges (Darby, Li & Costen 2008, 6.1): prepared on the host while the device works on the frame before.
+"""Error maps of silhouettes and edges (Darby, Li & Costen 2008, 6.1), computed on the host while the device works on the previous frame.
 
-By density, as in the paper: the mask, smoothed; the gradient's magnitude, thresholded, smoothed by a Gaussian, rescaled to [0, 1], "giving each pixel
-a measure of proximity to an edge". By distance: V = exp(−d²/2h²) of the distance d to the foreground, and to the nearest edge. Then an arm five
-pixels wide agrees with its silhouette as fully as a torso does, and an outline that stands alone counts as much as a striped shirt (docs/decisions).
-Both maps are stored as (1 − V)², which is what the likelihood averages.
+By density, as in the paper: the mask, smoothed; and the gradient's magnitude, thresholded, smoothed by a Gaussian and rescaled to [0, 1], "giving
+each pixel a measure of proximity to an edge". By distance: V = exp(−d²/2h²) of the distance d to the foreground, and to the nearest edge. With
+distances, an arm five pixels wide agrees with its silhouette as fully as a torso does, and a single outline counts as much as a striped shirt
+(docs/decisions). Both maps are stored as (1 − V)², which is what the likelihood averages.
 """
 
 from collections.abc import Callable
@@ -24,10 +24,9 @@ from bayes_body.toml.schema import NonNegative, Positive, Schema, Share
 class Options(Schema):
     """Options of `[likelihood.observation]` of `silhouette_edges`.
 
-    `proximity` says how the maps are made; by distance h are `silhouette_smooth_px` and `edge_smooth_px`, and edges count that lie in the silhouette
-    or within `edges_within_px` of it: the others are the room's. A sample outside an image says nothing: it counts `unseen_error`, wherever it is;
-    0.5 lies half way between full agreement and none. So does every sample in a camera that did not see the frame, or whose silhouette is not to be
-    had.
+    `proximity` chooses how the maps are made. By distance, h is `silhouette_smooth_px` and `edge_smooth_px`; edges count only within
+    `edges_within_px` of the silhouette, because the others belong to the room. A sample outside an image counts as the error `unseen_error`, wherever
+    it is; 0.5 is half way between full agreement and none. So does every sample in a camera that did not see the frame, or has no silhouette in it.
     """
 
     proximity: Literal["density", "distance"] = "density"
@@ -39,11 +38,11 @@ class Options(Schema):
 
 
 def edge_proximity(grey: NDArray[np.uint8], threshold: float, smooth_px: float) -> NDArray[np.float32]:
-    """Closeness to an edge, in [0, 1], 1 where edges are densest; zero everywhere in an image without any.
+    """Closeness to an edge, in [0, 1]: 1 where edges are densest; zero everywhere in an image without edges.
 
     Args:
         grey: image (row, column).
-        threshold: grey levels a pixel that the gradient must exceed.
+        threshold: grey levels per pixel that the gradient must exceed.
         smooth_px: standard deviation of the Gaussian.
     """
     proximity = cv2.GaussianBlur(edges(grey, threshold).astype(np.float32), (0, 0), smooth_px)
@@ -52,8 +51,8 @@ def edge_proximity(grey: NDArray[np.uint8], threshold: float, smooth_px: float) 
 
 
 def edges(grey: NDArray[np.uint8], threshold: float) -> NDArray[np.bool_]:
-    """Where the gradient of an image (row, column) exceeds `threshold`, grey levels a pixel: (row, column)."""
-    # Sobel's mask sums to 8 on a ramp of one level a pixel.
+    """Where the gradient of an image (row, column) exceeds `threshold`, grey levels per pixel: (row, column)."""
+    # On a ramp of one level per pixel, Sobel's mask gives 8.
     magnitude = cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8
     return magnitude > threshold
 
@@ -64,23 +63,23 @@ def smooth_silhouette(mask: NDArray[np.bool_], smooth_px: float) -> NDArray[np.f
 
 
 def distance_to(marked: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """From each pixel (row, column) to the nearest that is marked, pixels; rows + columns where none is."""
-    found = cv2.distanceTransform((~marked).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.minimum(found, np.float32(sum(marked.shape)))
+    """Distance from each pixel (row, column) to the nearest marked one, pixels; rows + columns if none is marked."""
+    distance = cv2.distanceTransform((~marked).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.minimum(distance, np.float32(sum(marked.shape)))
 
 
 def closeness(distance: NDArray[np.float32], scale_px: float) -> NDArray[np.float32]:
-    """exp(−d²/2h²) of a distance d and the scale h, both in pixels: in [0, 1], of the distance's shape."""
+    """exp(−d²/2h²) of a distance d and the scale h, both in pixels: in [0, 1], with the distance's shape."""
     return np.exp(-0.5 * (distance / scale_px) ** 2)
 
 
 @register("observation", "silhouette_edges", Options)
 def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame], SilhouetteEdgeMaps]:
-    """From a frame's images and masks to the likelihood's maps, as NumPy arrays.
+    """Compute the likelihood's maps from a frame's images and masks, as NumPy arrays.
 
     Args:
-        options: of the maps.
-        likelihood: the options of the likelihood that reads them: whether it has the term "cover", and its `cover_points`.
+        options: options of the maps.
+        likelihood: the options of the likelihood that reads them. If it has the term "cover", its `cover_points` are used.
     """
     count = likelihood.cover_points if "cover" in getattr(likelihood, "terms", ()) else 0
 
@@ -90,8 +89,8 @@ def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame
 
     def by_distance(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> tuple[NDArray[np.float32], ...]:
         outside = distance_to(mask)
-        own = edges(image, options.edge_threshold) & (outside <= options.edges_within_px)
-        return closeness(outside, options.silhouette_smooth_px), closeness(distance_to(own), options.edge_smooth_px)
+        near = edges(image, options.edge_threshold) & (outside <= options.edges_within_px)
+        return closeness(outside, options.silhouette_smooth_px), closeness(distance_to(near), options.edge_smooth_px)
 
     values_of = by_distance if options.proximity == "distance" else by_density
 
@@ -102,7 +101,7 @@ def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame
         if frame.masks is None:
             expected = "a silhouette for every image"
             remedy = "give each [[camera]] its `masks`, or an image of the empty scene as `background`"
-            raise input_error("session.toml", "its cameras have no masks, and the frames are too few to learn the background from", expected, remedy)
+            raise input_error("session.toml", "its cameras have no masks, and there are too few frames to learn the background", expected, remedy)
         unseen = pack(np.empty((0, 0), np.float32), options.unseen_error, frame.largest)
         stacks, shares, points = [], [], []
         for image, mask in zip(frame.images, frame.masks, strict=True):

@@ -1,6 +1,6 @@
-"""The silhouettes of a session without masks: each camera's background is learned when it is first asked for, and kept for the process.
+"""The silhouettes of a session without masks. Each camera's background is learned on first use and cached in memory.
 
-So are the silhouettes, as far as there is room: a run looks at each when it tracks, measures and draws its frame.
+Silhouettes are cached too, up to a limit: a run needs each one when it tracks, measures and draws the frame.
 """
 
 import hashlib
@@ -22,9 +22,9 @@ from bayes_body.recording.images import read_colour as read_colour_image
 from bayes_body.recording.video import probe, read_video_frame, readable_frames
 from bayes_body.session.session import Session, View
 
-# From fewer frames of a recording no background is learned: a person would be in most of them.
+# With fewer frames no background is learned: a person would be in most of them.
 LEAST_FRAMES = 10
-# Backgrounds that are kept, and how much of the silhouettes: those of some thousand pictures, which are tracked, measured and drawn.
+# Number of cached backgrounds, and bytes of cached silhouettes: those of some thousand pictures.
 KEPT, KEPT_BYTES = 32, 64 << 20
 
 _backgrounds: OrderedDict[Hashable, Background] = OrderedDict()
@@ -33,18 +33,18 @@ _made = PictureCache(KEPT_BYTES)
 
 
 def has_silhouettes(session: Session) -> bool:
-    """Whether every camera has masks, an empty scene, or frames enough to learn the background from."""
+    """Whether every camera has masks, an empty scene, or enough frames to learn the background."""
     return all(view.masks is not None or view.background is not None or session.frames >= LEAST_FRAMES for view in session.views)
 
 
 def silhouette_levels(session: Session, view: View, image: Colours) -> UInt8[np.ndarray, "row column"] | None:
-    """The foreground's probability times 255 of a camera's image; None where the image cannot be brought to the background's exposure.
+    """The foreground's probability times 255 for a camera's image; None if the image's exposure cannot be matched to the background's.
 
     Raises:
         InputError: the background cannot be learned, or its file cannot be used.
     """
     background = background_of(session, view)
-    # By its contents: a picture has one silhouette, whatever its number and whenever its file was written.
+    # The key is the content: the same picture has the same silhouette, whatever its number and file date.
     key = _key(session, view), hashlib.blake2b(np.ascontiguousarray(image), digest_size=16).digest()
     return _made.get(str(session.folder), key, lambda: foreground_levels(background, image, session.segmentation))
 
@@ -65,7 +65,7 @@ def background_of(session: Session, view: View) -> Background:
 
 
 def _key(session: Session, view: View) -> Hashable:
-    """All that a background depends on."""
+    """Everything that a background depends on."""
     source = view.images, view.video, view.background, view.offset, view.camera.size_px
     return str(session.folder), session.first_frame, session.frames, session.segmentation, source, _state(session.background_path(view))
 
@@ -84,9 +84,9 @@ def _learn(session: Session, view: View) -> Background:
     source = _recording(session, view) if path is None else _video(path, size, options.learning_frames)
     images = [shrink(image) for image in source]
     if len(images) < (LEAST_FRAMES if path is None else 1):
-        found = f"{len(images)} of its frames can be seen, and it has neither masks nor an empty scene"
+        found = f"{len(images)} of its frames can be read, and it has neither masks nor an empty scene"
         remedy = "give it `background`, an image or a video of the empty scene, or `masks`"
-        raise input_error(f"{session.title}: camera '{view.camera.name}'", found, f"{LEAST_FRAMES} or more to learn the background from", remedy)
+        raise input_error(f"{session.title}: camera '{view.camera.name}'", found, f"{LEAST_FRAMES} or more to learn the background", remedy)
     return learn_background(images, options.follow_exposure)
 
 

@@ -1,13 +1,13 @@
-r"""Parts do not stand in one another.
+r"""A constraint: parts do not penetrate each other.
 
-Darby, Li & Costen (2008, 6.1) give such poses "a zero weighting"; by the sphere approximations of Sigal et al. (2011, (7)), with $d$ the depth of the
-worst pair of spheres of two parts beyond what flesh yields,
+Darby, Li & Costen (2008, 6.1) give such poses "a zero weighting". With the sphere approximations of Sigal et al. (2011, (7)), and $d$ the depth of
+the deepest pair of spheres of two parts, minus the depth by which flesh yields,
 
 $$\log C = -\infty \text{ if any } d > 0 \quad (\text{hard}), \qquad
 \log C = -\tfrac12 \sum_{\text{pairs}} \big(\max(d, 0) / \sigma\big)^2 \quad (\text{soft}).$$
 
-A constraint: it holds at full power at every temperature. It has no normaliser of its own: what it cuts off the prediction belongs to the evidence
-estimate of a kernel. The soft form is for kernels that need a gradient.
+As a constraint it has full power at every temperature. It has no normaliser of its own: a kernel's evidence estimate contains the share of the
+prediction that it excludes. The soft form is for kernels that need a gradient.
 """
 
 from typing import Any, Literal
@@ -26,7 +26,7 @@ POSE = Variable("pose")
 
 
 class Options(Schema):
-    """Options of `[[constraint]] kind = "intersection"`; which pairs are tested stands in the body's `penetration`."""
+    """Options of `[[constraint]] kind = "intersection"`. The body's `penetration` lists the pairs to test."""
 
     mode: Literal["hard", "soft"] = "hard"
     yield_m: NonNegative = 0.03
@@ -40,7 +40,7 @@ def _depths(body: Body, yield_m: Scalar, pose: Pose) -> jax.Array:
 
 def _hard(body: Body, yield_m: Scalar, soft_sd: Scalar, values: Variables, data: None) -> Scalar:
     del soft_sd, data
-    # A step has no gradient: none is traced.
+    # A step has no gradient, so do not trace one.
     return jnp.where(jnp.any(_depths(body, yield_m, jax.lax.stop_gradient(values[POSE])) > 0), -jnp.inf, 0.0)
 
 
@@ -51,7 +51,7 @@ def _soft(body: Body, yield_m: Scalar, soft_sd: Scalar, values: Variables, data:
 
 @register("potential", "intersection", Options)
 def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
-    """The factor of one body."""
+    """Build the factor for one body."""
     dtype = body.lengths.dtype
     arrays = (body, jnp.asarray(options.yield_m, dtype), jnp.asarray(options.soft_sd_m, dtype))
     potential = jax.tree_util.Partial(_hard if options.mode == "hard" else _soft, *arrays)

@@ -1,4 +1,4 @@
-"""Arrays of an .npz archive, read with distrust: no pickled objects, no header believed beyond its bytes, no archive that unpacks without end."""
+"""Read arrays of an .npz archive safely: no pickled objects, no trust in headers, a limit on the unpacked size."""
 
 import io
 import zipfile
@@ -15,13 +15,13 @@ LARGEST_BYTES = 500_000_000
 
 
 def read_arrays(path: Path, keys: Sequence[str], kind: str, remedy: str) -> dict[str, NDArray[np.generic]]:
-    """Those of the arrays that the archive has.
+    """Read the requested arrays that the archive contains.
 
     Args:
         path: the file.
         keys: names of the arrays.
-        kind: what it should be, as the middle of a sentence.
-        remedy: what the user can do, as its end.
+        kind: what the file should be, as the middle of a sentence.
+        remedy: what the user can do, as the end of a sentence.
 
     Raises:
         InputError: no such file, damaged, too large, or an array of objects.
@@ -40,8 +40,8 @@ def read_arrays(path: Path, keys: Sequence[str], kind: str, remedy: str) -> dict
     except OSError as error:
         raise input_error(path, f"cannot be read ({error.strerror or error})", kind, "check the path and its permissions") from None
     except Exception as error:
-        # A damaged archive raises whatever its damaged part runs into: zlib.error, struct.error, NotImplementedError, EOFError, ...
-        raise input_error(path, f"no such archive, or damaged ({type(error).__name__})", kind, remedy) from None
+        # A damaged archive can raise anything: zlib.error, struct.error, NotImplementedError, EOFError, ...
+        raise input_error(path, f"not such an archive, or damaged ({type(error).__name__})", kind, remedy) from None
 
 
 def _content(archive: zipfile.ZipFile, key: str) -> bytes:

@@ -1,4 +1,4 @@
-"""A session from calibrated cameras and a folder with their recordings: what the importers have in common."""
+"""Build a session from calibrated cameras and a folder with their recordings. All importers share this."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,12 +17,12 @@ from bayes_body.recording.truth import read_truth
 from bayes_body.session.read import load_session, save_session
 from bayes_body.session.session import Session, Subject, View
 
-# Where recordings lie in a project, beside the project's folder itself.
+# Recordings lie in one of these folders of a project, or in the project's folder itself.
 PLACES = ("videos", "images")
 
 
 class Filmed(NamedTuple):
-    """A calibrated camera, its recording, and a remark about its size or None."""
+    """A calibrated camera, its recording, and a remark about the image size (or None)."""
 
     camera: Calibrated
     source: Source
@@ -30,7 +30,7 @@ class Filmed(NamedTuple):
 
 
 class Rig(NamedTuple):
-    """What a laboratory has: its calibration's path and cameras, the folder with the recordings, and the axis that points up."""
+    """What a laboratory provides: the path of the calibration, its cameras, the folder with the recordings, and the axis that points up."""
 
     calibration: Path
     cameras: Sequence[Calibrated]
@@ -39,19 +39,19 @@ class Rig(NamedTuple):
 
 
 def assemble(rig: Rig, folder: Path, title: str, options: Options) -> tuple[Session, list[str]]:
-    """The session of a rig's recordings, which stay where they are; nothing is written.
+    """Build the session of a rig's recordings. The recordings stay where they are; nothing is written.
 
     Args:
-        rig: cameras and where to look for their recordings.
-        folder: the session's; paths inside it are written relative to it.
+        rig: the cameras and the folder with their recordings.
+        folder: the session's folder; paths inside it are written relative to it.
         title: one line for people.
-        options: what the user said.
+        options: the user's options.
 
     Returns:
-        The session, and remarks for the user, a sentence each.
+        The session and remarks for the user, one sentence each.
 
     Raises:
-        FaultyFileError: one sentence for each thing that is missing or wrong.
+        FaultyFileError: something is missing or wrong; one sentence for each fault.
     """
     check_height(options.height_m)
     check_fps(options.fps)
@@ -68,8 +68,8 @@ def assemble(rig: Rig, folder: Path, title: str, options: Options) -> tuple[Sess
 
 
 def _no_masks(options: Options) -> str:
-    scene = f"the empty scene in {options.background}" if options.background else "a background that is learned from the recording"
-    return f"There are no masks: silhouettes are told from {scene}; give masks with --masks."
+    scene = f"the empty scene in {options.background}" if options.background else "a background learned from the recording"
+    return f"There are no masks: silhouettes are computed from {scene}; give masks with --masks."
 
 
 def _filmed(rig: Rig) -> list[Filmed]:
@@ -92,22 +92,22 @@ def _view(filmed: Filmed, folder: Path, offset: int) -> View:
 
 
 def written(path: Path, folder: Path) -> str:
-    """How a session in `folder` names a path: relative to the folder if inside it, else from the root."""
+    """The path as a session in `folder` writes it: relative if it is inside the folder, else absolute."""
     path, folder = path.resolve(), folder.resolve()
     return str(path.relative_to(folder)) if path.is_relative_to(folder) else str(path)
 
 
 def _pattern(series: Series, folder: Path) -> str:
-    # A percent sign in a folder's name must not be taken for the frame's number.
+    # Escape percent signs in the folder's name: they are not the frame number.
     parent = written(series.folder, folder).replace("%", "%%")
     return series.name if parent == "." else f"{parent}/{series.name}"
 
 
 def with_options(session: Session, options: Options) -> Session:
-    """The session with the user's masks, empty scene, truth and height.
+    """Add the user's masks, empty scene, truth and height to a session.
 
     Raises:
-        FaultyFileError: one sentence for each of them that is missing or wrong.
+        FaultyFileError: one of them is missing or wrong; one sentence for each fault.
     """
     faults, views = Faults(), []
     for view in session.views:
@@ -131,8 +131,8 @@ def _with_pictures(session: Session, view: View, options: Options) -> View:
         last = first + session.frames - 1
         if series.first > first or series.first + series.count <= last:
             found = f"numbers {series.first} to {series.first + series.count - 1}"
-            remedy = "number the masks as the camera's frames; those of a video count from 0"
-            raise input_error(f"--masks {options.masks / name}", found, f"{first} to {last}, the camera's frames in this session", remedy)
+            remedy = "number the masks like the camera's frames; frames of a video count from 0"
+            raise input_error(f"--masks {options.masks / name}", found, f"{first} to {last}, this camera's frames in the session", remedy)
         read_mask(series.path(first), size)
         view = replace(view, masks=_pattern(series, session.folder))
     if options.background is not None:
@@ -141,19 +141,19 @@ def _with_pictures(session: Session, view: View, options: Options) -> View:
 
 
 def saved(session: Session) -> Session:
-    """The session written and read back: what the caller works with is what the file says, rounded as it is.
+    """Write the session and read it back, so that the caller works with the rounded values of the file.
 
     Raises:
-        InputError: its folder cannot be written.
+        InputError: the folder cannot be written.
     """
     return load_session(save_session(session))
 
 
 def source_folder(source: Path, what: str) -> Path:
-    """The folder, if there is one.
+    """Return the folder if it exists.
 
     Raises:
-        InputError: there is none.
+        InputError: it does not exist.
     """
     if not source.is_dir():
         raise input_error(source, "no such folder", what, "check the path")
@@ -161,15 +161,15 @@ def source_folder(source: Path, what: str) -> Path:
 
 
 def only_file(places: Sequence[Path], patterns: Sequence[str], what: str) -> Path:
-    """The only file of one of the patterns, in the first of the places that has any.
+    """The single file that matches one of the patterns, in the first place that has a match.
 
     Raises:
-        InputError: none, or several.
+        InputError: there is none, or there are several.
     """
     for place in places:
         paths = sorted({path for pattern in patterns for path in place.glob(pattern) if path.is_file()})
         if len(paths) > 1:
-            raise input_error(place, f"{len(paths)} calibrations ({', '.join(path.name for path in paths)})", what, "move all but one of them away")
+            raise input_error(place, f"{len(paths)} calibrations ({', '.join(path.name for path in paths)})", what, "keep only one of them there")
         if paths:
             return paths[0]
-    raise input_error(places[-1], f"no {' or '.join(patterns)} in it", what, "name the folder that holds calibration and videos")
+    raise input_error(places[-1], f"no {' or '.join(patterns)} in it", what, "name the folder that holds the calibration and the videos")

@@ -1,6 +1,6 @@
-"""One camera as a laboratory's calibration has it, checked: $X_{camera} = R X_{world} + T$, OpenCV's distortion; metres and pixels.
+"""The checked calibration of one camera: $X_{camera} = R X_{world} + T$, OpenCV's distortion; metres and pixels.
 
-The readers (`calibration_toml`, `calibration_qualisys`, `calibration_opencv`, `parsec_files`) turn their formats into this one record.
+The readers (`calibration_toml`, `calibration_qualisys`, `calibration_opencv`, `parsec_files`) convert their formats into this record.
 """
 
 import math
@@ -17,16 +17,16 @@ from bayes_body.recording.faults import Faults
 from bayes_body.session.schema import rotation_fault
 from bayes_body.session.session import CameraSpec
 
-# Beyond these no camera of a laboratory is meant: a unit is wrong by a factor of 1000.
+# Outside this range a unit is wrong by a factor of 1000: no laboratory has such distances between cameras.
 FARTHEST_M = 100.0
 NEAREST_M = 0.05
-# Beyond it a number is damage rather than a unit.
+# A larger number is damage, not a wrong unit.
 FARTHEST_SANE_M = 1e6
-# No sensor has so many pixels along a side, and no lens so long a focal length in pixels.
+# No sensor has so many pixels along a side, and no lens has such a focal length in pixels.
 MOST_PIXELS = 1e6
-# How many numbers OpenCV's models of distortion have; beyond the fifth they are those of the rational, thin prism and tilted models.
+# How many coefficients OpenCV's distortion models have. Those after the fifth belong to the rational, thin prism and tilted models.
 DISTORTION_LENGTHS = (4, 5, 8, 12, 14)
-# Between a rotation matrix and the Rodrigues vector beside it: beyond rounding they are of two cameras.
+# Largest rounding error between a rotation matrix and the Rodrigues vector beside it. Beyond it they belong to two cameras.
 TWICE_TOLERANCE = 1e-3
 type Numbers = Sequence[Any] | NDArray[np.floating]
 AGAIN = "copy it from the calibration again"
@@ -36,8 +36,8 @@ class Calibrated(NamedTuple):
     """A calibrated camera without its images.
 
     Attributes:
-        name: as the calibration calls it.
-        size_px: (width, height) of its images; None where the format does not say.
+        name: the name in the calibration.
+        size_px: (width, height) of its images; None if the format does not say.
         focal_px: focal lengths (x, y).
         centre_px: the principal point (column, row).
         skew: alpha_c.
@@ -74,19 +74,19 @@ def calibrated(
     rotation: Numbers,
     translation_m: Numbers,
 ) -> Calibrated:
-    """The record of one camera, if its numbers can be a camera's.
+    """Check the numbers of one camera and build its record.
 
     Args:
-        where: the file and what in it is this camera, as the sentences shall call it.
-        name: the camera's.
+        where: the file and the entry of this camera, as error messages call it.
+        name: the camera's name.
         size: width and height, or None.
         matrix: (3, 3), fx, skew, cx; 0, fy, cy; 0, 0, 1; pixels.
-        distortion: in OpenCV's order k1, k2, p1, p2, k3; further ones must be 0.
+        distortion: in OpenCV's order k1, k2, p1, p2, k3; any further ones must be 0.
         rotation: (3, 3), or (3,) as a Rodrigues vector.
         translation_m: (3,), metres.
 
     Raises:
-        FaultyFileError: one sentence for each thing that is wrong.
+        FaultyFileError: one sentence for each fault.
     """
     faults, values, coefficients, R, size_px = Faults(), (0.0,) * 5, (0.0,) * 5, np.eye(3), None
     T = np.asarray(translation_m, float).ravel()
@@ -110,7 +110,7 @@ def calibrated(
 
 
 def _intrinsics(where: str, K: NDArray[np.float64]) -> tuple[float, float, float, float, float]:
-    """Of a matrix of intrinsics: fx, skew (pixels), cx, fy, cy."""
+    """(fx, skew in pixels, cx, fy, cy) of a matrix of intrinsics."""
     subject = f"{where}: camera matrix"
     if K.shape != (3, 3) or not np.isfinite(K).all() or np.abs(K).max() > MOST_PIXELS:
         raise input_error(subject, _shown(K), f"3 x 3 finite numbers, at most {MOST_PIXELS:g}", AGAIN)
@@ -127,19 +127,19 @@ def _distortion(where: str, numbers: NDArray[np.float64]) -> tuple[float, float,
     if numbers.size not in (0, *DISTORTION_LENGTHS) or not np.isfinite(numbers).all():
         raise input_error(subject, _shown(numbers), "4 or 5 finite numbers, k1, k2, p1, p2, k3", AGAIN)
     if numbers[5:].any():
-        found = f"{numbers.size} numbers, with others than 0 after the fifth: a rational, thin prism or tilted lens"
+        found = f"{numbers.size} numbers, not all 0 after the fifth: a rational, thin prism or tilted lens"
         raise input_error(
-            subject, found, "at most k1, k2, p1, p2, k3", "calibrate again with OpenCV's plain model, without CALIB_RATIONAL_MODEL and its like"
+            subject, found, "at most k1, k2, p1, p2, k3", "calibrate again with OpenCV's plain model, without flags such as CALIB_RATIONAL_MODEL"
         )
     k1, k2, p1, p2, k3 = np.pad(numbers[:5], (0, 5 - min(numbers.size, 5))).tolist()
     return k1, k2, p1, p2, k3
 
 
 def rotation_matrix(where: str, rotation: Numbers) -> NDArray[np.float64]:
-    """The rotation, (3, 3), given as such, by rows, or as a Rodrigues vector (3).
+    """The rotation, (3, 3), from a matrix given by rows or from a Rodrigues vector (3).
 
     Raises:
-        InputError: neither, or a matrix that is no rotation.
+        InputError: it is neither, or the matrix is not a rotation.
     """
     subject, numbers = f"{where}: rotation", np.asarray(rotation, float)
     if numbers.size not in (3, 9) or not np.isfinite(numbers).all() or np.abs(numbers).max() > MOST_PIXELS:
@@ -153,16 +153,16 @@ def rotation_matrix(where: str, rotation: Numbers) -> NDArray[np.float64]:
 
 
 def rotation_given_twice(where: str, matrix: Numbers, vector: Numbers) -> NDArray[np.float64]:
-    """The rotation of a matrix with its Rodrigues vector beside it.
+    """The rotation given both as a matrix and as a Rodrigues vector.
 
     Raises:
-        InputError: one of them is no rotation, or they contradict each other.
+        InputError: one of them is not a rotation, or they contradict each other.
     """
     R = rotation_matrix(where, matrix)
     off = float(np.linalg.norm(rotation_matrix(where, vector) - R))
     if off > TWICE_TOLERANCE:
         found = f"the Rodrigues vector contradicts the rotation matrix by {off:.2g}"
-        raise input_error(where, found, "the same rotation twice", "find out which is right, and write the other anew from it")
+        raise input_error(where, found, "the same rotation in both", "find out which is right, and compute the other from it")
     return R
 
 
@@ -178,10 +178,10 @@ def whole_size(where: str, size: Sequence[float | int]) -> tuple[int, int]:
 
 
 def check_rig(where: object, cameras: Sequence[Calibrated]) -> None:
-    """Refuse what cannot be one room's cameras: names given twice, or distances that are off by a unit.
+    """Refuse cameras that cannot belong to one room: duplicate names, or distances with a wrong unit.
 
     Args:
-        where: the calibration, as the sentences shall call it.
+        where: the calibration, as error messages call it.
         cameras: all cameras of the room.
 
     Raises:
@@ -191,14 +191,14 @@ def check_rig(where: object, cameras: Sequence[Calibrated]) -> None:
     for name, count in Counter(camera.name for camera in cameras).items():
         with faults.collect():
             if count > 1:
-                raise input_error(f"{where}: camera '{name}'", f"the name of {count} cameras", "each name once", "rename all but one")
+                raise input_error(f"{where}: camera '{name}'", f"{count} cameras have this name", "unique names", "rename all but one")
     with faults.collect():
         _check_distances(where, np.array([camera.viewpoint_m for camera in cameras]))
     faults.raise_any()
 
 
 def _check_distances(where: object, viewpoints: NDArray[np.float64]) -> None:
-    # A single camera has only the world's origin to be far from; and it may stand in it.
+    # A single camera can only be far from the world's origin, and it may stand there.
     middle = viewpoints.mean(axis=0) if len(viewpoints) > 1 else np.zeros(3)
     extent = float(np.linalg.norm(viewpoints[:, None] - viewpoints, axis=-1).max())
     farthest = max(extent, float(np.linalg.norm(viewpoints - middle, axis=-1).max()))

@@ -1,7 +1,7 @@
-"""Calibrations in OpenCV's own files (`cv::FileStorage`: yml, yaml, xml, json): one for each camera, or EasyMocap's pair `intri.yml`, `extri.yml`.
+"""Calibrations in OpenCV's files (`cv::FileStorage`: yml, yaml, xml, json): one per camera, or EasyMocap's pair `intri.yml`, `extri.yml`.
 
-Camera matrix, distortion, rotation (matrix or Rodrigues vector) and translation, $X_{camera} = R X_{world} + T$, under the names that people give
-them. EasyMocap's names end in `_CAMERA`. The unit of the translation is nowhere in these files.
+Camera matrix, distortion, rotation (matrix or Rodrigues vector) and translation, $X_{camera} = R X_{world} + T$. Each has several accepted names.
+EasyMocap's names end in `_CAMERA`. The files do not state the unit of the translation.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,7 +21,7 @@ from bayes_body.recording.images import silent
 KIND = "a calibration in OpenCV's yml, xml or json"
 SUFFIXES = (".yml", ".yaml", ".xml", ".json")
 INTRINSICS, EXTRINSICS = "intri", "extri"
-# The first name that a file has is taken.
+# The first of these names that a file has is used.
 MATRIX = ("camera_matrix", "cameraMatrix", "camera_Matrix", "Camera_Matrix", "intrinsic_matrix", "K", "M", "M1")
 DISTORTION = ("distortion_coefficients", "Distortion_Coefficients", "dist_coeffs", "distCoeffs", "distortion", "dist", "D", "D1")
 ROTATION = ("R", "rotation_matrix", "rotation", "rvec", "rotation_vector")
@@ -29,12 +29,12 @@ VECTOR = ("rvec", "rotation_vector")
 TRANSLATION = ("T", "tvec", "translation", "translation_vector", "t")
 WIDTH, HEIGHT = ("image_width", "image_Width", "width"), ("image_height", "image_Height", "height")
 SIZE = ("image_size", "imageSize", "size")
-# Larger than any array that a camera needs.
+# Larger than any array of a camera.
 MOST_NUMBERS = 100
 
 
 def read_opencv(path: Path, unit_m: float) -> list[Calibrated]:
-    """The cameras of a file, or of a folder with one file for each (a camera is named as its file) or with EasyMocap's pair, in their names' order.
+    """The cameras of a file, of a folder with one file per camera (named as its file), or of EasyMocap's pair; sorted by name.
 
     Args:
         path: the file or folder.
@@ -42,7 +42,7 @@ def read_opencv(path: Path, unit_m: float) -> list[Calibrated]:
 
     Raises:
         InputError: no such path, or no calibration in it.
-        FaultyFileError: one sentence for each thing that is wrong with the cameras.
+        FaultyFileError: one sentence for each fault.
     """
     if not path.is_dir():
         return [_single(path, unit_m)]
@@ -61,14 +61,14 @@ def read_opencv(path: Path, unit_m: float) -> list[Calibrated]:
 
 
 class _File(NamedTuple):
-    """An open file: its path, its top level, and the storage, without which OpenCV's nodes point nowhere."""
+    """An open file: its path, its top level, and the storage, which OpenCV's nodes need to stay valid."""
 
     path: Path
     root: cv2.FileNode
     storage: cv2.FileStorage
 
     def numbers(self, names: Sequence[str], missing: str | None = None) -> NDArray[np.float64] | None:
-        """The array under the first of the names that the file has; None where there is none and `missing`, what it is, is not told."""
+        """The array under the first of the names that the file has. If there is none: an error that calls it `missing`, or None without `missing`."""
         for name in names:
             node = self.root.getNode(name)
             if not node.isNone():
@@ -82,7 +82,7 @@ def _single(path: Path, unit_m: float) -> Calibrated:
     file = _open(path)
     if any(not file.root.getNode(name).isNone() for name in ("M2", "D2")):
         raise input_error(
-            path, "the intrinsics of a stereo pair (M1, M2)", "a file for each camera", "write each camera with its R and T to a file of its own"
+            path, "the intrinsics of a stereo pair (M1, M2)", "a file for each camera", "write each camera with its R and T to a separate file"
         )
     return _camera(str(path), path.stem, (file, file), "", unit_m)
 
@@ -99,7 +99,7 @@ def _easymocap(intrinsics: Path, extrinsics: Path, unit_m: float) -> list[Calibr
 
 
 def _names(file: _File) -> list[str]:
-    """The cameras of EasyMocap's intri.yml: its list `names`, or the ends of its keys K_CAMERA."""
+    """Names of the cameras in EasyMocap's intri.yml: its list `names`, or the ends of its keys K_CAMERA."""
     node = file.root.getNode("names")
     if node.isSeq():
         nodes = [node.at(i) for i in range(min(node.size(), 10 * MOST_NUMBERS))]
@@ -126,11 +126,11 @@ def _keys(file: _File) -> tuple[str, ...]:
 
 
 def _camera(where: str, name: str, files: tuple[_File, _File], end: str, unit_m: float) -> Calibrated:
-    """A camera whose keys end in `end`, from the files of its intrinsics and extrinsics."""
+    """The camera whose keys end in `end`, from the files of its intrinsics and extrinsics."""
     inner, outer = files
     matrix = inner.numbers(_ending(MATRIX, end), "camera matrix")
     distortion = inner.numbers(_ending(DISTORTION, end), "distortion coefficients")
-    T = outer.numbers(_ending(TRANSLATION, end), "translation from the world to the camera: its intrinsics alone do not place a camera")
+    T = outer.numbers(_ending(TRANSLATION, end), "translation from the world to the camera; intrinsics without extrinsics do not place a camera")
     assert matrix is not None and distortion is not None and T is not None
     return calibrated(where, name, _size(inner, end), matrix, distortion, _rotation(where, outer, end), unit_m * T)
 
@@ -174,9 +174,9 @@ def _not_read(path: Path, reason: str) -> InputError:
 
 
 def _numbers(where: str, node: cv2.FileNode) -> NDArray[np.float64]:
-    """A node's numbers: of an array with rows, columns and data (rows, columns), of a list of numbers or of lists, or a single one (1,)."""
+    """The numbers of a node: an array (rows, columns), stored as rows, columns and data; a list of numbers or of lists; or a single number, (1,)."""
     if node.isMap():
-        # Not FileNode.mat(): it trusts rows and columns, and would allocate as many as a damaged file says.
+        # FileNode.mat() is not safe: it trusts rows and columns, and would allocate what a damaged file asks for.
         rows, columns = (node.getNode(key) for key in ("rows", "cols"))
         shape = [int(side.real()) if side.isInt() else 0 for side in (rows, columns)]
         numbers = np.array(list(_flat(where, node.getNode("data"))))

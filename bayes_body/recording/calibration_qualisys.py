@@ -1,9 +1,9 @@
 r"""Calibrations of Qualisys Track Manager: XML, usually named `*.qca.txt`.
 
-Focal lengths and principal point are in 1/64 pixel, the latter counted from the sensor's corner: `fov_video` says which part of it is recorded
-(left, top, right, bottom, inclusive). `transform` holds r11 ... r33 by rows and the camera's *centre* C in millimetres; the camera looks along its
-negative z, with y up: $X_{camera} = \mathrm{diag}(1, -1, -1)\, R\, (X_{world} - C)$. The world's z is up. `radialDistortion1..3` and
-`tangentalDistortion1..2` (so spelt) are k1, k2, k3 and p1, p2, dimensionless.
+Focal lengths and the principal point are in 1/64 pixel. The principal point is counted from the sensor's corner, and `fov_video` gives the recorded
+part of the sensor (left, top, right, bottom, inclusive). `transform` holds r11 ... r33 by rows and the camera's *centre* C in millimetres. The camera
+looks along its negative z, with y up: $X_{camera} = \mathrm{diag}(1, -1, -1)\, R\, (X_{world} - C)$. The world's z is up. `radialDistortion1..3` and
+`tangentalDistortion1..2` (the format's spelling) are k1, k2, k3 and p1, p2, dimensionless.
 """
 
 import math
@@ -25,15 +25,15 @@ Y_DOWN_Z_FORWARD = np.diag([1.0, -1.0, -1.0])
 
 
 def read_qualisys(path: Path) -> list[Calibrated]:
-    """The video cameras of a file, in its order; cameras that only see markers are left out.
+    """The video cameras of a file, in its order. Cameras that record only markers are left out.
 
     Raises:
-        InputError: no file, no XML, or no video camera in it.
-        FaultyFileError: one sentence for each thing that is wrong with the cameras.
+        InputError: no file, not XML, or no video camera in it.
+        FaultyFileError: one sentence for each fault.
     """
     elements = [camera for camera in _root(path).iter("camera") if _films(camera)]
     if not elements:
-        raise input_error(path, "no video camera in it", KIND, "name the file that the calibration wrote")
+        raise input_error(path, "no video camera in it", KIND, "name the file that the calibration program wrote")
     faults, cameras = Faults(), []
     for number, element in enumerate(elements, 1):
         name = element.get("serial", "")
@@ -45,13 +45,13 @@ def read_qualisys(path: Path) -> list[Calibrated]:
 
 def _root(path: Path) -> ElementTree.Element:
     text = read_text(path, KIND)
-    # An entity of an entity of an entity grows without bound, and no calibration has any.
+    # Nested entities can grow without bound, and no calibration has any.
     if "<!doctype" in text.lower() or "<!entity" in text.lower():
-        raise input_error(path, "a document type or entities", f"{KIND}, which has none", "name the file that the calibration wrote")
+        raise input_error(path, "a document type or entities", f"{KIND}, which has none", "name the file that the calibration program wrote")
     try:
         return ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError) as error:
-        raise input_error(path, f"no XML ({error})", KIND, "restore the file") from None
+        raise input_error(path, f"not XML ({error})", KIND, "restore the file") from None
 
 
 def _films(camera: ElementTree.Element) -> bool:
@@ -63,11 +63,11 @@ def _camera(where: str, name: str, element: ElementTree.Element) -> Calibrated:
     turned = _number(where, element, "viewrotation", 0.0)
     if turned:
         remedy = "set the view rotation to 0 in Qualisys Track Manager and export calibration and videos again"
-        raise input_error(f"{where}: viewrotation", f"{turned:g} degrees", "0, images as the sensor sees them", remedy)
-    inner, outer, seen = (_child(where, element, tag) for tag in ("intrinsic", "transform", "fov_video"))
+        raise input_error(f"{where}: viewrotation", f"{turned:g} degrees", "0, images in the sensor's orientation", remedy)
+    inner, outer, recorded = (_child(where, element, tag) for tag in ("intrinsic", "transform", "fov_video"))
     if _number(where, inner, "skew", 0.0):
-        raise input_error(f"{where}: skew", f"{inner.get('skew')}", "0, as the unit of any other is not known", "calibrate again without skew")
-    left, top, right, bottom = (_number(where, seen, key) for key in ("left", "top", "right", "bottom"))
+        raise input_error(f"{where}: skew", f"{inner.get('skew')}", "0, since the unit of skew is not known", "calibrate again without skew")
+    left, top, right, bottom = (_number(where, recorded, key) for key in ("left", "top", "right", "bottom"))
     fx, fy, cx, cy = (_number(where, inner, key) / SUBPIXELS for key in ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV"))
     k1, k2, k3 = (_number(where, inner, f"radialDistortion{i}", 0.0) for i in (1, 2, 3))
     p1, p2 = (_number(where, inner, f"tangentalDistortion{i}", 0.0) for i in (1, 2))
@@ -92,7 +92,7 @@ def _number(where: str, element: ElementTree.Element, key: str, default: float |
         value = float(text or "")
     except ValueError:
         value = math.nan
-    # Squares and products of it must stay finite too.
+    # Its squares and products must be finite too.
     if not abs(value) < 1e12:
         raise _no_number(where, element, key, text)
     return value

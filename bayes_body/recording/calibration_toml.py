@@ -1,7 +1,7 @@
-"""Calibrations as Pose2Sim and Anipose (aniposelib) write them: a TOML table for each camera.
+"""Calibrations of Pose2Sim and Anipose (aniposelib): a TOML table for each camera.
 
 `name`, `size`, `matrix` (3, 3), `distortions` (4 or 5), `rotation` (Rodrigues vector) and `translation`, $X_{camera} = R X_{world} + T$. The table
-`[metadata]` is of no camera. Pose2Sim's translations are metres; Anipose's are in the unit of its calibration board.
+`[metadata]` is not a camera. Pose2Sim's translations are in metres; Anipose's are in the unit of its calibration board.
 """
 
 from pathlib import Path
@@ -19,7 +19,7 @@ Triple = tuple[Finite, Finite, Finite]
 
 
 class _Camera(BaseModel):
-    """One camera's table; both programs add keys of their own."""
+    """One camera's table. Both programs add further keys."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
@@ -40,12 +40,12 @@ def read_calibration_toml(path: Path, unit_m: float = 1.0) -> list[Calibrated]:
         unit_m: metres in the file's unit of length.
 
     Raises:
-        InputError: no TOML, or no camera in it.
-        FaultyFileError: one sentence for each thing that is wrong with the cameras.
+        InputError: not TOML, or no camera in it.
+        FaultyFileError: one sentence for each fault.
     """
     tables = {key: table for key, table in read_toml(path).items() if key != "metadata"}
     if not tables:
-        raise input_error(path, "no camera in it", "a table for each camera, such as [cam_01]", "name the file that the calibration wrote")
+        raise input_error(path, "no camera in it", "a table for each camera, such as [cam_01]", "name the file that the calibration program wrote")
     faults, cameras = Faults(), []
     for key, table in tables.items():
         with faults.collect():
@@ -56,7 +56,7 @@ def read_calibration_toml(path: Path, unit_m: float = 1.0) -> list[Calibrated]:
 
 def _camera(where: str, key: str, table: Any, unit_m: float) -> Calibrated:
     if not isinstance(table, dict):
-        raise input_error(where, "no table", "a camera's table", "remove it, or write a header in brackets above the camera's keys")
+        raise input_error(where, "not a table", "a camera's table", "remove it, or write a header in brackets above the camera's keys")
     camera = validate(_Camera, table, where)
     if camera.fisheye:
         raise input_error(

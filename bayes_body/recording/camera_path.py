@@ -1,6 +1,6 @@
-"""Where a moving camera is in each frame: an .npz beside a session, with `rotation` (frame, 3, 3) and `translation_m` (frame, 3).
+"""The path of a moving camera: an .npz beside a session, with `rotation` (frame, 3, 3) and `translation_m` (frame, 3).
 
-`X_camera = rotation @ X_world + translation_m`, metres. Rows are counted as the session counts its frames, from 0.
+`X_camera = rotation @ X_world + translation_m`, metres. Row k belongs to the session's frame k, counted from 0.
 """
 
 from dataclasses import replace
@@ -16,17 +16,17 @@ from bayes_body.session.schema import FARTHEST_M, rotation_fault
 from bayes_body.session.session import CameraSpec, Session
 
 KIND = "an .npz with `rotation` (frame, 3, 3) and `translation_m` (frame, 3)"
-REMEDY = "write it with numpy.savez(path, rotation=..., translation_m=...), a row for each frame of the session"
+REMEDY = "write it with numpy.savez(path, rotation=..., translation_m=...), one row for each frame of the session"
 KEPT = 64
 
 type Extrinsics = tuple[Float[np.ndarray, "frame 3 3"], Float[np.ndarray, "frame 3"]]
 
 
 def cameras_at(session: Session, index: int) -> tuple[CameraSpec, ...]:
-    """Each camera as it stands in a frame.
+    """The cameras with their extrinsics in one frame.
 
     Raises:
-        InputError: a moving camera's file is missing, not of its form, or too short.
+        InputError: a moving camera's file is missing, malformed or too short.
     """
     paths = [session.camera_path(view) for view in session.views]
     return tuple(view.camera if path is None else _placed(view.camera, path, index) for view, path in zip(session.views, paths, strict=True))
@@ -38,19 +38,21 @@ def _placed(camera: CameraSpec, path: Path, index: int) -> CameraSpec:
 
 
 def read_camera_path(path: Path, frames: int) -> Extrinsics:
-    """Rotations and translations (metres) of at least so many frames; the last files that were read are kept for the process.
+    """Rotations and translations (metres) of at least `frames` frames. The most recently read files are cached in memory.
 
     Raises:
-        InputError: no such file, not of that form, too short, or a frame without a rotation or with a place that is none.
+        InputError: no such file, malformed, too short, a matrix that is not a rotation, or a translation that is not plausible.
     """
     try:
         state = path.stat().st_mtime_ns, path.stat().st_size
     except OSError:
         state = 0, 0
-    found = _read(path, state)
-    if len(found[0]) < frames:
-        raise input_error(path, f"{len(found[0])} frames", f"{frames}, as the session has", "add the missing ones, or lower frames in session.toml")
-    return found
+    extrinsics = _read(path, state)
+    if len(extrinsics[0]) < frames:
+        raise input_error(
+            path, f"{len(extrinsics[0])} frames", f"{frames}, as the session has", "add the missing ones, or lower frames in session.toml"
+        )
+    return extrinsics
 
 
 @lru_cache(maxsize=KEPT)
@@ -64,7 +66,7 @@ def _read(path: Path, state: tuple[int, int]) -> Extrinsics:
             raise input_error(f"{path}: {key}", f"{arrays[key].dtype} of shape {arrays[key].shape}", KIND, REMEDY)
     rotations, translations = (arrays[key].astype(np.float64) for key in ("rotation", "translation_m"))
     if len(rotations) != len(translations):
-        raise input_error(path, f"{len(rotations)} rotations and {len(translations)} translations", "as many of both", REMEDY)
+        raise input_error(path, f"{len(rotations)} rotations and {len(translations)} translations", "equal numbers of both", REMEDY)
     for frame, (R, t) in enumerate(zip(rotations, translations, strict=True)):
         fault = rotation_fault(R)
         if fault:

@@ -1,4 +1,4 @@
-"""Whether a session's files are there and are what its cameras say, without reading them all."""
+"""Check that a session's files exist and match its cameras, without reading all of them."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -12,17 +12,17 @@ from bayes_body.recording.keypoint_series import read_series
 from bayes_body.recording.video import probe, readable_frames
 from bayes_body.session.session import Session, View
 
-BLIND = "the camera counts as not seeing there"
+BLIND = "the camera counts as not seeing the person there"
 
 
 def check_session(session: Session) -> list[str]:
-    """Look for every file of every frame by name, read the first and the last image of every camera, and see how far every video goes.
+    """Look for every file of every frame, read the first and the last image of every camera, and check how many frames every video has.
 
     Returns:
-        Remarks for the user, a sentence each: which frames some cameras did not see.
+        Remarks for the user, one sentence each: which frames some cameras did not see.
 
     Raises:
-        FaultyFileError: one sentence for each camera without any image, and for each file that is not what the session says.
+        FaultyFileError: one sentence for each camera without any image, and for each file that does not match the session.
     """
     faults, remarks = Faults(), []
     for view in session.views:
@@ -48,7 +48,7 @@ def check_session(session: Session) -> list[str]:
 
 
 def _check_series(faults: Faults, owner: str, kind: str, paths: Sequence[Path], read: Callable[[Path], Any]) -> list[str]:
-    """Remarks on what is missing of a series of files; what is wrong with it goes to `faults`."""
+    """Check one series of files. Returns remarks on missing files; errors go to `faults`."""
     present = [path for path in paths if path.exists()]
     missing = [k for k, path in enumerate(paths) if not path.exists()]
     remedy = f"correct {kind}, first_frame and frames in session.toml"

@@ -1,4 +1,4 @@
-"""Collecting what is wrong with many files, so that a user reads all of it at once."""
+"""Collect the errors of many files, so that a user reads all of them at once."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,14 +7,14 @@ from bayes_body.errors import FaultyFileError, InputError
 
 
 class Faults:
-    """The sentences of every InputError raised inside `with faults.collect():`."""
+    """Collects the sentences of every InputError raised inside `with faults.collect():`."""
 
     def __init__(self) -> None:
         self.sentences: list[str] = []
 
     @contextmanager
     def collect(self) -> Iterator[None]:
-        """Keep an InputError's sentences and go on after the block."""
+        """Catch an InputError, keep its sentences, and go on after the block."""
         try:
             yield
         except FaultyFileError as error:
@@ -23,10 +23,10 @@ class Faults:
             self.sentences.append(str(error))
 
     def raise_any(self) -> None:
-        """Report what was collected.
+        """Raise one error for everything that was collected.
 
         Raises:
-            FaultyFileError: anything was.
+            FaultyFileError: something was collected.
         """
         if self.sentences:
             raise FaultyFileError(self.sentences)

@@ -1,4 +1,4 @@
-"""The subject's keypoints from a folder of OpenPose's files for each camera: in a session's first frame, and in all of them."""
+"""Import the subject's keypoints from OpenPose's files, one folder per camera: for the first frame, and for all frames."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -17,29 +17,29 @@ from bayes_body.recording.options import Options
 from bayes_body.recording.person import People
 from bayes_body.session.session import CameraSpec, Keypoints, Session, View
 
-# Files of a camera, evenly spaced, in which the order of the keypoints is looked for.
+# How many evenly spaced files of a camera are used to find the order of the keypoints.
 FILES_FOR_LAYOUT = 20
 FOLDER = "keypoints"
 
 
 def keypoint_folders(session: Session, folder: Path) -> dict[str, Path]:
-    """Each camera's folder of files, CAMERA_json or CAMERA; cameras without are left out."""
+    """Each camera's folder of files, CAMERA_json or CAMERA. Cameras without one are left out."""
     places = {view.camera.name: (folder / f"{view.camera.name}_json", folder / view.camera.name) for view in session.views}
     return {name: path for name, either in places.items() for path in either[::-1] if path.is_dir()}
 
 
 def with_imported_keypoints(session: Session, options: Options, usual: Path | None = None) -> tuple[Session, list[str]]:
-    """The session with the keypoints that the user names, or with those of the usual folder if there are any; and remarks.
+    """Add the keypoints that the user names, or those of the usual folder if it has any. Returns the session and remarks.
 
     Raises:
         FaultyFileError: one sentence for each folder or file that is missing or wrong.
-        InputError: there are none where the user says, they cannot be read, or the session's folder cannot be written.
+        InputError: the named folder has none, they cannot be read, or the session's folder cannot be written.
     """
     folder = options.keypoints or usual
     folders = keypoint_folders(session, folder) if folder else {}
     what = "a folder CAMERA_json of OpenPose's files for each camera"
     if options.keypoints is not None and not folders:
-        raise input_error(f"--keypoints {folder}", "no such folder of any camera", what, "check the path and the folders' names")
+        raise input_error(f"--keypoints {folder}", "no folder of any camera in it", what, "check the path and the folders' names")
     if options.layout is not None and not folders:
         raise input_error(
             "--layout", f"{options.layout}, but there are no keypoints{f' in {folder}' if folder else ''}", what, "leave the option out"
@@ -48,22 +48,22 @@ def with_imported_keypoints(session: Session, options: Options, usual: Path | No
 
 
 def with_keypoints(session: Session, folders: Mapping[str, Path], layout: str | None = None) -> tuple[Session, list[str]]:
-    """The session with its subject's keypoints in all frames, written beside it, and in the first frame as the first pose; and remarks.
+    """Add the subject's keypoints: all frames in files beside the session, the first frame as the first pose. Also returns remarks.
 
     Args:
-        session: its cameras, and which of their frames are its frames.
-        folders: each camera's files, numbered as its frames; a camera may be missing.
-        layout: the order of the keypoints, or None to let the data decide.
+        session: its cameras and frames.
+        folders: each camera's files, numbered like its frames; a camera may be missing.
+        layout: the order of the keypoints; None: infer it from the data.
 
     Raises:
         FaultyFileError: one sentence for each folder or file that is missing or wrong.
-        InputError: the data do not tell the order of the keypoints, or the session's folder cannot be written.
+        InputError: the order of the keypoints cannot be inferred, or the session's folder cannot be written.
     """
     views = [view for view in session.views if view.camera.name in folders]
     people, remarks = _read(session, views, folders)
     somebody = [each for frame in people for each in frame if len(each)]
     if not somebody:
-        return session, ["The keypoint files show nobody: the session has no keypoints."]
+        return session, ["The keypoint files contain no people: the session has no keypoints."]
     order = choose_layout(_alike(folders, [*somebody, *_sample(views, folders)]), layout)
     places = follow_person([view.camera for view in views], people)
     first = {
@@ -72,15 +72,15 @@ def with_keypoints(session: Session, folders: Mapping[str, Path], layout: str | 
         if place is not None
     }
     remarks = [*([order.remark] if order.remark else []), *remarks, *_crowd(views, people[0], places[0]), *_seldom(views, places)]
-    told = {view.camera.name: _written(session, view, c, people, places, order) for c, view in enumerate(views)}
-    marked = tuple(replace(view, keypoints=told.get(view.camera.name)) for view in session.views)
-    # A first pose in angles or markers, which the source has itself, goes before.
+    files = {view.camera.name: _written(session, view, c, people, places, order) for c, view in enumerate(views)}
+    marked = tuple(replace(view, keypoints=files.get(view.camera.name)) for view in session.views)
+    # A first pose in angles or markers that the source provides takes precedence.
     known = session.initial or session.initial_markers
     return replace(session, views=marked, initial_keypoints={} if known else first), remarks
 
 
 def _read(session: Session, views: Sequence[View], folders: Mapping[str, Path]) -> tuple[list[list[People]], list[str]]:
-    """The people of each frame in each camera, and remarks on frames without a file; the first frame must have one."""
+    """The people of each frame in each camera, and remarks on frames without a file. The first frame must have one."""
     faults, cameras, remarks = Faults(), [], []
     for view in views:
         with faults.collect():
@@ -110,12 +110,12 @@ def _alike(folders: Mapping[str, Path], people: Sequence[People]) -> Float[np.nd
     counts = sorted({each.shape[1] for each in people})
     if len(counts) > 1:
         where = next(iter(folders.values())).parent
-        raise input_error(where, f"people with {counts[0]} and with {counts[-1]} keypoints", "one order of keypoints", "detect them with one network")
+        raise input_error(where, f"people with {counts[0]} and with {counts[-1]} keypoints", "one order of keypoints", "use one network")
     return np.concatenate(people)
 
 
 def _named(camera: CameraSpec, person: Float[np.ndarray, "keypoint 3"], layout: Layout) -> Keypoints:
-    """What was found, inside of the image."""
+    """The keypoints that were found inside the image."""
     inside = _inside(camera, person) & (person[:, 2] > 0)
     points = zip(layout.keypoints, person.tolist(), inside.tolist(), strict=True)
     return {name: (column, row, confidence) for name, (column, row, confidence), seen in points if seen}
@@ -126,7 +126,7 @@ def _inside(camera: CameraSpec, points: Float[np.ndarray, "*_ 3"]) -> np.ndarray
 
 
 def _written(session: Session, view: View, c: int, people: Sequence[Sequence[People]], places: Sequence[Places], order: Layout) -> str:
-    """The camera's file, as the session names it: the subject's keypoints where they are inside of the image."""
+    """Write the camera's file with the subject's keypoints inside the image; returns its name as the session writes it."""
     points = np.full((session.frames, len(order.keypoints), 3), np.nan)
     for row, frame, chosen in zip(points, people, places, strict=True):
         place = chosen[c]
@@ -140,19 +140,21 @@ def _written(session: Session, view: View, c: int, people: Sequence[Sequence[Peo
 
 def _crowd(views: Sequence[View], people: Sequence[People], places: Places) -> list[str]:
     if not any(place is not None for place in places):
-        why = "No two cameras agree on anybody's keypoints" if len(views) > 1 and any(map(len, people)) else "The keypoint files show nobody"
+        why = "No two cameras agree on anybody's keypoints" if len(views) > 1 and any(map(len, people)) else "The keypoint files contain no people"
         return [f"{why} in the first frame: the session has no first keypoints."]
-    told = [
+    choices = [
         f"{view.camera.name}: {'nobody' if place is None else f'#{place + 1}'} of {len(among)}"
         for view, among, place in zip(views, people, places, strict=True)
         if len(among) > 1 or place is None
     ]
     how = "on whom most cameras agree" if len(views) > 1 else "who is largest"
-    return [f"Of several people in the first frame the one {how} is taken ({', '.join(told)}): look at the picture."] if told else []
+    return (
+        [f"There are several people in the first frame. The subject is the one {how} ({', '.join(choices)}): check the picture."] if choices else []
+    )
 
 
 def _seldom(views: Sequence[View], places: Sequence[Places]) -> list[str]:
     """A remark on cameras that do not see the subject in every frame."""
     unseen = [sum(chosen[c] is None for chosen in places) for c in range(len(views))]
-    told = [f"{view.camera.name}: {count} of {len(places)}" for view, count in zip(views, unseen, strict=True) if count]
-    return [f"Frames in which a camera's keypoints show nobody who is the subject: {', '.join(told)}."] if told else []
+    counts = [f"{view.camera.name}: {count} of {len(places)}" for view, count in zip(views, unseen, strict=True) if count]
+    return [f"Frames in which a camera's keypoints do not show the subject: {', '.join(counts)}."] if counts else []

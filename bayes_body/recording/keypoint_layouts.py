@@ -1,8 +1,8 @@
-"""Which keypoint is which: the orders in which pose estimators list a body's keypoints, by this project's names.
+"""Keypoint layouts: the orders in which pose estimators list a body's keypoints, with this project's names.
 
-BODY_25 and BODY_25B (OpenPose, its released and its experimental network) both have 25, and a file does not say which it holds. A skeleton read in
-the wrong order has no body's proportions: in the image, foreshortened, limbs over their mean lengths (Drillis & Contini 1966, fractions of stature)
-spread by 10 to 20 %, and by some 40 % where eyes are taken for elbows.
+BODY_25 and BODY_25B (OpenPose's released and experimental network) both have 25 keypoints, and a file does not say which it holds. The wrong order
+gives a skeleton with implausible proportions. Limb lengths in the image, foreshortened, divided by their mean proportions (Drillis & Contini 1966,
+fractions of stature), spread by 10 to 20 % in the right order, and by about 40 % where eyes are mistaken for elbows.
 """
 
 from typing import NamedTuple
@@ -20,7 +20,7 @@ _OPENPOSE_ARMS = ("nose", "neck", "r_shoulder", "r_elbow", "r_wrist", "l_shoulde
 _OPENPOSE_LEGS = ("r_hip", "r_knee", "r_ankle", "l_hip", "l_knee", "l_ankle")
 _OPENPOSE_FACE = ("r_eye", "l_eye", "r_ear", "l_ear")
 _OPENPOSE_FEET = ("l_big_toe", "l_small_toe", "l_heel", "r_big_toe", "r_small_toe", "r_heel")
-# `head` is the crown, `neck` lies between the shoulders (BODY_25, COCO_18, HALPE_26), `upper_neck` below the skull.
+# `head` is the crown; `neck` is the point between the shoulders (BODY_25, COCO_18, HALPE_26); `upper_neck` is just below the skull.
 LAYOUTS: dict[str, tuple[str, ...]] = {
     "COCO_17": _COCO,
     "COCO_18": (*_OPENPOSE_ARMS, *_OPENPOSE_LEGS, *_OPENPOSE_FACE),
@@ -28,14 +28,14 @@ LAYOUTS: dict[str, tuple[str, ...]] = {
     "BODY_25B": (*_COCO, "upper_neck", "head", *_OPENPOSE_FEET),
     "HALPE_26": (*_COCO, "head", "neck", "mid_hip", "l_big_toe", "r_big_toe", "l_small_toe", "r_small_toe", "l_heel", "r_heel"),
 }
-# Fractions of stature; the trunk from shoulder to hip.
+# Fractions of stature; the trunk goes from shoulder to hip.
 PROPORTIONS = {("shoulder", "elbow"): 0.186, ("elbow", "wrist"): 0.146, ("hip", "knee"): 0.245, ("knee", "ankle"): 0.246, ("shoulder", "hip"): 0.288}
-# How many times as large the spread must be in the wrong order for the data to tell.
+# For a decision, the spread in the wrong order must be this many times as large.
 CLEARLY = 1.5
 
 
 class Layout(NamedTuple):
-    """An order of keypoints: what it is called, the keypoints' names, and a remark where the data decided; else None."""
+    """An order of keypoints: its name, the names of the keypoints, and a remark if the order was inferred (else None)."""
 
     name: str
     keypoints: tuple[str, ...]
@@ -43,14 +43,14 @@ class Layout(NamedTuple):
 
 
 def choose_layout(points: Float[np.ndarray, "person keypoint 3"], name: str | None = None) -> Layout:
-    """The order of the keypoints of many people and frames.
+    """Choose the order of the keypoints, from many people and frames.
 
     Args:
         points: column, row (pixels; NaN where not seen) and confidence.
-        name: the order as the user says; None where the number of keypoints, and then the body's proportions, decide.
+        name: the order that the user names; None: the number of keypoints decides, then the body's proportions.
 
     Raises:
-        InputError: no order of that name or with so many keypoints, or the data do not tell which.
+        InputError: no order of that name or with this number of keypoints, or the data do not decide.
     """
     count = points.shape[1]
     fitting = [each for each, keypoints in LAYOUTS.items() if len(keypoints) == count]
@@ -59,7 +59,7 @@ def choose_layout(points: Float[np.ndarray, "person keypoint 3"], name: str | No
             raise InputError(f"--layout: '{name}': no such order; {nearest(name, LAYOUTS)}")
         if name not in fitting:
             raise input_error(
-                f"--layout {name}", f"{count} keypoints a person", f"{len(LAYOUTS[name])}", "give the order in which the keypoints are written"
+                f"--layout {name}", f"{count} keypoints a person", f"{len(LAYOUTS[name])}", "name the order in which the keypoints are written"
             )
         return Layout(name, LAYOUTS[name])
     if not fitting:
@@ -74,22 +74,24 @@ def _by_proportions(points: Float[np.ndarray, "person keypoint 3"], names: list[
     spreads = {name: disproportion(points, LAYOUTS[name]) for name in names}
     best, second = sorted(names, key=lambda name: spreads[name])[:2]
     if not spreads[second] > CLEARLY * spreads[best]:
-        remedy = f"say which with --layout {best} or --layout {second}"
-        raise input_error("keypoints", f"{points.shape[1]} a person, which may be {' or '.join(names)}", "people whose limbs tell which", remedy)
-    found = f"limbs are off a body's proportions by {spreads[best]:.0%}, and by {spreads[second]:.0%} in the order {second}"
-    return Layout(best, LAYOUTS[best], f"The keypoints are taken as {best}: {found}.")
+        remedy = f"choose one with --layout {best} or --layout {second}"
+        raise input_error(
+            "keypoints", f"{points.shape[1]} a person, which may be {' or '.join(names)}", "people whose limb lengths decide between them", remedy
+        )
+    found = f"limb lengths differ from a body's proportions by {spreads[best]:.0%}, and by {spreads[second]:.0%} in the order {second}"
+    return Layout(best, LAYOUTS[best], f"The keypoints are read as {best}: {found}.")
 
 
 def disproportion(points: Float[np.ndarray, "person keypoint 3"], keypoints: tuple[str, ...]) -> float:
-    """How far limbs are from a body's proportions in that order: mean |log(length / fraction of stature)| about its median, median over people.
+    """How far limb lengths are from a body's proportions in that order: mean |log(length / fraction)| about its median, median over people.
 
-    Infinite where nobody shows half of the limbs.
+    Infinite if nobody shows half of the limbs.
     """
     index = {name: i for i, name in enumerate(keypoints)}
     ends = np.array([[index[f"{side}_{a}"], index[f"{side}_{b}"]] for side in "lr" for a, b in PROPORTIONS])
     where = np.where(points[..., 2:] > 0, points[..., :2], np.nan)
     lengths = np.linalg.norm(where[:, ends[:, 0]] - where[:, ends[:, 1]], axis=-1)
-    # A limb seen end-on has hardly a length; one pixel keeps its logarithm finite.
+    # A limb seen end-on has almost no length; one pixel keeps its logarithm finite.
     ratios = np.log(np.maximum(lengths, 1.0) / np.tile(list(PROPORTIONS.values()), 2))
     ratios = ratios[np.isfinite(ratios).sum(axis=1) >= len(PROPORTIONS)]
     if not len(ratios):

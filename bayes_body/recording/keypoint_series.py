@@ -1,8 +1,8 @@
 """The subject's keypoints in all frames of one camera: an .npz beside a session, with
 
 - `keypoints` (frame, keypoint, 3): column, row (pixels; NaN where not found) and confidence, between 0 and 1,
-- `names` of the keypoints, those of `keypoint_layouts` or of the fifteen markers (evidence/markers.py), or others, which nothing looks at,
-- `first`, the number of its first frame in the camera's own files; 0 where it is missing.
+- `names` of the keypoints: those of `keypoint_layouts`, of the fifteen markers (evidence/markers.py), or others, which are ignored,
+- `first`, the number of the first row's frame in the camera's numbering; 0 if missing.
 """
 
 from functools import lru_cache
@@ -20,31 +20,31 @@ from bayes_body.recording.keypoints import FARTHEST_PX
 
 KIND = "an .npz with `keypoints` (frame, keypoint, 3), pixels and confidence, and `names` of the keypoints"
 REMEDY = "import the keypoints again, or write it with numpy.savez(path, keypoints=..., names=...)"
-# What detectors call points that are joint centres of a body.
+# Names that detectors use for joint centres of a body.
 MARKERS = {"neck": "thorax", "mid_hip": "pelvis"}
 KEPT = 64
 
 
 class KeypointSeries(NamedTuple):
-    """See the module."""
+    """The content of such a file (see the module)."""
 
     keypoints: Float[np.ndarray, "frame keypoint 3"]
     names: tuple[str, ...]
     first: int
 
     def frame(self, number: int) -> dict[str, tuple[float, float, float]]:
-        """What was found in the frame of that number in the camera's own files, by the markers' names where it is a marker."""
+        """The keypoints found in a frame (camera's numbering), under the marker's name where the keypoint is a marker."""
         row = number - self.first
         if not 0 <= row < len(self.keypoints):
             return {}
         found = self.keypoints[row]
-        seen = np.isfinite(found).all(axis=1) & (found[:, 2] > 0)
-        points = zip(self.names, found.tolist(), seen.tolist(), strict=True)
+        valid = np.isfinite(found).all(axis=1) & (found[:, 2] > 0)
+        points = zip(self.names, found.tolist(), valid.tolist(), strict=True)
         return {MARKERS.get(name, name): (column, line, confidence) for name, (column, line, confidence), here in points if here}
 
 
 def write_series(path: Path, series: KeypointSeries) -> None:
-    """Write the file; its folder is made if need be.
+    """Write the file; its folder is created if needed.
 
     Raises:
         InputError: it cannot be written.
@@ -55,10 +55,10 @@ def write_series(path: Path, series: KeypointSeries) -> None:
 
 
 def read_series(path: Path) -> KeypointSeries:
-    """The keypoints of a file; the last files that were read are kept for the process.
+    """The keypoints of a file. The most recently read files are cached in memory.
 
     Raises:
-        InputError: no such file, or not of that form.
+        InputError: no such file, or malformed.
     """
     try:
         state = path.stat().st_mtime_ns, path.stat().st_size
@@ -80,11 +80,11 @@ def _read(path: Path, state: tuple[int, int]) -> KeypointSeries:
 
 def _names(path: Path, names: NDArray[np.generic]) -> tuple[str, ...]:
     found = tuple(str(name) for name in names.ravel()) if names.dtype.kind == "U" and names.ndim == 1 else ()
-    said = [MARKERS.get(name, name) for name in found]
-    if not found or len(set(said)) < len(said):
-        twice = next((name for name in said if said.count(name) > 1), None)
+    mapped = [MARKERS.get(name, name) for name in found]
+    if not found or len(set(mapped)) < len(mapped):
+        twice = next((name for name in mapped if mapped.count(name) > 1), None)
         what = f"'{twice[:40]}' twice" if twice is not None else f"{names.dtype} of shape {names.shape}"
-        raise input_error(f"{path}: names", what, "each keypoint's name once", REMEDY)
+        raise input_error(f"{path}: names", what, "unique names of the keypoints", REMEDY)
     return found
 
 
@@ -95,14 +95,14 @@ def _points(path: Path, points: NDArray[np.generic], count: int) -> Float[np.nda
     points = points.astype(np.float64)
     confidence = points[..., 2][np.isfinite(points[..., 2])]
     if confidence.size and (confidence.min() < 0 or confidence.max() > 1):
-        raise input_error(where, f"a confidence of {max(confidence.max(), -confidence.min()):g}", "0 to 1", "divide by the largest that there can be")
+        raise input_error(where, f"a confidence of {max(confidence.max(), -confidence.min()):g}", "0 to 1", "divide by the largest possible")
     pixels = np.abs(points[..., :2])
     if (pixels[~np.isnan(pixels)] > FARTHEST_PX).any():
-        raise input_error(where, "a keypoint far outside of any image", "pixels, or NaN where not found", REMEDY)
+        raise input_error(where, "a keypoint far outside any image", "pixels, or NaN where not found", REMEDY)
     return points
 
 
 def _first(path: Path, first: NDArray[np.generic]) -> int:
     if first.dtype.kind not in "iu" or first.size != 1:
-        raise input_error(f"{path}: first", f"{first.dtype} of shape {first.shape}", "a whole number, the first frame's", REMEDY)
+        raise input_error(f"{path}: first", f"{first.dtype} of shape {first.shape}", "a whole number, the number of the first frame", REMEDY)
     return int(first.ravel()[0])

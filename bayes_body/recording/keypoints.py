@@ -1,6 +1,6 @@
-"""Keypoints as OpenPose writes them: a JSON file a frame, `people`, each with `pose_keypoints_2d` = x, y, confidence of each keypoint in a row.
+"""Read keypoints in OpenPose's format: one JSON file per frame with `people`, each with `pose_keypoints_2d` = x, y, confidence of each keypoint.
 
-Pose2Sim, MMPose's and AlphaPose's converters write the same. A keypoint that was not found is 0, 0, 0 there and NaN, NaN, 0 here.
+Pose2Sim and the converters of MMPose and AlphaPose write the same. A keypoint that was not found is 0, 0, 0 in the file and NaN, NaN, 0 here.
 """
 
 import json
@@ -17,21 +17,21 @@ from bayes_body.files.text import read_text
 from bayes_body.recording.faults import Faults
 
 KIND = "keypoints as OpenPose writes them, {people: [{pose_keypoints_2d: [x, y, confidence, ...]}]}"
-# The last number of a name: cam01.0007.json, walk_000000000007_keypoints.json.
+# The last number of a file name: cam01.0007.json, walk_000000000007_keypoints.json.
 NUMBER = re.compile(r"(\d+)(?:_keypoints)?\.json", re.IGNORECASE)
 MOST_PEOPLE = 200
 MOST_KEYPOINTS = 500
-# Far outside of any image; beyond it a coordinate is damage.
+# Far outside any image; a larger coordinate is damage.
 FARTHEST_PX = 1e6
 
 
 def read_people(path: Path) -> Float[np.ndarray, "person keypoint 3"]:
-    """The people of one file: column, row (pixels; NaN where not found) and confidence, from 0 to 1; (0, 0, 3) where there is nobody.
+    """The people of one file: column, row (pixels; NaN where not found) and confidence, from 0 to 1; (0, 0, 3) if there is nobody.
 
-    A confidence above 1, which some networks give, is 1.
+    Some networks give confidences above 1; they are clipped to 1.
 
     Raises:
-        InputError: no file, no JSON, or no such keypoints.
+        InputError: no file, not JSON, or no such keypoints.
     """
     people = _people(path)
     if not people:
@@ -39,10 +39,10 @@ def read_people(path: Path) -> Float[np.ndarray, "person keypoint 3"]:
     rows = [_row(path, number, person) for number, person in enumerate(people, 1)]
     counts = sorted({len(row) for row in rows})
     if len(counts) > 1:
-        raise input_error(path, f"people with {counts[0] // 3} and with {counts[-1] // 3} keypoints", "as many for each", "restore the file")
+        raise input_error(path, f"people with {counts[0] // 3} and with {counts[-1] // 3} keypoints", "the same number for each", "restore the file")
     points = np.array(rows, float).reshape(len(rows), -1, 3)
     if not (np.isfinite(points).all() and (np.abs(points[..., :2]) <= FARTHEST_PX).all()):
-        raise input_error(path, "a keypoint that is not finite, or far outside of any image", "pixels", "restore the file")
+        raise input_error(path, "a keypoint that is not finite, or far outside any image", "pixels", "restore the file")
     points[..., 2] = np.clip(points[..., 2], 0.0, 1.0)
     points[..., :2][points[..., 2] == 0] = np.nan
     return points
@@ -52,12 +52,12 @@ def _people(path: Path) -> list[Any]:
     try:
         content = json.loads(read_text(path, KIND))
     except (json.JSONDecodeError, RecursionError) as error:
-        raise input_error(path, f"no JSON ({error})", KIND, "restore the file") from None
+        raise input_error(path, f"not JSON ({error})", KIND, "restore the file") from None
     except InputError:
         raise
     except ValueError as error:
-        # A whole number with thousands of digits.
-        raise input_error(path, f"no JSON of numbers ({error})", KIND, "restore the file") from None
+        # An integer with thousands of digits.
+        raise input_error(path, f"not JSON with valid numbers ({error})", KIND, "restore the file") from None
     people = content.get("people") if isinstance(content, dict) else None
     if not isinstance(people, list) or len(people) > MOST_PEOPLE:
         found = "no list `people`" if not isinstance(people, list) else f"{len(people)} people"
@@ -70,26 +70,26 @@ def _row(path: Path, number: int, person: Any) -> list[float]:
     if not isinstance(numbers, list) or not numbers or len(numbers) % 3 or len(numbers) > 3 * MOST_KEYPOINTS:
         found = f"{len(numbers)} numbers" if isinstance(numbers, list) else "none"
         raise input_error(f"{path}: person {number}: pose_keypoints_2d", found, "x, y, confidence of each keypoint in a row", "restore the file")
-    # No true and false, and no number too large for a float.
+    # This excludes true, false, and numbers too large for a float.
     if not all(type(value) in (int, float) and abs(value) <= 1e300 for value in numbers):
-        raise input_error(f"{path}: person {number}: pose_keypoints_2d", "an entry that is no finite number", "numbers", "restore the file")
+        raise input_error(f"{path}: person {number}: pose_keypoints_2d", "an entry that is not a finite number", "numbers", "restore the file")
     return [float(value) for value in numbers]
 
 
 def keypoint_files(folder: Path) -> dict[int, Path]:
-    """A folder's files by their frames' numbers, in order.
+    """The files of a folder by frame number, sorted.
 
     Raises:
-        InputError: no such folder, no numbered json files in it, or two with the same number.
+        InputError: no such folder, no numbered json files in it, or two files with the same number.
     """
     paths = sorted(folder.glob("*.json")) if folder.is_dir() else []
     numbered = [(int(match[1][:18]), path) for path in paths if (match := NUMBER.search(path.name))]
     if not numbered:
-        raise input_error(folder, "no numbered json files in it", "a file a frame, such as cam01.0000.json", "name the folder that holds them")
+        raise input_error(folder, "no numbered json files in it", "one file per frame, such as cam01.0000.json", "name the folder that holds them")
     files = dict(sorted(numbered))
     if len(files) < len(numbered):
         raise input_error(
-            folder, f"{len(numbered)} files with {len(files)} numbers", "a number for each frame", "keep the files of one recording in it"
+            folder, f"{len(numbered)} files with {len(files)} different numbers", "one file per frame", "keep the files of only one recording in it"
         )
     return files
 
@@ -98,12 +98,12 @@ def read_openpose(folder: Path, frames: Sequence[int]) -> Float[np.ndarray, "fra
     """The keypoints of one camera, frame by frame: column, row (pixels) and confidence, from 0 to 1.
 
     Args:
-        folder: a file a frame, the frame's number at the end of its name.
-        frames: the numbers of the frames to be read.
+        folder: one file per frame, with the frame number at the end of its name.
+        frames: the numbers of the frames to read.
 
     Returns:
-        As many people as the fullest frame has; a person who is not there, like a keypoint that was not found, is NaN, NaN, 0. People keep the order
-        of their file, which says nothing of who is who.
+        The person axis is as long as the fullest frame needs. A missing person, like a keypoint that was not found, is NaN, NaN, 0. People keep the
+        order of their file; the same index need not be the same person.
 
     Raises:
         FaultyFileError: one sentence for each file that is missing or cannot be used.
@@ -112,7 +112,7 @@ def read_openpose(folder: Path, frames: Sequence[int]) -> Float[np.ndarray, "fra
     files = keypoint_files(folder)
     missing = [number for number in frames if number not in files]
     if missing:
-        found = f"no file of {len(missing)} of {len(frames)} frames, the first is {missing[0]}"
+        found = f"{len(missing)} of {len(frames)} frames have no file, the first is {missing[0]}"
         raise input_error(folder, found, f"a file for each frame; there are {min(files)} to {max(files)}", "restore them, or read other frames")
     faults, people = Faults(), []
     for number in frames:
@@ -122,7 +122,10 @@ def read_openpose(folder: Path, frames: Sequence[int]) -> Float[np.ndarray, "fra
     counts = sorted({each.shape[1] for each in people if len(each)})
     if len(counts) > 1:
         raise input_error(
-            folder, f"frames with {counts[0]} and with {counts[-1]} keypoints a person", "as many in each", "keep one series of files in it"
+            folder,
+            f"frames with {counts[0]} and with {counts[-1]} keypoints a person",
+            "the same number in each",
+            "keep only one series of files in it",
         )
     series = np.full((len(people), max(map(len, people), default=0), counts[0] if counts else 0, 3), np.nan)
     series[..., 2] = 0.0

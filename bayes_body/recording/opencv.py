@@ -1,4 +1,4 @@
-"""A folder with OpenCV's calibrations (yml, yaml, xml, json; EasyMocap's pair; or Anipose's toml) and recordings that are named as the cameras."""
+"""Import a folder with OpenCV's calibrations (yml, yaml, xml, json; EasyMocap's pair; or Anipose's toml) and recordings named after the cameras."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,19 +18,19 @@ WHY_UP = "these files do not say which axis of their world points up"
 
 
 def import_opencv(source: Path, folder: Path, options: Options | None = None) -> tuple[Session, list[str]]:
-    """Write the session of cameras calibrated with OpenCV; their files stay where they are. Unit and up axis must be among the options.
+    """Write the session of cameras calibrated with OpenCV. Their files stay where they are. The options must give the unit and the up axis.
 
     Args:
-        source: holds the calibration files, itself or in `calibration`, and the recordings, itself or in `videos` or `images`.
-        folder: where `session.toml` is to lie; made if need be.
-        options: what the user said.
+        source: holds the calibration files, directly or in `calibration`, and the recordings, directly or in `videos` or `images`.
+        folder: the folder for `session.toml`; created if needed.
+        options: the user's options.
 
     Returns:
-        The session as saved, and remarks for the user, a sentence each.
+        The saved session and remarks for the user, one sentence each.
 
     Raises:
-        FaultyFileError: one sentence for each thing in the source that is missing or wrong.
-        InputError: `source` is no folder, an option is missing or wrong, or `folder` cannot be written.
+        FaultyFileError: something in the source is missing or wrong; one sentence for each fault.
+        InputError: `source` is not a folder, an option is missing or wrong, or `folder` cannot be written.
     """
     options = options or Options()
     source_folder(source, WHAT)
@@ -38,8 +38,8 @@ def import_opencv(source: Path, folder: Path, options: Options | None = None) ->
     path = _calibration([source / "calibration", source])
     cameras: Sequence[Calibrated] = read_calibration_toml(path, unit_m) if path.suffix == ".toml" else read_opencv(path, unit_m)
     session, remarks = assemble(Rig(path, cameras, source, up), folder.resolve(), f"recording {source.resolve().name}", options)
-    session, told = with_imported_keypoints(session, options)
-    return saved(session), [*remarks, *told]
+    session, keypoint_remarks = with_imported_keypoints(session, options)
+    return saved(session), [*remarks, *keypoint_remarks]
 
 
 def _calibration(places: Sequence[Path]) -> Path:
@@ -50,4 +50,4 @@ def _calibration(places: Sequence[Path]) -> Path:
         tomls = sorted(place.glob("*.toml"))
         if len(tomls) == 1:
             return tomls[0]
-    raise input_error(places[-1], "no calibration in it", WHAT, "name the folder that holds calibrations and recordings")
+    raise input_error(places[-1], "no calibration in it", WHAT, "name the folder that holds the calibrations and recordings")

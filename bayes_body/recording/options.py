@@ -1,4 +1,4 @@
-"""What a user may say with an import beyond the source: units, the up axis, files beside it, the subject's height, offsets."""
+"""The options of an import: units, up axis, additional files, the subject's height, offsets."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,25 +10,25 @@ from bayes_body.session.schema import LONGEST_M
 
 type Axis = Literal["x", "y", "z"]
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-# Longer than this, a height is no longer centimetres.
+# A height above this cannot be in centimetres.
 LONGEST_CM = 300
 
 
 @dataclass(frozen=True)
 class Options:
-    """Options of every importer; an importer refuses what means nothing to it.
+    """The options of all importers. An importer refuses options that have no meaning for it.
 
     Attributes:
         unit: the unit of length of the calibration, `m`, `cm` or `mm`.
         up: the world's axis that points up.
-        fps: frames a second; it goes before what the videos say.
+        fps: frames per second; overrides the videos' own rate.
         height_m: the subject's stature.
-        masks: a folder with a folder of numbered silhouettes for each camera.
-        background: a folder with an image or a video of the empty scene for each camera.
+        masks: a folder that contains a folder of numbered silhouettes for each camera.
+        background: a folder that contains an image or a video of the empty scene for each camera.
         truth: an .npz with true markers.
-        offsets: frames by which a camera is ahead: the session's frame k is its own k + offset.
-        layout: the order of the keypoints, a name of `keypoint_layouts.LAYOUTS`.
-        keypoints: a folder with a folder of OpenPose's files for each camera.
+        offsets: the session's frame k is the camera's frame k + offset.
+        layout: the order of the keypoints, a name in `keypoint_layouts.LAYOUTS`.
+        keypoints: a folder that contains a folder of OpenPose's files for each camera.
     """
 
     unit: str | None = None
@@ -56,7 +56,7 @@ def check_height(height_m: float | None) -> None:
 
 
 def check_fps(fps: float | None) -> None:
-    """Refuse what is no frame rate.
+    """Refuse an invalid frame rate.
 
     Raises:
         InputError: it is not finite and above 0.
@@ -66,34 +66,34 @@ def check_fps(fps: float | None) -> None:
 
 
 def metres_per_unit(unit: str | None, why: str) -> float:
-    """Metres in the unit that the user names.
+    """Metres per unit that the user names.
 
     Args:
-        unit: `m`, `cm`, `mm`, or None where nothing was said.
-        why: why it must be said, as a sentence's beginning.
+        unit: `m`, `cm`, `mm`, or None if it was not given.
+        why: why it must be given, as the beginning of a sentence.
 
     Raises:
-        InputError: none, or no such unit.
+        InputError: not given, or no such unit.
     """
     if unit is None:
-        raise input_error("--unit", f"not given; {why}", "m, cm or mm", "say in which unit its translations are, such as --unit mm")
+        raise input_error("--unit", f"not given; {why}", "m, cm or mm", "give the unit of its translations, such as --unit mm")
     if unit not in METRES:
         raise InputError(f"--unit: '{unit}': no such unit; {nearest(unit, METRES)}")
     return METRES[unit]
 
 
 def up_axis(up: str | None, why: str) -> Axis:
-    """The world's axis that points up, as the user names it.
+    """The axis of the world that points up, as the user names it.
 
     Args:
-        up: `x`, `y`, `z`, or None where nothing was said.
-        why: why it must be said, as a sentence's beginning.
+        up: `x`, `y`, `z`, or None if it was not given.
+        why: why it must be given, as the beginning of a sentence.
 
     Raises:
-        InputError: none, or no such axis.
+        InputError: not given, or no such axis.
     """
     if up is None:
-        raise input_error("--up", f"not given; {why}", "x, y or z", "say which axis of its world points up, such as --up z")
+        raise input_error("--up", f"not given; {why}", "x, y or z", "give the axis of its world that points up, such as --up z")
     if up not in ("x", "y", "z"):
-        raise input_error("--up", f"'{up}'", "x, y or z", "name the axis that points up; where one points down, turn the calibration")
+        raise input_error("--up", f"'{up}'", "x, y or z", "name the axis that points up; if one points down, rotate the calibration")
     return cast(Axis, up)

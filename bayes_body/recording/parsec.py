@@ -1,4 +1,4 @@
-"""A recording of the PARSEC suite's bodytrack (Intel 2006; also the layout of Balan et al.'s data) as a session."""
+"""Import a recording of the PARSEC suite's bodytrack (Intel 2006; also the layout of Balan et al.'s data) as a session."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,24 +12,24 @@ from bayes_body.recording.parsec_views import REMARK_NO_MASKS, read_views
 from bayes_body.recording.timing import align
 from bayes_body.session.session import Session
 
-# The format does not say; the subject's steps and speed fit 60 (about 15 mm a frame).
+# The format does not state it. The subject's steps and speed fit 60 (about 15 mm per frame).
 FPS = 60.0
 
 
 def import_parsec(source: Path, folder: Path, options: Options | None = None) -> tuple[Session, list[str]]:
-    """Write the session of a bodytrack folder; its images stay where they are.
+    """Write the session of a bodytrack folder. Its images stay where they are.
 
     Args:
         source: holds CALIB, CAMc, FGc, BodyShapeParameters.txt, InitialPose.txt and PoseParameters.txt.
-        folder: where `session.toml` is to lie; made if need be.
-        options: what the user said; unit and up axis are the format's own, millimetres and z.
+        folder: the folder for `session.toml`; created if needed.
+        options: the user's options; the format fixes the unit and the up axis: millimetres and z.
 
     Returns:
-        The session as saved, and remarks for the user, a sentence each.
+        The saved session and remarks for the user, one sentence each.
 
     Raises:
-        FaultyFileError: one sentence for each thing in the source that is missing or wrong.
-        InputError: `source` is no folder, an option is wrong, or `folder` cannot be written.
+        FaultyFileError: something in the source is missing or wrong; one sentence for each fault.
+        InputError: `source` is not a folder, an option is wrong, or `folder` cannot be written.
     """
     options = options or Options()
     source_folder(source, "a bodytrack recording (CALIB, CAM1, FG1, InitialPose.txt ...)")
@@ -56,10 +56,10 @@ def import_parsec(source: Path, folder: Path, options: Options | None = None) ->
         initial=known.initial,
         positions=frozenset(POSITIONS),
     )
-    session, told = with_imported_keypoints(with_options(session, options), options)
-    remarks = [*recorded.remarks, *known.remarks, *timing.remarks, *([] if options.fps else [_fps_remark()]), *told]
+    session, keypoint_remarks = with_imported_keypoints(with_options(session, options), options)
+    remarks = [*recorded.remarks, *known.remarks, *timing.remarks, *([] if options.fps else [_fps_remark()]), *keypoint_remarks]
     return saved(session), [remark for remark in remarks if not (options.masks and remark == REMARK_NO_MASKS)]
 
 
 def _fps_remark() -> str:
-    return f"The recording does not say its frame rate: {FPS:g} frames a second are assumed; correct fps in session.toml if you know better."
+    return f"The recording does not state its frame rate: {FPS:g} frames per second are assumed; correct fps in session.toml if this is wrong."

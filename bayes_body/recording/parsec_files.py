@@ -1,7 +1,7 @@
-"""The text files of PARSEC's bodytrack: plain numbers, millimetres and radians, here turned into metres.
+"""The text files of PARSEC's bodytrack: plain numbers in millimetres and radians, converted to metres here.
 
-`CameraC.cal` holds 25: focal length (2), principal point (2), skew, k1 k2 p1 p2 k3, R by rows (9), T (3), and R again as a Rodrigues vector (3);
-$X_{camera} = R X_{world} + T$.
+`CameraC.cal` holds 25 numbers: focal length (2), principal point (2), skew, k1 k2 p1 p2 k3, R by rows (9), T (3), and R again as a Rodrigues
+vector (3); $X_{camera} = R X_{world} + T$.
 """
 
 import math
@@ -17,17 +17,17 @@ from bayes_body.recording.faults import Faults
 from bayes_body.session.schema import rotation_fault
 
 CALIBRATION = "focal length (2), principal point (2), skew, distortion (5), rotation (9), translation (3), Rodrigues vector (3)"
-# Between R and its Rodrigues vector: both are written with ten digits, so anything above rounding is another camera's.
+# Between R and its Rodrigues vector. Both have ten digits, so a difference beyond rounding means another camera.
 RODRIGUES_TOLERANCE = 1e-3
 MM = 1e-3
 
 
 def read_calibration(path: Path) -> Calibrated:
-    """A camera's calibration, named as its file; the format says nothing of the images' size.
+    """A camera's calibration, named after its file. The format does not state the images' size.
 
     Raises:
         InputError: not 25 finite numbers.
-        FaultyFileError: a focal length that is not positive, a matrix that is no rotation or contradicts its Rodrigues vector.
+        FaultyFileError: a focal length that is not positive, a matrix that is not a rotation or contradicts its Rodrigues vector.
     """
     numbers = read_numbers(path, 25, CALIBRATION)
     rotation = numbers[10:19].reshape(3, 3)
@@ -50,19 +50,19 @@ def _check_rotation(path: Path, rotation: NDArray[np.float64], vector: NDArray[n
     off = float(np.linalg.norm(cv2.Rodrigues(vector)[0] - rotation))
     if off > RODRIGUES_TOLERANCE:
         found = f"the Rodrigues vector (numbers 23 to 25) contradicts the matrix (numbers 11 to 19) by {off:.2g}"
-        raise input_error(path, found, "the same rotation twice", "find out which is right, and write the other anew from it")
+        raise input_error(path, found, "the same rotation in both", "find out which is right, and compute the other from it")
 
 
 def read_numbers(path: Path, count: int, layout: str) -> NDArray[np.float64]:
-    """The numbers of a text file, (count,), in any arrangement of lines.
+    """The numbers of a text file, (count,), whatever its line breaks.
 
     Args:
         path: the file.
         count: how many there must be.
-        layout: what they are, for the reader of an error.
+        layout: their meaning, for the error message.
 
     Raises:
-        InputError: no file, something that is no finite number, or another count.
+        InputError: no file, a word that is not a finite number, or another count.
     """
     remedy = "restore the file from the recording"
     try:

@@ -1,13 +1,13 @@
-r"""The subject of a PARSEC bodytrack folder: body shape, first pose and motion, by the names of the body `deutscher_31`.
+r"""The subject of a PARSEC bodytrack folder: body shape, first pose and motion, with the names of the body `deutscher_31`.
 
-Two things about the format's pose:
+Two facts about the format's pose:
 
-**Hinges are brought to at most 0.** A limb of two parts with circular sections looks the same when its upper joint's twist turns by $\pi$ and its
-hinge changes sign, $R_z(\pi) R_y(\theta) = R_y(-\theta) R_z(\pi)$: the last turn only spins the lower part about its own axis. The files give
-some limbs in the one form and some in the other; the format's own limits have flexion negative, and so has `deutscher_31`.
+**Hinge angles are made negative (or 0).** A limb of two parts with circular sections looks the same when its upper joint's twist turns by $\pi$ and
+its hinge changes sign, $R_z(\pi) R_y(\theta) = R_y(-\theta) R_z(\pi)$: the last rotation only spins the lower part about its own axis. The files use
+both forms. Flexion is negative in the format's own limits, and in `deutscher_31`.
 
-**The limits of PoseParameters.txt are not used.** They were made for other forms of the same poses and exclude the initial pose, so they cannot be
-the support of a prior; the limits of the body apply.
+**The limits of PoseParameters.txt are not used.** They belong to the other form of some poses and exclude the initial pose, so they cannot be the
+support of a prior. The limits of the body apply.
 """
 
 import math
@@ -25,7 +25,7 @@ from bayes_body.session.session import Subject
 
 BODY = "deutscher_31"
 POSITIONS = ("root_x", "root_y", "root_z")
-# In the order of InitialPose.txt and of each third of PoseParameters.txt.
+# The order of InitialPose.txt and of each third of PoseParameters.txt.
 DOFS = (
     *("root_roll", "root_pitch", "root_yaw", *POSITIONS),
     *("l_hip_x", "l_hip_y", "l_hip_z", "l_knee", "r_hip_x", "r_hip_y", "r_hip_z", "r_knee"),
@@ -33,20 +33,20 @@ DOFS = (
     *("r_clavicle_x", "r_clavicle_y", "r_shoulder_x", "r_shoulder_y", "r_shoulder_z", "r_elbow"),
     *("thorax_y", "thorax_z", "head_x", "head_y", "head_z"),
 )
-# In the order of BodyShapeParameters.txt: four numbers a part, then 18 lengths, some of which mean nothing to this body.
+# The order of BodyShapeParameters.txt: four numbers per part, then 18 lengths, some of which have no meaning for this body.
 PARTS = ("torso", "l_thigh", "l_calf", "r_thigh", "r_calf", "l_upper_arm", "l_forearm", "r_upper_arm", "r_forearm", "head")
 LENGTHS = (
     *("torso", "l_pelvis", "l_thigh", "l_calf", None, "r_pelvis", "r_thigh", "r_calf", None),
     *("l_clavicle", "l_upper_arm", "l_forearm", None, "r_clavicle", "r_upper_arm", "r_forearm", None, "head"),
 )
-# Hinge, twist of the joint above it, and the two parts that must be circular.
+# Hinge, twist of the joint above it, and the two parts whose sections must be circular.
 LIMBS = tuple(
     (f"{side}_{hinge}", f"{side}_{joint}_z", (f"{side}_{upper}", f"{side}_{lower}"))
     for side in "lr"
     for hinge, joint, upper, lower in (("knee", "hip", "thigh", "calf"), ("elbow", "shoulder", "upper_arm", "forearm"))
 )
 SHAPE_COLUMNS = ("base radius", "tip radius", "x-scale", "y-scale")
-# A longest length below this, read as millimetres, was written in metres.
+# If the longest length, read as millimetres, is below this, the file is in metres.
 SHORTEST_MM = 3.0
 
 
@@ -62,7 +62,7 @@ def read_subject(source: Path) -> Known:
     """The subject of a folder.
 
     Raises:
-        FaultyFileError: one sentence for each thing that is wrong with the three files.
+        FaultyFileError: one sentence for each fault in the three files.
     """
     faults = Faults()
     shape, pose, motion = Subject(), {}, np.empty((3, len(DOFS)))
@@ -116,23 +116,23 @@ def _check_positive(path: Path, values: Mapping[str, float]) -> None:
 
 
 def canonical_hinges(pose: Mapping[str, float], sections: Mapping[str, tuple[float, float]]) -> tuple[dict[str, float], list[str]]:
-    """The same picture with every knee and elbow at most 0 (see the module), and a remark for each limb that changed.
+    """The same pose in the image with every knee and elbow at most 0 (see the module), and a remark for each limb that changed.
 
     Args:
         pose: by dof, radians (and metres).
-        sections: (x, y) scale factors of each part; a limb whose sections are not circular is left as it is.
+        sections: (x, y) scale factors of each part; limbs without circular sections stay as they are.
     """
     pose, remarks = dict(pose), []
     for hinge, twist, parts in LIMBS:
         if pose[hinge] <= 0 or not all(math.isclose(*sections[part]) for part in parts):
             continue
         before = pose[hinge], pose[twist]
-        # Of the two equal turns the one that leaves the twist nearer 0: limits stand around it.
+        # Of the two equivalent rotations, take the twist nearer to 0: the limits surround 0.
         pose[twist] = min(pose[twist] - math.pi, pose[twist] + math.pi, key=abs)
         pose[hinge] = -pose[hinge]
         (h0, t0), (h1, t1) = (tuple(math.degrees(angle) for angle in pair) for pair in (before, (pose[hinge], pose[twist])))
         remarks.append(
-            f"InitialPose.txt: {hinge} {h0:.1f} deg is turned to {h1:.1f}, with {twist} {t1:.1f} for {t0:.1f}: the same picture, flexion negative."
+            f"InitialPose.txt: {hinge} {h0:.1f} deg becomes {h1:.1f}, {twist} {t0:.1f} becomes {t1:.1f}: the same picture with negative flexion."
         )
     return pose, remarks
 
@@ -141,4 +141,4 @@ def _limits_remark(initial: Mapping[str, float], low: NDArray[np.float64], high:
     lows, highs = _by_dof(low), _by_dof(high)
     outside = sum(not lows[dof] <= initial[dof] <= highs[dof] for dof in DOFS)
     reason = f"exclude the initial pose in {outside} of {len(DOFS)} angles" if outside else "are tuned to this recording"
-    return f"PoseParameters.txt: its limits {reason}; they are left out and the limits of the body {BODY} apply."
+    return f"PoseParameters.txt: its limits {reason}; they are ignored, and the limits of the body {BODY} apply."

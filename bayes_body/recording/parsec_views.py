@@ -12,11 +12,11 @@ from bayes_body.recording.parsec_files import read_calibration
 from bayes_body.session.session import View
 
 IMAGE = "image%04d.bmp"
-REMARK_NO_MASKS = "There are no FG folders: the session has no silhouettes; they are told from a background that is learned from its images."
+REMARK_NO_MASKS = "There are no FG folders: the session has no silhouettes; they are computed from a background learned from its images."
 
 
 class Recorded(NamedTuple):
-    """The views, the number of the first image, how many frames there are, and remarks for the user."""
+    """The views, the number of the first image, the number of frames, and remarks for the user."""
 
     views: tuple[View, ...]
     first_frame: int
@@ -32,7 +32,7 @@ class _Camera(NamedTuple):
 
 
 def read_views(source: Path) -> Recorded:
-    """The cameras of a folder, numbered as it numbers them.
+    """The cameras of a folder, with the folder's numbers.
 
     Raises:
         FaultyFileError: one sentence for each calibration, folder or image that is missing or cannot be used.
@@ -65,7 +65,9 @@ def _cameras(source: Path) -> list[_Camera]:
             if number not in present:
                 with faults.collect():
                     remedy = f"restore it, or move camera {number}'s other files away"
-                    raise input_error(source / pattern.format(number), "missing", f"the same of camera {number} as of the other cameras", remedy)
+                    raise input_error(
+                        source / pattern.format(number), "missing", f"the same files for camera {number} as for the other cameras", remedy
+                    )
     faults.raise_any()
     return [_Camera(number, path, filmed[number], masked.get(number)) for number, path in sorted(calibrated.items())]
 
@@ -76,7 +78,7 @@ def _numbered(folder: Path, pattern: str) -> dict[int, Path]:
 
 
 def _frames(folders: Sequence[Path]) -> range:
-    """All numbers from the first to the last image that any folder has: a gap in one folder is to be seen."""
+    """All numbers from the first to the last image of any folder, so that a gap in one folder is noticed."""
     numbers = {number for folder in folders for number in _numbered(folder, r"image(\d{4})\.bmp")}
     if not numbers:
         raise input_error(folders[0], "no images in it", f"{IMAGE % 0}, {IMAGE % 1} and so on", "restore the images")
@@ -92,7 +94,7 @@ def _check_complete(folder: Path, frames: range) -> None:
 
 
 def _view(camera: _Camera, first_frame: int) -> View | None:
-    """A camera's view; None where its first image is missing, which is reported with its folder."""
+    """A camera's view; None if its first image is missing, which `_check_complete` reports."""
     faults, calibration, size = Faults(), None, None
     with faults.collect():
         calibration = read_calibration(camera.calibration)
@@ -112,5 +114,5 @@ def _view(camera: _Camera, first_frame: int) -> View | None:
 
 
 def _pattern(folder: Path) -> str:
-    # A percent sign in the folder's own name must not be taken for the frame's number.
+    # Escape percent signs in the folder's name: they are not the frame number.
     return f"{folder.resolve()}/".replace("%", "%%") + IMAGE

@@ -1,8 +1,8 @@
-"""Which of the people that each camera sees is the subject.
+"""Find the subject among the people that each camera sees.
 
-Several cameras: the person on whom most cameras agree, and among these the one with the smallest error. Every two people in two cameras propose a
-body, of the six that are largest in each; a further camera agrees if somebody in it is where the body projects to, within a tenth of the person's
-size in the image. One camera: the largest person.
+With several cameras: the person on whom most cameras agree; if several qualify, the one with the smallest error. The six largest people of each
+camera are candidates. Every pair of candidates from two cameras gives a body by triangulation. A further camera agrees if one of its people is near
+the body's projection, within a tenth of the person's size in the image. With one camera: the largest person.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,14 +15,14 @@ from jaxtyping import Float
 from bayes_body.recording.triangulate import reprojection_errors, triangulate
 from bayes_body.session.session import CameraSpec
 
-# Median distance between a person and a body's projection, of the person's size in the image, up to which they are the same.
+# Limit on the median distance between a person and a body's projection, as a fraction of the person's size in the image.
 SAME = 0.1
-# In a crowd all pairs of people would take minutes, and the subject is hardly the seventh by size.
+# In a crowd, all pairs would take minutes, and the subject is unlikely to be only the seventh by size.
 MOST_PROPOSERS = 6
-# Fewer keypoints in common say nothing.
+# With fewer common keypoints a comparison means nothing.
 FEWEST = 5
 
-# Of one camera: person, keypoint, and column, row (pixels; NaN where not seen), confidence. Cameras see different numbers of people.
+# For one camera: (person, keypoint, 3) with column, row (pixels; NaN where not seen), confidence. Cameras see different numbers of people.
 type People = Float[np.ndarray, "_ _ 3"]
 
 
@@ -30,8 +30,8 @@ class Chosen(NamedTuple):
     """The subject.
 
     Attributes:
-        places: in each camera's list of people, None where the subject is not seen.
-        error: median distance to the body's projection, of the person's size in the image, averaged over cameras.
+        places: the index in each camera's list of people; None where the subject is not seen.
+        error: median distance to the body's projection, as a fraction of the person's size in the image, averaged over cameras.
     """
 
     places: tuple[int | None, ...]
@@ -39,7 +39,7 @@ class Chosen(NamedTuple):
 
 
 def choose_person(cameras: Sequence[CameraSpec], people: Sequence[People]) -> Chosen | None:
-    """The subject among the people that cameras see at the same time (see the module); None where nobody can be told.
+    """The subject among the people that cameras see at the same time (see the module); None if it cannot be determined.
 
     Args:
         cameras: calibrated.
@@ -48,7 +48,7 @@ def choose_person(cameras: Sequence[CameraSpec], people: Sequence[People]) -> Ch
     if len(cameras) == 1:
         sizes = [_size(person) for person in people[0]]
         return Chosen((int(np.argmax(sizes)),), 0.0) if any(sizes) else None
-    candidates = dict.fromkeys(_grown(cameras, people, seed) for seed in _seeds(people))
+    candidates = dict.fromkeys(_extended(cameras, people, seed) for seed in _seeds(people))
     chosen = [Chosen(places, _error(cameras, people, places)) for places in candidates if places is not None]
     return min(chosen, key=lambda each: (each.places.count(None), each.error), default=None)
 
@@ -59,8 +59,8 @@ def _seeds(people: Sequence[People]) -> Iterator[dict[int, int]]:
         yield from ({a: i, b: j} for i in largest[a] for j in largest[b])
 
 
-def _grown(cameras: Sequence[CameraSpec], people: Sequence[People], seed: dict[int, int]) -> tuple[int | None, ...] | None:
-    """Who agrees with the body of two people in two cameras, by camera; None if these two are not the same."""
+def _extended(cameras: Sequence[CameraSpec], people: Sequence[People], seed: dict[int, int]) -> tuple[int | None, ...] | None:
+    """Extend a pair of people in two cameras to all cameras that agree; None if the two are not the same person."""
     points = triangulate([cameras[c] for c in seed], np.stack([people[c][i] for c, i in seed.items()]), np.inf).points_m
     places: list[int | None] = []
     for c, camera in enumerate(cameras):
@@ -81,13 +81,13 @@ def _error(cameras: Sequence[CameraSpec], people: Sequence[People], places: Sequ
 
 
 def _relative_error(camera: CameraSpec, points_m: Float[np.ndarray, "keypoint 3"], person: Float[np.ndarray, "keypoint 3"]) -> float:
-    """Median distance between a body's projection and a person, of the person's size; infinite where they have little in common."""
+    """Median distance between a body's projection and a person, as a fraction of the person's size; infinite if they share too few keypoints."""
     errors = reprojection_errors([camera], points_m, person[None])[0]
     known = errors[~np.isnan(errors)]
     return float(np.median(known)) / _size(person) if len(known) >= FEWEST else np.inf
 
 
 def _size(person: Float[np.ndarray, "keypoint 3"]) -> float:
-    """Diagonal of the box around a person, pixels; 0 for nobody."""
+    """Diagonal of the bounding box of a person, pixels; 0 for nobody."""
     seen = person[np.isfinite(person[:, :2]).all(axis=1), :2]
     return float(np.linalg.norm(np.ptp(seen, axis=0))) if len(seen) else 0.0

@@ -1,4 +1,4 @@
-"""A project of Pose2Sim as a session: `calibration/*.toml` or `*.qca.txt`, `videos/NAME.mp4` for each camera, `pose/NAME_json` with its keypoints."""
+"""Import a project of Pose2Sim: `calibration/*.toml` or `*.qca.txt`, `videos/NAME.mp4` for each camera, `pose/NAME_json` with its keypoints."""
 
 from pathlib import Path
 
@@ -11,39 +11,39 @@ from bayes_body.recording.options import Options, metres_per_unit, up_axis
 from bayes_body.session.session import Session
 
 WHAT = "a project of Pose2Sim (calibration, videos, pose)"
-WHY_UP = "Pose2Sim's toml does not say which axis of its world points up, and depends on how the scene was measured"
+WHY_UP = "Pose2Sim's toml does not say which axis of its world points up; it depends on how the scene was measured"
 
 
 def import_pose2sim(source: Path, folder: Path, options: Options | None = None) -> tuple[Session, list[str]]:
-    """Write the session of a Pose2Sim project; its files stay where they are.
+    """Write the session of a Pose2Sim project. Its files stay where they are.
 
-    A toml is in metres, as Pose2Sim writes it, unless the options name another unit; the axis that points up must be given with it.
+    A toml is in metres, as Pose2Sim writes it, unless the options name another unit. The options must name the axis that points up.
 
     Args:
         source: the project's folder.
-        folder: where `session.toml` is to lie; made if need be.
-        options: what the user said.
+        folder: the folder for `session.toml`; created if needed.
+        options: the user's options.
 
     Returns:
-        The session as saved, and remarks for the user, a sentence each.
+        The saved session and remarks for the user, one sentence each.
 
     Raises:
-        FaultyFileError: one sentence for each thing in the source that is missing or wrong.
-        InputError: `source` is no folder, an option is missing or wrong, or `folder` cannot be written.
+        FaultyFileError: something in the source is missing or wrong; one sentence for each fault.
+        InputError: `source` is not a folder, an option is missing or wrong, or `folder` cannot be written.
     """
     options = options or Options()
     source_folder(source, WHAT)
     path = only_file([source / "calibration", source], ("*.toml", "*.qca.txt"), f"one calibration, {WHAT}")
     rig, remarks = _rig(source, path, options)
     session, more = assemble(rig, folder.resolve(), f"Pose2Sim project {source.resolve().name}", options)
-    session, told = with_imported_keypoints(session, options, source / "pose")
-    return saved(session), [*remarks, *more, *told]
+    session, keypoint_remarks = with_imported_keypoints(session, options, source / "pose")
+    return saved(session), [*remarks, *more, *keypoint_remarks]
 
 
 def _rig(source: Path, path: Path, options: Options) -> tuple[Rig, list[str]]:
     if path.suffix == ".toml":
         unit_m = metres_per_unit(options.unit or "m", "")
-        remarks = [] if options.unit else ["The calibration is taken to be in metres, as Pose2Sim writes it; say --unit if it is not."]
+        remarks = [] if options.unit else ["The calibration is assumed to be in metres, as Pose2Sim writes it; give --unit if it is not."]
         up = up_axis(options.up, WHY_UP)
         return Rig(path, read_calibration_toml(path, unit_m), source, up), remarks
     if options.unit not in (None, "mm"):

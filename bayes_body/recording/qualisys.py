@@ -1,4 +1,4 @@
-"""A recording of Qualisys Track Manager's video cameras as a session: one `*.qca.txt` (or xml), and videos whose names are, or end in, a serial."""
+"""Import a recording of Qualisys Track Manager's video cameras: one `*.qca.txt` (or xml), and videos whose names are, or end in, a serial number."""
 
 from pathlib import Path
 
@@ -12,26 +12,26 @@ WHAT = "a folder with one calibration of Qualisys Track Manager (*.qca.txt or *.
 
 
 def import_qualisys(source: Path, folder: Path, options: Options | None = None) -> tuple[Session, list[str]]:
-    """Write the session of a Qualisys recording; its files stay where they are.
+    """Write the session of a Qualisys recording. Its files stay where they are.
 
-    The unit is millimetres, and z points up unless the options say otherwise.
+    The unit is millimetres, and z points up unless the options name another axis.
 
     Args:
-        source: holds the calibration, itself or in `calibration`, and the videos, itself or in `videos`.
-        folder: where `session.toml` is to lie; made if need be.
-        options: what the user said.
+        source: holds the calibration, directly or in `calibration`, and the videos, directly or in `videos`.
+        folder: the folder for `session.toml`; created if needed.
+        options: the user's options.
 
     Returns:
-        The session as saved, and remarks for the user, a sentence each.
+        The saved session and remarks for the user, one sentence each.
 
     Raises:
-        FaultyFileError: one sentence for each thing in the source that is missing or wrong.
-        InputError: `source` is no folder, an option is wrong, or `folder` cannot be written.
+        FaultyFileError: something in the source is missing or wrong; one sentence for each fault.
+        InputError: `source` is not a folder, an option is wrong, or `folder` cannot be written.
     """
     options = options or Options()
     source_folder(source, WHAT)
     path = only_file([source / "calibration", source], ("*.qca.txt", "*.xml"), WHAT)
     rig = Rig(path, read_qualisys(path), source, up_axis(options.up or UP, ""))
     session, remarks = assemble(rig, folder.resolve(), f"Qualisys recording {source.resolve().name}", options)
-    session, told = with_imported_keypoints(session, options)
-    return saved(session), [*remarks, *told]
+    session, keypoint_remarks = with_imported_keypoints(session, options)
+    return saved(session), [*remarks, *keypoint_remarks]

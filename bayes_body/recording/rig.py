@@ -1,8 +1,8 @@
-r"""A rig: the cameras of a room before anything is recorded, from a TOML file of its own, a session or a Pose2Sim calibration.
+r"""A rig: the cameras of a room, without a recording. It is read from its own TOML file, a session or a Pose2Sim calibration.
 
-The world's z points up. A camera at c that looks at a has the forward axis $f = (a - c) / |a - c|$, the right one $r = f \times z / |f \times z|$ and
-the downward one $d = f \times r$; `X_camera = R (X_world - c)` with the rows r, d, f of R. Positive roll turns the camera clockwise about f, as seen
-from behind it. A moving camera's points run along clamped cubic splines through its keyframes: it starts and ends at rest.
+The world's z points up. A camera at c that looks at a has the forward axis $f = (a - c) / |a - c|$, the right axis $r = f \times z / |f \times z|$
+and the downward axis $d = f \times r$; `X_camera = R (X_world - c)` with the rows r, d, f of R. Positive roll turns the camera clockwise about f, as
+seen from behind it. A moving camera follows clamped cubic splines through its keyframes: it starts and ends at rest.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,17 +23,17 @@ from bayes_body.session.read import FILE_NAME, parse_session
 from bayes_body.session.session import CameraSpec
 from bayes_body.toml.read import read_toml, validate
 
-# A calibration does not say how fast its cameras film.
+# For calibrations, which do not state a frame rate.
 USUAL_FPS = 60.0
-# The axes of a world with another upward axis, in the order in which they are x, y, z of one whose z points up: turned, not mirrored.
+# For each up axis: the axes that play the part of x, y, z in a world whose z points up. This is a rotation, not a reflection.
 TURNED = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}
-# Along their optical axes (metres) cameras that do not say what they look at are taken to; a weak pull, so that one camera has an answer too.
+# Assumed distance along the optical axis (metres) for cameras without a target. It pulls weakly, so that a single camera has a solution too.
 USUAL_DISTANCE_M, PULL = 4.0, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class CameraPath:
-    """A moving camera's keyframes.
+    """The keyframes of a moving camera.
 
     Attributes:
         times_s: (keyframe,), ascending.
@@ -48,7 +48,7 @@ class CameraPath:
     roll: Float[np.ndarray, " keyframe"]
 
     def extrinsics(self, times_s: Float[np.ndarray, " frame"]) -> tuple[Float[np.ndarray, "frame 3 3"], Float[np.ndarray, "frame 3"]]:
-        """Rotations and translations (metres) at these times; before the first keyframe and after the last the camera stands."""
+        """Rotations and translations (metres) at these times. The camera stands still before the first keyframe and after the last."""
         times = np.clip(times_s, self.times_s[0], self.times_s[-1])
         position, look_at, roll = (
             CubicSpline(self.times_s, each, bc_type="clamped")(times) for each in (self.positions_m, self.look_at_m, self.roll)
@@ -59,15 +59,15 @@ class CameraPath:
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Cameras, each with whether it is grey and, where it moves, its path.
+    """Cameras; for each, whether it is grey, and its path if it moves.
 
     Attributes:
-        name: of the file.
+        name: the file's name.
         title: one line for people.
-        fps: frames a second.
-        cameras: those that move as they are at time 0.
-        grey: whether a camera has no colour.
-        path: how a camera moves; None of one that stands still.
+        fps: frames per second.
+        cameras: moving cameras as they are at time 0.
+        grey: for each camera, whether it has no colour.
+        path: for each camera, how it moves; None if it stands still.
         aim_m: (3,), the point that the cameras look at.
     """
 
@@ -80,7 +80,7 @@ class Rig:
     aim_m: Float[np.ndarray, "3"]
 
     def select(self, names: Sequence[str]) -> "Rig":
-        """The rig with these cameras only, in the rig's order; it aims where it did.
+        """The rig with these cameras only, in the rig's order. The aim stays the same.
 
         Raises:
             InputError: no such camera.
@@ -89,12 +89,12 @@ class Rig:
         for name in names:
             if name not in known:
                 raise InputError(f"rig {self.name}: camera '{name}': no such camera; {nearest(name, known)}")
-        kept = [c for c, name in enumerate(known) if name in names]
-        cameras, grey, path = (tuple(each[c] for c in kept) for each in (self.cameras, self.grey, self.path))
+        selected = [c for c, name in enumerate(known) if name in names]
+        cameras, grey, path = (tuple(each[c] for c in selected) for each in (self.cameras, self.grey, self.path))
         return replace(self, cameras=cameras, grey=grey, path=path)
 
     def posed(self, frames: int) -> list[list[CameraSpec]]:
-        """Each camera as it is in each of the first frames: for those that stand still the same again and again."""
+        """Each camera as it is in each of the first frames."""
         return [self._posed(c, frames) for c in range(len(self.cameras))]
 
     def _posed(self, c: int, frames: int) -> list[CameraSpec]:
@@ -106,15 +106,15 @@ class Rig:
 
 
 def read_rig(path: Path, fps: float | None = None) -> Rig:
-    """The rig of a file: a rig's own TOML, a session (the folder or its `session.toml`), or a calibration as Pose2Sim writes it.
+    """The rig of a file: a rig's TOML, a session (the folder or its `session.toml`), or a calibration in Pose2Sim's format.
 
     Args:
         path: the file.
-        fps: frames a second; goes before what the file says. A Pose2Sim calibration says nothing, and gets 60. It is in metres, with z up.
+        fps: frames per second; overrides the file's rate. A Pose2Sim calibration states none and gets 60; it is in metres, with z up.
 
     Raises:
         InputError: no such file, or not TOML.
-        FaultyFileError: one sentence for each thing in it that is wrong.
+        FaultyFileError: one sentence for each fault in it.
     """
     path = path / FILE_NAME if path.is_dir() else path
     tables = read_toml(path)
@@ -200,7 +200,7 @@ def _still(name: str, title: str, fps: float, cameras: tuple[CameraSpec, ...]) -
 
 
 def _crossing(cameras: Sequence[CameraSpec]) -> NDArray[np.float64]:
-    """The point nearest to all optical axes, (3,), metres: least squares, with a weak pull to a usual distance along each."""
+    """The point nearest to all optical axes, (3,), metres: least squares, with a weak pull to the usual distance along each axis."""
     normal, target = np.zeros((3, 3)), np.zeros(3)
     for camera in cameras:
         centre, forward = -camera.rotation.T @ camera.translation_m, camera.rotation[2]

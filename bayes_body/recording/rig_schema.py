@@ -1,4 +1,4 @@
-"""What a rig's TOML file may say: cameras in metres, pixels and degrees, each by where it stands and looks, by its extrinsics, or by a path."""
+"""The schema of a rig's TOML file: cameras in metres, pixels and degrees; each has a position and a target, or extrinsics, or a path."""
 
 import re
 from collections import Counter
@@ -13,25 +13,25 @@ from bayes_body.session.schema import Far, Rows, rotation_fault
 from bayes_body.toml.schema import Count, Finite, NonNegative, Positive, Schema
 
 type Point = tuple[Far, Far, Far]
-# Nearer than this (metres) two points give no direction; a view closer to the vertical than this (sine) has no horizontal.
+# Two points nearer than this (metres) give no direction. A view closer to the vertical than this (sine) has no horizontal axis.
 LEAST_DISTANCE_M, LEAST_SINE = 1e-3, 1e-3
-# Names become names of files on any system.
+# Camera names become file names on any system.
 FILE_NAME = re.compile(r"\w[\w .+%-]*")
 
 
 def file_name(text: str) -> str:
-    """The camera's name, if a file can be called so.
+    """The camera's name, if it is a valid file name.
 
     Raises:
-        ValueError: it cannot; a sentence without its subject.
+        ValueError: it is not; the message is a sentence without its subject.
     """
     if not FILE_NAME.fullmatch(text):
-        raise ValueError(f'"{text}"; expected letters, digits, _ or -, since the camera\'s files are called so; rename the camera')
+        raise ValueError(f'"{text}"; expected letters, digits, _ or -, since it becomes a file name; rename the camera')
     return text
 
 
 def _both(value: Any) -> Any:
-    """One focal length stands for x and y."""
+    """Accept one focal length for both x and y."""
     return (value, value) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
@@ -42,20 +42,20 @@ def _rotation(rows: "Rows") -> "Rows":
     return rows
 
 
-def sight_faults(position: "Point | None", look_at: "Point | None") -> Iterator[str]:
-    """What keeps two points (metres) from giving a direction with a horizontal across it, as sentences without their subject."""
+def direction_faults(position: "Point | None", look_at: "Point | None") -> Iterator[str]:
+    """Why two points (metres) do not define a viewing direction with a horizontal axis, as sentences without their subject."""
     if position is None or look_at is None:
         return
-    sight = np.subtract(look_at, position)
-    distance = float(np.linalg.norm(sight))
+    direction = np.subtract(look_at, position)
+    distance = float(np.linalg.norm(direction))
     if distance < LEAST_DISTANCE_M:
-        yield "look_at_m is where the camera stands; expected another point; move one of the two"
-    elif np.linalg.norm(sight[:2]) < LEAST_SINE * distance:
-        yield "looks straight up or down; expected a horizontal across its view; move look_at_m aside, or give rotation and translation_m"
+        yield "look_at_m is where the camera stands; expected two different points; move one of them"
+    elif np.linalg.norm(direction[:2]) < LEAST_SINE * distance:
+        yield "looks straight up or down; expected a view with a horizontal axis; move look_at_m aside, or give rotation and translation_m"
 
 
 class KeyframeTable(Schema):
-    """`[[camera.path]]`: where a moving camera is at one time."""
+    """`[[camera.path]]`: the pose of a moving camera at one time."""
 
     time_s: NonNegative
     position_m: Point
@@ -63,14 +63,14 @@ class KeyframeTable(Schema):
     roll_deg: Finite = 0.0
 
     @model_validator(mode="after")
-    def _check_sight(self) -> "KeyframeTable":
-        for sentence in sight_faults(self.position_m, self.look_at_m):
+    def _check_direction(self) -> "KeyframeTable":
+        for sentence in direction_faults(self.position_m, self.look_at_m):
             raise ValueError(sentence)
         return self
 
 
 class RigCameraTable(Schema):
-    """`[[camera]]`: one camera; exactly one of position_m and look_at_m, rotation and translation_m, or a path."""
+    """`[[camera]]`: one camera. Exactly one of these is given: position_m and look_at_m, rotation and translation_m, or a path."""
 
     name: Annotated[str, Field(min_length=1), AfterValidator(file_name)]
     size_px: tuple[Count, Count]
@@ -88,7 +88,7 @@ class RigCameraTable(Schema):
 
     @model_validator(mode="after")
     def _check_place(self) -> "RigCameraTable":
-        sentences = [*self._place_faults(), *sight_faults(self.position_m, self.look_at_m), *self._path_faults()]
+        sentences = [*self._place_faults(), *direction_faults(self.position_m, self.look_at_m), *self._path_faults()]
         if sentences:
             raise ValueError("\n".join(sentences))
         return self
@@ -123,11 +123,11 @@ class RigFile(Schema):
 
     @model_validator(mode="after")
     def _check_names(self) -> "RigFile":
-        # File names that differ in case alone are one file on some systems.
+        # File names that differ only in case are the same file on some systems.
         counts = Counter(camera.name.lower() for camera in self.cameras)
         repeated = [camera.name for camera in self.cameras if counts[camera.name.lower()] > 1]
         if repeated:
             raise ValueError(
-                f"camera '{repeated[0]}': the name of {counts[repeated[0].lower()]} cameras; expected each name once; rename all but one."
+                f"camera '{repeated[0]}': {counts[repeated[0].lower()]} cameras have this name; expected unique names; rename all but one."
             )
         return self

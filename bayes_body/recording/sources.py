@@ -1,4 +1,4 @@
-"""Where a camera's recording is: a video or a folder of numbered images that is named as the camera; and the same for its empty scene."""
+"""Find a camera's recording: a video or a folder of numbered images named after the camera. The same for its empty scene."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -11,7 +11,7 @@ from bayes_body.recording.numbered import SUFFIXES, Series, find_series
 from bayes_body.recording.video import probe
 
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv")
-# Codecs work on blocks of 16 pixels: a 1080 pixels wide picture is coded as 1088, and some programs calibrate on the padded one.
+# Codecs work on blocks of 16 pixels: 1080 rows are coded as 1088, and some programs calibrate on the padded image.
 BLOCK = 16
 
 
@@ -21,11 +21,11 @@ class Source:
 
     Attributes:
         path: the video, or the folder of images.
-        series: its images; None for a video.
+        series: the images; None for a video.
         size_px: (width, height).
-        fps: frames a second, or 0 where it is not said.
+        fps: frames per second, or 0 if unknown.
         first: the number of its first frame; 0 for a video.
-        count: how many frames it has.
+        count: number of frames.
     """
 
     path: Path
@@ -40,8 +40,8 @@ def find_source(folders: Sequence[Path], name: str) -> Source:
     """The recording of the camera `name`: NAME.mp4 (avi, mov, mkv), a folder NAME, or the only video whose name ends in _NAME.
 
     Args:
-        folders: where to look, the first that has one counts.
-        name: the camera's.
+        folders: where to look; the first one with a recording is used.
+        name: the camera's name.
 
     Raises:
         InputError: none, more than one, or one that cannot be read.
@@ -50,13 +50,13 @@ def find_source(folders: Sequence[Path], name: str) -> Source:
         paths = _named(folder, name)
         if len(paths) > 1:
             raise input_error(
-                folder, f"{', '.join(path.name for path in paths)} for camera '{name}'", "one recording of each camera", "keep one of them"
+                folder, f"{', '.join(path.name for path in paths)} for camera '{name}'", "one recording of each camera", "keep only one of them"
             )
         if paths:
             return _source(paths[0])
     stems = [path.stem for folder in folders for path in _recordings(folder)]
     looked = " or ".join(str(folder) for folder in folders)
-    raise InputError(f"camera '{name}': no video or folder of images of its name in {looked}; {nearest(name, stems)}")
+    raise InputError(f"camera '{name}': no video or folder of images with its name in {looked}; {nearest(name, stems)}")
 
 
 def _recordings(folder: Path) -> list[Path]:
@@ -84,10 +84,10 @@ def _source(path: Path) -> Source:
 
 
 def find_background(folder: Path, name: str, size_px: tuple[int, int]) -> Path:
-    """The image or video of the empty scene of the camera `name`, NAME.png or the like in `folder`.
+    """The image or video of the empty scene for the camera `name`: NAME.png or similar in `folder`.
 
     Raises:
-        InputError: none, more than one, or not of the camera's size.
+        InputError: none, more than one, or not of the camera's image size.
     """
     paths = sorted(folder.iterdir()) if folder.is_dir() else []
     found = [path for path in paths if path.stem == name and path.suffix.lower() in (*VIDEOS, *SUFFIXES)]
@@ -102,16 +102,16 @@ def find_background(folder: Path, name: str, size_px: tuple[int, int]) -> Path:
     elif probe(path).size_px != size_px:
         width, height = probe(path).size_px
         raise input_error(
-            path, f"{width} x {height} pixels", f"{size_px[0]} x {size_px[1]}, as its camera's recording", "film it with the same settings"
+            path, f"{width} x {height} pixels", f"{size_px[0]} x {size_px[1]}, like its camera's recording", "film it with the same settings"
         )
     return path
 
 
 def settled_size(where: str, calibrated_px: tuple[int, int] | None, source: Source) -> str | None:
-    """A remark if the recording lacks only the padding of a codec's last block, which calibrations at times include; None if sizes are equal.
+    """Compare the sizes of a recording and its calibration. Returns None if they are equal, or a remark if only a codec's padding is missing.
 
     Raises:
-        InputError: the recording has another size than the calibration.
+        InputError: the sizes differ otherwise.
     """
     if calibrated_px in (None, source.size_px):
         return None
@@ -119,6 +119,6 @@ def settled_size(where: str, calibrated_px: tuple[int, int] | None, source: Sour
     padded = tuple(-(-side // BLOCK) * BLOCK for side in (w, h))
     if all(full in (side, whole) for full, side, whole in zip((width, height), (w, h), padded, strict=True)):
         cut = f"calibrated at {width} x {height}, the recording has {w} x {h}"
-        return f"{where}: {cut}: its last columns or rows are taken to be cut off, as codecs pad to multiples of {BLOCK}."
+        return f"{where}: {cut}: the last columns or rows are assumed to be padding, since codecs pad to multiples of {BLOCK}."
     remedy = "name the recording that the camera was calibrated for, or calibrate again"
-    raise input_error(where, f"{source.path.name} has {w} x {h} pixels", f"{width} x {height}, as its calibration says", remedy)
+    raise input_error(where, f"{source.path.name} has {w} x {h} pixels", f"{width} x {height}, as in its calibration", remedy)

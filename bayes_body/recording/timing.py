@@ -1,4 +1,4 @@
-"""Which of a camera's own frames are the session's: cameras that started at different times, counted from different numbers, of different lengths."""
+"""Align the cameras' frames: cameras may start at different times, number their frames differently and have different lengths."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -6,12 +6,12 @@ from typing import NamedTuple
 from bayes_body.errors import InputError, input_error, nearest
 from bayes_body.recording.faults import Faults
 
-# Two videos of one rate: their containers round it differently.
+# Two videos with the same rate; their containers round it differently.
 SAME_RATE = 5e-4
 
 
 class Timing(NamedTuple):
-    """The session's frames: how many, the number of the first, each camera's offset from it, by name, and remarks for the user."""
+    """The session's frames: their count, the number of the first, each camera's offset by name, and remarks for the user."""
 
     frames: int
     first_frame: int
@@ -23,11 +23,11 @@ def align(counts: Mapping[str, tuple[int, int]], offsets: Mapping[str, int]) -> 
     """The frames that all cameras have.
 
     Args:
-        counts: each camera's first number and how many frames it has.
-        offsets: frames by which a camera is ahead, for some of the cameras; the session starts where the last camera does.
+        counts: each camera's first frame number and number of frames.
+        offsets: how many frames a camera is ahead, for some of the cameras. The session starts where the last camera starts.
 
     Raises:
-        FaultyFileError: offsets of cameras that are not there, or no frame that all cameras have.
+        FaultyFileError: an offset for an unknown camera, or no frame that all cameras have.
     """
     faults = Faults()
     for name in offsets:
@@ -60,26 +60,29 @@ def _remarks(left: Mapping[str, int], frames: int, latest: int) -> list[str]:
 
 
 def frame_rate(rates: Mapping[str, float], given: float | None) -> tuple[float, list[str]]:
-    """Frames a second of the session, and remarks.
+    """The session's frame rate (frames per second), and remarks.
 
     Args:
-        rates: of each camera, 0 where its recording does not say.
-        given: by the user; it goes before what the videos say.
+        rates: each camera's rate, 0 if its recording does not state it.
+        given: the user's rate; overrides the videos' rates.
 
     Raises:
-        InputError: nobody says it, or cameras differ.
+        InputError: no rate is known, or the cameras differ.
     """
-    said = {name: rate for name, rate in rates.items() if rate > 0}
+    known = {name: rate for name, rate in rates.items() if rate > 0}
     if given is not None:
-        others = [f"{name} {rate:g}" for name, rate in said.items() if abs(rate - given) > SAME_RATE * given]
-        return given, [f"--fps {given:g} goes before what videos say ({', '.join(others)})."] if others else []
-    if not said:
+        others = [f"{name} {rate:g}" for name, rate in known.items() if abs(rate - given) > SAME_RATE * given]
+        return given, [f"--fps {given:g} overrides the videos' rates ({', '.join(others)})."] if others else []
+    if not known:
         raise input_error(
-            "--fps", "not given, and no recording says its frame rate", "frames a second", "say at which rate the cameras filmed, such as --fps 60"
+            "--fps",
+            "not given, and no recording states its frame rate",
+            "frames per second",
+            "give the rate at which the cameras filmed, such as --fps 60",
         )
-    slowest, fastest = min(said.values()), max(said.values())
+    slowest, fastest = min(known.values()), max(known.values())
     if fastest - slowest > SAME_RATE * fastest:
-        listed = ", ".join(f"{name} {rate:g}" for name, rate in said.items())
-        raise input_error("frame rate", f"cameras differ: {listed}", "one rate", "convert the videos to one rate, or say the true one with --fps")
-    # Containers round: 59.94 is nearer to the truth than any one camera's.
-    return round(sum(said.values()) / len(said), 6), []
+        listed = ", ".join(f"{name} {rate:g}" for name, rate in known.items())
+        raise input_error("frame rate", f"cameras differ: {listed}", "one rate", "convert the videos to one rate, or give the true one with --fps")
+    # Containers round the rate, so the mean is nearer to the truth than any single camera's.
+    return round(sum(known.values()) / len(known), 6), []

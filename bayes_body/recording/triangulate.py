@@ -1,10 +1,10 @@
-r"""Points in the world from where several calibrated cameras see them (direct linear transformation), robust against a camera that is wrong.
+r"""Triangulate points from several calibrated cameras (direct linear transformation), robust against a camera that is wrong.
 
-Of an undistorted ray $(x, y)$ with weight w: $w (x P_3 - P_1) X = 0,\ w (y P_3 - P_2) X = 0$ with P = [R | T]; X is the right singular vector of the
-smallest singular value (Hartley & Zisserman, 12.2). Dividing w by the point's depth, once it is known, makes the residual one in the image.
+An undistorted ray $(x, y)$ with weight w gives $w (x P_3 - P_1) X = 0,\ w (y P_3 - P_2) X = 0$ with P = [R | T]. X is the right singular vector of
+the smallest singular value (Hartley & Zisserman, 12.2). Dividing w by the point's depth, once it is known, turns the residual into one in the image.
 
-Every pair of cameras proposes a point; the one from which the rays of all cameras are least far, counted up to a tolerance, wins; the cameras
-within the tolerance then share the final point. What fewer than two cameras agree on is NaN.
+Every pair of cameras proposes a point. The proposal with the smallest sum of squared errors wins; each error is capped at the tolerance.
+The cameras within the tolerance then determine the final point. If fewer than two cameras agree, the point is NaN.
 """
 
 from collections.abc import Sequence
@@ -17,9 +17,9 @@ from jaxtyping import Bool, Float
 
 from bayes_body.session.session import CameraSpec
 
-# Of an image's diagonal: how far from its ray a point may be, unless the caller says: 16 px in 640 x 480, 44 px in 1920 x 1080.
+# Default tolerance, as a fraction of the image's diagonal: 16 px in 640 x 480, 44 px in 1920 x 1080.
 TOLERANCE = 0.02
-# Nearer to a camera's plane (metres) a point is behind it.
+# A point nearer to a camera's plane than this (metres) counts as behind it.
 NEAR_M = 0.05
 UNDISTORTION = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
 
@@ -29,8 +29,8 @@ class Triangulated(NamedTuple):
 
     Attributes:
         points_m: positions, metres; NaN where no two cameras agree.
-        error_px: root mean square distance to where the cameras that were used see it, pixels; NaN with the point.
-        used: the cameras that agree.
+        error_px: root mean square reprojection error of the cameras that were used, pixels; NaN with the point.
+        used: which cameras agree on which point.
     """
 
     points_m: Float[np.ndarray, "point 3"]
@@ -39,12 +39,12 @@ class Triangulated(NamedTuple):
 
 
 def triangulate(cameras: Sequence[CameraSpec], seen: Float[np.ndarray, "camera point 3"], tolerance_px: float | None = None) -> Triangulated:
-    """Points of the world from column, row (pixels; NaN where not seen) and confidence, which weighs.
+    """Triangulate points from column, row (pixels; NaN where not seen) and confidence, which is used as a weight.
 
     Args:
         cameras: at least two.
-        seen: one row of points for each camera.
-        tolerance_px: how far a camera may be off and still agree; 2 % of the images' diagonal where it is None.
+        seen: the points in each camera.
+        tolerance_px: the largest error of a camera that agrees; None: 2 % of the images' diagonal.
     """
     tolerance = TOLERANCE * float(np.mean([np.hypot(*camera.size_px) for camera in cameras])) if tolerance_px is None else tolerance_px
     weights = np.where(np.isfinite(seen).all(axis=-1) & (seen[..., 2] > 0), seen[..., 2], 0.0)
@@ -79,7 +79,7 @@ def _settled(
 def _solve(
     cameras: Sequence[CameraSpec], rays: Float[np.ndarray, "camera point 2"], weights: Float[np.ndarray, "camera point"]
 ) -> Float[np.ndarray, "point 3"]:
-    """The weighted points; a camera with weight 0 has no say."""
+    """The weighted points; a camera with weight 0 has no influence."""
     P = np.stack([np.column_stack([camera.rotation, camera.translation_m]) for camera in cameras])
     rows = np.nan_to_num(rays)[..., None] * P[:, None, 2:] - P[:, None, :2]
     scale = weights
@@ -96,19 +96,19 @@ def _solve(
 def reprojection_errors(
     cameras: Sequence[CameraSpec], points_m: Float[np.ndarray, "point 3"], seen: Float[np.ndarray, "camera point 3"]
 ) -> Float[np.ndarray, "camera point"]:
-    """Distance in the image, pixels, between points of the world and where each camera sees them; infinite behind a camera, NaN where not seen."""
+    """Distance in the image (pixels) between projected points and what each camera sees; infinite behind a camera, NaN where not seen."""
     return np.stack([np.linalg.norm(project(camera, points_m) - pixels[:, :2], axis=-1) for camera, pixels in zip(cameras, seen, strict=True)])
 
 
 def project(camera: CameraSpec, points_m: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 2"]:
-    """Column and row of points of the world, pixels; infinite behind the camera, NaN for a point that is NaN."""
+    """Project points of the world to column and row, pixels; infinite behind the camera, NaN for a point that is NaN."""
     points = points_m @ camera.rotation.T + camera.translation_m
     behind = points[:, 2] <= NEAR_M
     ahead = np.where(behind[:, None] | np.isnan(points), [0.0, 0.0, 1.0], points)
     if not len(ahead):
         return np.zeros((0, 2))
     xy = cv2.projectPoints(ahead, np.zeros(3), np.zeros(3), np.eye(3), np.array(camera.distortion))[0][:, 0]
-    # OpenCV's own projection knows no skew.
+    # OpenCV's projection has no skew.
     x = xy[:, 0] + camera.skew * xy[:, 1]
     pixels = np.stack([x, xy[:, 1]], axis=-1) * camera.focal_px + camera.centre_px
     pixels[behind] = np.inf

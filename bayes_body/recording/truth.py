@@ -1,6 +1,6 @@
 """True marker positions beside a session: an .npz with `markers` (frame, marker, 3), metres in the session's world, and `names` of the markers.
 
-The markers are the fifteen that errors are measured on; NaN where a position is unknown.
+The markers are the fifteen with which errors are measured; unknown positions are NaN.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from bayes_body.recording.arrays_file import read_arrays
 
 KIND = "an .npz with `markers` (frame, 15, 3), metres, and `names`, the 15 markers' names"
 REMEDY = "write it with numpy.savez(path, markers=..., names=...)"
-# As of the session's positions: beyond it a number in metres is taken for one in millimetres.
+# As for a session's positions: a larger number is assumed to be in millimetres.
 FARTHEST_M = 1000.0
 
 
@@ -24,11 +24,11 @@ def read_truth(path: Path, frames: int) -> Float[np.ndarray, "frame 15 3"]:
     """The true markers of a session's first frames, in the order of `MARKERS`, metres; NaN where unknown.
 
     Args:
-        path: the file; it may hold more frames.
-        frames: how many the session has.
+        path: the file; it may contain more frames.
+        frames: the session's number of frames.
 
     Raises:
-        InputError: no such file, not of that form, too few frames, or not metres.
+        InputError: no such file, malformed, too few frames, or not in metres.
     """
     arrays = read_arrays(path, ("markers", "names"), KIND, REMEDY)
     markers, names = (_array(path, arrays, key) for key in ("markers", "names"))
@@ -50,11 +50,11 @@ def read_truth(path: Path, frames: int) -> Float[np.ndarray, "frame 15 3"]:
 
 
 def _order(path: Path, names: NDArray[np.generic]) -> list[int]:
-    """Where each of `MARKERS` stands in the file."""
+    """The index of each of `MARKERS` in the file."""
     found = [str(name) for name in names.ravel()] if names.dtype.kind == "U" else []
     if names.ndim != 1 or sorted(found) != sorted(MARKERS):
         missing, other = [name for name in MARKERS if name not in found], [name[:40] for name in found[:50] if name not in MARKERS]
-        what = f"missing: {', '.join(missing) or 'none'}; unknown: {', '.join(other) or 'none'}" if found else "no list of texts"
+        what = f"missing: {', '.join(missing) or 'none'}; unknown: {', '.join(other) or 'none'}" if found else "not a list of strings"
         raise input_error(f"{path}: names", f"{what} ({len(found)} names)", f"each of {', '.join(MARKERS)} once", REMEDY)
     return [found.index(name) for name in MARKERS]
 

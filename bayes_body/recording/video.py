@@ -1,7 +1,7 @@
-"""Videos, through OpenCV: any frame by its number, the same bits whether it is reached by reading on or by a jump.
+"""Read videos through OpenCV: any frame by its number, with the same bits whether it is reached by reading on or by seeking.
 
-A frame's number is how many the decoder gives before it. A container's index and frame rate may say something else, so a jump is only trusted where
-the timestamps were seen before: it goes to a frame that was passed already and must arrive at that frame's own time, else decoding starts anew.
+A frame's number is the count of frames that the decoder returns before it. A container's index and frame rate may disagree, so a seek is trusted only
+within frames that were decoded before: it must arrive at the time recorded for that frame, else decoding restarts from the beginning.
 """
 
 import os
@@ -20,20 +20,20 @@ from numpy.typing import NDArray
 from bayes_body.errors import input_error
 from bayes_body.recording.images import check_size, not_seen, silent
 
-# FFmpeg's own complaints say nothing that the error which follows does not; read when OpenCV opens its first video.
+# FFmpeg's messages add nothing to the error that follows. The variable is read when OpenCV opens its first video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-# Up to so many frames ahead are decoded rather than jumped to: a jump starts at a key frame, often a hundred frames before its aim.
+# Within so many frames, decode instead of seeking: a seek starts at a key frame, often a hundred frames before its target.
 NEAR = 50
 OPEN_AT_ONCE = 32
 
 
 class VideoInfo(NamedTuple):
-    """What a video is.
+    """Properties of a video.
 
     Attributes:
-        size_px: (width, height), upright as it is shown.
-        fps: frames a second; 0 where the file does not say.
-        frames: how many its container names, or, where it names none, how many can be decoded.
+        size_px: (width, height), upright as displayed.
+        fps: frames per second; 0 if the file does not state it.
+        frames: the number of frames in the container's header, or the number that can be decoded if the header has none.
     """
 
     size_px: tuple[int, int]
@@ -42,10 +42,10 @@ class VideoInfo(NamedTuple):
 
 
 def probe(path: Path) -> VideoInfo:
-    """Size, rate and length of a video, whose first frame is decoded.
+    """Size, rate and length of a video. Its first frame is decoded.
 
     Raises:
-        InputError: missing, no video that OpenCV can read, or without frames.
+        InputError: missing, not a video that OpenCV can read, or without frames.
     """
     with _reading(path) as reader:
         image = reader.read(0)
@@ -62,16 +62,16 @@ def probe(path: Path) -> VideoInfo:
 def read_video_frame(path: Path, number: int, size_px: tuple[int, int] | None = None) -> NDArray[np.uint8]:
     """Frame `number`, counted from 0, of a video: blue, green, red, (row, column, 3).
 
-    Videos stay open, the last 32 of a process. May be called from any thread.
+    The last 32 videos of a process stay open. May be called from any thread.
 
     Args:
-        path: the file, of any format that OpenCV's FFmpeg reads.
+        path: the file, in any format that OpenCV's FFmpeg reads.
         number: which frame.
-        size_px: the (width, height) that it must have; None takes any.
+        size_px: the required (width, height); None accepts any.
 
     Raises:
-        NotSeenError: the video ends, or can be decoded, only so far.
-        InputError: missing, no video, a negative number, or of another size.
+        NotSeenError: the video ends, or cannot be decoded, before this frame.
+        InputError: missing, not a video, a negative number, or another size.
     """
     if number < 0:
         raise input_error(path, f"frame {number}", "0 or later", "correct first_frame and the camera's offset in session.toml")
@@ -85,17 +85,17 @@ def read_video_frame(path: Path, number: int, size_px: tuple[int, int] | None = 
 
 
 def readable_frames(path: Path, frames: int) -> int:
-    """How many of the first `frames` frames of a video can be decoded; fast where all can, else it is decoded to its end.
+    """How many of the first `frames` frames of a video can be decoded. Fast if all can; otherwise the video is decoded to its end.
 
     Raises:
-        InputError: missing, or no video.
+        InputError: missing, or not a video.
     """
     with _reading(path) as reader:
         return frames if reader.leads_to(frames - 1) else min(frames, reader.count())
 
 
 class _Reader:
-    """An open video and the times of the frames that it has passed."""
+    """An open video and the timestamps of the frames that were decoded so far."""
 
     def __init__(self, path: Path):
         self.lock = threading.Lock()
@@ -103,7 +103,7 @@ class _Reader:
         self._path = path
         self._times: list[float] = []
         self._next = 0
-        # The frame before `_next`, once it was asked for: pictures and silhouettes read the same one.
+        # The frame before `_next`, if it was asked for: pictures and silhouettes read the same frame.
         self._last: NDArray[np.uint8] | None = None
         self._capture = self._open()
 
@@ -111,7 +111,7 @@ class _Reader:
         with silent():
             capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
         if not capture.isOpened():
-            found = "no video that OpenCV can read, or cut short"
+            found = "not a video that OpenCV can read, or cut short"
             raise input_error(self._path, found, "a whole mp4, avi, mov or mkv", "copy the file again, or convert it to mp4 (H.264)")
         self._next, self._last = 0, None
         return capture
@@ -139,7 +139,7 @@ class _Reader:
         return self.end
 
     def leads_to(self, number: int) -> bool:
-        """Whether a frame that the container names can be decoded, by a jump; afterwards the video is at its beginning."""
+        """Whether a seek to this frame succeeds, for a frame that the container's header counts. The video is at its beginning afterwards."""
         if number < len(self._times):
             return True
         if self.end is not None or number >= self.property(cv2.CAP_PROP_FRAME_COUNT):
@@ -173,12 +173,12 @@ class _Reader:
         return True
 
     def _known(self, number: int) -> bool:
-        """Whether a frame's time was seen and is its own: streams without timestamps give all frames the same."""
+        """Whether a frame's timestamp is known and unique: in streams without timestamps all are the same."""
         around = self._times[max(0, number - 1) : number + 2]
         return number < len(self._times) and all(a < b for a, b in pairwise(around))
 
     def _jump(self, number: int) -> bool:
-        """Grab a frame by the container's index; False, and back at the beginning, if it arrives elsewhere."""
+        """Grab a frame by the container's index. If it arrives elsewhere: False, and the video is at its beginning."""
         self._capture.set(cv2.CAP_PROP_POS_FRAMES, number)
         if self._capture.grab() and self.property(cv2.CAP_PROP_POS_MSEC) == self._times[number]:
             self._next = number + 1
@@ -203,7 +203,7 @@ def _reading(path: Path) -> Iterator[_Reader]:
     except OSError as error:
         found = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror})"
         raise input_error(path, found, "a video", "restore it, or correct the camera's video in session.toml") from None
-    # A child of a fork shares its parent's place in the file, and a file may be written anew under the same name.
+    # A forked child shares its parent's file position, and a file may be rewritten under the same name.
     key = (os.getpid(), str(path), state.st_mtime_ns, state.st_size)
     with _readers_lock:
         reader = _readers.pop(key, None) or _Reader(path)

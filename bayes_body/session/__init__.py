@@ -1,1 +1,1 @@
-"""What a recording is: plain data, its file, its schema."""
+"""A recording: its plain data, its file and its schema."""

@@ -1,4 +1,4 @@
-"""A session as `session.toml`: metres, degrees, pixels, with comments for the person who edits it."""
+"""Write a session as `session.toml`: metres, degrees, pixels, with comments for the person who edits it."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -11,19 +11,19 @@ from tomlkit.items import Array, Table
 if TYPE_CHECKING:
     from bayes_body.session.session import Segmentation, Session, Subject, View
 
-# Decimals of what is converted on writing (degrees, metres): beyond any measurement, and a file that is read and written again stays the same.
+# Decimals of converted values (degrees, metres): finer than any measurement, so that reading and writing again changes nothing.
 DECIMALS = 9
 
 
 def document(session: "Session") -> tomlkit.TOMLDocument:
-    """The file's text as a tomlkit document: its tables in the order in which a reader wants them, with comments."""
+    """The file as a tomlkit document: tables in reading order, with comments."""
     text = tomlkit.document()
     text.add(tomlkit.comment("A recording. Metres, pixels, degrees (keys that end in _deg). Relative image paths start at this file's folder."))
     text.add("title", tomlkit.item(session.title))
     _add(text, "up", session.up, "the world's axis that points up")
-    _add(text, "fps", float(session.fps), "frames a second")
+    _add(text, "fps", float(session.fps), "frames per second")
     _add(text, "frames", session.frames)
-    _add(text, "first_frame", session.first_frame, "the number of the first frame in the files' names")
+    _add(text, "first_frame", session.first_frame, "number of the first frame in the file names")
     if session.truth is not None:
         _add(text, "truth", session.truth, "an .npz with the true `markers` (frame, marker, 3), metres, and their `names`")
     text.add("subject", _subject_table(session.subject, session.positions))
@@ -47,12 +47,12 @@ def _add(table: Table | tomlkit.TOMLDocument, key: str, value: Any, comment: str
 def _subject_table(subject: "Subject", positions: frozenset[str]) -> Table:
     table = tomlkit.table()
     if subject.body is not None:
-        _add(table, "body", subject.body, "names and dofs below are those of this body")
+        _add(table, "body", subject.body, "the names and dofs below belong to this body")
     if subject.height_m is not None:
         _add(table, "height_m", _metres(subject.height_m))
-    _add_mapping(table, "lengths_m", "joint to joint", subject.lengths_m, _metres)
-    _add_mapping(table, "radii_m", "of each part, [base, tip]", subject.radii_m, _radii)
-    _add_mapping(table, "outline_radii_m", "the same as they look, clothes included", subject.outline_radii_m, _radii)
+    _add_mapping(table, "lengths_m", "from joint to joint", subject.lengths_m, _metres)
+    _add_mapping(table, "radii_m", "[base, tip] of each part", subject.radii_m, _radii)
+    _add_mapping(table, "outline_radii_m", "radii as seen in the images, clothes included", subject.outline_radii_m, _radii)
     _add_mapping(table, "sections", "scale factors of a section's [x, y] radius", subject.sections, list)
     _add_motions(table, "motion_sd_deg", "motion_sd_m", "standard deviation of the change from one frame to the next", subject.motion_sd, positions)
     return table
@@ -66,9 +66,9 @@ def _initial_table(session: "Session") -> Table:
     table = tomlkit.table()
     table.add(tomlkit.comment("The pose of the first frame, as far as it is known."))
     if session.fit_lengths:
-        _add(table, "fit_lengths", True, "segment lengths are fitted with the pose")
+        _add(table, "fit_lengths", True, "fit the segment lengths together with the pose")
     if session.fit_outline:
-        _add(table, "fit_outline", True, "how thick the body looks is fitted to the first frame's silhouettes")
+        _add(table, "fit_outline", True, "fit the apparent thickness of the body to the first frame's silhouettes")
     _add_motions(table, "angles_deg", "positions_m", None, session.initial, session.positions)
     _add_mapping(table, "markers_m", "x, y, z in the world", session.initial_markers, lambda point: [_metres(value) for value in point])
     if session.initial_keypoints:
@@ -81,16 +81,16 @@ def _initial_table(session: "Session") -> Table:
 
 def _segmentation_table(segmentation: "Segmentation") -> Table:
     table = tomlkit.table()
-    table.add(tomlkit.comment("How silhouettes are told from the background."))
-    _add(table, "threshold", float(segmentation.threshold), "squared Mahalanobis distance at which a pixel is as likely foreground as background")
-    _add(table, "learning_frames", segmentation.learning_frames, "evenly spaced frames from which the background is learned")
-    _add(table, "shadows", segmentation.shadows, "darker pixels of the background's own colour count as background")
-    _add(table, "follow_exposure", segmentation.follow_exposure, "each image's brightness is first brought to the background's")
+    table.add(tomlkit.comment("How the person is separated from the background."))
+    _add(table, "threshold", float(segmentation.threshold), "squared Mahalanobis distance at which foreground and background are equally likely")
+    _add(table, "learning_frames", segmentation.learning_frames, "number of evenly spaced frames from which the background is learned")
+    _add(table, "shadows", segmentation.shadows, "darker pixels with the background's colour count as background")
+    _add(table, "follow_exposure", segmentation.follow_exposure, "match each image's brightness to the background's first")
     return table
 
 
 def _add_motions(table: Table, angles: str, shifts: str, comment: str | None, values: Mapping[str, float], positions: frozenset[str]) -> None:
-    """The angles among `values` (radians) in degrees under one key, the positions (metres) under another."""
+    """Add the angles of `values` (radians) in degrees under the key `angles`, and the positions (metres) under the key `shifts`."""
     _add_mapping(table, angles, comment, {k: v for k, v in values.items() if k not in positions}, _degrees)
     _add_mapping(table, shifts, comment, {k: v for k, v in values.items() if k in positions}, _metres)
 
@@ -127,11 +127,11 @@ def _camera_table(view: "View") -> Table:
     if view.background is not None:
         _add(table, "background", view.background, "the empty scene: an image or a video")
     if view.path is not None:
-        _add(table, "path", view.path, "the camera moves: an .npz with its extrinsics in each frame; those above are of the first")
+        _add(table, "path", view.path, "the camera moves: an .npz with its extrinsics in each frame; those above belong to the first frame")
     if view.keypoints is not None:
         _add(table, "keypoints", view.keypoints, "an .npz with the subject's keypoints in each frame")
     if view.offset:
-        _add(table, "offset", view.offset, "the session's frame k is this camera's own k + offset")
+        _add(table, "offset", view.offset, "the session's frame k is this camera's frame k + offset")
     return table
 
 

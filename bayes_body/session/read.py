@@ -1,4 +1,4 @@
-"""A session on disk: a folder with a `session.toml` (metres, degrees, pixels), which a person can read and edit."""
+"""Read and write a session on disk: a folder with a `session.toml` (metres, degrees, pixels) that a person can edit."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,11 +17,11 @@ FILE_NAME = "session.toml"
 
 
 def load_session(path: Path | str) -> Session:
-    """The session of a folder that holds `session.toml`, or of that file.
+    """Load the session of a folder that holds `session.toml`, or of that file.
 
     Raises:
         InputError: no such file, or not TOML.
-        FaultyFileError: one sentence for each thing in it that is wrong.
+        FaultyFileError: the file has faults; one sentence for each.
     """
     path = Path(path)
     path = path / FILE_NAME if path.is_dir() else path
@@ -29,10 +29,10 @@ def load_session(path: Path | str) -> Session:
 
 
 def parse_session(tables: Mapping[str, Any], folder: Path, where: str) -> Session:
-    """The session that the tables of a `session.toml` describe; relative paths start at `folder`, sentences call the file `where`.
+    """Build the session that the tables of a `session.toml` describe. Relative paths start at `folder`; error messages call the file `where`.
 
     Raises:
-        FaultyFileError: one sentence for each thing that is wrong.
+        FaultyFileError: the tables have faults; one sentence for each.
     """
     table = validate(SessionFile, tables, where)
     return Session(
@@ -75,7 +75,7 @@ def _subject(table: SubjectTable) -> Subject:
 
 
 def save_session(session: Session) -> Path:
-    """Write `session.toml` into the session's folder, which is made if need be; angles and metres are rounded to 1e-9.
+    """Write `session.toml` into the session's folder. The folder is created if needed; angles and metres are rounded to 1e-9.
 
     Raises:
         InputError: the folder cannot be written.

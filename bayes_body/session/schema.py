@@ -1,4 +1,4 @@
-"""What `session.toml` may say: metres, pixels and degrees, as written by a person; `bayes_body.session.session` turns it into radians."""
+"""The schema of `session.toml`: metres, pixels and degrees, as a person writes them. `bayes_body.session.read` converts degrees to radians."""
 
 import math
 import re
@@ -13,23 +13,23 @@ from pydantic import AfterValidator, Field, model_validator
 from bayes_body.errors import nearest
 from bayes_body.toml.schema import Count, Finite, Positive, Schema, Share
 
-# Beyond these a number in metres is taken for one in millimetres (or centimetres).
+# A larger number is assumed to be in millimetres (or centimetres), not in metres.
 FARTHEST_M = 1000.0
 LONGEST_M = 3.0
-# How far from orthonormal a rotation may be: calibration files are rounded to six digits or more.
+# Largest accepted distance of a rotation from orthonormal. Calibration files have six digits or more.
 ROTATION_TOLERANCE = 1e-4
-# One printf conversion of a whole number (%d, %04d) and no other; %% is a literal percent sign.
+# Exactly one printf conversion of a whole number (%d, %04d); %% is a literal percent sign.
 PATTERN = re.compile(r"([^%]|%%)*%0?\d*d([^%]|%%)*")
 
 
 def rotation_fault(R: NDArray[np.float64]) -> str | None:
-    """What keeps a (3, 3) matrix from being a rotation, as the middle of a sentence; None for a rotation."""
+    """Why a (3, 3) matrix is not a rotation, as the middle of a sentence; None if it is one."""
     with np.errstate(over="ignore", invalid="ignore"):
         off = float(np.linalg.norm(R @ R.T - np.eye(3)))
     if not off <= ROTATION_TOLERANCE:
-        return f"no rotation, R R^T is {off:.2g} away from the identity; expected orthonormal rows; copy R again with at least six digits"
+        return f"not a rotation, R R^T is {off:.2g} away from the identity; expected orthonormal rows; copy R again with at least six digits"
     if np.linalg.det(R) < 0:
-        return "a reflection, det R = -1; expected a rotation, det R = 1; flip the sign of the axis that the calibration mirrors"
+        return "a reflection, det R = -1; expected a rotation, det R = 1; flip the sign of the mirrored axis in the calibration"
     return None
 
 
@@ -51,7 +51,7 @@ def _metres(limit: float) -> AfterValidator:
 
 def _pattern(text: str) -> str:
     if not PATTERN.fullmatch(text):
-        raise ValueError(f'"{text}"; expected one place for the frame\'s number; write it as %d or %04d, such as "CAM1/image%04d.bmp"')
+        raise ValueError(f'"{text}"; expected one placeholder for the frame number; write %d or %04d, as in "CAM1/image%04d.bmp"')
     return text
 
 
@@ -63,7 +63,7 @@ type Rows = tuple[Row, Row, Row]
 
 
 class CameraTable(Schema):
-    """`[[camera]]`: one calibrated camera and where its images are."""
+    """`[[camera]]`: one calibrated camera and the location of its images."""
 
     name: Annotated[str, Field(min_length=1)]
     size_px: tuple[Count, Count]
@@ -96,7 +96,7 @@ class SubjectTable(Schema):
 
 
 class InitialTable(Schema):
-    """`[initial]`: the first pose as far as it is known: of a body's dofs, of markers in the world, or of keypoints in the images."""
+    """`[initial]`: what is known of the first pose: dofs of a body, markers in the world, or keypoints in the images."""
 
     angles_deg: dict[str, Finite] = {}
     positions_m: dict[str, Far] = {}
@@ -107,7 +107,7 @@ class InitialTable(Schema):
 
 
 class SegmentationTable(Schema):
-    """`[segmentation]`: how silhouettes are told from the background, where there are no masks."""
+    """`[segmentation]`: how silhouettes are found where there are no masks."""
 
     threshold: Positive = 16.0
     learning_frames: Count = 200
@@ -131,20 +131,20 @@ class SessionFile(Schema):
 
     @property
     def positions(self) -> frozenset[str]:
-        """The dofs that the file gives in metres."""
+        """Names of the dofs that the file gives in metres."""
         return frozenset(self.subject.motion_sd_m) | frozenset(self.initial.positions_m)
 
     @model_validator(mode="after")
     def _check_whole(self) -> "SessionFile":
-        sentences = [*self._repeated(), *self._sources(), *self._half_masked(), *self._ambiguous(), *self._strangers()]
+        sentences = [*self._duplicate_names(), *self._sources(), *self._incomplete_masks(), *self._ambiguous(), *self._unknown_cameras()]
         if sentences:
             raise ValueError("\n".join(sentences))
         return self
 
-    def _repeated(self) -> Iterator[str]:
+    def _duplicate_names(self) -> Iterator[str]:
         for name, count in Counter(camera.name for camera in self.cameras).items():
             if count > 1:
-                yield f"camera '{name}': the name of {count} cameras; expected each name once; rename all but one."
+                yield f"camera '{name}': {count} cameras have this name; expected unique names; rename all but one."
 
     def _sources(self) -> Iterator[str]:
         for camera in self.cameras:
@@ -152,25 +152,25 @@ class SessionFile(Schema):
                 found = "neither images nor video" if camera.images is None else "both images and video"
                 yield f"camera '{camera.name}': {found}; expected one of the two; give the pattern of its image files or the path of its video."
             if self.first_frame + camera.offset < 0:
-                found = f"{camera.offset}, its frames would begin at number {self.first_frame + camera.offset}"
-                yield f"camera '{camera.name}'.offset: {found}; expected 0 or later; raise first_frame, and lower frames by as much."
+                found = f"{camera.offset}, so its frames would begin at number {self.first_frame + camera.offset}"
+                yield f"camera '{camera.name}'.offset: {found}; expected 0 or later; raise first_frame, and lower frames by the same amount."
 
-    def _strangers(self) -> Iterator[str]:
+    def _unknown_cameras(self) -> Iterator[str]:
         known = [camera.name for camera in self.cameras]
         for name in self.initial.keypoints_px:
             if name not in known:
                 yield f"initial.keypoints_px.{name}: no camera of that name; {nearest(name, known)}"
 
-    def _half_masked(self) -> Iterator[str]:
+    def _incomplete_masks(self) -> Iterator[str]:
         if any(camera.masks for camera in self.cameras):
             for camera in self.cameras:
                 if not camera.masks:
-                    yield f"camera '{camera.name}'.masks: missing, others have masks; expected all or none; add it, or remove it from the others."
+                    yield f"camera '{camera.name}'.masks: missing, others have masks; expected all or none; add it, or remove the others."
 
     def _ambiguous(self) -> Iterator[str]:
         angles = frozenset(self.subject.motion_sd_deg) | frozenset(self.initial.angles_deg)
         for name in sorted(angles & self.positions):
-            yield f"'{name}': given both in degrees and in metres; expected an angle or a position; remove one."
+            yield f"'{name}': given both in degrees and in metres; expected either an angle or a position; remove one."
 
 
 def to_radians(degrees: Mapping[str, float]) -> dict[str, float]:

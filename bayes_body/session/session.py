@@ -1,6 +1,6 @@
-"""What a recording is: calibrated cameras, their images frame by frame, the subject's measures and the first pose.
+"""What a recording is: calibrated cameras, their images, the subject's measurements and the first pose.
 
-Plain data: metres, radians, pixels; session_file.py reads and writes it.
+Plain data in metres, radians and pixels. `bayes_body.session.read` reads and writes it.
 """
 
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class CameraSpec:
-    """One calibrated camera, Bouguet's (OpenCV's) model.
+    """One calibrated camera in Bouguet's (OpenCV's) model.
 
     Attributes:
         name: its name within the session.
@@ -37,7 +37,7 @@ class CameraSpec:
     translation_m: NDArray[np.float64]
 
     def __eq__(self, other: object) -> bool:
-        """Whether every number is the same (dataclass's own comparison fails on arrays)."""
+        """Compare all numbers. (The comparison that dataclass generates fails on arrays.)"""
         if not isinstance(other, CameraSpec):
             return NotImplemented
         return all(np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
@@ -45,17 +45,17 @@ class CameraSpec:
 
 @dataclass(frozen=True)
 class View:
-    """What one camera recorded, as image files or as a video (exactly one of the two). Relative paths start at the session's folder.
+    """What one camera recorded: either image files or a video. Relative paths start at the session's folder.
 
     Attributes:
         camera: its calibration.
         images: printf pattern of its image files, such as `CAM1/image%04d.bmp`.
         video: path of its video.
-        masks: printf pattern of its silhouettes; None where they are to be computed from the background.
-        background: path of an image or a video of the empty scene; None where the background is to be learned from the recording.
-        offset: frames by which this camera's numbering is ahead: the session's frame k is its own k + offset.
-        keypoints: path of an .npz with the subject's keypoints in each frame; None where there are none.
-        path: path of an .npz with where a moving camera is in each frame; its calibration is that of frame 0. None of one that stands still.
+        masks: printf pattern of its silhouettes; None: they are computed from the background.
+        background: path of an image or a video of the empty scene; None: the background is learned from the recording.
+        offset: the session's frame k is this camera's frame k + offset.
+        keypoints: path of an .npz with the subject's keypoints in each frame; None if there are none.
+        path: path of an .npz with a moving camera's extrinsics in each frame (`camera` holds those of frame 0); None if the camera stands still.
     """
 
     camera: CameraSpec
@@ -70,13 +70,13 @@ class View:
 
 @dataclass(frozen=True)
 class Segmentation:
-    """How silhouettes are told from the background, where a session brings no masks.
+    """How silhouettes are found in a session without masks.
 
     Attributes:
-        threshold: squared Mahalanobis distance from the background at which a pixel is as likely foreground as background.
-        learning_frames: frames, evenly spaced, from which the background is learned.
-        shadows: whether darker pixels of the background's own colour count as background.
-        follow_exposure: whether the image's brightness is first brought to the background's.
+        threshold: squared Mahalanobis distance from the background at which a pixel is equally likely foreground and background.
+        learning_frames: number of evenly spaced frames from which the background is learned.
+        shadows: whether darker pixels with the background's colour count as background.
+        follow_exposure: whether the image's brightness is first matched to the background's.
     """
 
     threshold: float = 16.0
@@ -85,22 +85,22 @@ class Segmentation:
     follow_exposure: bool = True
 
 
-# Of one camera: a keypoint's name -> column, row (pixels) and confidence, between 0 and 1.
+# For one camera: keypoint name -> (column, row, confidence); pixels, confidence between 0 and 1.
 type Keypoints = Mapping[str, tuple[float, float, float]]
 
 
 @dataclass(frozen=True)
 class Subject:
-    """The person: measures that are known, by the names of the body; what is missing follows from the body's proportions.
+    """The person: known measurements, by the body's names. The body's proportions supply what is missing.
 
     Attributes:
-        body: the body that names and dofs belong to; None leaves it to the model.
+        body: the body whose names and dofs are used; None: the model decides.
         height_m: stature.
         lengths_m: segment lengths.
         radii_m: (base, tip) of a part.
         sections: (x, y) scale factors of a part's section.
-        motion_sd: standard deviation of the change from one frame to the next, by dof, radians or metres.
-        outline_radii_m: (base, tip) of a part as it looks, clothes included; what is missing looks as thick as it is.
+        motion_sd: standard deviation of the change between successive frames, by dof; radians or metres.
+        outline_radii_m: (base, tip) of a part as seen in the images, clothes included. Missing parts use `radii_m`.
     """
 
     body: str | None = None
@@ -114,25 +114,25 @@ class Subject:
 
 @dataclass(frozen=True)
 class Session:
-    """A recording. Frames are counted from 0; frame k is in the files numbered `first_frame + k`.
+    """A recording. Frames are counted from 0; frame k has the number `first_frame + k` in file names.
 
     Attributes:
-        folder: where `session.toml` lies; relative image patterns start here.
+        folder: the folder of `session.toml`; relative paths start here.
         title: one line for people.
         up: the world's axis that points up.
-        fps: frames a second.
-        frames: how many there are.
+        fps: frames per second.
+        frames: number of frames.
         first_frame: number of the first frame in file names.
         views: one for each camera.
         subject: the person.
-        initial: the pose of frame 0 as far as it is known, by dof, radians or metres.
+        initial: the known part of the pose of frame 0, by dof; radians or metres.
         initial_markers: world positions of virtual markers in frame 0, metres, by name.
-        initial_keypoints: where keypoints are in frame 0, by camera.
-        fit_lengths: whether the body's lengths are fitted with the first pose.
-        fit_outline: whether it is fitted to the first frame's silhouettes how thick the body looks.
-        segmentation: how silhouettes are found without masks.
-        truth: path of an .npz file with true markers, from the session's folder on.
-        positions: names of those dofs in `initial` and `subject.motion_sd` that are positions (metres); all others are angles.
+        initial_keypoints: keypoints in frame 0, by camera.
+        fit_lengths: whether the body's lengths are fitted together with the first pose.
+        fit_outline: whether the body's apparent thickness is fitted to the first frame's silhouettes.
+        segmentation: how silhouettes are found if there are no masks.
+        truth: path of an .npz file with true markers, relative to the session's folder.
+        positions: names of the dofs in `initial` and `subject.motion_sd` that are positions (metres); all others are angles.
     """
 
     folder: Path
@@ -153,39 +153,39 @@ class Session:
     truth: str | None = None
 
     def number(self, view: View, frame: int) -> int:
-        """The number of a frame (counted from 0) in a camera's own files: in its images' names, or from a video's beginning."""
+        """The number of a frame (counted from 0) in this camera's image names, or in its video."""
         return self.first_frame + frame + view.offset
 
     def image_path(self, view: View, frame: int) -> Path | None:
-        """The file of a frame's image, or None where the camera has a video."""
+        """The image file of a frame; None if the camera has a video."""
         return None if view.images is None else self.folder / (view.images % self.number(view, frame))
 
     def mask_path(self, view: View, frame: int) -> Path | None:
-        """The file of a frame's silhouette, or None where the session has none."""
+        """The silhouette file of a frame; None if the session has no masks."""
         return None if view.masks is None else self.folder / (view.masks % self.number(view, frame))
 
     def video_path(self, view: View) -> Path | None:
-        """The camera's video, or None where it has image files."""
+        """The camera's video; None if it has image files."""
         return None if view.video is None else self.folder / view.video
 
     def background_path(self, view: View) -> Path | None:
-        """The image or video of the empty scene, or None where there is none."""
+        """The image or video of the empty scene; None if there is none."""
         return None if view.background is None else self.folder / view.background
 
     def keypoints_path(self, view: View) -> Path | None:
-        """The file of the subject's keypoints, or None where there is none."""
+        """The file of the subject's keypoints; None if there is none."""
         return None if view.keypoints is None else self.folder / view.keypoints
 
     def camera_path(self, view: View) -> Path | None:
-        """The file of a moving camera's places, or None where it stands still."""
+        """The file of a moving camera's extrinsics; None if the camera stands still."""
         return None if view.path is None else self.folder / view.path
 
     @property
     def moves(self) -> bool:
-        """Whether any camera does."""
+        """Whether any camera moves."""
         return any(view.path is not None for view in self.views)
 
     @property
     def truth_path(self) -> Path | None:
-        """The file of true markers, or None where they are unknown."""
+        """The file of true markers; None if they are unknown."""
         return None if self.truth is None else self.folder / self.truth

@@ -1,1 +1,1 @@
-"""The independent renderer: people of its own making, filmed by cameras of its own, with the truth beside."""
+"""An independent renderer: its own people, filmed by its own cameras, with the true poses."""

@@ -1,4 +1,4 @@
-"""What a camera sees where the person is not: the drawn room, or a user's own picture of an empty scene."""
+"""What a camera sees without the person: a drawn room, or a user's picture of an empty scene."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,22 +13,22 @@ from bayes_body.recording.sources import find_background
 from bayes_body.recording.video import probe, read_video_frame, readable_frames
 from bayes_body.session.session import CameraSpec
 from bayes_body.simulation.options import Options
-from bayes_body.simulation.scene import Scene, Seen
-from bayes_body.simulation.scene_room import Kept, build_room
+from bayes_body.simulation.scene import EmptyScene, Scene
+from bayes_body.simulation.scene_room import Clearance, build_room
 
-# Of a moving camera's frames, and of the person's, so many are enough to keep furniture out of the way; of a video so many are averaged.
+# How many frames of a moving camera and of the person's motion are used to keep furniture out of the way; how many frames of a video are averaged.
 LOOKED_AT, AVERAGED = 12, 30
 
 
 class Background:
-    """The empty scene of one camera: computed once where the camera stands still, anew in each frame where it moves."""
+    """The empty scene of one camera: computed once if the camera stands still, in each frame if it moves."""
 
-    def __init__(self, cameras: Sequence[CameraSpec], moves: bool, scene: Scene | Seen):
+    def __init__(self, cameras: Sequence[CameraSpec], moves: bool, scene: Scene | EmptyScene):
         self._cameras, self._scene = cameras, scene
-        self._still = scene if isinstance(scene, Seen) else None if moves else scene.look(cameras[0])
+        self._still = scene if isinstance(scene, EmptyScene) else None if moves else scene.look(cameras[0])
 
-    def seen(self, frame: int) -> Seen:
-        """As the camera sees it in a frame, without noise."""
+    def empty(self, frame: int) -> EmptyScene:
+        """The empty scene in a frame, without noise."""
         if self._still is not None:
             return self._still
         assert isinstance(self._scene, Scene)
@@ -36,28 +36,28 @@ class Background:
 
 
 def backgrounds(rig: Rig, landmarks: Mapping[str, Float[np.ndarray, "frame 3"]], options: Options) -> list[Background]:
-    """Of each camera.
+    """The background of each camera.
 
     Raises:
-        InputError: a user's pictures are missing or of another size, or a moving camera has only such a picture.
+        InputError: a user's picture is missing or has a wrong size, or a moving camera has such a picture.
     """
     posed = rig.posed(len(landmarks["pelvis"]))
     moves = [path is not None for path in rig.path]
     if options.background is None:
         rng = np.random.default_rng((options.seed, 7))
-        scene = Scene(build_room(rng, _kept(posed, landmarks), options.clutter))
+        scene = Scene(build_room(rng, _clearance(posed, landmarks), options.clutter))
         return [Background(cameras, moved, scene) for cameras, moved in zip(posed, moves, strict=True)]
-    return [Background(cameras, moved, _own(options.background, cameras[0], moved)) for cameras, moved in zip(posed, moves, strict=True)]
+    return [Background(cameras, moved, _from_picture(options.background, cameras[0], moved)) for cameras, moved in zip(posed, moves, strict=True)]
 
 
-def _kept(posed: Sequence[Sequence[CameraSpec]], landmarks: Mapping[str, Float[np.ndarray, "frame 3"]]) -> Kept:
+def _clearance(posed: Sequence[Sequence[CameraSpec]], landmarks: Mapping[str, Float[np.ndarray, "frame 3"]]) -> Clearance:
     frames = _evenly(len(posed[0]), LOOKED_AT)
     cameras = np.array([-camera.rotation.T @ camera.translation_m for each in posed for camera in {id(each[k]): each[k] for k in frames}.values()])
     points = np.concatenate([track[frames] for track in landmarks.values()])
-    return Kept(cameras, points[np.isfinite(points).all(axis=1)])
+    return Clearance(cameras, points[np.isfinite(points).all(axis=1)])
 
 
-def _own(folder: Path, camera: CameraSpec, moves: bool) -> Seen:
+def _from_picture(folder: Path, camera: CameraSpec, moves: bool) -> EmptyScene:
     if moves:
         found = f"camera '{camera.name}' moves"
         raise input_error(f"--background {folder}", found, "cameras that stand still", "leave the option out, or the camera (--cameras)")
@@ -67,8 +67,8 @@ def _own(folder: Path, camera: CameraSpec, moves: bool) -> Seen:
     else:
         frames = _evenly(readable_frames(path, probe(path).frames), AVERAGED)
         picture = np.mean([read_video_frame(path, number, camera.size_px) for number in frames], axis=0, dtype=np.float32)
-    # Nobody said where its floor is: the shadow falls wherever the plane of the floor would be seen.
-    return Seen(picture, np.ones(picture.shape[:2], bool))
+    # The floor of a user's picture is unknown, so the shadow falls wherever the floor's plane is visible.
+    return EmptyScene(picture, np.ones(picture.shape[:2], bool))
 
 
 def _evenly(frames: int, count: int) -> list[int]:

@@ -1,8 +1,8 @@
-r"""What a person wears: sections outside the limbs', and cloth that lags behind them.
+r"""A person's clothes: sections outside the limbs' sections, and cloth that lags behind the limbs.
 
-Cloth hangs on a limb as a mass on a damped spring that feels gravity and the limb's own acceleration $a$, both only across the limb:
-$\ddot x = (g - a) - 2 \zeta \omega \dot x - \omega^2 x$. It moves as far as it has room, $d = r \tanh(|x| / r)\,x / |x|$.
-Folds are waves about the limb that grow and wander with the bend of the nearest joint.
+Cloth on a limb is a mass on a damped spring, subject to gravity and to the limb's own acceleration $a$, both perpendicular to the limb only:
+$\ddot x = (g - a) - 2 \zeta \omega \dot x - \omega^2 x$. Its displacement is limited by the room r: $d = r \tanh(|x| / r)\,x / |x|$.
+Folds are waves around the limb that grow and move with the bend of the nearest joint.
 """
 
 from typing import Literal, NamedTuple
@@ -17,11 +17,11 @@ from bayes_body.simulation.surface import Rings
 SKIN, SHIRT, TROUSERS, SHOES, HAIR = range(5)
 GRAVITY = np.array([0.0, 0.0, -9.81])
 DAMPING = 0.3
-# Cloth never comes nearer to the skin.
+# Least distance between cloth and skin.
 THICKNESS_M = 0.006
 
 type Cut = tuple[tuple[float, float, float, float, float], ...]
-# As in person_shape: station, half widths outwards, inwards, ahead, behind, of the cloth as it is cut; skin that is wider stretches it.
+# Like the tables in person_shape: station, half widths outwards, inwards, ahead, behind, of the cloth as cut. Wider skin stretches it.
 TROUSER_LEG: Cut = (
     (0.0, 0.05, 0.05, 0.05, 0.06),
     (1.0, 0.092, 0.086, 0.092, 0.104),
@@ -55,14 +55,14 @@ TOP: Cut = (
 
 
 class Outfit(NamedTuple):
-    """What is worn.
+    """The clothes of a person.
 
     Attributes:
-        top: a T-shirt's or a jumper's sleeves.
-        legs: how long the trousers are.
-        top_fit: factor of the top's cut; below 1 it is tight.
-        leg_fit: of the trousers'.
-        stiffness_hz: frequency at which cloth swings.
+        top: the sleeves of a T-shirt or a jumper.
+        legs: the length of the trousers.
+        top_fit: scale factor of the top's cut; below 1 it is tight.
+        leg_fit: scale factor of the trousers' cut.
+        stiffness_hz: frequency at which the cloth swings.
         folds_m: height of the folds.
     """
 
@@ -75,20 +75,20 @@ class Outfit(NamedTuple):
 
 
 def worn(skin: Float[np.ndarray, "ring 4"], stations: Float[np.ndarray, " ring"], cut: Cut, fit: float) -> Float[np.ndarray, "ring 4"]:
-    """Half widths of cloth over skin."""
+    """Half widths of the cloth over the skin."""
     rows = np.array(cut)
     widths = np.stack([np.interp(stations, rows[:, 0], rows[:, column]) for column in range(1, 5)], axis=1)
     return np.maximum(skin + THICKNESS_M, fit * widths)
 
 
 def hanging(rings: Rings, room_m: Float[np.ndarray, " ring"], stiffness_hz: float, fps: float) -> Rings:
-    """The rings, those of cloth moved to where it hangs.
+    """The rings, with those of cloth moved to where the cloth hangs.
 
     Args:
-        rings: about the limbs.
+        rings: rings around the limbs.
         room_m: how far cloth may move; 0 for skin.
-        stiffness_hz: the spring's frequency.
-        fps: frames a second.
+        stiffness_hz: frequency of the spring.
+        fps: frames per second.
     """
     loose = np.flatnonzero(room_m > 0)
     if not len(loose):
@@ -111,7 +111,7 @@ def _acceleration(points: Float[np.ndarray, "frame ring 3"], fps: float) -> Floa
 
 
 def _spring(felt: Float[np.ndarray, "frame ring 3"], stiffness_hz: float, fps: float) -> Float[np.ndarray, "frame ring 3"]:
-    """The spring's answer, at rest under the first frame's pull."""
+    """The response of the spring, which starts at rest under the first frame's force."""
     omega = 2.0 * np.pi * stiffness_hz
     b, a = bilinear([1.0], [1.0, 2.0 * DAMPING * omega, omega**2], fps)
     start = lfilter_zi(b, a)[:, None, None] * felt[:1]
@@ -119,13 +119,13 @@ def _spring(felt: Float[np.ndarray, "frame ring 3"], stiffness_hz: float, fps: f
 
 
 class Folds(NamedTuple):
-    """Waves on the cloth, as changes of a point's distance from its ring's centre.
+    """Waves on the cloth, as changes of the distance between a point and its ring's centre.
 
     Attributes:
         phase: (ring, angle), radians.
-        fixed_m: (ring, angle), what is there on a straight limb.
-        growing_m: (ring, 1), height for each radian of bend.
-        swelling: (ring, angle), share by which a joint's outside stands out for each radian of bend.
+        fixed_m: (ring, angle), height on a straight limb.
+        growing_m: (ring, 1), height per radian of bend.
+        swelling: (ring, angle), relative growth of the outer side of a joint per radian of bend.
     """
 
     phase: Float[np.ndarray, "ring angle"]
@@ -135,6 +135,6 @@ class Folds(NamedTuple):
 
 
 def folded(folds: Folds, bend: Float[np.ndarray, " ring"]) -> tuple[Float[np.ndarray, "ring angle"], Float[np.ndarray, "ring angle"]]:
-    """Heights of the folds, metres, and factors of the radii, at a frame's bends (radians)."""
+    """Heights of the folds, metres, and scale factors of the radii, for one frame's bends (radians)."""
     angle = bend[:, None]
     return folds.fixed_m + folds.growing_m * angle * np.sin(folds.phase + 2.0 * angle), 1.0 + folds.swelling * angle

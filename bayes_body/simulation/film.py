@@ -1,4 +1,4 @@
-"""Filming: for each camera and frame the empty scene, the person's shadow on its floor, the person, and what the sensor makes of it."""
+"""Filming: for each camera and frame, combine the empty scene, the person's shadow on its floor and the person, and apply the sensor."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -21,19 +21,19 @@ from bayes_body.simulation.sensor import Sensor
 from bayes_body.simulation.video import VideoWriter, write_mask
 
 LIGHT = Light()
-# How much of the floor's light the person keeps away, and pixels over which the shadow's edge is soft, in a picture of 640 columns.
+# Share of the floor's light that the person blocks, and width of the shadow's soft edge in pixels, for a picture with 640 columns.
 SHADOW, SHADOW_PX, AT_COLUMNS = 0.42, 6.0, 640
-# Frames of the empty scene, a second's worth and so filmed just before the recording.
+# Frames of the empty scene: one second, filmed just before the recording.
 EMPTY_FRAMES = 30
 
 
 class Picture(NamedTuple):
-    """What a camera took.
+    """A camera's picture of one frame.
 
     Attributes:
         image: blue, green, red.
         true_mask: where the person covers more than half of a pixel.
-        mask: a segmenter's silhouette, or None where none was asked for.
+        mask: a segmenter's silhouette; None if none was asked for.
     """
 
     image: UInt8[np.ndarray, "row column 3"]
@@ -42,22 +42,22 @@ class Picture(NamedTuple):
 
 
 class Camera:
-    """A camera, as it is in each frame, before its empty scene, and what segments its pictures."""
+    """A camera in each frame, its empty scene, and the segmenter of its pictures."""
 
     def __init__(self, posed: Sequence[CameraSpec], background: Background, sensor: Sensor, quality: Quality | None, key: tuple[int, ...]):
         self._posed, self._background, self._sensor, self._key = posed, background, sensor, key
         self._quality: Quality | None = quality
 
     def take(self, mesh: Mesh, frame: int) -> Picture:
-        """The picture of a frame, with the person."""
-        camera, empty = self._posed[frame], self._background.seen(frame)
+        """The picture of a frame with the person."""
+        camera, empty = self._posed[frame], self._background.empty(frame)
         shadow = np.where(empty.floor, shadow_mask(mesh, camera, LIGHT.direction, SHADOW_PX * camera.size_px[0] / AT_COLUMNS), 0)
         picture, coverage = rasterise(mesh, camera, _darkened(empty.picture, shadow), LIGHT)
         return Picture(self._sensor.read(picture, frame), coverage > 0.5, self._segment(coverage, shadow, frame))
 
     def take_empty(self, frame: int) -> UInt8[np.ndarray, "row column 3"]:
-        """The picture without the person; frames before the first are negative."""
-        return self._sensor.read(self._background.seen(max(frame, 0)).picture, frame)
+        """The picture without the person. Frames before the recording are negative."""
+        return self._sensor.read(self._background.empty(max(frame, 0)).picture, frame)
 
     def _segment(
         self, coverage: Float[np.ndarray, "row column"], shadow: Float[np.ndarray, "row column"], frame: int
@@ -68,7 +68,7 @@ class Camera:
 
 
 def _darkened(picture: Float[np.ndarray, "row column 3"], shadow: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "row column 3"]:
-    """The picture with the shadow on it."""
+    """The picture with the shadow applied."""
     x, y, width, height = cv2.boundingRect((shadow > 0).astype(np.uint8))
     here = slice(y, y + height), slice(x, x + width)
     darkened = picture.copy()
@@ -77,20 +77,20 @@ def _darkened(picture: Float[np.ndarray, "row column 3"], shadow: Float[np.ndarr
 
 
 class Reel:
-    """A camera's files: its video, and its silhouettes where they are wanted."""
+    """A camera's output files: its video, and its silhouettes if they are wanted."""
 
     def __init__(self, stack: ExitStack, folder: Path, camera: CameraSpec, fps: float, masks: Sequence[str]):
         """Open the files.
 
         Args:
-            stack: closes them.
-            folder: the session's.
-            camera: whose they are.
-            fps: frames a second.
-            masks: the names of the folders for silhouettes.
+            stack: closes the files.
+            folder: the session's folder.
+            camera: the camera.
+            fps: frames per second.
+            masks: the folder names for silhouettes.
 
         Raises:
-            InputError: they cannot be written.
+            InputError: the files cannot be written.
         """
         self._video = stack.enter_context(VideoWriter(folder / video_name(camera.name), fps, camera.size_px))
         self._masks = {name: folder / mask_pattern(name, camera.name) for name in masks}
@@ -110,30 +110,30 @@ MASKS, TRUE_MASKS = "masks", "true_masks"
 
 
 def mask_pattern(kind: str, name: str) -> str:
-    """The printf pattern of a camera's silhouettes, from the session's folder on."""
-    # A percent sign in a name must not be taken for the frame's number.
+    """The printf pattern of a camera's silhouettes, relative to the session's folder."""
+    # Escape percent signs in a name: they are not the frame number.
     return f"{kind}/{name.replace('%', '%%')}/%06d.png"
 
 
 def video_name(name: str) -> str:
-    """A camera's video, from the session's folder on."""
+    """A camera's video, relative to the session's folder."""
     return f"videos/{name}.mp4"
 
 
 def empty_name(name: str) -> str:
-    """A camera's video of the empty scene, from the session's folder on."""
+    """A camera's video of the empty scene, relative to the session's folder."""
     return f"background/{name}.mp4"
 
 
 def cameras(
     posed: Sequence[Sequence[CameraSpec]], grey: Sequence[bool], fps: float, scenes: Sequence[Background], options: Options, quality: Quality | None
 ) -> list[Camera]:
-    """The cameras of a rig, each with a sensor of its own."""
-    made = []
+    """The cameras of a rig, each with its own sensor."""
+    filming = []
     for number, (each, colourless, scene) in enumerate(zip(posed, grey, scenes, strict=True)):
         sensor = Sensor((options.seed, 11, number), len(each), fps, colourless, options.noise)
-        made.append(Camera(each, scene, sensor, quality, (options.seed, 13, number)))
-    return made
+        filming.append(Camera(each, scene, sensor, quality, (options.seed, 13, number)))
+    return filming
 
 
 def film_empty(camera: Camera, path: Path, fps: float, size_px: tuple[int, int]) -> None:

@@ -1,4 +1,4 @@
-"""A surface as triangles, each with one colour."""
+"""A surface as triangles, with one colour each."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ class Mesh(NamedTuple):
 
     Attributes:
         vertices: (vertex, 3), metres, z up.
-        faces: (face, 3), indices of vertices, anticlockwise seen from outside.
+        faces: (face, 3), indices of vertices, anticlockwise as seen from outside.
         colours: (face, 3), reflectance of blue, green, red in [0, 1].
     """
 

@@ -1,7 +1,7 @@
-"""A person of the simulator's own making, clothed, about a motion's joints.
+"""The simulator's person: a clothed body around the joints of a motion.
 
-Nothing here knows the model's body: sections, heads, hands, shoes and cloth are this room's own, so that what is measured against its pictures
-is not measured against itself.
+Nothing here uses the model's body. Sections, heads, hands, shoes and cloth are defined in this package only, so that the model is not tested against
+itself.
 """
 
 from collections.abc import Mapping
@@ -25,23 +25,23 @@ from bayes_body.simulation.surface import ANGLES, COSINES, SINES, Rings, section
 type Shape = Literal["man", "woman"]
 
 SHORTEST_M, TALLEST_M = 0.8, 2.3
-# Mean and standard deviation of stature (ANSUR 1988).
+# Mean and standard deviation of the stature (ANSUR 1988).
 STATURES: dict[Shape, tuple[float, float]] = {"man": (1.76, 0.067), "woman": (1.63, 0.064)}
-# How far from a joint its bend is felt, metres.
+# Distance from a joint within which its bend has an effect, metres.
 FELT_M = 0.09
 FLOOR_M = 0.002
 
 
 @dataclass(frozen=True, eq=False)
 class Person:
-    """Who is filmed.
+    """The person to be filmed.
 
     Attributes:
-        build: measures.
+        build: body measurements.
         outfit: clothes.
-        tubes: what the body is made of.
+        tubes: the parts of the body.
         outline: (2, ring, angle), the rings' points in their planes, metres.
-        folds: of cloth and skin.
+        folds: folds of cloth and skin.
         faces: (face, 3), the same in every frame.
         colours: (face, 3), reflectances of blue, green, red.
     """
@@ -55,15 +55,15 @@ class Person:
     colours: Float[np.ndarray, "face 3"]
 
     def perform(self, landmarks: Landmarks, fps: float = 60.0) -> "Performance":
-        """The person in a motion, all frames prepared: bones, and where the clothes hang.
+        """The person in a motion, with all frames prepared: bones, and where the clothes hang.
 
         Args:
-            landmarks: the fifteen markers (joint centres, the head's crown) over time, and where known toes, finger ends, neck; metres, z up, the
+            landmarks: the fifteen markers (joint centres, the head's crown) over time, and where known toes, finger ends and neck; metres, z up,
                 floor at 0.
-            fps: frames a second.
+            fps: frames per second.
 
         Raises:
-            InputError: a marker is missing or never known.
+            InputError: a marker is missing or unknown in all frames.
         """
         whole = complete(landmarks)
         bones = chains(whole, self.build.height_m, fps)
@@ -74,7 +74,7 @@ class Person:
         return Performance(self, hanging(rings, room, self.outfit.stiffness_hz, fps), bend)
 
     def mesh(self, landmarks: Landmarks, frame: int, fps: float = 60.0) -> Mesh:
-        """The person in one frame of a motion. For more frames than one, `perform` once."""
+        """The person in one frame of a motion. For several frames, call `perform` once."""
         return self.perform(landmarks, fps).mesh(frame)
 
 
@@ -83,9 +83,9 @@ class Performance:
     """A person in a motion.
 
     Attributes:
-        person: who.
-        rings: where the body's rings are.
-        bend: (frame, ring), how much the nearest joint is bent, radians.
+        person: the person.
+        rings: the body's rings over time.
+        bend: (frame, ring), the bend of the nearest joint, radians.
     """
 
     person: Person
@@ -93,7 +93,7 @@ class Performance:
     bend: Float[np.ndarray, "frame ring"]
 
     def __len__(self) -> int:
-        """How many frames there are."""
+        """The number of frames."""
         return len(self.bend)
 
     def mesh(self, frame: int) -> Mesh:
@@ -111,15 +111,15 @@ class Performance:
 
 
 def build_person(seed: int, height_m: float | None = None, shape: Shape | None = None) -> Person:
-    """A person, the same for the same arguments.
+    """Build a person. The same arguments give the same person.
 
     Args:
-        seed: who it is: girth, clothes, colours.
-        height_m: stature; None draws one.
-        shape: a man's or a woman's measures; None draws.
+        seed: determines girth, clothes and colours.
+        height_m: stature; None: random.
+        shape: a man's or a woman's proportions; None: random.
 
     Raises:
-        InputError: a stature that nobody has.
+        InputError: an impossible stature.
     """
     if height_m is not None and not SHORTEST_M <= height_m <= TALLEST_M:
         raise input_error("the subject's height", f"{height_m:g} m", f"{SHORTEST_M:g} to {TALLEST_M:g} m", "give it in metres")
@@ -154,7 +154,7 @@ def _outfit(random: np.random.Generator) -> Outfit:
 
 
 def _outline(tube: Tube, build: Build, long_hair: bool) -> Float[np.ndarray, "2 ring angle"]:
-    """A tube's rings in their planes, with what is no superellipse: nose, ears, hair, bust."""
+    """A tube's rings in their planes, with details that are not superellipses: nose, ears, hair, bust."""
     x, y = sections(tube.sides, tube.roundness)
     if tube.name == "head":
         y[:, FRONT] += 0.028 * build.scale * np.interp(tube.stations, [0.46, 0.63, 0.69], [0.0, 1.0, 0.0], left=0.0, right=0.0)
@@ -191,7 +191,7 @@ def _folds(parts: list[Tube], outfit: Outfit, random: np.random.Generator) -> Fo
 
 
 def _swelling(tube: Tube) -> Float[np.ndarray, "ring angle"]:
-    """Knees stand out in front and elbows behind when they are bent, which the path's parabola cuts off; a lifted thigh pushes the shirt."""
+    """Bent knees swell in front and bent elbows behind, because the path's parabola cuts their corners; a lifted thigh pushes the shirt."""
     if tube.name == "trunk":
         return 0.35 * np.maximum(SINES, 0.0) * np.ones((len(tube.stations), 1))
     side = {"leg": SINES, "arm": -SINES}.get(tube.name[2:])
@@ -202,7 +202,7 @@ def _swelling(tube: Tube) -> Float[np.ndarray, "ring angle"]:
 
 
 def _bends(tube: Tube, bones: Mapping[str, Chain]) -> Float[np.ndarray, "frame ring"]:
-    """The bend that each ring feels: of its own joints; where a shirt hangs over the hips, of the hips."""
+    """The bend at each ring: that of its own joints, or that of the hips where a shirt hangs over them."""
     if tube.name != "trunk":
         return bones[tube.name].bend @ _felt(tube).T
     hips = np.maximum(bones["l_leg"].bend[:, 0], bones["r_leg"].bend[:, 0])
@@ -210,7 +210,7 @@ def _bends(tube: Tube, bones: Mapping[str, Chain]) -> Float[np.ndarray, "frame r
 
 
 def _felt(tube: Tube) -> Float[np.ndarray, "ring joint"]:
-    """How much of each joint's bend is felt at a ring."""
+    """The weight of each joint's bend at each ring."""
     joints = np.cumsum(tube.length_m)[:-1]
     return np.exp(-(((tube.distance_m[:, None] - joints) / FELT_M) ** 2))
 

@@ -1,4 +1,4 @@
-"""From a motion's landmarks to the chains of bones that a person's tubes are drawn along."""
+"""From a motion's landmarks to the chains of bones that carry a person's tubes."""
 
 from collections.abc import Mapping
 
@@ -7,31 +7,31 @@ import numpy as np
 from bayes_body.simulation.person_frames import Chain, across, chain, hinge_laterals, middle, steady, trunk_axes, turned
 from bayes_body.simulation.person_motion import Track, unit
 
-# A head from crown to chin, over stature; between it and the shoulders a neck remains.
+# Height of a head from crown to chin, over stature; between it and the shoulders is the neck.
 HEAD_OVER_STATURE = 0.132
 LARGEST_HEAD = 0.80
-# How far the trunk's tube reaches above the shoulders and below the hips, over the trunk's length.
-# A hand from wrist to finger ends, over stature (ANSUR 1988: 0.110); where a motion's hand ends sooner or later, only its direction is taken.
+# How far the trunk's tube extends above the shoulders and below the hips, over the trunk's length.
+# Length of a hand from wrist to finger ends, over stature (ANSUR 1988: 0.110). A motion's hand gives only the direction.
 SHORTEST_HAND, LONGEST_HAND = 0.098, 0.115
 ABOVE, BELOW = 0.17, 0.27
 SHALLOWEST_SOLE_M, DEEPEST_SOLE_M = 0.055, 0.10
 
 
 def chains(whole: Mapping[str, Track], height_m: float, fps: float) -> dict[str, Chain]:
-    """Each tube's chain, over time.
+    """Each tube's chain over time.
 
     Args:
         whole: complete landmarks.
-        height_m: the person's stature: sizes of what has no landmarks.
-        fps: frames a second.
+        height_m: the person's stature, which gives the sizes of parts without landmarks.
+        fps: frames per second.
     """
     up, hips, shoulders = trunk_axes(whole, fps)
-    made = {"trunk": _trunk(whole, up, hips, shoulders), "head": _head(whole, up, shoulders, height_m)}
+    bones = {"trunk": _trunk(whole, up, hips, shoulders), "head": _head(whole, up, shoulders, height_m)}
     for side, sign in (("l", 1.0), ("r", -1.0)):
-        made[f"{side}_arm"], made[f"{side}_thumb"] = _arm(whole, side, sign, (up, shoulders), height_m, fps)
-        made[f"{side}_leg"], lateral = _leg(whole, side, up, hips, fps)
-        made[f"{side}_foot"] = _foot(whole, side, lateral, height_m)
-    return made
+        bones[f"{side}_arm"], bones[f"{side}_thumb"] = _arm(whole, side, sign, (up, shoulders), height_m, fps)
+        bones[f"{side}_leg"], lateral = _leg(whole, side, up, hips, fps)
+        bones[f"{side}_foot"] = _foot(whole, side, lateral, height_m)
+    return bones
 
 
 def _trunk(whole: Mapping[str, Track], up: Track, hips: Track, shoulders: Track) -> Chain:
@@ -51,7 +51,7 @@ def _head(whole: Mapping[str, Track], up: Track, shoulders: Track, height_m: flo
 def _arm(whole: Mapping[str, Track], side: str, sign: float, chest: tuple[Track, Track], height_m: float, fps: float) -> tuple[Chain, Chain]:
     up, left = chest
     shoulder, elbow, wrist, hand = (whole[f"{side}_{name}"] for name in ("shoulder", "elbow", "wrist", "hand"))
-    # The finger ends of a capture are its least sure points.
+    # The finger ends are the least reliable points of a capture.
     along = steady(unit(hand - wrist), fps)
     size = np.clip(np.linalg.norm(hand - wrist, axis=1, keepdims=True), SHORTEST_HAND * height_m, LONGEST_HAND * height_m)
     hand = wrist + size * along
@@ -74,13 +74,13 @@ def _leg(whole: Mapping[str, Track], side: str, up: Track, left: Track, fps: flo
 
 
 def _foot(whole: Mapping[str, Track], side: str, lateral: Track, height_m: float) -> Chain:
-    """A shoe's sole from behind the heel to beyond the toes; how the ankle stands above it is read where the foot is flat."""
+    """A shoe's sole from behind the heel to beyond the toes. The height of the ankle above it is measured where the foot is flat."""
     ankle, toe = whole[f"{side}_ankle"], whole[f"{side}_toe"]
     reach = toe - ankle
     flat = np.argsort(ankle[:, 2] + toe[:, 2])[: max(1, len(ankle) // 8)]
     sink = np.arctan2(-np.median(reach[flat, 2]), np.median(np.linalg.norm(reach[flat, :2], axis=1)))
     lateral = across(lateral, unit(reach))
-    # Turned about the person's right by the angle that it sinks by.
+    # Rotate about the person's right by the angle of the slope.
     sole = unit(unit(reach) * np.cos(sink) + np.cross(-lateral, unit(reach)) * np.sin(sink))
     above = np.cross(sole, lateral)
     depth = np.clip(np.median(ankle[flat, 2]), SHALLOWEST_SOLE_M, DEEPEST_SOLE_M)

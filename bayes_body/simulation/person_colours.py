@@ -1,4 +1,4 @@
-"""Colours: skin, hair and cloth with a pattern, one for each triangle, as reflectances of blue, green, red."""
+"""Colours: skin, hair and patterned cloth, one for each triangle, as reflectances of blue, green, red."""
 
 from typing import Literal, NamedTuple
 
@@ -23,7 +23,7 @@ EYES: Colour = (0.15, 0.14, 0.16)
 # Standard deviation of the weave's brightness.
 GRAIN = 0.03
 LIPS = np.array([0.75, 0.68, 1.0])
-# The face on the head's tube: faces on either side of the front.
+# The face on the head's tube: angles on either side of the front.
 FRONT = ANGLES // 4
 
 type Pattern = Literal["plain", "stripes", "plaid", "mottled"]
@@ -33,13 +33,13 @@ class Palette(NamedTuple):
     """A person's colours.
 
     Attributes:
-        skin: of face and limbs.
-        hair: of the head.
-        top: the T-shirt's or jumper's two colours.
+        skin: colour of face and limbs.
+        hair: colour of the hair.
+        top: the two colours of the T-shirt or jumper.
         pattern: how they alternate.
-        legs: the trousers'.
-        shoes: the shoes'.
-        long_hair: whether hair reaches the neck.
+        legs: colour of the trousers.
+        shoes: colour of the shoes.
+        long_hair: whether the hair reaches the neck.
     """
 
     skin: Colour
@@ -52,7 +52,7 @@ class Palette(NamedTuple):
 
 
 def palette(random: np.random.Generator, long_hair: bool) -> Palette:
-    """Colours drawn at random."""
+    """Random colours."""
     first, second = random.choice(len(TOPS), 2, replace=False)
     pattern: Pattern = ("plain", "stripes", "plaid", "mottled")[random.integers(4)]
     skin, hair, legs, shoes = (options[random.integers(len(options))] for options in (SKINS, HAIRS, LEGS, SHOE))
@@ -66,15 +66,15 @@ def colours(tubes: list[Tube], places: Int[np.ndarray, "face 2"], chosen: Palett
         tubes: in the order of their rings.
         places: (face, 2), ring and angle of each triangle.
         chosen: the person's colours.
-        random: for what is woven in.
+        random: for the weave.
     """
     table = _garments(tubes, chosen)
     first = 0
     for tube in tubes:
-        own = table[first : first + len(tube.stations)]
+        part = table[first : first + len(tube.stations)]
         if tube.name == "head":
-            _paint_head(own, tube.stations, chosen)
-        own *= np.where((tube.garment == SHIRT)[:, None, None], _woven(tube, chosen, random), 1.0)
+            _paint_head(part, tube.stations, chosen)
+        part *= np.where((tube.garment == SHIRT)[:, None, None], _woven(tube, chosen, random), 1.0)
         first += len(tube.stations)
     grain = 1.0 + GRAIN * random.standard_normal((*table.shape[:2], 1))
     return np.clip((table * grain)[places[:, 0], places[:, 1]], 0.01, 1.0)
@@ -88,7 +88,7 @@ def _garments(tubes: list[Tube], chosen: Palette) -> Float[np.ndarray, "ring ang
 
 
 def _woven(tube: Tube, chosen: Palette, random: np.random.Generator) -> Float[np.ndarray, "ring angle 3"]:
-    """Factors that turn the top's first colour into its pattern."""
+    """Factors that change the top's first colour into its pattern."""
     along, around = tube.distance_m[:, None], 2.0 * np.pi * np.arange(ANGLES) / ANGLES
     bands, posts = np.sin(2.0 * np.pi * along / 0.11) > 0.1, np.sin(5.0 * around) > 0.2
     amount = {
@@ -102,9 +102,9 @@ def _woven(tube: Tube, chosen: Palette, random: np.random.Generator) -> Float[np
 
 
 def hairy(stations: Float[np.ndarray, " ring"], long_hair: bool) -> Float[np.ndarray, "ring angle"]:
-    """Where on the head's tube hair grows: 1 or 0; a face reaches from angle to angle, so do its edges."""
+    """Where hair grows on the head's tube: 1 or 0. Each value belongs to the face between two neighbouring angles."""
     off = np.abs((np.arange(ANGLES) + 0.5 - FRONT + ANGLES / 2) % ANGLES - ANGLES / 2) / (ANGLES / 2)
-    # Down to the forehead in front, to the ears at the sides, to the nape behind.
+    # Hair reaches the forehead in front, the ears at the sides and the nape behind.
     nape = 1.3 if long_hair else 0.78
     side = 1.1 if long_hair else 0.44
     low = np.interp(off, [0.0, 0.3, 0.42, 0.55, 0.7, 1.0], [0.20, 0.24, 0.42, side, nape, nape])

@@ -1,4 +1,4 @@
-"""Landmarks of a motion, made complete: gaps closed, and hands, feet and the neck put where the file has none."""
+"""Complete the landmarks of a motion: gaps are filled, and hands, feet and neck are added if the file has none."""
 
 from collections.abc import Mapping
 
@@ -11,26 +11,26 @@ from bayes_body.evidence.markers import MARKERS
 type Track = Float[np.ndarray, "frame 3"]
 type Landmarks = Mapping[str, Track]
 
-# As fractions of the hand's own bone (wrist to finger ends over elbow to wrist, ANSUR 1988: 0.193 m and 0.27 m).
+# As fractions of the forearm (wrist to finger ends over elbow to wrist, ANSUR 1988: 0.193 m and 0.27 m).
 HAND_OVER_FOREARM = 0.70
-# Ankle to the ball's far end and to the sole, over the shank (0.19 m and 0.075 m over 0.41 m).
+# Ankle to the front end of the ball and to the sole, over the shank (0.19 m and 0.075 m over 0.41 m).
 TOE_OVER_SHANK = 0.46
 SOLE_OVER_SHANK = 0.18
-# Stance is where an ankle is within 3 cm of its lowest.
+# A foot is in stance if its ankle is within 3 cm of its lowest position.
 STANCE_M = 0.03
 
 
 def complete(landmarks: Landmarks) -> dict[str, Track]:
-    """Every landmark that a person is built around, known in every frame.
+    """All landmarks of a person, known in every frame.
 
     Args:
-        landmarks: the fifteen markers, and where known `l_hand`, `l_toe`, `neck` and their like; metres, z up, NaN in gaps.
+        landmarks: the fifteen markers, and where known `l_hand`, `l_toe`, `neck` and so on; metres, z up, NaN in gaps.
 
     Returns:
         The fifteen and `neck`, `l_hand`, `r_hand`, `l_toe`, `r_toe`; float64 without NaN.
 
     Raises:
-        InputError: a marker is missing, unknown in all frames, or not (frame, 3) as the others are.
+        InputError: a marker is missing, unknown in all frames, or not (frame, 3) like the others.
     """
     _check(landmarks)
     whole = {name: _filled(name, track) for name, track in landmarks.items() if name in MARKERS or np.isfinite(track).any()}
@@ -50,7 +50,9 @@ def _check(landmarks: Landmarks) -> None:
     shape = landmarks["pelvis"].shape
     for name, track in landmarks.items():
         if track.shape != shape or track.ndim != 2 or track.shape[-1] != 3:
-            raise input_error(f"the motion's {name}", f"shape {track.shape}", "(frame, 3), the same for all landmarks", "give as many frames of each")
+            raise input_error(
+                f"the motion's {name}", f"shape {track.shape}", "(frame, 3), the same for all landmarks", "give the same number of frames for each"
+            )
 
 
 def _filled(name: str, track: Track) -> Track:
@@ -60,13 +62,13 @@ def _filled(name: str, track: Track) -> Track:
     if known.all():
         return track
     if not known.any():
-        raise input_error(f"the motion's {name}", "unknown in every frame", "known in some", "leave out nothing that the person hangs on")
+        raise input_error(f"the motion's {name}", "unknown in every frame", "known in some frames", "choose a motion that has this marker")
     frames = np.arange(len(track))
     return np.stack([np.interp(frames, frames[known], track[known, axis]) for axis in range(3)], axis=1)
 
 
 def _toe(whole: Mapping[str, Track], side: str) -> Track:
-    """A toe in front of the ankle: the foot flat on the floor in stance, at a right angle to the shank when lifted."""
+    """A toe in front of the ankle: the foot is flat on the floor in stance, and perpendicular to the shank when lifted."""
     ankle = whole[f"{side}_ankle"]
     shank = ankle - whole[f"{side}_knee"]
     length = np.linalg.norm(shank, axis=1, keepdims=True)
@@ -80,5 +82,5 @@ def _toe(whole: Mapping[str, Track], side: str) -> Track:
 
 
 def unit(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-    """The vectors' directions; zero for a vector of no length."""
+    """The directions of vectors; zero for a zero vector."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)

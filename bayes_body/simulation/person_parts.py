@@ -1,4 +1,4 @@
-"""A person's tubes: their rings, what each ring is covered with, and how they follow a motion's bones."""
+"""A person's tubes: their rings, the garment on each ring, and how they follow a motion's bones."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -12,17 +12,17 @@ from bayes_body.simulation.person_shape import Build, Row
 
 
 class Tube(NamedTuple):
-    """One tube's rings.
+    """The rings of one tube.
 
     Attributes:
-        name: `l_leg`, `trunk` and their like.
-        stations: (ring,), in bones.
-        garment: (ring,), what covers each.
+        name: `l_leg`, `trunk` and so on.
+        stations: (ring,), measured in bones.
+        garment: (ring,), what covers each ring.
         sides: (ring, 4), half widths to the left, to the right, ahead, behind; metres.
         roundness: (ring,), the superellipse's exponent.
-        room_m: (ring,), how far the cloth may move against the limb; 0 for skin.
-        blend_m: (joint,), how far from each joint the path bends.
-        length_m: (bone,), usual lengths, for what is measured along the tube.
+        room_m: (ring,), how far the cloth can move relative to the limb; 0 for skin.
+        blend_m: (joint,), the distance from each joint within which the path bends.
+        length_m: (bone,), usual lengths, for distances along the tube.
     """
 
     name: str
@@ -36,13 +36,13 @@ class Tube(NamedTuple):
 
     @property
     def distance_m(self) -> Float[np.ndarray, " ring"]:
-        """How far along the tube each ring usually is."""
+        """The usual distance of each ring along the tube."""
         knots = np.concatenate([[0.0], np.cumsum(self.length_m)])
         return np.interp(self.stations, np.arange(len(knots)), knots)
 
 
 class Plan(NamedTuple):
-    """How a kind of tube is made: its table, its cloth, the joints' blends and the bones' usual lengths."""
+    """How to build a kind of tube: its table, its cloth, the blends at the joints and the usual lengths of the bones."""
 
     table: tuple[Row, ...]
     cuts: Mapping[int, tuple[Cut, float]]
@@ -50,7 +50,7 @@ class Plan(NamedTuple):
     length_m: tuple[float, ...]
 
 
-# As long a stretch of stations as a garment covers, and how many rings it has.
+# A stretch of stations that one garment covers, and its number of rings.
 type Stretch = tuple[int, float, float, int]
 
 
@@ -62,11 +62,11 @@ def tubes(build: Build, outfit: Outfit) -> list[Tube]:
     trunk = Plan(shape.TRUNK, {SHIRT: (TOP, outfit.top_fit), TROUSERS: ((TOP[0], TOP[0]), 0.0)}, (0.2,), (0.36, 0.39))
     head, foot = Plan(shape.HEAD, {}, (0.04,), (0.235, 0.09)), Plan(shape.FOOT, {}, (), (0.28,))
     thumb = Plan(shape.THUMB, {}, (), (0.09,))
-    made = [_tube("trunk", trunk, _trunk_stretches(), build), _tube("head", head, [(HAIR, 0.0, 1.04, 15), (SKIN, 1.15, 1.9, 4)], build)]
+    parts = [_tube("trunk", trunk, _trunk_stretches(), build), _tube("head", head, [(HAIR, 0.0, 1.04, 15), (SKIN, 1.15, 1.9, 4)], build)]
     for side in ("l", "r"):
-        made += [_tube(f"{side}_leg", leg, _leg_stretches(outfit), build), _tube(f"{side}_arm", arm, _arm_stretches(outfit), build)]
-        made += [_tube(f"{side}_foot", foot, [(SHOES, 0.0, 1.0, 12)], build), _tube(f"{side}_thumb", thumb, [(SKIN, 0.0, 1.0, 5)], build)]
-    return made
+        parts += [_tube(f"{side}_leg", leg, _leg_stretches(outfit), build), _tube(f"{side}_arm", arm, _arm_stretches(outfit), build)]
+        parts += [_tube(f"{side}_foot", foot, [(SHOES, 0.0, 1.0, 12)], build), _tube(f"{side}_thumb", thumb, [(SKIN, 0.0, 1.0, 5)], build)]
+    return parts
 
 
 def _trunk_stretches() -> list[Stretch]:
@@ -97,7 +97,7 @@ def _tube(name: str, plan: Plan, stretches: list[Stretch], build: Build) -> Tube
         cloth[chosen] = worn(skin[chosen], stations[chosen], cut, fit)
     room = 0.8 * np.minimum((cloth - skin).mean(axis=1), 0.03) * np.isin(garment, tuple(plan.cuts))
     if name == "trunk":
-        # The chest carries the shirt, which hangs free from there on; trousers sit on the hips.
+        # The shirt hangs freely from the chest downwards; trousers sit on the hips.
         room = room * np.clip((stations - 0.6) / 1.0, 0.0, 1.0) * (garment == SHIRT)
     elif name.endswith("leg"):
         room = room * np.clip((stations - 1.0) / 0.5, 0.0, 1.0)
@@ -115,6 +115,6 @@ def _girth(name: str, build: Build, stations: Float[np.ndarray, " ring"]) -> Flo
         factor[:, 2] += build.belly_m / 0.11 * np.exp(-(((stations - 1.25) / 0.35) ** 2))
         return factor
     if name.endswith(("leg", "arm")):
-        # Wrists, hands and ankles have little flesh.
+        # Wrists, hands and ankles vary little in girth.
         return 1.0 + (build.limbs - 1.0) * np.interp(stations, [1.0, 2.0, 2.6, 3.0], [1.0, 1.0, 0.7, 0.3])[:, None]
     return np.ones((len(stations), 1))

@@ -1,7 +1,7 @@
-"""What a person measures: half widths of the body's sections where they matter, for a man of 1.75 m, in metres.
+"""A person's measurements: half widths of the body's sections at selected stations, for a man of 1.75 m, in metres.
 
 Circumferences follow the US Army's survey of 1988 (Gordon et al. 1989, ANSUR), medians of men: thigh 0.59, calf 0.38, ankle 0.22, chest 0.99,
-waist 0.86, hips 0.98, upper arm 0.33, forearm 0.30, wrist 0.17, head 0.57, neck 0.38. Between the stations a monotone cubic runs.
+waist 0.86, hips 0.98, upper arm 0.33, forearm 0.30, wrist 0.17, head 0.57, neck 0.38. A monotone cubic interpolates between the stations.
 """
 
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from scipy.interpolate import PchipInterpolator
 
 STATURE_M = 1.75
 
-# A row: station in bones, half widths outwards, inwards, ahead and behind, roundness.
+# A row: station in bones; half widths outwards, inwards, ahead and behind; roundness.
 type Row = tuple[float, float, float, float, float, float]
 
 # Bones: from inside the pelvis to the hip, thigh, shank.
@@ -31,7 +31,7 @@ LEG: tuple[Row, ...] = (
     (2.92, 0.033, 0.033, 0.037, 0.040, 2.1),
     (3.00, 0.036, 0.035, 0.040, 0.042, 2.1),
 )
-# Bones: from the neck's side to the shoulder, upper arm, forearm, hand. Behind is the thumb's other side.
+# Bones: from the side of the neck to the shoulder, upper arm, forearm, hand. Behind is the side away from the thumb.
 ARM: tuple[Row, ...] = (
     (0.00, 0.030, 0.075, 0.050, 0.060, 2.0),
     (0.60, 0.044, 0.070, 0.066, 0.068, 2.1),
@@ -53,7 +53,7 @@ ARM: tuple[Row, ...] = (
     (3.95, -0.002, 0.024, 0.026, 0.030, 2.3),
     (4.00, -0.008, 0.018, 0.010, 0.012, 2.0),
 )
-# Bones: from the neck's root to the waist, from the waist to the crotch.
+# Bones: from the base of the neck to the waist, from the waist to the crotch.
 TRUNK: tuple[Row, ...] = (
     (0.00, 0.058, 0.058, 0.050, 0.062, 2.0),
     (0.10, 0.078, 0.078, 0.062, 0.078, 2.0),
@@ -70,7 +70,7 @@ TRUNK: tuple[Row, ...] = (
     (1.88, 0.156, 0.156, 0.080, 0.112, 2.3),
     (2.00, 0.090, 0.090, 0.050, 0.060, 2.0),
 )
-# Bones: from the crown to the chin's height, from there to the neck's root.
+# Bones: from the crown to the height of the chin, from there to the base of the neck.
 HEAD: tuple[Row, ...] = (
     (0.00, 0.012, 0.012, 0.014, 0.014, 2.0),
     (0.03, 0.038, 0.038, 0.044, 0.046, 2.0),
@@ -86,7 +86,7 @@ HEAD: tuple[Row, ...] = (
     (1.40, 0.055, 0.055, 0.046, 0.060, 2.0),
     (2.00, 0.062, 0.062, 0.050, 0.066, 2.0),
 )
-# One bone, from the heel's back to the tip of the shoe, along the sole; ahead is above.
+# One bone along the sole, from the back of the heel to the tip of the shoe; ahead is upwards.
 FOOT: tuple[Row, ...] = (
     (0.00, 0.020, 0.020, 0.045, 0.004, 2.4),
     (0.04, 0.031, 0.031, 0.075, 0.004, 2.5),
@@ -113,11 +113,11 @@ class Build(NamedTuple):
     """How a person differs from the tables.
 
     Attributes:
-        height_m: stature; all half widths are in its proportion.
-        limbs: factor of the arms' and legs' half widths.
-        chest: factor of the trunk's, above.
-        waist: factor of the trunk's, in the middle.
-        hips: factor of the trunk's, below.
+        height_m: stature; all half widths are proportional to it.
+        limbs: scale factor of the arms' and legs' half widths.
+        chest: scale factor of the trunk's half widths, at the top.
+        waist: the same in the middle.
+        hips: the same at the bottom.
         belly_m: how far the belly stands out.
         bust_m: how far the bust stands out.
     """
@@ -132,7 +132,7 @@ class Build(NamedTuple):
 
     @property
     def scale(self) -> float:
-        """Stature over the tables'."""
+        """The stature, relative to that of the tables."""
         return self.height_m / STATURE_M
 
 
@@ -144,5 +144,5 @@ def sides(table: tuple[Row, ...], stations: Float[np.ndarray, " ring"]) -> tuple
 
 
 def trunk_factor(build: Build, stations: Float[np.ndarray, " ring"]) -> Float[np.ndarray, "ring 1"]:
-    """By what the trunk's half widths are multiplied: the neck stays, then chest, waist and hips."""
+    """Scale factors of the trunk's half widths: 1 at the neck, then chest, waist and hips."""
     return np.interp(stations, [0.1, 0.45, 0.8, 1.2, 1.7], [1.0, build.chest, build.chest, build.waist, build.hips])[:, None]

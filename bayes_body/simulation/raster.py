@@ -1,7 +1,7 @@
-r"""Triangles into a picture: the nearest surface at each of several samples a pixel, lit by a lamp and by the sky, laid over what was there.
+r"""Rasterise triangles: find the nearest surface at several samples per pixel, light it by a lamp and the sky, and draw it over a picture.
 
-Light: $c\,(a\,(1 + s\,n_z) + b \max(0, n \cdot l))$ for a reflectance c, a normal n, a direction l to the lamp, a sky that is s brighter than the
-mean of sky and floor (Lambert 1760). It is interpolated over a triangle from its corners, whose normals are the means of the triangles about them.
+Light: $c\,(a\,(1 + s\,n_z) + b \max(0, n \cdot l))$ for a reflectance c, a normal n, a direction l to the lamp and a sky that is brighter by s than
+the mean of sky and floor (Lambert 1760). It is interpolated over a triangle from its corners, whose normals are means over the adjacent triangles.
 """
 
 from typing import NamedTuple
@@ -19,7 +19,7 @@ from bayes_body.simulation.raster_spans import in_front, spans
 WHITE = 255.0
 # By how much the sky is brighter, and the floor darker, than their mean.
 SKY = 0.3
-# Light on a surface is cut off here, where normals of a sliver run away.
+# The light on a surface is clipped here, because extrapolation can diverge on slivers.
 BRIGHTEST = 1.6
 
 
@@ -28,8 +28,8 @@ class Light(NamedTuple):
 
     Attributes:
         direction: from the scene to the lamp; any length.
-        ambient: what comes from everywhere.
-        lamp: what comes from the lamp.
+        ambient: light from all directions.
+        lamp: light from the lamp.
     """
 
     direction: tuple[float, float, float] = (0.6, -0.7, 0.9)
@@ -37,13 +37,13 @@ class Light(NamedTuple):
     lamp: float = 0.55
 
 
-class Seen(NamedTuple):
-    """The triangles that a camera can see, the farthest first.
+class Facing(NamedTuple):
+    """The triangles that face a camera, the farthest first.
 
     Attributes:
         corners: (face, 3, 2), column and row in pixels.
         depth: (face, 3), metres.
-        number: (face,), which of the mesh's triangles.
+        number: (face,), index of the triangle in the mesh.
     """
 
     corners: Float[np.ndarray, "face 3 2"]
@@ -54,30 +54,30 @@ class Seen(NamedTuple):
 def rasterise(
     mesh: Mesh, camera: CameraSpec, picture: Float[np.ndarray, "row column 3"], light: Light = Light(), supersample: int = 2
 ) -> tuple[Float[np.ndarray, "row column 3"], Float[np.ndarray, "row column"]]:
-    """A mesh laid over a picture.
+    """Draw a mesh over a picture.
 
     Args:
-        mesh: closed surfaces, triangles anticlockwise seen from outside.
-        camera: who looks.
-        picture: what is behind, blue, green, red, 0 to 255; it is not changed.
-        light: where light comes from.
-        supersample: samples to a pixel, each way.
+        mesh: closed surfaces, triangles anticlockwise as seen from outside.
+        camera: the camera.
+        picture: the picture behind, blue, green, red, 0 to 255; it is not changed.
+        light: the light sources.
+        supersample: samples per pixel, in each direction.
 
     Returns:
-        The picture, and how much of each pixel the mesh covers, 0 to 1; float32.
+        The picture, and the share of each pixel that the mesh covers, 0 to 1; float32.
     """
     picture = np.array(picture, np.float32)
     alpha = np.zeros(picture.shape[:2], np.float32)
-    seen = facing(mesh, camera)
-    window = _window(seen, camera.size_px)
+    visible = facing(mesh, camera)
+    window = _window(visible, camera.size_px)
     if window is None:
         return picture, alpha
     left, top, width, height = window
     size = (width * supersample, height * supersample)
-    corners = ((seen.corners - (left, top) + 0.5) * supersample - 0.5).astype(np.float32)
-    owner, covered = in_front(spans(corners, size), planes(corners, seen.depth), size)
-    shade = _shaded(mesh, seen.number, light)
-    samples = _painted(owner, covered, planes(corners, shade), mesh.colours[seen.number])
+    corners = ((visible.corners - (left, top) + 0.5) * supersample - 0.5).astype(np.float32)
+    owner, covered = in_front(spans(corners, size), planes(corners, visible.depth), size)
+    shade = _shaded(mesh, visible.number, light)
+    samples = _painted(owner, covered, planes(corners, shade), mesh.colours[visible.number])
     pixels = cv2.resize(samples, (width, height), interpolation=cv2.INTER_AREA)
     alpha[top : top + height, left : left + width] = pixels[..., 3]
     part = picture[top : top + height, left : left + width]
@@ -86,8 +86,8 @@ def rasterise(
     return picture, alpha
 
 
-def facing(mesh: Mesh, camera: CameraSpec) -> Seen:
-    """The triangles that face a camera and lie wholly before it, the farthest first."""
+def facing(mesh: Mesh, camera: CameraSpec) -> Facing:
+    """The triangles that face a camera and lie completely in front of it, the farthest first."""
     points, depth, visible = project(mesh.vertices, camera)
     index = np.flatnonzero(visible[mesh.faces].all(axis=1))
     corners = points[mesh.faces[index]]
@@ -95,11 +95,11 @@ def facing(mesh: Mesh, camera: CameraSpec) -> Seen:
     index, corners = index[front], corners[front]
     depths = depth[mesh.faces[index]]
     order = np.argsort(-depths.sum(axis=1))
-    return Seen(corners[order], depths[order], index[order])
+    return Facing(corners[order], depths[order], index[order])
 
 
 def planes(corners: Float[np.ndarray, "face 3 2"], values: Float[np.ndarray, "face 3"]) -> Float[np.ndarray, "face 3"]:
-    """For each triangle the plane through a value at each corner: slopes by column and by row, value at (0, 0); level where it is a sliver."""
+    """For each triangle the plane through a value at each corner: slopes by column and by row, and value at (0, 0); constant for slivers."""
     (x1, y1), (x2, y2) = (np.moveaxis(corners[:, corner] - corners[:, 0], -1, 0) for corner in (1, 2))
     v1, v2 = (values[:, corner] - values[:, 0] for corner in (1, 2))
     area = x1 * y2 - x2 * y1
@@ -111,7 +111,7 @@ def planes(corners: Float[np.ndarray, "face 3 2"], values: Float[np.ndarray, "fa
 
 
 def normals(mesh: Mesh) -> Float[np.ndarray, "vertex 3"]:
-    """Unit normals at the vertices, the mean of the triangles about them."""
+    """Unit normals at the vertices, as means over the adjacent triangles."""
     a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
     faces = np.cross(b - a, c - a)
     count = len(mesh.vertices)
@@ -120,16 +120,16 @@ def normals(mesh: Mesh) -> Float[np.ndarray, "vertex 3"]:
 
 
 def doubled_area(corners: Float[np.ndarray, "face 3 2"]) -> Float[np.ndarray, " face"]:
-    """Twice the triangles' areas; negative where the corners run anticlockwise as one sees them, for rows count downwards."""
+    """Twice the triangles' areas; negative if the corners run anticlockwise in the image, because rows count downwards."""
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     return first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
 
 
-def _window(seen: Seen, size: tuple[int, int]) -> tuple[int, int, int, int] | None:
-    """The part of the image that the triangles touch: left, top, width, height; None where they touch none."""
-    if not len(seen.number):
+def _window(visible: Facing, size: tuple[int, int]) -> tuple[int, int, int, int] | None:
+    """The part of the image that the triangles touch: left, top, width, height; None if they touch none."""
+    if not len(visible.number):
         return None
-    columns, rows = seen.corners[..., 0].ravel(), seen.corners[..., 1].ravel()
+    columns, rows = visible.corners[..., 0].ravel(), visible.corners[..., 1].ravel()
     low = np.clip(np.floor([columns.min(), rows.min()]), 0, size).astype(int)
     high = np.clip(np.ceil([columns.max(), rows.max()]) + 1, 0, size).astype(int)
     (left, top), (width, height) = low.tolist(), (high - low).tolist()
@@ -149,7 +149,7 @@ def _painted(
     shade: Float[np.ndarray, "face 3"],
     colours: Float[np.ndarray, "face 3"],
 ) -> Float[np.ndarray, "row column 4"]:
-    """Blue, green, red (0 to 255, nothing where nothing is covered) and coverage at each sample."""
+    """Blue, green, red (0 to 255, 0 where nothing is drawn) and coverage at each sample."""
     samples = np.zeros((owner.size, 4), np.float32)
     sample = np.flatnonzero(covered).astype(np.int32)
     face = owner.ravel().take(sample)

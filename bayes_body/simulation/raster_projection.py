@@ -1,4 +1,4 @@
-r"""Where points of the world fall in an image, written anew for the simulator: Bouguet's pinhole with radial and tangential distortion.
+r"""Projection of world points to an image, implemented independently of the model: Bouguet's pinhole with radial and tangential distortion.
 
 $x = X/Z,\ y = Y/Z,\ r^2 = x^2 + y^2$; $d = 1 + k_1 r^2 + k_2 r^4 + k_3 r^6$;
 $x' = d x + 2 p_1 x y + p_2 (r^2 + 2 x^2)$, $y' = d y + p_1 (r^2 + 2 y^2) + 2 p_2 x y$;
@@ -10,22 +10,22 @@ from jaxtyping import Bool, Float
 
 from bayes_body.session.session import CameraSpec
 
-# Nothing nearer than this is seen.
+# Nothing nearer than this is visible.
 NEAR_M = 0.1
-# The polynomial is believed as far as it grows; beyond, it folds the far side of the world into the picture.
+# The radial polynomial is used only up to where it stops growing; beyond, it would fold the far side of the world into the picture.
 FARTHEST_SLOPE = 4.0
 
 
 def project(
     points: Float[np.ndarray, "point 3"], camera: CameraSpec
 ) -> tuple[Float[np.ndarray, "point 2"], Float[np.ndarray, " point"], Bool[np.ndarray, " point"]]:
-    """Column and row (pixels; the first pixel's centre is (0, 0)), depth (metres), and whether the camera can see that way at all."""
-    seen = points @ camera.rotation.T + camera.translation_m
-    depth = seen[:, 2]
-    slopes = seen[:, :2] / np.maximum(depth, NEAR_M)[:, None]
+    """Column and row (pixels; the first pixel's centre is (0, 0)), depth (metres), and whether the camera can see in that direction at all."""
+    p_camera = points @ camera.rotation.T + camera.translation_m
+    depth = p_camera[:, 2]
+    slopes = p_camera[:, :2] / np.maximum(depth, NEAR_M)[:, None]
     squared = np.sum(slopes**2, axis=1)
-    visible = (depth > NEAR_M) & (squared < _believed(camera) ** 2)
-    # What is not believed only has to stay finite.
+    visible = (depth > NEAR_M) & (squared < _largest_slope(camera) ** 2)
+    # Values beyond the valid range are not used, but must stay finite.
     slopes = np.where(visible[:, None], slopes, 0.0)
     x, y = slopes.T
     squared = np.where(visible, squared, 0.0)
@@ -38,7 +38,7 @@ def project(
     return np.stack([column, row], axis=1), depth, visible
 
 
-def _believed(camera: CameraSpec) -> float:
+def _largest_slope(camera: CameraSpec) -> float:
     """The slope up to which the radial polynomial r d(r) grows."""
     k1, k2, _, _, k3 = camera.distortion
     slopes = np.linspace(0.0, FARTHEST_SLOPE, 401)

@@ -1,4 +1,4 @@
-"""A person's shadow on the floor: the surface flattened along the light, softened."""
+"""A person's shadow on the floor: the surface projected along the light, with a soft edge."""
 
 import cv2
 import numpy as np
@@ -11,17 +11,17 @@ from bayes_body.simulation.raster_projection import project
 from bayes_body.simulation.raster_spans import spans
 
 FLOOR_M = 0.001
-# The lamp stands at least this high, as the tangent of its elevation, or shadows would not end.
+# Least tangent of the lamp's elevation; with a lower lamp, shadows would be unbounded.
 LOWEST_LAMP = 0.15
-# Pixels to a sample, each way.
+# Pixels per sample, in each direction.
 COARSE = 4
 
 
 def shadow(mesh: Mesh, direction: tuple[float, float, float]) -> Mesh:
-    """The mesh flattened onto the floor, z = 0.
+    """Project a mesh onto the floor, z = 0.
 
     Args:
-        mesh: what throws the shadow.
+        mesh: the mesh that casts the shadow.
         direction: from the scene to the lamp, which is above.
     """
     east, north, up = direction
@@ -32,11 +32,11 @@ def shadow(mesh: Mesh, direction: tuple[float, float, float]) -> Mesh:
 
 
 def shadow_mask(mesh: Mesh, camera: CameraSpec, direction: tuple[float, float, float], blur_px: float = 8.0) -> Float[np.ndarray, "row column"]:
-    """How much of each pixel's floor lies in a mesh's shadow, 0 to 1, float32: drawn at a quarter of the resolution, blurred, enlarged.
+    """The share of each pixel's floor that is in a mesh's shadow, 0 to 1, float32. It is drawn at a quarter of the resolution, blurred and enlarged.
 
     Args:
-        mesh: what throws the shadow.
-        camera: who looks; the floor is z = 0.
+        mesh: the mesh that casts the shadow.
+        camera: the camera; the floor is z = 0.
         direction: from the scene to the lamp.
         blur_px: standard deviation of the shadow's edge, pixels.
     """
@@ -44,9 +44,9 @@ def shadow_mask(mesh: Mesh, camera: CameraSpec, direction: tuple[float, float, f
     size = (-(-width // COARSE), -(-height // COARSE))
     points, _, visible = project(shadow(mesh, direction).vertices, camera)
     corners = ((points + 0.5) / COARSE - 0.5)[mesh.faces[visible[mesh.faces].all(axis=1)]]
-    # The half that the lamp sees covers what the other half covers.
+    # Half of the faces are enough: those facing the lamp cover the same area as the others.
     covered = spans(corners[doubled_area(corners) < 0], size)
-    # A run adds one where it starts and takes one where it ends: what is positive between is in the shadow.
+    # Each run adds one at its start and subtracts one at its end: samples with a positive sum are in the shadow.
     steps = np.bincount(covered.row * (size[0] + 1) + covered.start, minlength=size[1] * (size[0] + 1))
     ends = np.bincount(covered.row * (size[0] + 1) + covered.start + covered.length, minlength=size[1] * (size[0] + 1))
     mask = (np.cumsum((steps - ends).reshape(size[1], size[0] + 1), axis=1)[:, :-1] > 0).astype(np.float32)

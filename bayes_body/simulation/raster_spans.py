@@ -1,7 +1,7 @@
-"""Triangles to samples of a picture: runs of samples, row by row, and which triangle is in front at each.
+"""From triangles to samples of a picture: runs of samples, row by row, and the triangle in front at each.
 
-A run starts and ends where the same two ends of an edge say for both of its triangles, by the same arithmetic: no crack opens between neighbours.
-Samples lie at whole numbers; a triangle owns those from its left edge on, up to but without its right edge.
+Where a run starts or ends is computed from the two ends of an edge, with the same arithmetic for both triangles that share it, so no crack opens
+between neighbours. Samples lie at whole numbers. A triangle owns the samples from its left edge (included) to its right edge (excluded).
 """
 
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-# How often samples that a later triangle wrongly took are given back; folded skin needs three.
+# How many times samples that a later triangle took wrongly are corrected; folded skin needs three.
 ROUNDS = 8
 
 
@@ -17,10 +17,10 @@ class Spans(NamedTuple):
     """Runs of samples.
 
     Attributes:
-        face: (span,), whose they are.
-        row: (span,), on which row.
+        face: (span,), index of the triangle.
+        row: (span,), the row.
         start: (span,), the first column.
-        length: (span,), how many; at least 1.
+        length: (span,), number of samples; at least 1.
     """
 
     face: Int[np.ndarray, " span"]
@@ -30,7 +30,7 @@ class Spans(NamedTuple):
 
 
 def spans(corners: Float[np.ndarray, "face 3 2"], size: tuple[int, int]) -> Spans:
-    """The runs of all triangles in a picture of some width and height.
+    """The runs of all triangles in a picture.
 
     Args:
         corners: column and row of each corner.
@@ -46,8 +46,8 @@ def spans(corners: Float[np.ndarray, "face 3 2"], size: tuple[int, int]) -> Span
     long = _crossing(top, bottom, face, row)
     short = np.where(lower, _crossing(middle, bottom, face, row), _crossing(top, middle, face, row))
     start, end = (np.clip(np.ceil(edge(long, short)), 0, width).astype(np.int32) for edge in (np.minimum, np.maximum))
-    kept = end > start
-    return Spans(face[kept], row[kept], start[kept], (end - start)[kept])
+    filled = end > start
+    return Spans(face[filled], row[filled], start[filled], (end - start)[filled])
 
 
 def _crossing(
@@ -60,7 +60,7 @@ def _crossing(
 
 
 def runs(counts: Int[np.ndarray, " run"]) -> tuple[Int[np.ndarray, " item"], Int[np.ndarray, " item"]]:
-    """For every item of runs of some lengths: its run, and its place within."""
+    """For every item of consecutive runs with these lengths: the index of its run, and its position in the run."""
     run = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
     return run, np.arange(len(run), dtype=np.int32) - np.repeat((np.cumsum(counts) - counts).astype(np.int32), counts)
 
@@ -86,7 +86,7 @@ def in_front(
     sample = (covered.row * width + covered.start).take(run) + within
     face = covered.face.take(run)
     nearest, owner = np.full(width * height, np.inf, np.float32), np.full(width * height, -1, np.int32)
-    # The last of several writers to one sample stays, which is the nearest triangle but for those that cross.
+    # The last of several writers to one sample wins. This is the nearest triangle unless triangles intersect.
     for _ in range(ROUNDS):
         nearest[sample], owner[sample] = distance, face
         nearer = distance < nearest[sample]

@@ -1,4 +1,4 @@
-r"""What a camera sees of the room: each pixel's ray $c + t\,d$ meets a surface's plane at $t = (p - c) \cdot n / d \cdot n$; the nearest counts."""
+r"""Render the room: each pixel's ray $c + t\,d$ meets a surface's plane at $t = (p - c) \cdot n / d \cdot n$; the nearest surface is drawn."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -11,22 +11,22 @@ from bayes_body.session.session import CameraSpec
 from bayes_body.simulation.scene_room import Room, Surface
 from bayes_body.simulation.scene_texture import Texture
 
-# Metres: of the floor's light map, how wide a cell is and how far furniture keeps light away.
+# Metres: cell width of the floor's light map, and distance within which furniture blocks light.
 CELL_M, SHADE_M = 0.04, 0.18
-# How dark the floor is next to furniture; light a lamp's width away from the room's middle, and far from it.
+# Brightness of the floor next to furniture; brightness below the lamp in the room's middle, and far from it; the lamp's width.
 CONTACT, NEAR_LIGHT, FAR_LIGHT, LAMP_M = 0.45, 1.08, 0.72, 4.0
-# Metres before the camera from which on a direction is safe.
+# A direction is used only if it is at least so many metres in front of the camera.
 NEAR_M = 0.05
-# Grey levels of what no ray meets.
+# Grey level of pixels whose rays meet nothing.
 NOTHING = 30.0
 
 
-class Seen(NamedTuple):
-    """The empty scene.
+class EmptyScene(NamedTuple):
+    """A picture of the empty scene.
 
     Attributes:
         picture: blue, green, red, grey levels from 0 to 255.
-        floor: where the floor is seen.
+        floor: where the floor is visible.
     """
 
     picture: Float[np.ndarray, "row column 3"]
@@ -34,14 +34,14 @@ class Seen(NamedTuple):
 
 
 class Scene:
-    """A room that can be looked at by any camera."""
+    """A room that any camera can view."""
 
     def __init__(self, room: Room):
         self.room = room
         self._light = _floor_light(room)
 
-    def look(self, camera: CameraSpec) -> Seen:
-        """The scene in a camera's picture, through its lens."""
+    def look(self, camera: CameraSpec) -> EmptyScene:
+        """The camera's picture of the scene, through its lens."""
         lens = _lens(camera.size_px, camera.focal_px, camera.centre_px, camera.skew, camera.distortion)
         rays = lens @ camera.rotation.astype(np.float32)
         viewpoint = -camera.rotation.T @ camera.translation_m
@@ -50,12 +50,12 @@ class Scene:
         for surface in self.room.surfaces:
             here = _window(surface, lens, camera)
             _draw(picture[here], depth[here], floor[here], surface, rays[here], viewpoint, camera.focal_px[0])
-        return Seen(picture * self._lit(viewpoint, depth, rays, floor)[..., None], floor)
+        return EmptyScene(picture * self._lit(viewpoint, depth, rays, floor)[..., None], floor)
 
     def _lit(
         self, viewpoint: Float[np.ndarray, "3"], depth: Float[np.ndarray, "row column"], rays: Float[np.ndarray, "row column 3"], floor: np.ndarray
     ) -> Float[np.ndarray, "row column"]:
-        """Light of the lamp in the room's middle, and furniture's shade on the floor."""
+        """Light from the lamp in the room's middle, and the shade of furniture on the floor."""
         x, y = (viewpoint[axis] + np.where(np.isfinite(depth), depth, 0) * rays[..., axis] for axis in (0, 1))
         middle = (self.room.low + self.room.high) / 2
         away = ((x - middle[0]) ** 2 + (y - middle[1]) ** 2) / (2 * LAMP_M**2)
@@ -69,10 +69,10 @@ class Scene:
 def _lens(
     size: tuple[int, int], focal: tuple[float, float], centre: tuple[float, float], skew: float, distortion: tuple[float, ...]
 ) -> Float[np.ndarray, "row column 3"]:
-    """Each pixel's ray in the camera's frame, its third component 1."""
+    """Each pixel's ray in the camera's frame, with third component 1."""
     width, height = size
     pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 1, 2).astype(np.float64)
-    # OpenCV's matrix would ignore the skew.
+    # OpenCV's camera matrix would ignore the skew.
     pixels[..., 0] -= skew * focal[0] / focal[1] * (pixels[..., 1] - centre[1])
     matrix = np.array([[focal[0], 0, centre[0]], [0, focal[1], centre[1]], [0, 0, 1]])
     plane = cv2.undistortPoints(pixels, matrix, np.array(distortion)).reshape(height, width, 2)
@@ -80,13 +80,13 @@ def _lens(
 
 
 def _window(surface: Surface, lens: Float[np.ndarray, "row column 3"], camera: CameraSpec) -> tuple[slice, slice]:
-    """Rows and columns outside of which a surface is not seen; all of them where part of it is behind the camera."""
+    """The rows and columns in which a surface can be visible; all of them if part of it is behind the camera."""
     corners = surface.corner + np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) @ surface.sides
     inside = corners @ camera.rotation.T + camera.translation_m
     if inside[:, 2].min() < NEAR_M:
         return slice(None), slice(None)
     x, y = (inside[:, :2] / inside[:, 2:]).T
-    # The lens bends rows and columns: each spans a range of directions.
+    # The lens bends rows and columns, so each of them covers a range of directions.
     rows = _span(lens[..., 1], 1, float(y.min()), float(y.max()))
     return rows, _span(lens[..., 0], 0, float(x.min()), float(x.max()))
 
@@ -105,13 +105,13 @@ def _draw(
     viewpoint: Float[np.ndarray, "3"],
     focal_px: float,
 ) -> None:
-    """Put a surface where it is nearer than what is there (in place)."""
+    """Draw a surface where it is nearer than what was drawn so far (in place)."""
     if not depth.size:
         return
     lengths = (surface.sides**2).sum(axis=1)
     normal = np.cross(*surface.sides)
     offset = viewpoint - surface.corner
-    # Columns: the ray's share along the normal and along both sides, each side's length counting as 1.
+    # Columns: the ray's components along the normal and along both sides, each in units of the side's length.
     axes = np.stack([normal, surface.sides[0] / lengths[0], surface.sides[1] / lengths[1]], axis=1)
     along = rays @ axes.astype(np.float32)
     start = (offset @ axes).astype(np.float32)
@@ -129,7 +129,7 @@ def _draw(
 
 
 def _shrunk(texture: Texture, texels: float) -> UInt8[np.ndarray, "side side 3"]:
-    """The texture made smaller where a pixel holds several of its texels: it would flicker."""
+    """The texture reduced in size where a pixel covers several of its texels, which would cause flicker."""
     side = texture.shape[0] >> int(np.clip(round(np.log2(max(texels, 1e-3))), 0, 5))
     return texture if side == texture.shape[0] else cv2.resize(texture, (side, side), interpolation=cv2.INTER_AREA).astype(np.uint8)
 
@@ -137,9 +137,9 @@ def _shrunk(texture: Texture, texels: float) -> UInt8[np.ndarray, "side side 3"]
 def _worn(
     texture: UInt8[np.ndarray, "side side 3"], repeats: tuple[float, float], u: Float[np.ndarray, " pixel"], v: Float[np.ndarray, " pixel"]
 ) -> Float[np.ndarray, "pixel 3"]:
-    """The texture's colours at places of a surface, both from 0 to 1."""
+    """The texture's colours at positions on a surface, both coordinates from 0 to 1."""
     side = texture.shape[0]
-    # In lines of this many pixels: OpenCV's longest image is 32767 pixels wide.
+    # Split into lines of this many pixels: OpenCV's images are at most 32767 pixels wide.
     width = 1024
     padded = -(-u.size // width) * width
     columns, rows = (np.resize(each * repeat * side, padded).reshape(-1, width) for each, repeat in zip((u, v), repeats, strict=True))
@@ -148,7 +148,7 @@ def _worn(
 
 
 def _floor_light(room: Room) -> Float[np.ndarray, "row column"]:
-    """How much of the light reaches each cell of the floor past furniture and walls."""
+    """The share of light that reaches each cell of the floor past furniture and walls."""
     size = np.ceil((room.high - room.low)[:2] / CELL_M).astype(int)
     x, y = np.meshgrid(*(room.low[axis] + CELL_M * np.arange(size[axis]) for axis in (0, 1)))
     light = np.ones(x.shape, np.float32)

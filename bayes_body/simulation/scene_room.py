@@ -1,4 +1,4 @@
-"""A room around cameras and person: floor, walls, furniture along the walls and sheets on them, none of it between a camera and the person."""
+"""A room around cameras and person: floor, walls, furniture, and sheets on the walls. Nothing stands between a camera and the person."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,13 +9,13 @@ from jaxtyping import Float
 from bayes_body.simulation import scene_texture as texture
 from bayes_body.simulation.scene_texture import Maker, Texture
 
-# Metres: behind the cameras, around the person's way, above the highest camera, and the least height of a room.
+# Metres: distance of the walls behind the cameras and around the person's path, height above the highest camera, and least height of a room.
 BEHIND_M, AROUND_M, ABOVE_M, LEAST_HEIGHT_M = 0.8, 2.6, 0.5, 2.8
-# Free around the person's way, around a camera, and around the lines of sight from one to the other.
+# Clearance around the person's path, around a camera, and around the lines of sight between them.
 FREE_M, CAMERA_FREE_M, SIGHT_FREE_M = 0.7, 0.5, 0.25
 SHEET_M = 0.005
 FURNITURE, SHEETS, ATTEMPTS = 14, 10, 30
-# How far a material of the room goes before it repeats.
+# Size of a material's pattern before it repeats.
 REPEAT_M = 2.0
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -26,9 +26,9 @@ class Surface(NamedTuple):
     Attributes:
         corner: (3,), metres.
         sides: (2, 3), the two sides from the corner.
-        texture: what it wears.
-        repeats: how often the texture fits along each side.
-        light: share of the lamp's light that it gets.
+        texture: the texture on it.
+        repeats: how many times the texture fits along each side.
+        light: share of the lamp's light that it receives.
         floor: whether it is the floor.
     """
 
@@ -41,13 +41,13 @@ class Surface(NamedTuple):
 
 
 class Room(NamedTuple):
-    """All that stands still.
+    """Everything that stands still.
 
     Attributes:
         low: (3,), corner of the room, metres.
         high: (3,), the opposite one.
-        boxes: (box, 2, 3), furniture's corners.
-        surfaces: all of it.
+        boxes: (box, 2, 3), corners of the furniture.
+        surfaces: the surfaces of all of it.
     """
 
     low: Float[np.ndarray, "3"]
@@ -56,17 +56,17 @@ class Room(NamedTuple):
     surfaces: tuple[Surface, ...]
 
 
-class Kept(NamedTuple):
-    """What furniture must stay clear of: where cameras are (camera, 3), and where the person's joints are at some time (point, 3), metres."""
+class Clearance(NamedTuple):
+    """What furniture must not block: the positions of the cameras (camera, 3) and of the person's joints at any time (point, 3), metres."""
 
     cameras: Float[np.ndarray, "camera 3"]
     points: Float[np.ndarray, "point 3"]
 
 
-def build_room(rng: np.random.Generator, kept: Kept, clutter: float) -> Room:
-    """The room, drawn at random; without clutter a bare one of plain colours."""
-    low, high = _extent(kept)
-    boxes = _furniture(rng, kept, low, high, round(FURNITURE * clutter))
+def build_room(rng: np.random.Generator, clearance: Clearance, clutter: float) -> Room:
+    """A random room; without clutter a bare one with plain colours."""
+    low, high = _extent(clearance)
+    boxes = _furniture(rng, clearance, low, high, round(FURNITURE * clutter))
     strength = min(clutter, 2.0)
     surfaces = [*_shell(rng, low, high, strength), *_sheets(rng, low, high, round(SHEETS * clutter), strength)]
     for box in boxes:
@@ -74,11 +74,11 @@ def build_room(rng: np.random.Generator, kept: Kept, clutter: float) -> Room:
     return Room(low, high, np.array(boxes).reshape(-1, 2, 3), tuple(surfaces))
 
 
-def _extent(kept: Kept) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+def _extent(clearance: Clearance) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     around = np.array([AROUND_M, AROUND_M, 0])
     behind = np.array([BEHIND_M, BEHIND_M, ABOVE_M])
-    low = np.minimum(kept.cameras.min(axis=0) - behind, kept.points.min(axis=0) - around)
-    high = np.maximum(kept.cameras.max(axis=0) + behind, kept.points.max(axis=0) + around)
+    low = np.minimum(clearance.cameras.min(axis=0) - behind, clearance.points.min(axis=0) - around)
+    high = np.maximum(clearance.cameras.max(axis=0) + behind, clearance.points.max(axis=0) + around)
     low[2], high[2] = 0.0, max(high[2], LEAST_HEIGHT_M)
     return low, high
 
@@ -105,7 +105,7 @@ def _surface(corner: Float[np.ndarray, "3"], sides: Sequence[Float[np.ndarray, "
 
 
 def _sheets(rng: np.random.Generator, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], count: int, strength: float) -> list[Surface]:
-    """Posters and boards on the walls, each some millimetres before the one that it may cover."""
+    """Posters and boards on the walls, each some millimetres in front of those that it may cover."""
     sheets = []
     for number in range(count):
         before = SHEET_M * (number + 1)
@@ -121,7 +121,7 @@ def _sheets(rng: np.random.Generator, low: Float[np.ndarray, "3"], high: Float[n
 
 
 def _block(rng: np.random.Generator, box: Float[np.ndarray, "2 3"], strength: float) -> list[Surface]:
-    """The five sides of a piece of furniture that can be seen."""
+    """The five visible sides of a piece of furniture."""
     low, high = box
     x, y, z = np.diag(high - low)
     front, top = _one_of(rng, texture.FRONTS)(rng, strength), texture.plain(rng, strength)
@@ -131,20 +131,20 @@ def _block(rng: np.random.Generator, box: Float[np.ndarray, "2 3"], strength: fl
 
 
 def _furniture(
-    rng: np.random.Generator, kept: Kept, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], count: int
+    rng: np.random.Generator, clearance: Clearance, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], count: int
 ) -> list[Float[np.ndarray, "2 3"]]:
     boxes: list[Float[np.ndarray, "2 3"]] = []
     for _ in range(count):
         for _ in range(ATTEMPTS):
             box = _somewhere(rng, low, high)
-            if _is_free(box, boxes, kept):
+            if _is_free(box, boxes, clearance):
                 boxes.append(box)
                 break
     return boxes
 
 
 def _somewhere(rng: np.random.Generator, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2 3"]:
-    """A piece of furniture against a wall, or, of each four, one in the room."""
+    """A piece of furniture against a wall, or, one time in four, inside the room."""
     axis = int(rng.integers(2))
     size = np.zeros(3)
     size[axis], size[1 - axis], size[2] = rng.uniform(0.3, 0.6), rng.uniform(0.5, 1.5), rng.uniform(0.4, 2.0)
@@ -155,23 +155,23 @@ def _somewhere(rng: np.random.Generator, low: Float[np.ndarray, "3"], high: Floa
     return np.stack([corner, corner + size])
 
 
-def _is_free(box: Float[np.ndarray, "2 3"], boxes: Sequence[Float[np.ndarray, "2 3"]], kept: Kept) -> bool:
+def _is_free(box: Float[np.ndarray, "2 3"], boxes: Sequence[Float[np.ndarray, "2 3"]], clearance: Clearance) -> bool:
     low, high = box
-    way = np.stack([kept.points.min(axis=0), kept.points.max(axis=0)])[:, :2] + [[-FREE_M], [FREE_M]]
+    way = np.stack([clearance.points.min(axis=0), clearance.points.max(axis=0)])[:, :2] + [[-FREE_M], [FREE_M]]
     if (low[:2] < way[1]).all() and (high[:2] > way[0]).all():
         return False
     if any((low < other[1] + 0.05).all() and (high > other[0] - 0.05).all() for other in boxes):
         return False
-    if ((kept.cameras > low - CAMERA_FREE_M) & (kept.cameras < high + CAMERA_FREE_M)).all(axis=1).any():
+    if ((clearance.cameras > low - CAMERA_FREE_M) & (clearance.cameras < high + CAMERA_FREE_M)).all(axis=1).any():
         return False
-    return not any(_blocks(low - SIGHT_FREE_M, high + SIGHT_FREE_M, camera, kept.points) for camera in kept.cameras)
+    return not any(_blocks(low - SIGHT_FREE_M, high + SIGHT_FREE_M, camera, clearance.points) for camera in clearance.cameras)
 
 
 def _blocks(low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], camera: Float[np.ndarray, "3"], points: Float[np.ndarray, "point 3"]) -> bool:
-    """Whether a box is met on the way from a camera to any of the points: slabs, each entered before the first is left."""
-    sight = points - camera
-    sight = np.where(np.abs(sight) < 1e-9, 1e-9, sight)
-    first, second = (low - camera) / sight, (high - camera) / sight
+    """Whether a box lies between a camera and any of the points (slab test: the ray enters all slabs before it leaves one)."""
+    ray = points - camera
+    ray = np.where(np.abs(ray) < 1e-9, 1e-9, ray)
+    first, second = (low - camera) / ray, (high - camera) / ray
     enter, leave = np.minimum(first, second).max(axis=1), np.maximum(first, second).min(axis=1)
     return bool(((enter < leave) & (leave > 0) & (enter < 1)).any())
 

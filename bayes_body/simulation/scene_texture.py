@@ -1,4 +1,4 @@
-r"""Textures that tile: fields whose amplitude falls as $1/f$, as natural surfaces' does, and what a room is made of on top of them."""
+r"""Tiling textures: fields whose amplitude falls as $1/f$, as on natural surfaces, and the materials of a room made from them."""
 
 from collections.abc import Callable
 from functools import cache
@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-# Texels a side; the repetition of a material is a matter of the surface that wears it.
+# Texels per side; the surface decides how often the material repeats.
 SIDE = 512
 
 type Field = Float[np.ndarray, "row column"]
@@ -15,14 +15,14 @@ type Texture = UInt8[np.ndarray, "row column 3"]
 
 
 def pink(rng: np.random.Generator, exponent: float = 1.0) -> Field:
-    """A periodic field of mean 0 and standard deviation 1 whose amplitude falls with frequency to the power of `exponent`."""
+    """A periodic field with mean 0 and standard deviation 1, whose amplitude falls with frequency to the power of `exponent`."""
     shift = rng.integers(0, SIDE, 2).tolist()
     return np.roll(_pink(exponent)[:: int(rng.choice([-1, 1]))], shift, axis=(0, 1))
 
 
 @cache
 def _pink(exponent: float) -> Field:
-    """One field of each exponent: a texture takes it shifted and turned over, which nobody tells from another."""
+    """One field for each exponent. Textures use it shifted and flipped, which is not recognisable."""
     white = np.random.default_rng(round(1000 * exponent)).standard_normal((SIDE, SIDE))
     frequency = np.hypot(np.fft.fftfreq(SIDE)[:, None], np.fft.rfftfreq(SIDE)[None])
     frequency[0, 0] = np.inf
@@ -31,28 +31,28 @@ def _pink(exponent: float) -> Field:
 
 
 def colour(rng: np.random.Generator, darkest: float = 40.0, brightest: float = 210.0, saturation: float = 0.5) -> Float[np.ndarray, "3"]:
-    """Blue, green, red, grey levels."""
+    """A random colour: blue, green, red, grey levels."""
     grey = rng.uniform(darkest, brightest)
     return np.clip(grey * (1 + saturation * rng.uniform(-1, 1, 3)), 10, 245)
 
 
 def finish(base: Float[np.ndarray, "row column 3"], field: Field, contrast: float) -> Texture:
-    """Colours with a field of so many grey levels (standard deviation) on them."""
+    """Colours plus a field with a standard deviation of `contrast` grey levels."""
     return np.clip(base + contrast * field[..., None], 0, 255).astype(np.uint8)
 
 
 def plain(rng: np.random.Generator, strength: float) -> Texture:
-    """Plaster, lino or cardboard: one colour, soft spots."""
+    """Plaster, lino or cardboard: one colour with soft spots."""
     return finish(np.broadcast_to(colour(rng, 90.0, 200.0, 0.1), (SIDE, SIDE, 3)), pink(rng, 1.1), 7 * strength)
 
 
 def carpet(rng: np.random.Generator, strength: float) -> Texture:
-    """Fine and coarse grain."""
+    """Carpet: fine and coarse grain."""
     return finish(np.broadcast_to(colour(rng, 70.0, 150.0, 0.15), (SIDE, SIDE, 3)), pink(rng, 0.6), 14 * strength)
 
 
 def planks(rng: np.random.Generator, strength: float) -> Texture:
-    """Boards side by side, each of its own shade, with grain along them."""
+    """Boards side by side, each with its own shade, with grain along them."""
     boards = 8
     shade = np.repeat(rng.normal(0, 14 * strength, boards), SIDE // boards)[:, None]
     grain = cv2.resize(pink(rng, 0.9), (SIDE, 4 * SIDE))[::4] * 10 * strength
@@ -62,7 +62,7 @@ def planks(rng: np.random.Generator, strength: float) -> Texture:
 
 
 def tiles(rng: np.random.Generator, strength: float) -> Texture:
-    """Squares of two shades with joints."""
+    """Square tiles of two shades, with joints."""
     cells = 4
     row, column = np.indices((SIDE, SIDE)) * cells // SIDE
     joint = np.minimum(*(np.indices((SIDE, SIDE)) % (SIDE // cells))) < 4
@@ -71,7 +71,7 @@ def tiles(rng: np.random.Generator, strength: float) -> Texture:
 
 
 def bricks(rng: np.random.Generator, strength: float) -> Texture:
-    """Rows of bricks, each second one shifted."""
+    """Rows of bricks; every second row is shifted."""
     rows, columns = 16, 8
     y, x = np.indices((SIDE, SIDE))
     row = y * rows // SIDE
@@ -83,14 +83,14 @@ def bricks(rng: np.random.Generator, strength: float) -> Texture:
 
 
 def stripes(rng: np.random.Generator, strength: float) -> Texture:
-    """Wallpaper or a curtain."""
+    """Stripes, for wallpaper or a curtain."""
     wave = np.sign(np.sin(2 * np.pi * rng.integers(4, 12) * np.arange(SIDE) / SIDE))[None, :, None]
     wave = strength * rng.uniform(8, 18) * rng.uniform(0.7, 1.3, 3) * wave
     return finish(np.broadcast_to(colour(rng, 100.0, 190.0, 0.2) + wave, (SIDE, SIDE, 3)), pink(rng), 7 * strength)
 
 
-def shelf(rng: np.random.Generator, strength: float) -> Texture:
-    """Books on boards."""
+def bookshelf(rng: np.random.Generator, strength: float) -> Texture:
+    """Books on shelves."""
     picture = np.full((SIDE, SIDE, 3), colour(rng, 60.0, 140.0, 0.2))
     boards = int(rng.integers(3, 6))
     height = SIDE // boards
@@ -105,7 +105,7 @@ def shelf(rng: np.random.Generator, strength: float) -> Texture:
 
 
 def drawers(rng: np.random.Generator, strength: float) -> Texture:
-    """A cupboard's front: panels with handles."""
+    """The front of a cupboard: panels with handles."""
     picture = np.full((SIDE, SIDE, 3), colour(rng, 80.0, 200.0, 0.2))
     rows, columns = int(rng.integers(2, 5)), int(rng.integers(1, 3))
     for r in range(rows):
@@ -131,4 +131,4 @@ def poster(rng: np.random.Generator, strength: float) -> Texture:
 type Maker = Callable[[np.random.Generator, float], Texture]
 FLOORS: tuple[Maker, ...] = (carpet, planks, tiles)
 WALLS: tuple[Maker, ...] = (plain, plain, bricks, stripes)
-FRONTS: tuple[Maker, ...] = (shelf, shelf, drawers, plain, carpet, stripes)
+FRONTS: tuple[Maker, ...] = (bookshelf, bookshelf, drawers, plain, carpet, stripes)

@@ -1,7 +1,8 @@
 r"""From light to grey levels: lens blur, exposure, noise, eight bits.
 
-A pixel of mean level I reads $g(t)\,I + \epsilon$ with $\epsilon \sim N(0, r^2 + s\,g\,I)$: read noise and photons' shot noise. The gain g holds the
-camera's own gain and white balance, and an exposure that drifts slowly by up to 12 grey levels at mid grey, as an automatic does on a cloudy day.
+A pixel of mean level I reads $g(t)\,I + \epsilon$ with $\epsilon \sim N(0, r^2 + s\,g\,I)$: read noise and photon shot noise. The gain g is the
+product of the camera's own gain, its white balance, and an exposure that drifts slowly by up to 12 grey levels at mid grey, like an automatic
+exposure on a cloudy day.
 """
 
 from functools import cache
@@ -10,30 +11,30 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-# Pixels: standard deviation of the lens's spot.
+# Pixels: standard deviation of the lens blur.
 LENS_PX = 0.7
-# Grey levels squared, and grey levels: sd 1.5 in the dark, 3 in the light, as of an industrial camera indoors.
+# Grey levels squared, and grey levels: sd 1.5 in the dark, 3 in bright areas, like an industrial camera indoors.
 READ_NOISE, SHOT_NOISE = 2.0, 0.035
-# How far cameras' gains, and one camera's channels, lie apart (standard deviations).
+# Standard deviations of the cameras' gains, and of the channels of one camera.
 GAIN_SD, BALANCE_SD = 0.05, 0.02
-# Drift: grey levels at mid grey, and seconds of its shortest cycle.
+# Drift: grey levels at mid grey, and period of its shortest cycle in seconds.
 DRIFT, MID_GREY, SHORTEST_CYCLE_S = 12.0, 128.0, 4.0
-# Frames are drawn from streams of their own, in whatever order they are filmed; those of the empty scene have negative numbers.
+# Each frame has its own random stream, so the order of filming does not matter. Frames of the empty scene have negative numbers.
 BEFORE = 1_000_000
 
 
 class Sensor:
-    """One camera's, with its own gain, colours and drift."""
+    """The sensor of one camera, with its own gain, colours and drift."""
 
     def __init__(self, key: tuple[int, ...], frames: int, fps: float, grey: bool, noise: float):
-        """A sensor drawn at random.
+        """A random sensor.
 
         Args:
             key: seed and number of the camera.
-            frames: how many the recording has.
-            fps: frames a second.
+            frames: number of frames in the recording.
+            fps: frames per second.
             grey: whether it has no colours.
-            noise: 0 for a perfect one, 1 for a usual one.
+            noise: level of the noise; 0 is a perfect sensor, 1 a usual one.
         """
         rng = np.random.default_rng(key)
         self._key, self._grey, self._noise = key, grey, noise
@@ -42,19 +43,19 @@ class Sensor:
         self._phase = rng.uniform(0, 2 * np.pi, 2)
 
     def drift(self, frame: int) -> float:
-        """What the exposure is off at mid grey, grey levels."""
+        """The exposure's error at mid grey, grey levels."""
         angle = 2 * np.pi * frame / self._cycle
         return self._noise * DRIFT * float(0.75 * np.sin(angle + self._phase[0]) + 0.25 * np.sin(3 * angle + self._phase[1]))
 
     def read(self, picture: Float[np.ndarray, "row column 3"], frame: int) -> UInt8[np.ndarray, "row column 3"]:
-        """A picture (blue, green, red, grey levels) as this sensor reads it; a grey one gives three equal channels."""
+        """A picture (blue, green, red, grey levels) as this sensor reads it; a grey sensor returns three equal channels."""
         light = cv2.GaussianBlur(picture, (0, 0), LENS_PX)
         gain = self._gain * (1 + self.drift(frame) / MID_GREY)
         if self._grey:
             light = cv2.cvtColor(light, cv2.COLOR_BGR2GRAY)
-        # OpenCV takes a column of four for a number by channel, whatever the channels.
+        # OpenCV reads four numbers as one per channel, whatever the number of channels.
         level = cv2.multiply(light, np.array([*gain, 0.0])).reshape(*picture.shape[:2], -1)
-        # OpenCV's sum rounds and cuts off at 0 and 255.
+        # OpenCV's sum rounds, and clips to 0 and 255.
         read = cv2.add(level, self._draw(frame, level), dtype=cv2.CV_8U).reshape(level.shape)
         return np.repeat(read, 3, axis=-1) if self._grey else read
 
@@ -70,5 +71,5 @@ class Sensor:
 
 @cache
 def _gaussians(count: int) -> Float[np.ndarray, " value"]:
-    """Standard normal values, of which each frame takes a stretch from a random place: fresh ones would cost more than all else in a picture."""
+    """Standard normal values. Each frame uses a stretch from a random place: new values would take longer than the rest of the picture."""
     return np.random.Generator(np.random.SFC64(count)).standard_normal(count, dtype=np.float32)

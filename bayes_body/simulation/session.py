@@ -1,4 +1,4 @@
-"""A simulated recording as a session on disk: videos, empty scenes or silhouettes, calibration, first pose as a user would have it, and the truth."""
+"""Write a simulated recording as a session: videos, empty scenes or silhouettes, calibration, a first pose as a user would give it, and the truth."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -41,21 +41,21 @@ def simulate(
     """Film a person in a motion with the cameras of a rig, and write the session.
 
     Args:
-        landmarks: the 15 markers at the rig's frame rate (and toes, finger ends, neck where known), metres, z up, the floor at 0.
+        landmarks: the 15 markers at the rig's frame rate (and toes, finger ends, neck if known), metres, z up, floor at 0.
         rig: the cameras.
-        person: who is filmed.
+        person: the person to be filmed.
         options: clutter, noise, silhouettes.
-        folder: the session's; made if need be.
+        folder: the session's folder; created if needed.
         title: one line for people.
         truth: further arrays for truth.npz, such as a body's angles.
-        watch: goes through the frames, to show how far it is.
+        watch: wraps the iteration over frames, to show progress.
 
     Returns:
-        The session as its file says it, and remarks for the user, a sentence each.
+        The session as read from its file, and remarks for the user, one sentence each.
 
     Raises:
-        InputError: the folder holds a session already or cannot be written, a background is missing, a marker is unknown.
-        FaultyFileError: cameras that do not see the person, a sentence each.
+        InputError: the folder already holds a session or cannot be written, a background is missing, or a marker is unknown.
+        FaultyFileError: some cameras do not see the person; one sentence for each.
     """
     check_folder(folder)
     markers = stacked(landmarks)
@@ -79,13 +79,13 @@ def simulate(
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse a folder that holds a session already.
+    """Refuse a folder that already holds a session.
 
     Raises:
-        InputError: it does.
+        InputError: it holds one.
     """
     if (folder / FILE_NAME).exists():
-        raise input_error(folder, f"holds a {FILE_NAME} already", "a folder without one", "name another, or remove it")
+        raise input_error(folder, f"already holds a {FILE_NAME}", "a folder without one", "name another folder, or remove it")
 
 
 def _mask_kinds(options: Options, quality: Quality | None) -> list[str]:
@@ -93,7 +93,7 @@ def _mask_kinds(options: Options, quality: Quality | None) -> list[str]:
 
 
 def _film(performance: Performance, filming: Sequence[Camera], rig: Rig, folder: Path, masks: Sequence[str], watch: Watch) -> None:
-    """Take and write all frames: pictures in threads, files in the order of time."""
+    """Take and write all frames: pictures in threads, files in temporal order."""
     with ExitStack() as stack:
         reels = [Reel(stack, folder, camera, rig.fps, masks) for camera in rig.cameras]
         pool = stack.enter_context(ThreadPoolExecutor(WORKERS, thread_name_prefix="film"))
@@ -104,7 +104,7 @@ def _film(performance: Performance, filming: Sequence[Camera], rig: Rig, folder:
 
 
 def _taken(pool: ThreadPoolExecutor, performance: Performance, filming: Sequence[Camera]) -> Iterator[list[Future[Picture]]]:
-    """All cameras' pictures of each frame; those of the next are under way when a frame is given out."""
+    """All cameras' pictures of each frame; those of the next frame are computed while one is consumed."""
     ahead: list[Future[Picture]] = []
     for frame in range(len(performance)):
         mesh = performance.mesh(frame)
@@ -135,7 +135,7 @@ def _session(
         tuple(views),
         Subject(height_m=height),
         initial_keypoints=_keypoints(rig, markers[0], options),
-        # One camera cannot tell a small person from a far one.
+        # With one camera a small person cannot be distinguished from a distant one.
         fit_lengths=len(rig.cameras) > 1,
         fit_outline=len(rig.cameras) > 1,
         truth=TRUTH,
@@ -143,7 +143,7 @@ def _session(
 
 
 def _keypoints(rig: Rig, markers: Float[np.ndarray, "15 3"], options: Options) -> dict[str, dict[str, tuple[float, float, float]]]:
-    """What a detector finds in the first frame: of the cameras that stand still, or of all where none does."""
+    """A detector's keypoints in the first frame: of the cameras that stand still, or of all cameras if none does."""
     points = dict(zip(MARKERS, markers, strict=True))
     still = [c for c, path in enumerate(rig.path) if path is None] or range(len(rig.cameras))
     found = {}

@@ -1,4 +1,4 @@
-"""Files beside a simulated session's session.toml: the calibration as Pose2Sim writes it, moving cameras' extrinsics, and the truth."""
+"""Further files of a simulated session: the calibration in Pose2Sim's format, moving cameras' extrinsics, and the truth."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,12 +14,12 @@ from bayes_body.evidence.markers import MARKERS
 from bayes_body.files.atomic import make_folder, replacing, write_text
 from bayes_body.session.session import CameraSpec
 
-# Where Pose2Sim looks for a calibration in a project.
+# Where Pose2Sim expects a project's calibration.
 CALIBRATION, TRUTH = "calibration/Calib.toml", "truth.npz"
 
 
 def camera_name(name: str) -> str:
-    """A moving camera's extrinsics, from the session's folder on."""
+    """A moving camera's extrinsics, relative to the session's folder."""
     return f"cameras/{name}.npz"
 
 
@@ -43,7 +43,7 @@ def write_calibration(path: Path, cameras: Sequence[CameraSpec]) -> None:
 def _calibration(camera: CameraSpec) -> Table:
     focal, centre = camera.focal_px, camera.centre_px
     matrix = [[focal[0], camera.skew * focal[0], centre[0]], [0.0, focal[1], centre[1]], [0.0, 0.0, 1.0]]
-    # Pose2Sim reads four coefficients; a fifth is written only where there is one.
+    # Pose2Sim reads four coefficients; a fifth is written only if it is not zero.
     distortions = list(camera.distortion if camera.distortion[4] else camera.distortion[:4])
     table = tomlkit.table()
     table.add("name", camera.name)
@@ -59,7 +59,7 @@ def _calibration(camera: CameraSpec) -> Table:
 def write_truth(
     path: Path, markers: Float[np.ndarray, "frame 15 3"], landmarks: Mapping[str, Float[np.ndarray, "frame 3"]], more: Mapping[str, np.ndarray]
 ) -> None:
-    """Write the true markers with their names, all landmarks (toes, finger ends) with theirs, and further arrays; metres.
+    """Write the true markers and all landmarks (toes, finger ends) with their names, and further arrays; metres.
 
     Raises:
         InputError: it cannot be written.

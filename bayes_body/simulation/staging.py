@@ -1,4 +1,4 @@
-"""A motion put on the stage: cut to length, scaled to a person, and moved to where cameras look."""
+"""Prepare a motion for filming: cut it, scale it to a person, and move it to where the cameras look."""
 
 from collections.abc import Mapping
 from itertools import pairwise
@@ -10,13 +10,13 @@ from bayes_body.errors import input_error
 from bayes_body.evidence.markers import MARKERS
 
 type Landmarks = Mapping[str, Float[np.ndarray, "frame 3"]]
-# From the head's crown down to the ankle a body is so much of its stature; the rest is foot (Drillis & Contini 1966: 0.039 H).
+# Height from the crown down to the ankle, over stature; the rest is the foot (Drillis & Contini 1966: 0.039 H).
 DOWN_TO_ANKLE = 1 - 0.039
 SPINE = ("head", "thorax", "pelvis")
 
 
 def stacked(landmarks: Landmarks) -> Float[np.ndarray, "frame 15 3"]:
-    """The 15 markers in their order, metres.
+    """The 15 markers as one array, in their order, metres.
 
     Raises:
         InputError: one is missing.
@@ -28,7 +28,7 @@ def stacked(landmarks: Landmarks) -> Float[np.ndarray, "frame 15 3"]:
 
 
 def stature_m(landmarks: Landmarks) -> float:
-    """How tall the person is: along the body from crown to ankle, each stretch's median over time, and the foot's share."""
+    """The person's stature: the sum of the segments from crown to ankle (median over time of each), plus the foot."""
     points = dict(zip(MARKERS, np.moveaxis(stacked(landmarks), 1, 0), strict=True))
     hips = (points["l_hip"] + points["r_hip"]) / 2
     spine = [*(points[name] for name in SPINE), hips]
@@ -40,12 +40,12 @@ def stature_m(landmarks: Landmarks) -> float:
 
 
 def scaled(landmarks: Landmarks, factor: float) -> dict[str, Float[np.ndarray, "frame 3"]]:
-    """The motion of a person who is larger by a factor; the floor stays at height 0, strides grow too."""
+    """The motion of a person who is larger by a factor. The floor stays at height 0; strides are scaled too."""
     return {name: factor * np.asarray(track, np.float64) for name, track in landmarks.items()}
 
 
 def centred(landmarks: Landmarks, aim_m: Float[np.ndarray, "3"]) -> dict[str, Float[np.ndarray, "frame 3"]]:
-    """The motion moved so that the middle of the pelvis's way is above the point that cameras look at; heights stay."""
+    """The motion, moved so that the middle of the pelvis's path is above the point that the cameras look at. Heights do not change."""
     way = np.asarray(landmarks["pelvis"], np.float64)
     shift = aim_m - (np.nanmin(way, axis=0) + np.nanmax(way, axis=0)) / 2
     shift[2] = 0.0
@@ -53,14 +53,14 @@ def centred(landmarks: Landmarks, aim_m: Float[np.ndarray, "3"]) -> dict[str, Fl
 
 
 def cut(landmarks: Landmarks, first: int, frames: int | None) -> dict[str, Float[np.ndarray, "left 3"]]:
-    """So many frames of the motion from the first on; all that follow it if no number is given.
+    """`frames` frames of the motion from `first` on; all remaining ones if no number is given.
 
     Raises:
         InputError: the motion has no such frames.
     """
     there = len(next(iter(landmarks.values())))
     if not 0 <= first < there:
-        raise input_error("--first-frame", f"{first}", f"0 to {there - 1}, the motion has {there} frames at the rig's rate", "name an earlier one")
+        raise input_error("--first-frame", f"{first}", f"0 to {there - 1}, the motion has {there} frames at the rig's rate", "name an earlier frame")
     if frames is not None and not 1 <= frames <= there - first:
         raise input_error("--frames", f"{frames}", f"1 to {there - first}, the motion has no more at the rig's rate", "lower it, or leave it out")
     return {name: track[first : None if frames is None else first + frames] for name, track in landmarks.items()}

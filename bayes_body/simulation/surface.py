@@ -1,7 +1,7 @@
-"""A body as tubes, a tube as rings about a bent chain of bones: where the rings' centres and axes lie, and which points make triangles.
+"""A body made of tubes, each made of rings around a bent chain of bones: the centres and axes of the rings, and the triangles between them.
 
-A ring's station is measured in bones: 1.25 is a quarter along the second bone. Near a joint the path is a parabola, and the rings turn with it, so
-that the skin runs on across bent knees and elbows.
+A ring's station is measured in bones: 1.25 is a quarter of the way along the second bone. Near a joint the path is a parabola and the rings turn with
+it, so the skin continues smoothly across bent knees and elbows.
 """
 
 from typing import NamedTuple
@@ -12,9 +12,9 @@ from jaxtyping import Float, Int
 from bayes_body.simulation.person_frames import Chain, across
 from bayes_body.simulation.person_motion import unit
 
-# Points on a ring; the first lies towards the person's left, a quarter on is the front.
+# Points per ring; the first is towards the person's left, a quarter further is the front.
 ANGLES = 20
-# Share of a bone that one joint's bend may take.
+# Largest share of a bone that the blend at one joint may use.
 LONGEST_BLEND = 0.45
 _TURN = 2.0 * np.pi * np.arange(ANGLES) / ANGLES
 COSINES, SINES = np.cos(_TURN).round(12), np.sin(_TURN).round(12)
@@ -26,7 +26,7 @@ class Rings(NamedTuple):
     Attributes:
         centres: (frame, ring, 3), metres.
         along: (frame, ring, 3), unit, towards the next ring.
-        lateral: (frame, ring, 3), unit, where a ring's first point lies.
+        lateral: (frame, ring, 3), unit, the direction of a ring's first point.
     """
 
     centres: Float[np.ndarray, "frame ring 3"]
@@ -39,8 +39,8 @@ def sweep(bones: Chain, stations: Float[np.ndarray, " ring"], blend_m: Float[np.
 
     Args:
         bones: the chain.
-        stations: where the rings stand, in bones; ascending.
-        blend_m: how far from each joint the path bends; at most `LONGEST_BLEND` of a bone is taken.
+        stations: positions of the rings, in bones; ascending.
+        blend_m: the distance from each joint within which the path bends, limited to `LONGEST_BLEND` of a bone.
     """
     steps = np.diff(bones.points, axis=1)
     lengths, directions = np.linalg.norm(steps, axis=-1), unit(steps)
@@ -65,11 +65,11 @@ def sweep(bones: Chain, stations: Float[np.ndarray, " ring"], blend_m: Float[np.
 def sections(
     sides: Float[np.ndarray, "ring 4"], roundness: Float[np.ndarray, " ring"]
 ) -> tuple[Float[np.ndarray, "ring angle"], Float[np.ndarray, "ring angle"]]:
-    """Points of rings in their own planes: quarters of superellipses.
+    """The points of rings in their own planes, made of quarters of superellipses.
 
     Args:
         sides: half widths to the left, to the right, ahead and behind, metres.
-        roundness: the superellipse's exponent; 2 is an ellipse, more is boxier.
+        roundness: the superellipse's exponent; 2 is an ellipse, larger is more rectangular.
     """
     power = 2.0 / roundness[:, None]
     widths = np.where(COSINES >= 0, sides[:, :1], sides[:, 1:2]), np.where(SINES >= 0, sides[:, 2:3], sides[:, 3:4])
@@ -82,10 +82,10 @@ def triangles(rings: list[int]) -> tuple[Int[np.ndarray, "face 3"], Int[np.ndarr
     """The triangles of closed tubes.
 
     Args:
-        rings: how many rings each tube has.
+        rings: number of rings of each tube.
 
     Returns:
-        (face, 3) indices of points: first all rings' points in order, then two caps' middles for each tube, its first and its last; and (face, 2) the
+        (face, 3) indices of points: first all rings' points in order, then for each tube the centres of its first and last cap; and (face, 2) the
         ring and the angle that a face belongs to.
     """
     faces, places, first, middles = [], [], 0, sum(rings) * ANGLES

@@ -1,4 +1,4 @@
-"""Writing videos (MPEG-4 in .mp4, which any OpenCV can write) and numbered silhouettes; what cannot be written is said as a sentence."""
+"""Write videos (MPEG-4 in .mp4, which every OpenCV can write) and numbered silhouettes. Failures raise an InputError."""
 
 from pathlib import Path
 from types import TracebackType
@@ -16,14 +16,14 @@ CODEC = "mp4v"
 
 
 class VideoWriter:
-    """A video that is written frame by frame, and whole once it is closed."""
+    """A video that is written frame by frame; the file is complete after closing."""
 
     def __init__(self, path: Path, fps: float, size_px: tuple[int, int]):
         """Open a video.
 
         Args:
-            path: its file; the folder is made if need be.
-            fps: frames a second.
+            path: its file; the folder is created if needed.
+            fps: frames per second.
             size_px: (width, height).
 
         Raises:
@@ -44,7 +44,7 @@ class VideoWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Close the file; OpenCV tells of a full disk only by what is not there."""
+        """Close the file. OpenCV does not report a full disk, so check that the file is not empty."""
         self._video.release()
         if error is None and not (self._path.is_file() and self._path.stat().st_size):
             raise _refused(self._path, "is empty")
@@ -54,8 +54,8 @@ def write_mask(pattern: Path, number: int, mask: Bool[np.ndarray, "row column"])
     """Write a silhouette, white where the person is.
 
     Args:
-        pattern: of the file's name, with one place for the number; its folder is there.
-        number: the frame's.
+        pattern: pattern of the file's name, with one place for the number; its folder exists.
+        number: the frame number.
         mask: the silhouette.
 
     Raises:
@@ -67,4 +67,4 @@ def write_mask(pattern: Path, number: int, mask: Bool[np.ndarray, "row column"])
 
 
 def _refused(path: Path, found: str) -> InputError:
-    return input_error(path, found, "a folder that can be written, with room", "name another folder, or free some space")
+    return input_error(path, found, "a writable folder with free space", "name another folder, or free some space")

@@ -1,4 +1,4 @@
-"""Where a camera sees points of the world, and of which frames it sees the person: by OpenCV's projection, not the model's."""
+"""Where a camera sees points of the world, and in which frames it sees the person. Uses OpenCV's projection, not the model's."""
 
 from collections.abc import Mapping, Sequence
 
@@ -11,30 +11,30 @@ from bayes_body.evidence.markers import MARKERS
 from bayes_body.recording.rig import Rig
 from bayes_body.session.session import CameraSpec
 
-# Metres before the camera; a marker nearer is not seen.
+# A marker nearer to the camera than this (metres) is not visible.
 NEAR_M = 0.1
-# A camera sees the person of whom it sees so many of the 15 markers; and is of use if it does in this share of the frames.
+# A camera sees the person if it sees so many of the 15 markers. It is useful if it does so in this share of the frames.
 SEEN_MARKERS, LEAST_SHARE = 8, 0.1
-# A detector's confidence: of a point that it puts right, what a standard deviation of error costs, and how much it varies of itself.
+# A detector's confidence: for a point without error, its loss per standard deviation of error, and its own standard deviation.
 CONFIDENCE, LOST_A_SD, CONFIDENCE_SD, LEAST_CONFIDENCE = 0.95, 0.06, 0.04, 0.3
 
 
 def pixels(camera: CameraSpec, points: Float[np.ndarray, "point 3"]) -> tuple[Float[np.ndarray, "point 2"], Bool[np.ndarray, " point"]]:
-    """Column and row of each point (metres), and whether it is before the camera and inside the image."""
+    """Column and row of each point (metres), and whether it is in front of the camera and inside the image."""
     points = np.asarray(points, np.float64)
     K = np.array([[camera.focal_px[0], 0, camera.centre_px[0]], [0, camera.focal_px[1], camera.centre_px[1]], [0, 0, 1]])
     turned = cv2.Rodrigues(camera.rotation)[0]
     found = cv2.projectPoints(points.reshape(-1, 1, 3), turned, camera.translation_m, K, np.array(camera.distortion))[0].reshape(-1, 2)
-    # OpenCV's matrix would ignore the skew.
+    # OpenCV's camera matrix would ignore the skew.
     found[:, 0] += camera.skew * camera.focal_px[0] / camera.focal_px[1] * (found[:, 1] - camera.centre_px[1])
     inside = points @ camera.rotation.T + camera.translation_m
-    # A lens bends what is far outside its field back into the image.
+    # A lens model can map points far outside the field of view back into the image.
     straight = np.abs(inside[:, :2]).max(axis=1) < 1.5 * inside[:, 2] * max(np.divide(camera.size_px, camera.focal_px))
     return found, (inside[:, 2] > NEAR_M) & straight & (found > -0.5).all(axis=1) & (found < np.array(camera.size_px) - 0.5).all(axis=1)
 
 
 def frames_seen(cameras: Sequence[CameraSpec], markers: Float[np.ndarray, "frame marker 3"]) -> Bool[np.ndarray, " frame"]:
-    """In which frames a camera, given as it is in each, sees most of the person."""
+    """In which frames a camera, given for each frame, sees most of the person."""
     return np.array([pixels(camera, points)[1].sum() >= SEEN_MARKERS for camera, points in zip(cameras, markers, strict=True)])
 
 
@@ -42,7 +42,7 @@ def check_visibility(rig: Rig, markers: Float[np.ndarray, "frame marker 3"]) -> 
     """Refuse a rig with a camera that hardly ever sees the person.
 
     Returns:
-        Remarks, a sentence for each camera that does not see the person in all frames.
+        Remarks, one sentence for each camera that does not see the person in all frames.
 
     Raises:
         FaultyFileError: one sentence for each camera that sees the person in less than a tenth of the frames.
@@ -54,10 +54,10 @@ def check_visibility(rig: Rig, markers: Float[np.ndarray, "frame marker 3"]) -> 
         found = f"sees the person in {count} of {len(markers)} frames"
         if count < LEAST_SHARE * len(markers):
             expected = f"a camera that sees the person, who is around ({', '.join(f'{value:.1f}' for value in middle)}) m"
-            remedy = "turn it there, move it back or widen its lens (a smaller focal_px), or leave it out with --cameras"
+            remedy = "turn it there, move it back or widen its lens (a smaller focal_px), or exclude it with --cameras"
             faults.append(str(input_error(f"rig {rig.name}: camera '{camera.name}'", found, expected, remedy)))
         elif count < len(markers):
-            remarks.append(f"camera '{camera.name}' {found}; fewer frames (--frames) or a rig that covers more would show all of them.")
+            remarks.append(f"camera '{camera.name}' {found}; fewer frames (--frames) or a rig that covers a larger area would show all of them.")
     if faults:
         raise FaultyFileError(faults)
     return remarks
@@ -66,7 +66,7 @@ def check_visibility(rig: Rig, markers: Float[np.ndarray, "frame marker 3"]) -> 
 def detected(
     rng: np.random.Generator, camera: CameraSpec, markers: Mapping[str, Float[np.ndarray, "3"]], sd_px: float
 ) -> dict[str, tuple[float, float, float]]:
-    """Keypoints as a detector gives them in one frame: column, row, confidence, of those of the 15 markers that are in the image."""
+    """Keypoints of a detector in one frame: column, row, confidence, for those of the 15 markers that are in the image."""
     names = [name for name in MARKERS if np.isfinite(markers[name]).all()]
     found, seen = pixels(camera, np.stack([markers[name] for name in names]))
     error = rng.normal(0, 1, found.shape)

@@ -96,9 +96,9 @@ def test_a_name_that_the_body_does_not_have(schema, shape, field, remedy):
 @pytest.mark.parametrize(
     ("table", "change", "sentence"),
     [
-        ("joint", {"parent": "l_hipp"}, "joint 'l_knee': parent 'l_hipp' is no joint; did you mean 'l_hip'?"),
-        ("joint", {"offset": {"z": "-l_tigh"}}, "joint 'l_knee': offset z = '-l_tigh' names no length; did you mean 'l_thigh'?"),
-        ("joint", {"name": "l_hip"}, "joint 'l_hip' is defined 2 times; give each joint a name of its own"),
+        ("joint", {"parent": "l_hipp"}, "joint 'l_knee': parent 'l_hipp' is not a joint; did you mean 'l_hip'?"),
+        ("joint", {"offset": {"z": "-l_tigh"}}, "joint 'l_knee': offset z = '-l_tigh' is not a length; did you mean 'l_thigh'?"),
+        ("joint", {"name": "l_hip"}, "joint 'l_hip' is defined 2 times; give each joint a unique name"),
         ("part", {"joint": "l_nee"}, "part 'l_calf': joint 'l_nee' does not exist; did you mean 'l_knee'?"),
         ("part", {"length": "l_calv"}, "part 'l_calf': length 'l_calv' is not in lengths_of_height; did you mean 'l_calf'?"),
     ],
@@ -116,7 +116,7 @@ def test_joints_in_a_circle():
     document = tomllib.loads((definitions_folder() / "bodies" / f"{NAME}.toml").read_text())
     (root,) = [joint for joint in document["joint"] if joint["name"] == "root"]
     root["parent"] = "l_knee"
-    with pytest.raises(ValueError, match=r"hang on each other in a cycle; one of them must have the parent 'world'") as error:
+    with pytest.raises(ValueError, match=r"form a cycle of parents; one of them must have the parent 'world'") as error:
         BodySchema.model_validate(document)
     assert {"root", "l_hip", "l_knee"} <= set(str(error.value).split("joints ")[1].split(" hang")[0].split(" -> "))
 

@@ -93,9 +93,9 @@ def _document(**changes):
     ("changes", "said"),
     [
         ({"dof": {"low_m": None, "high_m": None}}, "'waist' is a width without limits"),
-        ({"dof": {"low_m": -0.04}}, "low_m = -0.04 of 'waist' leaves no radius of 0.035 m"),
-        ({"part": {"widened": ["", "wiast"]}}, "'wiast', which is no dof of axis 'width'; did you mean 'waist'"),
-        ({"part": {"widened": ["", "turn"]}}, "'turn', which is no dof of axis 'width'"),
+        ({"dof": {"low_m": -0.04}}, "low_m = -0.04 of 'waist' removes the whole radius of 0.035 m"),
+        ({"part": {"widened": ["", "wiast"]}}, "'wiast', which is not a dof of axis 'width'; did you mean 'waist'"),
+        ({"part": {"widened": ["", "turn"]}}, "'turn', which is not a dof of axis 'width'"),
         ({"part": {"widened": ["", ""]}}, "'waist' widens no part"),
         ({"dof": {"low_m": None, "high_m": None, "low_deg": -1, "high_deg": 1}}, "give its limits as low_m and high_m"),
     ],

@@ -80,7 +80,7 @@ def test_an_interrupted_check_goes_on_to_the_same_end(tmp_path):
 def test_replications_of_something_else_are_refused(tmp_path):
     path = tmp_path / "kept"
     ReplicationLog(path, SETTINGS)
-    with pytest.raises(ValueError, match=r"kept: replications with model = 'arm'; expected model = 'leg'; give what it has, remove it"):
+    with pytest.raises(ValueError, match=r"kept: replications with model = 'arm'; expected model = 'leg'; use its settings, remove it"):
         ReplicationLog(path, {**SETTINGS, "model": "leg"})
     path.write_text("something\n")
     with pytest.raises(ValueError, match="its first line is not that of a check"):

@@ -11,7 +11,7 @@ from calibration import toys
 from bayes_body import kernels
 from bayes_body.calibration import bands, sbc
 from bayes_body.calibration.coverage import coverage
-from bayes_body.calibration.problem import alone
+from bayes_body.calibration.problem import point_mass
 from bayes_body.kernels import tempered_smc
 from bayes_body.kernels.parts import extended
 
@@ -163,7 +163,7 @@ def test_effective_sizes_count_equal_states_and_common_ancestors_once():
     uneven = jnp.array([0.5, 0.0, 0.1, 0.1, 0.1, 0.1, 0.1, 0.0])
     assert np.isclose(sbc._merged(uneven, states), 1 / (0.25 + 0.04 + 0.04 + 0.01), rtol=1e-5)
     info = kernels.sir()(
-        jax.random.key(0), alone(toys.gaussian().first, 8), toys.gaussian().density({"seen": jnp.zeros(1)}, alone(toys.gaussian().first))
+        jax.random.key(0), point_mass(toys.gaussian().first, 8), toys.gaussian().density({"seen": jnp.zeros(1)}, alone(toys.gaussian().first))
     )[1]
-    before = alone(toys.gaussian().first, 8)._replace(states={"x": jnp.arange(16.0).reshape(8, 2)})
+    before = point_mass(toys.gaussian().first, 8)._replace(states={"x": jnp.arange(16.0).reshape(8, 2)})
     assert np.isclose(sbc._by_ancestor(weights, before, info._replace(ancestors=jnp.array([0, 0, 0, 0, 5, 5, 5, 5])), 2), 2)

@@ -33,7 +33,7 @@ def test_files_without_a_place_are_refused(cli, tmp_path):
 
 
 def test_a_likelihood_that_is_no_distribution_is_named_and_what_is_checked_instead(cli):
-    cli("check", "arm").refuses("the likelihood 'silhouette_edges': it is no distribution over images", "give a recording with --session")
+    cli("check", "arm").refuses("the likelihood 'silhouette_edges': it is not a distribution over images", "give a recording with --session")
     cli("check", "tempered_smc").refuses("'silhouette_edges'", "at most 4 dofs for a quadrature, not 31", "coverage_90", "bayes-body simulate")
 
 
@@ -67,7 +67,7 @@ def test_an_interrupted_check_goes_on_to_the_same_figures(tmp_path):
     assert partial.exists() and not stopped.exists()
     process = _start(*ARGUMENTS, "--json", stopped)
     out, _ = process.communicate()
-    assert process.returncode == 0 and "going on with" in out
+    assert process.returncode == 0 and "continuing with" in out
     again = json.loads(stopped.read_text())
     assert {**again, "seconds": 0} == {**figures, "seconds": 0}
 
@@ -78,5 +78,5 @@ def test_a_mode_seeker_does_not_pass(cli, tmp_path):
     arguments = ("check", "arm_markers", "--kernel", "annealed", "--particles", 500, "--replications", 60, "--json", path)
     outcome = cli(*arguments)
     assert outcome.status == 1
-    assert "a mode seeker" in outcome.out and "FAIL." in outcome.out and "'annealed' has none that keeps the posterior" in outcome.out
+    assert "a mode seeker" in outcome.out and "FAIL." in outcome.out and "'annealed' has none that leaves the posterior invariant" in outcome.out
     assert json.loads(path.read_text())["passed"] is False

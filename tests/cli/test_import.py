@@ -35,7 +35,7 @@ def test_a_session_folder_that_is_a_file(cli, bodytrack, tmp_path):
 CALIBRATIONS = {
     "24 numbers": (lambda numbers: numbers[:24], ["24 numbers", "expected 25", "restore"]),
     "no focal length": (lambda numbers: ["0", *numbers[1:]], ["focal length x = 0", "expected a positive number"]),
-    "no rotation": (lambda numbers: [*numbers[:10], "0.5", *numbers[11:]], ["numbers 11 to 19", "no rotation", "expected"]),
+    "no rotation": (lambda numbers: [*numbers[:10], "0.5", *numbers[11:]], ["numbers 11 to 19", "not a rotation", "expected"]),
     "a word": (lambda numbers: ["wide", *numbers[1:]], ["line 1", "'wide'", "expected a finite number"]),
     "NaN": (lambda numbers: ["nan", *numbers[1:]], ["line 1", "'nan'", "expected a finite number"]),
 }
@@ -203,5 +203,5 @@ def test_the_real_project_of_pose2sim(cli, pose2sim_beam, tmp_path):
     outcome = cli("import", "pose2sim", pose2sim_beam, tmp_path / "beam", "--height", "1.72")
     assert outcome.status == 0, outcome.err
     assert "4 cameras, 100 frames at 60 frames a second" in outcome.out
-    assert "taken as BODY_25B" in outcome.out
+    assert "read as BODY_25B" in outcome.out
     assert cv2.imread(str(tmp_path / "beam" / "check.png")) is not None

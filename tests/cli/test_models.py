@@ -50,8 +50,8 @@ FAULTS = {
     "unknown body": (('"deutscher_31"', '"deutscher_13"'), ["body.name", "'deutscher_13'", "did you mean 'deutscher_31'?"]),
     "NaN": (("precision = 1.0", "precision = nan"), ["likelihood #1", "precision = nan", "expected a finite number"]),
     "negative": (("root_yaw = 3.0", "root_yaw = -3.0"), ["dynamics", "root_yaw = -3.0", "expected a number greater than 0"]),
-    "sd for no dof": (('"?_knee"', '"?_kneee"'), ["dynamics.sd_deg.?_kneee", "fits no dof", "did you mean"]),
-    "sd in the wrong unit": (("root_yaw = 3.0", "root_yaw = 3.0\nroot_x = 1.0"), ["dynamics.sd_deg.root_x", "fits no dof of the body in degrees"]),
+    "sd for no dof": (('"?_knee"', '"?_kneee"'), ["dynamics.sd_deg.?_kneee", "matches no dof", "did you mean"]),
+    "sd in the wrong unit": (("root_yaw = 3.0", "root_yaw = 3.0\nroot_x = 1.0"), ["dynamics.sd_deg.root_x", "matches no dof of the body in degrees"]),
     "dof without sd": (('"?_knee" = 5.0\n', ""), ["'l_knee'", "no standard deviation", "expected one for every dof", "add"]),
     "text for a number": (("layers = 5", 'layers = "five"'), ["kernel", 'layers = "five"', "expected a whole number", "without quotes"]),
     "choice": (('mode = "hard"', 'mode = "firm"'), ["constraint #1", 'mode = "firm"', "known: hard, soft"]),
@@ -127,13 +127,13 @@ WRITTEN_OUT = (
 )
 BODY_FAULTS = {
     "low above high": (("low_deg = -150, high_deg = 0", "low_deg = 0, high_deg = -150"), ["'bend'", "low_deg = 0", "high_deg = -150", "swap them"]),
-    "one limit": (("low_deg = -150, high_deg = 0", "low_deg = -150"), ["'bend'", "one limit only", "low_deg and high_deg", "neither"]),
+    "one limit": (("low_deg = -150, high_deg = 0", "low_deg = -150"), ["'bend'", "only one limit", "low_deg and high_deg", "neither"]),
     "metres of an angle": (("high_deg = 0", "high_m = 0"), ["'bend'", "is an angle", "low_deg and high_deg"]),
     "cycle": (('parent = "world"', 'parent = "elbow"'), ["shoulder -> elbow -> shoulder", "cycle", "'world'"]),
     "NaN": (("high_deg = 60", "high_deg = nan"), ["joint 'shoulder'", "'swing'", "high_deg = nan", "expected a finite number"]),
     "no such length": (('length = "lower"', 'length = "lowre"'), ["'forearm'", "'lowre'", "did you mean 'lower'?"]),
     "no such parent": (('parent = "shoulder"', 'parent = "sholder"'), ["'elbow'", "'sholder'", "did you mean 'shoulder'?"]),
-    "twice": (('name = "forearm"', 'name = "upper_arm"'), ["part 'upper_arm'", "2 times", "a name of its own"]),
+    "twice": (('name = "forearm"', 'name = "upper_arm"'), ["part 'upper_arm'", "2 times", "a unique name"]),
 }
 
 

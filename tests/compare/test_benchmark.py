@@ -160,7 +160,7 @@ def test_what_cannot_be_has_its_sentence_and_the_others_go_on(rows, tmp_path):
     asked = [*pairs(["arm", "no_such"], ["sir"]), *pairs(["arm_markers"], ["sir"])]
     lonely, missing, fine = rows(asked)
     assert SENTENCE.match(lonely["why_not"])
-    assert "'silhouette_edges' is no distribution over data" in lonely["why_not"] and "--session" in lonely["why_not"]
+    assert "'silhouette_edges' is not a distribution over data" in lonely["why_not"] and "--session" in lonely["why_not"]
     assert "model 'no_such' does not exist" in missing["why_not"]
     assert all(row[figure] is None for row in (lonely, missing) for figure in FIGURES)
     assert fine["error_mm_mean"] > 0

@@ -99,7 +99,7 @@ def test_figures_sentences_and_a_plot(densities, truth, tmp_path, monkeypatch):
         assert all(len(of[each]) == 4 for each in ("bias", "variance", "error", "error_interval"))
         assert all(low <= error <= high for error, (low, high) in zip(of["error"], of["error_interval"], strict=True))
     assert figures["sir"]["evaluations"] == 80 and figures["hmc, draws"]["evaluations"] > 600
-    told = path.told(figures).splitlines()
+    told = path.summary(figures).splitlines()
     assert len(told) in (3, 4) and told[1].startswith("along 4 frames, sir: error²")
     row = {"per_dof": {"a": (2.0, 1.0, 3.0), "b": (5.0, 4.0, 8.0)}}
     draw_ratios(tmp_path / "plot.png", {**row, "equal_seconds": row, "frames": figures})
@@ -110,12 +110,12 @@ def test_figures_sentences_and_a_plot(densities, truth, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("difference", "words"),
-    [((0.01, 0.01, 0.01), None), ((0.01, 0.03, 0.01), "from number 1 of these frames on"), ((0.5, 0.0, 0.0), "from number 0 of these frames on")],
+    [((0.01, 0.01, 0.01), None), ((0.01, 0.03, 0.01), "from frame 1 of these on"), ((0.5, 0.0, 0.0), "from frame 0 of these on")],
 )
 def test_a_truth_that_is_not_known_is_said(difference, words):
     row = {"bias": [0.1, 0.1, 0.1], "variance": [0.1, 0.1, 0.1], "error": [0.2, 0.2, 0.2], "seconds": 1.0}
     # The smallest error of any filter counts.
     worse = row | {"error": [9.0, 9.0, 9.0]}
-    lines = path.told({"hmc": worse, "sir": row, "truth_difference": list(difference)}).splitlines()
+    lines = path.summary({"hmc": worse, "sir": row, "truth_difference": list(difference)}).splitlines()
     assert len(lines) == 3 + (words is not None)
     assert words is None or lines[-1].startswith(words)

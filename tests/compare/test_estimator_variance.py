@@ -77,9 +77,9 @@ def test_a_truth_whose_runs_differ_is_said():
     one, none = np.ones((5, 1)), np.zeros(1)
     equal = ev.Equal(ev.Runs(one, 10, 0.1), {at: ev.Runs(one, 10, 0.1) for at in ("evaluations", "seconds")}, {"evaluations": 10, "seconds": 10}, 1.3)
     sound, doubtful = (ev.figures_of(["a"], equal, ev.Truth(none, one[0], np.array([error]), 300.0)) for error in (0.05, 0.2))
-    assert sound["settings"]["truth_difference"] == 0.05 and "say nothing" not in ev.told(sound)
-    assert "differ by 20.0% of hmc's error² at worst" in ev.told(doubtful)
-    assert "a difference above 10% is too much: these ratios say nothing; leave out --quick" in ev.told(doubtful)
+    assert sound["settings"]["truth_difference"] == 0.05 and "meaningless" not in ev.summary(sound)
+    assert "differ by at most 20.0% of hmc's error²" in ev.summary(doubtful)
+    assert "a difference above 10% is too much: these ratios are meaningless; leave out --quick" in ev.summary(doubtful)
 
 
 def test_the_error_of_n_draws_is_the_variance_over_n(target):

@@ -118,7 +118,7 @@ def test_noise_is_centred_on_the_state_and_scaled(arm):
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({"sholder_*": 3.0, "*": 1.0}, "dynamics.sd_deg.sholder_*: fits no dof of the body in degrees; did you mean 'shoulder_"),
+        ({"sholder_*": 3.0, "*": 1.0}, "dynamics.sd_deg.sholder_*: matches no dof of the body in degrees; did you mean 'shoulder_"),
         ({"shoulder_*": 3.0}, "no standard deviation for the dof 'elbow'"),
     ],
 )

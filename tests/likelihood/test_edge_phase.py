@@ -355,7 +355,7 @@ def _table(**changes):
     [
         ({"amplitude": [0.9, 1.5]}, "amplitude"),
         ({"epsilon": [0.5, 1.1]}, "epsilon"),
-        ({"log_amplitude": [4.0, 0.0]}, "give the least, then the largest"),
+        ({"log_amplitude": [4.0, 0.0]}, "give the smallest, then the largest"),
         ({"wavelength_px": 2.0}, "wavelength_px"),
     ],
 )

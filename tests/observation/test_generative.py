@@ -30,7 +30,7 @@ def test_markers_of_a_frame():
     assert seen.pixels.shape == (3, 15, 2) and seen.confidence.shape == (3, 15)
     np.testing.assert_array_equal(np.argwhere(seen.confidence > 0), [[0, MARKERS.index("l_knee")]])
     np.testing.assert_allclose(seen.pixels[0, MARKERS.index("l_knee")], [10, 20.5])
-    with pytest.raises(InputError, match="its cameras have no keypoints; expected keypoints of at least one camera; import them"):
+    with pytest.raises(InputError, match="its cameras have no keypoints; expected keypoints from at least one camera; import them"):
         observe("markers_gaussian", Frame(0, (None,), None))
 
 

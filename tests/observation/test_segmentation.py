@@ -13,7 +13,7 @@ from bayes_body.errors import InputError
 from bayes_body.observation import silhouettes
 from bayes_body.observation.background import learn_background, shrink, still_background
 from bayes_body.observation.frames import read_frame
-from bayes_body.observation.segmentation import foreground_levels, log_odds_alone
+from bayes_body.observation.segmentation import foreground_levels, independent_log_odds
 from bayes_body.recording.video import read_video_frame
 from bayes_body.session.session import Segmentation
 
@@ -146,7 +146,7 @@ def test_the_probability_is_that_of_the_formula():
     for off in (20, 23, 25, 27, 40):
         image = scene.copy()
         image[20:40, 30:50, 1] += off
-        log_odds = log_odds_alone(background, image, Segmentation(shadows=False, follow_exposure=False))
+        log_odds = independent_log_odds(background, image, Segmentation(shadows=False, follow_exposure=False))
         assert log_odds is not None and log_odds[30, 40] == pytest.approx(((off / 6.0) ** 2 - 16) / 2, abs=1e-4)
         assert log_odds[5, 5] == -8
 
@@ -160,7 +160,7 @@ def test_what_has_the_person_s_colour_is_the_person_s():
     image[20:90, 60:90] = clothes
     image[72:88, 120:150] = other
     levels = foreground_levels(still_background(scene), image, Segmentation(shadows=False, follow_exposure=False))
-    alone = log_odds_alone(still_background(scene), image, Segmentation(shadows=False, follow_exposure=False))
+    alone = independent_log_odds(still_background(scene), image, Segmentation(shadows=False, follow_exposure=False))
     assert levels is not None and alone is not None
     assert alone[80, 75] == alone[80, 135] < 0
     assert (levels[75:85, 65:85] > 127).all()
@@ -175,7 +175,7 @@ def test_what_is_in_doubt_is_what_its_neighbours_are():
     for rows, columns in ((slice(30, 33), slice(70, 73)), (slice(60, 63), slice(75, 78)), (slice(40, 43), slice(120, 123))):
         image[rows, columns] = scene[rows, columns] + 13
     options = Segmentation(shadows=False, follow_exposure=False)
-    alone, levels = log_odds_alone(still_background(scene), image, options), foreground_levels(still_background(scene), image, options)
+    alone, levels = independent_log_odds(still_background(scene), image, options), foreground_levels(still_background(scene), image, options)
     assert alone is not None and levels is not None
     assert alone[31, 71] == alone[61, 76] == alone[41, 121] < 0
     assert (levels[30:33, 70:73] > 127).all() and (levels[60:63, 75:78] > 127).all()
@@ -271,7 +271,7 @@ def test_too_few_frames_seen(session, tmp_path):
     made = session()
     for frame in range(5, FRAMES):
         (tmp_path / f"image{frame:04d}.png").unlink()
-    with pytest.raises(InputError, match=r"camera 'a': 5 of its frames can be seen, .*; expected 10 or more to learn .*; give it `background`"):
+    with pytest.raises(InputError, match=r"camera 'a': 5 of its frames can be read, .*; expected 10 or more to learn .*; give it `background`"):
         read_frame(made, 0).masks[0]
 
 

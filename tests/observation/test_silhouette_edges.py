@@ -147,6 +147,6 @@ def test_a_session_without_masks():
     with pytest.raises(InputError) as error:
         observe(Frame(0, (np.zeros((4, 5), np.uint8),), None))
     assert str(error.value) == (
-        "session.toml: its cameras have no masks, and the frames are too few to learn the background from; expected a silhouette for every image; "
+        "session.toml: its cameras have no masks, and there are too few frames to learn the background; expected a silhouette for every image; "
         "give each [[camera]] its `masks`, or an image of the empty scene as `background`."
     )

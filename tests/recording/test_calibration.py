@@ -207,7 +207,7 @@ REFUSED = {
     "NaN": ({"matrix": np.diag([np.nan, 1000, 1.0])}, "camera matrix: .*; expected 3 x 3 finite numbers"),
     "transposed matrix": ({"matrix": rig()[0].K.T}, "camera matrix: .*; expected fx, skew, cx; 0, fy, cy; 0, 0, 1"),
     "reflection": ({"rotation": np.diag([1.0, 1, -1])}, "rotation: a reflection, .*; expected a rotation, .*; flip the sign"),
-    "no rotation": ({"rotation": np.full((3, 3), 0.5)}, "rotation: no rotation, .*; copy R again"),
+    "no rotation": ({"rotation": np.full((3, 3), 0.5)}, "rotation: not a rotation, .*; copy R again"),
     "four numbers": ({"rotation": np.zeros(4)}, "rotation: 4 numbers .*; expected 9 finite numbers by rows, or 3"),
     "infinitely far": ({"translation_m": [0, np.inf, 0]}, "translation: 3 numbers .*; expected three finite numbers"),
     "half a pixel": ({"size": (640.5, 480)}, "image size: .*; expected width and height, whole numbers"),
@@ -252,7 +252,7 @@ def test_a_room_of_millimetres_and_one_read_twice_as_small():
 
 def test_a_name_given_twice():
     cameras = cameras_of_the_rig()
-    with pytest.raises(InputError, match="room: camera 'cam1': the name of 2 cameras"):
+    with pytest.raises(InputError, match="room: camera 'cam1': 2 cameras have this name"):
         check_rig("room", [*cameras, cameras[0]])
 
 

@@ -42,11 +42,11 @@ REFUSED = {
     "no number": ('x="4263.3"', 'x="far"', "transform x: 'far'; expected a finite number"),
     "not finite": ('r11="1"', 'r11="nan"', "transform r11: 'nan'; expected a finite number"),
     "missing": ('focalLengthU="107872.6"', "", "intrinsic focalLengthU: missing"),
-    "no rotation": ('r33="1"', 'r33="0.5"', "rotation: no rotation"),
+    "no rotation": ('r33="1"', 'r33="0.5"', "rotation: not a rotation"),
     "marker camera": ('model="Miqus Video"', 'model="Oqus 7"', "no video camera in it"),
     "no serial": ('serial="26580"', "", "without a name"),
     "no fov": ('<fov_video left="0" top="0" right="1919" bottom="1087"/>', "", "no <fov_video>"),
-    "cut short": ("</cameras></calibration>", "", "no XML"),
+    "cut short": ("</cameras></calibration>", "", "not XML"),
     "entities": ("<calibration>", '<!DOCTYPE a [<!ENTITY b "b">]><calibration>', "a document type or entities"),
 }
 

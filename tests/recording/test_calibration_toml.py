@@ -43,7 +43,7 @@ REFUSED = {
     "missing": ("rotation = [0.1, -0.2, 0.3]\n", "", "rotation: missing"),
     "short": ("[640, 480]", "[640]", "size"),
     "no focal length": ("600.0", "0.0", "focal length x = 0; expected a positive number"),
-    "stray key": ("[cam_01]", "title = 3\n\n[cam_01]", r"\[title\]: no table"),
+    "stray key": ("[cam_01]", "title = 3\n\n[cam_01]", r"\[title\]: not a table"),
 }
 
 

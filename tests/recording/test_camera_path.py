@@ -39,7 +39,7 @@ def test_each_frame_has_its_own_row_and_a_still_camera_stays(tmp_path):
 @pytest.mark.parametrize(
     ("fault", "said"),
     [
-        ({"rotation": 2 * ROTATIONS}, "rotation of frame 0: no rotation"),
+        ({"rotation": 2 * ROTATIONS}, "rotation of frame 0: not a rotation"),
         ({"rotation": ROTATIONS * np.array([-1.0, 1, 1])}, "a reflection"),
         ({"rotation": ROTATIONS[:, :2]}, "shape"),
         ({"rotation": ROTATIONS[:4]}, "4 rotations and 5 translations"),

@@ -41,9 +41,9 @@ def test_missing_images_are_one_remark_a_camera(damaged):
         (images / f"image000{number}.bmp").unlink()
     (masks / "image0000.bmp").unlink()
     assert check_session(session) == [
-        "camera 'CAM2': 2 of 4 images are missing (frames 1-2): the camera counts as not seeing there; "
+        "camera 'CAM2': 2 of 4 images are missing (frames 1-2): the camera counts as not seeing the person there; "
         "restore them, or correct images, first_frame and frames in session.toml.",
-        "camera 'CAM2': 1 of 4 masks is missing (frame 0): the camera counts as not seeing there; "
+        "camera 'CAM2': 1 of 4 masks is missing (frame 0): the camera counts as not seeing the person there; "
         "restore them, or correct masks, first_frame and frames in session.toml.",
     ]
 
@@ -63,7 +63,7 @@ def test_last_image_cut_short_is_a_remark_and_a_mask_of_another_size_an_error(da
     (remark,) = check_session(session)
     assert "camera 'CAM2': " in remark
     assert "CAM2/image0003.bmp: cut short, 303278 of 308278 bytes are missing" in remark
-    assert remark.endswith("in this frame the camera counts as not seeing.")
+    assert remark.endswith("in this frame the camera counts as not seeing the person.")
     (masks / "image0003.bmp").unlink()
     cv2.imwrite(str(masks / "image0003.bmp"), np.zeros((100, 200), np.uint8))
     (size,) = sentences(session)
@@ -74,7 +74,7 @@ def test_a_first_image_that_is_none_is_an_error(damaged):
     session, images, _ = damaged
     spoil(images / "image0000.bmp", b"hello")
     (sentence,) = sentences(session)
-    assert "CAM2/image0000.bmp: no image that OpenCV can read" in sentence
+    assert "CAM2/image0000.bmp: not an image that OpenCV can read" in sentence
 
 
 @pytest.fixture
@@ -99,7 +99,9 @@ def test_a_video_that_ends_early_is_a_remark(filmed):
     assert check_session(filmed(12)) == check_session(filmed(10, offset=2)) == []
     (remark,) = check_session(filmed(12, offset=2))
     assert "camera 'a': 2 of 12 frames are missing (frames 10-11), " in remark
-    assert "a.avi ends before them: the camera counts as not seeing there; copy the video again, or correct first_frame and frames" in remark
+    assert (
+        "a.avi ends before them: the camera counts as not seeing the person there; copy the video again, or correct first_frame and frames" in remark
+    )
 
 
 def test_a_video_that_cannot_be_used_is_an_error(filmed, tmp_path):

@@ -66,7 +66,7 @@ def test_every_frame_has_its_own(lab, tmp_path):
     session, remarks = import_opencv(lab, tmp_path / "s", options(keypoints=detect(tmp_path / "pose", missing={(1, 4)})))
     assert [view.keypoints for view in session.views] == ["keypoints/left.npz", "keypoints/right.npz"]
     assert load_session(save_session(session)) == session
-    assert any("show nobody who is the subject: right: 1 of 6" in remark for remark in remarks)
+    assert any("do not show the subject: right: 1 of 6" in remark for remark in remarks)
     for k in range(FRAMES):
         for i, found in enumerate(read_frame(session, k).keypoints or ()):
             if (i, k) == (1, 4):
@@ -112,7 +112,7 @@ def test_what_is_wrong_is_said(lab, tmp_path):
     with pytest.raises(InputError, match="--layout BODY_25: 17 keypoints a person; expected 25"):
         import_opencv(lab, tmp_path / "s", options(keypoints=tmp_path / "pose", layout="BODY_25"))
     (tmp_path / "pose" / "left_json" / "left.0002.json").write_text("{")
-    with pytest.raises(InputError, match=r"left.0002.json: no JSON"):
+    with pytest.raises(InputError, match=r"left.0002.json: not JSON"):
         import_opencv(lab, tmp_path / "s", options(keypoints=tmp_path / "pose"))
     assert not (tmp_path / "s").exists()
 

@@ -135,7 +135,7 @@ def test_the_same_session_from_every_laboratory(kind, request, tmp_path):
         assert (view.camera.size_px, view.images, view.masks, view.offset) == (SIZE, None, None, 0)
         path = session.video_path(view)
         assert path is not None and path.is_file() and path.is_absolute()
-    assert any("There are no masks: silhouettes are told from a background that is learned" in remark for remark in remarks)
+    assert any("There are no masks: silhouettes are computed from a background learned" in remark for remark in remarks)
     assert load_session(save_session(session)) == session
 
 
@@ -151,7 +151,7 @@ def test_units(opencv, tmp_path):
 
 def test_pose2sims_toml_is_in_metres_and_its_up_axis_is_asked_for(pose2sim, tmp_path):
     _, remarks = import_pose2sim(pose2sim, tmp_path / "a", Options(up="y"))
-    assert remarks[0] == "The calibration is taken to be in metres, as Pose2Sim writes it; say --unit if it is not."
+    assert remarks[0] == "The calibration is assumed to be in metres, as Pose2Sim writes it; give --unit if it is not."
     with pytest.raises(InputError, match="--up: not given; Pose2Sim's toml does not say which axis of its world points up"):
         import_pose2sim(pose2sim, tmp_path / "b")
     with pytest.raises(InputError, match=r"all cameras within 0.0057 m"):
@@ -204,7 +204,7 @@ def test_everything_beside_the_source(opencv, tmp_path):
     assert session.views[1].background == str((tmp_path / "empty" / "right.mp4").resolve())
     assert session.truth_path == (tmp_path / "truth.npz").resolve()
     assert not any("no masks" in remark for remark in remarks)
-    assert any("--fps 25 goes before what videos say (left 30, right 30)" in remark for remark in remarks)
+    assert any("--fps 25 overrides the videos' rates (left 30, right 30)" in remark for remark in remarks)
 
 
 WRONG = {
@@ -277,7 +277,7 @@ def test_keypoints_that_cannot_be_used(pose2sim, tmp_path):
         import_pose2sim(pose2sim, tmp_path / "a", Options(up="z", layout="COCO_17"))
     write_poses(pose2sim)
     (pose2sim / "pose" / "left_json" / "left.0000.json").unlink()
-    with pytest.raises(InputError, match="left_json: no file of 1 of 6 frames, the first is 0; expected a file for each frame; there are 1 to 5"):
+    with pytest.raises(InputError, match="left_json: 1 of 6 frames have no file, the first is 0; expected a file for each frame; there are 1 to 5"):
         import_pose2sim(pose2sim, tmp_path / "a", Options(up="z"))
 
 
@@ -288,7 +288,7 @@ def test_nobody_in_the_first_frame(pose2sim, tmp_path):
             path.write_text('{"people": []}')
     session, remarks = import_pose2sim(pose2sim, tmp_path / "a", Options(up="z"))
     assert session.initial_keypoints == {}
-    assert any("show nobody" in remark for remark in remarks)
+    assert any("contain no people" in remark for remark in remarks)
 
 
 def test_calibrations_in_their_own_folder_and_percent_signs(opencv, tmp_path):
@@ -310,6 +310,6 @@ def test_real_project(pose2sim_beam, tmp_path):
     assert [view.camera.size_px for view in session.views] == [(1080, 1920)] * 2 + [(1088, 1920)] * 2
     told = "\n".join(remarks)
     assert "calibrated at 1088 x 1920, the recording has 1080 x 1920" in told
-    assert "taken as BODY_25B" in told
+    assert "read as BODY_25B" in told
     assert "cam01: #1 of 2, cam02: #1 of 2" in told
     assert all({"head", "l_hip", "r_ankle"} <= set(session.initial_keypoints[view.camera.name]) for view in session.views)

@@ -144,7 +144,7 @@ def test_frame_rates():
     assert frame_rate({"a": 0.0, "b": 25.0}, None) == (25.0, [])
     assert frame_rate({"a": 0.0}, 120.0) == (120.0, [])
     rate, (remark,) = frame_rate({"a": 30.0, "b": 240.0}, 240.0)
-    assert rate == 240.0 and remark == "--fps 240 goes before what videos say (a 30)."
+    assert rate == 240.0 and remark == "--fps 240 overrides the videos' rates (a 30)."
     with pytest.raises(InputError, match=r"frame rate: cameras differ: a 30, b 29.97"):
         frame_rate({"a": 30.0, "b": 29.97}, None)
     with pytest.raises(InputError, match="--fps: not given"):

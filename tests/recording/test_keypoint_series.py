@@ -43,7 +43,7 @@ FAULTS = {
     "no keypoints": ({"names": GOOD["names"]}, "no `keypoints`; expected an .npz with `keypoints`"),
     "no names": ({"keypoints": GOOD["keypoints"]}, "no `names`"),
     "other names": (GOOD | {"names": np.array(["nose"])}, r"keypoints: float64 of shape \(2, 2, 3\); expected numbers of shape \(frame, 1, 3\)"),
-    "a name twice": (GOOD | {"names": np.array(["neck", "thorax"])}, "names: 'thorax' twice; expected each keypoint's name once"),
+    "a name twice": (GOOD | {"names": np.array(["neck", "thorax"])}, "names: 'thorax' twice; expected unique names of the keypoints"),
     "numbers for names": (GOOD | {"names": np.arange(2)}, "names: int64 of shape"),
     "objects": (GOOD | {"names": np.array(["a", None], object)}, "names: .*object"),
     "percent": (GOOD | {"keypoints": np.full((2, 2, 3), 80.0)}, "a confidence of 80; expected 0 to 1"),

@@ -44,12 +44,12 @@ def test_a_series_is_ragged(tmp_path):
     np.testing.assert_array_equal(np.isfinite(series[..., 0]).any(axis=-1), [[True, True], [False, False], [True, False]])
     np.testing.assert_array_equal(series[1, :, :, 2], 0)
     np.testing.assert_array_equal(series[2, 0], np.reshape(person(18, 2), (18, 3)))
-    with pytest.raises(InputError, match="no file of 1 of 3 frames, the first is 9; expected a file for each frame; there are 7 to 10"):
+    with pytest.raises(InputError, match="1 of 3 frames have no file, the first is 9; expected a file for each frame; there are 7 to 10"):
         read_openpose(tmp_path, [8, 9, 10])
 
 
 FAULTS = {
-    "no JSON": ("{", "no JSON"),
+    "no JSON": ("{", "not JSON"),
     "a list": ("[]", "no list `people`"),
     "two and a half numbers": ('{"people": [{"pose_keypoints_2d": [1, 2, 0.5, 4]}]}', "pose_keypoints_2d: 4 numbers; expected x, y, confidence"),
     "nothing": ('{"people": [{}]}', "person 1: pose_keypoints_2d: none"),
@@ -57,8 +57,8 @@ FAULTS = {
     "true": ('{"people": [{"pose_keypoints_2d": [1, true, 0.5]}]}', "an entry that is no finite number"),
     "NaN": ('{"people": [{"pose_keypoints_2d": [1, NaN, 0.5]}]}', "an entry that is no finite number"),
     "far away": ('{"people": [{"pose_keypoints_2d": [1e9, 2, 0.5]}]}', "far outside of any image"),
-    "a thousand digits": ('{"people": [{"pose_keypoints_2d": [' + "9" * 5000 + ", 2, 0.5]}]}", "no JSON of numbers"),
-    "nested without end": ("[" * 100000, "no JSON"),
+    "a thousand digits": ('{"people": [{"pose_keypoints_2d": [' + "9" * 5000 + ", 2, 0.5]}]}", "not JSON with valid numbers"),
+    "nested without end": ("[" * 100000, "not JSON"),
     "unequal people": (
         '{"people": [{"pose_keypoints_2d": [1, 2, 1]}, {"pose_keypoints_2d": [1, 2, 1, 3, 4, 1]}]}',
         "people with 1 and with 2 keypoints",
@@ -119,7 +119,7 @@ def figures(layout: str, count=40) -> np.ndarray:
 def test_proportions_tell_the_order_of_25(layout):
     found = choose_layout(figures(layout))
     assert (found.name, found.keypoints) == (layout, LAYOUTS[layout])
-    assert found.remark is not None and f"taken as {layout}" in found.remark
+    assert found.remark is not None and f"read as {layout}" in found.remark
 
 
 @pytest.mark.parametrize("layout", ["COCO_17", "COCO_18", "HALPE_26"])

@@ -76,8 +76,8 @@ def test_names_are_those_of_the_body(imported, deutscher):
 
 def test_remarks_name_what_was_changed(imported):
     remarks = "\n".join(imported[1])
-    assert "l_elbow 48.9 deg is turned to -48.9" in remarks
-    assert "r_knee 4.5 deg is turned to -4.5" in remarks
+    assert "l_elbow 48.9 deg becomes -48.9" in remarks
+    assert "r_knee 4.5 deg becomes -4.5" in remarks
     assert re.search(r"PoseParameters.txt: its limits exclude the initial pose in \d+ of 31 angles; .* deutscher_31 apply", remarks)
     assert "60 frames a second are assumed" in remarks
 
@@ -111,7 +111,7 @@ def test_reflection_instead_of_rotation(copy):
 def test_matrix_that_is_no_rotation(copy):
     copy.edit("CALIB/Camera1.cal", replaced(10, "0.9"))
     (sentence,) = refused(copy)
-    assert "Camera1.cal: numbers 11 to 19: no rotation" in sentence
+    assert "Camera1.cal: numbers 11 to 19: not a rotation" in sentence
 
 
 def test_rodrigues_vector_of_another_rotation(copy):

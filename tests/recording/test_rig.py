@@ -141,12 +141,12 @@ def test_a_pose2sim_calibration_is_a_rig(tmp_path):
         ("", "camera 'a': no place; expected position_m and look_at_m, rotation and translation_m, or"),
         ("position_m = [1, 2, 3]", "camera 'a': position_m without look_at_m; expected both; add look_at_m"),
         (AIMED + "\n" + KEYFRAME.format(0, 1) + KEYFRAME.format(1, 2), "camera 'a': 2 places; expected"),
-        ("position_m = [1, 2, 3]\nlook_at_m = [1, 2, 3]", "look_at_m is where the camera stands; expected another point"),
-        ("position_m = [1, 2, 3]\nlook_at_m = [1, 2, 0]", "looks straight up or down; expected a horizontal"),
+        ("position_m = [1, 2, 3]\nlook_at_m = [1, 2, 3]", "look_at_m is where the camera stands; expected two different points"),
+        ("position_m = [1, 2, 3]\nlook_at_m = [1, 2, 0]", "looks straight up or down; expected a view with a horizontal axis"),
         ("position_m = [3000, 2, 3]\nlook_at_m = [1, 2, 0]", "position_m #1: 3000; expected metres, at most 1000; it looks like millimetres"),
         (KEYFRAME.format(0, 1), "camera 'a': path has 1 keyframe; expected 2 or more"),
         (KEYFRAME.format(1, 1) + KEYFRAME.format(0.5, 2), "path goes from 1 s to 0.5 s; expected ascending times"),
-        ("rotation = [[1, 0, 0], [0, 1, 0], [0, 0, 2]]\ntranslation_m = [0, 0, 4]", "rotation: no rotation, R R^T is"),
+        ("rotation = [[1, 0, 0], [0, 1, 0], [0, 0, 2]]\ntranslation_m = [0, 0, 4]", "rotation: not a rotation, R R^T is"),
         (AIMED + "\nfocal_px = -1", "cannot overwrite a value"),
         (AIMED + "\nzoom = 2", "camera 'a'.zoom: unknown key"),
     ],
@@ -160,7 +160,7 @@ def test_what_is_wrong_with_a_camera_is_said(tmp_path, place, said):
 
 def test_what_is_wrong_with_a_rig_is_said(tmp_path):
     for cameras, head, said in (
-        ([("a", AIMED), ("A", AIMED)], 'title = "x"\nfps = 50\n', "camera 'a': the name of 2 cameras"),
+        ([("a", AIMED), ("A", AIMED)], 'title = "x"\nfps = 50\n', "camera 'a': 2 cameras have this name"),
         ([("a/b", AIMED)], 'title = "x"\nfps = 50\n', "'a/b'.name: \"a/b\"; expected letters, digits"),
         ([("a", AIMED)], 'title = "x"\nfps = 0\n', "fps = 0; expected a number greater than 0"),
         ([("a", AIMED)], 'title = "x"\nfps = 50\nup = "y"\n', 'up = "y"'),

@@ -53,7 +53,7 @@ def test_refused(tmp_path, markers):
 
     says("missing: head; unknown: crown", markers, (*MARKERS[:-1], "crown"))
     says("names: .* \\(14 names\\)", markers[:, :14], MARKERS[:14])
-    says("names: no list of texts", markers, np.arange(15))
+    says("names: not a list of strings", markers, np.arange(15))
     says(r"markers: float64 of shape \(6, 14, 3\); expected numbers of shape \(frame, 15, 3\)", markers[:, :14])
     says(r"markers: .* of shape \(6, 15, 3\)", markers.astype(str))
     says("it looks like millimetres, divide by 1000", 1000 * markers)
@@ -74,7 +74,7 @@ def test_no_such_archive(tmp_path, markers):
     np.save(tmp_path / "single.npy", markers)
     for name, found in {
         "none.npz": "no such file",
-        "text.npz": "no such archive",
+        "text.npz": "not such an archive",
         "other.npz": "no `markers`",
         "cut.npz": "damaged",
         "": "cannot be read",

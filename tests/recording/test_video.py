@@ -134,7 +134,12 @@ def test_no_video(tmp_path, capfd):
     (tmp_path / "empty.mp4").touch()
     whole = write(tmp_path / "whole.mp4", "mp4v").read_bytes()
     (tmp_path / "half.mp4").write_bytes(whole[: len(whole) // 2])
-    faults = {"text.mp4": "no video", "empty.mp4": "no video", "half.mp4": "no video that OpenCV can read, or cut short", "none.mp4": "no such file"}
+    faults = {
+        "text.mp4": "not a video",
+        "empty.mp4": "not a video",
+        "half.mp4": "not a video that OpenCV can read, or cut short",
+        "none.mp4": "no such file",
+    }
     for name, found in faults.items():
         for use in (probe, lambda path: read_video_frame(path, 0), lambda path: readable_frames(path, 3)):
             with pytest.raises(InputError, match=f"{name}: {found}.*; expected a .*; (restore|copy)") as error:

@@ -208,7 +208,7 @@ def test_rotations(path):
     (sentence,) = refused(path, "[0, 0, 1], [1, 0, 0]", "[0, 0, -1], [1, 0, 0]")
     assert sentence.startswith("camera 'left'.rotation: a reflection, det R = -1; expected a rotation")
     (sentence,) = refused(path, "[0, 0, 1]", "[0, 0, 1.001]")
-    assert sentence.startswith("camera 'left'.rotation: no rotation, R R^T is 0.002 away")
+    assert sentence.startswith("camera 'left'.rotation: not a rotation, R R^T is 0.002 away")
     # Six digits of a calibration file are enough.
     path.write_text(SOUND.replace("[[1, 0, 0], [0, 1, 0]", "[[0.866025, 0.5, 0], [-0.5, 0.866025, 0]"))
     load_session(path)
@@ -216,7 +216,7 @@ def test_rotations(path):
 
 def test_cameras_that_do_not_fit_together(path):
     (sentence,) = refused(path, '"right"', '"left"')
-    assert sentence == "camera 'left': the name of 2 cameras; expected each name once; rename all but one."
+    assert sentence == "camera 'left': 2 cameras have this name; expected unique names; rename all but one."
     (sentence,) = refused(path, 'images = "left/%04d.png"', 'images = "left/%04d.png"\nmasks = "m/%04d.png"')
     assert sentence.startswith("camera 'right'.masks: missing, others have masks; expected all or none")
 

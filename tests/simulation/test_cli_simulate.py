@@ -103,5 +103,5 @@ def test_what_is_wrong_is_said_before_anything_is_written(run, trc, tmp_path, ar
 
 def test_a_session_is_not_written_over(run, trc, tmp_path):
     (tmp_path / "session.toml").write_text("")
-    with pytest.raises(InputError, match=r"holds a session.toml already"):
+    with pytest.raises(InputError, match=r"already holds a session.toml"):
         run(trc, "--out", tmp_path)

@@ -9,7 +9,7 @@ import pytest
 
 from bayes_body.recording.rig import read_rig
 from bayes_body.simulation.scene import Scene
-from bayes_body.simulation.scene_room import Kept, build_room
+from bayes_body.simulation.scene_room import Clearance, build_room
 from bayes_body.simulation.scene_texture import SIDE, pink
 from bayes_body.simulation.segmenter import segment
 from bayes_body.simulation.sensor import DRIFT, READ_NOISE, SHOT_NOISE, Sensor
@@ -33,7 +33,7 @@ def project(camera, points):
 
 
 def room(seed=0, clutter=1.0):
-    return build_room(np.random.default_rng(seed), Kept(VIEWPOINTS, WAY), clutter)
+    return build_room(np.random.default_rng(seed), Clearance(VIEWPOINTS, WAY), clutter)
 
 
 def blocked(boxes, start, end):

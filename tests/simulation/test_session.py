@@ -251,7 +251,7 @@ def test_a_person_who_leaves_the_picture_is_told(tmp_path):
 
 
 def test_what_cannot_be_written_or_is_there_already_is_said(tmp_path, filmed):
-    with pytest.raises(InputError, match=r"holds a session.toml already; expected a folder without one"):
+    with pytest.raises(InputError, match=r"already holds a session.toml; expected a folder without one"):
         simulate(motion(2), rig(), build_person(2), Options(), filmed.folder)
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be made"):

@@ -1,4 +1,4 @@
-"""Motion capture files (asf/amc, bvh, c3d, trc) as one kind of motion, in metres."""
+"""Read motion capture files (asf/amc, bvh, c3d, trc) as one kind of motion, in metres."""
 
 from bayes_body.recording.mocap.landmarks import landmarks
 from bayes_body.recording.mocap.motion import Motion

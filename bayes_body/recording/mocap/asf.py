@@ -1,9 +1,9 @@
 r"""ASF, the skeleton of an Acclaim motion: bones with a direction, a length, an axis and dofs.
 
-With C the rotation of a bone's `axis` and M that of its dofs, a bone turns by $L = C M C^{-1}$ against its parent, whose end it starts from.
-Directions and axes are those of the world at rest. `order` and `axis XYZ` turn about x first. The root's `orientation` turns the whole skeleton.
-Metres are value × 0.0254 / length, with the `length` of `:units`: the file counts in inches over that (J. Lander: Working with motion capture file
-formats, 1998; mocap.cs.cmu.edu).
+With C the rotation of a bone's `axis` and M that of its dofs, a bone rotates by $L = C M C^{-1}$ relative to its parent, and it starts at the
+parent's end. Directions and axes are given in the world frame at rest. `order` and `axis XYZ` rotate about x first. The root's `orientation` rotates
+the whole skeleton. Metres are value × 0.0254 / length, with the `length` of `:units`: the file's unit is an inch divided by it (J. Lander: Working
+with motion capture file formats, 1998; mocap.cs.cmu.edu).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,13 +33,13 @@ class Line(NamedTuple):
 
 
 class Bone(NamedTuple):
-    """A bone; the root is one without extent.
+    """A bone; the root is a bone without extent.
 
     Attributes:
-        name: as the file has it.
-        offset: from its start to its end, in the file's unit, at rest.
+        name: the name in the file.
+        offset: from its start to its end at rest, in the file's unit.
         axis: C.
-        dofs: in the order in which the motion's file has their values: `rx`, `ry`, `rz`, of the root also `tx`, `ty`, `tz`.
+        dofs: in the order of their values in the motion file: `rx`, `ry`, `rz`, and for the root also `tx`, `ty`, `tz`.
     """
 
     name: str
@@ -49,14 +49,14 @@ class Bone(NamedTuple):
 
 
 class Skeleton(NamedTuple):
-    """Bones, the root first, parents before children; the file's unit.
+    """Bones and units; the root is first, and parents come before their children.
 
     Attributes:
         bones: the root is the first.
-        parents: index of the bone that each starts from; -1 of the root.
-        position: of the root at rest.
-        metres: of one unit.
-        degrees: one unit of the file's angles.
+        parents: index of the bone at whose end each bone starts; -1 for the root.
+        position: the root's position at rest.
+        metres: metres per unit of length.
+        degrees: degrees per unit of angle.
     """
 
     bones: tuple[Bone, ...]
@@ -70,8 +70,7 @@ def read_asf(path: Path) -> Skeleton:
     """The skeleton of a file.
 
     Raises:
-        InputError: the file cannot be read or is no ASF; a bone without one of its numbers; a hierarchy that names a bone that the bone data lack, or
-            leaves one out.
+        InputError: the file cannot be read or is not ASF; a bone lacks a number; the hierarchy names an unknown bone or omits one.
     """
     sections = _sections(path)
     units = {line.words[0]: line for line in sections.get("units", []) if len(line.words) == 2}
@@ -93,7 +92,7 @@ def read_asf(path: Path) -> Skeleton:
 
 
 def _sections(path: Path) -> dict[str, list[Line]]:
-    """The lines below each keyword, comments left out."""
+    """The lines below each keyword, without comments."""
     out: dict[str, list[Line]] = {}
     here: list[Line] = []
     for number, text in enumerate(read_text(path, KIND).splitlines(), 1):
@@ -110,7 +109,7 @@ def _sections(path: Path) -> dict[str, list[Line]]:
 
 
 def _fields(path: Path, lines: Sequence[Line], counts: Mapping[str, int]) -> dict[str, Line]:
-    """The lines of a block by their first word; of those in `counts` so many words must follow."""
+    """The lines of a block by their first word. `counts` gives the number of words that must follow."""
     fields = {line.words[0].lower(): line for line in lines}
     where = f"{path}: line {lines[0].number}" if lines else str(path)
     for key, count in counts.items():
@@ -133,25 +132,25 @@ def _root(path: Path, lines: Sequence[Line], degrees: float) -> tuple[Bone, Floa
 
 
 def _axis(path: Path, line: Line, angles_deg: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """C; its order is the line's last word."""
+    """C; the line's last word gives the order."""
     order = line.words[-1].lower()
     if sorted(order) != ["x", "y", "z"]:
-        raise input_error(f"{path}: line {line.number}", f"axis order '{order[:40]}'", "XYZ or another order of these letters", RESTORE)
+        raise input_error(f"{path}: line {line.number}", f"axis order '{order[:40]}'", "XYZ in any order", RESTORE)
     return turns(order, angles_deg[None])[0]
 
 
 def _bones(path: Path, lines: Sequence[Line], degrees: float) -> Iterator[Bone]:
-    seen = {ROOT}
+    names = {ROOT}
     for block in _blocks(path, lines):
         bone = _bone(path, block, degrees)
-        if bone.name in seen:
-            raise input_error(f"{path}: line {block[0].number}", f"a second bone '{bone.name[:40]}'", "each bone once", RESTORE)
-        seen.add(bone.name)
+        if bone.name in names:
+            raise input_error(f"{path}: line {block[0].number}", f"a second bone '{bone.name[:40]}'", "unique names", RESTORE)
+        names.add(bone.name)
         yield bone
 
 
 def _blocks(path: Path, lines: Sequence[Line]) -> Iterator[list[Line]]:
-    """What stands between each `begin` and its `end`."""
+    """The lines between each `begin` and its `end`."""
     block: list[Line] | None = None
     for line in lines:
         word = line.words[0].lower()
@@ -160,7 +159,7 @@ def _blocks(path: Path, lines: Sequence[Line]) -> Iterator[list[Line]]:
                 raise input_error(f"{path}: line {line.number}", f"'{' '.join(line.words)[:40]}' outside of begin and end", "begin", RESTORE)
             block.append(line)
         elif (word == "begin") != (block is None):
-            raise input_error(f"{path}: line {line.number}", word, "'begin' and 'end' in turn", RESTORE)
+            raise input_error(f"{path}: line {line.number}", word, "'begin' and 'end' alternating", RESTORE)
         elif block is None:
             block = []
         else:
@@ -183,25 +182,25 @@ def _bone(path: Path, block: list[Line], degrees: float) -> Bone:
     dofs = tuple(word.lower() for word in fields["dof"].words[1:]) if "dof" in fields else ()
     if not set(dofs) <= {"rx", "ry", "rz"} or len(set(dofs)) < len(dofs):
         raise input_error(
-            f"{path}: line {fields['dof'].number}", f"dof {' '.join(dofs)[:40]}", "rx, ry, rz, each at most once", "this reader knows no others"
+            f"{path}: line {fields['dof'].number}", f"dof {' '.join(dofs)[:40]}", "rx, ry, rz, each at most once", "other dofs are not supported"
         )
     return Bone(name, direction * (length[0] / max(norm, 1e-300)), _axis(path, fields["axis"], degrees * angles), dofs)
 
 
 def _hierarchy(path: Path, lines: Sequence[Line], bones: Mapping[str, Bone]) -> dict[str, str]:
-    """The parent of each bone, parents before children; the root's is the root."""
+    """The parent of each bone, parents before children; the root is its own parent."""
     children: dict[str, list[str]] = {}
     for block in _blocks(path, lines):
         for line in block:
             unknown = [word for word in line.words if word not in bones]
             if unknown:
                 known = f"the bones of :bonedata: {', '.join(bones)}"
-                raise input_error(f"{path}: line {line.number}", f"the hierarchy has a bone '{unknown[0][:40]}' that :bonedata lacks", known, RESTORE)
+                raise input_error(f"{path}: line {line.number}", f"the hierarchy has a bone '{unknown[0][:40]}' missing in :bonedata", known, RESTORE)
             children.setdefault(line.words[0], []).extend(line.words[1:])
-    return _walked(path, children, bones)
+    return _parents(path, children, bones)
 
 
-def _walked(path: Path, children: Mapping[str, list[str]], bones: Mapping[str, Bone]) -> dict[str, str]:
+def _parents(path: Path, children: Mapping[str, list[str]], bones: Mapping[str, Bone]) -> dict[str, str]:
     parents, ahead = {ROOT: ROOT}, [(child, ROOT) for child in reversed(children.get(ROOT, []))]
     while ahead:
         name, parent = ahead.pop()

@@ -1,7 +1,7 @@
-"""BVH (Biovision): a hierarchy of joints with offsets, then a row of channels for each frame.
+"""BVH (Biovision): a hierarchy of joints with offsets, then one row of channels per frame.
 
-Channels come in any order and turn about the joint's own axes one after the other: Zrotation Xrotation Yrotation is $R_z R_x R_y$. Position channels
-take the place of the offset, axis by axis, as in Blender. The unit is centimetres where nothing else is said.
+Channels come in any order and rotate about the joint's own axes in sequence: Zrotation Xrotation Yrotation is $R_z R_x R_y$. Position channels
+replace the offset, axis by axis, as in Blender. The default unit is centimetres.
 """
 
 from collections.abc import Iterator
@@ -20,20 +20,20 @@ from bayes_body.recording.mocap.tree import longest_path, place, turns
 KIND = "a BVH file (HIERARCHY, MOTION)"
 RESTORE = "restore the file"
 CHANNELS = {f"{axis}{kind}": (kind, axis.lower()) for axis in "XYZ" for kind in ("position", "rotation")}
-# Of the End Site of a joint.
+# Suffix for a joint's End Site.
 END = "_end"
-# Times are written with few digits: 0.00833 s is 120 frames a second.
+# Frame times have few digits: 0.00833 s means 120 frames per second.
 WHOLE_FPS = 5e-4
 
 
 class Joint(NamedTuple):
-    """A joint, or the end of the last one of a limb, which has no channels.
+    """A joint, or the end of a limb's last joint, which has no channels.
 
     Attributes:
-        name: as the file has it; `PARENT_end` of an End Site.
-        parent: its index; -1 of the root.
-        offset: from the parent's, in the file's unit.
-        channels: pairs of `position` or `rotation` and the axis.
+        name: the name in the file; `PARENT_end` for an End Site.
+        parent: its index; -1 for the root.
+        offset: from the parent, in the file's unit.
+        channels: pairs of `position` or `rotation`, and the axis.
     """
 
     name: str
@@ -43,17 +43,17 @@ class Joint(NamedTuple):
 
 
 class Word(NamedTuple):
-    """A word and the number of its line."""
+    """A word and its line number."""
 
     line: int
     text: str
 
 
 def read_bvh(path: Path) -> Capture:
-    """A motion.
+    """Read a motion.
 
     Raises:
-        InputError: the file cannot be read, is something else, or is cut off: in the hierarchy, in a row, or before the last frame that it declares.
+        InputError: the file cannot be read, has another format, or is cut off: in the hierarchy, in a row, or before the last frame that it declares.
     """
     text = read_text(path, KIND)
     lines = text.splitlines()
@@ -74,7 +74,7 @@ def _joints(path: Path, lines: list[str]) -> list[Joint]:
     if next(words, Word(1, "")).text.upper() != "HIERARCHY":
         raise input_error(f"{path}: line 1", f"'{lines[0].strip()[:40] if lines else ''}'", KIND, "name another file")
     joints: list[Joint] = []
-    # What is open: indices of joints, each with its brace not yet closed.
+    # Indices of the joints whose braces are still open.
     ahead: list[int] = []
     for word in words:
         kind = word.text.upper()
@@ -92,13 +92,11 @@ def _joints(path: Path, lines: list[str]) -> list[Joint]:
 
 
 def _joint(path: Path, kind: str, words: Iterator[Word], joints: list[Joint], parent: int) -> Joint:
-    """Name, offset and channels, behind the keyword."""
+    """Read name, offset and channels, after the keyword."""
     name = "_".join(word.text for word in _until(path, words, "{"))
     name = f"{joints[parent].name}{END}" if kind == "END" else name
     if not name or any(joint.name == name for joint in joints):
-        raise input_error(
-            path, f"a second joint '{name[:40]}'" if name else "a joint without a name", "a name of its own for each joint", "rename it"
-        )
+        raise input_error(path, f"a second joint '{name[:40]}'" if name else "a joint without a name", "unique names", "rename it")
     offset = channels = None
     while offset is None or (channels is None and kind != "END"):
         word = next(words, None)
@@ -114,7 +112,7 @@ def _joint(path: Path, kind: str, words: Iterator[Word], joints: list[Joint], pa
 def _named_channels(path: Path, words: Iterator[Word]) -> tuple[tuple[str, str], ...]:
     count = _take(path, words, 1)[0]
     if count.text not in [str(number) for number in range(len(CHANNELS) + 1)]:
-        raise _unexpected(path, count, f"how many channels, at most {len(CHANNELS)}")
+        raise _unexpected(path, count, f"the number of channels, at most {len(CHANNELS)}")
     spelled = {name.lower(): channel for name, channel in CHANNELS.items()}
     out = []
     for word in _take(path, words, int(count.text)):
@@ -148,7 +146,7 @@ def _unexpected(path: Path, word: Word | None, expected: str) -> InputError:
 
 
 def _motion(path: Path, lines: list[str], start: int, width: int) -> tuple[float, Float[np.ndarray, "frame channel"]]:
-    """Frames a second, and the rows."""
+    """Frames per second, and the rows."""
     filled = [(number, line.split()) for number, line in enumerate(lines[start:], start + 1) if line.strip()]
     frames = _headed(path, filled[:1], "Frames:")
     seconds = _headed(path, filled[1:2], "Frame Time:")
@@ -157,7 +155,7 @@ def _motion(path: Path, lines: list[str], start: int, width: int) -> tuple[float
         raise input_error(path, f"{frames:g} frames of {seconds:g} s each", "one or more, each longer than 0", RESTORE)
     if len(rows) != frames:
         cut = "cut off: " if len(rows) < frames else ""
-        raise input_error(path, f"{cut}{len(rows)} frames where 'Frames:' says {frames:.0f}", "as many as that", f"{RESTORE}, or correct 'Frames:'")
+        raise input_error(path, f"{cut}{len(rows)} frames where 'Frames:' says {frames:.0f}", "the same number", f"{RESTORE}, or correct 'Frames:'")
     for number, row in rows:
         if len(row) != width:
             raise input_error(f"{path}: line {number}", f"{len(row)} values", f"{width}, the channels of the hierarchy", RESTORE)
@@ -167,7 +165,7 @@ def _motion(path: Path, lines: list[str], start: int, width: int) -> tuple[float
 
 
 def _headed(path: Path, line: list[tuple[int, list[str]]], head: str) -> float:
-    """The number behind a head such as `Frame Time:`."""
+    """The number after a heading such as `Frame Time:`."""
     words = head.split()
     if not line:
         raise input_error(path, f"cut off: no '{head}'", f"{KIND}, with '{head}' and a number", RESTORE)
@@ -182,17 +180,17 @@ def _headed(path: Path, line: list[tuple[int, list[str]]], head: str) -> float:
 def _channels(
     joints: list[Joint], values: Float[np.ndarray, "frame channel"]
 ) -> tuple[Float[np.ndarray, "frame joint 3"], Float[np.ndarray, "frame joint 3 3"]]:
-    """Offsets and rotations of each joint against its parent, in each frame."""
+    """Offsets and rotations of each joint relative to its parent, in each frame."""
     offsets = np.repeat(np.array([joint.offset for joint in joints])[None], len(values), axis=0)
     local = np.empty((*offsets.shape, 3))
     first = 0
     for j, joint in enumerate(joints):
-        own = values[:, first : first + len(joint.channels)]
+        columns = values[:, first : first + len(joint.channels)]
         first += len(joint.channels)
         turning = [k for k, (kind, _) in enumerate(joint.channels) if kind == "rotation"]
-        # About the joint's own axes in the order given is about fixed axes in the reverse order.
-        local[:, j] = turns("".join(joint.channels[k][1] for k in turning[::-1]), own[:, turning[::-1]])
+        # Rotations about the joint's own axes in the given order equal rotations about fixed axes in the reverse order.
+        local[:, j] = turns("".join(joint.channels[k][1] for k in turning[::-1]), columns[:, turning[::-1]])
         for k, (kind, axis) in enumerate(joint.channels):
             if kind == "position":
-                offsets[:, j, "xyz".index(axis)] = own[:, k]
+                offsets[:, j, "xyz".index(axis)] = columns[:, k]
     return offsets, local

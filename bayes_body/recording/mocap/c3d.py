@@ -1,6 +1,6 @@
-"""C3D (c3d.org), the binary format of motion laboratories: markers with POINT:UNITS and POINT:RATE. A point whose residual is negative is missing.
+"""C3D (c3d.org), the binary format of motion laboratories: markers with POINT:UNITS and POINT:RATE. A point with a negative residual is missing.
 
-Files of `bayes-body export` also hold each marker's spread as further points (`_sd`, `_q05`, `_q95`); these are no markers and are left out.
+Files of `bayes-body export` also hold each marker's spread as further points (`_sd`, `_q05`, `_q95`). These are not markers and are left out.
 """
 
 import re
@@ -17,7 +17,7 @@ from bayes_body.recording.mocap.capture import Capture, known_unit
 from bayes_body.recording.mocap.text import LARGEST_NUMBER, read_bytes
 
 USUAL_UNIT, USUAL_UP = "mm", "z"
-# More than 65535 frames are counted by a parameter of floats.
+# Counts above 65535 frames are in a parameter of floats.
 FRAMES, LABELS, UNITS, RATE, Y_SCREEN = "POINT:LONG_FRAMES", "POINT:LABELS", "POINT:UNITS", "POINT:RATE", "POINT:Y_SCREEN"
 SPREAD = re.compile(r"(.+)_(sd|q05|q95)")
 
@@ -25,10 +25,10 @@ type Parameters = Mapping[str, NDArray[np.generic]]
 
 
 def read_c3d(path: Path) -> Capture:
-    """Markers; the upward axis is that of POINT:Y_SCREEN, and z where there is none.
+    """Read the markers. POINT:Y_SCREEN gives the up axis; the default is z.
 
     Raises:
-        InputError: the file cannot be read, is no C3D, has no points, or is cut off.
+        InputError: the file cannot be read, is not C3D, has no points, or is cut off.
     """
     content, parameters = open_c3d(path, read_bytes(path, KIND))
     labels = _labels(parameters)
@@ -37,17 +37,15 @@ def read_c3d(path: Path) -> Capture:
         raise input_error(path, "no points in it", KIND, "export it with its markers")
     if len(labels) < points.shape[1]:
         raise input_error(f"{path}: {LABELS}", f"{len(labels)} names", f"{points.shape[1]}, one for each point", RESTORE)
-    own = [k for k, label in enumerate(labels[: points.shape[1]]) if label and not _is_spread(label, labels)]
-    names = tuple(labels[k] for k in own)
+    markers = [k for k, label in enumerate(labels[: points.shape[1]]) if label and not _is_spread(label, labels)]
+    names = tuple(labels[k] for k in markers)
     if len(set(names)) < len(names) or not names:
         twice = next((name for name in names if names.count(name) > 1), "no name")
-        raise input_error(
-            f"{path}: {LABELS}", f"'{twice}' {names.count(twice)} times" if names else twice, "a name of its own for each point", "rename them"
-        )
+        raise input_error(f"{path}: {LABELS}", f"'{twice}' {names.count(twice)} times" if names else twice, "unique names", "rename them")
     unit = (_text(parameters, UNITS) or [USUAL_UNIT])[0] or USUAL_UNIT
     up = (_text(parameters, Y_SCREEN) or [""])[0].strip().lower().removeprefix("+")
     metres = known_unit(f"{path}: {UNITS}", unit)
-    return Capture(rate, names, (-1,) * len(names), points[:, own], metres, up if re.fullmatch("-?[xyz]", up) else USUAL_UP)
+    return Capture(rate, names, (-1,) * len(names), points[:, markers], metres, up if re.fullmatch("-?[xyz]", up) else USUAL_UP)
 
 
 def _is_spread(label: str, labels: list[str]) -> bool:
@@ -56,7 +54,7 @@ def _is_spread(label: str, labels: list[str]) -> bool:
 
 
 def _text(parameters: Parameters, key: str) -> list[str]:
-    """The texts of a parameter: columns of characters."""
+    """The strings of a parameter, which are columns of characters."""
     array = parameters.get(key)
     if array is None or array.dtype.kind != "S" or not array.size:
         return []
@@ -65,12 +63,12 @@ def _text(parameters: Parameters, key: str) -> list[str]:
 
 
 def _labels(parameters: Parameters) -> list[str]:
-    """Of all points: a parameter holds at most 255 names, the next ones are in LABELS2 and so on."""
+    """The names of all points. A parameter holds at most 255 names; the next ones are in LABELS2 and so on."""
     labels, number = _text(parameters, LABELS), 2
     while f"{LABELS}{number}" in parameters:
         labels += _text(parameters, f"{LABELS}{number}")
         number += 1
-    # Some laboratories put the subject before each name.
+    # Some laboratories put the subject's name before each marker's.
     return [label.rpartition(":")[2] for label in labels]
 
 
@@ -82,7 +80,7 @@ def _number(parameters: Parameters, key: str, other: float) -> float:
 
 
 def _points(content: Content, parameters: Parameters) -> tuple[Float[np.ndarray, "frame point 3"], float]:
-    """Positions in the file's unit, NaN where missing; and frames a second."""
+    """Positions in the file's unit, NaN where missing; and frames per second."""
     header = [int(word) for word in content.values("u2", 0, 12)]
     count, analog, first, last, start = header[1], header[2], header[3], header[4], header[8]
     scale, rate = (float(content.values("f4", at, 1)[0]) for at in (12, 20))
@@ -94,7 +92,7 @@ def _points(content: Content, parameters: Parameters) -> tuple[Float[np.ndarray,
     values = content.values(kind, (start - 1) * BLOCK, int(frames) * width).reshape(int(frames), width)
     points = values[:, : 4 * count].reshape(int(frames), count, 4).astype(np.float64)
     if not (np.abs(np.nan_to_num(points[..., :3], posinf=np.inf)) <= LARGEST_NUMBER).all():
-        raise input_error(content.path, "a position beyond any", f"positions of at most {LARGEST_NUMBER:g}", RESTORE)
+        raise input_error(content.path, "a position that is too large", f"positions of at most {LARGEST_NUMBER:g}", RESTORE)
     positions = points[..., :3] * (1.0 if scale < 0 else scale)
     positions[~(points[..., 3] >= 0)] = np.nan
     return positions, rate

@@ -1,6 +1,6 @@
 """The parameters of a C3D file (c3d.org, user guide): groups of named arrays, in the byte order of the processor that wrote them.
 
-Read here and not by ezc3d, which a damaged file makes loop for ever or crash.
+They are not read with ezc3d: a damaged file can make it loop forever or crash.
 """
 
 from collections.abc import Iterator
@@ -16,16 +16,16 @@ KIND = "a C3D file with points"
 RESTORE = "restore the file, or export it again"
 BLOCK = 512
 INTEL, DEC, MIPS = 84, 85, 86
-# Of a parameter's values; -1: characters.
+# Sizes of a parameter's values; -1: characters.
 TYPES = {-1: "S1", 1: "i1", 2: "i2", 4: "f4"}
 
 
 class Content(NamedTuple):
-    """A file's bytes, whose processor is known.
+    """A file's bytes and the processor that wrote them.
 
     Attributes:
-        path: of the file.
-        data: all of it.
+        path: the file.
+        data: its whole content.
         processor: `INTEL`, `DEC` or `MIPS`.
     """
 
@@ -34,17 +34,17 @@ class Content(NamedTuple):
     processor: int
 
     def values(self, kind: str, start: int, count: int) -> NDArray[np.generic]:
-        """So many values of a NumPy kind such as `u2` from a byte on, of the machine's own byte order.
+        """Read `count` values of a NumPy kind such as `u2`, starting at byte `start`, in the byte order of this machine.
 
         Raises:
-            InputError: the file ends before.
+            InputError: the file ends too early.
         """
         size = np.dtype(kind).itemsize * count
         if count < 0 or start < 0 or start + size > len(self.data):
-            raise input_error(self.path, f"cut off: {len(self.data)} bytes", f"{max(start + size, 0)}, as its own numbers say", RESTORE)
+            raise input_error(self.path, f"cut off: {len(self.data)} bytes", f"{max(start + size, 0)}, as the file itself states", RESTORE)
         piece = self.data[start : start + size]
         if kind == "f4" and self.processor == DEC:
-            # Its two words stand the other way round, and its exponent is two more.
+            # DEC floats have their two words swapped, and an exponent that is larger by two.
             words = np.frombuffer(piece, "<u2").reshape(-1, 2)[:, ::-1]
             return np.ascontiguousarray(words).view("<f4")[:, 0] / 4
         order = ">" if self.processor == MIPS else "<"
@@ -52,10 +52,10 @@ class Content(NamedTuple):
 
 
 def open_c3d(path: Path, data: bytes) -> tuple[Content, dict[str, NDArray[np.generic]]]:
-    """The content, and its parameters by `GROUP:NAME`, each of the shape that the file gives, first index fastest.
+    """The content, and its parameters by `GROUP:NAME`. Each has the shape that the file gives, first index fastest.
 
     Raises:
-        InputError: no C3D file, or one that is cut off in its parameters.
+        InputError: not a C3D file, or one that is cut off in its parameters.
     """
     if len(data) < BLOCK or data[1] != 0x50:
         raise input_error(path, "no C3D header", KIND, "name another file")
@@ -75,10 +75,10 @@ def open_c3d(path: Path, data: bytes) -> tuple[Content, dict[str, NDArray[np.gen
 
 
 def _records(content: Content, start: int) -> Iterator[tuple[int, str, int]]:
-    """Of each record its group (negative: it is one), its name, and where its content begins."""
+    """For each record: its group (negative: the record is a group), its name, and where its content begins."""
     while True:
         length, owner = (int(value) for value in content.values("i1", start, 2))
-        # Negative: locked, which binds programs that write.
+        # A negative length means locked, which concerns only programs that write.
         length = abs(length)
         if not length or not owner:
             return

@@ -1,4 +1,4 @@
-"""What a file holds, in its own unit and axes; and from there to metres with z up, by a turn and never by a mirror."""
+"""The content of a file in its unit and axes, and its conversion to metres with z up, by a rotation and never a reflection."""
 
 import math
 from pathlib import Path
@@ -10,33 +10,33 @@ from jaxtyping import Float
 from bayes_body.errors import InputError, input_error
 from bayes_body.recording.mocap.motion import Motion
 
-# Metres of one unit. `cmu`: what the skeletons of the CMU database count in, 1/0.45 inch; conversions of it to BVH keep it.
+# Metres per unit. `cmu`: the unit of the CMU database's skeletons, 1/0.45 inch; conversions of it to BVH keep it.
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048, "cmu": 0.0254 / 0.45}
 AXES = ("x", "y", "z", "-x", "-y", "-z")
-# From a child of two years to beyond the tallest man; loose markers may be those of one arm.
+# From a child of two years to more than the tallest person. Loose markers may cover only one arm.
 HEIGHTS_M = (0.8, 2.7)
 EXTENTS_M = (0.2, 2.7)
-# Toe to fingertips along the bones is the longest way through a skeleton: of it the height is this share (0.65 to 0.69 of the CMU set's people).
+# Height divided by the longest path through a skeleton, along the bones from toe to fingertips (0.65 to 0.69 for the people of the CMU set).
 HEIGHT_OF_WAY = 0.67
-# As of the positions of a session.
+# As for the positions of a session.
 FARTHEST_M = 1000.0
-# Frames whose vertical extent is measured.
+# Number of frames in which the vertical extent is measured.
 SAMPLED = 500
 FASTEST_FPS = 100_000.0
 
 
 class Capture(NamedTuple):
-    """A file's motion.
+    """The motion in a file.
 
     Attributes:
-        fps: frames a second, by what the file says or its kind's custom.
-        joints: their names; of loose markers theirs.
-        parents: as of `Motion`.
+        fps: frames per second, as the file states or its format implies.
+        joints: the names of the joints, or of loose markers.
+        parents: as in `Motion`.
         positions: (frame, joint, 3), NaN where unknown.
-        metres: of one unit, likewise.
-        up: one of `AXES`, likewise.
-        rotations: as of `Motion`, in the file's axes.
-        way: the longest along the skeleton's bones from end to end; None of loose markers.
+        metres: metres per unit of length, as the file states or its format implies.
+        up: one of `AXES`, as the file states or its format implies.
+        rotations: as in `Motion`, in the file's axes.
+        way: the longest path along the skeleton's bones from end to end; None for loose markers.
     """
 
     fps: float
@@ -53,20 +53,20 @@ def to_motion(path: Path, capture: Capture, unit: str | float | None, up: str | 
     """The motion in metres, z up.
 
     Args:
-        path: of the file.
-        capture: what is in it.
-        unit: a name of `UNITS`, or the metres of one unit; what the file says by default.
-        up: one of `AXES`; what the file says by default.
-        fps: frames a second; what the file says by default.
+        path: the file.
+        capture: its content.
+        unit: a name in `UNITS`, or metres per unit; default: the file's unit.
+        up: one of `AXES`; default: the file's.
+        fps: frames per second; default: the file's rate.
 
     Raises:
-        InputError: an unknown unit or axis, a rate that is none, or a unit that makes nobody's height.
+        InputError: an unknown unit or axis, an invalid rate, or a unit that gives no human height.
     """
     metres = capture.metres if unit is None else metres_of(unit)
     turn = to_z_up(capture.up if up is None else up)
     rate = capture.fps if fps is None else fps
     if not 0 < rate <= FASTEST_FPS:
-        raise input_error(f"{path}: frames a second", f"{rate:g}", f"a number above 0, at most {FASTEST_FPS:g}", "give the right one as fps")
+        raise input_error(f"{path}: frames a second", f"{rate:g}", f"a number above 0, at most {FASTEST_FPS:g}", "give the right rate as fps")
     _check_height(path, capture, metres, turn)
     positions = metres * capture.positions @ turn.T
     farthest = float(np.nanmax(np.abs(positions), initial=0.0))
@@ -77,63 +77,63 @@ def to_motion(path: Path, capture: Capture, unit: str | float | None, up: str | 
 
 
 def metres_of(unit: str | float) -> float:
-    """The metres of a unit that a user gave by name or by number.
+    """Metres per unit, for a unit given by name or by number.
 
     Raises:
         InputError: no such unit.
     """
     metres = UNITS.get(unit, math.nan) if isinstance(unit, str) else float(unit)
     if not 0 < metres < math.inf:
-        raise input_error("unit", str(unit), f"one of {', '.join(UNITS)}, or the metres of one unit", "name another")
+        raise input_error("unit", str(unit), f"one of {', '.join(UNITS)}, or the metres of one unit", "choose one of these")
     return metres
 
 
 def to_z_up(up: str) -> Float[np.ndarray, "3 3"]:
-    """The rotation that makes an axis point along z. The axes change places in turn, as `bayes-body export --up` has it.
+    """The rotation that makes an axis point along z. It permutes the axes cyclically, like `bayes-body export --up`.
 
     Raises:
         InputError: no such axis.
     """
     if up not in AXES:
-        raise input_error("up", str(up), f"one of {', '.join(AXES)}", "name another")
+        raise input_error("up", str(up), f"one of {', '.join(AXES)}", "choose one of these")
     axis = "xyz".index(up[-1])
     turn = np.roll(np.eye(3), 2 - axis, axis=0)
-    # Half a turn about x before: y and z point the other way, and nothing is mirrored.
+    # First half a turn about x: it reverses y and z without a reflection.
     return np.diag([1.0, -1.0, -1.0]) @ turn if up.startswith("-") else turn
 
 
 def known_unit(where: str, name: str) -> float:
-    """The metres of the unit that a file names, such as `mm` or `Meters`.
+    """Metres per unit, for the unit that a file names, such as `mm` or `Meters`.
 
     Raises:
         InputError: no such unit.
     """
     spelled = {"millimeter": "mm", "centimeter": "cm", "meter": "m", "inch": "in", "inche": "in", "feet": "ft", "foot": "ft"}
     word = name.strip().lower().replace("metre", "meter")
-    found = next((unit for unit in (word, spelled.get(word.rstrip("s"), "")) if unit in UNITS), None)
-    if found is None:
+    known = next((unit for unit in (word, spelled.get(word.rstrip("s"), "")) if unit in UNITS), None)
+    if known is None:
         raise input_error(where, f"'{name.strip()[:40]}'", f"one of {', '.join(UNITS)}", "correct it, or give the unit")
-    return UNITS[found]
+    return UNITS[known]
 
 
 def _check_height(path: Path, capture: Capture, metres: float, turn: Float[np.ndarray, "3 3"]) -> None:
     height, bounds = _extent(capture.positions @ turn.T), EXTENTS_M
     if capture.way is not None:
-        # Who lies down has a skeleton all the same.
+        # Take the skeleton's length, because a person who lies down has no vertical extent.
         height, bounds = max(height, HEIGHT_OF_WAY * capture.way), HEIGHTS_M
     if height and not bounds[0] <= height * metres <= bounds[1]:
         raise _no_height(path, height, metres, bounds)
 
 
 def _extent(positions: Float[np.ndarray, "frame joint 3"]) -> float:
-    """From the lowest joint to the highest while upright: in one frame of twenty it is more. 0 where no two are known."""
+    """Height from the lowest to the highest joint while upright: the 95th percentile over frames. 0 if no two joints are known."""
     heights = positions[:: max(len(positions) // SAMPLED, 1), :, 2]
-    seen = heights[~np.isnan(heights).all(axis=1)]
-    return float(np.percentile(np.nanmax(seen, axis=1) - np.nanmin(seen, axis=1), 95)) if len(seen) else 0.0
+    known = heights[~np.isnan(heights).all(axis=1)]
+    return float(np.percentile(np.nanmax(known, axis=1) - np.nanmin(known, axis=1), 95)) if len(known) else 0.0
 
 
 def _no_height(path: Path, height: float, metres: float, bounds: tuple[float, float]) -> InputError:
-    # The unit that makes the likeliest height, if any makes a person.
+    # Suggest the unit that gives the most plausible height, if any gives one.
     fitting = {unit: height * m for unit, m in UNITS.items() if HEIGHTS_M[0] <= height * m <= HEIGHTS_M[1]}
     best = min(fitting, key=lambda unit: abs(fitting[unit] - 1.7), default=None)
     remedy = f"give the unit: '{best}' would make {fitting[best]:.2f} m" if best else "give the unit, or correct the file"

@@ -1,4 +1,4 @@
-"""What motion capture files call the joints of a person, and which of a file's names stand for which landmark."""
+"""The names of a person's joints in motion capture files, and which of a file's names mean which landmark."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -6,23 +6,23 @@ from typing import NamedTuple
 
 from bayes_body.evidence.markers import MARKERS
 
-# Of MARKERS those that are looked up; pelvis and thorax are the middles of hips and of shoulders.
+# The landmarks among MARKERS that are looked up by name; pelvis and thorax are the midpoints of the hips and of the shoulders.
 LIMBS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 SOUGHT = (*(f"{side}_{limb}" for side in "lr" for limb in LIMBS), "head")
-# Names of characters and subjects that programs put before each joint's.
+# Names of characters and subjects that programs put before each joint name.
 PREFIX = re.compile(r"^(mixamorig\d*|bip\d+|character\d*)[_ ]*", re.IGNORECASE)
-# How a side is written: before or behind the joint's name.
+# How a side is written: before or after the joint name.
 SIDES = ("{side}{name}", "{initial}{name}", "{name}{side}", "{name}{initial}")
 
 
 class Dialect(NamedTuple):
-    """Names in small letters, without separators, sides and prefixes; of several the first that a file has.
+    """Names in lower case, without separators, sides and prefixes. If a landmark has several names, the first one in the file is used.
 
     Attributes:
-        title: for sentences.
-        sided: of what there is left and right.
-        middle: of the rest.
-        head_is_low: whether the head's bone ends at the height of the eyes and not at the crown.
+        title: for messages.
+        sided: names of landmarks with a left and a right side.
+        middle: names of all others.
+        head_is_low: whether the head's bone ends at eye height instead of the crown.
     """
 
     title: str
@@ -47,7 +47,7 @@ DIALECTS = (
         "CMU asf (lfemur, ltibia)",
         {
             **{"hip": ("femur",), "knee": ("tibia",), "ankle": ("foot",), "toe": ("toesend",)},
-            # `wrist` of these skeletons is a joint of the forearm, which turns about its own axis there; the hand bends where `hand` starts.
+            # `wrist` in these skeletons is a joint inside the forearm that only rotates about the forearm's axis; the hand bends where `hand` starts.
             **{"shoulder": ("humerus",), "elbow": ("radius",), "wrist": ("hand",), "hand": ("fingersend",)},
         },
         {"head": ("headend",), "neck": ("upperneck",)},
@@ -81,29 +81,29 @@ DIALECTS = (
 
 
 class Reading(NamedTuple):
-    """A dialect, and for each landmark that a file has in it the file's name."""
+    """A dialect, and the file's name for each landmark that the file has in this dialect."""
 
     dialect: Dialect
     joints: dict[str, str]
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """What of the fifteen markers cannot be had."""
+        """Those of the fifteen markers that cannot be derived."""
         return tuple(name for name in SOUGHT if name not in self.joints)
 
 
 def best_reading(joints: Sequence[str]) -> Reading:
-    """The dialect in which a file has most of the fifteen markers."""
+    """The dialect that recognises most of the fifteen markers in a file."""
     spelled: dict[str, str] = {}
     for joint in joints:
         spelled.setdefault(plain(joint), joint)
     readings = [Reading(dialect, joints) for dialect in DIALECTS for joints in _in_dialect(dialect, spelled)]
-    # The first of several, as they stand in the table.
+    # On a tie the first in the table wins.
     return min(readings, key=lambda reading: len(reading.missing))
 
 
 def plain(name: str) -> str:
-    """A joint's name in small letters, without prefixes and separators: `mixamorig:LeftUpLeg` is `leftupleg`."""
+    """A joint name in lower case, without prefixes and separators: `mixamorig:LeftUpLeg` is `leftupleg`."""
     return re.sub(r"[\s_.-]+", "", PREFIX.sub("", name.rpartition(":")[2])).lower()
 
 
@@ -129,7 +129,7 @@ def _present(wanted: Mapping[str, tuple[str, ...]], spelled: Mapping[str, str], 
 
 
 def _inner(name: str, form: str) -> str:
-    """What stands before the side: `thigh.L`'s end is `thigh.L_end`."""
+    """The name before the side: the end of `thigh.L` is `thigh.L_end`."""
     return name.removesuffix("end") if form.startswith("{name}") else name
 
 
@@ -138,5 +138,5 @@ def _outer(name: str, form: str) -> str:
 
 
 def known_markers(joints: Sequence[str]) -> bool:
-    """Whether a file has the fifteen markers by their own names."""
+    """Whether a file names the fifteen markers as this project does."""
     return set(MARKERS) <= set(joints)

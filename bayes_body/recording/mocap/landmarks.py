@@ -1,8 +1,8 @@
-r"""Joint centres of a person by the same names, whatever file they came from.
+r"""A person's joint centres under the same names, whatever the file format.
 
-Pelvis and thorax are the middles of hips and of shoulders, unless a file has the fifteen markers by their own names. Head is the crown. Skeletons of
-the CMU database end at the height of the eyes, 0.064 of the height H below the crown (Drillis & Contini 1966: 0.936 H); with thigh and shank together
-0.491 H (0.245 + 0.246) the crown is $0.13\,(thigh + shank)$ beyond, along the head's bone.
+Pelvis and thorax are the midpoints of the hips and of the shoulders, unless a file has the fifteen markers under this project's names. Head is the
+crown. Skeletons of the CMU database end at eye height, 0.064 of the height H below the crown (Drillis & Contini 1966: 0.936 H). With thigh and shank
+together 0.491 H (0.245 + 0.246), the crown is $0.13\,(thigh + shank)$ further along the head's bone.
 """
 
 from collections.abc import Mapping
@@ -23,24 +23,24 @@ type Places = dict[str, Float[np.ndarray, "frame 3"]]
 
 
 def landmarks(motion: Motion, names: Mapping[str, str] | None = None) -> Places:
-    """Positions (frame, 3) in metres, z up, NaN where unknown: the fifteen of `MARKERS`, and what the file has of `EXTRA`.
+    """Positions (frame, 3) in metres, z up, NaN where unknown: the fifteen of `MARKERS`, and those of `EXTRA` that the file has.
 
     Args:
-        motion: whose joints have names of one of `dialects.DIALECTS`.
-        names: for a landmark the joint or marker that stands for it, where the file has names of its own; the others are looked up.
+        motion: its joints have names of one of `dialects.DIALECTS`.
+        names: the joint or marker for a landmark, if the file uses other names. Landmarks not given here are looked up.
 
     Raises:
-        InputError: a name in `names` that is no landmark or that the motion lacks; or some of the fifteen cannot be found.
+        InputError: `names` has an unknown landmark or a joint that the motion lacks; or some of the fifteen cannot be found.
     """
-    own = dict(names or {})
-    _check_names(motion, own)
+    given = dict(names or {})
+    _check_names(motion, given)
     reading = best_reading(motion.joints)
     found = {name: name for name in (*MARKERS, *EXTRA) if name in motion.joints} if known_markers(motion.joints) else reading.joints
-    reading = Reading(reading.dialect, found | own)
+    reading = Reading(reading.dialect, found | given)
     if reading.missing:
         raise _unknown(motion, reading)
     places = {landmark: motion.positions_m[:, motion.joints.index(joint)] for landmark, joint in reading.joints.items()}
-    if reading.dialect.head_is_low and "head" not in own:
+    if reading.dialect.head_is_low and "head" not in given:
         places["head"] = _crown(motion, reading, places)
     for middle, side in (("pelvis", "hip"), ("thorax", "shoulder")):
         places.setdefault(middle, (places[f"l_{side}"] + places[f"r_{side}"]) / 2)
@@ -61,18 +61,18 @@ def _unknown(motion: Motion, reading: Reading) -> Exception:
     found = f"{len(motion.joints)} names ({', '.join(motion.joints[:LISTED])}{', ...' if len(motion.joints) > LISTED else ''})"
     known = "; ".join(dialect.title for dialect in DIALECTS)
     missing = ", ".join(reading.missing)
-    return input_error(motion.name, f"no {missing} among its {found}", f"names as of one of: {known}", f"say which stand for {missing} with names")
+    return input_error(motion.name, f"no {missing} among its {found}", f"the names of one of: {known}", f"give the joints for {missing} with names")
 
 
 def _crown(motion: Motion, reading: Reading, places: Places) -> Float[np.ndarray, "frame 3"]:
-    """Beyond the head's bone, which ends at the height of the eyes."""
+    """The crown: beyond the end of the head's bone, which is at eye height."""
     end = motion.joints.index(reading.joints["head"])
     bone = motion.positions_m[:, end] - motion.positions_m[:, motion.parents[end]]
     return places["head"] + BEYOND_EYES * _leg(places) * bone / np.linalg.norm(bone, axis=-1, keepdims=True).clip(1e-9)
 
 
 def _leg(places: Places) -> float:
-    """Thigh and shank together, of both legs in the mean."""
+    """Length of thigh and shank together, mean of both legs."""
     bones = [places[f"{side}_{end}"] - places[f"{side}_{start}"] for side in "lr" for start, end in (("hip", "knee"), ("knee", "ankle"))]
     lengths = np.linalg.norm(bones, axis=-1).sum(axis=0) / 2
     return float(np.median(lengths))

@@ -1,4 +1,4 @@
-"""A captured motion, whatever file it came from: metres, z up, world frame."""
+"""A captured motion, whatever the file format: metres, z up, world frame."""
 
 from dataclasses import dataclass
 
@@ -11,12 +11,12 @@ class Motion:
     """Joints of a skeleton, or loose markers, over time.
 
     Attributes:
-        name: of the file, for sentences.
-        fps: frames a second.
-        joints: their names, as the file has them.
-        parents: for each joint the index of the one that it hangs on, parents before children; -1 for a root, and for loose markers.
+        name: the file's name, for messages.
+        fps: frames per second.
+        joints: the names in the file.
+        parents: index of each joint's parent, parents before children; -1 for a root and for loose markers.
         positions_m: (frame, joint, 3), metres, z up; NaN where unknown.
-        rotations: (frame, joint, 3, 3), `T_world_joint`'s rotation; None where the file holds points only.
+        rotations: (frame, joint, 3, 3), `T_world_joint`'s rotation; None if the file holds points only.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""A motion from a file of any of the four formats, by its ending: amc (with its asf), bvh, c3d, trc."""
+"""Read a motion in any of the four formats, chosen by the file's suffix: amc (with its asf), bvh, c3d, trc."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -15,9 +15,9 @@ from bayes_body.recording.mocap.motion import Motion
 from bayes_body.recording.mocap.trc import read_trc
 
 READERS: dict[str, Callable[[Path], Capture]] = {".amc": read_amc, ".bvh": read_bvh, ".c3d": read_c3d, ".trc": read_trc}
-# Formats that do not say which axis points up, and whose files differ in it.
+# Formats that do not state the up axis, and whose files differ in it.
 SILENT = (".bvh", ".trc")
-# How far the other axes may be from the way from feet to head.
+# Largest share of the other axes in the direction from feet to head.
 CLEARLY = 2.0
 
 
@@ -28,35 +28,35 @@ def read_motion(
     up: str | None = None,
     fps: float | None = None,
 ) -> Motion:
-    """A captured motion in metres, z up.
+    """Read a captured motion in metres, z up.
 
-    The unit is by default what the file says (c3d, trc, asf) or what is usual (bvh: cm). It must make a person's height. The upward axis is by
-    default what the file says (c3d), y (asf), or where the head is above the feet (bvh, trc; y if that is not clear, or the names are unknown). The
-    world is turned and never mirrored: of y up, (x, y, z) becomes (z, x, y).
+    By default the unit is the file's (c3d, trc, asf) or the usual one (bvh: cm). It must give a human height. By default the up axis is the file's
+    (c3d), y (asf), or the axis along which the head is above the feet (bvh, trc; y if this is unclear or the names are unknown). The world is rotated
+    and never reflected: with y up, (x, y, z) becomes (z, x, y).
 
     Args:
-        path: of an .amc, .bvh, .c3d or .trc.
-        skeleton: the .asf of an .amc; found beside it by default.
-        unit: `m`, `cm`, `mm`, `in`, `ft` or `cmu`, or the metres of one unit.
-        up: `x`, `y`, `z`, `-x`, `-y` or `-z`: the file's axis that points up.
-        fps: frames a second, where the file's are wrong or missing (amc: 120).
+        path: an .amc, .bvh, .c3d or .trc.
+        skeleton: the .asf of an .amc; default: the one found beside it.
+        unit: `m`, `cm`, `mm`, `in`, `ft` or `cmu`, or metres per unit.
+        up: the file's axis that points up: `x`, `y`, `z`, `-x`, `-y` or `-z`.
+        fps: frames per second, if the file's rate is wrong or missing (amc: 120).
 
     Raises:
-        InputError: another ending, a file that its reader refuses, or a unit that makes the person 2 cm or 200 m tall.
+        InputError: another suffix, a file that its reader refuses, or a unit that makes the person 2 cm or 200 m tall.
     """
     path, kind = Path(path), Path(path).suffix.lower()
     if kind == ".asf":
         raise input_error(path, "a skeleton without a motion", "an .amc", "name the motion; its skeleton is found beside it or given as skeleton")
     if kind not in READERS:
-        raise input_error(path, f"the ending '{kind}'", f"one of {', '.join(READERS)}", "name a file of motion capture")
+        raise input_error(path, f"the suffix '{kind}'", f"one of {', '.join(READERS)}", "name a file of motion capture")
     if skeleton is not None and kind != ".amc":
-        raise input_error(path, "a skeleton is given with it", "one only with an .amc", "leave the skeleton out")
+        raise input_error(path, "a skeleton is given with it", "a skeleton only with an .amc", "leave the skeleton out")
     capture = READERS[kind](path) if skeleton is None else read_amc(path, Path(skeleton))
     return to_motion(path, capture, unit, _upward(capture) if up is None and kind in SILENT else up, fps)
 
 
 def _upward(capture: Capture) -> str | None:
-    """The axis along which the head is above the feet, if it is one and the joints' names are known."""
+    """The axis along which the head is above the feet, if the direction is clear and the joint names are known."""
     joints = best_reading(capture.joints).joints
     if not {"head", "l_ankle", "r_ankle"} <= joints.keys():
         return None

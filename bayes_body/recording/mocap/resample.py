@@ -1,4 +1,4 @@
-"""A motion at another rate: positions by cubic Hermite interpolation, rotations along the shortest turn. What is unknown stays unknown."""
+"""Resample a motion: cubic Hermite interpolation of positions, shortest rotation between orientations. Unknown values stay unknown."""
 
 import dataclasses
 
@@ -10,26 +10,26 @@ from bayes_body.errors import input_error
 from bayes_body.recording.mocap.capture import FASTEST_FPS
 from bayes_body.recording.mocap.motion import Motion
 
-# Nearer to a frame than this share of the time between two, it is that frame.
+# A time nearer to a frame than this fraction of the frame interval is that frame.
 SAME = 1e-6
 MOST_FRAMES = 10_000_000
 
 
 def resample(motion: Motion, fps: float) -> Motion:
-    """The motion at so many frames a second, from its first frame to at most its last.
+    """The motion at `fps` frames per second, from its first frame to at most its last.
 
-    A new frame that falls on an old one is that frame: from 120 to 60 every second is taken. Between a known position and an unknown one all is
-    unknown.
+    A new frame that coincides with an old one equals it: from 120 to 60, every second frame is taken. Everything between a known and an unknown
+    position is unknown.
 
     Raises:
-        InputError: a rate that is none, or of more frames than 10 million.
+        InputError: an invalid rate, or one that gives more than 10 million frames.
     """
     if not 0 < fps <= FASTEST_FPS:
-        raise input_error("fps", f"{fps:g}", f"a number above 0, at most {FASTEST_FPS:g}", "give another")
+        raise input_error("fps", f"{fps:g}", f"a number above 0, at most {FASTEST_FPS:g}", "give another rate")
     last = len(motion.positions_m) - 1
     count = int(last * fps / motion.fps * (1 + 1e-12) + SAME) + 1
     if count > MOST_FRAMES:
-        raise input_error("fps", f"{fps:g}, {count} frames", f"at most {MOST_FRAMES} frames", "give a lower one")
+        raise input_error("fps", f"{fps:g}, {count} frames", f"at most {MOST_FRAMES} frames", "give a lower rate")
     places = np.arange(count) * (motion.fps / fps)
     near = np.rint(places)
     places = np.where(np.abs(places - near) < SAME * np.maximum(near, 1), near, places).clip(0, last)
@@ -42,7 +42,7 @@ def resample(motion: Motion, fps: float) -> Motion:
 def _placed(
     positions: Float[np.ndarray, "old joint 3"], before: Int[np.ndarray, " frame"], share: Float[np.ndarray, " frame"]
 ) -> Float[np.ndarray, "frame joint 3"]:
-    """Hermite between two frames, with the mean velocity on both sides of a frame where both are known, and else that of the one that is."""
+    """Hermite interpolation between two frames. The slope at a frame is the mean of the velocities on both sides, or the one that is known."""
     after = np.minimum(before + 1, len(positions) - 1)
     t = share[:, None, None]
     p, q = positions[before], positions[after]

@@ -1,4 +1,4 @@
-"""Motion capture files read whole, and the numbers in them: what is missing, too large, no text or no number is a sentence."""
+"""Read motion capture files and the numbers in them. A file that is missing, too large, not text or not numeric raises an InputError."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -9,9 +9,9 @@ from jaxtyping import Float
 
 from bayes_body.errors import InputError, input_error
 
-# An hour of a hundred markers is half of it.
+# Twice the size of an hour with a hundred markers.
 LARGEST_BYTES = 1_000_000_000
-# No length, angle or rate of a person comes near; beyond it sums and squares overflow.
+# No length, angle or rate of a person is so large; larger numbers make sums and squares overflow.
 LARGEST_NUMBER = 1e9
 
 
@@ -33,21 +33,21 @@ def read_bytes(path: Path, kind: str) -> bytes:
         raise input_error(path, "no such file", kind, "check the path") from None
     except OSError as error:
         raise input_error(path, f"cannot be read ({error.strerror})", kind, "check the path and its permissions") from None
-    # A path with a null character in it.
+    # The path contains a null character.
     except ValueError as error:
         raise input_error(repr(str(path)), str(error), kind, "check the path") from None
 
 
 def read_text(path: Path, kind: str) -> str:
-    """The file's text: UTF-8, or else Latin-1, since only names and comments are ever more than ASCII.
+    """The file's text: UTF-8, or else Latin-1. Only names and comments contain more than ASCII.
 
     Raises:
-        InputError: as of `read_bytes`, or the file is no text.
+        InputError: as for `read_bytes`, or the file is not text.
     """
     content = read_bytes(path, kind)
     if b"\0" in content:
         line = content[: content.index(b"\0")].count(b"\n") + 1
-        raise input_error(f"{path}: line {line}", "the byte 0x00: no text", kind, "name another file, or restore this one")
+        raise input_error(f"{path}: line {line}", "the byte 0x00: not text", kind, "name another file, or restore this one")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -58,12 +58,12 @@ def numbers(where: str, words: Sequence[str], remedy: str = "correct it, or rest
     """The words as numbers.
 
     Args:
-        where: the file and the line, for the sentence.
-        words: of the line.
-        remedy: what else than that the user can do.
+        where: the file and the line, for the message.
+        words: the words of the line.
+        remedy: what the user can do.
 
     Raises:
-        InputError: one is no finite number, or beyond 1e9.
+        InputError: a word is not a finite number, or beyond 1e9.
     """
     try:
         values = np.array(words, dtype=np.float64)
@@ -76,19 +76,19 @@ def numbers(where: str, words: Sequence[str], remedy: str = "correct it, or rest
 
 
 def table(where: str, rows: Sequence[Sequence[str]], lines: Sequence[int]) -> Float[np.ndarray, "row word"]:
-    """Rows of words, all of one length, as numbers; `lines` are the numbers of their lines in the file.
+    """Rows of words, all of the same length, as numbers; `lines` are their line numbers in the file.
 
     Raises:
-        InputError: as of `numbers`, naming the line.
+        InputError: as for `numbers`, naming the line.
     """
-    # Rows of several lengths and words that are no numbers are told below, row by row, only where there are any.
+    # The fast conversion fails on rows of different lengths and on words that are not numbers. Only then find the faulty row, below.
     with suppress(ValueError):
         values = np.array(rows, dtype=np.float64)
         if (np.abs(values) <= LARGEST_NUMBER).all():
             return values
     for row, line in zip(rows, lines, strict=True):
         numbers(f"{where}: line {line}", row)
-    raise InputError(f"{where}: no table of numbers; restore the file.")
+    raise InputError(f"{where}: not a table of numbers; restore the file.")
 
 
 def _first_bad(words: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""TRC, the marker format of OpenSim and Pose2Sim: tab-separated text; a header with rate and unit, names, then a row a frame."""
+"""TRC, the marker format of OpenSim and Pose2Sim: tab-separated text; a header with rate and unit, names, then one row per frame."""
 
 from pathlib import Path
 
@@ -12,17 +12,17 @@ from bayes_body.recording.mocap.text import numbers, read_text, table
 KIND = "a TRC file (PathFileType, then DataRate, NumFrames, NumMarkers, Units)"
 RESTORE = "restore the file, or export it again"
 NEEDED = ("DataRate", "NumFrames", "NumMarkers", "Units")
-# Columns before the first marker's: frame and time.
+# Columns before the first marker: frame and time.
 FIRST = 2
-# PathFileType; the header's names and values; the markers' names; their axes.
+# PathFileType; the header's names and values; the marker names; their axes.
 HEADER_LINES = 5
 
 
 def read_trc(path: Path) -> Capture:
-    """Markers; an empty cell is a position that is not known. The format does not say which axis points up: y is the custom.
+    """Read the markers. An empty cell is an unknown position. The format does not state the up axis; y is usual.
 
     Raises:
-        InputError: the file cannot be read, is something else, has ragged rows, or not the frames and markers that its header counts.
+        InputError: the file cannot be read, has another format or ragged rows, or its frames and markers differ from the header's counts.
     """
     lines = read_text(path, KIND).splitlines()
     if len(lines) < HEADER_LINES or not lines[0].startswith("PathFileType"):
@@ -32,7 +32,7 @@ def read_trc(path: Path) -> Capture:
     positions = _rows(path, lines, len(names))
     if len(positions) != int(header["NumFrames"]):
         cut = "cut off: " if len(positions) < int(header["NumFrames"]) else ""
-        raise input_error(path, f"{cut}{len(positions)} rows where NumFrames says {header['NumFrames']}", "as many as that", RESTORE)
+        raise input_error(path, f"{cut}{len(positions)} rows where NumFrames says {header['NumFrames']}", "the same number", RESTORE)
     rate = float(numbers(f"{path}: line 3: DataRate", [header["DataRate"]])[0])
     return Capture(rate, names, (-1,) * len(names), positions, known_unit(f"{path}: line 3: Units", header["Units"]), "y")
 
@@ -56,7 +56,7 @@ def _names(path: Path, line: str, count: str) -> tuple[str, ...]:
         raise input_error(f"{path}: line 4", found, f"{int(count)}, as NumMarkers says", RESTORE)
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise input_error(f"{path}: line 4", f"'{twice[:40]}' {names.count(twice)} times", "a name of its own for each marker", "rename them")
+        raise input_error(f"{path}: line 4", f"'{twice[:40]}' {names.count(twice)} times", "unique names", "rename them")
     return names
 
 

@@ -1,4 +1,4 @@
-r"""Joints that hang on joints, over all frames at once: $R_j = R_{parent(j)} L_j$, $p_j = p_{parent(j)} + R_{parent(j)} o_j$."""
+r"""Forward kinematics of joints over all frames at once: $R_j = R_{parent(j)} L_j$, $p_j = p_{parent(j)} + R_{parent(j)} o_j$."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ def place(
 
     Args:
         parents: index of each joint's parent, parents first; -1 for a root.
-        offsets: of each joint in its parent's frame (of a root: in the world), in each frame, or in one that stands for all.
+        offsets: each joint's position in its parent's frame (for a root: in the world), in each frame or in one frame for all.
         local: each joint's rotation in its parent's frame.
     """
     offsets = np.broadcast_to(offsets, local.shape[:3])
@@ -29,7 +29,7 @@ def place(
 
 
 def turns(axes: str, angles_deg: Float[np.ndarray, "frame angle"]) -> Float[np.ndarray, "frame 3 3"]:
-    """Rotations about fixed axes, one after the other: `xyz` turns about x first, so its matrix is $R_z R_y R_x$."""
+    """Rotations about fixed axes in sequence: `xyz` turns about x first, so its matrix is $R_z R_y R_x$."""
     out = np.broadcast_to(np.eye(3), (len(angles_deg), 3, 3))
     for axis, angles in zip(axes, angles_deg.T, strict=True):
         out = _turn("xyz".index(axis), np.radians(angles)) @ out
@@ -48,11 +48,11 @@ def _turn(axis: int, angles: Float[np.ndarray, " frame"]) -> Float[np.ndarray, "
 
 
 def longest_path(parents: Sequence[int], offsets: Float[np.ndarray, "joint 3"]) -> float:
-    """The longest way along the bones from one end of the skeleton to another: of a person from toe to fingertips."""
+    """The longest path along the bones from one end of the skeleton to another; for a person from toe to fingertips."""
     lengths = np.linalg.norm(offsets, axis=-1)
     below = np.zeros(len(parents))
     longest = 0.0
-    # Children before parents: what is below a joint is known when it is reached.
+    # Children come before parents, so the paths below a joint are known when it is reached.
     for j in range(len(parents) - 1, -1, -1):
         longest = max(longest, below[j])
         if parents[j] >= 0:

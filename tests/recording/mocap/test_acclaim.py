@@ -130,15 +130,15 @@ BAD_AMC = {
     "a bone left out of the last frame": (AMC.replace("head 0 0\n", ""), r"frame 8 has no values of head"),
     "short of values": (AMC.replace("leg 0 0 90", "leg 0 90"), r"line 11: 2 values of the bone 'leg' in frame 8; expected 3"),
     "too many values": (AMC.replace("foot 0\n", "foot 0 1\n"), r"line 12: 2 values of the bone 'foot'"),
-    "a bone without values": (AMC.replace("foot 0\n", "foot\n"), r"line 12: 'foot'; expected a frame's number, or a bone and its values"),
+    "a bone without values": (AMC.replace("foot 0\n", "foot\n"), r"line 12: 'foot'; expected a frame number, or a bone and its values"),
     "a bone twice": (AMC.replace("leg 0 0 90", "leg 0 0 90\nleg 0 0 90"), r"line 12: the bone 'leg' twice in frame 8"),
-    "frames out of turn": (AMC.replace("\n8\n", "\n9\n"), r"line 9: frame 9 after frame 7; expected frames numbered one after the other"),
+    "frames out of turn": (AMC.replace("\n8\n", "\n9\n"), r"line 9: frame 9 after frame 7; expected consecutive frame numbers"),
     "no number": (AMC.replace("foot 90", "foot 9o"), r"line 7: '9o'; expected numbers"),
     "NaN": (AMC.replace("foot 90", "foot nan"), r"line 7: nan; expected finite numbers"),
     "values before a frame": (AMC.replace("7\n", ""), r"line 4: values before the first frame's number"),
     "nothing": ("", r"no frame; expected an AMC motion"),
     "something else": ('{"a": [1,\n2]}\n', r"line 1: the bone '{\"a\":'"),
-    "binary": ("a\0b", r"line 1: the byte 0x00: no text"),
+    "binary": ("a\0b", r"line 1: the byte 0x00: not text"),
 }
 
 
@@ -153,7 +153,7 @@ def test_damaged_motions(somebody, what):
 BAD_ASF = {
     "a bone of the hierarchy that is not there": (
         without(ASF, "  begin\n     id 2", "  end\n"),
-        r"the hierarchy has a bone 'foot' that :bonedata lacks",
+        r"the hierarchy has a bone 'foot' missing in :bonedata",
     ),
     "a bone that the motion needs": (without(ASF, "  begin\n     id 2", "  end\n").replace("    leg foot\n", ""), r"line 7: the bone 'foot'"),
     "a bone left out of the hierarchy": (ASF.replace("    leg foot\n", ""), r"nothing leads from the root to foot"),
@@ -205,7 +205,7 @@ def test_the_skeleton_beside_the_motion(somebody, tmp_path):
 
 
 def test_what_is_no_motion_capture(tmp_path, somebody):
-    for name, sentence in (("a.mp4", r"the ending '.mp4'; expected one of .amc, .bvh, .c3d, .trc"), ("a.amc", r"a.amc: no such file")):
+    for name, sentence in (("a.mp4", r"the suffix '.mp4'; expected one of .amc, .bvh, .c3d, .trc"), ("a.amc", r"a.amc: no such file")):
         with pytest.raises(InputError, match=sentence):
             read_motion(tmp_path / name)
     with pytest.raises(InputError, match=r"a skeleton without a motion"):

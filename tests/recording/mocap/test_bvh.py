@@ -124,7 +124,7 @@ def test_cmu_bvh_keeps_the_unit_and_the_wrist_of_its_asf(bvh):
 def test_names_of_one_s_own(bvh):
     motion = read_motion(bvh(person(DIALECTS["none"])))
     with pytest.raises(
-        InputError, match=r"no l_shoulder, r_shoulder among its \d+ names \(Hips, LeftThigh, .*\); .* say which stand for l_shoulder, r_shoulder"
+        InputError, match=r"no l_shoulder, r_shoulder among its \d+ names \(Hips, LeftThigh, .*\); .* give the joints for l_shoulder, r_shoulder"
     ):
         landmarks(motion)
     own = {"l_shoulder": "LeftShldrArm", "r_shoulder": "RightShldrArm"}

@@ -162,7 +162,7 @@ def test_damaged_trc(trc, what):
 def test_c3d_that_cannot_be_used(c3d, points, tmp_path):
     with pytest.raises(InputError, match=r"no points in it; expected a C3D file with points"):
         read_motion(c3d(names=[], positions=np.zeros((3, 0, 3))))
-    with pytest.raises(InputError, match=r"no l_hip, l_knee, .* head among its 19 names \(M0, M1, .*\); expected names as of"):
+    with pytest.raises(InputError, match=r"no l_hip, l_knee, .* head among its 19 names \(M0, M1, .*\); expected the names of one of"):
         landmarks(read_motion(c3d(names=[f"M{m}" for m in range(19)])))
     with pytest.raises(InputError, match=r"POINT:UNITS: 'ell'; expected one of m, cm"):
         read_motion(c3d("ell"))
