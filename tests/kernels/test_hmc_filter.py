@@ -20,8 +20,6 @@ from bayes_body.kernels.parts.hamiltonian import Schedule, chain_figures, effect
 from bayes_body.kernels.parts.mass import correlated, differenced, inverse_mass
 from bayes_body.tracking.rejected_chains import raise_if_all_rejected
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 CHAINS = 64
 # The particles before are all equal, and so are their means: the same target, at a sixtieth of the cost.
 OPTIONS = {"chains": CHAINS, "burn_in": 60, "leapfrog_steps": 8, "step": 0.5, "carry": "means"}
