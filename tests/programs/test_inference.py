@@ -15,6 +15,8 @@ ROOT = Path(__file__).parents[2]
 PROGRAMS = sorted((ROOT / "inference").glob("*.py"))
 # Filters follow a whole recording; the others have tests of their own below.
 FILTERS = [path for path in PROGRAMS if path.stem != "estimator_variance"]
+# These compile the gradient of an image likelihood.
+QUICKLY = [pytest.param(path, marks=pytest.mark.slow if path.stem in ("hmc_filter", "tempered_smc") else ()) for path in FILTERS]
 LONGEST = 80
 PUBLIC = {"bayes_body", "bayes_body.errors"}
 
@@ -39,6 +41,7 @@ def test_it_is_short_and_uses_the_public_package_only(program):
     assert set(re.findall(r"^(?:from|import) (bayes_body[\w.]*)", text, re.MULTILINE)) <= PUBLIC
 
 
+@pytest.mark.parametrize("filtering", QUICKLY, indirect=True, ids=lambda path: path.stem)
 def test_quick(run, filtering, walk, tmp_path):
     done = run(filtering, "--session", walk, "--out", tmp_path / "run", "--quick", "--runs", 2)
     assert done.status == 0, done.err
