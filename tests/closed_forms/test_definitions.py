@@ -12,6 +12,22 @@ from bayes_body.model.definition import definition_names, load_definition
 from bayes_body.observation.frames import read_frame
 
 
+def _made_of(name):
+    """What a definition consists of, its numbers apart."""
+    definition = load_definition(name)
+    terms = [(term.kind, getattr(term.options, "lookup", "")) for term in (*definition.likelihoods, *definition.constraints)]
+    return sum(len(joint.dofs) for joint in definition.body.joints) < 10, definition.dynamics.kind, terms
+
+
+def _alike_are_slow():
+    """Of definitions that consist of the same terms, all but the first as slow tests."""
+    found = []
+    for name in definition_names():
+        alike = _made_of(name) in found
+        found.append(_made_of(name))
+        yield pytest.param(name, marks=pytest.mark.slow if alike else ())
+
+
 @pytest.fixture(params=definition_names())
 def model(request, keypoint_session):
     return load_model(request.param, keypoint_session)
@@ -28,6 +44,7 @@ def test_it_says_what_it_is(model):
     assert len(definition.title) > 20 and len(definition.source) > 20
 
 
+@pytest.mark.parametrize("model", _alike_are_slow(), indirect=True)
 def test_its_density_is_the_sum_of_its_parts_finite_at_first_with_finite_gradients_everywhere_a_particle_may_go(model, density):
     """One program: to compile the gradient takes most of the time."""
     view = density.unconstrained()

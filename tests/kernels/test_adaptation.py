@@ -12,6 +12,7 @@ from bayes_body.kernels.parts.adaptation import Plan, geometric_mean, init
 from bayes_body.kernels.parts.batching import axes_of, over_particles
 from bayes_body.kernels.parts.hamiltonian import Chain, Schedule, run_chain
 
+DOFS, CHAINS = 6, 8
 # Deviations from 1 to 100 along directions of no axis.
 AXES = np.linalg.qr(np.random.default_rng(0).normal(size=(DOFS, DOFS)))[0]
 COVARIANCE = (AXES * np.logspace(0, 2, DOFS) ** 2) @ AXES.T
