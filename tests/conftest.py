@@ -67,12 +67,37 @@ def _mappings() -> int:
 
 TESTS = Path(__file__).parent
 # The files that take longest, the longest first: with all others after them both workers end at about the same time.
-LONGEST = ()
+LONGEST = (
+    "compare/test_benchmark.py",
+    "kernels/test_hmc_filter.py",
+    "closed_forms/test_definitions.py",
+    "programs/test_inference.py",
+    "cli/test_demo.py",
+    "retarget/test_fit.py",
+    "calibration/test_quadrature.py",
+    "closed_forms/test_tempered.py",
+    "calibration/test_sbc.py",
+    "initial/test_first_pose.py",
+    "likelihood/test_edge_phase.py",
+    "programs/test_bodytrack.py",
+    "cli/test_track.py",
+    "cli/test_check.py",
+    "kernels/test_kernels.py",
+    "closed_forms/test_invariance.py",
+    "closed_forms/test_kalman.py",
+    "resume/test_kill.py",
+    "resume/test_resume.py",
+    "programs/test_guide.py",
+    "dynamics/test_second_order.py",
+)
 
 
 def pytest_collection_modifyitems(items):
     """Order files by LONGEST; xdist hands them out in this order."""
     rank = {TESTS / name: place for place, name in enumerate(LONGEST)}
+    missing = [str(path) for path in rank if not path.is_file()]
+    if missing:
+        raise pytest.UsageError(f"tests/conftest.py: LONGEST: {', '.join(missing)}: no such file; expected files of tests; correct the list")
     items.sort(key=lambda item: rank.get(item.path, len(rank)))
 
 
