@@ -23,18 +23,26 @@ def configure(devices: int | None = None, cache: bool = True) -> None:
     import jax
 
     if cache and not jax.config.jax_compilation_cache_dir:
-        jax.config.update("jax_compilation_cache_dir", str(_cache_folder(jax.__version__)))
+        jax.config.update("jax_compilation_cache_dir", str(cache_folder()))
     # By default XLA does not cache programs that compile fast, but together they take most of the user's waiting time.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     jax.config.update("jax_compilation_cache_max_size", CACHE_LIMIT_BYTES)
 
 
-def _cache_folder(version: str) -> Path:
+def cache_folder(use: str = "") -> Path:
+    """The folder of compiled programs, one for each release of JAX and type of processor. JAX is not imported.
+
+    Compiled code is for one type of processor: on a home folder shared by several machines, each type needs a separate cache.
+
+    Args:
+        use: a prefix of the folder's name, so that tests and runs do not push each other's programs out.
+    """
+    from importlib.metadata import version
+
     import platformdirs
 
-    # Compiled code is for one type of processor: on a home folder shared by several machines, each type needs a separate cache.
-    return Path(platformdirs.user_cache_dir("bayes_body")) / f"jax-{version}-{_processor()}"
+    return Path(platformdirs.user_cache_dir("bayes_body")) / f"{use}jax-{version('jax')}-{_processor()}"
 
 
 def _processor() -> str:

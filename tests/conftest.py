@@ -2,45 +2,33 @@
 
 import dataclasses
 import gc
-import hashlib
 import os
-import platform
 import shutil
 import sys
 import types
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
 
-import platformdirs
 import pytest
 import tomlkit
 import xarray as xr
 
-
-def _cache_folder() -> Path:
-    # Compiled code is for one processor and one jax.
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        lines = []
-    processor = "".join(sorted({line for line in lines if line.startswith(("model name", "flags"))})) or platform.processor()
-    digest = hashlib.sha256((platform.machine() + sys.platform + processor).encode()).hexdigest()[:12]
-    return Path(platformdirs.user_cache_dir("bayes_body")) / f"tests-jax-{version('jax')}-{digest}"
-
+from bayes_body.config import cache_folder
 
 # Read by JAX when it is imported, here and in the programs that tests start: nothing above this line may import it.
 os.environ.setdefault("XLA_FLAGS", "--xla_force_host_platform_device_count=2")
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_cache_folder()))
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache_folder("tests-")))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+# Most tests wait for the compiler, not for what it compiles: less of it by default; `optimised` where it is the other way round.
+os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 
-import beartype  # noqa: E402
-import cv2  # noqa: E402
-import jax  # noqa: E402
-import jaxtyping  # noqa: E402
-import numpy as np  # noqa: E402
-from beartype.roar import BeartypeDecorHintException  # noqa: E402
+import beartype
+import cv2
+import jax
+import jaxtyping
+import numpy as np
+from beartype.roar import BeartypeDecorHintException
 
 
 def _check_shapes(function):
@@ -77,6 +65,42 @@ def _mappings() -> int:
         return 0
 
 
+TESTS = Path(__file__).parent
+# The files that take longest, the longest first: with all others after them both workers end at about the same time.
+LONGEST = (
+    "compare/test_benchmark.py",
+    "kernels/test_hmc_filter.py",
+    "closed_forms/test_definitions.py",
+    "programs/test_inference.py",
+    "cli/test_demo.py",
+    "retarget/test_fit.py",
+    "calibration/test_quadrature.py",
+    "closed_forms/test_tempered.py",
+    "calibration/test_sbc.py",
+    "initial/test_first_pose.py",
+    "likelihood/test_edge_phase.py",
+    "programs/test_bodytrack.py",
+    "cli/test_track.py",
+    "cli/test_check.py",
+    "kernels/test_kernels.py",
+    "closed_forms/test_invariance.py",
+    "closed_forms/test_kalman.py",
+    "resume/test_kill.py",
+    "resume/test_resume.py",
+    "programs/test_guide.py",
+    "dynamics/test_second_order.py",
+)
+
+
+def pytest_collection_modifyitems(items):
+    """Order files by LONGEST; xdist hands them out in this order."""
+    rank = {TESTS / name: place for place, name in enumerate(LONGEST)}
+    missing = [str(path) for path in rank if not path.is_file()]
+    if missing:
+        raise pytest.UsageError(f"tests/conftest.py: LONGEST: {', '.join(missing)}: no such file; expected files of tests; correct the list")
+    items.sort(key=lambda item: rank.get(item.path, len(rank)))
+
+
 # Linux gives a process 65 530 mappings, and every compiled program holds some: past the end, reading one more is a segmentation fault.
 MOST_MAPPINGS = 20_000
 
@@ -89,14 +113,17 @@ def pytest_runtest_teardown(item, nextitem):
 
 
 @pytest.fixture(scope="module")
-def hasty_compiler():
-    """For programs that run for a moment: those of this process and of its children are compiled in less time, to be slower."""
+def optimised():
+    """For programs that run longer than they compile: those of this process and of its children are compiled as a user's are."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+        patch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "0")
         before = jax.config.read("jax_disable_most_optimizations")
-        jax.config.update("jax_disable_most_optimizations", True)
+        # JAX keeps what it compiled whatever this setting was: without clearing, one run would mix both kinds.
+        jax.clear_caches()
+        jax.config.update("jax_disable_most_optimizations", False)
         yield
         jax.config.update("jax_disable_most_optimizations", before)
+        jax.clear_caches()
 
 
 @pytest.fixture(scope="session")

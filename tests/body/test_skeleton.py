@@ -19,8 +19,6 @@ from bayes_body.body.solids import Body
 from bayes_body.geometry import transforms
 from bayes_body.model.definition import definitions_folder
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 BODIES = ["arm_4", "deutscher_31", "person_31"]
 
 

@@ -14,8 +14,6 @@ from bayes_body.likelihood.boundaries import contour
 from bayes_body.likelihood.patch_pixels import rig_pixels, sample_slopes
 from bayes_body.model.definition import load_definition
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 DEFINITION = load_definition("poon_fleet_2002")
 BODY = build_body("poon_fleet_23", DEFINITION.body)
 WAIST = BODY.dof_names.index("waist")

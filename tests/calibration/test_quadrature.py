@@ -95,6 +95,7 @@ KERNELS = {"sir": (kernels.sir(), 4000), "tempered": (kernels.tempered(), 500), 
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("name", KERNELS)
 def test_means_and_variances_of_the_kernels_are_those_of_the_grid(drawn, name):
     model, density, exact = drawn
@@ -110,6 +111,7 @@ def test_means_and_variances_of_the_kernels_are_those_of_the_grid(drawn, name):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("drawn", ["arm_edges"], indirect=True)
 def test_draws_that_are_too_narrow_are_found_out(drawn):
     model, density, exact = drawn
@@ -125,6 +127,7 @@ def test_draws_that_are_too_narrow_are_found_out(drawn):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("drawn", ["arm"], indirect=True)
 def test_a_mode_seeker_is_found_out(drawn):
     model, density, exact = drawn

@@ -123,6 +123,7 @@ def test_a_faulty_tempered_is_found_out(tempered, fault):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 def test_a_dropped_jacobian_is_found_out(tempered_slowly):
     """By default its moves alone, in tests/laws/test_invariance.py."""
     assert least_p(tempered_slowly()) > LIMIT

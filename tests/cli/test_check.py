@@ -49,6 +49,7 @@ def _start(*arguments):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 def test_an_interrupted_check_goes_on_to_the_same_figures(tmp_path):
     whole, stopped = tmp_path / "whole.json", tmp_path / "stopped.json"
     process = _start(*ARGUMENTS, "--json", whole, "--plot", tmp_path / "ranks.png")
@@ -73,6 +74,7 @@ def test_an_interrupted_check_goes_on_to_the_same_figures(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 def test_a_mode_seeker_does_not_pass(cli, tmp_path):
     path = tmp_path / "annealed.json"
     arguments = ("check", "arm_markers", "--kernel", "annealed", "--particles", 500, "--replications", 60, "--json", path)

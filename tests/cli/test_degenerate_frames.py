@@ -10,8 +10,6 @@ from resume.looped import link_looped
 
 from bayes_body.cli.main import main
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 FRAMES, GAP, BLACK = 32, range(5, 25), 28
 
 

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -10,19 +9,13 @@ import pytest
 from bayes_body import __version__
 from bayes_body.cli import models
 
-HELP_SECONDS = 10.0
 
-
-def test_help_comes_at_once_and_imports_no_jax():
-    started = time.perf_counter()
+def test_help_imports_nothing_that_takes_a_second_to_import():
     done = subprocess.run([sys.executable, "-X", "importtime", "-m", "bayes_body.cli.main", "--help"], capture_output=True, text=True, check=False)
-    seconds = time.perf_counter() - started
-    print(f"--help: {seconds:.2f} s")
     assert done.returncode == 0
     assert "Traceback" not in done.stdout + done.stderr
     assert {"track", "import", "models"} <= set(done.stdout.split())
     assert not [line for line in done.stderr.splitlines() if line.split("|")[-1].strip() in ("jax", "cv2", "arviz", "numpy")]
-    assert seconds < HELP_SECONDS
 
 
 @pytest.mark.parametrize("verb", ["", "track", "import", "import parsec", "models", "models list", "models check"])

@@ -3,10 +3,7 @@
 import json
 import tomllib
 
-import pytest
 import xarray as xr
-
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
 
 HMC = ["--model", "poon_fleet_2002_legs", "--particles", 8, "--leapfrog-steps", 2, "--frames", 2, "--set", "chains=2", "--set", "burn_in=2"]
 

@@ -11,7 +11,21 @@ from bayes_body.model.build import load_model
 from bayes_body.model.definition import definition_names, load_definition
 from bayes_body.observation.frames import read_frame
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
+
+def _made_of(name):
+    """What a definition consists of, its numbers apart."""
+    definition = load_definition(name)
+    terms = [(term.kind, getattr(term.options, "lookup", "")) for term in (*definition.likelihoods, *definition.constraints)]
+    return sum(len(joint.dofs) for joint in definition.body.joints) < 10, definition.dynamics.kind, terms
+
+
+def _alike_are_slow():
+    """Of definitions that consist of the same terms, all but the first as slow tests."""
+    found = []
+    for name in definition_names():
+        alike = _made_of(name) in found
+        found.append(_made_of(name))
+        yield pytest.param(name, marks=pytest.mark.slow if alike else ())
 
 
 @pytest.fixture(params=definition_names())
@@ -30,17 +44,20 @@ def test_it_says_what_it_is(model):
     assert len(definition.title) > 20 and len(definition.source) > 20
 
 
-def test_the_density_of_the_initial_state_is_finite(model, density):
-    whole, parts = jax.jit(lambda state: (density(state), density.parts(state)))(model.initial)
-    assert np.isfinite(list(parts.values())).all(), parts
-    assert np.isclose(whole, sum(parts.values()), rtol=1e-5)
-
-
-def test_gradients_are_finite_everywhere_a_particle_may_go(model, density):
+@pytest.mark.parametrize("model", _alike_are_slow(), indirect=True)
+def test_its_density_is_the_sum_of_its_parts_finite_at_first_with_finite_gradients_everywhere_a_particle_may_go(model, density):
+    """One program: to compile the gradient takes most of the time."""
     view = density.unconstrained()
     at = view.unconstrain(model.initial)["pose"]
-    positions = at + jax.random.normal(jax.random.key(0), (200, at.size))
-    values, gradients = jax.jit(jax.vmap(jax.value_and_grad(lambda x: view({"pose": x}))))(positions)
+
+    def value_and_parts(position):
+        return view({"pose": position}), density.parts(view.constrain({"pose": position}))
+
+    positions = jnp.concatenate([at[None], at + jax.random.normal(jax.random.key(0), (200, at.size))])
+    (values, parts), gradients = jax.jit(jax.vmap(jax.value_and_grad(value_and_parts, has_aux=True)))(positions)
+    assert np.isfinite([values[0], *(each[0] for each in parts.values())]).all(), parts
+    volume = view.log_determinant({"pose": at})
+    assert np.isclose(values[0], sum(each[0] for each in parts.values()) + volume, rtol=1e-5, atol=1e-3)
     # A hard constraint makes a value minus infinity, never a NaN.
     assert not np.isnan(values).any()
     assert np.isfinite(gradients).all()

@@ -12,8 +12,6 @@ from bayes_body.density.density import Unconstrained
 from bayes_body.kernels.parts import extended
 from bayes_body.registry import find, names
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 REPLICATIONS = 1000
 LIMIT = 0.05 / 5
 

@@ -61,6 +61,7 @@ def test_a_filter_that_keeps_its_weights_after_resampling_is_found_out(linear_ga
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 def test_the_error_falls_with_the_root_of_the_particles(linear_gaussian, observations):
     """The slope of log error over log N is -1/2, within four of its standard errors, once N is large enough for the data's outlier."""
     exact, kernel, sizes, keys = linear_gaussian.kalman(observations)[0], build_kernel(), (4000, 64_000), 60

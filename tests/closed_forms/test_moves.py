@@ -7,8 +7,6 @@ import pytest
 
 from bayes_body.kernels.parts.moves import hmc, random_walk
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 MOVES = {"hmc": hmc(6), "random_walk": random_walk()}
 START = {"a": jnp.array([0.5, -0.2]), "b": jnp.array([1.0])}
 

@@ -13,8 +13,6 @@ from bayes_body.kernels import tempered_smc
 from bayes_body.kernels.parts import extended
 from bayes_body.kernels.tempered_smc import build_climber, build_kernel
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 PARTICLES, RUNS = 240, 240
 TARGETS = {"conjugate": conjugate, "skewed": skewed}
 KERNELS = {

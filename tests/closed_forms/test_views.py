@@ -10,8 +10,6 @@ from bayes_body.density.density import Density, Unconstrained
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
 from bayes_body.dynamics.diffusion import TruncatedWalk
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 POSE, BEFORE = Variable("pose"), Variable("pose", -1)
 LOW, HIGH = (-1.0, -np.inf), (0.5, np.inf)
 SD = (0.6, 0.4)

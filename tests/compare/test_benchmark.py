@@ -2,6 +2,7 @@
 
 import json
 import re
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ from bayes_body.compare.scenes import not_generative
 from bayes_body.errors import InputError
 from bayes_body.model.build import load_model
 from bayes_body.model.definition import load_definition
+from bayes_body.observation.frames import read_frame
 
 TINY = Settings(frames=2, most_particles=12)
 # One sentence: found, expected, remedy.
@@ -43,44 +45,63 @@ def _follows_gradients(pair, options) -> bool:
     return pair.kernel == "hmc" or getattr(options, "move", None) == "hmc"
 
 
-def _is_small(definition) -> bool:
-    return sum(len(joint.dofs) for joint in definition.body.joints) < 10
+ALL = list(pairs())
 
 
-def _compiles_fast(pair) -> bool:
-    """Small programs: bodies of few dofs and no gradient of an image, look-ups without one; and what is refused before it is compiled."""
-    definition = load_definition(pair.model)
-    small = _is_small(definition)
-    images = any("silhouette" in term.kind or "edge" in term.kind for term in definition.likelihoods)
-    nearest = any(getattr(term.options, "lookup", "") == "nearest" for term in definition.likelihoods)
-    refused = nearest and _follows_gradients(pair, options_of(definition, pair.kernel, 1))
-    return refused or (pair.kernel == "sir" and (small or nearest)) or (small and not images)
+@pytest.fixture(scope="module")
+def frame_densities(keypoint_session):
+    """`frame_densities("arm")`: a model, its particles before the first frame, and the density of that frame."""
+
+    @cache
+    def made(name):
+        model = load_model(name, keypoint_session)
+        start = model.start(TINY.most_particles)
+        return model, start, model.density(model.observe(read_frame(keypoint_session, 0)), start)
+
+    return made
 
 
-def _kinds(model) -> tuple[str, ...]:
-    """What a definition is made of, its numbers apart: size of the body, dynamics, likelihoods and how they look images up."""
-    definition = load_definition(model)
-    terms = (f"{term.kind} {getattr(term.options, 'lookup', '')}" for term in definition.likelihoods)
-    return "small" if _is_small(definition) else "large", definition.dynamics.kind, *terms
+def _form(tree):
+    """Tree, shapes and types: arguments of one form go through one compiled program."""
+    leaves, structure = jax.tree.flatten(jax.eval_shape(lambda tree: tree, tree))
+    return structure, [(leaf.shape, leaf.dtype, leaf.weak_type) for leaf in leaves]
 
 
-def _differs(pair, before) -> bool:
-    """Of definitions of the same kinds, the first is tried with every kernel, the others with their own and with hmc."""
-    first = next(each.model for each in before if _kinds(each.model) == _kinds(pair.model))
-    return pair.model == first or pair.kernel in (load_definition(pair.model).kernel.kind, "hmc")
+def _check_refusal(error, blind):
+    # JAX adds a note of its own to what leaves a trace; the sentence is the message.
+    assert SENTENCE.match(str(error.value)) and f"'{blind}' has no gradient" in str(error.value)
+
+
+@pytest.mark.parametrize("pair", ALL, ids=lambda pair: f"{pair.model}-{pair.kernel}")
+def test_every_kernel_is_traced_on_every_definition(frame_densities, pair):
+    """All pairs, not compiled: states of the form that went in come out, so that one program serves all frames; or a sentence says why not."""
+    definition, (model, start, density) = load_definition(pair.model), frame_densities(pair.model)
+    options = options_of(definition, pair.kernel, TINY.most_particles)
+    kernel = registry.find("kernel", pair.kernel).build(options=options)
+    blind = [factor.name for factor in model.factors if factor.side == "likelihood" and not factor.has_gradient]
+    if blind and _follows_gradients(pair, options):
+        with pytest.raises(InputError) as error:
+            jax.eval_shape(kernel, jax.random.key(0), start, density)
+        _check_refusal(error, blind[0])
+        return
+    particles, info = jax.eval_shape(kernel, jax.random.key(0), start, density)
+    assert _form(particles) == _form(start)
+    assert info.ancestors.shape == (TINY.most_particles,) and info.ess.shape == info.log_evidence.shape == info.lost.shape == ()
+
+
+# The kernels differ on any model, and the models for any kernel: what both do together is traced above.
+EVERY_KERNEL_ON, EVERY_MODEL_WITH = "arm_markers", "sir"
 
 
 def _marks(pair):
-    return () if _compiles_fast(pair) else pytest.mark.slow
+    if pair.model == EVERY_KERNEL_ON or pair.kernel == EVERY_MODEL_WITH:
+        return ()
+    return pytest.mark.slow if pair.kernel == load_definition(pair.model).kernel.kind else pytest.mark.long
 
 
-ALL = list(pairs())
-PAIRS = [pytest.param(pair, id=f"{pair.model}-{pair.kernel}", marks=_marks(pair)) for pair in ALL if _differs(pair, ALL)]
-
-
-@pytest.mark.usefixtures("hasty_compiler")
-@pytest.mark.parametrize("pair", PAIRS)
-def test_every_kernel_on_every_definition(scenes, pair, monkeypatch):
+@pytest.mark.parametrize("pair", [pytest.param(pair, id=f"{pair.model}-{pair.kernel}", marks=_marks(pair)) for pair in ALL])
+def test_a_kernel_follows_a_scene_of_a_definition(scenes, pair, monkeypatch):
+    """Every kernel on one model, every model with one kernel; `slow`: each model with its own kernel; `long`: all pairs."""
     definition, options = load_definition(pair.model), options_of(load_definition(pair.model), pair.kernel, TINY.most_particles)
     term, traces = registry.find("kernel", pair.kernel), []
 
@@ -93,8 +114,7 @@ def test_every_kernel_on_every_definition(scenes, pair, monkeypatch):
     if blind and _follows_gradients(pair, options):
         with pytest.raises(InputError) as error:
             followed(scenes, definition, pair.kernel, options, TINY)
-        # JAX adds a note of its own to what leaves a trace; the sentence is the message.
-        assert SENTENCE.match(str(error.value)) and f"'{blind[0]}' has no gradient" in str(error.value)
+        _check_refusal(error, blind[0])
         return
     scene, draws = followed(scenes, definition, pair.kernel, options, TINY)
     assert len(traces) == 1
@@ -203,7 +223,6 @@ def test_what_is_drawn_is_the_model_s_own(tmp_path):
     assert np.isfinite(positions).all() and np.isnan(truth["markers"]).any()
     from bayes_body.evidence.markers import MARKERS
     from bayes_body.geometry.camera import project
-    from bayes_body.observation.frames import read_frame
 
     places = [MARKERS.index(name) for name in known]
     for frame in range(4):

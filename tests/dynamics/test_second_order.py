@@ -1,6 +1,7 @@
 """Beta noise inside joint limits and a second-order prediction: normalised, of the asked mode and variance, drawn from as it is evaluated."""
 
 import math
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -15,8 +16,6 @@ from bayes_body.dynamics.second_order import Options, build
 from bayes_body.errors import InputError
 from bayes_body.model.definition import load_body
 from bayes_body.toml.read import validate
-
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
 
 LOW, HIGH = -0.4, 1.9
 # Previous states in the range, on its limits, and beyond them by less and by more than the range.
@@ -34,8 +33,13 @@ def _joint(mode, scale, low=LOW, high=HIGH, angular=True):
     return JointNoise(*(jnp.array([value]) for value in (mode, scale, low, high)), jnp.array([angular]))
 
 
+# The distribution is an argument: what is compiled serves all of them.
+_log_probs = jax.jit(jax.vmap(lambda noise, x: noise.log_prob(x[None]), (None, 0)))
+_value_and_slope = jax.jit(jax.value_and_grad(lambda x, noise: noise.log_prob(x[None])))
+
+
 def _density(noise, points):
-    return np.exp(jax.jit(jax.vmap(lambda x: noise.log_prob(x[None])))(jnp.asarray(points)))
+    return np.exp(_log_probs(noise, jnp.asarray(points)))
 
 
 def _graded(number=400_001):
@@ -63,7 +67,7 @@ def test_the_mode_is_where_the_slope_is_zero():
     for mode in (LOW + 0.05, 0.1, 0.7, 1.5):
         for scale in SCALES:
             noise = _joint(mode, scale)
-            assert abs(jax.jit(jax.grad(lambda x, noise=noise: noise.log_prob(x[None])))(mode)) < 1e-6 / scale
+            assert abs(_value_and_slope(mode, noise)[1]) < 1e-6 / scale
 
 
 def test_the_density_is_that_of_scipy():
@@ -86,17 +90,17 @@ def test_draws_follow_the_density(mode, scale):
 
 def test_draws_in_single_precision_stay_inside():
     with jax.enable_x64(False):
-        draws = _joint(HIGH + 1.0, 0.01).sample(jax.random.key(0), (20_000,))
-        values = jax.jit(jax.vmap(_joint(HIGH + 1.0, 0.01).log_prob))(draws)
+        noise = _joint(HIGH + 1.0, 0.01)
+        draws = noise.sample(jax.random.key(0), (20_000,))
+        values = _log_probs(noise, draws[:, 0])
     assert draws.dtype == jnp.float32 and bool(jnp.all(jnp.isfinite(values)))
 
 
 @pytest.mark.parametrize("mode", [LOW, 0.5, HIGH, HIGH + 30.0])
 def test_at_the_limits_the_log_density_is_bounded_and_outside_it_is_none(mode):
     noise = _joint(mode, 0.05)
-    value_and_grad = jax.jit(jax.value_and_grad(lambda x: noise.log_prob(x[None])))
     for limit in (LOW, HIGH):
-        value, slope = value_and_grad(limit)
+        value, slope = _value_and_slope(limit, noise)
         assert math.isfinite(value) and math.isfinite(slope)
     assert noise.log_prob(jnp.array([LOW - 1e-6])) == -math.inf == noise.log_prob(jnp.array([HIGH + 1e-6]))
 
@@ -105,11 +109,12 @@ def test_the_derivative_by_the_previous_state_is_that_of_differences():
     def log_prob(mode):
         return _joint(mode, 0.2).log_prob(jnp.array([0.35]))
 
+    value_and_slope = jax.jit(jax.value_and_grad(log_prob))
     for mode in (-0.2, 0.1, 1.0, 1.85):
-        difference = (log_prob(mode + 1e-6) - log_prob(mode - 1e-6)) / 2e-6
-        assert np.isclose(jax.jit(jax.grad(log_prob))(mode), difference, rtol=1e-6)
+        difference = (value_and_slope(mode + 1e-6)[0] - value_and_slope(mode - 1e-6)[0]) / 2e-6
+        assert np.isclose(value_and_slope(mode)[1], difference, rtol=1e-6)
     # Beyond a limit the clipped mode no longer follows the prediction.
-    assert jax.jit(jax.grad(log_prob))(HIGH + 0.5) == 0.0
+    assert value_and_slope(HIGH + 0.5)[1] == 0.0
 
 
 def test_the_concentration_over_the_whole_range():
@@ -128,25 +133,25 @@ def test_a_full_turn_has_no_wall_and_integrates_to_one():
     assert np.allclose(_density(noise, middle), _density(noise, middle + 2 * math.pi))
     wide = _joint(3.1, 1.5, -np.inf, np.inf)
     assert abs(np.sum(_density(wide, middle)) * (turn[1] - turn[0]) - 1) < 1e-4
-    slope = jax.jit(jax.grad(lambda x: noise.log_prob(x[None])))
-    assert np.isclose(slope(math.pi), -(math.pi - 3.1) / 0.4**2) and np.isclose(slope(-math.pi), slope(math.pi))
+    slope, other = (_value_and_slope(at, noise)[1] for at in (math.pi, -math.pi))
+    assert np.isclose(slope, -(math.pi - 3.1) / 0.4**2) and np.isclose(slope, other)
 
 
-def test_many_laws_say_of_one_value_what_each_says():
-    """Those of a mixture, whose limits and scale are the same: inside, at and outside of limits, across the half turn, with gradients."""
+def test_many_distributions_at_once_agree_with_each_alone():
+    """As in a mixture, where limits and scale are the same: inside, at and outside of the limits, across the half turn, with gradients."""
     low, high = jnp.array([LOW, -jnp.inf, -jnp.inf]), jnp.array([HIGH, jnp.inf, jnp.inf])
     centres = jnp.array([[-1.0, math.pi - 0.1, 0.2], [0.3, -math.pi - 0.4, -0.3], [HIGH, 9.0, 0.0], [7.0, 0.0, 4.0]])
     scale, angular = jnp.array([0.1, 0.5, 0.2]), jnp.array([True, True, False])
-    laws = jax.jit(jax.vmap(lambda centre: JointNoise(centre, scale, low, high, angular)))(centres)
-
-    def by_one(value):
-        return jax.vmap(lambda law: law.log_prob(value))(laws)
-
+    noises = jax.jit(jax.vmap(lambda centre: JointNoise(centre, scale, low, high, angular)))(centres)
+    at_once = jax.jit(lambda value: noises.log_prob_each(value))
+    by_one = jax.jit(jax.vmap(lambda noise, value: noise.log_prob(value), (0, None)))
+    slopes_at_once = jax.jit(jax.jacrev(noises.log_prob_each))
+    slopes_by_one = jax.jit(jax.vmap(jax.grad(lambda value, noise: noise.log_prob(value)), (None, 0)))
     for value in ([0.1, -math.pi + 0.1, 0.3], [LOW, 3.0, 0.0], [HIGH, 12.0, -1.0]):
         at = jnp.array(value)
-        assert np.allclose(laws.log_prob_each(at), by_one(at), rtol=1e-12) and np.all(np.isfinite(by_one(at)))
-        assert np.allclose(jax.jacrev(laws.log_prob_each)(at), jax.jacrev(by_one)(at), rtol=1e-9)
-    assert np.all(laws.log_prob_each(jnp.array([HIGH + 0.01, 0.0, 0.0])) == -np.inf)
+        assert np.allclose(at_once(at), by_one(noises, at), rtol=1e-12) and np.all(np.isfinite(by_one(noises, at)))
+        assert np.allclose(slopes_at_once(at), slopes_by_one(at, noises), rtol=1e-9)
+    assert np.all(at_once(jnp.array([HIGH + 0.01, 0.0, 0.0])) == -np.inf)
 
 
 def test_a_shift_has_the_normal_law():
@@ -204,15 +209,19 @@ def test_at_another_frame_rate_a_body_drifts_as_far():
         "part": [{"name": "ball", "joint": "root", "kind": "sphere", "length": "ball", "radius_of_height": [0.05, 0.05]}],
     }
     body = build_body("ball", validate(BodySchema, ball, "ball"), Shape())
+
+    @jax.jit
+    @partial(jax.vmap, in_axes=(0, None, None))
+    def end(key, transition, frames):
+        def step(frame, state):
+            return transition.sample(jax.random.fold_in(key, frame), state)
+
+        return jax.lax.fori_loop(0, frames, step, transition.begin({"pose": jnp.zeros(1)}))["pose"][0]
+
     spread = {}
     for fps in (30.0, 60.0, 120.0):
-        transition = build(_options(sd_deg={}), body, fps)
-
-        def end(key, transition=transition, frames=round(4 * fps)):
-            start = transition.begin({"pose": jnp.zeros(1)})
-            return jax.lax.scan(lambda state, own: (transition.sample(own, state), None), start, jax.random.split(key, frames))[0]["pose"][0]
-
-        spread[fps] = float(jnp.std(jax.jit(jax.vmap(end))(jax.random.split(jax.random.key(int(fps)), 2000))))
+        keys = jax.random.split(jax.random.key(int(fps)), 2000)
+        spread[fps] = float(jnp.std(end(keys, build(_options(sd_deg={}), body, fps), round(2 * fps))))
     # The standard error of a deviation of 2000 draws is 1.6 %; with the factor of white noise or of a random walk it would be off by 30 % and more.
     assert np.allclose([spread[30.0], spread[120.0]], spread[60.0], rtol=0.08)
 

@@ -11,19 +11,19 @@ from bayes_body.errors import InputError
 from bayes_body.files.lock import check_unlocked, locked
 
 HOLD = """
-import sys, time
+import sys
 from pathlib import Path
 from bayes_body.files.lock import locked
 with locked(Path(sys.argv[1])):
     print(1, flush=True)
-    time.sleep(60)
+    sys.stdin.read()
 """
 
 
 @pytest.fixture
 def holder(tmp_path):
     """A process that holds the folder's lock."""
-    with subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE) as process:
+    with subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         process.stdout.readline()
         yield process
         process.kill()

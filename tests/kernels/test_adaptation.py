@@ -12,7 +12,6 @@ from bayes_body.kernels.parts.adaptation import Plan, geometric_mean, init
 from bayes_body.kernels.parts.batching import axes_of, over_particles
 from bayes_body.kernels.parts.hamiltonian import Chain, Schedule, run_chain
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
 DOFS, CHAINS = 6, 8
 # Deviations from 1 to 100 along directions of no axis.
 AXES = np.linalg.qr(np.random.default_rng(0).normal(size=(DOFS, DOFS)))[0]

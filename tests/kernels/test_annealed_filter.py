@@ -12,8 +12,6 @@ from bayes_body.kernels.annealed_filter import _cross_over, _Layer, _power_for_s
 from bayes_body.kernels.parts.resampling import resampler
 from bayes_body.kernels.parts.weights import effective_sample_size
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 X = Variable("x")
 
 

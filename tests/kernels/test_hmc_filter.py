@@ -20,8 +20,6 @@ from bayes_body.kernels.parts.hamiltonian import Schedule, chain_figures, effect
 from bayes_body.kernels.parts.mass import correlated, differenced, inverse_mass
 from bayes_body.tracking.rejected_chains import raise_if_all_rejected
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 CHAINS = 64
 # The particles before are all equal, and so are their means: the same target, at a sixtieth of the cost.
 OPTIONS = {"chains": CHAINS, "burn_in": 60, "leapfrog_steps": 8, "step": 0.5, "carry": "means"}
@@ -67,19 +65,25 @@ def target(posterior):
     return posterior(CHAINS * DRAWS)
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {},
-        {"sampler": "nuts"},
-        {"mass": "particles"},
-        {"mass": "curvature_matrix"},
-        {"target_acceptance": 0.8},
-        {"mass": "adapted", "target_acceptance": 0.7},
-        {"starts_by": "annealing", "starts": 200},
-    ],
-    ids=["hmc", "nuts", "correlated", "matrix", "tuned", "adapted", "annealed"],
-)
+VARIANTS = {
+    "hmc": {},
+    "nuts": {"sampler": "nuts"},
+    "correlated": {"mass": "particles"},
+    "matrix": {"mass": "curvature_matrix"},
+    "tuned": {"target_acceptance": 0.8},
+    "adapted": {"mass": "adapted", "target_acceptance": 0.7},
+    "annealed": {"starts_by": "annealing", "starts": 200},
+}
+
+
+def _on_both(cases, always=()):
+    """Cases on the skewed target, which finds more faults, and, as slow tests, on the conjugate one; those in `always` are never slow."""
+    skew = [pytest.param(skewed, case, id=f"skewed-{name}") for name, case in cases.items()]
+    plain = [pytest.param(conjugate, case, id=f"conjugate-{name}", marks=() if name in always else pytest.mark.slow) for name, case in cases.items()]
+    return skew + plain
+
+
+@pytest.mark.parametrize(("posterior", "options"), _on_both(VARIANTS, always=["hmc"]), indirect=["posterior"])
 def test_means_and_spreads_are_those_of_the_posterior(posterior, target, options):
     draws, info = _means(target.density, **options)
     assert not info.lost and 0.3 < float(info.acceptance_rate[0]) <= 1
@@ -96,7 +100,7 @@ def test_tuning_comes_near_the_asked_acceptance(target):
     assert float(untuned.acceptance_rate[0]) < 0.3 and abs(float(tuned.acceptance_rate[0]) - 0.7) < 0.2
 
 
-@pytest.mark.parametrize("starts_by", ["importance", "annealing"])
+@pytest.mark.parametrize(("posterior", "starts_by"), _on_both({name: name for name in ("importance", "annealing")}), indirect=["posterior"])
 def test_evidence_is_estimated_by_the_starts(target, starts_by):
     _, info = _means(target.density, starts=20_000, starts_by=starts_by)
     assert abs(float(info.log_evidence) - target.log_evidence) < 0.1

@@ -1,7 +1,6 @@
 """What every kernel of the registry keeps to: one signature, finite output, one trace for all frames, and a way out of hopeless frames."""
 
 import math
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +12,6 @@ from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
 from bayes_body.kernels.parts.batching import everywhere, whole
 from bayes_body.registry import find, names
-
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
 
 X = Variable("x")
 COUNT = 500
@@ -49,10 +46,26 @@ def start():
     return everywhere(Particles({"x": jnp.zeros((COUNT, 2))}, jnp.full(COUNT, -math.log(COUNT), jnp.float32)))
 
 
+class Counted:
+    """A kernel, compiled once for all tests; `traces` holds the number of particles of each trace."""
+
+    def __init__(self, kernel):
+        self.traces = []
+
+        def counted(key, particles, density):
+            self.traces.append(len(particles.log_weights))
+            return kernel(key, particles, density)
+
+        self.step = jax.jit(counted, out_shardings=whole())
+
+    def __call__(self, key, particles, density):
+        return self.step(key, particles, density)
+
+
 @pytest.fixture(params=names("kernel"), scope="module")
 def kernel(request):
     term = find("kernel", request.param)
-    return jax.jit(term.build(options=term.options()))
+    return Counted(term.build(options=term.options()))
 
 
 def test_signature_and_finite_output(kernel):
@@ -67,17 +80,10 @@ def test_signature_and_finite_output(kernel):
 
 
 def test_one_trace_for_all_frames(kernel):
-    traces = []
-
-    @partial(jax.jit, out_shardings=whole())
-    def step(key, particles, d):
-        traces.append(1)
-        return kernel(key, particles, d)
-
     particles = start()
     for frame in range(4):
-        particles, _ = step(jax.random.key(frame), particles, density((0.1 * frame, -0.2)))
-    assert len(traces) == 1
+        particles, _ = kernel(jax.random.key(frame), particles, density((0.1 * frame, -0.2)))
+    assert kernel.traces.count(COUNT) == 1
 
 
 @pytest.mark.parametrize("y", [np.inf, np.nan], ids=["impossible", "not a number"])
@@ -106,7 +112,8 @@ def test_the_same_key_gives_the_same_particles(kernel):
     assert (one == other).all() and not (one == third).all()
 
 
-@pytest.mark.parametrize("count", [1, 31, 33, 65])
+# Each is a program of its own; how particles are put into batches, tests/kernels/test_batching.py tests alone.
+@pytest.mark.parametrize("count", [33, *(pytest.param(count, marks=pytest.mark.slow) for count in (1, 31, 65))])
 def test_any_number_of_particles(kernel, count):
     few = Particles({"x": jnp.zeros((count, 2))}, jnp.full(count, -jnp.log(count)))
     particles, info = kernel(jax.random.key(0), few, density())

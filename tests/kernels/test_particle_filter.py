@@ -11,8 +11,6 @@ from bayes_body.density.factor import Factor, Particles, Transition, Variable
 from bayes_body.errors import InputError
 from bayes_body.kernels import annealed, sir
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 X = Variable("x")
 
 

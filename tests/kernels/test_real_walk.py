@@ -13,6 +13,8 @@ import bayes_body as bb
 from bayes_body.cli.main import main
 from bayes_body.posterior.weighted import markers
 
+pytestmark = [pytest.mark.long, pytest.mark.usefixtures("optimised")]
+
 FIRST, FRAMES = 60, 121
 CLICKED = {
     "pelvis": (1418, 745), "thorax": (1420, 612), "l_hip": (1424, 747), "l_knee": (1452, 838), "l_ankle": (1487, 918),
@@ -64,7 +66,6 @@ def by_hmc(session, model):
     return bb.track(session, model, kernel, jax.random.key(0), particles=400, frames=FRAMES)
 
 
-@pytest.mark.slow
 def test_both_legs_are_kept_through_all_crossings(session, model, by_hmc):
     # A calf is 25 pixels thick, a thigh 35; a leg that is taken for the other one is 100 and more away.
     for frame in (0, *LATER):
@@ -72,7 +73,6 @@ def test_both_legs_are_kept_through_all_crossings(session, model, by_hmc):
         assert max(off.values()) < 45, f"frame {frame}: {off}"
 
 
-@pytest.mark.slow
 def test_the_knees_bend_as_those_of_a_walker(model, by_hmc):
     poses = np.degrees([_mean(frame) for frame in by_hmc.frames])
     for side in "lr":
@@ -84,7 +84,6 @@ def test_the_knees_bend_as_those_of_a_walker(model, by_hmc):
         assert all(-80 < deepest < -40 for deepest in swings), swings
 
 
-@pytest.mark.slow
 def test_the_particle_filter_keeps_them_too_given_half_as_much_time_again(session, model):
     # At equal time, with 20 000 particles, one run of three lost a leg for some frames.
     draws = bb.track(session, model, bb.kernels.sir(), jax.random.key(0), particles=32_000, frames=58)

@@ -11,8 +11,6 @@ from bayes_body.density.factor import Factor, Particles, Variable
 from bayes_body.kernels.parts.resampling import resampler
 from bayes_body.kernels.parts.starts import by_annealing, by_importance
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 DRAWS, CHAINS, BEFORE = 200, 16, 40
 # Two poses that explain the image, to a fiftieth of what the prediction leaves open; the second one a little less well. They are so far apart that no
 # prediction from beside the one comes near the other.

@@ -96,6 +96,7 @@ def recording(tmp_path_factory):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 def test_what_the_command_finds_is_what_its_trials_say(recording, tmp_path, capsys):
     out = tmp_path / "scale.json"
     command = ["learn", "likelihood-scale", str(recording), "--kernel", "sir", "--particles", "400", "--scales", "0.01,1000", "--json", str(out)]
@@ -113,6 +114,7 @@ def test_what_the_command_finds_is_what_its_trials_say(recording, tmp_path, caps
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 def test_a_mode_seeker_is_refused(recording, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["learn", "likelihood-scale", str(recording), "--model", "deutscher_apf", "--particles", "50", "--scales", "1,2", "--frames", "1"])

@@ -15,8 +15,6 @@ from bayes_body.observation.frames import Frame
 from bayes_body.observation.thickness import spread_points
 from bayes_body.registry import find
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 POSE = Variable("pose")
 SOFT, POINTS = 2.0, 300
 

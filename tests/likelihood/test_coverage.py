@@ -10,8 +10,6 @@ from bayes_body.body.solids import Samples
 from bayes_body.likelihood.coverage import projected_area
 from bayes_body.likelihood.patch_pixels import rig_pixels
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 GRID = (80, 60)
 SCALE = 8
 

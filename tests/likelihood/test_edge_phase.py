@@ -25,8 +25,6 @@ from bayes_body.observation.frames import Frame
 from bayes_body.session.session import CameraSpec, Session, View
 from bayes_body.toml.read import validate
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 SIZE = (320, 240)
 
 

@@ -15,8 +15,6 @@ from bayes_body.errors import InputError
 from bayes_body.evidence.markers import MARKERS, MarkerEvidence
 from bayes_body.registry import find
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 POSE = Variable("pose")
 NOISES = {
     "gaussian": {"noise": "gaussian"},

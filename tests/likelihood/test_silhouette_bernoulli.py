@@ -17,8 +17,6 @@ from bayes_body.likelihood.outlines import outline_forms, signed_distance
 from bayes_body.observation.silhouette_bernoulli import sample_mask
 from bayes_body.registry import find
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 POSE = Variable("pose")
 
 

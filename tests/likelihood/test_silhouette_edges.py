@@ -14,8 +14,6 @@ from bayes_body.likelihood.coverage import projected_area
 from bayes_body.likelihood.patch_pixels import rig_pixels
 from bayes_body.observation.silhouette_edges import edge_proximity
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 POSE = Variable("pose")
 SURFACE, OUTLINE, UNSEEN = (5, 3), 4, 0.5
 

@@ -15,6 +15,8 @@ from bayes_body.recording.person import choose_person
 from bayes_body.recording.triangulate import triangulate
 from bayes_body.storage.saved_run import load_run, marker_moments
 
+pytestmark = [pytest.mark.long, pytest.mark.usefixtures("optimised")]
+
 FRAMES = 100
 
 
@@ -36,7 +38,6 @@ def triangulated(source, session, names):
     return out
 
 
-@pytest.mark.slow
 def test_the_man_on_the_beam_is_tracked_to_the_end(pose2sim_beam, tmp_path):
     session, run = str(tmp_path / "beam"), str(tmp_path / "run")
     imported = ["import", "pose2sim", str(pose2sim_beam), session, "--height", "1.75"]

@@ -1,6 +1,8 @@
 """The real recording, tracked as its users do: the man stays covered in all views, independent runs agree, and so do a mode seeker and a sampler."""
 
 import json
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,9 @@ from bayes_body.storage.saved_run import load_run, marker_moments
 SIZES = ["--particles", "1000", "--runs", "5"]
 KERNELS = {"annealed": ["--layers", "5"], "tempered": ["--model", "tempered_smc"]}
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.usefixtures("optimised")
+
+EACH_KERNEL = [pytest.param("annealed", marks=pytest.mark.slow), pytest.param("tempered", marks=pytest.mark.long)]
 
 
 def run(*arguments: object) -> None:
@@ -22,38 +26,48 @@ def run(*arguments: object) -> None:
 
 
 @pytest.fixture(scope="module")
-def runs(bodytrack, tmp_path_factory) -> dict[str, Path]:
-    """Five runs of each kernel."""
+def runs(bodytrack, tmp_path_factory) -> Callable[[str], Path]:
+    """`runs("annealed")`: the folder of five runs of a kernel, made when it is first asked for."""
     folder = tmp_path_factory.mktemp("runs")
     run("import", "parsec", bodytrack, folder / "walk")
-    for kernel, options in KERNELS.items():
-        run("track", folder / "walk", "--kernel", kernel, *SIZES, *options, "--out", folder / kernel)
-    return {kernel: folder / kernel for kernel in KERNELS}
+
+    @cache
+    def made(kernel):
+        run("track", folder / "walk", "--kernel", kernel, *SIZES, *KERNELS[kernel], "--out", folder / kernel)
+        return folder / kernel
+
+    return made
 
 
 def summary_of(folder):
     return json.loads((folder / "summary.json").read_text())
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", EACH_KERNEL)
 def test_five_runs_cover_the_man_and_agree(runs, kernel):
-    summary = summary_of(runs[kernel])
+    summary = summary_of(runs(kernel))
     assert summary["frames"] == 4
     assert summary["frames_lost"] == 0
     assert summary["iou_median"] >= 0.66
     assert summary["marker_disagreement_mm"] <= 40
 
 
-def test_only_the_sampler_estimates_the_evidence(runs):
-    assert summary_of(runs["annealed"])["log_evidence"] is None
-    sampled = summary_of(runs["tempered"])
+@pytest.mark.slow
+def test_a_mode_seeker_estimates_no_evidence(runs):
+    assert summary_of(runs("annealed"))["log_evidence"] is None
+
+
+@pytest.mark.long
+def test_the_sampler_estimates_the_evidence_and_its_runs_agree(runs):
+    sampled = summary_of(runs("tempered"))
     assert sampled["log_evidence_sd"] <= 2
     assert sampled["rhat_share"] >= 0.9
 
 
+@pytest.mark.long
 def test_both_find_the_same_man(runs):
     means = []
-    for folder in runs.values():
-        with load_run(folder) as saved:
+    for kernel in KERNELS:
+        with load_run(runs(kernel)) as saved:
             means.append(marker_moments(saved).mean)
     assert np.linalg.norm(means[0] - means[1], axis=-1).mean() <= 0.040

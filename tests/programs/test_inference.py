@@ -15,12 +15,10 @@ ROOT = Path(__file__).parents[2]
 PROGRAMS = sorted((ROOT / "inference").glob("*.py"))
 # Filters follow a whole recording; the others have tests of their own below.
 FILTERS = [path for path in PROGRAMS if path.stem != "estimator_variance"]
+# These compile the gradient of an image likelihood.
+QUICKLY = [pytest.param(path, marks=pytest.mark.slow if path.stem in ("hmc_filter", "tempered_smc") else ()) for path in FILTERS]
 LONGEST = 80
 PUBLIC = {"bayes_body", "bayes_body.errors"}
-
-
-def run(program: Path, *arguments) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, str(program), *map(str, arguments)], capture_output=True, text=True, check=False)
 
 
 @pytest.fixture(params=PROGRAMS, ids=lambda path: path.stem)
@@ -43,20 +41,21 @@ def test_it_is_short_and_uses_the_public_package_only(program):
     assert set(re.findall(r"^(?:from|import) (bayes_body[\w.]*)", text, re.MULTILINE)) <= PUBLIC
 
 
-def test_quick(filtering, walk, tmp_path):
+@pytest.mark.parametrize("filtering", QUICKLY, indirect=True, ids=lambda path: path.stem)
+def test_quick(run, filtering, walk, tmp_path):
     done = run(filtering, "--session", walk, "--out", tmp_path / "run", "--quick", "--runs", 2)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    assert re.search(r"^l_knee +-?\d+\.\d ± \d+\.\d .* deg$", done.stdout, re.MULTILINE)
-    assert re.search(r"^root_x +-?\d+\.\d ± \d+\.\d .* mm$", done.stdout, re.MULTILINE)
-    assert "effective particles" in done.stdout
-    assert "seconds" in done.stdout
+    assert done.status == 0, done.err
+    assert done.err == ""
+    assert re.search(r"^l_knee +-?\d+\.\d ± \d+\.\d .* deg$", done.out, re.MULTILINE)
+    assert re.search(r"^root_x +-?\d+\.\d ± \d+\.\d .* mm$", done.out, re.MULTILINE)
+    assert "effective particles" in done.out
+    assert "seconds" in done.out
     if filtering.stem == "annealed_filter":
-        assert "mode seeker" in done.stdout
-        assert "no uncertainty" in done.stdout
+        assert "mode seeker" in done.out
+        assert "no uncertainty" in done.out
     else:
-        assert re.search(r"log-evidence: -?\d+\.\d\d \(by run: -?\d+\.\d\d, -?\d+\.\d\d\)", done.stdout)
-        assert "log p(images | model)" in done.stdout
+        assert re.search(r"log-evidence: -?\d+\.\d\d \(by run: -?\d+\.\d\d, -?\d+\.\d\d\)", done.out)
+        assert "log p(images | model)" in done.out
     with xr.open_datatree(tmp_path / "run" / "posterior.nc") as tree:
         dofs = 14 if filtering.stem == "hmc_filter" else 31
         assert dict(tree["posterior"]["pose"].sizes) == {"chain": 2, "draw": 64, "frame": 2, "dof": dofs}
@@ -71,18 +70,19 @@ WRONG = {
 }
 
 
-# A process of its own takes seconds to begin: every fault of one program, and one of the others.
-FAULTS = [(FILTERS[0], fault) for fault in WRONG] + [(path, "no such model") for path in FILTERS[1:]]
-
-
-@pytest.mark.parametrize(("program", "fault"), FAULTS, ids=lambda value: getattr(value, "stem", value))
-def test_a_wrong_input_is_a_sentence(program, walk, tmp_path, fault):
+@pytest.mark.parametrize("fault", WRONG)
+def test_a_wrong_input_is_a_sentence(run, filtering, walk, tmp_path, fault):
     arguments, part = WRONG[fault]
-    done = run(program, "--session", walk, "--out", tmp_path / "run", *arguments)
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
-    assert part in done.stderr.splitlines()[-1]
-    assert done.stdout == ""
+    done = run(filtering, "--session", walk, "--out", tmp_path / "run", *arguments)
+    assert done.status == 2
+    assert part in done.err.splitlines()[-1]
+    assert done.out == ""
+
+
+def test_a_program_of_its_own_process_ends_as_one_in_this_process(run, tmp_path):
+    arguments = [FILTERS[0], "--session", tmp_path, "--out", tmp_path / "run"]
+    alone = subprocess.run([sys.executable, *map(str, arguments)], capture_output=True, text=True, check=False)
+    assert (alone.returncode, alone.stdout, alone.stderr) == run(*arguments)
 
 
 @pytest.fixture
@@ -95,12 +95,13 @@ def one_camera(walk, tmp_path) -> Path:
     return folder
 
 
-@pytest.mark.slow
-def test_estimator_variance_quick(one_camera, tmp_path):
+@pytest.mark.long
+@pytest.mark.usefixtures("optimised")
+def test_estimator_variance_quick(run, one_camera, tmp_path):
     program, out = ROOT / "inference" / "estimator_variance.py", tmp_path / "figures.json"
     own = ("--frame", 2, "--frames", 1, "--runs", 4, "--truth", 100_000, "--set", "leapfrog_steps=10")
     done = run(program, "--session", one_camera, "--quick", "--json", out, "--plot", tmp_path / "figures.png", *own)
-    assert done.returncode == 0, done.stderr
+    assert done.status == 0, done.err
     found = json.loads(out.read_text())
     for row in (found, found["equal_seconds"]):
         low, high = row["ratio_interval"]
@@ -112,17 +113,17 @@ def test_estimator_variance_quick(one_camera, tmp_path):
     assert set(found["frames"]) == {"hmc, means", "hmc, draws", "sir", "truth_difference"}
     for of in (found["frames"][name] for name in ("hmc, means", "hmc, draws", "sir")):
         assert len(of["error"]) == 1 and all(error > 0 for error in of["error"])
-    assert "at equal evaluations" in done.stdout and "at equal seconds" in done.stdout and "along 1 frame, hmc, draws: error²" in done.stdout
+    assert "at equal evaluations" in done.out and "at equal seconds" in done.out and "along 1 frame, hmc, draws: error²" in done.out
     assert cv2.imread(str(tmp_path / "figures.png")).shape[1] > 500
 
 
-def test_estimator_variance_of_no_session_is_a_sentence(tmp_path):
+def test_estimator_variance_of_no_session_is_a_sentence(run, tmp_path):
     done = run(ROOT / "inference" / "estimator_variance.py", "--session", "nowhere", "--json", tmp_path / "figures.json")
-    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "nowhere" in done.stderr
+    assert done.status == 2 and done.err.count("\n") == 1 and "nowhere" in done.err
 
 
 @pytest.mark.parametrize("fault", [("--set", "step"), ("--set", "step=a"), ("--components", "0"), ("--frame", "0")], ids="=".join)
-def test_estimator_variance_says_which_argument_is_wrong(tmp_path, fault):
+def test_estimator_variance_says_which_argument_is_wrong(run, tmp_path, fault):
     done = run(ROOT / "inference" / "estimator_variance.py", "--session", ".", "--json", tmp_path / "figures.json", *fault)
-    assert done.returncode == 2 and "Traceback" not in done.stderr
-    assert f"{fault[0]}: {fault[1]}; expected" in done.stderr.splitlines()[-1]
+    assert done.status == 2
+    assert f"{fault[0]}: {fault[1]}; expected" in done.err.splitlines()[-1]

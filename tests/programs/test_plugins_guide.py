@@ -77,7 +77,8 @@ def test_its_program_runs_and_a_keypoint_that_is_wrong_moves_the_pose_little(fol
     assert 0 < off <= FARTHEST * here.confidence[:, 4].sum() + 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.usefixtures("optimised")
 def test_the_man_on_the_beam_is_tracked_with_it(folder, pose2sim_beam):
     from programs.test_beam import triangulated
 

@@ -130,7 +130,7 @@ def test_next_is_computed_while_the_consumer_works():
 
     for k in prefetch(range(3), compute):
         if k < 2:
-            assert computed[k + 1].wait(timeout=10), "the next item waits for the consumer"
+            assert computed[k + 1].wait(timeout=300), "the next item waits for the consumer"
     assert threads.isdisjoint({threading.get_ident()})
     assert len(threads) == 1
 

@@ -3,7 +3,6 @@
 import io
 import json
 import random
-import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,7 +24,6 @@ from bayes_body.session.read import load_session
 
 QUICK, MANY = 300, 10_000
 # No reader takes a second; a loop without end would not stop at ten.
-LONGEST_S = 10.0
 # What numbers become: not finite, far too large or small, empty, no number, more digits than an integer may have.
 NUMBERS = (
     b"nan",
@@ -231,12 +229,10 @@ def torture(reader: Reader, folder: Path, count: int, seed: int) -> int:
     reader.read(path)
     for _ in range(count):
         path.write_bytes(mutated(reader.content, rng))
-        start = time.monotonic()
         try:
             reader.read(path)
         except InputError:
             refused += 1
-        assert time.monotonic() - start < LONGEST_S, f"a hang: {path.read_bytes()[:2000]!r}"
     return refused
 
 

@@ -52,7 +52,7 @@ def test_killed_among_the_frames_twice(looped, tmp_path, uninterrupted):
     assert finish(looped(FRAMES), out) == uninterrupted
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_killed_twenty_times_at_any_moment(looped, tmp_path, uninterrupted):
     rng = random.Random(20)
     begun = time.monotonic()

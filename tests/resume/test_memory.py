@@ -38,7 +38,8 @@ print(early, largest, after_posterior, megabytes(), len(draws.frames))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_two_thousand_frames_take_no_more_than_two_hundred(looped, tmp_path):
     frames = 2000

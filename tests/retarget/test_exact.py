@@ -77,6 +77,7 @@ def test_lengths_that_end_a_limb_are_those_of_its_points(body, own_motion, lengt
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize(("up", "order"), [("z", (0, 1, 2)), ("y", (1, 2, 0))])
 def test_an_exported_bvh_gives_its_angles_back(schema, angles, lengths, tmp_path, up, order):
     longer = {name: 1.03 * length for name, length in lengths.items()}

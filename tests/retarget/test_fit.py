@@ -90,6 +90,7 @@ def test_too_little_to_go_by_is_a_sentence(body, points, fps, parts):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 def test_kept_lengths_stay(body, walker):
     found = retarget(body, walker, FPS, fit_lengths=False)
     assert found.lengths_m == {}
@@ -99,6 +100,7 @@ def test_kept_lengths_stay(body, walker):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("subject", SUBJECTS)
 def test_walks_of_real_people_fit_without_flips(body, cmu_mocap, subject):
     motion = resample(read_motion(cmu_mocap / subject / f"{SUBJECTS[subject]}.amc"), FPS)
@@ -110,6 +112,7 @@ def test_walks_of_real_people_fit_without_flips(body, cmu_mocap, subject):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 def test_the_command_writes_a_truth_that_is_read(command, cmu_mocap, tmp_path):
     out = tmp_path / "motion.npz"
     status, told, _ = command("mocap", cmu_mocap / "02" / "02_02.amc", "--fps", 60, "--out", out)

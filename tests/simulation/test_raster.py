@@ -1,7 +1,5 @@
 """The simulator's own camera and rasteriser: against OpenCV's projection, exact areas, no cracks, the right way round, nothing from behind."""
 
-import time
-
 import cv2
 import numpy as np
 import pytest
@@ -238,24 +236,3 @@ def test_the_shadow_lies_on_the_floor_away_from_the_lamp(mesh):
 
 def test_a_lamp_at_the_horizon_throws_no_endless_shadow(mesh):
     assert np.abs(shadow(mesh, (1.0, 0.0, 0.0)).vertices).max() < 15
-
-
-def test_how_long_a_picture_takes(mesh, capsys):
-    """Printed, not bounded: a machine that is busy would fail."""
-    spec = camera((4.0, 0.3, 1.2), (0.3, 0.0, 0.95), (640, 480), 560.0)
-    behind = np.full((480, 640, 3), 90.0, np.float32)
-    performance = build_person(3, 1.75).perform(WALK)
-    spent = {}
-    for name, work in (
-        ("mesh", lambda: performance.mesh(5)),
-        ("picture", lambda: rasterise(mesh, spec, behind)),
-        ("shadow", lambda: shadow_mask(mesh, spec, (0.6, -0.7, 0.9))),
-    ):
-        work()
-        start = time.process_time()
-        for _ in range(10):
-            work()
-        spent[name] = (time.process_time() - start) * 100
-    with capsys.disabled():
-        print(f"\n{len(mesh.faces)} triangles: " + ", ".join(f"{name} {value:.1f} ms" for name, value in spent.items()))
-    assert set(spent) == {"mesh", "picture", "shadow"}

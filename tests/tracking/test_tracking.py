@@ -13,8 +13,6 @@ from bayes_body.model.build import load_model
 from bayes_body.registry import find, names
 from bayes_body.tracking.track import track
 
-pytestmark = pytest.mark.usefixtures("hasty_compiler")
-
 KEY = jax.random.key(11)
 
 

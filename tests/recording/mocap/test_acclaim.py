@@ -109,6 +109,7 @@ def test_crowns_are_a_stature_above_the_floor(cmu_mocap, subject):
     assert ((np.cross([0, 0, 1], ahead) * (places["l_hip"] - places["r_hip"])).sum(axis=-1) > 0).mean() > 0.9
 
 
+@pytest.mark.long
 def test_two_thousand_frames_in_about_a_second(cmu_mocap, tmp_path):
     text = (cmu_mocap / "05" / "05_01.amc").read_text()
     blocks = text[text.index("\n1\n") + 3 :].split("\n2\n")[0]
