@@ -2,8 +2,8 @@
 
     python inference/annealed_filter.py --session SESSION --out RUN
 
-A mode seeker: its particles gather where the likelihood is high. It finds the pose. The spread of its particles is no uncertainty, and it estimates no
-evidence. For a sample of the posterior see particle_filter.py. SESSION is a folder that `bayes-body import` made. Copy this file and change it.
+A mode seeker: its particles gather where the likelihood is high. It finds the pose. The spread of its particles is no uncertainty, and it estimates
+no evidence. For a sample of the posterior see particle_filter.py. SESSION is a folder that `bayes-body import` made. Copy this file and change it.
 """
 
 import argparse

@@ -2,8 +2,9 @@
 
     python inference/estimator_variance.py --session SESSION --frame 20 --json figures.json --plot figures.png
 
-Compares the hybrid Monte Carlo filter with the particle filter on one frame, after one fixed prediction mixture: at equal evaluations of the likelihood
-(a gradient counts by its cost) and at equal seconds. Then it does so along the frames that follow. SESSION is a folder that `bayes-body import` made.
+Compares the hybrid Monte Carlo filter with the particle filter on one frame, after one fixed prediction mixture: at equal evaluations of the
+likelihood (a gradient counts by its cost) and at equal seconds. Then it does so along the frames that follow. SESSION is a folder that
+`bayes-body import` made.
 """
 
 import argparse

@@ -52,7 +52,7 @@ def main() -> None:
         scale, unit = (1000, "mm") if last.sel(dof=dof).unit == "m" else (np.degrees(1), "deg")
         print(f"{dof:<16}{float(last.sel(dof=dof)) * scale:10.1f} ± {float(sd.sel(dof=dof)) * scale:<7.1f} {unit}")
     ess = posterior["filter"]["ess"]
-    print(f"effective particles: {float(ess.min()):.0f} at least, median {float(ess.median()):.0f}, of {particles}; with fewer than some tens, trust no sd")
+    print(f"effective particles: {float(ess.min()):.0f} at least, median {float(ess.median()):.0f}, of {particles}; below some tens, trust no sd")
     print(f"frames lost: {len(draws.frames_lost)}; seconds: {draws.timing.total:.1f}, {draws.timing.compile:.1f} of them compilation")
 
     evidence = posterior["filter"]["log_evidence"].sum("frame").values

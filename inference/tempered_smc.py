@@ -2,8 +2,8 @@
 
     python inference/tempered_smc.py --session SESSION --out RUN
 
-In each frame the particles go from the prediction to the posterior in stages, with moves by Hamiltonian Monte Carlo. This works even where few draws of
-the prediction have a high likelihood. SESSION is a folder that `bayes-body import` made. Copy this file and change it.
+In each frame the particles go from the prediction to the posterior in stages, with moves by Hamiltonian Monte Carlo. This works even where few draws
+of the prediction have a high likelihood. SESSION is a folder that `bayes-body import` made. Copy this file and change it.
 """
 
 import argparse
