@@ -33,7 +33,14 @@ def on_files(files, config):
     for path in sorted(models.rglob("*.toml")):
         definition = tomllib.loads(path.read_text(encoding="utf-8"))
         rows.append(f"| `{path.relative_to(models).as_posix()}` | {definition.get('title', '')} | {definition.get('source', '')} |")
-    head = ["# Models that ship", "", "Each is a commented TOML file. Use it by name, or copy it and change it.", "", "| file | title | source |", "|---|---|---|"]
+    head = [
+        "# Models that ship",
+        "",
+        "Each is a commented TOML file. Use it by name, or copy it and change it.",
+        "",
+        "| file | title | source |",
+        "|---|---|---|",
+    ]
     files.append(File.generated(config, "models.md", content="\n".join([*head, *rows, ""])))
     return files
 
