@@ -1,42 +1,64 @@
-"""What the site takes from the tree: a navigation entry that ends in `/` is the pages of that folder, and the models' page is their definitions."""
+"""What the site takes from the tree: folders of the navigation as their pages, the models' page from their definitions, formulas as MathML."""
 
+import html
+import re
 import tomllib
 from pathlib import Path
 
+from latex2mathml.converter import convert
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File
+
+# What pymdownx.arithmatex (generic) leaves of a formula.
+FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
+# Commands that latex2mathml does not know.
+OPERATORS = ("arg", "diag", "logit")
 
 
 def on_config(config):
-    """Folders of the navigation become their pages, in the order of their names; a folder without pages is left out."""
+    """A navigation entry that ends in `/` becomes the pages of that folder, in the order of their names."""
     docs, entries = Path(config.docs_dir), []
     for entry in config.nav:
         ((title, target),) = entry.items()
-        pages = sorted(path.relative_to(docs).as_posix() for path in (docs / target).glob("*.md")) if target.endswith("/") else target
-        if pages:
-            entries.append({title: pages})
+        folder = isinstance(target, str) and target.endswith("/")
+        entries.append({title: sorted(path.relative_to(docs).as_posix() for path in (docs / target).glob("*.md"))} if folder else entry)
     config.nav = entries
     return config
 
 
 def on_files(files, config):
-    """`models.md`, unless somebody wrote one: each definition's title, source and file."""
-    if files.get_file_from_path("models.md") is None:
-        models = Path(config.config_file_path).parent / "models"
-        rows = []
-        for path in sorted(models.rglob("*.toml")):
-            definition = tomllib.loads(path.read_text(encoding="utf-8"))
-            rows.append(f"| `{path.relative_to(models).as_posix()}` | {definition.get('title', '')} | {definition.get('source', '')} |")
-        text = "\n".join(
-            [
-                "# Models",
-                "",
-                "Each is a commented TOML file, to be used by name or copied and changed.",
-                "",
-                "| file | what | source |",
-                "|---|---|---|",
-                *rows,
-                "",
-            ]
-        )
-        files.append(File.generated(config, "models.md", content=text))
+    """`models.md`: each definition's file, title and source."""
+    models = Path(config.config_file_path).parent / "models"
+    rows = []
+    for path in sorted(models.rglob("*.toml")):
+        definition = tomllib.loads(path.read_text(encoding="utf-8"))
+        rows.append(f"| `{path.relative_to(models).as_posix()}` | {definition.get('title', '')} | {definition.get('source', '')} |")
+    head = [
+        "# Models that ship",
+        "",
+        "Each is a commented TOML file. Use it by name, or copy it and change it.",
+        "",
+        "| file | title | source |",
+        "|---|---|---|",
+    ]
+    files.append(File.generated(config, "models.md", content="\n".join([*head, *rows, ""])))
     return files
+
+
+def on_page_content(content, page, config, files):
+    """Formulas become MathML when the site is built, so that a browser shows them without a script and without a network.
+
+    Raises:
+        PluginError: a formula holds a command that the converter does not know.
+    """
+
+    def rendered(match):
+        latex = html.unescape(match[3])
+        for name in OPERATORS:
+            latex = re.sub(rf"\\{name}(?![a-zA-Z])", rf"\\operatorname{{{name}}}", latex)
+        markup = convert(latex, display="block" if match[2] == "[" else "inline")
+        if "\\" in markup:
+            raise PluginError(f"{page.file.src_uri}: the formula {match[3]!r} holds a command that latex2mathml does not know; add it to OPERATORS")
+        return markup
+
+    return FORMULA.sub(rendered, content)

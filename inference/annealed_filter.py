@@ -2,8 +2,8 @@
 
     python inference/annealed_filter.py --session SESSION --out RUN
 
-A mode seeker: its particles gather where the likelihood is high. It finds the pose; their spread is no uncertainty, and there is no evidence. For a
-sample of the posterior see particle_filter.py. SESSION is what `bayes-body import` makes. Copy this file and change it.
+A mode seeker: its particles gather where the likelihood is high. It finds the pose. The spread of its particles is no uncertainty, and it estimates
+no evidence. For a sample of the posterior see particle_filter.py. SESSION is a folder that `bayes-body import` made. Copy this file and change it.
 """
 
 import argparse
@@ -25,8 +25,8 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--particles", type=bb.whole_number(1), default=1000, help="particles a run (%(default)s)")
     parser.add_argument("--layers", type=bb.whole_number(1), default=5, help="annealing layers a frame (%(default)s)")
     parser.add_argument("--runs", type=bb.whole_number(1), default=2, help="independent filters (%(default)s)")
-    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="of everything random (%(default)s)")
-    parser.add_argument("--quick", action="store_true", help="two frames, 64 particles, 2 layers: to see that it works")
+    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="seed of everything random (%(default)s)")
+    parser.add_argument("--quick", action="store_true", help="two frames, 64 particles, 2 layers: a trial")
     return parser.parse_args()
 
 
@@ -34,7 +34,7 @@ def main() -> None:
     arguments = parse()
     bb.configure()
     session = bb.load_session(arguments.session)
-    model = bb.with_first_pose(bb.load_model(arguments.model, session), session)
+    model = bb.load_model(arguments.model, session)
     particles, layers = (64, 2) if arguments.quick else (arguments.particles, arguments.layers)
     frames = min(2, session.frames) if arguments.quick else session.frames
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -46,16 +46,16 @@ def main() -> None:
     bb.draw_overlay(session, draws, arguments.out)
 
     pose, weights = posterior["posterior"]["pose"], np.exp(posterior["sample_stats"]["log_weight"])
-    last = pose.weighted(weights).mean("draw").isel(frame=-1)  # (chain, dof): each run has found its own pose
+    last = pose.weighted(weights).mean("draw").isel(frame=-1)  # (chain, dof): the pose that each run found
     spread = pose.weighted(weights).std("draw").mean("chain").isel(frame=-1)
     print(f"{'dof':<16}{'mean':>8} ± spread   runs apart   in frame {frames - 1}, {arguments.runs} runs")
     for dof in last.dof.values:
         scale, unit = (1000, "mm") if last.sel(dof=dof).unit == "m" else (np.degrees(1), "deg")
         each = last.sel(dof=dof) * scale
         print(f"{dof:<16}{float(each.mean()):8.1f} ± {float(spread.sel(dof=dof)) * scale:<8.1f}{float(each.max() - each.min()):9.1f}    {unit}")
-    print(f"effective particles: {float(posterior['filter']['ess'].min()):.0f} at least, of {particles}; the layers hold them near half")
+    print(f"effective particles: {float(posterior['filter']['ess'].min()):.0f} at least, of {particles}; every layer keeps about half")
     print(f"frames lost: {len(draws.frames_lost)}; seconds: {draws.timing.total:.1f}, {draws.timing.compile:.1f} of them compilation")
-    print("A mode seeker: the spread is no uncertainty. Where runs come apart the pose is doubtful; that they agree proves nothing.")
+    print("A mode seeker: the spread is no uncertainty. Where runs disagree the pose is doubtful; agreement proves nothing.")
 
 
 if __name__ == "__main__":

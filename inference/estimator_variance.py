@@ -2,8 +2,9 @@
 
     python inference/estimator_variance.py --session SESSION --frame 20 --json figures.json --plot figures.png
 
-The hybrid Monte Carlo filter against the particle filter, on one frame after one fixed prediction mixture: at equal evaluations of the likelihood (a
-gradient counts what it costs) and at equal seconds; and along the frames behind it. SESSION is what `bayes-body import` makes.
+Compares the hybrid Monte Carlo filter with the particle filter on one frame, after one fixed prediction mixture: at equal evaluations of the
+likelihood (a gradient counts by its cost) and at equal seconds. Then it does so along the frames that follow. SESSION is a folder that
+`bayes-body import` made.
 """
 
 import argparse
@@ -22,16 +23,16 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Estimator variance of hybrid Monte Carlo and of a particle filter at equal computation.")
     parser.add_argument("--session", type=Path, required=True, help="folder with a session.toml")
     parser.add_argument("--json", type=Path, required=True, help="file for all figures")
-    parser.add_argument("--plot", type=Path, help="a .png of them")
+    parser.add_argument("--plot", type=Path, help="a .png of the figures")
     parser.add_argument("--model", default="poon_fleet_2002_legs", help="a definition's name or the path of your own (%(default)s)")
-    parser.add_argument("--frame", type=bb.whole_number(1), default=10, help="which, counted from 0 (%(default)s)")
-    parser.add_argument("--components", type=bb.whole_number(1), default=10, help="of the prediction mixture (%(default)s)")
-    parser.add_argument("--frames", type=bb.whole_number(0), help="along which the filters are followed (20; none with --quick)")
-    parser.add_argument("--runs", type=bb.whole_number(2), help="of each sampler (50; 10 with --quick)")
+    parser.add_argument("--frame", type=bb.whole_number(1), default=10, help="the frame, counted from 0 (%(default)s)")
+    parser.add_argument("--components", type=bb.whole_number(1), default=10, help="components of the prediction mixture (%(default)s)")
+    parser.add_argument("--frames", type=bb.whole_number(0), help="how many frames to follow after it (20; none with --quick)")
+    parser.add_argument("--runs", type=bb.whole_number(2), help="runs of each sampler (50; 10 with --quick)")
     parser.add_argument("--truth", type=bb.whole_number(1), help="particles of each run that finds the true mean (4000000; 400000 with --quick)")
     parser.add_argument("--set", type=bb.setting, action="append", default=[], metavar="KEY=VALUE", help="an option of hmc, such as step=0.1")
-    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="of everything random (%(default)s)")
-    parser.add_argument("--quick", action="store_true", help="fewer runs, on one frame, and a rougher truth")
+    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="seed of everything random (%(default)s)")
+    parser.add_argument("--quick", action="store_true", help="fewer runs, on one frame, and a rougher true mean")
     return parser.parse_args()
 
 
@@ -39,7 +40,7 @@ def main() -> None:
     arguments, bar, ev, path = parse(), sys.stderr.isatty(), bb.compare.estimator_variance, bb.compare.estimator_path
     bb.configure()
     session = bb.load_session(arguments.session)
-    model = bb.with_first_pose(bb.load_model(arguments.model, session), session)
+    model = bb.load_model(arguments.model, session)
     runs, many, long, frames = (10, 400_000, 600, 0) if arguments.quick else (50, 4_000_000, 6000, 20)
     runs, many, frames = arguments.runs or runs, arguments.truth or many, frames if arguments.frames is None else arguments.frames
     own = model.definition.kernel.options.model_dump() if model.definition.kernel.kind == "hmc" else {}

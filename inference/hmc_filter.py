@@ -3,7 +3,7 @@
     python inference/hmc_filter.py --session SESSION --out RUN
 
 A few chains of Hamiltonian Monte Carlo a frame, on the likelihood times the mixture of predictions from the frame before. Where the posterior has
-several modes, a chain may stay in its own: compare chains and runs. SESSION is what `bayes-body import` makes. Copy this file and change it.
+several modes, a chain may stay in one: compare chains and runs. SESSION is a folder that `bayes-body import` made. Copy this file and change it.
 """
 
 import argparse
@@ -22,12 +22,12 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--session", type=Path, required=True, help="folder with a session.toml")
     parser.add_argument("--out", type=Path, required=True, help="folder for posterior.nc and the overlay")
     parser.add_argument("--model", default="poon_fleet_2002_legs", help="a definition's name or the path of your own (%(default)s)")
-    parser.add_argument("--particles", type=bb.whole_number(1), default=400, help="draws that are kept of all chains (%(default)s)")
+    parser.add_argument("--particles", type=bb.whole_number(1), default=400, help="draws kept in a frame, all chains together (%(default)s)")
     parser.add_argument("--chains", type=bb.whole_number(1), default=8, help="chains a frame (%(default)s)")
-    parser.add_argument("--starts", type=bb.whole_number(1), default=500, help="predictions among which the chains' starts are drawn (%(default)s)")
+    parser.add_argument("--starts", type=bb.whole_number(1), default=500, help="predictions from which the chains' starts are drawn (%(default)s)")
     parser.add_argument("--runs", type=bb.whole_number(1), default=2, help="independent filters (%(default)s)")
-    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="of everything random (%(default)s)")
-    parser.add_argument("--quick", action="store_true", help="two frames, 64 draws: to see that it works")
+    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="seed of everything random (%(default)s)")
+    parser.add_argument("--quick", action="store_true", help="two frames, 64 draws: a trial")
     return parser.parse_args()
 
 
@@ -35,7 +35,7 @@ def main() -> None:
     arguments = parse()
     bb.configure()
     session = bb.load_session(arguments.session)
-    model = bb.with_first_pose(bb.load_model(arguments.model, session), session)
+    model = bb.load_model(arguments.model, session)
     particles, burn_in = (64, 10) if arguments.quick else (arguments.particles, 50)
     frames = min(2, session.frames) if arguments.quick else session.frames
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -52,12 +52,12 @@ def main() -> None:
         scale, unit = (1000, "mm") if last.sel(dof=dof).unit == "m" else (np.degrees(1), "deg")
         print(f"{dof:<16}{float(last.sel(dof=dof).mean()) * scale:10.1f} ± {float(last.sel(dof=dof).std()) * scale:<7.1f} {unit}")
     ess, accepted = posterior["filter"]["ess"], posterior["filter"]["acceptance_rate"]
-    print(f"effective particles: {float(ess.min()):.0f} at least, {float(ess.median()):.0f} median, of {particles}, of the worst dof")
-    print(f"accepted: {float(accepted.min()):.0%} of a frame's trajectories at least; below a fifth, or above nine tenths, change the step")
+    print(f"effective particles: {float(ess.min()):.0f} at least, {float(ess.median()):.0f} median, of {particles}, for the worst dof")
+    print(f"accepted: {float(accepted.min()):.0%} of a frame's trajectories at least; below a fifth or above nine tenths, change the step")
     print(f"frames lost: {len(draws.frames_lost)}; seconds: {draws.timing.total:.1f}, {draws.timing.compile:.1f} of them compilation")
     evidence = posterior["filter"]["log_evidence"].sum("frame").values
     print(f"log-evidence: {np.logaddexp.reduce(evidence) - np.log(len(evidence)):.2f} (by run: {', '.join(f'{value:.2f}' for value in evidence)})")
-    print("This is log p(images | model), up to the likelihood's constant, as well as the starts of the chains tell it.")
+    print("This is log p(images | model), up to the likelihood's constant, estimated from the starts of the chains.")
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
     python inference/particle_filter.py --session SESSION --out RUN
 
-Weighted particles are a sample of p(pose | images so far), so that their spread is an uncertainty, as long as enough of them are effective: with 31
-dofs and a sharp likelihood that takes many. SESSION is what `bayes-body import` makes. Copy this file and change it.
+Weighted particles are a sample of p(pose | images so far). Their spread is an uncertainty as long as enough of them are effective. With 31 dofs and a
+sharp likelihood that takes many. SESSION is a folder that `bayes-body import` made. Copy this file and change it.
 """
 
 import argparse
@@ -24,8 +24,8 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--model", default="deutscher_apf", help="a definition's name or the path of your own (%(default)s)")
     parser.add_argument("--particles", type=bb.whole_number(1), default=4000, help="particles a run (%(default)s)")
     parser.add_argument("--runs", type=bb.whole_number(1), default=2, help="independent filters (%(default)s)")
-    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="of everything random (%(default)s)")
-    parser.add_argument("--quick", action="store_true", help="two frames, 64 particles: to see that it works")
+    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="seed of everything random (%(default)s)")
+    parser.add_argument("--quick", action="store_true", help="two frames, 64 particles: a trial")
     return parser.parse_args()
 
 
@@ -33,7 +33,7 @@ def main() -> None:
     arguments = parse()
     bb.configure()
     session = bb.load_session(arguments.session)
-    model = bb.with_first_pose(bb.load_model(arguments.model, session), session)
+    model = bb.load_model(arguments.model, session)
     particles = 64 if arguments.quick else arguments.particles
     frames = min(2, session.frames) if arguments.quick else session.frames
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -52,13 +52,13 @@ def main() -> None:
         scale, unit = (1000, "mm") if last.sel(dof=dof).unit == "m" else (np.degrees(1), "deg")
         print(f"{dof:<16}{float(last.sel(dof=dof)) * scale:10.1f} ± {float(sd.sel(dof=dof)) * scale:<7.1f} {unit}")
     ess = posterior["filter"]["ess"]
-    print(f"effective particles: {float(ess.min()):.0f} at least, median {float(ess.median()):.0f}, of {particles}; below some tens trust no sd")
+    print(f"effective particles: {float(ess.min()):.0f} at least, median {float(ess.median()):.0f}, of {particles}; below some tens, trust no sd")
     print(f"frames lost: {len(draws.frames_lost)}; seconds: {draws.timing.total:.1f}, {draws.timing.compile:.1f} of them compilation")
 
     evidence = posterior["filter"]["log_evidence"].sum("frame").values
     print(f"log-evidence: {np.logaddexp.reduce(evidence) - np.log(len(evidence)):.2f} (by run: {', '.join(f'{value:.2f}' for value in evidence)})")
-    print("This is log p(images | model), up to the likelihood's constant. Of two motions or bodies with the same likelihood the one with the larger")
-    print("value predicted this recording better: by a factor of exp(difference). The runs tell how well it is known.")
+    print("This is log p(images | model), up to the likelihood's constant. Between two motions or bodies with the same likelihood, the one with the")
+    print("larger value predicted this recording better, by a factor of exp(difference). The spread over the runs is its error.")
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
     python inference/tempered_smc.py --session SESSION --out RUN
 
-In each frame the particles climb from the prediction to the posterior in stages, with moves by Hamiltonian Monte Carlo in between, so that a
-likelihood which the prediction hardly ever hits can be sampled too. SESSION is what `bayes-body import` makes. Copy this file and change it.
+In each frame the particles go from the prediction to the posterior in stages, with moves by Hamiltonian Monte Carlo. This works even where few draws
+of the prediction have a high likelihood. SESSION is a folder that `bayes-body import` made. Copy this file and change it.
 """
 
 import argparse
@@ -25,8 +25,8 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--particles", type=bb.whole_number(1), default=500, help="particles a run (%(default)s)")
     parser.add_argument("--moves", type=bb.whole_number(1), default=1, help="Markov moves a stage (%(default)s)")
     parser.add_argument("--runs", type=bb.whole_number(1), default=2, help="independent filters (%(default)s)")
-    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="of everything random (%(default)s)")
-    parser.add_argument("--quick", action="store_true", help="two frames, 64 particles: to see that it works")
+    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="seed of everything random (%(default)s)")
+    parser.add_argument("--quick", action="store_true", help="two frames, 64 particles: a trial")
     return parser.parse_args()
 
 
@@ -34,7 +34,7 @@ def main() -> None:
     arguments = parse()
     bb.configure()
     session = bb.load_session(arguments.session)
-    model = bb.with_first_pose(bb.load_model(arguments.model, session), session)
+    model = bb.load_model(arguments.model, session)
     particles = 64 if arguments.quick else arguments.particles
     frames = min(2, session.frames) if arguments.quick else session.frames
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -51,12 +51,12 @@ def main() -> None:
     for dof in last.dof.values:
         scale, unit = (1000, "mm") if last.sel(dof=dof).unit == "m" else (np.degrees(1), "deg")
         print(f"{dof:<16}{float(last.sel(dof=dof)) * scale:10.1f} ± {float(sd.sel(dof=dof)) * scale:<7.1f} {unit}")
-    told = posterior["filter"]
-    print(f"effective particles: {float(told['ess'].min()):.0f} at least, of {particles}; frames lost: {len(draws.frames_lost)}")
-    stages, accepted = float(told["inverse_temperature"].count("layer").mean()), float(told["acceptance_rate"].mean())
+    filtered = posterior["filter"]
+    print(f"effective particles: {float(filtered['ess'].min()):.0f} at least, of {particles}; frames lost: {len(draws.frames_lost)}")
+    stages, accepted = float(filtered["inverse_temperature"].count("layer").mean()), float(filtered["acceptance_rate"].mean())
     print(f"stages a frame: {stages:.1f}; moves accepted: {accepted:.2f}")
     print(f"seconds: {draws.timing.total:.1f}, {draws.timing.compile:.1f} of them compilation")
-    evidence = told["log_evidence"].sum("frame").values
+    evidence = filtered["log_evidence"].sum("frame").values
     print(f"log-evidence: {np.logaddexp.reduce(evidence) - np.log(len(evidence)):.2f} (by run: {', '.join(f'{value:.2f}' for value in evidence)})")
     print("This is log p(images | model), up to the likelihood's constant.")
 

@@ -1,4 +1,4 @@
-"""What README.md and the guide say, held against the program: their examples run, their tables are whole."""
+"""README.md and the guide compared with the program: their examples run, and their tables are complete."""
 
 import json
 import re
@@ -38,8 +38,20 @@ def keys(table: str) -> set[str]:
     return {key for cell in cells for key in re.findall(r"`([^`]*)`", cell)}
 
 
-def test_the_readme_opens_with_the_lines_that_set_it_up():
-    assert [block.strip() for block in blocks(README, "sh")[:2]] == SETTING_UP
+def test_the_readme_has_the_lines_that_set_it_up():
+    commands = [block.strip() for block in blocks(README, "sh")]
+    assert commands[0] == SETTING_UP[0] and SETTING_UP[1] in commands
+
+
+def test_the_readme_opens_with_three_sentences_and_a_picture():
+    opening, picture = README.split("\n\n")[1:3]
+    assert len(re.findall(r"\.(?:\s|$)", opening)) == 3
+    assert picture.startswith("![")
+
+
+def test_the_readme_recommends_models_that_ship():
+    taken = set(re.findall(r"^\|[^|]*\| `(\w+)` \|", sections(README)["Which model do I take?"], re.MULTILINE))
+    assert {"markers_31", "tempered_smc"} <= taken <= set(definition_names())
 
 
 def test_the_readme_names_every_model():
@@ -53,7 +65,7 @@ def test_the_readme_names_every_model():
 @pytest.mark.parametrize("text", [README, FIRST_RUN], ids=["README", "first_run"])
 def test_links_lead_somewhere(text):
     folder = ROOT if text is README else ROOT / "docs" / "guide"
-    for target in re.findall(r"\]\(([^)#]+)\)", text):
+    for target in re.findall(r"\]\(([^)#]+)(?:#[\w-]*)?\)", text):
         assert (folder / target).exists(), target
 
 
@@ -82,10 +94,31 @@ def test_python_of_the_guide_runs(walked, monkeypatch, number):
 
 def test_python_of_the_readme_runs(walk, monkeypatch, capsys):
     monkeypatch.chdir(walk.parent)
-    (block,) = blocks(README, "python")
+    block = _python_of_the_readme("A whole recording in a script")
     assert "density = model.density(model.observe(bb.read_frame(session, 0)))" in block
-    exec(compile(block.replace("particles=2000", "particles=50"), "README.md", "exec"), {})
+    exec(compile(block.replace("particles=200", "particles=50"), "README.md", "exec"), {})
     assert "silhouette_edges" in capsys.readouterr().out
+
+
+def test_the_sampler_of_the_readme_runs(walk, monkeypatch):
+    monkeypatch.chdir(walk.parent)
+    block = _python_of_the_readme("Your own sampler in 20 lines")
+    assert len([line for line in block.splitlines() if line]) <= 20
+    few = "chains, warm_up, draws = 2, 10, 10"
+    names = {}
+    exec(compile(re.sub(r"chains, warm_up, draws = .*", few, block), "README.md", "exec"), names)
+    model, pose = names["model"], names["tree"]["posterior"]["pose"]
+    assert pose.sizes == {"chain": 2, "draw": 10, "dof": len(model.body.dof_names)}
+    low, high = model.body.skeleton.low, model.body.skeleton.high
+    assert ((pose.values >= low) & (pose.values <= high)).all()
+    # The chains start at the first pose and move.
+    assert (pose.std("draw") > 0).all() and abs(pose.sel(dof="root_z").mean() - 0.87) < 0.1
+    assert Path("nuts.png").stat().st_size > 1000
+
+
+def _python_of_the_readme(heading: str) -> str:
+    (block,) = blocks(sections(README)[heading], "python")
+    return block
 
 
 def test_every_key_of_the_summary_is_explained(walked):
@@ -146,7 +179,7 @@ def test_every_key_of_a_table_is_explained(heading, table):
 
 
 @pytest.mark.parametrize("example", ["whole file", "named body", "body file"])
-def test_toml_of_the_guide_is_sound(tmp_path, example, capsys):
+def test_toml_of_the_guide_is_valid(tmp_path, example, capsys):
     model, named, pendulum = blocks(DEFINITIONS, "toml")
     (tmp_path / "pendulum.toml").write_text(pendulum, encoding="utf-8")
     if example != "whole file":
