@@ -85,7 +85,7 @@ def _pose_and_markers(body: Body, state: State) -> Float[Array, " quantity"]:
     return jnp.concatenate([state["pose"], marker_positions(body.skeleton, body.markers, state["pose"]).reshape(-1)])
 
 
-def alone(state: State, count: int = 1) -> Particles:
+def point_mass(state: State, count: int = 1) -> Particles:
     """`count` equal particles, all of one state."""
     states = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *jnp.shape(leaf))), dict(state))
     dtype = jax.tree.leaves(states)[0].dtype
@@ -105,9 +105,9 @@ class Path(NamedTuple):
 def draw_case(key: Key, problem: Problem, frames: int) -> Case:
     """A truth over `frames` frames, and its data."""
     first_key, path_key, data_key = jax.random.split(key, 3)
-    wandered = draw_path(first_key, problem, alone(problem.first), problem.wandering) if problem.wandering else None
+    wandered = draw_path(first_key, problem, point_mass(problem.first), problem.wandering) if problem.wandering else None
     first = problem.first if wandered is None else jax.tree.map(lambda leaf: leaf[-1], wandered.states)
-    path = draw_path(path_key, problem, alone(first), frames)
+    path = draw_path(path_key, problem, point_mass(first), frames)
     data = draw_data(data_key, problem, path)
     flags = [(each.refused, each.unbounded) for each in (path, wandered) if each is not None]
     refused, unbounded = (jnp.any(jnp.stack(column)) for column in zip(*flags, strict=True))
@@ -118,7 +118,7 @@ def draw_data(key: Key, problem: Problem, path: Path) -> Any:
     """The data that each state of a path makes."""
 
     def one(own: Key, state: State, previous: State) -> Any:
-        return problem.density({}, alone(previous)).simulate(own, state, previous)
+        return problem.density({}, point_mass(previous)).simulate(own, state, previous)
 
     return jax.vmap(one)(jax.random.split(key, jax.tree.leaves(path.states)[0].shape[0]), path.states, path.before)
 

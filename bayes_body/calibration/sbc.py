@@ -17,8 +17,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from bayes_body.calibration.problem import Case, Problem, alone, draw_case
-from bayes_body.density.factor import FilterInfo, Kernel, Particles, State
+from bayes_body.calibration.problem import Case, Problem, draw_case, point_mass
+from bayes_body.density.factor import Particles, State
+from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.shapes import Key, Scalar
 
 # Effective particles that each bin of the ranks needs.
@@ -79,7 +80,7 @@ def replicate(problem: Problem, kernel: Kernel, particles: int, frames: int = 2,
 
 def _filtered(key: Key, problem: Problem, kernel: Kernel, case: Case, count: int) -> tuple[Particles, Particles, FilterInfo, Array]:
     """The particles before and after the last frame, its info, and whether any frame was lost."""
-    start = alone(case.first, count)
+    start = point_mass(case.first, count)
 
     def frame(particles: Particles, own: tuple[Key, Any]) -> tuple[Particles, tuple[Particles, FilterInfo]]:
         frame_key, data = own

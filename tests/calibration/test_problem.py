@@ -9,7 +9,7 @@ import pytest
 from calibration import toys
 from scipy import stats
 
-from bayes_body.calibration.problem import MOST_PATHS, alone, check_cases, draw_case, draw_path
+from bayes_body.calibration.problem import MOST_PATHS, check_cases, draw_case, draw_path, point_mass
 from bayes_body.density.factor import Factor
 
 
@@ -56,7 +56,7 @@ def test_a_path_is_accepted_as_a_whole():
 
 def test_a_path_starts_at_one_of_the_particles_by_weight():
     problem = toys.skewed()
-    particles = alone(problem.first, 2)._replace(log_weights=jnp.log(jnp.array([0.2, 0.8])))
+    particles = point_mass(problem.first, 2)._replace(log_weights=jnp.log(jnp.array([0.2, 0.8])))
     starts = jax.jit(jax.vmap(lambda key: draw_path(key, problem, particles, 1).start))(jax.random.split(jax.random.key(1), 2000))
     assert abs(float(starts.mean()) - 0.8) < 4 * np.sqrt(0.16 / 2000)
 
