@@ -1,11 +1,11 @@
-r"""Exact invariance (Geweke 2004; Gandy & Scott 2020): a truth and its data, moved by a law that keeps the posterior, are still a truth and its data.
+r"""Exact invariance (Geweke 2004; Gandy & Scott 2020): a truth that a posterior-invariant move has changed is still a truth of its data.
 
 $$s \sim p(s),\; z \sim p(z \mid s),\; s' \sim K_z(s, \cdot) \quad\Rightarrow\quad (s', z) \overset{d}{=} (s, z), \qquad \text{where}\quad
 p(s' \mid z) = \int K_z(s, s')\, p(s \mid z)\, ds.$$
 
-Each figure of (s', z) is compared with that of independent draws of (s, z) by the Kolmogorov-Smirnov test of two samples. Nothing is approximated: a
+Each figure of (s', z) is compared with that of independent draws of (s, z) by the two-sample Kolmogorov-Smirnov test. Nothing is approximated: a
 kernel's Markov move (calibration/markov_moves.py) is right or wrong, with any number of particles. The state has an ancestor, one of `ANCESTORS`
-weighted particles of the frame before, which are themselves part of what is given.
+weighted particles of the frame before; these are drawn with each case.
 """
 
 from collections.abc import Callable
@@ -29,7 +29,7 @@ TRANSITION, WEIGHT = "log-transition", "log-weight of the ancestor"
 
 
 class Moved(NamedTuple):
-    """Figures of a truth after its move, and of another truth with data of its own; and whether the move changed the state."""
+    """Figures of a truth after its move, and of another truth with its own data; and whether the move changed the state."""
 
     after: Float[Array, " figure"]
     other: Float[Array, " figure"]
@@ -39,7 +39,7 @@ class Moved(NamedTuple):
 
 
 class _Joint(NamedTuple):
-    """A state, which of the weighted particles before it comes from, and the density given these and the data that the state makes."""
+    """A state, its ancestor among the weighted particles before, and the density given these and the data that the state makes."""
 
     state: State
     ancestor: Index
@@ -49,19 +49,19 @@ class _Joint(NamedTuple):
 
 
 def figure_names(problem: Problem) -> tuple[str, ...]:
-    """What is compared: the problem's quantities, the likelihood of the data, how well the state follows from its ancestor, and that one's weight."""
+    """The figures: the problem's quantities, the log-likelihood of the data, the log-density of the transition, and the ancestor's log-weight."""
     return (*problem.quantities.names, LOG_LIKELIHOOD, TRANSITION, WEIGHT)
 
 
 def replicate(problem: Problem, move: MarkovMove, applications: int = 1) -> Callable[..., Moved]:
-    """One replication as a function of its key, and of the problem, as of `sbc.replicate`; the move is applied so many times."""
+    """One replication as a function of its key and of the problem, as in `sbc.replicate`; the move is applied `applications` times."""
 
     def one(key: Key, problem: Problem = problem) -> Moved:
         true_key, other_key, move_key = jax.random.split(key, 3)
         true, other = _joint(true_key, problem), _joint(other_key, problem)
 
-        def again(pair: tuple[State, Index], own: Key) -> tuple[tuple[State, Index], None]:
-            after, chosen = move(own, *pair, true.density.previous, true.density)
+        def again(pair: tuple[State, Index], turn_key: Key) -> tuple[tuple[State, Index], None]:
+            after, chosen = move(turn_key, *pair, true.density.previous, true.density)
             return jax.tree.map(lambda leaf, was: jnp.asarray(leaf, was.dtype), (dict(after), chosen), pair), None
 
         (after, chosen), _ = jax.lax.scan(again, (true.state, true.ancestor), jax.random.split(move_key, applications))
@@ -78,7 +78,7 @@ def replicate(problem: Problem, move: MarkovMove, applications: int = 1) -> Call
 
 
 def p_values(after: Float[np.ndarray, "replication figure"], other: Float[np.ndarray, "replication figure"]) -> Float[np.ndarray, " figure"]:
-    """Of each figure by itself, whether moved and independent ones have one law."""
+    """For each figure: whether moved and independent cases have the same distribution."""
     # Its result is declared as a plain tuple.
     return np.array([cast(Any, ks_2samp(*pair)).pvalue for pair in zip(after.T, other.T, strict=True)])
 
@@ -86,7 +86,7 @@ def p_values(after: Float[np.ndarray, "replication figure"], other: Float[np.nda
 def _joint(key: Key, problem: Problem) -> _Joint:
     first_key, weights_key, spread_key, path_key, data_key = jax.random.split(key, 5)
     first = draw_case(first_key, problem, 1).first
-    spread = jax.vmap(lambda own: problem.transition.sample(own, first))(jax.random.split(spread_key, ANCESTORS))
+    spread = jax.vmap(lambda draw_key: problem.transition.sample(draw_key, first))(jax.random.split(spread_key, ANCESTORS))
     weights = jax.nn.log_softmax(jax.random.normal(weights_key, (ANCESTORS,), jax.tree.leaves(spread)[0].dtype))
     previous = Particles(dict(spread), weights)
     path = draw_path(path_key, problem, previous, 1)
@@ -97,6 +97,8 @@ def _joint(key: Key, problem: Problem) -> _Joint:
 
 def _figures(problem: Problem, state: State, ancestor: Index, density: Density) -> Float[Array, " figure"]:
     before = density.ancestor(ancestor)
-    # Over the log-weight an ancestor that is chosen without its weight is found out: the state may forget where it came from.
-    own = jnp.stack([density.log_likelihood(state, before), density.transition.log_density(state, before), density.previous.log_weights[ancestor]])
-    return jnp.concatenate([problem.quantities.of(state), own])
+    # The log-weight detects an ancestor that is chosen without its weight: the state may not depend on where it came from.
+    figures = jnp.stack(
+        [density.log_likelihood(state, before), density.transition.log_density(state, before), density.previous.log_weights[ancestor]]
+    )
+    return jnp.concatenate([problem.quantities.of(state), figures])

@@ -1,13 +1,14 @@
-r"""Markov moves that leave the posterior of a frame exactly as it is: what a kernel is made of, in a form that can be tested without any error.
+r"""Markov moves that leave the posterior of a frame exactly invariant: the moves that kernels are made of, in a form that can be tested exactly.
 
-A kernel with n particles meets the posterior only as n grows. But a truth, the data that it makes and a move whose invariant law is the posterior
-given these data have the same joint law before and after the move (Geweke 2004; Gandy & Scott 2020): a test of that has no tolerance to choose.
+A kernel with n particles approaches the posterior only as n grows. But take a truth, the data that it makes, and a move whose invariant distribution
+is the posterior given these data: their joint distribution is the same before and after the move (Geweke 2004; Gandy & Scott 2020). A test of that
+has no tolerance to choose.
 
-- `sir`: iterated sampling importance resampling (Andrieu, Lee & Vihola 2018). The present state is one of n particles, the others are predicted and
+- `sir`: iterated sampling importance resampling (Andrieu, Lee & Vihola 2018). The present state is one of n particles. The others are predicted and
   weighted as the filter does it, and one of all is drawn by weight: exact for every n ≥ 2.
-- `tempered`: its own move at temperature 1, the ancestor redrawn and the state moved in coordinates without limits. Whitening and step size must not
-  depend on the state that is moved: the whitening is that of a fresh prediction, the size is drawn anew for each move, between `SCALES` of the
-  kernel's own first one, so that some fit however sharp the likelihood is.
+- `tempered`: its own move at temperature 1. The ancestor is redrawn and the state moved in coordinates without limits. Whitening and step size must
+  not depend on the state that is moved: the whitening is that of a fresh prediction, and each move draws its step size anew, between `SCALES` of the
+  kernel's first one, so that some fit however narrow the posterior is.
 - `hmc`: its own transitions on the marginal view, and the ancestor drawn anew from p(i | state). The mass matrix is that at a fresh prediction.
 - `annealed` has none: its noise is a proposal that no weight corrects.
 """
@@ -17,28 +18,29 @@ from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
-from bayes_body.density.factor import FrameDensity, Particles, State
-from bayes_body.kernels import particle_filter
-from bayes_body.kernels.parts.batching import over_particles
-from bayes_body.kernels.parts.extended import Extended, Frame, Moving, bijections, log_likelihood, make_frame, predict, state_of, walk, whitening
+from bayes_body.density.density import Density
+from bayes_body.density.extended import Extended, extended
+from bayes_body.density.factor import Particles, State
 from bayes_body.kernels.parts.hamiltonian import Schedule, run_chain
 from bayes_body.kernels.parts.mass import inverse_mass
-from bayes_body.kernels.parts.moves import Move, hmc, random_walk
+from bayes_body.kernels.parts.moves import ExtendedParticle, Move, MoveSettings, hmc, random_walk, walk, whitening
+from bayes_body.kernels.parts.weights import predict
 from bayes_body.shapes import Index, Key
 
-# Of the size of a step: the smallest and the largest share of the kernel's first one.
+# The smallest and the largest step size, as shares of the kernel's first one.
 SCALES = (0.02, 1.0)
-# Particles of an iterated resampling, the present state among them, and predictions from which a whitening is made.
+# Particles of an iterated resampling, the present state included, and predictions from which a whitening is made.
 PARTICLES, PREDICTED = 256, 64
-# Times that a move is made: each draws its own size of step.
+# Repetitions of a move: each draws its own step size.
 REPEATED = 8
 
 
 class MarkovMove(Protocol):
-    """From a state and its ancestor among `previous` to others, by a law that keeps p(ancestor, state | data)."""
+    """From a state and its ancestor among `previous` to another pair; p(ancestor, state | data) is invariant."""
 
-    def __call__(self, key: Key, state: State, ancestor: Index, previous: Particles, density: FrameDensity) -> tuple[State, Index]:
+    def __call__(self, key: Key, state: State, ancestor: Index, previous: Particles, density: Density) -> tuple[State, Index]:
         """One application."""
         ...
 
@@ -48,7 +50,7 @@ def markov_move(kind: str, options: Any) -> MarkovMove | None:
 
     Args:
         kind: the kernel's name.
-        options: as its schema has them.
+        options: of the kernel, as its schema defines them.
     """
     return _MOVES[kind](options) if kind in _MOVES else None
 
@@ -56,18 +58,17 @@ def markov_move(kind: str, options: Any) -> MarkovMove | None:
 def iterated_sir(particles: int = PARTICLES) -> MarkovMove:
     """The present state against `particles` - 1 rivals that the particle filter predicts and weighs."""
 
-    def move(key: Key, state: State, ancestor: Index, previous: Particles, density: FrameDensity) -> tuple[State, Index]:
+    def move(key: Key, state: State, ancestor: Index, previous: Particles, density: Density) -> tuple[State, Index]:
         ancestor_key, sample_key, choice_key = jax.random.split(key, 3)
-        # Independent draws: a systematic resampling would tie the rivals to each other, and that is not exact.
+        # Independent draws: with systematic resampling the rivals would depend on each other, and the move would not be exact.
         rivals = jax.random.categorical(ancestor_key, previous.log_weights, shape=(particles - 1,)).astype(ancestor.dtype)
-        parents = jax.tree.map(lambda leaf: leaf[rivals], previous.states)
-        keys = jax.random.split(sample_key, particles - 1)
-        states, log_likelihoods, log_constraints = over_particles(particle_filter._predict_and_weigh, (keys, parents), density)
-        own = jax.tree.map(lambda leaf: leaf[ancestor], previous.states)
-        weight = density.log_likelihood(state, own) + density.log_constraint(state, own)
-        weights = jnp.concatenate([weight[None], log_likelihoods + log_constraints])
+        density = density.with_previous(previous)
+        drawn = predict(sample_key, rivals, density)
+        before = density.ancestor(ancestor)
+        weight = density.log_likelihood(state, before) + density.log_constraint(state, before)
+        weights = jnp.concatenate([weight[None], drawn.log_likelihoods + drawn.log_constraints])
         chosen = jax.random.categorical(choice_key, jnp.where(jnp.isnan(weights), -jnp.inf, weights))
-        joined = jax.tree.map(lambda one, more: jnp.concatenate([jnp.asarray(one)[None], more])[chosen], dict(state), dict(states))
+        joined = jax.tree.map(lambda one, more: jnp.concatenate([jnp.asarray(one)[None], more])[chosen], dict(state), dict(drawn.states))
         return joined, jnp.concatenate([ancestor[None], rivals])[chosen]
 
     return move
@@ -76,61 +77,60 @@ def iterated_sir(particles: int = PARTICLES) -> MarkovMove:
 def tempered_walk(move: Move, moves: int, candidates: int, repeated: int = REPEATED) -> MarkovMove:
     """The ancestor redrawn among `candidates` and the state moved `moves` times, `repeated` times over."""
 
-    def moved(key: Key, state: State, ancestor: Index, previous: Particles, density: FrameDensity) -> tuple[State, Index]:
-        frame = make_frame(density, previous)
+    def moved(key: Key, state: State, ancestor: Index, previous: Particles, density: Density) -> tuple[State, Index]:
+        view = extended(density.with_previous(previous))
         whitening_key, walk_key = jax.random.split(key)
-        roots = _roots(whitening_key, frame)
-        largest = jnp.asarray(move.scale(sum(root.shape[0] for root in roots.values())))
+        roots = _roots(whitening_key, view)
+        largest = jnp.asarray(move.step_size(sum(root.shape[0] for root in roots.values())))
 
-        def again(particle: Extended, own: Key) -> tuple[Extended, None]:
-            scale_key, move_key = jax.random.split(own)
-            scale = largest * jnp.exp(jax.random.uniform(scale_key, (), minval=jnp.log(SCALES[0]), maxval=jnp.log(SCALES[1])))
-            chain, _ = walk(move_key, particle, frame, Moving(jnp.ones_like(scale), scale, roots), move, moves, candidates)
+        def again(particle: ExtendedParticle, turn_key: Key) -> tuple[ExtendedParticle, None]:
+            size_key, move_key = jax.random.split(turn_key)
+            size = largest * jnp.exp(jax.random.uniform(size_key, (), minval=jnp.log(SCALES[0]), maxval=jnp.log(SCALES[1])))
+            chain, _ = walk(move_key, particle, view, MoveSettings(jnp.ones_like(size), size, roots), move, moves, candidates)
             return jax.tree.map(lambda leaf, before: leaf[-1].astype(before.dtype), chain, particle), None
 
-        position = {name: jnp.asarray(bijection.inv(state[name])) for name, bijection in bijections(frame).items()}
-        start = Extended(ancestor, position, log_likelihood(frame, ancestor, position))
+        position = view.coordinates.unconstrain(state)
+        start = ExtendedParticle(ancestor, position, view.log_likelihood(ancestor, position))
         last, _ = jax.lax.scan(again, start, jax.random.split(walk_key, repeated))
-        return state_of(frame, last.ancestor, last.position), last.ancestor
+        return view.state(last.ancestor, last.position), last.ancestor
 
     return moved
 
 
 def hmc_walk(options: Any, transitions: int = REPEATED) -> MarkovMove:
-    """So many trajectories on the marginal view, each of its own size of step, and an ancestor of where they end."""
+    """`transitions` trajectories on the marginal view, each with its own step size; then an ancestor of the state where they end."""
     schedule = Schedule(1, 0, 1, options.leapfrog_steps, options.jitter, options.sampler, 0.0)
 
-    def move(key: Key, state: State, ancestor: Index, previous: Particles, density: FrameDensity) -> tuple[State, Index]:
+    def move(key: Key, state: State, ancestor: Index, previous: Particles, density: Density) -> tuple[State, Index]:
         del ancestor
         mass_key, walk_key, ancestor_key = jax.random.split(key, 3)
-        density = density.given(previous)
+        density = density.with_previous(previous)
         target = density.unconstrained()
         parent_key, predict_key = jax.random.split(mass_key)
         parent = density.ancestor(jax.random.categorical(parent_key, previous.log_weights))
         fresh = density.transition.sample(predict_key, parent)
-        mass = inverse_mass(target, target.unconstrain({name: fresh[name] for name in target.bijections}), parent)
+        mass = inverse_mass(target, target.unconstrain(fresh), parent)
 
-        def again(position: State, own: Key) -> tuple[State, None]:
-            step_key, chain_key = jax.random.split(own)
+        def again(position: State, turn_key: Key) -> tuple[State, None]:
+            step_key, chain_key = jax.random.split(turn_key)
             share = jnp.exp(jax.random.uniform(step_key, (), mass.dtype, jnp.log(SCALES[0]), jnp.log(SCALES[1])))
             chain = run_chain(chain_key, position, target, options.step * share, mass, schedule)
             return jax.tree.map(lambda leaf: leaf[-1], chain.positions), None
 
-        start = target.unconstrain({name: state[name] for name in target.bijections})
-        last, _ = jax.lax.scan(again, start, jax.random.split(walk_key, transitions))
-        sampled = target.constrain(last)
-        chosen = jax.random.categorical(ancestor_key, density.ancestor_log_probs(sampled, target.predictions))
-        return density.transition.carry(density.ancestor(chosen), sampled), chosen
+        last, _ = jax.lax.scan(again, target.unconstrain(state), jax.random.split(walk_key, transitions))
+        return target.complete(ancestor_key, last)
 
     return move
 
 
-def _roots(key: Key, frame: Frame) -> dict[str, Any]:
-    """The whitening of a prediction of its own, variable by variable."""
+def _roots(key: Key, view: Extended) -> dict[str, Array]:
+    """The whitening, variable by variable, of a fresh prediction."""
     ancestor_key, draw_key = jax.random.split(key)
-    ancestors = jax.random.categorical(ancestor_key, frame.previous.log_weights, shape=(PREDICTED,))
-    predicted, _, _ = jax.vmap(predict, (0, 0, None))(jax.random.split(draw_key, PREDICTED), ancestors, frame)
-    return {name: whitening(position, jnp.zeros(PREDICTED, position.dtype)) for name, position in predicted.position.items()}
+    density = view.density
+    ancestors = jax.random.categorical(ancestor_key, density.previous.log_weights, shape=(PREDICTED,))
+    sample = jax.vmap(lambda draw, ancestor: view.coordinates.unconstrain(density.transition.sample(draw, density.ancestor(ancestor))))
+    positions = sample(jax.random.split(draw_key, PREDICTED), ancestors)
+    return {name: whitening(position, jnp.zeros(PREDICTED, position.dtype)) for name, position in positions.items()}
 
 
 def _sir(options: Any) -> MarkovMove:

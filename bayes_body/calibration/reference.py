@@ -12,7 +12,8 @@ from jaxtyping import Float
 from bayes_body.calibration.quadrature import MOST_DOFS, Quadrature, integrate
 from bayes_body.calibration.verdict import Verdict
 from bayes_body.density.density import Density
-from bayes_body.density.factor import Kernel, Particles
+from bayes_body.density.factor import Particles
+from bayes_body.density.kernel import Kernel
 from bayes_body.errors import input_error
 from bayes_body.model.build import Model
 from bayes_body.observation.frames import read_frame
@@ -58,7 +59,7 @@ def compare(density: Density, kernel: Kernel, previous: Particles, key: Key, run
     centre = jnp.asarray(exact.mean, density.previous.log_weights.dtype)
 
     def one(run_key: Key, density: Density) -> tuple[jax.Array, jax.Array]:
-        after, _ = kernel(run_key, previous, density.given(previous))
+        after, _ = kernel(run_key, previous, density.with_previous(previous))
         weights, pose = jax.nn.softmax(after.log_weights), after.states["pose"]
         return weights @ pose, weights @ (pose - centre) ** 2
 

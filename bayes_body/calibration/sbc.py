@@ -18,7 +18,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from bayes_body.calibration.problem import Case, Problem, draw_case, point_mass
-from bayes_body.density.factor import FilterInfo, Kernel, Particles, State
+from bayes_body.density.factor import Particles, State
+from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.shapes import Key, Scalar
 
 # Effective particles required per bin of the ranks.

@@ -19,7 +19,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.compare.estimator_truth import LARGEST_DIFFERENCE, OPTIONS
-from bayes_body.density.factor import FrameDensity, Kernel, Particles
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Particles
+from bayes_body.density.kernel import Kernel
 from bayes_body.kernels.hmc_filter import build_kernel as hmc_kernel
 from bayes_body.shapes import Key
 from bayes_body.view.progress import Watch, unwatched, watched
@@ -56,9 +58,7 @@ class Errors(NamedTuple):
     error: Float[np.ndarray, "frame dof"]
 
 
-def follow(
-    key: Key, densities: Sequence[FrameDensity], first: Particles, kernel: Kernel, particles: int, runs: int, watch: Watch = unwatched
-) -> Paths:
+def follow(key: Key, densities: Sequence[Density], first: Particles, kernel: Kernel, particles: int, runs: int, watch: Watch = unwatched) -> Paths:
     """Independent runs of a filter, one after the other, each with the whole machine. Compilation happens before the clock starts.
 
     Args:
@@ -72,7 +72,7 @@ def follow(
     """
 
     @jax.jit
-    def step(key: Key, before: Particles, density: FrameDensity) -> tuple[Particles, tuple[Array, Array, Array]]:
+    def step(key: Key, before: Particles, density: Density) -> tuple[Particles, tuple[Array, Array, Array]]:
         after, info = kernel(key, before, density)
         weights, pose = jnp.exp(after.log_weights), after.states["pose"]
         mean = weights @ pose
@@ -93,7 +93,7 @@ def follow(
 
 
 def true_path(
-    key: Key, densities: Sequence[FrameDensity], first: Particles, draws: int = DRAWS, starts: int = STARTS, watch: Watch = unwatched
+    key: Key, densities: Sequence[Density], first: Particles, draws: int = DRAWS, starts: int = STARTS, watch: Watch = unwatched
 ) -> TruePath:
     """Estimate the truth by two long runs of chains that carry on all their draws; `draws` is the total of each."""
     kernel = hmc_kernel(**OPTIONS, chains=CHAINS, burn_in=BURN_IN, thinning=THINNING, starts=starts, carry="draws")
@@ -109,7 +109,7 @@ def errors(paths: Paths, truth: TruePath) -> Errors:
 
 def along(
     key: Key,
-    densities: Sequence[FrameDensity],
+    densities: Sequence[Density],
     first: Particles,
     filters: Mapping[str, tuple[Kernel, int]],
     runs: int,

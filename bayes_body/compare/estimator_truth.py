@@ -12,7 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body.density.factor import FilterInfo, FrameDensity, Particles
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Particles
+from bayes_body.density.kernel import FilterInfo
 from bayes_body.kernels.hmc_filter import build_sampler
 from bayes_body.kernels.particle_filter import build_kernel
 from bayes_body.kernels.parts.adaptation import FEWEST
@@ -65,7 +67,7 @@ def sir_sampler(particles: int) -> Sampler:
     """The particle filter from a fixed mixture, with at least `particles` particles: equally many from each component."""
     kernel = build_kernel()
 
-    def sample(key: Key, density: FrameDensity) -> tuple[Particles, FilterInfo]:
+    def sample(key: Key, density: Density) -> tuple[Particles, FilterInfo]:
         # The kernel draws as many particles as it is given.
         copies = -(-particles // density.previous.log_weights.shape[0])
         return kernel(key, jax.tree.map(lambda leaf: jnp.tile(leaf, (copies,) + (1,) * (leaf.ndim - 1)), density.previous), density)
@@ -73,12 +75,12 @@ def sir_sampler(particles: int) -> Sampler:
     return sample
 
 
-def true_mean(key: Key, density: FrameDensity, particles: int, watch: Watch = unwatched) -> Truth:
+def true_mean(key: Key, density: Density, particles: int, watch: Watch = unwatched) -> Truth:
     """Estimate the mean by two particle filters with `particles` particles each, in chunks."""
     sample = sir_sampler(CHUNK)
 
     @jax.jit
-    def chunk(key: Key, density: FrameDensity) -> tuple[Array, Array, Array, Array]:
+    def chunk(key: Key, density: Density) -> tuple[Array, Array, Array, Array]:
         found, info = sample(key, density)
         weights = jnp.exp(found.log_weights)
         pose = found.states["pose"]
@@ -102,7 +104,7 @@ def _pooled(chunks: list[tuple[Any, ...]]) -> tuple[np.ndarray, np.ndarray, floa
     return share @ means, share @ squares, float(1 / np.sum(share**2 / effective))
 
 
-def true_mean_by_chains(key: Key, density: FrameDensity, draws: int, chains: int = 32, starts: int = 200_000, watch: Watch = unwatched) -> Truth:
+def true_mean_by_chains(key: Key, density: Density, draws: int, chains: int = 32, starts: int = 200_000, watch: Watch = unwatched) -> Truth:
     """Estimate the mean by two runs of chains. Their starts are drawn from weighted predictions, so modes start with their probabilities.
 
     Args:
@@ -122,7 +124,7 @@ def true_mean_by_chains(key: Key, density: FrameDensity, draws: int, chains: int
     return Truth(together.mean(axis=(0, 1)), together.std(axis=(0, 1)), (means[0] - means[1]) ** 2, effective, "hmc", rhat)
 
 
-def best_truth(key: Key, density: FrameDensity, particles: int, draws: int, bar: bool = False) -> Truth:
+def best_truth(key: Key, density: Density, particles: int, draws: int, bar: bool = False) -> Truth:
     """The better estimate, by particles or by chains; with `bar`, progress is shown on standard error."""
     by_particles = true_mean(key, density, particles, watched("chunks of the truth", bar))
     return better_of(by_particles, true_mean_by_chains(key, density, draws, watch=watched("long runs of hmc", bar)))

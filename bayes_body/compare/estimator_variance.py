@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.compare.estimator_truth import LARGEST_DIFFERENCE, LARGEST_RHAT, Sampler, Truth, best_truth, sir_sampler
-from bayes_body.density.factor import FrameDensity, Particles
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Particles
 from bayes_body.kernels.hmc_filter import build_sampler as hmc_sampler
 from bayes_body.kernels.parts.batching import everywhere, over_particles
 from bayes_body.kernels.parts.resampling import resampler
@@ -65,11 +66,11 @@ def mixture_after(key: Key, draws: Draws, components: int) -> Particles:
     return Particles(states, jnp.full((components,), -jnp.log(components), particles.log_weights.dtype))
 
 
-def run_many(key: Key, density: FrameDensity, sampler: Sampler, runs: int, watch: Watch = unwatched) -> Runs:
+def run_many(key: Key, density: Density, sampler: Sampler, runs: int, watch: Watch = unwatched) -> Runs:
     """Independent runs of a sampler, one after the other, each with the whole machine. The first run, which compiles, is not included."""
 
     @jax.jit
-    def once(key: Key, density: FrameDensity) -> tuple[Array, Array]:
+    def once(key: Key, density: Density) -> tuple[Array, Array]:
         found, info = sampler(key, density)
         return jnp.exp(found.log_weights) @ found.states["pose"], info.evaluations
 
@@ -82,7 +83,7 @@ def run_many(key: Key, density: FrameDensity, sampler: Sampler, runs: int, watch
     return Runs(np.array(means, float), float(np.mean(evaluations)), (time.perf_counter() - start) / runs)
 
 
-def at_equal_computation(key: Key, density: FrameDensity, options: Mapping[str, Any], draws: int, runs: int, bar: bool = False) -> Equal:
+def at_equal_computation(key: Key, density: Density, options: Mapping[str, Any], draws: int, runs: int, bar: bool = False) -> Equal:
     """Both samplers on one frame after one mixture; with `bar`, progress is shown on standard error.
 
     Args:
@@ -105,12 +106,12 @@ def at_equal_computation(key: Key, density: FrameDensity, options: Mapping[str, 
     return Equal(hmc, found | {"seconds": sir(keys[2], particles["seconds"])}, particles, cost)
 
 
-def gradient_cost(density: FrameDensity, batch: int = 512) -> float:
+def gradient_cost(density: Density, batch: int = 512) -> float:
     """The cost of a value with its gradient, in units of a value's cost, both for many poses at once."""
     previous = everywhere(density.previous)
     poses = jnp.repeat(previous.states["pose"], -(-batch // previous.states["pose"].shape[0]), axis=0)[:batch]
 
-    def value(pose: Array, density: FrameDensity) -> Array:
+    def value(pose: Array, density: Density) -> Array:
         return density.log_likelihood({"pose": pose}, density.ancestor(0))
 
     def seconds(function: Callable[..., Any]) -> float:

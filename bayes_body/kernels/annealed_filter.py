@@ -1,13 +1,13 @@
 r"""The annealed particle filter (Deutscher & Reid 2005).
 
-**A mode seeker, not a posterior sampler**: its particles gather at high values of the likelihood, their spread says nothing about uncertainty, and it
-estimates no evidence (reported as NaN).
+**A mode seeker, not a posterior sampler**: its particles gather at high values of the likelihood, and their spread does not measure uncertainty. It
+does not estimate the evidence, which is reported as NaN.
 
-Layers $r = R \ldots 1$; at each, particles are resampled, crossed over, moved by the noise of the prior shrunk to $\tau^{R-r}$ of its standard
-deviation (Darby et al. 2008, (10)), and weighted by $w^{\beta_r}$, with $\beta_r$ such that the survival rate $1 / (N \sum_n \pi_n^2)$ is $\tau$:
-found by bisection. The noise of the layers is a proposal that no weight corrects: that is what makes a mode seeker of it.
+A frame has layers $r = R \ldots 1$. At each, particles are resampled, crossed over, moved by the noise of the prior shrunk to $\tau^{R-r}$ of its
+standard deviation (Darby et al. 2008, (10)), and weighted by $w^{\beta_r}$. Bisection finds the $\beta_r$ at which the survival rate
+$1 / (N \sum_n \pi_n^2)$ is $\tau$. The noise of the layers is a proposal that no weight corrects: this makes the filter a mode seeker.
 
-Crossover: a particle takes an interval of its parameters, from one end of a chain of joints to another, from a second parent drawn by weight.
+Crossover: a particle takes an interval of its parameters (a piece of a chain of joints) from a second parent, which is drawn by weight.
 """
 
 from typing import Any, NamedTuple
@@ -16,16 +16,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
-from bayes_body.density.factor import FilterInfo, FrameDensity, Kernel, Particles, State
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Particles, State
+from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.kernels.parts.resampling import Resample, Scheme, resampler
-from bayes_body.kernels.parts.weights import LogWeights, effective_sample_size, normalise
+from bayes_body.kernels.parts.weights import LogWeights, Weighed, effective_sample_size, normalise, weigh
 from bayes_body.registry import register
 from bayes_body.shapes import Index, Key, Scalar
 from bayes_body.toml.read import validate
 from bayes_body.toml.schema import Count, ProperShare, Schema, Share
 
-# Powers of the likelihood between which the survival rate is met, and how often their ratio's logarithm is halved: to 1e-7.
+# The power of the likelihood is searched between these two; the logarithm of their ratio is halved so many times, to 1e-7.
 LOWEST_POWER, HIGHEST_POWER = 1e-6, 1e6
 BISECTIONS = 28
 
@@ -41,7 +43,7 @@ class Options(Schema):
 
 
 class _Layer(NamedTuple):
-    """What a layer hands to the next: particles, which of the frame before each descends from, and whether any explained the image."""
+    """What a layer hands to the next: particles, the ancestor of each in the frame before, and whether a layer found no particle with weight."""
 
     states: State
     log_weights: LogWeights
@@ -53,20 +55,20 @@ def build_kernel(layers: int = 5, survival_rate: float = 0.5, crossover_rate: fl
     """One frame of the filter.
 
     Args:
-        layers: R, annealing runs a frame.
-        survival_rate: τ, the share of particles that a layer keeps; also the factor by which its noise shrinks.
-        crossover_rate: the share of particles that get an interval of a second parent's parameters, from the second layer on.
+        layers: R, annealing layers a frame.
+        survival_rate: τ, the share of particles that survive a layer; also the factor by which the noise shrinks.
+        crossover_rate: the share of particles that take an interval of a second parent's parameters, from the second layer on.
         resampling: how ancestors are drawn.
 
     Raises:
         InputError: an argument outside its range.
     """
-    # Called from a script the arguments come unchecked; the schema says what they may be.
+    # A script's arguments were not checked yet.
     validate(Options, {"layers": layers, "survival_rate": survival_rate, "crossover_rate": crossover_rate, "resampling": resampling}, "annealed()")
     resample = resampler(resampling)
     scales = survival_rate ** jnp.arange(layers)
 
-    def kernel(key: Key, particles: Particles, density: FrameDensity) -> tuple[Particles, FilterInfo]:
+    def kernel(key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
         count = particles.log_weights.shape[0]
 
         def layer(before: _Layer, step: tuple[Key, Index, Scalar]) -> tuple[_Layer, tuple[Scalar, Scalar]]:
@@ -79,11 +81,11 @@ def build_kernel(layers: int = 5, survival_rate: float = 0.5, crossover_rate: fl
             ancestors = before.ancestors[chosen]
             previous = jax.tree.map(lambda leaf: leaf[ancestors], particles.states)
             keys = jax.random.split(move_key, count)
-            states, raw = over_particles(_move_and_weigh, (keys, parents, previous), (density, index, scale))
-            beta = _power_for_survival(raw, survival_rate)
-            weights = normalise(beta * raw[0] + raw[1])
+            moved: Weighed = over_particles(_move_and_weigh, (keys, parents, previous), (density, index, scale))
+            beta = _power_for_survival(moved.log_likelihoods, moved.log_constraints, survival_rate)
+            weights = normalise(beta * moved.log_likelihoods + moved.log_constraints)
             rate_reached = effective_sample_size(weights.log_weights) / count
-            return _Layer(states, weights.log_weights, ancestors, before.lost | weights.lost), (beta, rate_reached)
+            return _Layer(moved.states, weights.log_weights, ancestors, before.lost | weights.lost), (beta, rate_reached)
 
         keys = jax.random.split(key, layers)
         start = _Layer(particles.states, particles.log_weights, jnp.arange(count), jnp.array(False))
@@ -103,18 +105,13 @@ def build_kernel(layers: int = 5, survival_rate: float = 0.5, crossover_rate: fl
     return kernel
 
 
-def _move_and_weigh(particle: tuple[Key, State, State], shared: tuple[FrameDensity, Index, Scalar]) -> tuple[State, tuple[Scalar, Scalar]]:
-    """The moved particle, its likelihood (whose power the layers choose) and what holds at full power.
-
-    The first layer draws from the motion prior, the others move by its noise, shrunk.
-    """
+def _move_and_weigh(particle: tuple[Key, State, State], shared: tuple[Density, Index, Scalar]) -> Weighed:
+    """The moved particle with the terms of its weight. The first layer draws from the motion prior; the others move by its noise, shrunk."""
     key, parent, previous = particle
     density, index, scale = shared
     transition = density.transition
     state = jax.lax.cond(index == 0, lambda: transition.sample(key, previous), lambda: transition.perturb(key, parent, previous, scale))
-    # Without the barrier XLA draws the noise anew wherever the state is read.
-    state = jax.lax.optimization_barrier(state)
-    return state, (density.log_likelihood(state, previous), density.log_constraint(state, previous))
+    return weigh(state, previous, density)
 
 
 def _cross_over(key: Key, parents: State, before: _Layer, resample: Resample, rate: Scalar) -> State:
@@ -133,10 +130,9 @@ def _cross_over(key: Key, parents: State, before: _Layer, resample: Resample, ra
     return {name: cross(keys[name], leaf, before.states[name][second]) for name, leaf in parents.items()}
 
 
-def _power_for_survival(raw: tuple[LogWeights, LogWeights], survival_rate: float) -> Scalar:
+def _power_for_survival(log_likelihood: LogWeights, log_constraint: LogWeights, survival_rate: float) -> Scalar:
     """β at which the survival rate is met, by bisection on its logarithm; the survival rate falls as β grows."""
-    log_likelihood, log_constraint = raw
-    # The maximum taken out first: in float32 large powers of raw values would lose what distinguishes them.
+    # The maximum is subtracted first: large powers of the values themselves would lose their differences in float32.
     clean = jnp.where(jnp.isnan(log_likelihood) | jnp.isneginf(log_constraint), -jnp.inf, log_likelihood)
     relative = clean - jnp.max(jnp.where(jnp.isfinite(clean), clean, -jnp.inf))
     count = log_likelihood.shape[0]

@@ -3,13 +3,13 @@ r"""The hybrid Monte Carlo filter (Poon & Fleet 2002, 4), through blackjax, on t
 With the particles $(w_i, s^i_{t-1})$ of the frame before, the target is the likelihood times the prediction mixture (14),
 $p(s_t \mid z_{1:t}) \propto L(s_t; z_t) \sum_i w_i\, p(s_t \mid s^i_{t-1})$, in coordinates without limits.
 
-A frame begins with M states by sampling importance resampling from the mixture (of `starts` draws, M in the paper), which also estimates the evidence
-as well as so many particles do; or with M particles of an annealed filter after it (`kernels/parts/starts.py`). From each state a chain runs, whose
-first states are burn-in. What is left of all chains are the particles, of equal weight, chain after chain.
+A frame begins with M states (`kernels/parts/starts.py`). They come from the mixture by sampling importance resampling of `starts` draws (M in the
+paper), which also estimate the evidence as well as a particle filter of that size does; or they are M particles of an annealed filter. A chain runs
+from each state, and its first states are burn-in. The other states of all chains are the particles, of equal weight, chain after chain.
 
-`carry` says what the next frame's mixture is made of: the means of the chains, as in the paper, one component a chain; or the draws themselves, with
-an ancestor of each drawn from $p(i \mid s_t)$. With means the posterior's spread is not handed on, only that of the chains: a filter of one chain
-believes that the frame before is known exactly.
+`carry` chooses the components of the next frame's mixture. They are the means of the chains, as in the paper, one component a chain; or the draws
+themselves, each with an ancestor drawn from $p(i \mid s_t)$. Means carry only the spread between chains, not that of the posterior: a filter of one
+chain treats the frame before as known exactly.
 """
 
 from collections.abc import Callable
@@ -21,32 +21,34 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 from pydantic import Field, model_validator
 
-from bayes_body.density.factor import FilterInfo, FrameDensity, Kernel, Particles, State
+from bayes_body.density.density import Density, Unconstrained
+from bayes_body.density.factor import Particles, State
+from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.kernels.parts.adaptation import FEWEST
 from bayes_body.kernels.parts.batching import axes_of, over_particles
 from bayes_body.kernels.parts.hamiltonian import Chain, Sampler, Schedule, chain_figures, effective_draws, run_chain
 from bayes_body.kernels.parts.mass import correlated, inverse_mass
 from bayes_body.kernels.parts.moves import check_gradients
 from bayes_body.kernels.parts.resampling import Scheme, resampler
-from bayes_body.kernels.parts.starts import Start, Started, StartsBy, by_annealing, by_importance
+from bayes_body.kernels.parts.starts import Initialisation, Start, StartsBy, by_annealing, by_importance
 from bayes_body.registry import register
-from bayes_body.shapes import Key
+from bayes_body.shapes import Index, Key
 from bayes_body.toml.read import validate
 from bayes_body.toml.schema import Count, Positive, Schema, Share
 
 type Carry = Literal["means", "draws"]
 type Mass = Literal["curvature", "curvature_matrix", "particles", "adapted"]
-# The axis along which chains learn together.
+# The axis along which chains adapt together.
 CHAINS = "chain"
 
 
 class Options(Schema):
     """Options of `[kernel] kind = "hmc"`.
 
-    `particles` is the number of draws that are kept of all `chains` together, every `thinning`-th of each after `burn_in`. `step` is the paper's
-    factor of the step size, `jitter` the share by which a trajectory's number of steps varies. With a `target_acceptance` burn-in tunes the step.
-    With `mass = "adapted"` it finds the mass matrix, beginning with the curvature's, and all chains learn both together. `starts` draws of the
-    prediction are weighted (`starts_by = "importance"`) or annealed to find the states that chains begin in.
+    `particles` is the number of draws of all `chains` together: every `thinning`-th state after `burn_in`. `step` is the paper's factor of the step
+    size; `jitter` is the share by which a trajectory's number of steps varies. With a `target_acceptance` burn-in tunes the step. With
+    `mass = "adapted"` burn-in finds the mass matrix, beginning with the curvature's, and all chains adapt together. The states that chains begin in
+    are found among `starts` draws of the prediction, by weights (`starts_by = "importance"`) or by annealing.
     """
 
     particles: Count = 400
@@ -73,8 +75,8 @@ class Options(Schema):
         return self
 
 
-def build_sampler(**options: Any) -> Callable[[Key, FrameDensity, int], tuple[Particles, FilterInfo]]:
-    """(key, density, number of draws) -> draws of one frame's posterior, after the prediction mixture that the density holds.
+def build_sampler(**options: Any) -> Callable[[Key, Density, int], tuple[Particles, FilterInfo]]:
+    """(key, density, number of draws) -> draws of one frame's posterior, after the particles that the density holds as the frame before.
 
     Args:
         options: as of `build_kernel`; `carry` is not used.
@@ -104,36 +106,35 @@ class _Filter:
         self.options = options
         self.resample = resampler(options.resampling)
 
-    def frame(self, key: Key, particles: Particles, density: FrameDensity) -> tuple[Particles, FilterInfo]:
+    def frame(self, key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
         count = particles.log_weights.shape[0]
         if self.options.carry == "draws":
-            return self.sample(key, density.given(particles), count)
-        kept = self._kept(count)
-        after, info = self.sample(key, density.given(_chain_means(particles, kept)), count)
+            return self.sample(key, density.with_previous(particles), count)
+        length = self._length(count)
+        after, info = self.sample(key, density.with_previous(_chain_means(particles, length)), count)
         # The first draw of a chain stands for its mean.
-        return after, info._replace(ancestors=info.ancestors * kept)
+        return after, info._replace(ancestors=info.ancestors * length)
 
-    def _kept(self, count: int) -> int:
-        """Draws of a chain: all are of one length, and of the last what is over is left out."""
+    def _length(self, count: int) -> int:
+        """Draws of a chain: ceil(count / chains). Surplus draws of the last chain are dropped."""
         return -(-count // min(self.options.chains, count))
 
-    def sample(self, key: Key, density: FrameDensity, count: int) -> tuple[Particles, FilterInfo]:
-        """So many draws of a frame's posterior; the prediction mixture is what the density has as the frame before."""
+    def sample(self, key: Key, density: Density, count: int) -> tuple[Particles, FilterInfo]:
+        """`count` draws of a frame's posterior. The particles that the density holds as the frame before are the prediction mixture."""
         check_gradients(density, "the kernel 'hmc'")
         start_key, chain_key, ancestor_key = jax.random.split(key, 3)
-        kept = self._kept(count)
-        chains = -(-count // kept)
-        # Made once: what of it depends on the frame before alone is the same for all chains and draws.
+        length = self._length(count)
+        chains = -(-count // length)
+        # Made once: its predictions are the same for all chains and draws.
         target = density.unconstrained()
-        started = self._started(start_key, target, chains)
+        begin = self._initialise(start_key, target, chains)
         keys = jax.random.split(chain_key, chains)
         batch = -(-chains // jax.device_count())
         # Chains that have a mass matrix each need a step each.
         together = axes_of(chains, batch, CHAINS) if self.options.mass == "adapted" else ()
-        # Neither NUTS' loop nor a sum over chains tells what differs from device to device.
+        # JAX cannot check which values differ between devices in NUTS' loop, nor in a sum over chains.
         checked = self.options.sampler != "nuts" and not together
-        chain = self._chain(kept, together)
-        ran: Chain = over_particles(chain, (keys, started.starts), target, batch, checked, CHAINS)
+        ran: Chain = over_particles(self._chain(length, together), (keys, begin.starts), target, batch, checked, CHAINS)
         draws = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], ran.positions)
         states, ancestors = self._states(ancestor_key, draws, target)
         by_chain = jax.vmap(jax.vmap(lambda position: ravel_pytree(position)[0]))(ran.positions)
@@ -144,22 +145,22 @@ class _Filter:
             ess=ess,
             survival_rate=(ess / count)[None],
             inverse_temperatures=jnp.ones((1,), ess.dtype),
-            log_evidence=started.log_evidence,
-            lost=started.lost,
+            log_evidence=begin.log_evidence,
+            lost=begin.lost,
             acceptance_rate=jnp.mean(ran.acceptance)[None],
-            evaluations=started.evaluations + jnp.sum(ran.gradients),
-            markov=chain_figures(ran) | {"ess": by_dof, "length": jnp.asarray(kept, jnp.int32)},
+            evaluations=begin.evaluations + jnp.sum(ran.gradients),
+            markov=chain_figures(ran) | {"ess": by_dof, "length": jnp.asarray(length, jnp.int32)},
         )
         return Particles(states, jnp.full((count,), -jnp.log(count), ess.dtype)), info
 
-    def _started(self, key: Key, target: Any, chains: int) -> Started:
-        begin = by_annealing if self.options.starts_by == "annealing" else by_importance
-        return begin(key, target, max(self.options.starts, chains), chains, self.resample)
+    def _initialise(self, key: Key, target: Unconstrained, chains: int) -> Initialisation:
+        initialise = by_annealing if self.options.starts_by == "annealing" else by_importance
+        return initialise(key, target, max(self.options.starts, chains), chains, self.resample)
 
-    def _chain(self, kept: int, axes: tuple[str, ...]) -> Callable[[tuple[Key, Start], Any], Chain]:
+    def _chain(self, length: int, axes: tuple[str, ...]) -> Callable[[tuple[Key, Start], Unconstrained], Chain]:
         options = self.options
         schedule = Schedule(
-            kept=kept,
+            draws=length,
             burn_in=options.burn_in,
             thinning=options.thinning,
             leapfrog_steps=options.leapfrog_steps,
@@ -169,8 +170,8 @@ class _Filter:
             adapts_mass=options.mass == "adapted",
         )
 
-        def run(own: tuple[Key, Start], target: Any) -> Chain:
-            key, start = own
+        def run(key_and_start: tuple[Key, Start], target: Unconstrained) -> Chain:
+            key, start = key_and_start
             whole = options.mass in ("curvature_matrix", "adapted")
             mass = inverse_mass(target, start.position, target.density.ancestor(start.ancestor), whole)
             if options.mass == "particles":
@@ -179,35 +180,31 @@ class _Filter:
 
         return run
 
-    def _states(self, key: Key, draws: State, target: Any) -> tuple[State, Int[Array, " particle"]]:
-        """The whole states of draws, what they carry along taken from an ancestor of p(i | s)."""
+    def _states(self, key: Key, draws: State, target: Unconstrained) -> tuple[State, Int[Array, " particle"]]:
+        """The whole states of draws, each with an ancestor drawn from p(i | s)."""
 
-        def whole(own: tuple[Key, State], target: Any) -> tuple[State, Int[Array, ""]]:
-            own_key, position = own
-            sampled, density = target.constrain(position), target.density
-            ancestor = jax.random.categorical(own_key, density.ancestor_log_probs(sampled, target.predictions))
-            return density.transition.carry(density.ancestor(ancestor), sampled), ancestor
+        def complete(key_and_position: tuple[Key, State], target: Unconstrained) -> tuple[State, Index]:
+            return target.complete(*key_and_position)
 
         keys = jax.random.split(key, jax.tree.leaves(draws)[0].shape[0])
-        return over_particles(whole, (keys, draws), target)
+        return over_particles(complete, (keys, draws), target)
 
 
-def _chain_means(particles: Particles, kept: int) -> Particles:
-    """The mean state of each chain of so many draws, equally weighted; angles as they count turns."""
+def _chain_means(particles: Particles, length: int) -> Particles:
+    """The mean state of each chain of so many draws, equally weighted; angles are averaged as numbers, whole turns included."""
     count = particles.log_weights.shape[0]
 
     def means(leaf: Array) -> Array:
-        return jnp.stack([jnp.mean(leaf[first : first + kept], axis=0) for first in range(0, count, kept)])
+        return jnp.stack([jnp.mean(leaf[first : first + length], axis=0) for first in range(0, count, length)])
 
-    chains = -(-count // kept)
+    chains = -(-count // length)
     return Particles(jax.tree.map(means, dict(particles.states)), jnp.full((chains,), -jnp.log(chains), particles.log_weights.dtype))
 
 
-def _coordinates(target: Any) -> tuple[Float[Array, "particle dof"], Float[Array, " particle"]]:
+def _coordinates(target: Unconstrained) -> tuple[Float[Array, "particle dof"], Float[Array, " particle"]]:
     """The particles of the frame before in coordinates without limits, and their weights."""
     previous = target.density.previous
-    sampled = {name: previous.states[name] for name in target.bijections}
-    flat = jax.vmap(lambda state: ravel_pytree(target.unconstrain(state))[0])(sampled)
+    flat = jax.vmap(lambda state: ravel_pytree(target.unconstrain(state))[0])(dict(previous.states))
     return flat, jax.nn.softmax(previous.log_weights)
 
 

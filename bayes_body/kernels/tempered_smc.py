@@ -6,13 +6,13 @@ prediction to the posterior of the frame:
 $$\pi_\beta(i, s_t) \propto w_i\, p(s_t \mid s^i_{t-1})\, C(s_t)\, L(s_t; z_t)^\beta, \qquad
 \hat p(z_t \mid z_{1:t-1}) = \prod_k \frac{1}{N} \sum_n L(s^n)^{\beta_k - \beta_{k-1}}.$$
 
-Only the likelihood is tempered, a constraint holds at full power throughout. A stage resamples, moves each particle by a Markov kernel that keeps
-$\pi_\beta$, and reweights to the next temperature: the highest that leaves an effective share `target_ess` of the particles. A move redraws the
-ancestor, then the state by HMC or a random walk, in coordinates without limits, whitened variable by variable by the covariance of the weighted
-particles; the size of a step follows the acceptance rate from stage to stage.
+Only the likelihood is tempered; a constraint holds at full power throughout. A stage resamples, moves each particle by a Markov kernel that leaves
+$\pi_\beta$ invariant, and reweights to the next temperature: the highest β at which the effective sample size is still `target_ess` of the particles.
+A move redraws the ancestor, then the state by HMC or a random walk. The state moves in coordinates without limits, whitened variable by variable by
+the covariance of the weighted particles. The step size follows the acceptance rate from stage to stage.
 
 The particles are a weighted sample of the posterior. `waste_free` keeps every state of the chains that the moves make (Dau & Chopin 2022).
-Temperatures and steps that are chosen by the particles bias the evidence by O(1/N); with those of a pilot run, `frozen_at`, it is unbiased.
+Temperatures and step sizes that are chosen by the particles bias the evidence by O(1/N). With those of a pilot run, `frozen_at`, it is unbiased.
 """
 
 from collections.abc import Callable
@@ -23,29 +23,30 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 from pydantic import Field
 
-from bayes_body.density.factor import FilterInfo, FrameDensity, Kernel, Particles, State
+from bayes_body.density.density import Density
+from bayes_body.density.extended import Extended, extended
+from bayes_body.density.factor import Particles
+from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.errors import input_error
 from bayes_body.kernels.parts.batching import over_particles
-from bayes_body.kernels.parts.extended import Extended, Frame, Moving, make_frame, predict, state_of, walk, whitening
-from bayes_body.kernels.parts.feynman_kac import LOG_ZERO, feynman_kac_step, next_increment
-from bayes_body.kernels.parts.moves import Move, MoveName, check_gradients, hmc, random_walk
+from bayes_body.kernels.parts.moves import ExtendedParticle, Move, MoveName, MoveSettings, check_gradients, hmc, random_walk, walk, whitening
 from bayes_body.kernels.parts.resampling import Resample, Scheme, resampler
-from bayes_body.kernels.parts.tempered_state import Ladder, TemperedState, init_state
-from bayes_body.kernels.parts.weights import LogWeights, effective_sample_size, normalise
+from bayes_body.kernels.parts.tempering import Ladder, TemperedState, feynman_kac_step, finite_log, init_state, next_increment
+from bayes_body.kernels.parts.weights import LogWeights, effective_sample_size, normalise, predict
 from bayes_body.registry import register
-from bayes_body.shapes import Index, Key, Keys, Scalar
+from bayes_body.shapes import Flag, Key, Keys, Scalar
 from bayes_body.toml.read import validate
 from bayes_body.toml.schema import Count, ProperShare, Schema
 
-# How strongly the logarithm of the step follows the acceptance rate of a stage.
+# How strongly the logarithm of the step size follows the acceptance rate of a stage.
 GAIN = 1.0
 
 
 class Options(Schema):
     """Options of `[kernel] kind = "tempered"`.
 
-    `moves` Markov moves a stage; `final_stages` more stages at the posterior itself, which keep the particles' weights; `candidates` ancestors among
-    which a move chooses, the present one included; the last of `most_stages` goes to the posterior, however few particles that leaves.
+    A stage makes `moves` Markov moves. `final_stages` more stages follow at the posterior itself; they keep the particles' weights. A move chooses
+    its ancestor among `candidates`, the present one included. The last of `most_stages` goes to the posterior, however few particles survive that.
     """
 
     particles: Count = 1000
@@ -60,32 +61,32 @@ class Options(Schema):
     resampling: Scheme = "systematic"
 
 
-type Climber = Callable[[Key, Particles, FrameDensity], tuple[Particles, FilterInfo, Ladder]]
+type LadderKernel = Callable[[Key, Particles, Density], tuple[Particles, FilterInfo, Ladder]]
 
 
 def build_kernel(frozen_at: Ladder | None = None, **options: Any) -> Kernel:
     """One frame of the sampler; the number of particles is that of the particles given to it.
 
     Args:
-        frozen_at: the ladder of a pilot run, from `build_climber`.
+        frozen_at: the ladder of a pilot run, from `build_ladder_kernel`.
         options: those of `Options`, but for the particles.
 
     Raises:
         InputError: an argument that does not exist or is outside its range.
     """
-    climb = build_climber(frozen_at, **options)
+    with_ladder = build_ladder_kernel(frozen_at, **options)
 
-    def kernel(key: Key, particles: Particles, density: FrameDensity) -> tuple[Particles, FilterInfo]:
-        after, info, _ = climb(key, particles, density)
+    def kernel(key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
+        after, info, _ = with_ladder(key, particles, density)
         return after, info
 
     return kernel
 
 
-def build_climber(frozen_at: Ladder | None = None, **options: Any) -> Climber:
-    """As `build_kernel`; what it builds also gives the ladder that it climbed."""
+def build_ladder_kernel(frozen_at: Ladder | None = None, **options: Any) -> LadderKernel:
+    """As `build_kernel`; this kernel also returns the ladder of temperatures that it used."""
     checked = validate(Options, options, "tempered()")
-    return _Sampler(checked, frozen_at).climb
+    return _Sampler(checked, frozen_at).frame
 
 
 class _Sampler:
@@ -97,7 +98,7 @@ class _Sampler:
         self.resample: Resample = resampler(options.resampling)
         self.stages = options.most_stages + options.final_stages if frozen_at is None else frozen_at.inverse_temperatures.shape[0]
 
-    def climb(self, key: Key, particles: Particles, density: FrameDensity) -> tuple[Particles, FilterInfo, Ladder]:
+    def frame(self, key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo, Ladder]:
         start_key, stages_key = jax.random.split(key)
         count = particles.log_weights.shape[0]
         if self.options.move == "hmc":
@@ -105,141 +106,135 @@ class _Sampler:
         if self.options.waste_free and count % (self.options.moves + 1):
             found, expected = f"{count} particles with chains of {self.options.moves} moves", f"a multiple of {self.options.moves + 1} particles"
             raise input_error("tempered(waste_free=true)", found, expected, "change the particles or the moves")
-        frame = make_frame(density, particles)
-        first, predicted, lost = self._begin(start_key, frame)
+        view = extended(density.with_previous(particles))
+        first, predicted, lost = self._begin(start_key, view)
 
-        def unfinished(climb: TemperedState) -> Array:
+        def unfinished(state: TemperedState) -> Array:
             if self.frozen is not None:
-                return (climb.stage < self.stages) & ~lost
-            return ((climb.beta < 1) | (climb.stages_at_top < self.options.final_stages)) & ~lost
+                return (state.stage < self.stages) & ~lost
+            return ((state.inverse_temperature < 1) | (state.stages_at_top < self.options.final_stages)) & ~lost
 
-        top = jax.lax.while_loop(unfinished, lambda climb: self._stage(jax.random.fold_in(stages_key, climb.stage), climb, frame), first)
-        after, info = self._result(frame, top, predicted, lost)
-        return after, info, top.ladder
+        last = jax.lax.while_loop(unfinished, lambda state: self._stage(jax.random.fold_in(stages_key, state.stage), state, view), first)
+        after, info = self._result(view, last, predicted, lost)
+        return after, info, last.ladder
 
     # -- stages -------------------------------------------------------------------------------------------------------------------------
 
-    def _begin(self, key: Key, frame: Frame) -> tuple[TemperedState, Particles, Array]:
-        """The prediction under its constraints, reweighted to the first temperature; the prediction alone; and whether it explains nothing."""
+    def _begin(self, key: Key, view: Extended) -> tuple[TemperedState, Particles, Flag]:
+        """The prediction under its constraints, reweighted to the first temperature; the prediction; and whether no particle explains the frame."""
         ancestor_key, draw_key, resample_key = jax.random.split(key, 3)
-        ancestors = self.resample(ancestor_key, frame.previous.log_weights)
-        keys = jax.random.split(draw_key, ancestors.shape[0])
-        particles, states, log_constraints = over_particles(_predict, (keys, ancestors), frame)
-        lost = normalise(particles.log_likelihood + log_constraints).lost
-        particles = particles._replace(log_likelihood=_finite(particles.log_likelihood))
-        constrained = normalise(log_constraints).log_weights
-        start = init_state(particles, constrained, self.stages, self.move.scale)
+        ancestors = self.resample(ancestor_key, view.density.previous.log_weights)
+        drawn = predict(draw_key, ancestors, view.density)
+        constrained = normalise(drawn.log_constraints).log_weights
+        particles = ExtendedParticle(ancestors, jax.vmap(view.coordinates.unconstrain)(drawn.states), finite_log(drawn.log_likelihoods))
+        start = init_state(particles, constrained, self.stages, self.move.step_size)
         first = self._step(resample_key, start, lambda keys, parents: (parents, jnp.nan), ancestors.shape[0])
-        return first, Particles(states, jnp.full_like(constrained, -jnp.log(constrained.shape[0]))), lost
+        predicted = Particles(drawn.states, jnp.full_like(constrained, -jnp.log(constrained.shape[0])))
+        return first, predicted, drawn.normalised().lost
 
-    def _stage(self, key: Key, climb: TemperedState, frame: Frame) -> TemperedState:
+    def _stage(self, key: Key, state: TemperedState, view: Extended) -> TemperedState:
         """Resample, move at the temperature reached, reweight to the next."""
-        climb, moving = self._prepared(climb)
-        kept = self.options.moves + 1 if self.options.waste_free else 1
+        state, settings = self._with_moves(state)
+        states_a_chain = self.options.moves + 1 if self.options.waste_free else 1
 
-        def move(keys: Keys, parents: Extended) -> tuple[Extended, Scalar]:
-            chains, rates = self._walk(keys, parents, frame, moving)
+        def move(keys: Keys, parents: ExtendedParticle) -> tuple[ExtendedParticle, Scalar]:
+            chains, rates = self._walk(keys, parents, view, settings)
             if not self.options.waste_free:
                 return chains, jnp.mean(rates)
-            return jax.tree.map(lambda own, more: jnp.concatenate([own, more.reshape(-1, *own.shape[1:])]), parents, chains), jnp.mean(rates)
+            join = jax.tree.map(lambda first, rest: jnp.concatenate([first, rest.reshape(-1, *first.shape[1:])]), parents, chains)
+            return join, jnp.mean(rates)
 
-        return self._step(key, climb, move, climb.log_weights.shape[0] // kept)
+        return self._step(key, state, move, state.log_weights.shape[0] // states_a_chain)
 
-    def _step(self, key: Key, climb: TemperedState, move: Callable[..., tuple[Extended, Any]], resampled: int) -> TemperedState:
-        count, stage, at_top = climb.log_weights.shape[0], climb.stage, climb.beta >= 1
-        # At the top there is nothing to reweight: the particles keep their weights, unless fewer chains than particles go on.
-        kept = at_top & (resampled == count)
+    def _step(self, key: Key, state: TemperedState, move: Callable[..., tuple[ExtendedParticle, Any]], resampled: int) -> TemperedState:
+        count, stage, at_top = state.log_weights.shape[0], state.stage, state.inverse_temperature >= 1
+        # At the top there is nothing to reweight: the particles keep their weights, unless there are fewer chains than particles.
+        keeps_weights = at_top & (resampled == count)
 
         def resample(key: Key, log_weights: LogWeights, count: int | None = None) -> Int[Array, " drawn"]:
-            chosen = self.resample(key, log_weights, count)
-            return jnp.where(kept, jnp.arange(resampled), chosen)
+            drawn = self.resample(key, log_weights, count)
+            return jnp.where(keeps_weights, jnp.arange(resampled), drawn)
 
-        def log_potential(particles: Extended) -> LogWeights:
-            powered = self._increment(particles.log_likelihood, climb) * particles.log_likelihood
-            return jnp.where(kept, climb.log_weights, powered)
+        def log_potential(particles: ExtendedParticle) -> LogWeights:
+            increments = self._increment(particles.log_likelihood, state) * particles.log_likelihood
+            return jnp.where(keeps_weights, state.log_weights, increments)
 
-        after = feynman_kac_step(key, climb.particles, climb.log_weights, move, log_potential, resample, resampled)
-        beta = climb.beta + self._increment(after.particles.log_likelihood, climb)
-        # What a sum in float32 misses of 1 would be a stage of its own.
-        beta = jnp.where(beta > 1 - 1e-6, 1.0, beta)
-        acceptance = jnp.asarray(after.info, climb.beta.dtype)
-        follows = jnp.where(jnp.isnan(acceptance), 0.0, GAIN * (acceptance - self.move.acceptance_rate))
+        after = feynman_kac_step(key, state.particles, state.log_weights, move, log_potential, resample, resampled)
+        reached = state.inverse_temperature + self._increment(after.particles.log_likelihood, state)
+        # A sum in float32 that misses 1 by rounding would cost one more stage.
+        reached = jnp.where(reached > 1 - 1e-6, 1.0, reached)
+        acceptance = jnp.asarray(after.info, state.log_step_size.dtype)
+        excess = jnp.where(jnp.isnan(acceptance), 0.0, GAIN * (acceptance - self.move.acceptance_rate))
         return TemperedState(
             particles=after.particles,
             log_weights=after.log_weights,
-            beta=beta,
+            inverse_temperature=reached,
             stage=stage + 1,
-            stages_at_top=climb.stages_at_top + at_top,
-            log_evidence=climb.log_evidence + jnp.where(at_top, 0.0, after.log_increment),
-            log_scale=climb.log_scale + follows,
-            ladder=climb.ladder._replace(inverse_temperatures=climb.ladder.inverse_temperatures.at[stage].set(beta)),
-            survival_rates=climb.survival_rates.at[stage].set(effective_sample_size(after.log_weights) / count),
-            acceptance_rates=climb.acceptance_rates.at[stage].set(acceptance),
+            stages_at_top=state.stages_at_top + at_top,
+            log_evidence=state.log_evidence + jnp.where(at_top, 0.0, after.log_increment),
+            log_step_size=state.log_step_size + excess,
+            ladder=state.ladder._replace(inverse_temperatures=state.ladder.inverse_temperatures.at[stage].set(reached)),
+            survival_rates=state.survival_rates.at[stage].set(effective_sample_size(after.log_weights) / count),
+            acceptance_rates=state.acceptance_rates.at[stage].set(acceptance),
         )
 
-    def _increment(self, log_likelihoods: LogWeights, climb: TemperedState) -> Scalar:
-        left = 1 - climb.beta
+    def _increment(self, log_likelihoods: LogWeights, state: TemperedState) -> Scalar:
+        remaining = 1 - state.inverse_temperature
         if self.frozen is not None:
-            return self.frozen.inverse_temperatures[climb.stage] - climb.beta
-        last = climb.stage == self.options.most_stages - 1
-        return jnp.where(last, left, next_increment(log_likelihoods, self.options.target_ess, left))
+            return self.frozen.inverse_temperatures[state.stage] - state.inverse_temperature
+        last = state.stage == self.options.most_stages - 1
+        return jnp.where(last, remaining, next_increment(log_likelihoods, self.options.target_ess, remaining))
 
     # -- moves --------------------------------------------------------------------------------------------------------------------------
 
-    def _prepared(self, climb: TemperedState) -> tuple[TemperedState, Moving]:
-        """The scale and the whitening of the moves at the temperature reached, noted on the ladder."""
-        rung = climb.stage - 1
+    def _with_moves(self, state: TemperedState) -> tuple[TemperedState, MoveSettings]:
+        """The step size and the whitening of the moves at the temperature reached, entered in the ladder."""
+        reached = state.stage - 1
         if self.frozen is not None:
-            roots = {name: root[rung] for name, root in self.frozen.roots.items()}
-            log_scale = self.frozen.log_scales[rung]
+            roots = {name: root[reached] for name, root in self.frozen.whitening.items()}
+            log_step_size = self.frozen.log_step_sizes[reached]
         else:
-            roots = {name: whitening(position, climb.log_weights) for name, position in climb.particles.position.items()}
-            log_scale = climb.log_scale
-        return climb._replace(ladder=climb.ladder.noted(rung, log_scale, roots)), Moving(climb.beta, jnp.exp(log_scale), roots)
+            roots = {name: whitening(position, state.log_weights) for name, position in state.particles.position.items()}
+            log_step_size = state.log_step_size
+        ladder = state.ladder.with_moves(reached, log_step_size, roots)
+        return state._replace(ladder=ladder), MoveSettings(state.inverse_temperature, jnp.exp(log_step_size), roots)
 
-    def _walk(self, keys: Keys, particles: Extended, frame: Frame, moving: Moving) -> tuple[Extended, Float[Array, " particle"]]:
+    def _walk(
+        self, keys: Keys, particles: ExtendedParticle, view: Extended, settings: MoveSettings
+    ) -> tuple[ExtendedParticle, Float[Array, " particle"]]:
         """All particles moved: their last states, or with `waste_free` all states (particle, move, ...); and the acceptance rate of each."""
         options = self.options
 
-        def one(own: tuple[Key, Extended], shared: tuple[Frame, Moving]) -> tuple[Extended, Scalar]:
-            chain, rate = walk(*own, *shared, self.move, options.moves, options.candidates)
-            kept = chain if options.waste_free else jax.tree.map(lambda leaf: leaf[-1], chain)
-            return kept._replace(log_likelihood=_finite(kept.log_likelihood)), rate
+        def one(particle: tuple[Key, ExtendedParticle], shared: tuple[Extended, MoveSettings]) -> tuple[ExtendedParticle, Scalar]:
+            chain, rate = walk(*particle, *shared, self.move, options.moves, options.candidates)
+            moved = chain if options.waste_free else jax.tree.map(lambda leaf: leaf[-1], chain)
+            return moved._replace(log_likelihood=finite_log(moved.log_likelihood)), rate
 
-        return over_particles(one, (keys, particles), (frame, moving))
+        return over_particles(one, (keys, particles), (view, settings))
 
     # -- results ------------------------------------------------------------------------------------------------------------------------
 
-    def _result(self, frame: Frame, top: TemperedState, predicted: Particles, lost: Array) -> tuple[Particles, FilterInfo]:
-        states = jax.vmap(state_of, (None, 0, 0))(frame, top.particles.ancestor, top.particles.position)
-        found = Particles(states, normalise(top.log_weights).log_weights)
-        after = jax.tree.map(lambda prediction, posterior: jnp.where(lost, prediction, posterior), predicted, found)
+    def _result(self, view: Extended, last: TemperedState, predicted: Particles, lost: Flag) -> tuple[Particles, FilterInfo]:
+        states = jax.vmap(view.state)(last.particles.ancestor, last.particles.position)
+        posterior = Particles(states, normalise(last.log_weights).log_weights)
+        after = jax.tree.map(lambda prediction, found: jnp.where(lost, prediction, found), predicted, posterior)
         info = FilterInfo(
-            ancestors=top.particles.ancestor,
+            ancestors=last.particles.ancestor,
             ess=effective_sample_size(after.log_weights),
-            survival_rate=top.survival_rates,
-            inverse_temperatures=top.ladder.inverse_temperatures,
-            log_evidence=jnp.where(lost, -jnp.inf, top.log_evidence),
+            survival_rate=last.survival_rates,
+            inverse_temperatures=last.ladder.inverse_temperatures,
+            log_evidence=jnp.where(lost, -jnp.inf, last.log_evidence),
             lost=lost,
-            acceptance_rate=top.acceptance_rates,
-            evaluations=self._evaluations(top),
+            acceptance_rate=last.acceptance_rates,
+            evaluations=self._evaluations(last),
         )
         return after, info
 
-    def _evaluations(self, top: TemperedState) -> Array:
-        """The prediction's, and of each stage those of its moves."""
-        count, options = top.log_weights.shape[0], self.options
+    def _evaluations(self, last: TemperedState) -> Array:
+        """Those of the prediction and of each stage's moves."""
+        count, options = last.log_weights.shape[0], self.options
         moved = count // (options.moves + 1) if options.waste_free else count
-        return count + (top.stage - 1) * moved * options.moves * self.move.evaluations
-
-
-def _predict(own: tuple[Key, Index], frame: Frame) -> tuple[Extended, State, Scalar]:
-    return predict(*own, frame)
-
-
-def _finite(log_likelihood: Array) -> Array:
-    """A likelihood of zero, or none, as a finite number."""
-    return jnp.maximum(jnp.where(jnp.isnan(log_likelihood), LOG_ZERO, log_likelihood), LOG_ZERO)
+        return count + (last.stage - 1) * moved * options.moves * self.move.evaluations
 
 
 @register("kernel", "tempered", Options)

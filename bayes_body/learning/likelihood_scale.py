@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.calibration.replication_log import ReplicationLog
-from bayes_body.density.factor import Kernel
+from bayes_body.density.kernel import Kernel
 from bayes_body.errors import input_error
 from bayes_body.initial import FirstPose, apply_first_pose, first_pose
 from bayes_body.metrics import accuracy_figures, draws_against_truth, log_evidence, silhouette_overlap

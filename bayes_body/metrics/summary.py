@@ -9,7 +9,6 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import NDArray
 
 from bayes_body.metrics.figures import accuracy_figures
@@ -17,6 +16,7 @@ from bayes_body.metrics.overlap import frame_overlap
 from bayes_body.metrics.truth import draws_against_truth
 from bayes_body.model.build import Model
 from bayes_body.posterior import frame_rhat, markers, mean_pose
+from bayes_body.posterior.blocks import log_mean_exp
 from bayes_body.session.session import Session
 from bayes_body.tracking.draws import Draws, FrameResult
 from bayes_body.view.progress import Watch, unwatched
@@ -35,13 +35,7 @@ def _disagreement(model: Model, frame: FrameResult) -> float:
 
 def log_evidence(draws: Draws) -> float:
     """log p(all images), up to the likelihood's constant: the runs' estimates averaged before the logarithm; NaN from a mode seeker."""
-    return _averaged(sum((np.asarray(frame.info.log_evidence, float) for frame in draws.frames), np.zeros(draws.runs)))
-
-
-def _averaged(by_run: Float[np.ndarray, " run"]) -> float:
-    if np.isnan(by_run).any():
-        return float("nan")
-    return float(np.logaddexp.reduce(by_run) - np.log(len(by_run)))
+    return log_mean_exp(sum((np.asarray(frame.info.log_evidence, float) for frame in draws.frames), np.zeros(draws.runs)))
 
 
 class _Figures(NamedTuple):
@@ -95,7 +89,7 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
         "ess_min": float(ess.min()),
         "ess_median": float(np.median(ess)),
         "rhat_max": _largest(np.array([each.rhat for each in found])),
-        "log_evidence": _averaged(np.sum([each.log_evidence for each in found], axis=0)),
+        "log_evidence": log_mean_exp(np.sum([each.log_evidence for each in found], axis=0)),
         "iou_median": float(np.nanmedian(overlap)) if np.isfinite(overlap).any() else None,
         "marker_disagreement_mm": 1000 * float(np.mean([each.disagreement for each in found])),
         **accuracy_figures(draws_against_truth(session, draws, watch), mode_seeker),

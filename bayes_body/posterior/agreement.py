@@ -10,7 +10,7 @@ $n = \sigma^2 / \mathrm{Var}(\bar x_r)$: what a weight's effective sample size l
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.posterior.blocks import Block, weights_of_runs
+from bayes_body.posterior.blocks import Block, systematic_resampling, weights_of_runs
 from bayes_body.posterior.weighted import RESAMPLING_SEED
 
 
@@ -38,8 +38,7 @@ def _equal_weight(block: Block) -> Float[np.ndarray, "frame run draw dof"]:
     for place, frame in enumerate(block.frames):
         rng = np.random.default_rng([RESAMPLING_SEED, frame])
         for run in range(runs):
-            levels = (np.arange(draws) + rng.random()) / draws * cumulative[run, -1, place]
-            chosen[place, run] = rng.permutation(np.minimum(np.searchsorted(cumulative[run, :, place], levels), draws - 1))
+            chosen[place, run] = systematic_resampling(rng, cumulative[run, :, place], draws)
     return np.take_along_axis(block.poses.transpose(2, 0, 1, 3), chosen[..., None], axis=2)
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
@@ -60,6 +60,23 @@ def weights_of_runs(log_weights: Float[np.ndarray, "run draw frame"]) -> Float[n
     """Weights that sum to one over the draws of each run and frame."""
     weights = np.exp(log_weights - log_weights.max(axis=1, keepdims=True))
     return weights / weights.sum(axis=1, keepdims=True)
+
+
+def systematic_resampling(rng: np.random.Generator, cumulative: Float[np.ndarray, " particle"], count: int) -> Int[np.ndarray, " draw"]:
+    """The particles' indices of `count` draws of equal weight, in random order.
+
+    Args:
+        rng: of the draws.
+        cumulative: sums of the particles' weights, normalised or not.
+        count: draws.
+    """
+    levels = (np.arange(count) + rng.random()) / count * cumulative[-1]
+    return rng.permutation(np.minimum(np.searchsorted(cumulative, levels), cumulative.size - 1))
+
+
+def log_mean_exp(values: Float[np.ndarray, " run"]) -> float:
+    """The logarithm of the mean of estimates given by their logarithms; NaN if one is NaN."""
+    return float("nan") if np.isnan(values).any() else float(np.logaddexp.reduce(values) - np.log(values.size))
 
 
 def pooled(values: NDArray[np.floating]) -> NDArray[np.floating]:

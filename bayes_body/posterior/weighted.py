@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from bayes_body.body.kinematics import marker_positions
 from bayes_body.model.build import Model
+from bayes_body.posterior.blocks import systematic_resampling
 from bayes_body.tracking.draws import Draws, FrameResult
 
 # Equal-weight draws are a matter of the posterior, not of the sampler: their seed is fixed, so that a saved run always gives the same figures.
@@ -53,9 +54,7 @@ def equal_weight_poses(frame: FrameResult, index: int, count: int | None = None,
     for run in range(runs):
         log_weights = frame.log_weights[run].astype(float)
         cumulative = np.cumsum(np.exp(log_weights - log_weights.max()))
-        places = (np.arange(number) + rng.random()) / number * cumulative[-1]
-        chosen = np.minimum(np.searchsorted(cumulative, places), particles - 1)
-        out[run] = frame.states["pose"][run, rng.permutation(chosen)]
+        out[run] = frame.states["pose"][run, systematic_resampling(rng, cumulative, number)]
     return out
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_body.density.factor import FilterInfo
+from bayes_body.density.kernel import FilterInfo
 from bayes_body.errors import InputError, input_error
 from bayes_body.files.atomic import make_folder, remove_partial, replacing
 from bayes_body.tracking.draws import FrameResult

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 
-from bayes_body.density.factor import FilterInfo
+from bayes_body.density.kernel import FilterInfo
 from bayes_body.model.build import Model
 
 

@@ -17,7 +17,8 @@ from jax.stages import Lowered
 from jaxtyping import Array
 
 from bayes_body.density.density import Density
-from bayes_body.density.factor import FilterInfo, Kernel, Particles
+from bayes_body.density.factor import Particles
+from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.kernels.parts.batching import everywhere, whole
 from bayes_body.model.build import Model
 from bayes_body.observation.frames import read_frame
@@ -49,7 +50,7 @@ def traced(kernel: Kernel, key: Key, particles: Particles, density: Density) -> 
     """The step of one frame, traced and not yet compiled."""
 
     def frame_of_run(run_key: Key, frame: Array, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
-        return kernel(jax.random.fold_in(run_key, frame), particles, density.given(particles))
+        return kernel(jax.random.fold_in(run_key, frame), particles, density.with_previous(particles))
 
     return jax.jit(frame_of_run, out_shardings=whole()).lower(key, everywhere(np.int32(0)), particles, density)
 

@@ -15,7 +15,8 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from bayes_body.density.factor import FilterInfo, Kernel, Particles
+from bayes_body.density.factor import Particles
+from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.errors import input_error
 from bayes_body.kernels.parts.batching import everywhere
 from bayes_body.model.build import Model

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from closed_forms.targets import CENTRE, alone, conjugate, skewed
+from closed_forms.targets import CENTRE, conjugate, point_mass, skewed
 
 from bayes_body import kernels
 from bayes_body.calibration.quadrature import integrate
@@ -30,11 +30,11 @@ def test_it_finds_mean_and_evidence(make):
 
 def test_a_posterior_of_several_ancestors_is_their_mixture():
     target = conjugate(1)
-    both = alone(CENTRE, 2)._replace(states={"x": jnp.stack([jnp.asarray(CENTRE), jnp.asarray(CENTRE) + 1.0])})
-    parts = [integrate(target.density.given(alone(state, 1)), "x") for state in np.asarray(both.states["x"])]
+    both = point_mass(CENTRE, 2)._replace(states={"x": jnp.stack([jnp.asarray(CENTRE), jnp.asarray(CENTRE) + 1.0])})
+    parts = [integrate(target.density.with_previous(point_mass(state, 1)), "x") for state in np.asarray(both.states["x"])]
     shares = np.exp([part.log_evidence for part in parts])
     shares /= shares.sum()
-    mixture = integrate(target.density.given(both), "x")
+    mixture = integrate(target.density.with_previous(both), "x")
     assert np.allclose(mixture.mean, shares @ [part.mean for part in parts], atol=0.02)
 
 

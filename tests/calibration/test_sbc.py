@@ -12,8 +12,8 @@ from bayes_body import kernels
 from bayes_body.calibration import bands, sbc
 from bayes_body.calibration.coverage import coverage
 from bayes_body.calibration.problem import point_mass
+from bayes_body.density.coordinates import Coordinates
 from bayes_body.kernels import tempered_smc
-from bayes_body.kernels.parts import extended
 
 REPLICATIONS, BINS, SEED = 200, 20, 100
 LIMIT = 0.05 / 3
@@ -69,20 +69,13 @@ def test_a_faulty_sir_is_found_out(sir, fault):
 
 def tempered_runs(**options):
     """`run(sign, jacobian, forgets)`: replications, with the sign of the weights and the Jacobian's share as given."""
-    honest_step, honest_density = tempered_smc.feynman_kac_step, extended.log_density
+    honest_step, volume = tempered_smc.feynman_kac_step, Coordinates.log_determinant
     kernel = kernels.tempered(**options)
 
     @jax.jit
     def run(keys, sign, jacobian, forgets):
         def step(key, particles, log_weights, move, log_potential, resample, resampled):
             return honest_step(key, particles, log_weights, move, lambda moved: sign * log_potential(moved), resample, resampled)
-
-        def log_density(frame, ancestor, position, beta):
-            state = extended.state_of(frame, ancestor, position)
-            (bijection,) = extended.bijections(frame).values()
-            volume = bijection.log_abs_det_jacobian(position["x"], state["x"])
-            found, own = honest_density(frame, ancestor, position, beta)
-            return found + (jacobian - 1) * volume, own
 
         def mutant(key, particles, density):
             after, info = kernel(key, particles, density)
@@ -91,7 +84,7 @@ def tempered_runs(**options):
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(tempered_smc, "feynman_kac_step", step)
-            patch.setattr(extended, "log_density", log_density)
+            patch.setattr(Coordinates, "log_determinant", lambda self, position: jacobian * volume(self, position))
             return jax.lax.map(sbc.replicate(toys.skewed(), mutant, 500, bins=BINS), keys)
 
     def call(sign=1.0, jacobian=1.0, forgets=False):
@@ -125,7 +118,7 @@ def test_a_faulty_tempered_is_found_out(tempered, fault):
 @pytest.mark.slow
 @pytest.mark.usefixtures("optimised")
 def test_a_dropped_jacobian_is_found_out(tempered_slowly):
-    """By default its moves alone, in tests/laws/test_invariance.py."""
+    """By default its moves alone, in tests/closed_forms/test_invariance.py."""
     assert least_p(tempered_slowly()) > LIMIT
     found = tempered_slowly(jacobian=0.0)
     assert least_p(found) < 0.001
@@ -164,7 +157,7 @@ def test_effective_sizes_count_equal_states_and_common_ancestors_once():
     uneven = jnp.array([0.5, 0.0, 0.1, 0.1, 0.1, 0.1, 0.1, 0.0])
     assert np.isclose(sbc._merged(uneven, states), 1 / (0.25 + 0.04 + 0.04 + 0.01), rtol=1e-5)
     info = kernels.sir()(
-        jax.random.key(0), point_mass(toys.gaussian().first, 8), toys.gaussian().density({"seen": jnp.zeros(1)}, alone(toys.gaussian().first))
+        jax.random.key(0), point_mass(toys.gaussian().first, 8), toys.gaussian().density({"seen": jnp.zeros(1)}, point_mass(toys.gaussian().first))
     )[1]
     before = point_mass(toys.gaussian().first, 8)._replace(states={"x": jnp.arange(16.0).reshape(8, 2)})
     assert np.isclose(sbc._by_ancestor(weights, before, info._replace(ancestors=jnp.array([0, 0, 0, 0, 5, 5, 5, 5])), 2), 2)

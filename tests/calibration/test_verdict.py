@@ -1,4 +1,4 @@
-"""Verdicts in words, from figures whose law is known."""
+"""Verdicts in words, from figures whose distribution is known."""
 
 import numpy as np
 import pytest

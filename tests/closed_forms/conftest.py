@@ -78,5 +78,5 @@ def linear_gaussian():
 
 @pytest.fixture
 def observations():
-    """Fixed, and not drawn from the model: the filter's law holds for any data."""
+    """Fixed, and not drawn from the model: the filter's equations hold for any data."""
     return np.array([[0.4], [1.7], [0.2], [-0.9], [1.1], [2.5], [2.2], [0.3]])

@@ -22,7 +22,7 @@ class Target(NamedTuple):
     mean: np.ndarray
 
 
-def alone(state, count):
+def point_mass(state, count):
     """`count` equal particles, all of one state."""
     return Particles({"x": jnp.broadcast_to(jnp.asarray(state), (count, len(state)))}, jnp.full(count, -jnp.log(count)))
 
@@ -56,7 +56,7 @@ def conjugate(count):
     surprise = SEEN - LOOK @ CENTRE
     log_evidence = -0.5 * (surprise @ np.linalg.solve(S, surprise) + np.linalg.slogdet(2 * np.pi * S)[1])
     mean = CENTRE + prior @ LOOK.T @ np.linalg.solve(S, surprise)
-    return Target(Density(transition, (factor,), {"seen": jnp.asarray(SEEN)}, alone(CENTRE, count)), float(log_evidence), mean)
+    return Target(Density(transition, (factor,), {"seen": jnp.asarray(SEEN)}, point_mass(CENTRE, count)), float(log_evidence), mean)
 
 
 # -- a skewed one between two limits, off centre, with a wall ---------------------------------------------------------------------------------
@@ -100,5 +100,5 @@ def skewed(count):
     tilt = 5.0 * (x0 + x1 - 0.4)
     posterior = allowed * np.exp(12.0 * np.log(x0 + 1e-6) - 10.0 * x0 + tilt - np.exp(tilt))
     mean = np.array([(posterior * x0).sum(), (posterior * x1).sum()]) / posterior.sum()
-    density = Density(transition, (likelihood, constraint), {}, alone(START.astype(np.float32), count))
+    density = Density(transition, (likelihood, constraint), {}, point_mass(START.astype(np.float32), count))
     return Target(density, float(np.log(posterior.sum() / allowed.sum())), mean)

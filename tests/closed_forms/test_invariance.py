@@ -8,8 +8,8 @@ from calibration import toys
 
 from bayes_body.calibration import invariance
 from bayes_body.calibration.markov_moves import iterated_sir, markov_move
-from bayes_body.density.density import Unconstrained
-from bayes_body.kernels.parts import extended
+from bayes_body.density.coordinates import Coordinates
+from bayes_body.density.extended import Extended
 from bayes_body.registry import find, names
 
 REPLICATIONS = 1000
@@ -54,19 +54,16 @@ def test_a_faulty_resampling_is_found_out(iterated, power):
 @pytest.fixture(scope="module")
 def walk():
     """`jacobian` and `likelihood` scale these terms of the density that the walk walks on."""
-    honest, move = extended.log_density, markov_move("tempered", find("kernel", "tempered").options())
+    honest, volume, move = Extended.log_density, Coordinates.log_determinant, markov_move("tempered", find("kernel", "tempered").options())
 
     @jax.jit
     def run(keys, jacobian, likelihood):
-        def log_density(frame, ancestor, position, beta):
-            state = extended.state_of(frame, ancestor, position)
-            (bijection,) = extended.bijections(frame).values()
-            volume = bijection.log_abs_det_jacobian(position["x"], state["x"])
-            found, own = honest(frame, ancestor, position, likelihood * beta)
-            return found + (jacobian - 1) * volume, own
+        def log_density(self, ancestor, position, inverse_temperature):
+            return honest(self, ancestor, position, likelihood * inverse_temperature)
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(extended, "log_density", log_density)
+            patch.setattr(Extended, "log_density", log_density)
+            patch.setattr(Coordinates, "log_determinant", lambda self, position: jacobian * volume(self, position))
             return jax.lax.map(invariance.replicate(toys.skewed(wall=True), move, 3), keys)
 
     return lambda jacobian=1.0, likelihood=1.0: replications(run, 1, jacobian, likelihood)
@@ -85,13 +82,13 @@ def test_a_faulty_walk_is_found_out(walk, fault):
 
 @pytest.mark.slow
 def test_an_ancestor_drawn_without_its_weight_is_found_out(monkeypatch):
-    honest = extended.choose_ancestor
+    honest = Extended.choose_ancestor
 
-    def flat(key, frame, particle, beta, candidates):
-        even = frame._replace(cumulated=jnp.arange(1.0, frame.cumulated.shape[0] + 1))
-        return honest(key, even, particle, beta, candidates)
+    def flat(self, key, *arguments):
+        even = self._replace(cumulative_weights=jnp.arange(1.0, self.cumulative_weights.shape[0] + 1))
+        return honest(even, key, *arguments)
 
-    monkeypatch.setattr(extended, "choose_ancestor", flat)
+    monkeypatch.setattr(Extended, "choose_ancestor", flat)
     move = markov_move("tempered", find("kernel", "tempered").options())
     run = jax.jit(lambda keys: jax.lax.map(invariance.replicate(toys.skewed(), move, 3), keys))
     assert least_p(replications(run, 2)) < 0.001
@@ -101,12 +98,12 @@ def test_an_ancestor_drawn_without_its_weight_is_found_out(monkeypatch):
 def trajectories():
     """Hamiltonian Monte Carlo on the marginal view; `jacobian` scales the log-determinant."""
     options = find("kernel", "hmc").options(leapfrog_steps=6, step=0.8)
-    move, honest = markov_move("hmc", options), Unconstrained.log_determinant
+    move, honest = markov_move("hmc", options), Coordinates.log_determinant
 
     @jax.jit
     def run(keys, jacobian):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(Unconstrained, "log_determinant", lambda self, position: jacobian * honest(self, position))
+            patch.setattr(Coordinates, "log_determinant", lambda self, position: jacobian * honest(self, position))
             return jax.lax.map(invariance.replicate(toys.skewed(wall=True), move, 2), keys)
 
     return lambda jacobian=1.0: replications(run, 3, jacobian)

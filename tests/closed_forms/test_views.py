@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from jax.scipy.special import logsumexp
 
-from bayes_body.density.density import Density, Unconstrained
+from bayes_body.density.coordinates import Coordinates
+from bayes_body.density.density import Density
+from bayes_body.density.extended import extended
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
 from bayes_body.dynamics.diffusion import TruncatedWalk
 
@@ -60,10 +62,15 @@ def _states(count=50):
     return {"pose": jnp.concatenate([x, jax.random.normal(jax.random.fold_in(key, 1), (count, 1))], axis=1)}
 
 
+def _joint(density, ancestor, state, beta=1.0):
+    """ℓ(i, s): log w_i and the log-density after that ancestor."""
+    return density.previous.log_weights[ancestor] + density.log_joint(state, density.ancestor(ancestor), beta)[0]
+
+
 @pytest.mark.parametrize("beta", [1.0, 0.3, 0.0])
 def test_the_marginal_view_is_the_sum_of_the_extended(density, beta):
     def gap(state):
-        each = jax.vmap(lambda i: density.extended(i, state, beta))(jnp.arange(3))
+        each = jax.vmap(lambda i: _joint(density, i, state, beta))(jnp.arange(3))
         return density.marginal(state, beta) - logsumexp(each)
 
     assert jnp.abs(jax.jit(jax.vmap(gap))(_states())).max() < 1e-10
@@ -71,7 +78,7 @@ def test_the_marginal_view_is_the_sum_of_the_extended(density, beta):
 
 def test_ancestor_probabilities_are_those_of_the_extended_view(density):
     def gap(state):
-        each = jax.vmap(lambda i: density.extended(i, state))(jnp.arange(3))
+        each = jax.vmap(lambda i: _joint(density, i, state))(jnp.arange(3))
         return density.ancestor_log_probs(state) - jax.nn.log_softmax(each)
 
     assert jnp.abs(jax.jit(jax.vmap(gap))(_states())).max() < 1e-10
@@ -122,7 +129,7 @@ def test_both_views_are_exact_on_a_linear_gaussian_model(linear_gaussian):
             each.append(np.exp(-0.5 * (x - mean) @ np.linalg.inv(P) @ (x - mean)) / np.sqrt(np.linalg.det(2 * np.pi * P)))
         joint = np.log(weights * evidence * np.array(each))
         state = {"x": jnp.asarray(x)}
-        assert np.allclose([d.extended(i, state) for i in (0, 1)], joint, atol=1e-10)
+        assert np.allclose([_joint(d, i, state) for i in (0, 1)], joint, atol=1e-10)
         assert np.isclose(d.marginal(state), np.logaddexp(*joint), atol=1e-10)
         assert np.allclose(d.ancestor_log_probs(state), joint - np.logaddexp(*joint), atol=1e-10)
 
@@ -135,17 +142,17 @@ def _masses(density, log_determinant):
     grid = lambda a: jnp.stack(jnp.meshgrid(a, y, indexing="ij"), axis=-1).reshape(-1, 2)  # noqa: E731
     over_state = jnp.sum(jnp.exp(jax.jit(jax.vmap(lambda p: density({"pose": p})))(grid(s)))) * (1.5 / 600) * (y[1] - y[0])
     view = density.unconstrained()
-    over_x = jax.jit(jax.vmap(lambda p: density(view.constrain({"pose": p})) + log_determinant(view, {"pose": p})))(grid(x))
+    over_x = jax.jit(jax.vmap(lambda p: density(view.constrain({"pose": p})) + log_determinant(view.coordinates, {"pose": p})))(grid(x))
     return over_state, jnp.sum(jnp.exp(over_x)) * (x[1] - x[0]) * (y[1] - y[0])
 
 
 def test_unconstrained_coordinates_carry_the_same_mass(density):
-    over_state, over_x = _masses(density, Unconstrained.log_determinant)
+    over_state, over_x = _masses(density, Coordinates.log_determinant)
     assert abs(over_x / over_state - 1) < 1e-4
 
 
 def test_a_dropped_jacobian_is_found_out(density):
-    over_state, over_x = _masses(density, lambda view, position: 0.0)
+    over_state, over_x = _masses(density, lambda coordinates, position: 0.0)
     assert abs(over_x / over_state - 1) > 0.1
 
 
@@ -154,7 +161,29 @@ def test_unconstrained_round_trip(density):
     state = jax.tree.map(lambda leaf: leaf[3], _states())
     back = view.constrain(view.unconstrain(state))
     assert jnp.allclose(back["pose"], state["pose"], atol=1e-5)
-    assert jnp.isclose(view(view.unconstrain(state)), density(state) + view.log_determinant(view.unconstrain(state)), rtol=1e-4)
+    position = view.unconstrain(state)
+    assert jnp.isclose(view(position), density(state) + view.coordinates.log_determinant(position), rtol=1e-4)
+
+
+@pytest.mark.parametrize("beta", [1.0, 0.3, 0.0])
+def test_the_extended_view_is_the_log_density_after_an_ancestor_with_the_jacobian(density, beta):
+    view, state = extended(density), jax.tree.map(lambda leaf: leaf[3], _states())
+    position, ancestor = view.coordinates.unconstrain(state), jnp.array(2)
+    log_density, log_likelihood = view.log_density(ancestor, position, beta)
+    expected = _joint(density, 2, state, beta) - density.previous.log_weights[2] + density.unconstrained().coordinates.log_determinant(position)
+    assert jnp.isclose(log_density, expected, rtol=1e-6)
+    assert jnp.isclose(log_likelihood, density.log_likelihood(state, density.ancestor(2)), rtol=1e-6)
+    assert jnp.isclose(view.log_likelihood(ancestor, position), log_likelihood, rtol=1e-6)
+    assert jnp.allclose(view.state(ancestor, position)["pose"], state["pose"], atol=1e-6)
+
+
+def test_a_completed_draw_takes_its_ancestor_from_their_posterior(density):
+    view, state = density.unconstrained(), jax.tree.map(lambda leaf: leaf[3], _states())
+    position, count = view.unconstrain(state), 4000
+    states, ancestors = jax.jit(jax.vmap(lambda key: view.complete(key, position)))(jax.random.split(jax.random.key(2), count))
+    shares, exact = np.bincount(ancestors, minlength=3) / count, np.exp(density.ancestor_log_probs(state))
+    assert (np.abs(shares - exact) < 4 * np.sqrt(exact * (1 - exact) / count) + 1e-12).all()
+    assert jnp.allclose(states["pose"], state["pose"], atol=1e-6)
 
 
 def test_parts_add_up(density):
@@ -162,8 +191,7 @@ def test_parts_add_up(density):
     before = density.ancestor(jnp.array(1))
     parts = density.parts(state, before)
     assert set(parts) == {"transition", "skewed", "moved", "wall"}
-    whole = density.extended(jnp.array(1), state) - density.previous.log_weights[1]
-    assert jnp.isclose(sum(parts.values()), whole, rtol=1e-5)
+    assert jnp.isclose(sum(parts.values()), density.log_joint(state, before)[0], rtol=1e-5)
 
 
 def test_nodes_read_the_factors_that_name_them(density):

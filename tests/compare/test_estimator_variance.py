@@ -8,7 +8,8 @@ from closed_forms.targets import conjugate
 
 from bayes_body.compare import estimator_truth
 from bayes_body.compare import estimator_variance as ev
-from bayes_body.density.factor import Factor, FilterInfo, Particles, Transition, Variable
+from bayes_body.density.factor import Factor, Particles, Transition, Variable
+from bayes_body.density.kernel import FilterInfo
 
 POSE = Variable("pose")
 

@@ -17,7 +17,7 @@ DOFS, CHAINS = 6, 8
 AXES = np.linalg.qr(np.random.default_rng(0).normal(size=(DOFS, DOFS)))[0]
 COVARIANCE = (AXES * np.logspace(0, 2, DOFS) ** 2) @ AXES.T
 PRECISION = jnp.asarray(np.linalg.inv(COVARIANCE))
-SCHEDULE = Schedule(kept=200, burn_in=40, thinning=1, leapfrog_steps=6, jitter=0.3, sampler="hmc", target_acceptance=0.8, adapts_mass=True)
+SCHEDULE = Schedule(draws=200, burn_in=40, thinning=1, leapfrog_steps=6, jitter=0.3, sampler="hmc", target_acceptance=0.8, adapts_mass=True)
 
 
 def _run(schedule: Schedule, chains: int = CHAINS) -> Chain:
@@ -45,7 +45,7 @@ def test_of_a_gaussian_the_geometric_mean_is_its_covariance_from_a_few_draws_any
 
 
 def test_it_is_the_mean_of_both_covariances_where_they_disagree() -> None:
-    # Of a law that is no Gaussian: variances 4 and 9 of the draws, 1 and 1 / 4 of the scores, uncorrelated; exactly, with no draw beside them.
+    # Not Gaussian: uncorrelated, variances 4 and 9 of the draws, 1 and 1 / 4 of the scores. The many draws outweigh those that the prior counts as.
     count = 1e8
     moments = jnp.asarray(np.diag([1.0, 4.0, 9.0, 1.0, 0.25]) * count)
     np.testing.assert_allclose(geometric_mean(moments), np.diag([np.sqrt(4 / 1), np.sqrt(9 / 0.25)]), rtol=1e-4)
@@ -73,7 +73,7 @@ def test_chains_that_no_device_has_equally_many_of_learn_alike() -> None:
 
 def test_burn_in_ends_what_is_learned() -> None:
     # Later draws change nothing: a run of 50 is the beginning of one of 200.
-    long, short = _run(SCHEDULE), _run(SCHEDULE._replace(kept=50))
+    long, short = _run(SCHEDULE), _run(SCHEDULE._replace(draws=50))
     np.testing.assert_allclose(np.asarray(long.step), np.asarray(short.step))
     np.testing.assert_allclose(np.asarray(long.positions["x"])[:, :50], np.asarray(short.positions["x"]), rtol=1e-3)
 
@@ -87,7 +87,7 @@ def test_scores_that_are_none_teach_nothing() -> None:
         def wall(p):
             return jnp.where(p["x"][0] < 0, jnp.nan * p["x"][0], -0.5 * jnp.sum(p["x"] ** 2))
 
-        schedule = SCHEDULE._replace(burn_in=16, kept=20)
+        schedule = SCHEDULE._replace(burn_in=16, draws=20)
         return run_chain(key, {"x": position}, wall, jnp.asarray(0.3), jnp.ones(2), schedule, ("chain",))
 
     starts = jnp.abs(jax.random.normal(jax.random.key(1), (4, 2)))

@@ -40,14 +40,14 @@ def _problem(count):
 @pytest.mark.parametrize("spread", [1e-3, 1.0, 300.0])
 def test_the_survival_rate_is_met(rate, spread):
     log_likelihood = spread * jax.random.gumbel(jax.random.key(3), (2000,))
-    beta = _power_for_survival((log_likelihood, jnp.zeros(2000)), rate)
+    beta = _power_for_survival(log_likelihood, jnp.zeros(2000), rate)
     assert np.isclose(effective_sample_size(beta * log_likelihood) / 2000, rate, atol=2e-3)
 
 
 def test_the_survival_rate_counts_constraints_in():
     log_likelihood = jax.random.normal(jax.random.key(3), (2000,))
     constraint = jnp.where(jnp.arange(2000) < 300, -jnp.inf, 0.0)
-    beta = _power_for_survival((log_likelihood, constraint), 0.5)
+    beta = _power_for_survival(log_likelihood, constraint, 0.5)
     assert np.isclose(effective_sample_size(beta * log_likelihood + constraint) / 2000, 0.5, atol=2e-3)
 
 

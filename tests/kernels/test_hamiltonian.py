@@ -9,7 +9,7 @@ from bayes_body.kernels.parts.hamiltonian import Schedule, leapfrog_steps, run_c
 
 
 def _schedule(steps, jitter):
-    return Schedule(kept=50, burn_in=0, thinning=1, leapfrog_steps=steps, jitter=jitter, sampler="hmc", target_acceptance=0.0)
+    return Schedule(draws=50, burn_in=0, thinning=1, leapfrog_steps=steps, jitter=jitter, sampler="hmc", target_acceptance=0.0)
 
 
 def _lengths(schedule, number):

@@ -11,7 +11,7 @@ from blackjax.mcmc import hmc as blackjax_hmc
 from blackjax.mcmc import metrics
 from closed_forms.targets import conjugate, skewed
 
-from bayes_body.density.density import Unconstrained
+from bayes_body.density.coordinates import Coordinates
 from bayes_body.density.factor import Factor, Variable
 from bayes_body.errors import InputError
 from bayes_body.kernels import hmc_filter
@@ -24,7 +24,7 @@ CHAINS = 64
 # The particles before are all equal, and so are their means: the same target, at a sixtieth of the cost.
 OPTIONS = {"chains": CHAINS, "burn_in": 60, "leapfrog_steps": 8, "step": 0.5, "carry": "means"}
 DRAWS = 60
-SHORT = Schedule(kept=5, burn_in=7, thinning=3, leapfrog_steps=4, jitter=0.0, sampler="hmc", target_acceptance=0.0)
+SHORT = Schedule(draws=5, burn_in=7, thinning=3, leapfrog_steps=4, jitter=0.0, sampler="hmc", target_acceptance=0.0)
 
 
 def _means(density, seed=0, **options):
@@ -108,15 +108,15 @@ def test_evidence_is_estimated_by_the_starts(target, starts_by):
 
 @pytest.mark.slow
 def test_overdispersed_starts_reach_the_same_posterior(target, monkeypatch):
-    honest = hmc_filter._Filter._started
+    honest = hmc_filter._Filter._initialise
 
     def far(self, key, view, chains):
-        started = honest(self, key, view, chains)
-        position = started.starts.position["x"]
+        found = honest(self, key, view, chains)
+        position = found.starts.position["x"]
         moved = {"x": position + 1.5 * jax.random.normal(key, position.shape)}
-        return started._replace(starts=started.starts._replace(position=moved))
+        return found._replace(starts=found.starts._replace(position=moved))
 
-    monkeypatch.setattr(hmc_filter._Filter, "_started", far)
+    monkeypatch.setattr(hmc_filter._Filter, "_initialise", far)
     draws, _ = _means(target.density, burn_in=150)
     assert _off(draws.mean(axis=1), target.mean) < 4
 
@@ -273,7 +273,7 @@ def test_a_missing_metropolis_test_is_found_out(monkeypatch):
 
 
 def test_a_missing_log_determinant_is_found_out(monkeypatch):
-    monkeypatch.setattr(Unconstrained, "log_determinant", lambda self, position: 0.0 * jnp.sum(position["x"]))
+    monkeypatch.setattr(Coordinates, "log_determinant", lambda self, position: 0.0 * jnp.sum(position["x"]))
     assert _found_out()
 
 

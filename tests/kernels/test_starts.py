@@ -28,7 +28,7 @@ def _nothing(values, data):
 
 
 def _started(begin, likelihood, seed=0):
-    """The starts after particles of which the even ones stand near one mode, the odd ones near the other."""
+    """The starts, if the even particles of the frame before are near one mode and the odd ones near the other."""
     transition = conjugate(1).density.transition
     modes = jnp.asarray(np.where(np.arange(BEFORE)[:, None] % 2, WRONG, RIGHT), jnp.float32)
     density = Density(transition, (Factor("y", "likelihood", (Variable("x"),), jax.tree_util.Partial(likelihood)),), {}, _equal(modes))

@@ -6,7 +6,7 @@ import errno
 import numpy as np
 import pytest
 
-from bayes_body.density.factor import FilterInfo
+from bayes_body.density.kernel import FilterInfo
 from bayes_body.errors import InputError
 from bayes_body.files.atomic import PARTIAL
 from bayes_body.storage import FrameFiles

@@ -1,12 +1,12 @@
-r"""What burn-in finds for Hamiltonian Monte Carlo: the size of the steps and, if it is asked to, the inverse mass matrix.
+r"""Adaptation in burn-in of Hamiltonian Monte Carlo: the step size and, on request, the inverse mass matrix.
 
-Chains may learn together. With the covariances $C$ of their draws and $F$ of the scores $\nabla \log p$ at them,
+Chains may adapt together. With the covariances $C$ of their draws and $F$ of the scores $\nabla \log p$ at them,
 
 $$M^{-1} = C \mathbin{\#} F^{-1} = L\, (L^\top F L)^{-1/2} L^\top, \quad C = L L^\top,$$
 
-the geometric mean, minimises the Fisher divergence to a Gaussian (Seyboldt, Carlson & Carpenter 2026). Of a Gaussian it is the covariance as soon as
-there are more draws than dofs, wherever the chains stand: a short burn-in is enough. Each quarter of burn-in but the last finds the matrix for the
-next, in units of its own, towards which a few more draws are taken to point; the step is tuned anew.
+the geometric mean, minimises the Fisher divergence to a Gaussian (Seyboldt, Carlson & Carpenter 2026). For a Gaussian it equals the covariance as
+soon as there are more draws than dofs, wherever the chains are: a short burn-in is enough. Each quarter of burn-in but the last finds the matrix of
+the next quarter. It is estimated in units of the present matrix and shrunk towards it as if by a few more draws; then the step size is tuned again.
 """
 
 from collections.abc import Mapping
@@ -19,8 +19,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from bayes_body.shapes import Scalar
 
-# How many draws the first matrix counts as, as in Stan.
-FIRST_COUNTS = 5.0
+# The unit matrix counts as so many draws, as in Stan.
+PRIOR_DRAWS = 5.0
 # Transitions of the shortest burn-in that finds a matrix: two a quarter.
 FEWEST = 8
 
@@ -30,9 +30,9 @@ class Plan(NamedTuple):
 
     Attributes:
         burn_in: its transitions.
-        target_acceptance: to which the step is tuned; 0 leaves it.
+        target_acceptance: to which the step is tuned; 0: the step stays as it is.
         adapts_mass: whether the inverse mass matrix is found.
-        axes: names of the mapped axes along which chains learn together.
+        axes: names of the mapped axes along which chains adapt together.
     """
 
     burn_in: int
@@ -42,11 +42,11 @@ class Plan(NamedTuple):
 
 
 class Metric(NamedTuple):
-    """The inverse mass matrix, and what this quarter of burn-in has seen.
+    """The inverse mass matrix, and the sums of this quarter of burn-in.
 
     Attributes:
         units: Cholesky factor of the matrix.
-        origin: where the chains began, in the mean.
+        origin: mean of the chains' starts.
         moments: sum of the outer products of (1, draw, score), in those units.
     """
 
@@ -56,17 +56,17 @@ class Metric(NamedTuple):
 
     @property
     def inverse_mass(self) -> Float[Array, "dof dof"]:
-        """What a trajectory takes."""
+        """The matrix itself."""
         return self.units @ self.units.T
 
 
 class AdaptationState(NamedTuple):
-    """What burn-in has found so far.
+    """Results of burn-in so far.
 
     Attributes:
         step: for the next trajectory.
         tuning: blackjax's state of the dual averaging.
-        metric: None where no matrix is looked for.
+        metric: None if no matrix is adapted.
     """
 
     step: Scalar
@@ -80,39 +80,39 @@ def init(plan: Plan, step: Scalar, inverse_mass: Float[Array, " dof *dof"], posi
     Args:
         plan: what burn-in does.
         step: size of a leapfrog step to begin with, in units of the mass matrix.
-        inverse_mass: of this chain, diagonal or dense; chains that learn together begin with its mean.
+        inverse_mass: of this chain, diagonal or dense; chains that adapt together begin with the mean of theirs.
         position: where this chain starts, coordinates without limits.
     """
     if not plan.adapts_mass:
         return AdaptationState(step, _untuned(plan, step), None)
-    own = jnp.diag(inverse_mass) if inverse_mass.ndim == 1 else inverse_mass
-    origin, common = _mean((ravel_pytree(dict(position))[0], own), plan.axes)
+    dense = jnp.diag(inverse_mass) if inverse_mass.ndim == 1 else inverse_mass
+    origin, common = _mean((ravel_pytree(dict(position))[0], dense), plan.axes)
     units = _factor(common, jnp.diag(jnp.sqrt(jnp.diagonal(common))))
     return AdaptationState(step, _untuned(plan, step), Metric(units, origin, jnp.zeros((2 * origin.size + 1,) * 2, origin.dtype)))
 
 
-def update(plan: Plan, found: AdaptationState, index: Int[Array, ""], state: Any, acceptance: Scalar) -> AdaptationState:
-    """After the transition of that number, counted from 0; a trajectory before the first, and those behind burn-in, teach nothing.
+def update(plan: Plan, adapted: AdaptationState, index: Int[Array, ""], state: Any, acceptance: Scalar) -> AdaptationState:
+    """After transition number `index`, counted from 0. Index -1 and transitions after burn-in change nothing.
 
     Args:
         plan: what burn-in does.
-        found: before it.
+        adapted: before the transition.
         index: number of the transition.
         state: of blackjax, with its gradient.
         acceptance: probability of acceptance.
     """
     within = (index >= 0) & (index < plan.burn_in)
     if plan.target_acceptance:
-        found = _tuned(plan, found, index, within, acceptance)
-    if found.metric is None:
-        return found
-    metric = _learned(found.metric, within, state)
+        adapted = _with_step(plan, adapted, index, within, acceptance)
+    if adapted.metric is None:
+        return adapted
+    metric = _with_draw(adapted.metric, within, state)
     quarter_ends = plan.burn_in * jnp.arange(1, 4) // 4
-    return jax.lax.cond(jnp.any(index + 1 == quarter_ends), lambda: _renewed(plan, found, metric), lambda: found._replace(metric=metric))
+    return jax.lax.cond(jnp.any(index + 1 == quarter_ends), lambda: _with_matrix(plan, adapted, metric), lambda: adapted._replace(metric=metric))
 
 
 def _mean[Tree](values: Tree, axes: tuple[str, ...]) -> Tree:
-    # One after the other: one that maps over devices and one that does not are no pair to JAX.
+    # One axis after the other: JAX does not reduce over an axis of devices and another axis at once.
     for axis in axes:
         values = jax.lax.pmean(values, axis)
     return values
@@ -131,45 +131,46 @@ def _dual_averaging(plan: Plan) -> Any:
 
 
 def _untuned(plan: Plan, step: Scalar) -> Any:
-    # blackjax draws the step towards ten times what it is given: a trajectory at the wrong end of that teaches nothing.
+    # blackjax draws the step towards ten times its first value; trajectories with such long steps would be rejected.
     return _dual_averaging(plan)[0](step / 10)
 
 
-def _tuned(plan: Plan, found: AdaptationState, index: Array, within: Bool[Array, ""], acceptance: Scalar) -> AdaptationState:
+def _with_step(plan: Plan, adapted: AdaptationState, index: Array, within: Bool[Array, ""], acceptance: Scalar) -> AdaptationState:
+    """With the step size tuned."""
     _, update, final = _dual_averaging(plan)
-    tuned = update(found.tuning, _mean(acceptance, plan.axes))
-    tuning = jax.tree.map(lambda new, old: jnp.where(within, new, old).astype(old.dtype), tuned, found.tuning)
-    # While it is tuned the step follows the last transition, afterwards it is the mean.
+    tuned = update(adapted.tuning, _mean(acceptance, plan.axes))
+    tuning = jax.tree.map(lambda new, old: jnp.where(within, new, old).astype(old.dtype), tuned, adapted.tuning)
+    # During burn-in the step follows the last transition; afterwards it is the mean.
     step = jnp.where(index + 1 < plan.burn_in, jnp.exp(tuning.log_step_size), final(tuning))
-    return found._replace(tuning=tuning, step=jnp.where(index < 0, found.step, step).astype(found.step.dtype))
+    return adapted._replace(tuning=tuning, step=jnp.where(index < 0, adapted.step, step).astype(adapted.step.dtype))
 
 
-def _learned(metric: Metric, within: Bool[Array, ""], state: Any) -> Metric:
+def _with_draw(metric: Metric, within: Bool[Array, ""], state: Any) -> Metric:
     """With a draw and its score added."""
     draw, score = (ravel_pytree(dict(part))[0] for part in (state.position, state.logdensity_grad))
-    own = jax.scipy.linalg.solve_triangular(metric.units, draw - metric.origin, lower=True)
-    row = jnp.concatenate([jnp.ones((1,), own.dtype), own, metric.units.T @ score])
-    # A score that is none teaches nothing.
+    scaled = jax.scipy.linalg.solve_triangular(metric.units, draw - metric.origin, lower=True)
+    row = jnp.concatenate([jnp.ones((1,), scaled.dtype), scaled, metric.units.T @ score])
+    # A draw whose score is not finite does not count.
     row = jnp.where(within & jnp.all(jnp.isfinite(row)), row, 0.0)
     return metric._replace(moments=metric.moments + row[:, None] * row)
 
 
-def _renewed(plan: Plan, found: AdaptationState, metric: Metric) -> AdaptationState:
-    """With the matrix of the quarter that ends, where it is one."""
+def _with_matrix(plan: Plan, adapted: AdaptationState, metric: Metric) -> AdaptationState:
+    """With the matrix of the quarter that ends, if it is positive definite."""
     units = _factor(metric.units @ geometric_mean(_sum(metric.moments, plan.axes)) @ metric.units.T, metric.units)
-    new = AdaptationState(found.step, _untuned(plan, found.step), Metric(units, metric.origin, jnp.zeros_like(metric.moments)))
-    # Types stay what they are from turn to turn.
-    return jax.tree.map(lambda fresh, old: jnp.asarray(fresh, old.dtype), new, found)
+    new = AdaptationState(adapted.step, _untuned(plan, adapted.step), Metric(units, metric.origin, jnp.zeros_like(metric.moments)))
+    # The loop needs the same types in every turn.
+    return jax.tree.map(lambda fresh, old: jnp.asarray(fresh, old.dtype), new, adapted)
 
 
 def _factor(matrix: Float[Array, "dof dof"], otherwise: Float[Array, "dof dof"]) -> Float[Array, "dof dof"]:
-    """The Cholesky factor, where the matrix has one to the precision at hand."""
+    """The Cholesky factor, if the matrix has one in this precision."""
     factor = jnp.linalg.cholesky(matrix)
     return jnp.where(jnp.all(jnp.isfinite(factor)), factor, otherwise)
 
 
 def geometric_mean(moments: Float[Array, "moment moment"]) -> Float[Array, "dof dof"]:
-    """C # F⁻¹ (Seyboldt, Carlson & Carpenter 2026, (9)), each covariance with the unit matrix as `FIRST_COUNTS` draws.
+    """C # F⁻¹ (Seyboldt, Carlson & Carpenter 2026, (9)), each covariance with the unit matrix as `PRIOR_DRAWS` draws.
 
     Args:
         moments: sum of the outer products of (1, draw, score).
@@ -178,7 +179,7 @@ def geometric_mean(moments: Float[Array, "moment moment"]) -> Float[Array, "dof 
     mean = moments[0, 1:] / count
     scatter = moments[1:, 1:] - count * mean[:, None] * mean
     draws, scores = (
-        (part + FIRST_COUNTS * jnp.eye(dofs, dtype=part.dtype)) / (count + FIRST_COUNTS) for part in (scatter[:dofs, :dofs], scatter[dofs:, dofs:])
+        (part + PRIOR_DRAWS * jnp.eye(dofs, dtype=part.dtype)) / (count + PRIOR_DRAWS) for part in (scatter[:dofs, :dofs], scatter[dofs:, dofs:])
     )
     factor = jnp.linalg.cholesky(draws)
     values, vectors = jnp.linalg.eigh(factor.T @ scores @ factor)

@@ -1,6 +1,6 @@
 """A function of one particle, applied to all of them: in small batches, spread over the devices.
 
-On a CPU a batch should fit the cache and the program should run on every core: a `vmap` over all particles at once is half as fast (docs/decisions).
+On a CPU a batch should fit the cache, and the program should run on every core: a `vmap` over all particles at once is half as fast (docs/decisions).
 On an accelerator one `vmap` is best.
 """
 
@@ -25,10 +25,10 @@ def over_particles(
     Args:
         function: `(particle, shared) -> pytree`, for one particle.
         particles: pytree whose leaves have a leading particle axis.
-        shared: what is the same for all particles. Arrays that are traced must come in here, not through a closure.
+        shared: the same for all particles. Traced arrays must come in here, not through a closure.
         batch: particles computed at once on one device.
-        checked: whether JAX keeps account of what differs from device to device; a library's loops may not tell it.
-        axis: a name of the particle axis, for collectives of the function (`axes_of`).
+        checked: whether JAX checks which values differ between devices; it cannot in some loops of libraries.
+        axis: a name of the particle axis, for collectives within the function (`axes_of`).
     """
     vmapped = jax.vmap(function, (0, None), axis_name=axis)
     if jax.default_backend() != "cpu":
@@ -44,19 +44,33 @@ def over_particles(
         spread = jax.shard_map(spread, mesh=mesh, in_specs=(split, PartitionSpec()), out_specs=split, check_vma=checked)
     results = spread(padded, shared)
     if len(devices) > 1:
-        # Gathered once: left spread, every sum over particles that follows would stop all devices to exchange a number.
+        # Gathered once: otherwise all devices would stop to exchange a number at every later sum over particles.
         results = jax.lax.with_sharding_constraint(results, whole())
     return jax.tree.map(lambda leaf: leaf[:count], results)
 
 
+def varying_like[Tree](tree: Tree, reference: Any) -> Tree:
+    """The tree with its arrays marked as different from device to device, if those of the reference are.
+
+    A loop within `over_particles` needs it for its first value, where that is a constant: it must have the type of the later ones.
+    """
+    axes = frozenset().union(*(jax.typeof(leaf).mat.varying for leaf in jax.tree.leaves(reference)))
+
+    def marked(leaf: jax.Array) -> jax.Array:
+        missing = tuple(sorted(axes - jax.typeof(leaf).mat.varying))
+        return jax.lax.pcast(leaf, missing, to="varying") if missing else leaf
+
+    return jax.tree.map(marked, tree)
+
+
 def axes_of(count: int, batch: int, axis: str) -> tuple[str, ...]:
-    """The names by which a collective within `over_particles` reaches all of so many particles, where each device has one batch."""
+    """The axis names with which a collective within `over_particles` reaches all `count` particles, if each device has one batch."""
     spread = jax.default_backend() == "cpu" and len(_devices(count, batch)) > 1
     return (axis, DEVICES) if spread else (axis,)
 
 
 def _devices(count: int, batch: int) -> list[Any]:
-    # A run of a few particles gains nothing from a second device, and padding it would cost more.
+    # A second device does not help a few particles, and their padding would cost more.
     return jax.devices() if count > batch else jax.devices()[:1]
 
 
@@ -76,7 +90,7 @@ def _in_batches(vmapped: Callable[..., Any], batch: int) -> Callable[..., Any]:
 
 
 def everywhere[Tree](tree: Tree) -> Tree:
-    """The tree's arrays, whole, on every device: what one program that spreads its particles takes and gives."""
+    """The tree's arrays, whole, on every device: the placement of a program's arguments and results."""
     return jax.device_put(tree, whole())
 
 

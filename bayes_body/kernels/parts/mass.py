@@ -5,32 +5,34 @@ $S = \mathrm{diag}(\partial s_k / \partial x_k)$ of the coordinates x that are s
 
 $$M = S\, (\mathrm{diag}(1/v) + C)\, S - \mathrm{diag}\Big(\frac{\partial^2}{\partial x_k^2} \log \Big|\frac{\partial s_k}{\partial x_k}\Big|\Big).$$
 
-The paper takes its diagonal alone, $M^{-1} = \mathrm{diag}(\epsilon_k^2)$. Monocular posteriors are narrow along some combinations of dofs and wide
-along others: with the whole matrix a trajectory need not follow them in the narrowest one's steps.
+The paper takes only the diagonal, $M^{-1} = \mathrm{diag}(\epsilon_k^2)$. Monocular posteriors are narrow along some combinations of dofs and wide
+along others: with the whole matrix the narrowest combination does not limit the steps along the others.
 
-A likelihood may offer its part of C (`Factor.curvature`); that of the others is found by finite differences of their gradient over a tenth of the
-noise's deviation. It counts where it is positive. The matrix depends on the chain's first state only: the moves stay reversible. With the
-correlations of the particles of the frame before, the ε_k are kept.
+A likelihood may offer its part of C (`Factor.curvature`). For the other likelihoods it comes from finite differences of their gradient, over a tenth
+of the noise's standard deviation. Only positive curvature counts. The matrix depends on the first state of the chain only, so the moves stay
+reversible. With the correlations of the particles of the frame before, the scales ε_k stay as they are.
 """
 
 from collections.abc import Mapping
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
+from numpyro.distributions.transforms import Transform
 
-from bayes_body.density.factor import FrameDensity, State
+from bayes_body.density.coordinates import Coordinates
+from bayes_body.density.density import Density, Unconstrained
+from bayes_body.density.factor import State
 
-# Over which share of the noise's deviation a gradient is differenced.
+# Length of a finite difference of the gradient, as a share of the noise's standard deviation.
 DIFFERENCE = 0.1
-# How much of the particles' correlations is believed.
-BELIEVED = 0.9
+# The factor by which the particles' correlations are shrunk.
+SHRINKAGE = 0.9
 
 
-def inverse_mass(target: Any, position: State, previous: State, whole: bool = False) -> Float[Array, " dof *dof"]:
-    """M⁻¹ at a position, coordinates without limits; its variables one after the other in alphabetical order.
+def inverse_mass(target: Unconstrained, position: State, previous: State, whole: bool = False) -> Float[Array, " dof *dof"]:
+    """M⁻¹ at a position (coordinates without limits); the variables follow each other in alphabetical order.
 
     Args:
         target: the marginal view over coordinates without limits (`Density.unconstrained`).
@@ -39,14 +41,14 @@ def inverse_mass(target: Any, position: State, previous: State, whole: bool = Fa
         whole: the matrix, rather than the inverse of its diagonal.
     """
     state, density = target.constrain(position), target.density
-    variances = ravel_pytree({name: jnp.asarray(law.variance) for name, law in density.transition.conditional(previous).items()})[0]
+    variances = ravel_pytree({name: jnp.asarray(distribution.variance) for name, distribution in density.transition.conditional(previous).items()})[0]
     offered = _blocks(density.curvature(state, previous))
     curvature = _finite(offered) + _finite(differenced(density, state, previous, variances))
-    slope, bend = (ravel_pytree(parts)[0] for parts in _slopes_and_bends(target.bijections, position))
+    slope, bend = (ravel_pytree(parts)[0] for parts in _slopes_and_bends(target.coordinates, position))
     prior = slope * slope / variances + bend
     if not whole:
         return 1 / (prior + slope * slope * jnp.maximum(jnp.diagonal(curvature), 0.0))
-    # In units of the prior the smallest eigenvalue is 1, and what is no curvature of a peak is left out.
+    # In units of the prior the smallest eigenvalue is 1; negative curvature, which is not that of a peak, is left out.
     unit = jax.lax.rsqrt(prior)
     scale = unit * slope
     values, vectors = jnp.linalg.eigh(scale[:, None] * curvature * scale)
@@ -58,17 +60,17 @@ def _finite(matrix: Array) -> Array:
 
 
 def _blocks(by_variable: Mapping[str, Array]) -> Float[Array, "dof dof"]:
-    """Matrices of the variables along the diagonal of one, in alphabetical order."""
+    """A block-diagonal matrix of the variables' matrices, in alphabetical order."""
     return jax.scipy.linalg.block_diag(*(by_variable[name] for name in sorted(by_variable)))
 
 
-def _slopes_and_bends(bijections: dict[str, Any], position: State) -> tuple[dict[str, Array], dict[str, Array]]:
-    found = {name: _slope_and_bend(bijections[name], x) for name, x in position.items()}
-    return {name: slope for name, (slope, _) in found.items()}, {name: bend for name, (_, bend) in found.items()}
+def _slopes_and_bends(coordinates: Coordinates, position: State) -> tuple[dict[str, Array], dict[str, Array]]:
+    pairs = {name: _slope_and_bend(coordinates.bijections[name], x) for name, x in position.items()}
+    return {name: slope for name, (slope, _) in pairs.items()}, {name: bend for name, (_, bend) in pairs.items()}
 
 
-def _slope_and_bend(bijection: Any, x: Array) -> tuple[Array, Array]:
-    """∂s/∂x of a bijection that acts on each entry alone, and minus the second derivative of its logarithm where that is positive."""
+def _slope_and_bend(bijection: Transform, x: Array) -> tuple[Array, Array]:
+    """∂s/∂x of a bijection that acts on each entry separately, and minus the second derivative of its logarithm where that is positive."""
     ones = jnp.ones_like(x)
 
     def slope(x: Array) -> Array:
@@ -84,8 +86,8 @@ def _slope_and_bend(bijection: Any, x: Array) -> tuple[Array, Array]:
     return slope(x), jnp.maximum(-jax.jvp(first, (x,), (ones,))[1], 0.0)
 
 
-def differenced(density: FrameDensity, state: State, previous: State, variances: Float[Array, " dof"]) -> Float[Array, "dof dof"]:
-    """Minus the second derivatives, of the likelihoods that offer none, by all dofs: from gradients on both sides of a state."""
+def differenced(density: Density, state: State, previous: State, variances: Float[Array, " dof"]) -> Float[Array, "dof dof"]:
+    """Minus the second derivatives, by all dofs, of the likelihoods that offer none: from gradients on both sides of a state."""
     flat, unravel = ravel_pytree(dict(state))
     names = density.without_curvature
     if not names:
@@ -107,15 +109,15 @@ def differenced(density: FrameDensity, state: State, previous: State, variances:
 def correlated(
     diagonal: Float[Array, " dof"], particles: Float[Array, "particle dof"], weights: Float[Array, " particle"]
 ) -> Float[Array, "dof dof"]:
-    """The diagonal's scales with the correlations of weighted particles, coordinates without limits."""
+    """A covariance with the scales of the diagonal and the correlations of weighted particles, in coordinates without limits."""
     weights = weights / jnp.sum(weights)
     centred = particles - weights @ particles
     covariance = (weights[:, None] * centred).T @ centred
     deviations = jnp.sqrt(jnp.diagonal(covariance))
-    # Particles that are all the same, as at a first frame, have no correlations.
+    # Particles that are all equal, as at a first frame, have no correlations.
     spread = deviations > 1e-6 * jnp.sqrt(diagonal)
     safe = jnp.where(spread, deviations, 1.0)
     correlation = jnp.where(spread[:, None] & spread[None, :], covariance / (safe[:, None] * safe[None, :]), 0.0)
     off = ~jnp.eye(diagonal.shape[0], dtype=bool)
     scales = jnp.sqrt(diagonal)
-    return jnp.where(off, BELIEVED * correlation, 1.0) * scales[:, None] * scales[None, :]
+    return jnp.where(off, SHRINKAGE * correlation, 1.0) * scales[:, None] * scales[None, :]

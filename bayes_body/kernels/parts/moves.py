@@ -1,8 +1,8 @@
-"""Markov moves that keep a density: Hamiltonian Monte Carlo and a random walk, of one particle, in coordinates in which the target is about N(0, 1).
+"""Markov moves that leave a density invariant, by Hamiltonian Monte Carlo or a random walk; and the chain of moves of one particle.
 
-Both evaluate the density at one place, in a loop over the points that they visit, the first among them. The likelihood of a whole body takes the
-compiler seconds wherever it stands: a library's move has it once where it starts and once where it goes on, and a caller who wants to know the
-likelihood of where it ended has it a third time (docs/decisions).
+Moves work in whitened coordinates, in which the target is about N(0, 1). Both evaluate the density in one place of the program, in a loop over the
+points that they visit, the first one included. The likelihood of a whole body takes the compiler seconds wherever it stands: a library's move has it
+once where it starts and once where it goes on, and a caller who needs the likelihood of the end point has it a third time (docs/decisions).
 """
 
 from collections.abc import Callable, Mapping
@@ -10,10 +10,14 @@ from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
-from bayes_body.density.factor import FrameDensity
+from bayes_body.density.density import Density
+from bayes_body.density.extended import Extended
+from bayes_body.density.factor import State
 from bayes_body.errors import input_error
+from bayes_body.kernels.parts.batching import varying_like
+from bayes_body.kernels.parts.weights import LogWeights
 from bayes_body.shapes import Index, Key, Scalar
 
 type Position = Mapping[str, Array]
@@ -21,20 +25,20 @@ type MoveName = Literal["hmc", "random_walk"]
 # The log-density, and the log-likelihood that is a part of it.
 type Target = Callable[[Position], tuple[Scalar, Scalar]]
 
-# A trajectory of one length all the time would return to where it came from on a near Gaussian target.
+# Trajectories of one constant length would return to where they came from on a near Gaussian target.
 JITTER = (0.6, 1.4)
 
 
-def check_gradients(density: FrameDensity, what: str, other: str = "") -> None:
-    """That every likelihood tells where it grows.
+def check_gradients(density: Density, what: str, other: str = "") -> None:
+    """Stop unless every likelihood has a gradient.
 
     Args:
         density: of a frame.
-        what: for which a gradient is needed, in a user's words.
+        what: needs the gradient, in a user's words.
         other: another remedy than a look-up with a gradient.
 
     Raises:
-        InputError: one does not.
+        InputError: a likelihood has none.
     """
     if density.without_gradient:
         found, remedy = f"'{density.without_gradient[0]}' has no gradient", f'set its lookup = "bilinear"{other}'
@@ -53,15 +57,15 @@ class Move(NamedTuple):
     """A Markov kernel.
 
     Attributes:
-        step: (key, position, target, scale) -> one move.
-        acceptance_rate: what its scale is adapted to.
-        scale: where the adaptation begins, by the number of coordinates.
+        step: (key, position, target, step size) -> one move.
+        acceptance_rate: to which the step size is adapted.
+        step_size: the first one, by the number of coordinates.
         evaluations: of the density, a move.
     """
 
     step: Callable[[Key, Position, Target, Scalar], Moved]
     acceptance_rate: float
-    scale: Callable[[int], float]
+    step_size: Callable[[int], float]
     evaluations: int
 
 
@@ -76,14 +80,14 @@ class _Point(NamedTuple):
 def hmc(leapfrog_steps: int) -> Move:
     """Hamiltonian Monte Carlo with unit mass (Neal 2011, 5.2); the step size is jittered by ±40 %."""
 
-    def step(key: Key, position: Position, target: Target, scale: Scalar) -> Moved:
+    def step(key: Key, position: Position, target: Target, step_size: Scalar) -> Moved:
         jitter_key, momentum_key, accept_key = jax.random.split(key, 3)
-        size = scale * jax.random.uniform(jitter_key, (), scale.dtype, *JITTER)
+        size = step_size * jax.random.uniform(jitter_key, (), step_size.dtype, *JITTER)
 
         def visit(k: Index, walker: tuple[Position, Position, _Point, _Point]) -> tuple[Position, Position, _Point, _Point]:
             position, momentum, first, _ = walker
             (log_density, log_likelihood), slope = jax.value_and_grad(target, has_aux=True)(position)
-            # Half a kick at both ends, two halves in one between: what is half done tells the energy.
+            # Half a kick at both ends, two halves in one between them; the energy is that after the first half.
             ends = (k == 0) | (k == leapfrog_steps)
             half = _along(momentum, slope, size / 2)
             here = _Point(position, log_density - _kinetic(jax.tree.map(lambda p, h: jnp.where(k == 0, p, h), momentum, half)), log_likelihood)
@@ -91,10 +95,9 @@ def hmc(leapfrog_steps: int) -> Move:
             onward = _along(position, kicked, jnp.where(k == leapfrog_steps, 0.0, size))
             return onward, kicked, jax.tree.map(lambda new, old: jnp.where(k == 0, new, old), here, first), here
 
-        # A loop hands on what differs from device to device where the particles do: so must what it starts from.
-        unknown = _kinetic(position) * jnp.nan
-        nowhere = _Point(position, unknown, unknown)
-        start = position, _normal(momentum_key, position), nowhere, nowhere
+        unknown = varying_like(jnp.full_like(_kinetic(position), jnp.nan), position)
+        unvisited = _Point(position, unknown, unknown)
+        start = position, _normal(momentum_key, position), unvisited, unvisited
         *_, first, last = jax.lax.fori_loop(0, leapfrog_steps + 1, visit, start)
         return _accept(accept_key, first, last)
 
@@ -102,11 +105,11 @@ def hmc(leapfrog_steps: int) -> Move:
 
 
 def random_walk() -> Move:
-    """Random-walk Metropolis with a Gaussian step; begins at Roberts, Gelman & Gilks's (1997) 2.38 / sqrt(d)."""
+    """Random-walk Metropolis with a Gaussian step; begins at 2.38 / sqrt(d) (Roberts, Gelman & Gilks 1997)."""
 
-    def step(key: Key, position: Position, target: Target, scale: Scalar) -> Moved:
+    def step(key: Key, position: Position, target: Target, step_size: Scalar) -> Moved:
         step_key, accept_key = jax.random.split(key)
-        proposed = _along(position, _normal(step_key, position), scale)
+        proposed = _along(position, _normal(step_key, position), step_size)
         both = jax.tree.map(lambda here, there: jnp.stack([here, there]), dict(position), proposed)
         points = _Point(both, *jax.lax.map(target, both))
         first, last = (jax.tree.map(lambda leaf, k=k: leaf[k], points) for k in (0, 1))
@@ -116,7 +119,7 @@ def random_walk() -> Move:
 
 
 def _accept(key: Key, first: _Point, last: _Point) -> Moved:
-    """Metropolis's rule; what is not a number is refused."""
+    """Metropolis's rule; NaN is refused."""
     log_ratio = last.log_density - first.log_density
     rate = jnp.exp(jnp.minimum(jnp.where(jnp.isnan(log_ratio), -jnp.inf, log_ratio), 0.0))
     accepted = jax.random.uniform(key, (), rate.dtype) < rate
@@ -126,7 +129,7 @@ def _accept(key: Key, first: _Point, last: _Point) -> Moved:
 
 def _normal(key: Key, like: Position) -> dict[str, Array]:
     keys = jax.random.split(key, len(like))
-    return {name: jax.random.normal(own, like[name].shape, like[name].dtype) for own, name in zip(keys, sorted(like), strict=True)}
+    return {name: jax.random.normal(k, like[name].shape, like[name].dtype) for k, name in zip(keys, sorted(like), strict=True)}
 
 
 def _along(position: Position, direction: Position, size: Scalar | float) -> dict[str, Array]:
@@ -135,3 +138,66 @@ def _along(position: Position, direction: Position, size: Scalar | float) -> dic
 
 def _kinetic(momentum: Position) -> Scalar:
     return sum((0.5 * jnp.sum(p * p) for p in momentum.values()), jnp.zeros(()))
+
+
+# -- particles of the extended view -----------------------------------------------------------------------------------------------------------
+
+
+class ExtendedParticle(NamedTuple):
+    """A point of the extended view: its ancestor, its coordinates without limits, and the log-likelihood there."""
+
+    ancestor: Index
+    position: dict[str, Array]
+    log_likelihood: Scalar
+
+
+class MoveSettings(NamedTuple):
+    """How the particles of one stage move: temperature, step size, and by variable a root of the covariance that whitens it."""
+
+    inverse_temperature: Scalar
+    step_size: Scalar
+    whitening: dict[str, Float[Array, "dof dof"]]
+
+
+def walk(
+    key: Key, particle: ExtendedParticle, view: Extended, settings: MoveSettings, move: Move, moves: int, candidates: int
+) -> tuple[ExtendedParticle, Scalar]:
+    """The chain of states that a particle goes through (a leading axis of `moves`), and the mean acceptance rate.
+
+    Args:
+        key: of the chain.
+        particle: where it starts.
+        view: the target.
+        settings: of the stage.
+        move: a Markov kernel.
+        moves: the chain's length.
+        candidates: among which the ancestor is redrawn before the first move.
+    """
+    ancestor_key, chain_key = jax.random.split(key)
+    ancestor = view.choose_ancestor(ancestor_key, particle.ancestor, particle.position, settings.inverse_temperature, candidates)
+
+    def coordinates(whitened: State) -> dict[str, Array]:
+        return {name: jnp.sum(settings.whitening[name] * value, axis=-1) for name, value in whitened.items()}
+
+    def target(whitened: State) -> tuple[Scalar, Scalar]:
+        return view.log_density(ancestor, coordinates(whitened), settings.inverse_temperature)
+
+    def one(whitened: State, move_key: Key) -> tuple[State, tuple[dict[str, Array], Scalar, Scalar]]:
+        after = move.step(move_key, whitened, target, settings.step_size)
+        return after.position, (coordinates(after.position), after.log_likelihood, after.acceptance_rate)
+
+    start = {name: jax.scipy.linalg.solve_triangular(settings.whitening[name], x, lower=True) for name, x in sorted(particle.position.items())}
+    _, (chain, log_likelihoods, rates) = jax.lax.scan(one, start, jax.random.split(chain_key, moves))
+    return ExtendedParticle(jnp.broadcast_to(ancestor, (moves,)), chain, log_likelihoods), jnp.mean(rates)
+
+
+def whitening(position: Float[Array, "particle dof"], log_weights: LogWeights) -> Float[Array, "dof dof"]:
+    """A root L of the weighted covariance, shrunk a tenth towards its diagonal: L z of a standard normal z spreads as the particles do."""
+    weights = jax.nn.softmax(log_weights)[:, None]
+    # A particle of weight zero may be NaN.
+    clean = jnp.where(weights > 0, position, 0.0)
+    centred = jnp.where(weights > 0, clean - jnp.sum(weights * clean, axis=0), 0.0)
+    covariance = (weights * centred).T @ centred
+    variances = jnp.diagonal(covariance)
+    floor = jnp.maximum(1e-6 * jnp.max(variances), 1e-10)
+    return jnp.linalg.cholesky(0.9 * covariance + jnp.diag(0.1 * variances + floor))

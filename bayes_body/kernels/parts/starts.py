@@ -1,6 +1,6 @@
-"""Where the chains of a frame begin: states that are chosen from the prediction by what the image says of them.
+"""Where the chains of a frame begin: states that are drawn from the prediction and chosen by the likelihood.
 
-A chain keeps its target from wherever it begins, but it does not leave the mode that it began in: what is not among the starts is not found.
+A chain samples its target from any start, but it does not leave the mode that it began in: a mode without a start is not found.
 """
 
 from typing import Any, Literal, NamedTuple
@@ -9,43 +9,43 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
-from bayes_body.density.factor import Particles, State
+from bayes_body.density.density import Unconstrained
+from bayes_body.density.factor import Particles
 from bayes_body.kernels import annealed_filter
-from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.kernels.parts.resampling import Resample
-from bayes_body.kernels.parts.weights import normalise
-from bayes_body.shapes import Key, Scalar
+from bayes_body.kernels.parts.weights import predict
+from bayes_body.shapes import Flag, Key, Scalar
 
 type StartsBy = Literal["importance", "annealing"]
 
 
 class Start(NamedTuple):
-    """Where a chain begins: coordinates without limits, and the ancestor that it was predicted from."""
+    """Where a chain begins: coordinates without limits, and the ancestor that the state was predicted from."""
 
     position: dict[str, Array]
     ancestor: Int[Array, ""]
 
 
-class Started(NamedTuple):
-    """The starts, with a leading chain axis, and what was learned on the way.
+class Initialisation(NamedTuple):
+    """The starts of all chains, and figures of the search for them.
 
     Attributes:
-        starts: one a chain.
+        starts: one a chain, along a leading axis.
         log_evidence: an estimate from draws of the prediction, nats.
-        lost: nothing explained the image.
+        lost: no draw explained the image.
         evaluations: of the likelihood.
     """
 
     starts: Start
     log_evidence: Scalar
-    lost: Array
+    lost: Flag
     evaluations: Any
 
 
-def by_importance(key: Key, target: Any, count: int, chains: int, resample: Resample) -> Started:
-    """Sampling importance resampling of so many draws of the prediction mixture (Poon & Fleet 2002, 4).
+def by_importance(key: Key, target: Unconstrained, count: int, chains: int, resample: Resample) -> Initialisation:
+    """Sampling importance resampling of draws of the prediction mixture (Poon & Fleet 2002, 4).
 
-    Where the image tells far more than the prediction only a few of the draws are chosen, each several times.
+    Where the likelihood is much narrower than the prediction only a few of the draws are chosen, each several times.
 
     Args:
         key: of all draws.
@@ -56,20 +56,19 @@ def by_importance(key: Key, target: Any, count: int, chains: int, resample: Resa
     """
     ancestor_key, draw_key, resample_key = jax.random.split(key, 3)
     ancestors = resample(ancestor_key, target.density.previous.log_weights, count)
-    keys = jax.random.split(draw_key, ancestors.shape[0])
-    drawn, log_likelihoods, log_constraints = over_particles(_predicted, (keys, ancestors), target)
-    weights = normalise(log_likelihoods + log_constraints)
+    drawn = predict(draw_key, ancestors, target.density)
+    weights = drawn.normalised()
     chosen = resample(resample_key, weights.log_weights, chains)
-    position = target.unconstrain(jax.tree.map(lambda leaf: leaf[chosen], drawn))
-    log_evidence = weights.log_sum - normalise(log_constraints).log_sum
-    return Started(Start(position, ancestors[chosen]), log_evidence, weights.lost, count)
+    position = target.unconstrain(jax.tree.map(lambda leaf: leaf[chosen], drawn.states))
+    return Initialisation(Start(position, ancestors[chosen]), drawn.log_evidence(), weights.lost, count)
 
 
-def by_annealing(key: Key, target: Any, count: int, chains: int, resample: Resample) -> Started:
-    """So many particles of the annealed filter (Deutscher & Reid 2005) after the same mixture, and starts drawn of them by weight.
+def by_annealing(key: Key, target: Unconstrained, count: int, chains: int, resample: Resample) -> Initialisation:
+    """Particles of the annealed filter (Deutscher & Reid 2005) after the same mixture; the starts are drawn from them by weight.
 
-    Its layers weigh by powers of the likelihood that leave half of the particles: modes that are worse by some tens of nats keep a start, which an
-    image or two later may prove to be the right one. The evidence is that of as many draws of the prediction: the annealed filter tells none.
+    Its layers weight by powers of the likelihood at which half of the particles survive. A mode that is worse by some tens of nats keeps a start, and
+    an image or two later it may prove to be the right one. The annealed filter does not estimate the evidence: that comes from as many draws of the
+    prediction.
 
     Args:
         key: of all draws.
@@ -78,23 +77,14 @@ def by_annealing(key: Key, target: Any, count: int, chains: int, resample: Resam
         chains: starts.
         resample: a scheme.
     """
-    weigh_key, parent_key, anneal_key, choose_key = jax.random.split(key, 4)
-    weighed = by_importance(weigh_key, target, count, chains, resample)
+    importance_key, parent_key, anneal_key, choose_key = jax.random.split(key, 4)
+    by_weight = by_importance(importance_key, target, count, chains, resample)
     previous = target.density.previous
     parents = resample(parent_key, previous.log_weights, count)
     equal = jnp.full((count,), -jnp.log(count), previous.log_weights.dtype)
     before = Particles(jax.tree.map(lambda leaf: leaf[parents], dict(previous.states)), equal)
     after, info = annealed_filter.build_kernel()(anneal_key, before, target.density)
     chosen = resample(choose_key, after.log_weights, chains)
-    position = target.unconstrain({name: after.states[name][chosen] for name in target.bijections})
+    position = target.unconstrain(jax.tree.map(lambda leaf: leaf[chosen], dict(after.states)))
     starts = Start(position, parents[info.ancestors[chosen]])
-    return weighed._replace(starts=starts, lost=weighed.lost | info.lost, evaluations=weighed.evaluations + info.evaluations)
-
-
-def _predicted(own: tuple[Key, Array], target: Any) -> tuple[State, Scalar, Scalar]:
-    (key, ancestor), density = own, target.density
-    previous = density.ancestor(ancestor)
-    # Without the barrier XLA draws the noise anew wherever the state is read.
-    state = jax.lax.optimization_barrier(density.transition.sample(key, previous))
-    sampled = {name: state[name] for name in target.bijections}
-    return sampled, density.log_likelihood(state, previous), density.log_constraint(state, previous)
+    return by_weight._replace(starts=starts, lost=by_weight.lost | info.lost, evaluations=by_weight.evaluations + info.evaluations)

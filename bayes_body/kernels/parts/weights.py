@@ -1,18 +1,24 @@
-r"""Weights in the log domain. ESS $= 1 / \sum_i \pi_i^2$ for normalised $\pi$; survival rate = ESS / N (Deutscher & Reid 2005)."""
+r"""Weights in the log domain, and draws of the prediction with theirs.
+
+ESS $= 1 / \sum_i \pi_i^2$ for normalised $\pi$; survival rate = ESS / N (Deutscher & Reid 2005).
+"""
 
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from bayes_body.shapes import Flag, Scalar
+from bayes_body.density.density import Density
+from bayes_body.density.factor import State
+from bayes_body.kernels.parts.batching import over_particles
+from bayes_body.shapes import Flag, Index, Key, Scalar
 
 type LogWeights = Float[Array, " particle"]
 
 
 class Normalised(NamedTuple):
-    """Log-weights that sum to one, the log of what they were divided by, and whether there was nothing to normalise."""
+    """Log-weights whose weights sum to one, the log of their sum before, and whether that sum was zero or not finite."""
 
     log_weights: LogWeights
     log_sum: Scalar
@@ -20,7 +26,7 @@ class Normalised(NamedTuple):
 
 
 def normalise(log_weights: LogWeights) -> Normalised:
-    """NaN counts as weight zero; if no weight is left, all become equal and `lost` is set: the caller goes on from its prediction."""
+    """NaN counts as weight zero. If no weight is left, all become equal and `lost` is set: the caller goes on from its prediction."""
     clean = jnp.where(jnp.isnan(log_weights), -jnp.inf, log_weights)
     # Differences first: a log-likelihood of some thousands, as of a whole image, leaves 32 bits no decimals for the sum's logarithm.
     peak = jnp.max(clean)
@@ -32,6 +38,47 @@ def normalise(log_weights: LogWeights) -> Normalised:
 
 
 def effective_sample_size(log_weights: LogWeights) -> Scalar:
-    """Of normalised or unnormalised log-weights, in particles."""
+    """In particles, of normalised or unnormalised log-weights."""
     weights = jnp.exp(log_weights - jnp.max(log_weights))
     return jnp.sum(weights) ** 2 / jnp.sum(weights * weights)
+
+
+class Weighed(NamedTuple):
+    """Proposed states and the two terms of their log-weights; leaves have a leading particle axis, or none."""
+
+    states: State
+    log_likelihoods: Float[Array, "*particle"]
+    log_constraints: Float[Array, "*particle"]
+
+    def normalised(self) -> Normalised:
+        """The weights L C of all particles."""
+        return normalise(self.log_likelihoods + self.log_constraints)
+
+    def log_evidence(self) -> Scalar:
+        """Log of the sum of L C over the sum of C: the prediction is what its constraints leave of it."""
+        return self.normalised().log_sum - normalise(self.log_constraints).log_sum
+
+
+def weigh(state: State, previous: State, density: Density) -> Weighed:
+    """One proposed state, with the terms of its log-weight."""
+    # Without the barrier XLA draws the noise anew wherever the state is read.
+    state = jax.lax.optimization_barrier(state)
+    return Weighed(state, density.log_likelihood(state, previous), density.log_constraint(state, previous))
+
+
+def predict(key: Key, ancestors: Int[Array, " particle"], density: Density) -> Weighed:
+    """One draw of the motion prior after each of these ancestors, weighed.
+
+    Args:
+        key: of all draws.
+        ancestors: indices among the particles that the density holds as the frame before.
+        density: of the frame.
+    """
+    keys = jax.random.split(key, ancestors.shape[0])
+    return over_particles(_predict_one, (keys, ancestors), density)
+
+
+def _predict_one(key_and_ancestor: tuple[Key, Index], density: Density) -> Weighed:
+    key, ancestor = key_and_ancestor
+    previous = density.ancestor(ancestor)
+    return weigh(density.transition.sample(key, previous), previous, density)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayes_body.posterior.blocks import log_mean_exp
 from bayes_body.view.report.markup import Markup, joined, section, table, tag
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ def _evidence(diagnosis: "Diagnosis") -> str:
     by_run = diagnosis.evidence_by_run
     if not np.isfinite(by_run).all():
         return "–"
-    mean = float(np.logaddexp.reduce(by_run) - np.log(len(by_run)))
+    mean = log_mean_exp(by_run)
     spread = "spread unknown (a single run)" if np.isnan(diagnosis.evidence_sd) else f"± {diagnosis.evidence_sd:.1f} nats (sd over the runs)"
     return f"{mean:,.1f} nats, {spread}" if np.isnan(diagnosis.evidence_sd) else f"{mean:,.1f} {spread}"
 

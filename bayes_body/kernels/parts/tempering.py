@@ -1,0 +1,127 @@
+r"""A stage of tempered SMC: its state, the Feynman-Kac step through blackjax, and the next temperature.
+
+blackjax declares no types for these functions: they are cast once, here.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from bayes_body.kernels.parts.moves import ExtendedParticle
+from bayes_body.kernels.parts.resampling import Resample
+from bayes_body.kernels.parts.weights import LogWeights
+from bayes_body.shapes import Index, Key, Keys, Scalar
+
+# The log of a likelihood of zero, as particles store it: finite, so that differences between particles are numbers.
+LOG_ZERO = -1e30
+
+
+def finite_log(log_likelihood: Array) -> Array:
+    """At least `LOG_ZERO`; NaN counts as a likelihood of zero."""
+    return jnp.maximum(jnp.where(jnp.isnan(log_likelihood), LOG_ZERO, log_likelihood), LOG_ZERO)
+
+
+class Ladder(NamedTuple):
+    """The temperatures of a run, and how particles moved at each: log of the step size, and the whitening. NaN where there was no stage."""
+
+    inverse_temperatures: Float[Array, " stage"]
+    log_step_sizes: Float[Array, " stage"]
+    whitening: dict[str, Float[Array, "stage dof dof"]]
+
+    def with_moves(self, stage: Index, log_step_size: Scalar, whitening: dict[str, Float[Array, "dof dof"]]) -> "Ladder":
+        """With the moves of a stage entered."""
+        roots = {name: self.whitening[name].at[stage].set(root) for name, root in whitening.items()}
+        return self._replace(log_step_sizes=self.log_step_sizes.at[stage].set(log_step_size), whitening=roots)
+
+
+class TemperedState(NamedTuple):
+    """What one stage hands to the next. Rates have one value a stage, as the ladder has."""
+
+    particles: ExtendedParticle
+    log_weights: LogWeights
+    inverse_temperature: Scalar
+    stage: Int[Array, ""]
+    stages_at_top: Int[Array, ""]
+    log_evidence: Scalar
+    log_step_size: Scalar
+    ladder: Ladder
+    survival_rates: Float[Array, " stage"]
+    acceptance_rates: Float[Array, " stage"]
+
+
+def init_state(particles: ExtendedParticle, log_weights: LogWeights, stages: int, step_size: Callable[[int], float]) -> TemperedState:
+    """At inverse temperature zero, before any stage.
+
+    Args:
+        particles: of the prediction.
+        log_weights: of the particles, by their constraints.
+        stages: the largest possible number.
+        step_size: of the first moves, by the number of coordinates.
+    """
+    dtype = log_weights.dtype
+    unknown = jnp.full((stages,), jnp.nan, dtype)
+    roots = {name: jnp.full((stages, x.shape[1], x.shape[1]), jnp.nan, dtype) for name, x in particles.position.items()}
+    log_step_size = jnp.log(jnp.asarray(step_size(sum(x.shape[1] for x in particles.position.values())), dtype))
+    zero, none = jnp.zeros((), dtype), jnp.zeros((), int)
+    return TemperedState(particles, log_weights, zero, none, none, zero, log_step_size, Ladder(unknown, unknown, roots), unknown, unknown)
+
+
+class Reweighted(NamedTuple):
+    """Particles after a step, with normalised log-weights; `log_increment` is the log of the mean weight before that."""
+
+    particles: Any
+    log_weights: LogWeights
+    log_increment: Scalar
+    info: Any
+
+
+def feynman_kac_step(
+    key: Key,
+    particles: Any,
+    log_weights: LogWeights,
+    move: Callable[[Keys, Any], tuple[Any, Any]],
+    log_potential: Callable[[Any], LogWeights],
+    resample: Resample,
+    resampled: int,
+) -> Reweighted:
+    """Resample, move, reweight (`blackjax.smc.base.step`).
+
+    Args:
+        key: of the step.
+        particles: pytree with a leading particle axis.
+        log_weights: of the particles, normalised or not.
+        move: (keys, resampled particles) -> as many particles as there were, and information.
+        log_potential: the new log-weights of all moved particles.
+        resample: a scheme.
+        resampled: how many are resampled; fewer than the particles where `move` returns several states of each.
+    """
+    from blackjax.smc import base
+
+    weights = jnp.exp(log_weights - jnp.max(log_weights))
+    state = base.SMCState(particles, weights / jnp.sum(weights), {})
+
+    def ancestors(resampling_key: Key, weights: Array, count: int | Array) -> Array:
+        return resample(resampling_key, jnp.log(weights), int(count))
+
+    def update(keys: Keys, parents: Any, _: Any) -> tuple[Any, Any]:
+        return move(keys, parents)
+
+    # blackjax calls its arguments so, whatever it declares.
+    after, info = cast(Any, base.step)(key, state, update, log_potential, ancestors, resampled)
+    return Reweighted(after.particles, jnp.log(after.weights), info.log_likelihood_increment, info.update_info)
+
+
+def next_increment(log_likelihoods: LogWeights, target_ess: float, most: Scalar) -> Scalar:
+    """The largest step in inverse temperature, up to `most`, after which equal weights have an ESS of at least `target_ess` of the particles."""
+    from blackjax.smc import ess, solver
+
+    relative = log_likelihoods - jnp.max(log_likelihoods)
+    increment = ess.ess_solver(lambda log_likelihood: log_likelihood, relative, target_ess, most, _bisect(solver.dichotomy))
+    return jnp.clip(jnp.asarray(increment, relative.dtype), 0.0, most)
+
+
+def _bisect(dichotomy: Callable[..., Any]) -> Callable[..., Array]:
+    # Down to float32's resolution: a sharp likelihood's first step may be 1e-7.
+    return lambda function, low, high: dichotomy(function, low, high, eps=1e-3, max_iter=60)
