@@ -39,7 +39,7 @@ def main() -> None:
     arguments, bar, ev, path = parse(), sys.stderr.isatty(), bb.compare.estimator_variance, bb.compare.estimator_path
     bb.configure()
     session = bb.load_session(arguments.session)
-    model = bb.with_first_pose(bb.load_model(arguments.model, session), session)
+    model = bb.load_model(arguments.model, session)
     runs, many, long, frames = (10, 400_000, 600, 0) if arguments.quick else (50, 4_000_000, 6000, 20)
     runs, many, frames = arguments.runs or runs, arguments.truth or many, frames if arguments.frames is None else arguments.frames
     own = model.definition.kernel.options.model_dump() if model.definition.kernel.kind == "hmc" else {}

@@ -34,7 +34,7 @@ def main() -> None:
     arguments = parse()
     bb.configure()
     session = bb.load_session(arguments.session)
-    model = bb.with_first_pose(bb.load_model(arguments.model, session), session)
+    model = bb.load_model(arguments.model, session)
     particles = 64 if arguments.quick else arguments.particles
     frames = min(2, session.frames) if arguments.quick else session.frames
     arguments.out.mkdir(parents=True, exist_ok=True)
