@@ -15,7 +15,7 @@ _HOME = {
     "configure": "config",
     "load_session": "session.read",
     "load_definition": "model.definition",
-    "load_model": "model.build",
+    "load_model": "initial",
     "read_frame": "observation.frames",
     "track": "tracking.track",
     "to_datatree": "posterior",

@@ -1,37 +1,42 @@
-"""The demonstration: somebody who never was walks through a room, is filmed, tracked exactly as a user's recording would be, and measured.
+"""The demonstration: a simulated person walks through a room and is filmed, tracked exactly as a user's recording, and compared with the truth.
 
-The walk is that of the cycle that ships (learned from one captured walker), the person and the room are drawn by the seed; neither the renderer nor
-the walker has anything in common with the model's body.
+The walk is the walking cycle that ships (learned from one captured walker). The seed draws the person and the room. Neither the renderer nor the
+walker shares anything with the model's body. Two independent filters track it, so that the run can say whether they agree.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bayes_body.errors import input_error
+from bayes_body.initial import Show
 from bayes_body.learning.walking_cycle import load_cycle, walk
+from bayes_body.metrics.figures import width
 from bayes_body.model.definition import definitions_folder
 from bayes_body.recording.rig import read_rig
-from bayes_body.runs.run import Settings, run
+from bayes_body.runs.run import run
+from bayes_body.runs.settings import Settings
 from bayes_body.session.read import FILE_NAME
 from bayes_body.session.session import Session
 from bayes_body.simulation.options import Options
 from bayes_body.simulation.person import build_person
 from bayes_body.simulation.session import simulate
 from bayes_body.simulation.staging import centred
+from bayes_body.storage.names import POSTERIOR_FILE
 from bayes_body.storage.saved_run import load_run
+from bayes_body.view.overlay import VIDEO
 from bayes_body.view.progress import watched
 from bayes_body.view.report import write_report
 
-RIG, MODEL = "room_4", "tempered_smc"
+RIG, MODEL, RUNS = "room_4", "tempered_smc", 2
 SESSION, RUN = "recording", "run"
 
 
 class Size(NamedTuple):
-    """How much is filmed, and how carefully it is tracked."""
+    """Frames that are filmed, and particles of each run."""
 
     frames: int
     particles: int
@@ -41,7 +46,7 @@ WHOLE, QUICK = Size(60, 300), Size(12, 192)
 
 
 class Demo(NamedTuple):
-    """What a demonstration left: the run's summary and the files to look at."""
+    """The run's summary, and the files to look at."""
 
     summary: dict[str, Any]
     recording: Path
@@ -50,32 +55,43 @@ class Demo(NamedTuple):
     posterior: Path
 
 
-def demo(out: Path, seed: int, size: Size, show: Callable[[str], None], bar: bool) -> Demo:
+def demo(out: Path, seed: int, size: Size, show: Show, show_run: Show, bar: bool) -> Demo:
     """Film, track, measure.
 
     Args:
         out: a folder for the recording and the run.
         seed: of the person, the walk, the room and the tracker.
         size: WHOLE or QUICK.
-        show: takes lines for the user.
+        show: takes lines for the user about the progress.
+        show_run: takes the lines of the run: its figures and its warnings.
         bar: whether progress bars are drawn.
 
     Raises:
-        InputError: the folder holds something already or cannot be written.
+        InputError: the folder holds a demonstration already or cannot be written.
     """
     if (out / SESSION / FILE_NAME).exists() or (out / RUN).exists():
         raise input_error(out, "holds a demonstration already", "a folder without one", "name another with --out, or remove it")
     session = film(out / SESSION, seed, size.frames, bar)
     show(f"filmed     {session.frames} frames with {len(session.views)} cameras: {out / SESSION}")
-    settings = Settings(out / SESSION, out / RUN, MODEL, overrides={"particles": size.particles}, seed=seed)
-    summary = run(settings, show, bar)
+    settings = Settings(out / SESSION, out / RUN, MODEL, overrides={"particles": size.particles}, runs=RUNS, seed=seed)
+    show(f"tracking   {RUNS} independent runs of {MODEL}: {out / RUN}")
+    summary = run(settings, show_run, bar)
     with load_run(out / RUN) as saved:
         report = write_report(saved, watch=watched("report", bar))
-    return Demo(summary, out / SESSION, out / RUN / "overlay.mp4", report, out / RUN / "posterior.nc")
+    return Demo(summary, out / SESSION, out / RUN / VIDEO, report, out / RUN / POSTERIOR_FILE)
+
+
+def result_of(summary: Mapping[str, Any]) -> str:
+    """The demonstration's result in one sentence: the error, what the intervals hold, and how far the runs lie apart."""
+    lost = summary["frames_lost"]
+    tracked = f"{summary['frames']} frames tracked, {lost or 'none'} lost"
+    truth = f"the mean markers are {summary['error_mm_mean']:.0f} mm from the truth"
+    held = f"{100 * summary['coverage_90']:.0f} % of it is inside the 90 % intervals ({width(summary['coverage_90'])})"
+    return f"{tracked}; {truth}, and {held}; the means of the two runs are {summary['marker_disagreement_mm']:.0f} mm apart."
 
 
 def film(folder: Path, seed: int, frames: int, bar: bool) -> Session:
-    """The recording of somebody's walk, another for each seed."""
+    """The recording of a simulated walk, another for each seed."""
     random = np.random.default_rng([seed, 2])
     rig, person = read_rig(definitions_folder() / "rigs" / f"{RIG}.toml"), build_person(seed)
     height, heading, phase = person.build.height_m, random.uniform(-math.pi, math.pi), random.uniform()

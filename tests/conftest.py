@@ -259,12 +259,12 @@ def make_run(textured_session, tmp_path):
         pose = arrays.get("pose", rng.uniform(-1, 0, size=(runs, draws, frames, 4)))
         log_weight = arrays.get("log_weight", rng.normal(size=(runs, draws, frames)))
         lost = arrays.get("lost", np.zeros((runs, frames), bool))
-        nothing = np.zeros((runs, frames))
+        log_evidence = arrays.get("log_evidence", np.zeros((runs, frames)))
         tree = xr.DataTree.from_dict(
             {
                 "posterior": xr.Dataset({"pose": (("chain", "draw", "frame", "dof"), pose)}, {"dof": list(ARM_DOFS), "unit": ("dof", ["rad"] * 4)}),
                 "sample_stats": xr.Dataset({"log_weight": (("chain", "draw", "frame"), log_weight)}),
-                "filter": xr.Dataset({"lost": (("chain", "frame"), lost), "log_evidence": (("chain", "frame"), nothing)}),
+                "filter": xr.Dataset({"lost": (("chain", "frame"), lost), "log_evidence": (("chain", "frame"), log_evidence)}),
             }
         )
         folder = tmp_path / name

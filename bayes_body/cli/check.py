@@ -45,7 +45,7 @@ def check(
     configure()
     from bayes_body.calibration.check import Plan
     from bayes_body.cli.models import checked_definition
-    from bayes_body.runs.run import kernel_options
+    from bayes_body.model.kernel_options import kernel_options
 
     counts = {"particles": particles, "layers": layers, "moves": moves, "leapfrog_steps": leapfrog_steps}
     for name, value in (counts | {"frames": frames, "jobs": jobs}).items():

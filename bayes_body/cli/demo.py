@@ -1,4 +1,4 @@
-"""`bayes-body demo`: from nothing to a posterior with its report, in two minutes."""
+"""`bayes-body demo`: from nothing to a posterior with its report, in a few minutes."""
 
 import sys
 from pathlib import Path
@@ -20,6 +20,7 @@ ROWS = (
     ("coverage_90", "truth inside the 90 % intervals", "{:.0%}"),
     ("coverage_50", "truth inside the 50 % intervals", "{:.0%}"),
     ("iou_median", "overlap with the silhouettes (IoU)", "{:.2f}"),
+    ("rhat_share", "R-hat of the two runs below 1.05, share of angles and frames", "{:.0%}"),
     ("ess_median", "effective particles, median", "{:.0f}"),
     ("frames_lost", "frames lost", "{}"),
     ("seconds_per_frame", "time a frame", "{:.2f} s"),
@@ -27,30 +28,30 @@ ROWS = (
 
 
 def demo(
-    out: Path | None = typer.Option(None, "--out", help=f"Folder for what it makes; {FOLDER}, or the next free {FOLDER}_2 ..., by default."),
-    seed: int = typer.Option(0, "--seed", help="Another person, walk, room and noise for each."),
+    out: Path | None = typer.Option(None, "--out", help=f"Folder for recording and run; {FOLDER}, or the next free {FOLDER}_2 ..., by default."),
+    seed: int = typer.Option(0, "--seed", help="Each seed makes another person, walk, room and noise."),
     quick: bool = typer.Option(False, "--quick", help="A fifth of the frames and fewer particles: to see that it works."),
 ) -> None:
-    """Film a simulated walk, track it as a recording of yours would be, and compare with the truth."""
+    """Film a simulated walk, track it as a recording of yours, and compare the posterior with the truth."""
     from bayes_body.config import configure
 
     check_range("--seed", seed, 0, LARGEST_SEED)
     configure()
-    from bayes_body.demo import QUICK, WHOLE
+    from bayes_body.demo import QUICK, WHOLE, result_of
     from bayes_body.demo import demo as demonstrate
+    from bayes_body.storage.names import free_folder
 
-    folder = _free() if out is None else out
-    found = demonstrate(folder, seed, QUICK if quick else WHOLE, lambda line: typer.echo(line), sys.stderr.isatty())
-    typer.echo("")
-    _table(found.summary)
+    folder, lines = free_folder(Path(FOLDER)) if out is None else out, list[str]()
+    try:
+        found = demonstrate(folder, seed, QUICK if quick else WHOLE, typer.echo, lines.append, sys.stderr.isatty())
+        # The result comes first, the lines of the run after it.
+        typer.echo(f"result     {result_of(found.summary)}\n")
+        _table(found.summary)
+        typer.echo("")
+    finally:
+        for line in lines:
+            typer.echo(line)
     _where(found)
-
-
-def _free() -> Path:
-    number, folder = 1, Path(FOLDER)
-    while folder.exists():
-        number, folder = number + 1, Path(f"{FOLDER}_{number + 1}")
-    return folder
 
 
 def _table(summary: dict[str, Any]) -> None:

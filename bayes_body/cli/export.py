@@ -1,6 +1,7 @@
-"""`bayes-body export`: a run's motion for other programs."""
+"""`bayes-body export`: write a run's motion for other programs."""
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,13 +20,17 @@ DEFAULT_STEM = "motion"
 def export(
     run: Path = typer.Argument(help="Folder of a run, as `bayes-body track` makes it."),
     to: str = typer.Option(..., "--to", help="trc (OpenSim, Pose2Sim), c3d, bvh (Blender), csv or npz."),
-    out: Path | None = typer.Option(None, "--out", help="File to write; motion.FORMAT in the run's folder by default."),
-    up: str | None = typer.Option(None, "--up", help="Axis that shall point up: x, y or z; the session's by default, y in bvh. OpenSim wants y."),
-    rate: float | None = typer.Option(None, "--rate", help="Frames a second to write, where the session's are wrong; no frame is made or left out."),
-    overwrite: bool = typer.Option(False, "--overwrite", help="Replace files that are there already."),
+    out: Path | None = typer.Option(None, "--out", help="The file; motion.FORMAT in the run's folder by default."),
+    up: str | None = typer.Option(None, "--up", help="Axis that points up: x, y or z; the session's by default, y in bvh. OpenSim needs y."),
+    rate: float | None = typer.Option(None, "--rate", help="Frames a second, if the session's are wrong; no frame is added or left out."),
+    overwrite: bool = typer.Option(False, "--overwrite", help="Replace existing files."),
+    spread: bool = typer.Option(False, "--spread", help="c3d only: standard deviation and quantiles of each axis as further points."),
     plugin: Plugins = None,
 ) -> None:
-    """Write mean, standard deviation and 5 % and 95 % quantiles of markers, and (csv, npz) of joint angles; or (bvh) the mean pose of a skeleton."""
+    """Write mean, standard deviation and 5 % and 95 % quantiles of markers, and (csv, npz) of joint angles; or (bvh) the mean pose of a skeleton.
+
+    A mode seeker's run has means only: the spread of its particles is no uncertainty.
+    """
     from bayes_body.config import configure
 
     configure()
@@ -39,16 +44,22 @@ def export(
         raise input_error("--up", up, "x, y or z", "name one of them")
     if rate is not None and not (math.isfinite(rate) and rate > 0):
         raise input_error("--rate", f"{rate:g}", "a finite number above 0", "give the frames a second")
+    if spread and check_format(to) != "c3d":
+        raise input_error("--spread", f"with --to {to}", "c3d", "leave it out: the other formats have the spread, or no room for it")
     file = out or run / f"{DEFAULT_STEM}.{check_format(to)}"
     with own_terms(plugin), load_run(run) as saved:
-        motion = write(saved, check_format(to), file, fps=rate, up=axis, overwrite=overwrite)
-    typer.echo(_told(motion, files_of(to, file)))
+        motion = write(saved, check_format(to), file, fps=rate, up=axis, overwrite=overwrite, spread=spread)
+        kernel = str(saved.kernel["kind"])
+    for line in _report(motion, files_of(to, file, motion.moments), kernel):
+        typer.echo(line)
 
 
-def _told(motion: "Motion", files: tuple[Path, ...]) -> str:
-    written = f"{', '.join(map(str, files))}: {len(motion.marker_names)} markers, {motion.frames} frames at {motion.fps:g} a second, {motion.up} up"
-    if not motion.lost.any():
-        return written
-    from bayes_body.posterior.diagnostics import frame_ranges
+def _report(motion: "Motion", files: tuple[Path, ...], kernel: str) -> Iterator[str]:
+    yield f"{', '.join(map(str, files))}: {len(motion.marker_names)} markers, {motion.frames} frames at {motion.fps:g} a second, {motion.up} up"
+    if not motion.has_intervals:
+        yield f"Means only: the kernel {kernel} is a mode seeker, and the spread of its particles is no uncertainty."
+    if motion.lost.any():
+        from bayes_body.posterior.diagnostics import frame_ranges
 
-    return f"{written}\n{frame_ranges(motion.lost.nonzero()[0].tolist())}: lost; what stands there is a prediction, with its wide spread."
+        wide = ", with its wide spread" if motion.has_intervals else ""
+        yield f"{frame_ranges(motion.lost.nonzero()[0].tolist())}: lost; the values there are a prediction{wide}."

@@ -37,7 +37,7 @@ def likelihood_scale(
     configure()
     from bayes_body.cli.models import checked_definition
     from bayes_body.learning.likelihood_scale import LEVEL, choose_scale, pooled
-    from bayes_body.runs.run import kernel_options
+    from bayes_body.model.kernel_options import kernel_options
 
     check_range("--particles", particles, 1)
     check_range("--frames", frames, 1)

@@ -1,4 +1,4 @@
-"""`bayes-body`: the verbs, and what happens when something is wrong: one sentence a fault on standard error, exit status 2, never a traceback."""
+"""`bayes-body`: the commands. Each fault of an input is one sentence on standard error, with exit status 2 and never a traceback."""
 
 import os
 import sys
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             typer.secho(f"bayes-body: {sentence}", err=True, fg="red")
         sys.exit(WRONG_INPUT)
     except SystemExit as stopped:
-        # typer makes this status of an interruption, without a word.
+        # typer exits with this status on an interruption, and prints nothing.
         if stopped.code == INTERRUPTED:
             typer.secho("bayes-body: interrupted.", err=True, fg="red")
         raise

@@ -1,4 +1,4 @@
-"""`bayes-body report`: a run becomes one page to look at."""
+"""`bayes-body report`: write a run's report as one HTML page."""
 
 import sys
 from pathlib import Path
@@ -9,8 +9,8 @@ from bayes_body.cli.plugin_option import Plugins, own_terms
 
 
 def report(
-    run: Path = typer.Argument(help="Folder of a run, as `bayes-body track` leaves it."),
-    out: Path | None = typer.Option(None, "--out", help="The file to write; report.html in the run's folder by default."),
+    run: Path = typer.Argument(help="Folder of a run, as `bayes-body track` makes it."),
+    out: Path | None = typer.Option(None, "--out", help="The file; report.html in the run's folder by default."),
     plugin: Plugins = None,
 ) -> None:
     """One HTML file that opens without a network: figures, pictures, joint angles, diagnostics, and how the run was made."""
@@ -23,7 +23,7 @@ def report(
     from bayes_body.view.report import write_report
 
     with own_terms(plugin), load_run(run) as saved:
-        # Asked for here: a page without what needs the model would be written without a word.
+        # Checked here: the page would silently lack all that needs the model.
         check_plugins(saved.folder, saved.plugins)
         path = write_report(saved, out, watched("report", sys.stderr.isatty()))
     typer.echo(f"{path}: {path.stat().st_size / 1e6:.1f} MB; open it in a browser.")

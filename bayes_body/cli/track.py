@@ -1,4 +1,4 @@
-"""`bayes-body track`: a session and a model make a run."""
+"""`bayes-body track`: track the person of a session."""
 
 import sys
 from argparse import ArgumentTypeError
@@ -17,38 +17,41 @@ LARGEST_SEED = 2**32 - 1
 
 def track(
     session: Path = typer.Argument(help="Folder of a session, as `bayes-body import` makes it."),
-    out: Path = typer.Option(..., "--out", help="Folder for the run; without --resume it must not hold another."),
+    out: Path | None = typer.Option(
+        None, "--out", help="Folder for the run; SESSION_run by default, or the next free SESSION_run_2 ... Without --resume it must not hold a run."
+    ),
     model: str | None = typer.Option(
-        None, "--model", help="A definition's name (`bayes-body models`) or the path of your own; deutscher_apf by default."
+        None,
+        "--model",
+        help="A definition's name (`bayes-body models`) or the path of your own; by default markers_31 if there are keypoints, else tempered_smc.",
     ),
     kernel: str | None = typer.Option(
         None,
         "--kernel",
-        help="annealed (a mode seeker: finds the pose, its spread is no uncertainty), sir, tempered or hmc; the model's own by default.",
+        help="tempered, hmc, sir, or annealed (a mode seeker: it finds the pose, its spread is no uncertainty); the model's own by default.",
     ),
-    particles: int | None = typer.Option(None, "--particles", help="Particles a run."),
+    particles: int | None = typer.Option(None, "--particles", help="Particles of a run."),
     layers: int | None = typer.Option(None, "--layers", help="Annealing layers a frame (annealed only)."),
     move: str | None = typer.Option(None, "--move", help="hmc or random_walk (tempered only)."),
-    moves: int | None = typer.Option(None, "--moves", help="Markov moves of a particle in a stage (tempered only)."),
-    leapfrog_steps: int | None = typer.Option(None, "--leapfrog-steps", help="Gradients that a trajectory takes (tempered and hmc only)."),
-    settings: list[str] = typer.Option(
-        [], "--set", metavar="NAME=VALUE", help="Any other option of the kernel, such as step=0.1; may be given several times."
-    ),
-    runs: int | None = typer.Option(None, "--runs", help="Independent filters, 1 by default; two or more give an R-hat."),
-    frames: int | None = typer.Option(None, "--frames", help="Only the first so many frames."),
+    moves: int | None = typer.Option(None, "--moves", help="Markov moves of a particle at a stage (tempered only)."),
+    leapfrog_steps: int | None = typer.Option(None, "--leapfrog-steps", help="Leapfrog steps of a trajectory (tempered and hmc only)."),
+    settings: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Another option of the kernel, such as step=0.1; may be repeated."),
+    runs: int | None = typer.Option(None, "--runs", help="Independent filters, 1 by default; R-hat needs two or more."),
+    frames: int | None = typer.Option(None, "--frames", help="Number of frames from the first on; all by default."),
     seed: int | None = typer.Option(None, "--seed", help="Seed of everything random, 0 by default."),
     resume: bool = typer.Option(
-        False, "--resume", help="Go on with the folder's run after its last whole frame; what is not given is as that run has it."
+        False, "--resume", help="Continue the run of --out after its last whole frame; options that are left out are those of that run."
     ),
     plugin: Plugins = None,
 ) -> None:
-    """Track the person of a session; leaves run.toml, frames, posterior.nc, summary.json, overlay.mp4 and stills."""
+    """Track the person of a session; writes run.toml, frames, posterior.nc, summary.json, overlay.mp4 and stills."""
     from bayes_body.config import configure
 
     configure()
     from bayes_body.cli.models import checked_definition
-    from bayes_body.runs.run import Settings, run
-    from bayes_body.storage.run_file import NAME as RUN_FILE
+    from bayes_body.runs.run import run
+    from bayes_body.runs.settings import Settings
+    from bayes_body.storage.names import RUN_FILE
     from bayes_body.storage.run_file import read_run_file
 
     most = _frames_of(session)
@@ -59,15 +62,30 @@ def track(
     check_range("--seed", seed, 0, LARGEST_SEED)
     overrides = {name: value for name, value in (counts | {"move": move}).items() if value is not None}
     overrides |= dict(_setting(text) for text in settings)
-    asked = Settings(session, out, model, kernel, overrides, runs, frames, seed, resume)
+    folder = out or _free_run(session, resume)
+    if out is None:
+        typer.echo(f"run        {folder}")
+    asked = Settings(session, folder, model, kernel, overrides, runs, frames, seed, resume)
     with own_terms(plugin):
-        if resume and (out / RUN_FILE).exists():
-            # Before the model is read, which would say no more than that a term does not exist.
-            read_run_file(out)
+        if resume and (folder / RUN_FILE).exists():
+            # Before the model is read: without the run's plugins a term of it does not exist.
+            read_run_file(folder)
         if model is not None:
             checked_definition(model)
         run(asked, show=lambda line: typer.echo(line), bar=sys.stderr.isatty())
-    typer.echo(f"{out}: posterior.nc, summary.json, overlay.mp4, overlay/, frames/, run.toml")
+    typer.echo(f"{folder}: posterior.nc, summary.json, overlay.mp4, overlay/, frames/, run.toml")
+
+
+def _free_run(session: Path, resume: bool) -> Path:
+    """`SESSION_run` beside the session, or the next free `SESSION_run_2`, ..."""
+    from bayes_body.storage.names import free_folder
+
+    if resume:
+        raise input_error("--resume", "no --out", "the folder of the run that is continued", "name it with --out")
+    folder = session if session.is_dir() else session.parent
+    # The name of `.` is empty.
+    folder = folder if folder.name not in ("", "..") else folder.resolve()
+    return free_folder(folder.with_name(f"{folder.name}_run"))
 
 
 def _setting(text: str) -> tuple[str, Any]:
@@ -78,7 +96,7 @@ def _setting(text: str) -> tuple[str, Any]:
 
 
 def _frames_of(folder: Path) -> int:
-    """How many frames the session has, once all its files are known to be there: a run that fails half way leaves nothing to use."""
+    """The session's number of frames, after a check that its files exist: a run that fails half way is of little use."""
     from bayes_body.recording.check import check_session
     from bayes_body.session.read import FILE_NAME, load_session
 
@@ -92,10 +110,10 @@ def _frames_of(folder: Path) -> int:
 
 
 def check_range(option: str, value: int | None, least: int, most: int | None = None) -> None:
-    """Refuse a value outside its range; None was not given.
+    """Refuse a value outside its range; None means that the option was not given.
 
     Raises:
-        InputError: it is outside.
+        InputError: the value is outside.
     """
     if value is not None and (value < least or (most is not None and value > most)):
         raise input_error(option, str(value), f"a whole number from {least}{f' to {most}' if most is not None else ' up'}", "give another number")

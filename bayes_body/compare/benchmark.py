@@ -18,12 +18,12 @@ from bayes_body.compare.scenes import Scene, Scenes
 from bayes_body.errors import InputError
 from bayes_body.metrics import accuracy_figures, draws_against_truth, log_evidence
 from bayes_body.model.definition import Definition, definition_names, load_definition
+from bayes_body.model.kernel_options import kernel_options
 from bayes_body.plugins.load import plugins_to_blame, providing
 from bayes_body.registry import find, names
 from bayes_body.session.read import FILE_NAME
 from bayes_body.session.session import Session
 from bayes_body.storage.run_file import places_of
-from bayes_body.toml.read import validate
 from bayes_body.tracking.draws import Draws
 from bayes_body.tracking.track import track
 
@@ -127,11 +127,10 @@ def options_of(definition: Definition, kernel: str, most_particles: int | None) 
     Raises:
         InputError: there is no such kernel.
     """
-    schema = find("kernel", kernel).options
-    given = definition.kernel.options.model_dump() if kernel == definition.kernel.kind else {}
-    options = validate(schema, given, f"the options of {kernel}").model_dump()
-    particles = options["particles"]
-    return validate(schema, options | {"particles": min(particles, most_particles or particles)}, f"the options of {kernel}")
+    _, options = kernel_options(definition, kernel)
+    if most_particles is None or options.particles <= most_particles:
+        return options
+    return kernel_options(definition, kernel, {"particles": most_particles})[1]
 
 
 def followed(scenes: Scenes, definition: Definition, kernel: str, options: Any, settings: Settings) -> tuple[Scene, Draws]:

@@ -11,7 +11,7 @@ from bayes_body.files.atomic import replacing
 
 
 def write_csv(motion: Motion, path: Path) -> None:
-    """Write the file: `frame` (from 0), `time_s`, `lost` (0 or 1), then of each marker's axes and each dof the moments; six decimals.
+    """Write the file: `frame` (from 0), `time_s`, `lost` (0 or 1), then the moments of each marker's axes and of each dof; six decimals.
 
     Raises:
         InputError: the file system refuses it.
@@ -26,8 +26,8 @@ def write_csv(motion: Motion, path: Path) -> None:
 def _columns(motion: Motion) -> Iterator[tuple[str, Float[np.ndarray, " frame"]]]:
     for m, marker in enumerate(motion.marker_names):
         for a, axis in enumerate(AXES):
-            for name, values in motion.markers._asdict().items():
-                yield f"{marker}_{axis}_{name}_m", values[:, m, a]
+            for name in motion.moments:
+                yield f"{marker}_{axis}_{name}_m", getattr(motion.markers, name)[:, m, a]
     for d, (dof, unit) in enumerate(zip(motion.dof_names, motion.dof_units, strict=True)):
-        for name, values in motion.dofs._asdict().items():
-            yield f"{dof}_{name}_{unit}", values[:, d]
+        for name in motion.moments:
+            yield f"{dof}_{name}_{unit}", getattr(motion.dofs, name)[:, d]

@@ -1,4 +1,7 @@
-"""What is exported of a run: markers and dofs, frame by frame, with standard deviation and 5 % and 95 % quantiles of the posterior."""
+"""What is exported of a run: markers and dofs, frame by frame, with standard deviation and 5 % and 95 % quantiles of the posterior.
+
+The particles of a mode seeker are no sample of the posterior: of such a run only the means are exported.
+"""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -12,11 +15,12 @@ from bayes_body.storage.saved_run import SavedRun, angle_moments, marker_moments
 
 type Axis = Literal["x", "y", "z"]
 AXES: tuple[Axis, ...] = ("x", "y", "z")
+MODE_SEEKER_MOMENTS = ("mean",)
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A run's motion; all its runs (independent filters) count the same.
+    """A run's motion; all its independent filters have the same weight.
 
     Attributes:
         title: of the session.
@@ -27,9 +31,10 @@ class Motion:
         dof_names: of the body.
         dof_units: for each dof `deg` or `m`.
         dofs: (frame, dof), degrees and metres.
-        lost: frames that no particle of some run explained: what stands there is a prediction.
+        lost: frames that no particle of at least one run explained; their values are predictions.
         body: of the run, by whose joints the dofs can be placed.
         order: which of the session's axes stands at x, y and z here.
+        moments: the fields of `Moments` that are written; only the mean of a mode seeker.
     """
 
     title: str
@@ -43,10 +48,16 @@ class Motion:
     lost: Bool[np.ndarray, " frame"]
     body: Body
     order: tuple[int, int, int]
+    moments: tuple[str, ...] = Moments._fields
+
+    @property
+    def has_intervals(self) -> bool:
+        """Whether standard deviations and quantiles are written."""
+        return self.moments != MODE_SEEKER_MOMENTS
 
     @property
     def frames(self) -> int:
-        """How many there are."""
+        """Number of frames."""
         return len(self.lost)
 
     @property
@@ -60,11 +71,11 @@ def read_motion(run: SavedRun, fps: float | None = None, up: Axis | None = None)
 
     Args:
         run: read back from its folder.
-        fps: frames a second, where the session's are wrong; no frame is made or left out.
-        up: which axis shall point up; the session's by default. The axes change places in turn (x, y, z to y, z, x), so that each keeps its sense.
+        fps: frames a second, if the session's are wrong; no frame is added or left out.
+        up: the axis that points up in the result; the session's by default. The axes are permuted cyclically (x, y, z to y, z, x): no reflection.
 
     Raises:
-        InputError: what the run kept cannot be used.
+        InputError: a file of the run cannot be used.
     """
     angular = np.array(run.model.body.skeleton.topology.angular)
     dofs = Moments(*(np.where(angular, np.degrees(values), values) for values in angle_moments(run)))
@@ -81,6 +92,7 @@ def read_motion(run: SavedRun, fps: float | None = None, up: Axis | None = None)
         lost=np.asarray(run.tree["filter"]["lost"], bool).any(axis=0),
         body=run.model.body,
         order=order,
+        moments=MODE_SEEKER_MOMENTS if run.mode_seeker else Moments._fields,
     )
 
 

@@ -12,7 +12,8 @@ def write_npz(motion: Motion, path: Path) -> None:
     """Write the file.
 
     Arrays: `frame` (from 0), `time_s`, `lost`, `fps`, `up`; `marker_names` and `marker_mean_m`, `marker_sd_m`, `marker_q05_m`, `marker_q95_m`
-    (frame, marker, 3); `angle_names` and `angle_mean_deg`, ... (frame, angle); `shift_names` and `shift_mean_m`, ... (frame, shift).
+    (frame, marker, 3); `angle_names` and `angle_mean_deg`, ... (frame, angle); `shift_names` and `shift_mean_m`, ... (frame, shift). A mode seeker's
+    run has the means only.
 
     Raises:
         InputError: the file system refuses it.
@@ -28,9 +29,9 @@ def write_npz(motion: Motion, path: Path) -> None:
         "angle_names": names[units == "deg"],
         "shift_names": names[units == "m"],
     }
-    for name, values in motion.markers._asdict().items():
-        arrays[f"marker_{name}_m"] = values
-    for name, values in motion.dofs._asdict().items():
+    for name in motion.moments:
+        arrays[f"marker_{name}_m"] = getattr(motion.markers, name)
+        values = getattr(motion.dofs, name)
         arrays[f"angle_{name}_deg"] = values[:, units == "deg"]
         arrays[f"shift_{name}_m"] = values[:, units == "m"]
     # Opened here: given a name, NumPy would append an ending.

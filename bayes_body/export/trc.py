@@ -1,8 +1,10 @@
 """TRC, the marker format of OpenSim and Pose2Sim: text, tab-separated, millimetres, frames counted from 1.
 
-It has no room for uncertainty: the mean is one file, and standard deviation and quantiles are files of the same form beside it.
+The format has no room for uncertainty: the mean is one file, and standard deviation and quantiles are files of the same form beside it. A mode
+seeker's run has the mean only.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,22 +12,23 @@ from jaxtyping import Float
 
 from bayes_body.export.motion import Motion
 from bayes_body.files.atomic import replacing
+from bayes_body.posterior.moments import Moments
 
 MILLIMETRES = 1000.0
 
 
-def trc_files(path: Path) -> dict[str, Path]:
-    """The file of each moment: that of the mean is `path`, the others say what they are: `walk_sd.trc`."""
-    return {"mean": path} | {name: path.with_stem(f"{path.stem}_{name}") for name in ("sd", "q05", "q95")}
+def trc_files(path: Path, moments: Sequence[str] = Moments._fields) -> dict[str, Path]:
+    """The file of each moment: `path` for the mean, `walk_sd.trc` and so on for the others."""
+    return {name: path if name == "mean" else path.with_stem(f"{path.stem}_{name}") for name in moments}
 
 
 def write_trc(motion: Motion, path: Path) -> None:
-    """Write the four files; the last digit is 1 µm.
+    """Write a file for each moment; the last digit is 1 µm.
 
     Raises:
         InputError: the file system refuses it.
     """
-    for name, file in trc_files(path).items():
+    for name, file in trc_files(path, motion.moments).items():
         with replacing(file) as partial:
             _write(partial, file.name, motion, getattr(motion.markers, name))
 

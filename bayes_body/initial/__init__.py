@@ -1,7 +1,30 @@
-"""The first pose: from angles as they are, from markers or keypoints by a robust fit within the body's limits."""
+"""The first pose: given as angles, or fitted to markers or keypoints within the body's limits; and the model that starts from it."""
 
-from bayes_body.initial.first import apply_first_pose, first_pose, is_fitted, with_first_pose
+from bayes_body.initial.first import (
+    Show,
+    apply_first_pose,
+    check_first_pose,
+    first_pose,
+    fit_first_pose,
+    is_fitted,
+    load_model,
+    with_first_keypoints,
+    with_first_pose,
+)
 from bayes_body.initial.report import FirstPose
 from bayes_body.initial.stored import restored, stored
 
-__all__ = ["FirstPose", "apply_first_pose", "first_pose", "is_fitted", "restored", "stored", "with_first_pose"]
+__all__ = [
+    "FirstPose",
+    "Show",
+    "apply_first_pose",
+    "check_first_pose",
+    "first_pose",
+    "fit_first_pose",
+    "is_fitted",
+    "load_model",
+    "restored",
+    "stored",
+    "with_first_keypoints",
+    "with_first_pose",
+]

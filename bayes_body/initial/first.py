@@ -1,14 +1,16 @@
-"""The first pose of a session: its angles as they are, or the pose of the least misfit to its markers and keypoints; and how thick the body looks."""
+"""A session's model with its first pose: the session's angles, or the pose that fits its markers and keypoints best; and how thick the body looks."""
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.errors import input_error
-from bayes_body.initial.evidence import ignored, read_evidence
+from bayes_body.initial.evidence import WORDS, ignored, read_evidence
 from bayes_body.initial.fit import SETTLED, fit
 from bayes_body.initial.lengths import factors
 from bayes_body.initial.misfit import Problem
@@ -16,8 +18,86 @@ from bayes_body.initial.outline import LEAST_OVERLAP, fit_outline
 from bayes_body.initial.points import body_points
 from bayes_body.initial.problem import build_problem
 from bayes_body.initial.report import FirstPose, tell
-from bayes_body.model.build import Model, load_model
-from bayes_body.session.session import Session, Subject
+from bayes_body.model.build import Model, build_model
+from bayes_body.model.definition import Definition
+from bayes_body.recording.keypoint_series import read_series
+from bayes_body.session.session import Keypoints, Session, Subject
+
+type Show = Callable[[str], None]
+
+
+def load_model(name: str | Path | Definition, session: Session, show: Show = print) -> Model:
+    """The model of that name (or path) for a session, starting from the session's first pose.
+
+    Angles are taken as they are. To markers, keypoints or silhouettes the pose, the lengths or the outline are fitted here, once, which takes some
+    seconds and is reported. A session that gives none of them in frame 0, but has keypoints in every frame, is fitted to those.
+
+    Args:
+        name: of a definition that ships, or the path of one, or the definition itself.
+        session: the recording.
+        show: takes a line for the user about each fit.
+
+    Raises:
+        InputError: the definition, the subject or the first pose cannot be used, or there is no first pose.
+    """
+    model = build_model(name, session)
+    session = with_first_keypoints(model, session)
+    check_first_pose(model, session)
+    return apply_first_pose(model, session, fit_first_pose(model, session, show)) if is_fitted(session) else model
+
+
+def fit_first_pose(model: Model, session: Session, show: Show) -> FirstPose:
+    """`first_pose`, with a line for the user about the time that the fit took, and one for each remark."""
+    begun = time.perf_counter()
+    found = first_pose(model, session)
+    misfits = [f"{1000 * found.median_m:.0f} mm off the markers"] if np.isfinite(found.median_m) else []
+    misfits += [f"{found.median_px:.0f} px off the keypoints"] if np.isfinite(found.median_px) else []
+    misfit = f", {' and '.join(misfits)} (median)" if misfits else ""
+    show(f"first pose: fitted in {time.perf_counter() - begun:.0f} s{misfit}")
+    for remark in found.remarks:
+        show(f"first pose: {remark}")
+    return found
+
+
+def check_first_pose(model: Model, session: Session) -> None:
+    """Check that the session says where the body is in frame 0. A body on a fixed base needs no first pose.
+
+    Raises:
+        InputError: it does not: the body would be tracked from the origin of the world.
+    """
+    if _is_placed(model, session) or session.initial_markers or session.initial_keypoints:
+        return
+    found = f"no first pose; the body '{model.body.name}' would start at the origin of the world"
+    expected = "the person's keypoints, markers or joint angles in frame 0"
+    remedy = (
+        "import the recording with --keypoints, or give four keypoints or more in each of two cameras under [initial.keypoints_px.CAMERA], "
+        "or angles_deg and positions_m under [initial]"
+    )
+    raise input_error(WORDS, found, expected, remedy)
+
+
+def _is_placed(model: Model, session: Session) -> bool:
+    """Whether the session gives a dof without limits, such as the root's position, or the body has none."""
+    low, high = np.asarray(model.body.skeleton.low), np.asarray(model.body.skeleton.high)
+    endless = [name for name, bounded in zip(model.body.dof_names, np.isfinite(low) & np.isfinite(high), strict=True) if not bounded]
+    return not endless or any(name in session.initial for name in endless)
+
+
+def with_first_keypoints(model: Model, session: Session) -> Session:
+    """A session without a first pose with the keypoints that its cameras have in frame 0; any other session as it is.
+
+    Raises:
+        InputError: a file of keypoints cannot be read.
+    """
+    if _is_placed(model, session) or session.initial_markers or session.initial_keypoints:
+        return session
+    found: dict[str, Keypoints] = {}
+    for view in session.views:
+        path = session.keypoints_path(view)
+        points = {} if path is None else read_series(path).frame(session.number(view, 0))
+        if points:
+            found[view.camera.name] = points
+    return replace(session, initial_keypoints=found)
 
 
 def is_fitted(session: Session) -> bool:
@@ -26,7 +106,7 @@ def is_fitted(session: Session) -> bool:
 
 
 def with_first_pose(model: Model, session: Session) -> Model:
-    """The model with the session's first pose for its initial state, and with fitted lengths and outline if the session asks for them.
+    """A model that starts from the session's first pose, with fitted lengths and outline if the session asks for them.
 
     Raises:
         InputError: as `first_pose`.
@@ -35,22 +115,22 @@ def with_first_pose(model: Model, session: Session) -> Model:
 
 
 def apply_first_pose(model: Model, session: Session, found: FirstPose) -> Model:
-    """The model with that pose for its initial state, and with the lengths and the outline that were fitted."""
+    """The model that starts from that pose, with the lengths and the outline that were fitted."""
     if found.lengths_m or found.outline_radii_m:
         subject = session.subject
         if not model.definition.takes_measures_of(subject.body):
-            # As `load_model` has it: another body's measures mean nothing here, a height means the same for all.
+            # As in `build_model`: another body's measures mean nothing here, a height means the same for all.
             subject = Subject(height_m=subject.height_m)
         lengths, radii = found.lengths_m or subject.lengths_m, found.outline_radii_m or subject.outline_radii_m
         subject = replace(subject, body=model.definition.body_name, lengths_m=lengths, outline_radii_m=radii)
-        model = load_model(model.definition, replace(session, subject=subject))
+        model = build_model(model.definition, replace(session, subject=subject))
     return model.beginning_at(jnp.asarray(found.pose))
 
 
 def first_pose(model: Model, session: Session) -> FirstPose:
-    """The pose of frame 0 as the session has it: its angles as they are, or what fits its markers and keypoints best.
+    """The pose of frame 0: the session's angles, or the pose that fits its markers and keypoints best.
 
-    Angles that are given beside markers or keypoints draw the fit to them.
+    Angles that are given beside markers or keypoints are the centre of the fit's prior.
 
     Raises:
         FaultyFileError: markers or keypoints hold values that cannot be used, a sentence each.
@@ -72,7 +152,7 @@ def _posed(model: Model, session: Session) -> FirstPose:
     told = tell(session, points, evidence, best.distances, best.pose, _lengths(model, session, problem, best.z))
     remarks = [*ignored(session, points), *told.remarks]
     if gain > SETTLED:
-        remarks.append("the first pose had not settled when the fit ended: look at it before you trust it")
+        remarks.append("the fit had not converged when it ended: look at the first pose before you trust it")
     return told._replace(remarks=tuple(remarks))
 
 

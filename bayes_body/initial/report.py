@@ -1,4 +1,4 @@
-"""What a fitted first pose is told as: residuals by name, outliers, and sentences for the user."""
+"""The report of a fitted first pose: residuals by name, outliers, and sentences for the user."""
 
 from collections.abc import Mapping
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""A first pose as a run keeps it: fitted once, then the same to the last bit whoever continues or reads the run."""
+"""A first pose as a run stores it. It is fitted once; a run that is continued or read uses the same bits."""
 
 from collections.abc import Mapping
 from itertools import chain
@@ -20,21 +20,21 @@ def stored(model: Model, found: FirstPose) -> dict[str, Any]:
 
 
 def restored(model: Model, table: Mapping[str, Any], where: str) -> FirstPose:
-    """The first pose that a table holds.
+    """The first pose in a table.
 
     Args:
         model: whose body it is a pose of.
         table: from `stored`.
-        where: what sentences shall call it.
+        where: the table's name in error messages.
 
     Raises:
-        InputError: it is of another body, or holds no numbers.
+        InputError: the pose is another body's, or an entry is no number.
     """
     pose, lengths, radii = table.get("pose"), table.get("lengths_m", {}), table.get("outline_radii_m", {})
     if not isinstance(pose, dict) or set(pose) != set(model.body.dof_names):
         raise input_error(f"{where}: pose", "of other dofs", f"a number for each dof of the body '{model.body.name}'", "begin the run anew")
     if not isinstance(lengths, dict) or not isinstance(radii, dict) or not all(isinstance(ends, list) and len(ends) == 2 for ends in radii.values()):
-        raise input_error(where, "lengths or radii that are none", "a number for each length, two for each part", "begin the run anew")
+        raise input_error(where, "lengths or radii that are no numbers", "a number for each length, two for each part", "begin the run anew")
     if not all(isinstance(value, float) for value in (*pose.values(), *lengths.values(), *chain.from_iterable(radii.values()))):
         raise input_error(where, "not all of it numbers", "radians and metres", "begin the run anew")
     placed = jnp.asarray([pose[name] for name in model.body.dof_names], model.body.lengths.dtype)

@@ -1,7 +1,7 @@
 """How good a run is: overlap with the silhouettes, agreement of the runs, error and coverage against the truth, and the figures of `summary.json`."""
 
 from bayes_body.metrics.figures import accuracy_figures
-from bayes_body.metrics.overlap import silhouette_overlap
+from bayes_body.metrics.fit import silhouette_overlap
 from bayes_body.metrics.summary import log_evidence, marker_disagreement, peak_memory_mb, summarise
 from bayes_body.metrics.truth import against_truth, draws_against_truth, true_markers
 

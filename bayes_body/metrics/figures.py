@@ -1,7 +1,7 @@
-"""What `summary.json` says of the error: millimetres, and shares between 0 and 1.
+"""The figures of `summary.json` about the error: millimetres, and shares between 0 and 1.
 
-As with HumanEva (Sigal, Balan & Black 2010): the error of a frame is the mean over its markers, that of a recording the mean over its frames, beside
-it the standard deviation over the frames. Optimistic is the best particle of each frame (Balan, Sigal & Black 2005), which no tracker can name.
+As in HumanEva (Sigal, Balan & Black 2010): the error of a frame is the mean over its markers, that of a recording the mean over its frames, beside
+it the standard deviation over the frames. Optimistic is the best particle of each frame (Balan, Sigal & Black 2005), which no tracker knows.
 """
 
 from typing import Any
@@ -17,16 +17,16 @@ NAMES = (
     *("error_mm_mean", "error_mm_std", "error_mm_optimistic", "error_mm_relative", "error_mm_by_marker", "coverage_50", "coverage_90"),
     *("error_mm_mean_fitted_offset", "coverage_90_fitted_offset"),
 )
-# Coverage of the 90 % intervals below which they are called too narrow, and above which too wide.
+# The 90 % intervals are too narrow if their coverage is below the first, too wide if it is above the second.
 ACCEPTED = (0.80, 0.98)
 
 
 def accuracy_figures(found: AgainstTruth | None, mode_seeker: bool) -> dict[str, Any]:
-    """The figures by NAMES; None where one does not exist, all of them without a truth.
+    """The figures by NAMES; None for one that does not exist, and for all of them without a truth.
 
     Args:
-        found: the run against the truth.
-        mode_seeker: whether the particles are no sample of the posterior: then their intervals promise nothing that could be kept.
+        found: the run compared with the truth.
+        mode_seeker: whether the particles are no sample of the posterior: such a run has no intervals, and no coverage.
     """
     if found is None:
         return dict.fromkeys(NAMES)
@@ -56,7 +56,7 @@ def coverage_at(coverage: Float[np.ndarray, " level"], level: float) -> float | 
 
 
 def width(coverage_90: float) -> str:
-    """What a coverage of the 90 % intervals says of them."""
+    """Whether 90 % intervals of this coverage are too narrow, too wide or about right."""
     low, high = ACCEPTED
     return "too narrow" if coverage_90 < low else "too wide" if coverage_90 > high else "about right"
 

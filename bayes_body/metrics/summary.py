@@ -1,6 +1,6 @@
 """Agreement of the runs, evidence, and the figures of `summary.json`.
 
-Frames are taken one at a time; what is kept of each are a few numbers, such as a median needs.
+Frames are read one at a time; a few numbers of each are kept.
 """
 
 import resource
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.metrics.figures import accuracy_figures
-from bayes_body.metrics.overlap import frame_overlap
+from bayes_body.metrics.fit import Fit, fit_figures, frame_fit
 from bayes_body.metrics.truth import draws_against_truth
 from bayes_body.model.build import Model
 from bayes_body.posterior import frame_rhat, markers, mean_pose
@@ -39,7 +39,7 @@ def log_evidence(draws: Draws) -> float:
 
 
 class _Figures(NamedTuple):
-    """What the summary takes from one frame; overlap is (run, camera), the others (run,) or single numbers."""
+    """What the summary takes from one frame: the fit, arrays (run,), and single numbers."""
 
     ess: NDArray[Any]
     layers: NDArray[Any]
@@ -47,17 +47,17 @@ class _Figures(NamedTuple):
     evaluations: int
     lost: bool
     rhat: float
-    overlap: NDArray[Any]
+    fit: Fit
     disagreement: float
 
 
 def _figures(session: Session, model: Model, frame: FrameResult, index: int) -> _Figures:
-    info, overlap = frame.info, frame_overlap(session, model, frame, index)
+    info, fit = frame.info, frame_fit(session, model, mean_pose(frame), index)
     evidence, evaluations = np.asarray(info.log_evidence, float), int(np.sum(info.evaluations))
     worst = _largest(frame_rhat(frame, index))
     # A kernel that chooses its number of layers pads them with NaN.
     layers = np.isfinite(info.inverse_temperatures).sum(axis=-1)
-    return _Figures(np.asarray(info.ess), layers, evidence, evaluations, frame.lost, worst, overlap, _disagreement(model, frame))
+    return _Figures(np.asarray(info.ess), layers, evidence, evaluations, frame.lost, worst, fit, _disagreement(model, frame))
 
 
 def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: Watch = unwatched) -> dict[str, Any]:
@@ -69,7 +69,9 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
     frames, working = len(draws.frames), draws.timing.total - draws.timing.compile
     found = [_figures(session, draws.model, draws.frames[index], index) for index in watch(range(frames))]
     mode_seeker = all(np.isnan(each.log_evidence).all() for each in found)
-    ess, overlap = (np.array([getattr(each, name) for each in found]) for name in ("ess", "overlap"))
+    ess, fits = np.array([each.ess for each in found]), [each.fit for each in found]
+    overlap = np.array([fit.overlap for fit in fits])
+    first = frame_fit(session, draws.model, np.asarray(draws.model.initial["pose"], float)[None], 0)
     figures = {
         "frames": frames,
         "frames_lost": sum(each.lost for each in found),
@@ -92,6 +94,7 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
         "log_evidence": log_mean_exp(np.sum([each.log_evidence for each in found], axis=0)),
         "iou_median": float(np.nanmedian(overlap)) if np.isfinite(overlap).any() else None,
         "marker_disagreement_mm": 1000 * float(np.mean([each.disagreement for each in found])),
+        **fit_figures(first, fits),
         **accuracy_figures(draws_against_truth(session, draws, watch), mode_seeker),
     }
     return {key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in figures.items()}

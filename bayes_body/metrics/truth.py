@@ -1,12 +1,12 @@
-r"""A whole run against the truth, frame by frame, as the bodies are and with the difference between their joint centres fitted.
+r"""A whole run compared with the truth, frame by frame: directly, and with the offset between the joint centres of the two skeletons fitted.
 
-Two skeletons are never the same: the truth's "hip" is not where the body's hip joint is. What stays the same over the frames, seen from the joint, is
-no error of tracking. Of each marker m on a joint with the orientation $R_t$ (of the run's mean pose), the offset
+Two skeletons are never the same: the truth's "hip" is not where the body's hip joint is. An offset that is constant over the frames, in
+the joint's frame, is no error of tracking. Of each marker m on a joint with the orientation $R_t$ (of the run's mean pose), the offset
 
 $$\delta_m = \arg\min_\delta \sum_t \| \bar x_{t,m} + R_t \delta - z_{t,m} \|^2 = \mathrm{mean}_t\; R_t^\top (z_{t,m} - \bar x_{t,m})$$
 
-is fitted on every other frame and added to the body's marker in the frames between, and the other way round: a frame is never measured with an offset
-that it helped to fit.
+is fitted on every other frame and added to the body's marker in the frames between, and vice versa: no frame is measured with an offset that it
+helped to fit.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -47,7 +47,7 @@ type Clouds = Callable[[], Iterable[Cloud]]
 
 
 class Accuracy(NamedTuple):
-    """Some frames against the truth, metres; NaN where the truth is unknown. What the fields are is told in `FrameAccuracy`.
+    """Some frames compared with the truth, metres; NaN where the truth is unknown. `FrameAccuracy` explains the fields.
 
     Attributes:
         names: of the markers that the body and the truth both have.
@@ -86,7 +86,7 @@ class Accuracy(NamedTuple):
 
 
 class AgainstTruth(NamedTuple):
-    """A run against the truth.
+    """A run compared with the truth.
 
     Attributes:
         plain: with the body's markers as they are.
@@ -109,12 +109,12 @@ def true_markers(session: Session) -> Float[np.ndarray, "frame 15 3"] | None:
 
 
 def draws_against_truth(session: Session, draws: Draws, watch: Watch = unwatched) -> AgainstTruth | None:
-    """Draws against the session's truth; None where it has none, or none of the body's markers is among it.
+    """Compare draws with the session's truth; None if it has none, or none of the body's markers.
 
     Args:
         session: the recording.
         draws: of its first frames.
-        watch: takes the numbers of the frames and gives them back, as a bar does; twice, the second time with the offsets.
+        watch: an iterator over the frames' numbers that shows progress; used twice, the second time with the offsets.
 
     Raises:
         InputError: the session's truth cannot be used.
@@ -132,11 +132,11 @@ def _cloud(draws: Draws, index: int) -> Cloud:
 
 
 def against_truth(model: Model, clouds: Clouds, truth: Float[np.ndarray, "frame 15 3"]) -> AgainstTruth | None:
-    """Particles against the truth, one frame in memory at a time; None where none of the body's markers is among the truth's.
+    """Compare particles with the truth, one frame in memory at a time; None if the two share no marker.
 
     Args:
         model: of the run.
-        clouds: the particles of each frame in order, anew at each call.
+        clouds: an iterator over the particles of each frame, a new one at each call.
         truth: of the same frames, in the order of `evidence.markers.MARKERS`, metres; NaN where unknown.
     """
     body = model.body.markers
@@ -200,7 +200,7 @@ def _of_run(
 
 
 def _stacked(runs: Sequence[tuple[FrameAccuracy, NDArray[np.floating]]]) -> tuple[NDArray[np.floating], ...]:
-    """What is kept of a frame: errors of each run, and the mean over the runs of what they expect and of the residual."""
+    """The stored figures of a frame: errors of each run, and the mean over the runs of the expected error and of the residual."""
     of = [accuracy for accuracy, _ in runs]
     error, relative, optimistic = (np.array([getattr(each, name) for each in of]) for name in ("error", "relative", "optimistic"))
     return error, relative, optimistic, np.mean([each.expected for each in of], axis=0), np.mean([residual for _, residual in runs], axis=0)

@@ -1,4 +1,4 @@
-"""A definition and a session make a model: arrays in metres and radians, one density for every frame."""
+"""A definition and a session make a model: arrays in metres and radians, and one density for every frame."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -61,7 +61,7 @@ class Model:
         return Density(self.transition, self.factors, jax.tree.map(jnp.asarray, observation), point_mass if previous is None else previous)
 
     def at(self, cameras: Sequence[CameraSpec]) -> "Model":
-        """The same model with its cameras standing so: what a frame of moving cameras needs. Shapes stay, so nothing is compiled anew."""
+        """The same model with its cameras at other places, as a frame of moving cameras needs it. Shapes stay, so nothing is compiled again."""
         rig = stack([_camera(spec) for spec in cameras])
 
         def placed(node: Any) -> Any:
@@ -84,11 +84,13 @@ class Model:
         return marker_positions(self.body.skeleton, self.body.markers, pose)
 
 
-def load_model(name: str | Path | Definition, session: Session) -> Model:
-    """The model of that name (or path), for a session.
+def build_model(name: str | Path | Definition, session: Session) -> Model:
+    """The model of that name (or path), for a session. It starts from the angles that the session gives; nothing is fitted.
+
+    `initial.load_model` is the whole of it: it fits the first pose, and refuses a session without one.
 
     Raises:
-        InputError: the definition or what the session says of the subject cannot be used.
+        InputError: the definition or the session's subject cannot be used.
     """
     definition = name if isinstance(name, Definition) else load_definition(name)
     body = build_body(definition.body_name, definition.body, _shape(session.subject, definition))
@@ -102,6 +104,10 @@ def load_model(name: str | Path | Definition, session: Session) -> Model:
         options=dynamics.options, body=body, fps=session.fps, subject_sd=_motion_sd(session.subject, definition)
     )
     return Model(definition, body, rig, transition, tuple(factors), transition.begin({"pose": _initial_pose(session, body, definition)}), observers)
+
+
+# The name of before; callers move to `build_model` or to `initial.load_model`.
+load_model = build_model
 
 
 def _likelihoods(definition: Definition, body: Body, rig: Camera) -> tuple[list[Factor], dict[str, Callable[[Any], Any]]]:
@@ -147,12 +153,12 @@ def _camera(spec: CameraSpec) -> Camera:
 
 
 def _initial_pose(session: Session, body: Body, definition: Definition) -> Pose:
-    """The session's first pose; a dof that it leaves out starts in the middle of its limits, or at 0 without limits."""
+    """The angles of the session's first pose. A dof that it leaves out starts in the middle of its limits, or at 0 if it has none."""
     larger = definition.body.measured_as
     known = [definition.body, *([load_body(larger)] if larger else [])]
     also = {dof.name for each in known for joint in each.joints for dof in joint.dofs}
     for name in session.initial:
-        # A fixed dof has its value; and of the body in whose names a subject is measured a smaller one leaves dofs out.
+        # A fixed dof keeps its value, and a smaller body lacks dofs of the body in whose names the subject is measured.
         if name not in body.dof_names and name not in also:
             raise InputError(f"session.toml: initial: '{name}' is no dof of the body '{body.name}'; {nearest(name, body.dof_names)}")
     low, high = np.asarray(body.skeleton.low, float), np.asarray(body.skeleton.high, float)

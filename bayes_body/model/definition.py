@@ -1,6 +1,6 @@
 """Model definitions: the schema of models/*.toml, found by name or by path, read and validated.
 
-A definition names terms; what a term's table may hold is the term's own schema, found through the registry. Nothing here builds arrays.
+A definition names terms. The registry gives the schema of each term's table. Nothing here builds arrays.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -18,19 +18,19 @@ from bayes_body.toml.schema import Schema
 
 
 class TermTable(BaseModel):
-    """A table that names a term by `kind`; its other keys are the term's options."""
+    """A table with the `kind` of a term; its other keys are the term's options."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
     kind: str
 
     @property
     def options(self) -> dict[str, Any]:
-        """All but the kind."""
+        """All keys except `kind`."""
         return dict(self.model_extra or {})
 
 
 class _File(Schema):
-    """A whole definition, its terms still unread."""
+    """A whole definition whose terms are not validated yet."""
 
     title: str
     source: str
@@ -43,7 +43,7 @@ class _File(Schema):
 
 @dataclass(frozen=True)
 class TermDefinition:
-    """One term: its kind, and its validated options (a pydantic model of the term's own)."""
+    """One term: its kind, and its validated options (the term's own pydantic model)."""
 
     kind: str
     options: Any
@@ -51,14 +51,14 @@ class TermDefinition:
 
 @dataclass(frozen=True)
 class LikelihoodDefinition(TermDefinition):
-    """A likelihood and how its observation is prepared."""
+    """A likelihood, and the options of its observation."""
 
     observation: Any
 
 
 @dataclass(frozen=True)
 class Definition:
-    """A model as declared: the file's own text, titles, a body, and terms with validated options."""
+    """A declared model: the text of its file, titles, a body, and terms with validated options."""
 
     name: str
     text: str
@@ -73,12 +73,12 @@ class Definition:
     kernel: TermDefinition
 
     def takes_measures_of(self, body: str | None) -> bool:
-        """Whether a subject's lengths and first pose in the names of that body (None: no certain one) are in those of this definition's body."""
+        """Whether lengths and a first pose that are named as in `body` (None: unknown) can be used for this definition's body."""
         return body in (None, self.body_name, self.body.measured_as)
 
 
 def definitions_folder() -> Path:
-    """Where the shipped definitions lie: inside the package in a wheel, beside it in a checkout."""
+    """The folder of the shipped definitions: inside the package in a wheel, beside it in a checkout."""
     package = Path(__file__).parents[1]
     inside = package / "_models"
     return inside if inside.is_dir() else package.parent / "models"
@@ -98,19 +98,19 @@ def load_definition(name: str | Path) -> Definition:
     """
     path = _locate(str(name), "", "model", Path())
     where = path.name if path.parent == definitions_folder() else str(path)
-    # Read first by what says it in a sentence if there is no such file.
+    # `read_toml` comes first: it raises an InputError if there is no such file.
     tables = read_toml(path)
     return _read(path.stem, path.read_text(encoding="utf-8-sig"), tables, _Collector(where, path.parent))
 
 
 def parse_definition(name: str, text: str, body_text: str | None, where: str = "") -> Definition:
-    """A definition from its own text, as a run keeps it: whatever the files say by now.
+    """A definition from a text, as a run stores it, whatever the files contain now.
 
     Args:
-        name: what it shall be called.
-        text: the model file's.
-        body_text: the body file's; without it a body that the model names is looked up.
-        where: what the sentences shall call the text; the name by default.
+        name: of the definition.
+        text: of the model file.
+        body_text: of the body file; without it a body that the model names is looked up.
+        where: the text's name in error messages; `name` by default.
 
     Raises:
         InputError: the text is no TOML.
@@ -122,7 +122,7 @@ def parse_definition(name: str, text: str, body_text: str | None, where: str = "
 
 def _read(name: str, text: str, data: Mapping[str, Any], collect: "_Collector") -> Definition:
     file = collect.attempt(lambda: validate(_File, data, collect.where))
-    # Read from the tables themselves, so that a fault in one place does not hide those in another.
+    # Read from the tables themselves: a fault in one place must not hide those in another.
     body_name, body_text, body = collect.body(data.get("body"))
     likelihoods = tuple(collect.likelihood(index, table) for index, table in _tables(data.get("likelihood")))
     constraints = tuple(collect.term("potential", f"constraint #{index + 1}", table) for index, table in _tables(data.get("constraint")))
@@ -133,7 +133,7 @@ def _read(name: str, text: str, data: Mapping[str, Any], collect: "_Collector") 
 
 
 def _tables(value: Any) -> Iterator[tuple[int, TermTable]]:
-    """Those of a list that name a term; what is wrong with the others the schema of the file says."""
+    """The tables of a list that name a term; the schema of the file reports the others."""
     for index, table in enumerate(value if isinstance(value, list) else []):
         if isinstance(table, dict) and isinstance(table.get("kind"), str):
             yield index, TermTable(**table)
@@ -159,14 +159,14 @@ def _locate(name: str, folder: str, kind: str, beside: Path) -> Path:
 
 
 class _Collector:
-    """Reads the terms of one file and gathers what is wrong, so that a user sees all of it at once."""
+    """Reads the terms of one file and collects all faults, so that a user sees them at once."""
 
     def __init__(self, where: str, folder: Path, body_text: str | None = None):
         self.where, self.folder, self.body_text = where, folder, body_text
         self.sentences: list[str] = []
 
     def body(self, table: Any) -> tuple[str, str, BodySchema | None]:
-        """The body's name, the text of its file, and the body: by name, or written out in the model itself (which has no text of its own)."""
+        """The body's name, the text of its file, and the body. A body that is written out in the model has no text of its own."""
         if not isinstance(table, dict):
             return "", "", None
         if "name" not in table:
@@ -189,7 +189,7 @@ class _Collector:
         return self.attempt(lambda: validate(BodySchema, parse_toml(text, where), where))
 
     def term(self, room: Room, place: str, table: TermTable) -> TermDefinition:
-        """A term with its options, held against the schema that its kind registered."""
+        """A term with its options, validated by the schema that its kind registered."""
         return TermDefinition(table.kind, self._options(room, place, table.kind, table.options))
 
     def likelihood(self, index: int, table: TermTable) -> LikelihoodDefinition:
@@ -197,7 +197,7 @@ class _Collector:
         place, options = f"likelihood #{index + 1}", table.options
         observation = options.pop("observation", {})
         read = self._options("likelihood", place, table.kind, options)
-        # A kind that does not exist is said once.
+        # A kind that does not exist is reported once.
         known = table.kind in names("likelihood")
         prepared = self._options("observation", f"{place}.observation", table.kind, observation) if known else None
         return LikelihoodDefinition(table.kind, read, prepared)
@@ -207,7 +207,7 @@ class _Collector:
         return self.attempt(lambda: validate(term.options, options, f"{self.where}: {place}")) if term else None
 
     def attempt[Result](self, action: Callable[[], Result], prefix: str = "") -> Result | None:
-        """The action's result; None if an input is wrong, and then the sentences are kept."""
+        """The action's result; None if an input is wrong: its sentences are collected."""
         try:
             return action()
         except FaultyFileError as error:

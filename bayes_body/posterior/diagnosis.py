@@ -1,11 +1,15 @@
-"""What is known of how well a run did, and the limits beyond which a reader must be told."""
+"""The diagnostic figures of a run, and the limits beyond which a reader is warned."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from bayes_body.posterior.mixing import Mixing
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 # Frames back to which ancestors are counted.
 LAGS = (1, 5, 10)
@@ -13,7 +17,7 @@ LAGS = (1, 5, 10)
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Limits beyond which a figure is told in a sentence.
+    """Limits beyond which a figure becomes a warning.
 
     Attributes:
         ess_share: least effective particles of a frame, as a share of the particles...
@@ -80,7 +84,7 @@ class Diagnosis:
 
     @property
     def mode_seeker(self) -> bool:
-        """Whether the kernel estimates no evidence: its particles are no sample of the posterior."""
+        """Whether the kernel is a mode seeker (`is_mode_seeker`)."""
         return bool(np.isnan(self.log_evidence).all())
 
     @property
@@ -97,6 +101,11 @@ class Diagnosis:
     def evidence_sd_frames(self) -> Float[np.ndarray, " frame"]:
         """The same, frame by frame."""
         return _sd(self.log_evidence)
+
+
+def is_mode_seeker(tree: "xr.DataTree") -> bool:
+    """Whether the kernel of a posterior's tree estimates no evidence: its particles are then no sample of the posterior."""
+    return bool(np.isnan(np.asarray(tree["filter"]["log_evidence"], float)).all())
 
 
 def _sd(values: Float[np.ndarray, "run k"]) -> Float[np.ndarray, " k"]:

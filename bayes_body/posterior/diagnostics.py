@@ -1,4 +1,4 @@
-"""How well a run did: weighted diagnostics of every frame, read piece by piece, and what of them a reader must be told, in sentences."""
+"""Weighted diagnostics of every frame of a run, read block by block, and warnings from them, in sentences."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
@@ -21,7 +21,7 @@ __all__ = ["Diagnosis", "Thresholds", "diagnose", "frame_ranges", "sentences", "
 
 
 class HasTree(Protocol):
-    """What keeps a posterior, such as a `SavedRun`."""
+    """An object with a posterior, such as a `SavedRun`."""
 
     @property
     def tree(self) -> "xr.DataTree":
@@ -30,7 +30,7 @@ class HasTree(Protocol):
 
 
 def diagnose(run: "HasTree | xr.DataTree", block: int = BLOCK) -> Diagnosis:
-    """The figures of a run, with a memory that does not grow with its length beyond those figures.
+    """The figures of a run. Apart from them, memory does not grow with the run's length.
 
     Args:
         run: a `SavedRun`, or the tree of a posterior.

@@ -1,4 +1,4 @@
-"""What of a diagnosis a reader must be told: a sentence for each limit that is crossed, with the frames, the worst figure and the remedy."""
+"""Warnings from a diagnosis: a sentence for each limit that is crossed, with the frames, the worst figure and the remedy."""
 
 from collections.abc import Iterator
 
@@ -12,23 +12,23 @@ from bayes_body.registry import find, names
 
 __all__ = ["frame_ranges", "sentences"]
 
-# A kernel that bridges prior and posterior, for one whose particles come from the prior alone.
+# The kernel to suggest where particles come from the prior alone: one that bridges prior and posterior.
 BRIDGE, FROM_PRIOR = "tempered", "sir"
 
 
 def sentences(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -> list[str]:
-    """One sentence for each limit that is crossed, most serious first; none for a sound run.
+    """One sentence for each limit that is crossed, most serious first; none for a valid run.
 
     Args:
         diagnosis: from `diagnose`.
         thresholds: the limits.
     """
-    told = [_mode_seeker(diagnosis), _lost(diagnosis), _unseen(diagnosis), _rhat(diagnosis, thresholds), *mixing_sentences(diagnosis, thresholds)]
+    found = [_mode_seeker(diagnosis), _lost(diagnosis), _unseen(diagnosis), _rhat(diagnosis, thresholds), *mixing_sentences(diagnosis, thresholds)]
     if not diagnosis.mode_seeker:
-        # A mode seeker holds the effective sample size by its choice of powers: its weights are no importance weights.
-        told += [_ess(diagnosis, thresholds), _pareto_k(diagnosis, thresholds), _evidence(diagnosis, thresholds)]
-    told += [_ancestors(diagnosis, thresholds), *_acceptance(diagnosis, thresholds), _single(diagnosis)]
-    return [sentence for sentence in told if sentence]
+        # A mode seeker chooses its powers so that the effective sample size stays: its weights are no importance weights.
+        found += [_ess(diagnosis, thresholds), _pareto_k(diagnosis, thresholds), _evidence(diagnosis, thresholds)]
+    found += [_ancestors(diagnosis, thresholds), *_acceptance(diagnosis, thresholds), _single(diagnosis)]
+    return [sentence for sentence in found if sentence]
 
 
 def _remedy(diagnosis: Diagnosis, *wanted: str) -> str:
@@ -39,7 +39,7 @@ def _remedy(diagnosis: Diagnosis, *wanted: str) -> str:
         known = {"particles"}
     raised = " or ".join(f"--{name}" for name in wanted if name in known)
     if diagnosis.kernel == FROM_PRIOR and BRIDGE in names("kernel"):
-        return f"raise {raised}, or take --kernel {BRIDGE}"
+        return f"raise {raised}, or use --kernel {BRIDGE}"
     return f"raise {raised}"
 
 
@@ -48,7 +48,7 @@ def _mode_seeker(diagnosis: Diagnosis) -> str | None:
         return None
     return (
         f"the kernel {diagnosis.kernel or 'of this run'} is a mode seeker: the spread of its particles is no uncertainty, its effective sample size "
-        "is held by construction, and it estimates no evidence; take a kernel that samples the posterior where these matter."
+        "is fixed by construction, and it estimates no evidence; use a kernel that samples the posterior if you need one of these."
     )
 
 
@@ -56,15 +56,15 @@ def _lost(diagnosis: Diagnosis) -> str | None:
     lost = diagnosis.lost.any(axis=0)
     if not lost.any():
         return None
-    found = "lost, no particle explained the images and the filter went on from its prediction"
-    return f"{frames_where(lost)}: {found}; look at the images, or {_remedy(diagnosis, 'particles')}."
+    what = "lost: no particle explained the images, and the filter went on from its prediction"
+    return f"{frames_where(lost)}: {what}; look at the images, or {_remedy(diagnosis, 'particles')}."
 
 
 def _unseen(diagnosis: Diagnosis) -> str | None:
     if diagnosis.seen is None or diagnosis.seen.all():
         return None
     blind = [f"{name} in {frames_where(~seen)}" for name, seen in zip(diagnosis.cameras, diagnosis.seen.T, strict=True) if not seen.all()]
-    return f"nothing seen by camera {'; camera '.join(blind)}: the other cameras alone, or the motion prior, speak there; look at these images."
+    return f"nothing seen by camera {'; camera '.join(blind)}: only the other cameras, or the motion prior, speak there; look at these images."
 
 
 def _rhat(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
@@ -103,7 +103,7 @@ def _evidence(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
         return None
     by_frame = np.nan_to_num(diagnosis.evidence_sd_frames, nan=-np.inf)
     figure = f"sd {sd:.1f} nats over {len(diagnosis.log_evidence)} runs (limit {thresholds.evidence_sd:g}), most at frame {by_frame.argmax()}"
-    return f"log-evidence: {figure}: too rough to compare models by; {_remedy(diagnosis, 'particles', 'moves')}."
+    return f"log-evidence: {figure}: too imprecise to compare models; {_remedy(diagnosis, 'particles', 'moves')}."
 
 
 def _ancestors(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
@@ -139,4 +139,4 @@ def _acceptance(diagnosis: Diagnosis, thresholds: Thresholds) -> Iterator[str]:
 def _single(diagnosis: Diagnosis) -> str | None:
     if diagnosis.ess.shape[0] > 1:
         return None
-    return "a single run: nothing tells whether another would agree; take --runs 2 or more."
+    return "a single run cannot show whether another run would agree; use --runs 2 or more."

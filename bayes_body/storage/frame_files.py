@@ -1,6 +1,6 @@
-"""Frames on disk, one file each: `000057.npz` is whole or not there, and a frame that was kept is never computed again.
+"""Frames on disk, one file each: `000057.npz` is whole or missing, and a stored frame is never computed again.
 
-A file holds the arrays of a `FrameResult` and no Python objects: `states.NAME`, `log_weights`, `info.FIELD`, `markov.NAME`, `seen`, `seconds`,
+A file has the arrays of a `FrameResult` and no Python objects: `states.NAME`, `log_weights`, `info.FIELD`, `markov.NAME`, `seen`, `seconds`,
 `seconds_ready`.
 """
 
@@ -19,15 +19,15 @@ from bayes_body.errors import InputError, input_error
 from bayes_body.files.atomic import make_folder, remove_partial, replacing
 from bayes_body.tracking.draws import FrameResult
 
-# Consumers go from frame to frame; two let them look back once.
+# Consumers read frame after frame, and look back one frame.
 KEPT_IN_MEMORY = 2
 
 
 class FrameFiles:
-    """The frames of a folder, from the first one up to the first that is missing; each is read when it is asked for.
+    """The frames of a folder, from the first one up to the first that is missing; each is read on demand.
 
     Args:
-        folder: of the files; made when the first frame is kept.
+        folder: of the files; made when the first frame is stored.
     """
 
     def __init__(self, folder: Path):
@@ -57,7 +57,7 @@ class FrameFiles:
         return (self[index] for index in range(self._count))
 
     def append(self, result: FrameResult, /) -> None:
-        """Keep the next frame; when this returns it is on the disk.
+        """Store the next frame; when this returns it is on the disk.
 
         Raises:
             InputError: the file system refuses it.
@@ -69,10 +69,10 @@ class FrameFiles:
         self._count += 1
 
     def mend(self) -> str:
-        """Make ready to go on: remove what an interruption left half written, read all frames, and end before the first that is damaged.
+        """Prepare to continue: remove half-written files, read all frames, and end before the first damaged one.
 
         Returns:
-            What is wrong with that one, in a sentence; empty if all are whole. Files behind it stay until their frames are kept anew.
+            The damage in a sentence; empty if all frames are whole. Files behind the damaged one stay until their frames are stored again.
         """
         remove_partial(self.folder)
         for index in range(self._count):

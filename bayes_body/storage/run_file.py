@@ -1,6 +1,6 @@
-"""`run.toml`: all that is needed to repeat a run or to go on with it: settings, the kernel's every option, versions, and the texts it was made of.
+"""`run.toml`: all that repeating or continuing a run needs: settings, every option of the kernel, versions, and the texts of model and session.
 
-The texts of plugins are kept to be compared and to be read by people; they are never run from here.
+The texts of plugins are kept for comparison and for people to read. They are never run from here.
 """
 
 import ast
@@ -20,9 +20,9 @@ from bayes_body.model.definition import Definition, definition_names
 from bayes_body.plugins.load import loaded, providing
 from bayes_body.registry import Place, Room
 from bayes_body.session.read import FILE_NAME
+from bayes_body.storage.names import RUN_FILE
 from bayes_body.toml.read import parse_toml, read_toml
 
-NAME = "run.toml"
 # Whose numbers a run's are: another version of one of them may give others.
 COMPUTING = ("bayes-body", "jax", "jaxlib", "numpyro", "blackjax")
 PACKAGES = (*COMPUTING, "arviz", "opencv-python-headless", "numpy")
@@ -35,14 +35,14 @@ TABLES = ("run", "kernel", "versions", "definition", "session")
 def describe(
     session: Path, model: str, definition: Definition, kind: str, options: Mapping[str, Any], runs: int, seed: int, frames: int | None
 ) -> dict[str, dict[str, Any]]:
-    """What `run.toml` shall hold, as tables.
+    """The tables of `run.toml`.
 
     Args:
         session: folder of the session, or its file.
         model: the definition's name or path.
         definition: what that is.
         kind: the kernel's name.
-        options: every option of the kernel.
+        options: all options of the kernel.
         runs: independent filters.
         seed: of everything random.
         frames: how many frames; None for all.
@@ -65,7 +65,7 @@ def describe(
 
 
 def places_of(definition: Definition, kernel: str) -> set[Place]:
-    """The terms that a run with a definition and a kernel is made of."""
+    """The terms that a run with this definition and kernel uses."""
     constraints: list[Place] = [("potential", term.kind) for term in definition.constraints]
     rooms: tuple[Room, ...] = ("likelihood", "observation")
     likelihoods: list[Place] = [(room, term.kind) for term in definition.likelihoods for room in rooms]
@@ -87,7 +87,7 @@ def write_run_file(folder: Path, record: Mapping[str, Mapping[str, Any]]) -> Non
     document.add(tomlkit.comment(HEADING))
     for name, table in record.items():
         document[name] = {key: tomlkit.string(value, multiline=True) if _is_text(name, key) else value for key, value in table.items()}
-    write_text(folder / NAME, tomlkit.dumps(document))
+    write_text(folder / RUN_FILE, tomlkit.dumps(document))
 
 
 def _is_text(table: str, key: str) -> bool:
@@ -100,38 +100,38 @@ def read_run_file(folder: Path) -> dict[str, dict[str, Any]]:
     Raises:
         InputError: there is none, it is no TOML, a table is missing, or a plugin of the run was not loaded.
     """
-    record = read_toml(folder / NAME)
+    record = read_toml(folder / RUN_FILE)
     missing = [name for name in TABLES if not isinstance(record.get(name), dict)]
     if missing:
-        raise input_error(folder / NAME, f"no table [{missing[0]}]", "the settings of a run", "name another folder with --out, and begin anew")
+        raise input_error(folder / RUN_FILE, f"no table [{missing[0]}]", "the settings of a run", "name another folder with --out, and begin anew")
     check_plugins(folder, kept_plugins(record))
     return record
 
 
 def kept_plugins(record: Mapping[str, Any]) -> dict[str, str]:
-    """The texts of the plugins that a run was made with, by file name; none where it had no terms of a user's own."""
+    """The texts of the plugins that a run was made with, by file name; empty if it used none."""
     table = record.get("plugins")
     return {str(name): str(text) for name, text in table.items()} if isinstance(table, dict) else {}
 
 
 def check_plugins(folder: Path, kept: Mapping[str, str]) -> None:
-    """That the plugins of a run were loaded: what a file of text says is never run.
+    """Check that the plugins of a run are loaded; the stored text is never run.
 
     Raises:
-        InputError: one was not, or says something else than when the run was made.
+        InputError: a plugin is not loaded, or it changed since the run was made.
     """
     now = {plugin.path.name: plugin.text for plugin in loaded()}
-    where = f"{folder / NAME}: plugins"
+    where = f"{folder / RUN_FILE}: plugins"
     for name, text in kept.items():
         if name not in now:
             raise input_error(where, f"the run has terms of {name}, which is not loaded", "the run's plugins", f"give that file with --plugin {name}")
         if _meaning(now[name]) != _meaning(text):
-            remedy = f"put it back: its text is in {NAME}, under [plugins]; or begin anew in another folder"
+            remedy = f"put it back: its text is in {RUN_FILE}, under [plugins]; or begin anew in another folder"
             raise input_error(where, f"{name} changed since the run was made", "the file that the run was made with", remedy)
 
 
 def _meaning(code: str) -> str:
-    """A short name of what a text says in Python: comments and layout do not count."""
+    """A digest of Python code; comments and layout do not count."""
     try:
         said = ast.dump(ast.parse(code))
     except (SyntaxError, ValueError):
@@ -140,10 +140,10 @@ def _meaning(code: str) -> str:
 
 
 def refuse_changes(folder: Path, kept: Mapping[str, Mapping[str, Any]], now: Mapping[str, Mapping[str, Any]]) -> None:
-    """Whether a run may go on: everything that its numbers depend on must be as it was. The number of frames is not among that.
+    """Check that a run may be continued: all that its numbers depend on is unchanged. The number of frames may change.
 
     Raises:
-        InputError: something changed; the sentence says what, from which value to which.
+        InputError: something changed; the sentence names it with the old and the new value.
     """
     before, after = _comparable(kept), _comparable(now)
     changed = [key for key in dict.fromkeys([*before, *after]) if before.get(key) != after.get(key)]
@@ -156,7 +156,7 @@ def refuse_changes(folder: Path, kept: Mapping[str, Mapping[str, Any]], now: Map
 
 
 def _comparable(record: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """All that counts, by a name that a user knows. Comments and layout of the texts do not."""
+    """All values that the numbers depend on, by names that a user knows; comments and layout of the texts do not count."""
     run, definition = record["run"], record["definition"]
     named = {"--model": Path(str(run.get("model"))).stem, "--runs": run.get("runs"), "--seed": run.get("seed")}
     named |= {f"kernel.{key}": value for key, value in _leaves(record["kernel"])}

@@ -1,7 +1,7 @@
 """A run read back from its folder: settings, model and session as they were when it was made, and the posterior, opened lazily.
 
-The model is built from the text that `run.toml` keeps, not from the user's file, which may have changed since. The session likewise: its images are
-looked for where they were, its numbers are those that the run saw.
+The model is built from the text in `run.toml`, not from the user's file, which may have changed since. The same holds for the session: its numbers
+are those that the run used, and its images are read from where they were.
 """
 
 import json
@@ -18,20 +18,21 @@ from numpy.typing import NDArray
 
 from bayes_body.errors import input_error
 from bayes_body.initial import apply_first_pose, restored
-from bayes_body.model.build import Model, load_model
+from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import parse_definition
 from bayes_body.posterior.blocks import BLOCK, pooled, pose_blocks, weights_of_runs
+from bayes_body.posterior.diagnosis import is_mode_seeker
 from bayes_body.posterior.moments import Moments, unwrapped, weighted_moments
 from bayes_body.posterior.weighted import markers
 from bayes_body.session.read import load_session, parse_session
 from bayes_body.session.session import Session
+from bayes_body.storage.names import FRAMES_FOLDER, POSTERIOR_FILE, RUN_FILE, SUMMARY_FILE
 from bayes_body.storage.run_file import check_plugins, kept_plugins
 from bayes_body.toml.read import parse_toml, read_toml
 
 if TYPE_CHECKING:
     import xarray as xr
 
-RUN_FILE, POSTERIOR_FILE, SUMMARY_FILE, FRAMES_FOLDER = "run.toml", "posterior.nc", "summary.json", "frames"
 GROUPS = ("posterior", "sample_stats", "filter")
 # Poses whose markers are computed at a time.
 CHUNK = 8192
@@ -40,7 +41,7 @@ AGAIN = "make the run again with `bayes-body track`"
 
 @dataclass(frozen=True, eq=False)
 class SavedRun:
-    """What a run left behind. `with load_run(folder) as run:` closes the posterior's file at the end, and so does `run.close()`.
+    """The files of a run. `with load_run(folder) as run:` closes the posterior's file at the end, and so does `run.close()`.
 
     Attributes:
         folder: of the run.
@@ -48,10 +49,10 @@ class SavedRun:
         kernel: the kernel's `kind` and every option.
         versions: of Python and of the packages, by name.
         texts: of the definition (`title`, `text`, `body_text`) and of the `session`, as far as the run keeps them.
-        tree: `posterior.nc` as `posterior.to_datatree` describes it; its arrays are read when they are asked for.
-        summary: what `summary.json` holds; empty where the run has none.
-        first_pose: the pose and the lengths that were fitted to the session's markers or keypoints; empty where it has none.
-        plugins: the texts of the user's own files that registered terms of it, by file name.
+        tree: `posterior.nc` as `posterior.to_datatree` describes it; arrays are read on demand.
+        summary: the content of `summary.json`; empty if there is none.
+        first_pose: the pose and the lengths that were fitted to the session's markers or keypoints; empty if nothing was fitted.
+        plugins: the texts of the user's plugins that registered terms of this run, by file name.
     """
 
     folder: Path
@@ -86,7 +87,7 @@ class SavedRun:
         """
         check_plugins(self.folder, self.plugins)
         name, where = Path(str(self.settings["model"])).stem, f"{self.folder / RUN_FILE}: the definition's text"
-        model = load_model(parse_definition(name, self.texts["text"], self.texts.get("body_text"), where), self.session)
+        model = build_model(parse_definition(name, self.texts["text"], self.texts.get("body_text"), where), self.session)
         dofs = np.asarray(self.tree["posterior"]["dof"]).astype(str).tolist()
         if dofs != list(model.body.dof_names):
             found = f"dofs {', '.join(dofs)}"
@@ -96,8 +97,13 @@ class SavedRun:
         return apply_first_pose(model, self.session, restored(model, self.first_pose, f"{self.folder / RUN_FILE}: first_pose"))
 
     @property
+    def mode_seeker(self) -> bool:
+        """Whether the kernel estimates no evidence. Its particles then are no sample of the posterior, and nothing claims an interval from them."""
+        return is_mode_seeker(self.tree)
+
+    @property
     def frames(self) -> int:
-        """How many frames it has."""
+        """Number of frames."""
         return self.tree["posterior"].sizes["frame"]
 
     @property

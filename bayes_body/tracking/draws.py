@@ -1,4 +1,4 @@
-"""What filters leave behind, on the host: a value for each frame, held in memory or read from the disk when it is asked for."""
+"""The results of filters on the host, frame by frame: in memory, or read from disk on demand."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,8 +22,8 @@ class FrameResult:
         log_weights: normalised over the particles of a run.
         info: each field with leading (run,).
         seen: whether each camera saw the frame.
-        seconds: wall-clock time that the frame took, all runs together, without `seconds_ready`.
-        seconds_ready: before it, until the program of a frame was ready; 0 but for the first frame that a process works on.
+        seconds: wall-clock time of the frame, all runs together, without `seconds_ready`.
+        seconds_ready: time before it until the program was compiled; 0 except for the first frame of a process.
     """
 
     states: dict[str, NDArray[Any]]
@@ -35,7 +35,7 @@ class FrameResult:
 
     @property
     def lost(self) -> bool:
-        """Whether at least one run could not explain it."""
+        """Whether at least one run could not explain the frame."""
         return bool(np.asarray(self.info.lost).any())
 
 
@@ -52,16 +52,16 @@ class Frames(Protocol):
 
 @runtime_checkable
 class FrameStore(Frames, Protocol):
-    """Frames that take one more."""
+    """Frames to which one more can be appended."""
 
     def append(self, result: FrameResult, /) -> None:
-        """Keep the next frame."""
+        """Store the next frame."""
         ...
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Wall-clock seconds: all of it, and therein until the program of a frame was ready (traced, and compiled or loaded from the cache)."""
+    """Wall-clock seconds in total, and the part of them until the program was ready (traced, and compiled or loaded from the cache)."""
 
     total: float
     compile: float
@@ -69,12 +69,12 @@ class Timing:
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """What was tracked.
+    """The draws of a tracked session.
 
     Attributes:
-        model: what was tracked with.
-        frames: what the filters made of each frame.
-        timing: seconds, of all processes that worked on these frames.
+        model: that tracked it.
+        frames: the filters' results.
+        timing: seconds, over all processes that worked on these frames.
         cameras: the cameras' names.
     """
 
@@ -85,12 +85,12 @@ class Draws:
 
     @property
     def runs(self) -> int:
-        """Independent filters."""
+        """Number of independent filters."""
         return self.frames[0].log_weights.shape[0]
 
     @property
     def particles(self) -> int:
-        """Particles a run."""
+        """Number of particles of a run."""
         return self.frames[0].log_weights.shape[1]
 
     @property
@@ -125,7 +125,7 @@ class Draws:
 
 
 def timing_of(frames: Frames) -> Timing:
-    """The seconds that the frames tell of."""
+    """The sum of the frames' seconds."""
     total = ready = 0.0
     for frame in frames:
         total, ready = total + frame.seconds + frame.seconds_ready, ready + frame.seconds_ready

@@ -1,6 +1,6 @@
 """The program of a frame: compiled once, for arguments of one form, so that it cannot retrace.
 
-What would need a second compilation is an error rather than a silent cost. A model has its form before it has its first pose: `compiled_ahead`
+Arguments of another form are an error, not a silent second compilation. A model has its form before its first pose is known: `compiled_ahead`
 compiles in a thread while the pose is fitted, on the core that the fit leaves idle.
 """
 
@@ -30,18 +30,18 @@ type Step = Callable[..., tuple[Particles, FilterInfo]]
 
 
 class Program(NamedTuple):
-    """A compiled step, and the form (tree, shapes and types) of what it takes."""
+    """A compiled step, and the form (tree, shapes and types) of its arguments."""
 
     step: Step
     form: Any
 
 
-# What is compiled ahead; None where it was given up.
+# The program that is compiled ahead; None if it was given up.
 type Ahead = Future[Program | None]
 
 
 def form_of(key: Key, particles: Particles, density: Density) -> Any:
-    """Equal for arguments that one program takes."""
+    """Equal for arguments that one program accepts."""
     leaves, tree = jax.tree.flatten((key, particles, density))
     return tree, tuple((leaf.shape, leaf.dtype) for leaf in leaves)
 
@@ -57,13 +57,13 @@ def traced(kernel: Kernel, key: Key, particles: Particles, density: Density) -> 
 
 @contextmanager
 def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: int) -> Iterator[Ahead]:
-    """The program that will track a session, compiled in a thread, for `track`. After an error in the block no further stage of it begins.
+    """Compile in a thread the program that will track a session. After an error in the block no further stage of the compilation begins.
 
     Args:
         session: the recording.
-        model: of the form that the tracked one will have; its first pose and lengths may still change.
+        model: of the form of the tracked one; its first pose and lengths may still change.
         kernel: that will track.
-        particles: how many, a run.
+        particles: of a run.
     """
     given_up = threading.Event()
     # A setting of the caller's own thread.
@@ -84,13 +84,13 @@ def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: in
         given_up.set()
         raise
     finally:
-        # Nobody waits for it here: XLA cannot be stopped half way.
+        # Do not wait: XLA cannot be stopped half way.
         pool.shutdown(wait=False)
 
 
 def program_from(ahead: Ahead | None, kernel: Kernel, key: Key, particles: Particles, density: Density) -> Step:
-    """The step that was compiled ahead if it takes these arguments, else one that does."""
-    # An error of the thread's is met again below, where it can be told.
+    """The step that was compiled ahead if it accepts these arguments, else a new one."""
+    # An error of the thread occurs again below, where it can be reported.
     if ahead is not None and ahead.exception() is None:
         ready = ahead.result()
         if ready is not None and ready.form == form_of(key, particles, density):

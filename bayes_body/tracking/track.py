@@ -1,8 +1,8 @@
 """A model, a kernel and a session make draws, frame by frame.
 
-All frames and all runs go through one compiled program: images, particles and keys are its arguments. While the device works on a frame the host
-prepares the next one's maps. Keys are folded by run and frame, so that no frame's randomness depends on how many came before it: a filter goes on
-from the last frame that is kept to the same end, bit for bit.
+All frames and all runs use one compiled program: images, particles and keys are its arguments. While the device works on a frame, the host prepares
+the data of the next one. Keys are folded by run and frame, so the randomness of a frame does not depend on how many frames came before it in this
+process: a filter that continues from stored frames ends the same, bit for bit.
 """
 
 import time
@@ -31,7 +31,7 @@ from bayes_body.tracking.rejected_chains import raise_if_all_rejected
 
 
 class Progress(NamedTuple):
-    """What a bar shows after a frame: how far, how fast, how well.
+    """The figures of a progress bar after a frame.
 
     Attributes:
         frame: frames done.
@@ -66,20 +66,20 @@ def track(
 
     Args:
         session: the recording.
-        model: from `load_model`, for this session.
+        model: from `initial.load_model`, for this session.
         kernel: such as `kernels.annealed.build_kernel()`.
-        key: of the whole; runs and frames fold theirs from it.
+        key: of the whole run; each filter and frame folds its own from it.
         particles: particles a run.
         runs: independent filters; ArviZ's chains.
-        frames: how many frames from the first on; all by default.
-        on_frame: called after each frame, once it is kept.
-        into: what keeps the frames, such as `storage.FrameFiles`; a list by default. Frames that it already holds are not computed again: the filters
-            go on from the last of them.
+        frames: number of frames from the first on; all by default.
+        on_frame: called after each frame is stored.
+        into: the store of the frames, such as `storage.FrameFiles`; a list by default. Frames that it already holds are not computed again: the
+            filters continue from the last of them.
         ahead: from `compiled_ahead` of this session and kernel, and of a model of this form.
 
     Raises:
-        InputError: no particles, runs or frames; `into` holds other or more of them; a frame's images cannot be read, or a frame cannot be kept; all
-            Markov chains of a frame stand still.
+        InputError: no particles, runs or frames; `into` holds other numbers of them; a frame's images cannot be read, or a frame cannot be stored; no
+            Markov chain of a frame accepts a move.
     """
     count = session.frames if frames is None else frames
     for name, value, most in (("particles", particles, None), ("runs", runs, None), ("frames", count, session.frames)):
@@ -95,7 +95,7 @@ def track(
 
 
 def _filters_after(store: FrameStore, particles: int, runs: int, count: int) -> list[Particles]:
-    """Each run's particles at the last frame that is kept."""
+    """Each run's particles at the last stored frame."""
     last = store[len(store) - 1]
     for name, kept, asked in zip(("runs", "particles"), last.log_weights.shape, (runs, particles), strict=True):
         if kept != asked:
@@ -106,7 +106,7 @@ def _filters_after(store: FrameStore, particles: int, runs: int, count: int) -> 
 
 
 class _Observed(NamedTuple):
-    """Of a frame: which cameras saw it, what the factors need of it, and the factors where a camera moves (else None: those of the model)."""
+    """A frame's data: which cameras saw it, the factors' arrays, and the factors themselves if a camera moves (None: those of the model)."""
 
     seen: np.ndarray
     data: Any
@@ -123,7 +123,7 @@ def _observations(session: Session, model: Model, frames: range) -> Generator[_O
 
 
 def _follow(store: FrameStore, results: Iterator[FrameResult], count: int, on_frame: Callable[[Progress], None] | None) -> None:
-    """Keep each frame as it comes."""
+    """Store each frame when it is computed."""
     first, seconds = len(store), 0.0
     for done, result in enumerate(results, first + 1):
         store.append(result)
@@ -135,7 +135,7 @@ def _follow(store: FrameStore, results: Iterator[FrameResult], count: int, on_fr
 def _filter(
     model: Model, kernel: Kernel, key: Key, filters: list[Particles], first: int, observations: Iterator[_Observed], ahead: Ahead | None
 ) -> Iterator[FrameResult]:
-    """What all runs make of each frame from `first` on; nothing of a frame is kept here but its particles."""
+    """The results of all runs for each frame from `first` on; only the particles of the last frame stay in memory."""
     last = time.perf_counter()
     run_keys = [everywhere(jax.random.fold_in(key, run)) for run in range(len(filters))]
     filters = [everywhere(particles) for particles in filters]
@@ -161,7 +161,7 @@ def _filter(
 def _result(outcomes: list[tuple[Particles, FilterInfo]], seen: np.ndarray, seconds: float, ready: float) -> FrameResult:
     particles, info = jax.tree.map(lambda *leaves: np.stack(leaves), *outcomes)
     if not seen.any():
-        # The likelihood was the same for all particles: a kernel alone cannot tell that from a frame that it explains.
+        # The likelihood was the same for all particles: the kernel cannot distinguish that from a frame that it explains.
         info = info._replace(lost=np.ones_like(info.lost))
     return FrameResult(dict(particles.states), particles.log_weights, info, seen, seconds, ready)
 
@@ -178,7 +178,7 @@ def _progress(result: FrameResult, frame: int, frames: int, seconds: float) -> P
 
 
 def _final(by_layer: Array | np.ndarray) -> np.ndarray:
-    """Of each run, the last layer that was reached; a kernel that chooses their number leaves the others NaN."""
+    """The last layer that each run reached; a kernel that chooses their number leaves the others NaN."""
     values = np.asarray(by_layer)
     reached = np.isfinite(values).sum(axis=-1)
     return values[np.arange(len(values)), np.maximum(reached, 1) - 1]

@@ -5,10 +5,10 @@ from typing import Any
 
 
 def figures_text(summary: Mapping[str, Any]) -> str:
-    """The run in words; a figure that does not exist is a dash, and without a truth nothing is said of the error.
+    """The figures with their units. A figure that does not exist is a dash; without a truth there is no line on the error.
 
     Args:
-        summary: what `summary.json` holds.
+        summary: the content of `summary.json`.
     """
 
     def shown(key: str, form: str, unit: str = "") -> str:
@@ -23,6 +23,11 @@ def figures_text(summary: Mapping[str, Any]) -> str:
         f"mean markers of the runs {shown('marker_disagreement_mm', '.0f', ' mm')} apart",
     ]
     return "\n".join([*lines, *_accuracy(summary)])
+
+
+def warning_line(sentence: str) -> str:
+    """A warning as a line below the figures."""
+    return f"warning     {sentence}"
 
 
 def _accuracy(summary: Mapping[str, Any]) -> list[str]:

@@ -18,9 +18,9 @@ import jax  # noqa: E402
 from case import recording  # noqa: E402
 
 from bayes_body.model.build import load_model  # noqa: E402
+from bayes_body.model.kernel_options import kernel_options  # noqa: E402
 from bayes_body.posterior import stream_posterior  # noqa: E402
 from bayes_body.registry import find  # noqa: E402
-from bayes_body.runs.run import kernel_options  # noqa: E402
 from bayes_body.session.read import load_session  # noqa: E402
 from bayes_body.storage import FrameFiles  # noqa: E402
 from bayes_body.tracking.track import Progress, track  # noqa: E402

@@ -4,8 +4,8 @@ import ezc3d
 import numpy as np
 import pytest
 
-from bayes_body.runs.run import Settings
 from bayes_body.runs.run import run as run_session
+from bayes_body.runs.settings import Settings
 from bayes_body.storage.saved_run import load_run, marker_moments
 
 
@@ -16,6 +16,18 @@ def run(walk, tmp_path_factory):
     settings = Settings(walk, folder, "deutscher_apf", "annealed", {"particles": 50, "layers": 2}, frames=2)
     run_session(settings, show=lambda line: None, bar=False)
     return folder
+
+
+def test_of_a_mode_seeker_means_only_and_why(cli, run, tmp_path):
+    outcome = cli("export", run, "--to", "csv", "--out", tmp_path / "walk.csv")
+    said = "Means only: the kernel annealed is a mode seeker, and the spread of its particles is no uncertainty."
+    assert outcome.out.splitlines()[1] == said
+    columns = (tmp_path / "walk.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+    assert not [name for name in columns if any(moment in name for moment in ("_sd_", "_q05_", "_q95_"))]
+
+
+def test_the_spread_is_an_option_of_c3d(cli, run, tmp_path):
+    cli("export", run, "--to", "csv", "--out", tmp_path / "walk.csv", "--spread").refuses("--spread: with --to csv", "expected c3d")
 
 
 def test_a_run_s_markers_as_c3d(cli, run):

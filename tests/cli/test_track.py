@@ -1,5 +1,6 @@
 """`bayes-body track`: what a run leaves behind, that it can be repeated from that alone, and sentences about wrong input."""
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -11,11 +12,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from bayes_body.session.read import save_session
+
 FRAMES, PARTICLES, LAYERS, RUNS, DOFS = 4, 100, 2, 2, 31
 KEYS = {
     *("frames", "frames_lost", "cameras", "dof", "particles", "layers", "runs", "kernel", "model", "seed"),
     *("seconds_total", "seconds_compile", "seconds_per_frame", "evaluations_per_second", "peak_memory_mb"),
-    *("ess_min", "ess_median", "rhat_max", "iou_median"),
+    *("ess_min", "ess_median", "rhat_max", "iou_median", "fit_by", "fit_first", "fit_worst", "fit_worst_frame", "frames_off", "warnings"),
 }
 
 
@@ -24,6 +27,7 @@ def run(walk, tmp_path_factory) -> Path:
     """The folder of one whole run, in a process of its own: its figures of time and memory are that of a user's."""
     out = tmp_path_factory.mktemp("runs") / "run"
     command = ["track", str(walk), "--out", str(out), "--particles", str(PARTICLES), "--layers", str(LAYERS), "--runs", str(RUNS), "--seed", "3"]
+    command += ["--model", "deutscher_apf"]
     done = subprocess.run([sys.executable, "-m", "bayes_body.cli.main", *command], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
@@ -36,7 +40,7 @@ def again(cli, walk, tmp_path):
     """`again("--frames", 2)`: the posterior of the same run, anew, with other options."""
 
     def call(*arguments):
-        options = ["--particles", PARTICLES, "--layers", LAYERS, "--runs", RUNS, "--seed", 3]
+        options = ["--model", "deutscher_apf", "--particles", PARTICLES, "--layers", LAYERS, "--runs", RUNS, "--seed", 3]
         outcome = cli("track", walk, "--out", tmp_path / "again", *options, *arguments)
         assert outcome.status == 0, outcome.err
         return posterior(tmp_path / "again")
@@ -84,6 +88,8 @@ def test_the_summary(run):
     assert summary["evaluations_per_second"] == pytest.approx(RUNS * FRAMES * PARTICLES * LAYERS / working)
     assert 1 <= summary["ess_min"] <= summary["ess_median"] <= PARTICLES
     assert 0.4 < summary["iou_median"] < 1
+    assert summary["fit_by"] == "silhouettes" and summary["fit_first"] > 0.9 and summary["fit_worst"] > 0.7 and summary["frames_off"] == []
+    assert all("fit the picture" not in sentence and "covers" not in sentence for sentence in summary["warnings"])
     assert summary["rhat_max"] > 0.9
     assert 50 < summary["peak_memory_mb"] < 1e5
 
@@ -131,17 +137,22 @@ def test_the_run_file_alone_is_enough_to_repeat_the_run(cli, run, tmp_path, monk
     assert record["machine"]["devices"]
 
 
-def test_another_kernel_than_the_model_s_own(cli, walk, tmp_path):
+def test_the_session_chooses_the_model_and_the_command_line_another_kernel(cli, walk, tmp_path):
     outcome = cli("track", walk, "--out", tmp_path / "run", "--kernel", "sir", "--particles", 50, "--frames", 2)
     assert outcome.status == 0
     assert "mode seeker" not in outcome.out
+    assert "model      tempered_smc, because the session has silhouettes (masks) and no keypoints; --model names another." in outcome.out
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["model"] == "tempered_smc"
     assert np.isfinite(posterior(tmp_path / "run")["filter"]["log_evidence"]).all()
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["rhat_max"] is None
 
 
 OPTIONS = {
     "a setting without a value": (["--set", "step"], ["--set: step", "expected NAME=VALUE", "step=0.1"]),
-    "a setting of another kernel": (["--set", "step=0.1"], ["'annealed' has no such option", "expected one of particles", "leave it out"]),
+    "a setting of another kernel": (
+        ["--set", "step=0.1"],
+        ["--set step: the kernel 'annealed' has no such option", "expected one of particles", "leave it out"],
+    ),
     "no such kernel": (["--kernel", "aneealed"], ["kernel 'aneealed' does not exist", "did you mean 'annealed'?"]),
     "no such model": (["--model", "deutscher_afp"], ["model 'deutscher_afp' does not exist", "did you mean 'deutscher_apf'?"]),
     "no such file": (["--model", "nowhere/mine.toml"], ["nowhere/mine.toml", "no such file", "check the path"]),
@@ -159,7 +170,8 @@ OPTIONS = {
 @pytest.mark.parametrize("fault", OPTIONS)
 def test_options_that_cannot_be_used(cli, walk, tmp_path, fault):
     options, parts = OPTIONS[fault]
-    cli("track", walk, "--out", tmp_path / "run", *options).refuses(*parts)
+    model = [] if "--model" in options else ["--model", "deutscher_apf"]
+    cli("track", walk, "--out", tmp_path / "run", *model, *options).refuses(*parts)
     # So that the same command, corrected, is not refused for what this one left.
     assert not list((tmp_path / "run").glob("*"))
 
@@ -213,10 +225,35 @@ def test_a_session_that_cannot_be_used(cli, walk, tmp_path, fault):
     head, sep, initial = text.partition("[initial.angles_deg]") if fault == "outside the limits" else ("", "", text)
     assert old in initial
     (tmp_path / "session.toml").write_text(head + sep + initial.replace(old, new, 1), encoding="utf-8")
-    cli("track", tmp_path, "--out", tmp_path / "run").refuses("session.toml", *parts)
+    cli("track", tmp_path, "--out", tmp_path / "run", "--model", "deutscher_apf").refuses("session.toml", *parts)
 
 
 def test_a_session_without_masks(cli, walk, tmp_path):
     lines = (walk / "session.toml").read_text(encoding="utf-8").splitlines()
     (tmp_path / "session.toml").write_text("\n".join(line for line in lines if not line.startswith("masks")), encoding="utf-8")
-    cli("track", tmp_path, "--out", tmp_path / "run").refuses("session.toml", "no masks", "expected a silhouette", "give each [[camera]] its `masks`")
+    said = ["no masks", "expected a silhouette", "give each [[camera]] its `masks`"]
+    cli("track", tmp_path, "--out", tmp_path / "run", "--model", "deutscher_apf").refuses("session.toml", *said)
+    # Nothing that a model could be chosen by.
+    cli("track", tmp_path, "--out", tmp_path / "run").refuses("session.toml", "neither keypoints nor silhouettes", "--keypoints", "--model")
+
+
+def test_without_an_out_each_run_has_a_folder_of_its_own(cli, textured_session, tmp_path, monkeypatch):
+    save_session(dataclasses.replace(textured_session, folder=tmp_path / "trial"))
+    monkeypatch.chdir(tmp_path)
+    for folder in ("trial_run", "trial_run_2"):
+        outcome = cli("track", "trial", "--model", "arm", "--particles", 20, "--frames", 1)
+        assert outcome.status == 0, outcome.err
+        assert outcome.out.startswith(f"run        {folder}\n") and (tmp_path / folder / "posterior.nc").exists()
+    first = (tmp_path / "trial_run" / "posterior.nc").stat().st_mtime_ns
+    monkeypatch.chdir(tmp_path / "trial")
+    assert cli("track", ".", "--model", "arm", "--particles", 20, "--frames", 1).status == 0
+    assert (tmp_path / "trial_run_3" / "posterior.nc").exists()
+    assert (tmp_path / "trial_run" / "posterior.nc").stat().st_mtime_ns == first
+    cli("track", ".", "--resume").refuses("--resume: no --out", "name it with --out")
+
+
+def test_warnings_are_called_so(cli, textured_session, tmp_path):
+    save_session(dataclasses.replace(textured_session, folder=tmp_path / "trial"))
+    outcome = cli("track", tmp_path / "trial", "--model", "arm", "--particles", 20, "--frames", 1)
+    assert "look at    " not in outcome.out
+    assert "warning     a single run cannot show whether another run would agree; use --runs 2 or more." in outcome.out

@@ -52,8 +52,17 @@ def test_trc(written):
             assert np.abs(positions[marker] - 1000 * getattr(motion.markers, moment)[:, m]).max() < 5.1e-4
 
 
-def test_c3d(written):
+def test_c3d_has_the_means_and_their_residuals_and_no_other_points(written):
     motion, path = written("c3d")
+    c3d = ezc3d.c3d(str(path))
+    assert c3d["parameters"]["POINT"]["LABELS"]["value"] == [*MARKERS] and c3d["data"]["points"].shape == (4, 3, 5)
+    step = abs(c3d["parameters"]["POINT"]["SCALE"]["value"][0])
+    sd = 1000 * np.sqrt((motion.markers.sd**2).mean(axis=-1)).T
+    assert np.abs(c3d["data"]["meta_points"]["residuals"][0] - sd).max() < 0.51 * step
+
+
+def test_c3d_with_the_spread(written):
+    motion, path = written("c3d", spread=True)
     c3d = ezc3d.c3d(str(path))
     points = c3d["parameters"]["POINT"]
     assert points["UNITS"]["value"] == ["mm"] and points["RATE"]["value"] == [60.0] and c3d["parameters"]["ANALOG"]["USED"]["value"] == [0]
@@ -98,6 +107,39 @@ def test_csv(written, make_run):
     for moment in MOMENTS:
         assert np.abs(column(f"l_wrist_y_{moment}_m") - getattr(motion.markers, moment)[:, 2, 1]).max() < 5.1e-7
         assert np.abs(column(f"elbow_{moment}_deg") - getattr(motion.dofs, moment)[:, 3]).max() < 5.1e-7
+
+
+@pytest.fixture
+def sought(make_run):
+    """A run of a mode seeker: it estimates no evidence."""
+    return make_run(log_evidence=np.full((2, 5), np.nan))
+
+
+def test_a_mode_seeker_s_csv_has_means_only(written, sought):
+    motion, path = written("csv", run=sought)
+    with path.open(encoding="utf-8", newline="") as file:
+        header = next(csv.reader(file))
+    assert not motion.has_intervals and len(header) == 3 + 9 + 4
+    assert all(name.split("_")[-2] == "mean" for name in header[3:])
+
+
+def test_a_mode_seeker_s_npz_has_means_only(written, sought):
+    _, path = written("npz", run=sought)
+    with np.load(path) as arrays:
+        values = {name for name in arrays if name.startswith(("marker_", "angle_", "shift_")) and not name.endswith("names")}
+    assert values == {"marker_mean_m", "angle_mean_deg", "shift_mean_m"}
+
+
+def test_a_mode_seeker_s_trc_is_one_file(written, sought):
+    _, path = written("trc", run=sought)
+    assert [each.name for each in path.parent.iterdir()] == ["arm.trc"]
+
+
+def test_a_mode_seeker_s_c3d_has_no_residuals(written, sought):
+    _, path = written("c3d", run=sought, spread=True)
+    c3d = ezc3d.c3d(str(path))
+    assert c3d["data"]["points"].shape == (4, 3, 5) and np.abs(c3d["data"]["meta_points"]["residuals"]).max() < 0.01
+    assert "no uncertainty" in c3d["parameters"]["POINT"]["DESCRIPTIONS"]["value"][0]
 
 
 def test_angles_are_degrees(make_run):

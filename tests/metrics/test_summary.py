@@ -14,7 +14,8 @@ from bayes_body.metrics import draws_against_truth, log_evidence, marker_disagre
 from bayes_body.metrics.figures import NAMES
 from bayes_body.model.build import load_model
 from bayes_body.posterior import markers, mean_poses, rhat
-from bayes_body.runs.run import Settings, run
+from bayes_body.runs.run import run
+from bayes_body.runs.settings import Settings
 from bayes_body.session.read import save_session
 from bayes_body.tracking.track import track
 from bayes_body.view.silhouette import intersection_over_union

@@ -143,7 +143,7 @@ def test_the_limits_are_those_given(make_tree):
 
 
 @pytest.mark.parametrize(
-    ("kernel", "options"), [("sir", "raise --particles, or take --kernel tempered"), ("tempered", "raise --particles or --moves.")]
+    ("kernel", "options"), [("sir", "raise --particles, or use --kernel tempered"), ("tempered", "raise --particles or --moves.")]
 )
 def test_the_remedy_is_an_option_that_the_kernel_has(make_tree, kernel, options):
     (sentence,) = sentences(diagnose(make_tree(kernel=kernel, log_weight=few(49, [4]))), Thresholds(pareto_k=np.inf))

@@ -1,5 +1,6 @@
 """The page: it opens alone, says what is so, holds what it promises, and stays below its size."""
 
+import json
 import re
 
 import numpy as np
@@ -73,20 +74,42 @@ def test_what_comes_from_files_cannot_be_markup(make_run, parse):
     assert not any(key.startswith("on") for _, attributes in found.tags for key in attributes)
 
 
-def test_a_sound_run_is_told_to_be_sound_and_a_bad_one_what_is_wrong(inspect):
+def test_a_valid_run_is_said_to_be_one_and_a_bad_one_has_warnings(inspect):
     pose = 0.1 * np.random.default_rng(0).normal(size=(2, 400, 5, 5))
     same = {"draws": 400, "log_evidence": np.zeros((2, 5))}
-    sound = inspect(pose=pose, **same).told
-    assert verdict(sound, agreement_known=True) == "The runs agree; no limit is crossed."
-    assert verdict(sound, agreement_known=False) == "No limit is crossed."
-    assert "No limit is crossed" in findings(sound)
+    valid = inspect(pose=pose, **same).warnings
+    assert verdict({}, valid, agreement_known=True) == "The runs agree; no limit is crossed."
+    assert verdict({}, valid, agreement_known=False) == "No limit is crossed."
+    assert "No limit is crossed" in findings(valid)
     pose[1, :, 3:, 2] += 1
     lost = np.zeros((2, 5), bool)
     lost[0, 4] = True
-    bad = inspect(pose=pose, lost=lost, **same).told
-    told = verdict(bad, agreement_known=True)
-    assert told.startswith("Frame 4: lost") and "And 1 more to look at." in told
+    bad = inspect(pose=pose, lost=lost, **same).warnings
+    told = verdict({}, bad, agreement_known=True)
+    assert told.startswith("Warning: frame 4: lost") and "1 more warning below." in told
     assert "Frames 3-4: the runs disagree" in findings(bad) and "l_knee" in findings(bad) and "<code>--particles</code>" in findings(bad)
+
+
+def test_the_verdict_begins_with_the_result():
+    summary = {"frames": 60, "frames_lost": 2, "iou_median": 0.812, "error_mm_mean": 48.4, "coverage_90": 0.91}
+    said = (
+        "60 frames tracked, 2 lost; overlap with the silhouettes 0.81; mean markers 48 mm from the truth; "
+        "91\u00a0% of the truth inside the 90\u00a0% intervals."
+    )
+    assert verdict(summary, [], agreement_known=True).splitlines() == [said, "The runs agree; no limit is crossed."]
+    bare = {"frames": 1, "frames_lost": 0, "iou_median": None, "error_mm_mean": None, "coverage_90": None}
+    assert verdict(bare, ["a"], agreement_known=True).splitlines() == ["1 frame tracked, none lost.", "Warning: a"]
+
+
+def test_a_body_off_the_person_is_a_warning(make_run):
+    folder = make_run()
+    figures = {"fit_by": "silhouettes", "fit_first": 0.31, "fit_worst": 0.12, "fit_worst_frame": 4, "frames_off": [2, 3, 4]}
+    path = folder / "summary.json"
+    path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | figures), encoding="utf-8")
+    with load_run(folder) as run:
+        first, later = Inspection(run).warnings[:2]
+    assert first.startswith("frame 0: the body in its first pose does not fit the picture") and "0.31" in first
+    assert later.startswith("from frame 2 the body no longer covers the person") and "0.12" in later
 
 
 def test_figures_have_their_units_and_what_does_not_exist_is_a_dash(inspect):
@@ -126,6 +149,19 @@ def test_a_mode_seeker_shows_no_evidence_and_no_tail(inspect, parse):
     assert "estimates no evidence" in seeker.text and "estimates no evidence" not in sampler.text
     # All weights of the runs made here are the same: they have no tail.
     assert "Log-evidence" in alts(sampler) and "Log-evidence" not in alts(seeker)
+
+
+def test_a_mode_seeker_has_no_intervals_and_a_sentence_why(inspect, parse):
+    with style():
+        seeker = inspect(log_evidence=np.full((2, 5), np.nan))
+        angles, runs = parse(band_section(seeker)), parse(run_section(seeker))
+        sampler = inspect()
+        bands, close = parse(band_section(sampler)), parse(run_section(sampler))
+    assert "no uncertainty" in angles.text and "band" not in alts(angles) and "left hip y over the frames: median" in alts(angles)
+    assert "no uncertainty" in runs.text and "Rank plot" in alts(runs)
+    for shown in ("intervals of", "Distribution of", "Effective sample size"):
+        assert shown in alts(close) and shown not in alts(runs)
+    assert "no uncertainty" not in bands.text and "widest 90 % band" in alts(bands)
 
 
 def test_panels_of_what_a_kernel_has(inspect, parse):

@@ -5,7 +5,8 @@ import subprocess
 import pytest
 
 from bayes_body.cli.main import main
-from bayes_body.runs.run import Settings, run
+from bayes_body.runs.run import run
+from bayes_body.runs.settings import Settings
 
 from .conftest import command, contents
 

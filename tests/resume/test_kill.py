@@ -7,7 +7,8 @@ import time
 
 import pytest
 
-from bayes_body.runs.run import Settings, run
+from bayes_body.runs.run import run
+from bayes_body.runs.settings import Settings
 
 from .conftest import command, contents, track
 

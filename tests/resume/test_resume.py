@@ -13,7 +13,8 @@ from bayes_body.errors import InputError
 from bayes_body.files.lock import locked
 from bayes_body.kernels import annealed
 from bayes_body.model.build import load_model
-from bayes_body.runs.run import Settings, run
+from bayes_body.runs.run import run
+from bayes_body.runs.settings import Settings
 from bayes_body.storage import FrameFiles, frame_files
 from bayes_body.tracking.track import track
 

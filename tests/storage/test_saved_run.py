@@ -10,6 +10,7 @@ from bayes_body.model.build import load_model
 from bayes_body.model.definition import definitions_folder, load_definition, parse_definition
 from bayes_body.posterior import markers
 from bayes_body.session.read import load_session
+from bayes_body.storage.names import free_folder
 from bayes_body.storage.saved_run import angle_moments, load_run, marker_moments
 
 
@@ -185,3 +186,17 @@ def test_only_an_angle_without_limits_winds(make_run, tmp_path):
     with load_run(make_run(model=tmp_path / "mine.toml", pose=pose, log_weight=np.zeros((2, 30, 5)))) as run:
         sd = angle_moments(run).sd
     assert (sd[:, 2] < 0.15).all() and (sd[:, 1] > 1.0).all()
+
+
+def test_a_mode_seeker_is_known_by_the_evidence_that_it_lacks(make_run):
+    with load_run(make_run("sampler")) as run:
+        assert not run.mode_seeker
+    with load_run(make_run("seeker", log_evidence=np.full((2, 5), np.nan))) as run:
+        assert run.mode_seeker
+
+
+def test_a_free_folder_is_the_first_that_does_not_exist(tmp_path):
+    assert free_folder(tmp_path / "run") == tmp_path / "run"
+    for name in ("run", "run_2"):
+        (tmp_path / name).mkdir()
+    assert free_folder(tmp_path / "run") == tmp_path / "run_3"

@@ -1,7 +1,7 @@
 """A run's figures for a terminal."""
 
 from bayes_body.metrics.figures import NAMES
-from bayes_body.view.figures_text import figures_text
+from bayes_body.view.figures_text import figures_text, warning_line
 
 SUMMARY = {
     **{"frames": 5, "frames_lost": 1, "cameras": 2, "dof": 31, "seconds_per_frame": 0.25, "seconds_compile": 3.0, "evaluations_per_second": 1e4},
@@ -19,6 +19,10 @@ def test_figures_have_units_and_what_does_not_exist_is_a_dash():
     assert agreement == "agreement   overlap with the silhouettes (IoU) -; R-hat over runs at most 1.23; mean markers of the runs - apart"
     # As an older version wrote it.
     assert figures_text(SUMMARY).splitlines() == [frames, time, particles, agreement]
+
+
+def test_a_warning_is_called_one():
+    assert warning_line("frame 3: lost.") == "warning     frame 3: lost."
 
 
 def test_with_a_truth_there_is_a_line_on_it():

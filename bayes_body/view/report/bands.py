@@ -17,8 +17,12 @@ from bayes_body.view.report.markup import Markup, Picture, details, figures, sec
 if TYPE_CHECKING:
     from bayes_body.storage.saved_run import SavedRun
 
+SEEKER = (
+    "The line is the median of the particles of all runs together. There are no bands: the kernel is a mode seeker, and the spread of its particles "
+    "is no uncertainty."
+)
 SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
-# A panel shows at least so much, in degrees and metres: what moves less is noise, and shall look like it.
+# A panel spans at least this much, in degrees and metres, so that noise looks like noise.
 LEAST_SPAN = {"°": 5.0, "m": 0.02}
 
 
@@ -72,14 +76,20 @@ def band_section(it: Inspection) -> Markup:
     x_label = frame_label(it.fps, sparse)
     legend = (
         "The line is the median of all runs together, the strong band the middle half of the posterior (25 to 75 %), the faint band "
-        f"90 % of it (5 to 95 %); draws count by their weights.{' Frames that were lost are shaded orange.' if lost.any() else ''}"
-        f"{f' Shown is {sparse} frame of {it.run.frames:,}.' if sparse else ''}"
+        f"90 % of it (5 to 95 %); draws count by their weights.{_remarks(it, sparse)}"
     )
+    if it.diagnosis.mode_seeker:
+        legend = f"{SEEKER}{_remarks(it, sparse)}"
     parts: list[str] = [tag("p", legend)]
     for limb, places in by_limb(found.dofs).items():
-        panels = figures(_panel(found, place, lost, x_label) for place in places)
+        panels = figures(_panel(found, place, lost, x_label, not it.diagnosis.mode_seeker) for place in places)
         parts.append(details(limb, panels, shown=True))
     return section("angles", "Joint angles and positions over time", *parts)
+
+
+def _remarks(it: Inspection, sparse: str) -> str:
+    lost = " Frames that were lost are shaded orange." if it.lost.any() else ""
+    return f"{lost}{f' Shown is {sparse} frame of {it.run.frames:,}.' if sparse else ''}"
 
 
 def sparse_frames(step: int) -> str:
@@ -92,21 +102,23 @@ def _ordinal(number: int) -> str:
     return f"{number}{ending}"
 
 
-def _panel(found: Bands, place: int, lost: Bool[np.ndarray, " frame"], x_label: str) -> Picture:
+def _panel(found: Bands, place: int, lost: Bool[np.ndarray, " frame"], x_label: str, intervals: bool) -> Picture:
+    """A dof over the frames: the median, and with `intervals` the two bands."""
     name, unit = found.dofs[place], found.units[place]
     figure, axes = new_panel(spoken(name), x_label, "angle, degrees" if unit == "°" else "position, m", (3.6, 2.1))
     low, first, middle, third, high = found.quantiles[:, :, place]
     frames = np.asarray(found.frames)
     shade_lost(axes, lost)
-    if len(frames) == 1:
-        axes.errorbar(frames, middle, [middle - low, high - middle], color=RUNS[0], marker="o", capsize=4)
-    axes.fill_between(frames, low, high, color=RUNS[0], alpha=0.22, linewidth=0)
-    axes.fill_between(frames, first, third, color=RUNS[0], alpha=0.4, linewidth=0)
-    axes.plot(frames, middle, color=RUNS[0])
+    if intervals:
+        if len(frames) == 1:
+            axes.errorbar(frames, middle, [middle - low, high - middle], color=RUNS[0], marker="o", capsize=4)
+        axes.fill_between(frames, low, high, color=RUNS[0], alpha=0.22, linewidth=0)
+        axes.fill_between(frames, first, third, color=RUNS[0], alpha=0.4, linewidth=0)
+    axes.plot(frames, middle, color=RUNS[0], marker="o" if len(frames) == 1 else "")
     whole_frames(axes, len(lost))
-    axes.set_ylim(*_limits(low, high, LEAST_SPAN[unit]))
-    alt = f"{spoken(name)} over the frames: median {_range(middle)} {unit}, widest 90 % band {float(np.max(high - low)):.3g} {unit}."
-    return encoded(figure, alt)
+    axes.set_ylim(*_limits(low if intervals else middle, high if intervals else middle, LEAST_SPAN[unit]))
+    widest = f", widest 90 % band {float(np.max(high - low)):.3g} {unit}" if intervals else ""
+    return encoded(figure, f"{spoken(name)} over the frames: median {_range(middle)} {unit}{widest}.")
 
 
 def _limits(low: NDArray[np.floating], high: NDArray[np.floating], least: float) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""The head of the page: a verdict in a line, the figures with their units, and what to look at."""
+"""The head of the page: the result in a line, the figures with their units, and the warnings."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ WHAT = (
     ("particles", "particles a run", "{:,}"),
     ("layers", "layers a frame", "{}"),
 )
-# What only a session with a truth has.
+# Only for a session with a truth.
 TRUTH = (
     ("error_mm_mean", "distance from the true markers", "{:.0f} mm"),
     ("coverage_90", "share of the truth inside the 90 % intervals", "{:.2f}"),
@@ -37,22 +37,36 @@ QUALITY = (
 )
 
 
-def verdict(told: Sequence[str], agreement_known: bool) -> Markup:
-    """The run in a line: whether any limit is crossed, or the gravest sentence."""
-    if not told:
-        return joined(["The runs agree; no limit is crossed." if agreement_known else "No limit is crossed."])
-    more = len(told) - 1
-    return sentence(told[0]) if not more else joined([sentence(told[0]), f"And {more} more to look at."])
+def verdict(summary: Mapping[str, Any], warnings: Sequence[str], agreement_known: bool) -> Markup:
+    """The result in a line, then whether a limit is crossed: the gravest warning and the number of the others."""
+    result = _result(summary)
+    if not warnings:
+        return joined([*result, "The runs agree; no limit is crossed." if agreement_known else "No limit is crossed."])
+    more = len(warnings) - 1
+    others = [f"{more} more {'warning' if more == 1 else 'warnings'} below."] if more else []
+    return joined([*result, Markup(f"Warning: {sentence(warnings[0], capital=False)}"), *others])
 
 
-def sentence(text: str) -> Markup:
-    """With a capital first, and options of the command line as such."""
-    parts = re.split(r"(--[a-z-]+)", text[:1].upper() + text[1:])
+def _result(summary: Mapping[str, Any]) -> list[str]:
+    """What was found: frames, overlap, and with a truth the error and the coverage; nothing if the run has no summary."""
+    if summary.get("frames") is None:
+        return []
+    figures = (("iou_median", "overlap with the silhouettes {:.2f}"), ("error_mm_mean", "mean markers {:.0f} mm from the truth"))
+    found = [form.format(summary[key]) for key, form in figures if summary.get(key) is not None]
+    if summary.get("coverage_90") is not None:
+        found.append(f"{100 * summary['coverage_90']:.0f}\u00a0% of the truth inside the 90\u00a0% intervals")
+    frames = f"{summary['frames']:,} frame{'s' * (summary['frames'] != 1)} tracked, {summary.get('frames_lost') or 'none'} lost"
+    return ["; ".join([frames, *found]) + "."]
+
+
+def sentence(text: str, capital: bool = True) -> Markup:
+    """With a capital first, and options of the command line in code."""
+    parts = re.split(r"(--[a-z-]+)", (text[:1].upper() if capital else text[:1]) + text[1:])
     return Markup("".join(tag("code", part) if part.startswith("--") else joined([part]) for part in parts))
 
 
 def key_figures(summary: Mapping[str, Any], diagnosis: "Diagnosis") -> Markup:
-    """The figures that a reader asks for first; what does not exist is a dash, but for what only a truth tells."""
+    """The main figures. A figure that does not exist is a dash; figures that need a truth are left out without one."""
     known = [row for row in TRUTH if summary.get(row[0]) is not None]
     what, truth, quality = ([(label, written(summary[key], form)) for key, label, form in rows if key in summary] for rows in (WHAT, known, QUALITY))
     ess = f"{np.median(diagnosis.ess):.0f} (median), {diagnosis.ess.min():.0f} (least) of {diagnosis.particles:,}"
@@ -81,8 +95,8 @@ def written(value: Any, form: str) -> str:
     return "–" if missing else form.format(value) if isinstance(value, int | float) else str(value)
 
 
-def findings(told: Sequence[str]) -> Markup:
-    """What to look at, each with its remedy."""
-    if not told:
-        return section("findings", "What to look at", tag("p", "No limit is crossed."))
-    return section("findings", "What to look at", tag("ol", *(tag("li", sentence(each)) for each in told)))
+def findings(warnings: Sequence[str]) -> Markup:
+    """The warnings, each with its remedy."""
+    if not warnings:
+        return section("findings", "Warnings", tag("p", "No limit is crossed."))
+    return section("findings", "Warnings", tag("ol", *(tag("li", sentence(each)) for each in warnings)))

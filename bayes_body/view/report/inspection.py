@@ -1,4 +1,4 @@
-"""What all parts of the page look at: the run, its diagnosis, and the sentences about it, each made when it is first asked for."""
+"""What all parts of the page share: the run, its diagnosis and its warnings, each computed on first use."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from bayes_body.errors import InputError
+from bayes_body.metrics.fit import fit_sentences
 from bayes_body.posterior.diagnostics import Diagnosis, Thresholds, diagnose, sentences
 from bayes_body.view.report.figures import frame_label, frames_a_point
 
@@ -21,7 +22,7 @@ class Inspection:
 
     Attributes:
         run: read back from its folder.
-        limits: beyond which a figure is told.
+        limits: beyond which a figure becomes a warning.
     """
 
     run: "SavedRun"
@@ -33,9 +34,9 @@ class Inspection:
         return diagnose(self.run)
 
     @cached_property
-    def told(self) -> list[str]:
-        """A sentence for each limit that is crossed."""
-        return sentences(self.diagnosis, self.limits)
+    def warnings(self) -> list[str]:
+        """A sentence for each limit that is crossed, and for frames in which the body is off the person."""
+        return [*fit_sentences(self.run.summary), *sentences(self.diagnosis, self.limits)]
 
     @property
     def runs(self) -> int:

@@ -28,7 +28,7 @@ FILE_NAME = "report.html"
 # Bytes; what a mail takes, and a phone opens.
 LARGEST = 10_000_000
 SECTIONS: Sequence[tuple[str, str, Callable[[Inspection], Markup]]] = (
-    ("findings", "What to look at", lambda it: findings(it.told)),
+    ("findings", "Warnings", lambda it: findings(it.warnings)),
     ("pictures", "Pictures", lambda it: picture_section(it.run.folder, QUALITIES[0])),
     ("truth", "Against the truth", truth_section),
     ("angles", "Angles and positions", band_section),
@@ -98,7 +98,7 @@ def _filled(it: Inspection, sections: Sequence[Markup]) -> str:
     values = {
         "title": f"Posterior of {it.run.folder.resolve().name}",
         "subtitle": subtitle,
-        "verdict": verdict(it.told, it.agreement_known),
+        "verdict": verdict(it.run.summary, it.warnings, it.agreement_known),
         "contents": joined(tag("li", tag("a", title, href=f"#{name}")) for name, title, _ in sections_of(it)),
         "figures": key_figures(it.run.summary, it.diagnosis),
         "sections": joined(sections),

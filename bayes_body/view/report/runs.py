@@ -20,6 +20,10 @@ GROWTH = (
     "ArviZ's effective sample size of the bulk and the tails as draws are added. It sees how far runs differ, but not that draws of one run share "
     "ancestors: read it with the effective particles and the ancestors above. It should grow in a straight line; a dashed line is at 400 draws."
 )
+SEEKER = (
+    "The kernel is a mode seeker: the spread of its particles is no uncertainty, so no distributions and no intervals are shown. Runs that lie apart "
+    "make the pose doubtful; runs that agree prove nothing."
+)
 FOREST = (
     "Median, middle half (thick) and 94 % (thin) of each run's draws, as their distance from the median of all runs, which stands beside the name: "
     "short lines are joints that the recording pins down, lines that lie apart are runs that disagree."
@@ -32,7 +36,10 @@ def run_section(it: Inspection) -> Markup:
     samples = [equal_weight_sample(it, frame) for frame in frames]
     worst = samples[frames.index(worst_frame(it))]
     with arviz_plots():
-        parts = [*_agreement(it, samples, dofs), *_close_ups(it, worst, dofs)]
+        parts = [*_agreement(it, samples, dofs)]
+        if it.diagnosis.mode_seeker:
+            return section("runs", "Do the runs agree?", tag("p", SEEKER), *parts)
+        parts += _close_ups(it, worst, dofs)
         parts += [tag("h3", "All angles"), tag("p", FOREST), figures(forest_plot(it, sample) for sample in samples)] if "°" in it.units else []
     draws = ", ".join(f"{sample.poses.shape[1]} at frame {sample.frame}" for sample in samples)
     note = tag("p", f"Made by ArviZ from draws of equal weight, as many a run as the weights are worth: {draws}.", class_="note")

@@ -25,7 +25,7 @@ EXPECTED = (
     "The bands are what the runs themselves expect: how far a draw lies from the mean, the middle half (strong) and 90 % (faint). A run that knows "
     "what it does not know stays inside the faint band in nine frames of ten."
 )
-SEEKER = "There is no band and no coverage: the spread of a mode seeker's particles promises nothing."
+SEEKER = "There are no bands and no coverage: the spread of a mode seeker's particles is no uncertainty."
 CALIBRATION = (
     "Of intervals that claim a share, the share that holds the truth, over frames, markers and axes. On the dashed line the run keeps its word; "
     "below it the intervals are too narrow, above it too wide."

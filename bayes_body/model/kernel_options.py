@@ -1,0 +1,40 @@
+"""The options of the kernel that a run uses: from the definition, from the run that is continued, and from the command line."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from bayes_body.errors import input_error
+from bayes_body.model.definition import Definition
+from bayes_body.registry import find
+from bayes_body.toml.read import validate
+
+# Options with a flag of their own in `bayes-body track`; the others are given by --set.
+FLAGS = ("particles", "layers", "move", "moves", "leapfrog_steps")
+
+
+def kernel_options(
+    definition: Definition, kind: str | None = None, overrides: Mapping[str, Any] | None = None, stored: Mapping[str, Any] | None = None
+) -> tuple[str, Any]:
+    """A kernel's name and its validated options.
+
+    The options are the definition's if it names this kernel, else the kernel's own defaults. `overrides` replace single options.
+
+    Args:
+        definition: of the model.
+        kind: the kernel's name; None takes the definition's.
+        overrides: options that are given for this run.
+        stored: kernel and options of the run that is continued; they replace the definition's if the kernel is the same.
+
+    Raises:
+        InputError: there is no such kernel, or it has no such option, or an option's value is not allowed.
+    """
+    kind, overrides = kind or definition.kernel.kind, overrides or {}
+    schema = find("kernel", kind).options
+    given = definition.kernel.options.model_dump() if kind == definition.kernel.kind else {}
+    if stored and stored.get("kind") == kind:
+        given = {name: value for name, value in stored.items() if name != "kind"}
+    for name in overrides:
+        if name not in schema.model_fields:
+            found, expected = f"the kernel '{kind}' has no such option", f"one of {', '.join(schema.model_fields)}"
+            raise input_error(f"--{name.replace('_', '-')}" if name in FLAGS else f"--set {name}", found, expected, "leave it out")
+    return kind, validate(schema, given | dict(overrides), f"the options of the kernel '{kind}'")

@@ -1,0 +1,50 @@
+"""Which model tracks a session if the user names none: it follows from the data that the session has."""
+
+from typing import NamedTuple
+
+from bayes_body.errors import input_error
+from bayes_body.observation.silhouettes import has_silhouettes
+from bayes_body.session.read import FILE_NAME
+from bayes_body.session.session import Session
+
+KEYPOINT_MODEL, SILHOUETTE_MODEL = "markers_31", "tempered_smc"
+
+
+class ModelChoice(NamedTuple):
+    """A definition's name, and the reason as part of a sentence."""
+
+    model: str
+    reason: str
+
+    @property
+    def sentence(self) -> str:
+        """What `bayes-body track` prints."""
+        return f"model      {self.model}, because {self.reason}; --model names another."
+
+
+def choose_model(session: Session) -> ModelChoice:
+    """The keypoint model if a camera has keypoints, else the silhouette model. Both sample the posterior; a mode seeker is never chosen.
+
+    Raises:
+        InputError: the session has neither keypoints nor silhouettes.
+    """
+    count = sum(view.keypoints is not None for view in session.views)
+    if count:
+        return ModelChoice(KEYPOINT_MODEL, f"{count} of {len(session.views)} cameras {'has' if count == 1 else 'have'} keypoints")
+    source = _silhouette_source(session)
+    if source:
+        return ModelChoice(SILHOUETTE_MODEL, f"the session has silhouettes ({source}) and no keypoints")
+    found, expected = "neither keypoints nor silhouettes", "one of the two in every frame"
+    remedy = "import the recording with --keypoints or --masks, give each [[camera]] the `background` of an empty scene, or name a --model"
+    raise input_error(session.folder / FILE_NAME, found, expected, remedy)
+
+
+def _silhouette_source(session: Session) -> str:
+    """Where the silhouettes come from; empty if there can be none. The background of a moving camera cannot be learned."""
+    without = [view for view in session.views if view.masks is None]
+    if not without:
+        return "masks"
+    learned = [view for view in without if view.background is None]
+    if not has_silhouettes(session) or any(view.path is not None for view in learned):
+        return ""
+    return "from a background that is learned from the frames" if learned else "from an image of the empty scene"

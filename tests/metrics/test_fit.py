@@ -1,0 +1,92 @@
+"""How well a body fits a frame: cover, distance to keypoints, and the warnings that follow."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from bayes_body.evidence.markers import MARKERS
+from bayes_body.metrics.fit import FEWEST_FRAMES, Fit, cover_of, fit_figures, fit_sentences, frame_fit
+from bayes_body.recording.keypoint_series import KeypointSeries, write_series
+from bayes_body.view.silhouette import outlines
+
+
+def _fit(cover=np.nan, distance=np.nan, cameras=2):
+    return Fit(*(np.full((1, cameras), value) for value in (np.nan, cover, distance)))
+
+
+def test_the_cover_is_one_of_a_part_and_nothing_beside_it():
+    person, body = np.zeros((6, 6), bool), np.zeros((6, 6), bool)
+    person[:4] = True
+    assert cover_of(body, person) == 0
+    body[1:3, 2:4] = True
+    assert cover_of(body, person) == 1
+    assert cover_of(person, body) == 1
+    body[3:6, 2:4] = True
+    assert cover_of(body, person) == 6 / 10
+    assert np.isnan(cover_of(body, np.zeros((6, 6), bool)))
+
+
+def test_the_median_camera_and_the_worst_run_count():
+    frames = [Fit(np.full((2, 3), np.nan), np.array([[0.9, 0.8, 0.1], [0.95, np.nan, 0.85]]), np.full((2, 3), np.nan))]
+    figures = fit_figures(_fit(0.9), frames)
+    assert figures == {"fit_by": "silhouettes", "fit_first": 0.9, "fit_worst": 0.8, "fit_worst_frame": 0, "frames_off": []}
+
+
+@pytest.mark.parametrize("by", ["silhouettes", "keypoints"])
+def test_a_stretch_of_frames_is_a_warning_and_a_single_one_is_none(by):
+    good, bad = ({"cover": 0.9}, {"cover": 0.5}) if by == "silhouettes" else ({"distance": 0.05}, {"distance": 0.4})
+    off = np.array([0, 1, 0, 0, 1, 1, 1, 0, 0], bool)
+    figures = fit_figures(_fit(**good), [_fit(**(bad if each else good)) for each in off]) | {"frames": 9}
+    assert FEWEST_FRAMES == 3 and figures["fit_by"] == by and figures["frames_off"] == [4, 5, 6]
+    (sentence,) = fit_sentences(figures)
+    assert sentence.startswith("frames 4-6: the body does not cover the person: at worst, at frame 1")
+    to_the_end = fit_figures(_fit(**good), [_fit(**good)] * 31 + [_fit(**bad)] * 9) | {"frames": 40}
+    (sentence,) = fit_sentences(to_the_end)
+    assert sentence.startswith("from frame 31 the body no longer covers the person")
+    assert fit_sentences(fit_figures(_fit(**good), [_fit(**good)] * 5) | {"frames": 5}) == []
+    (first,) = fit_sentences(fit_figures(_fit(**bad), [_fit(**good)] * 5) | {"frames": 5})
+    assert first.startswith("frame 0: the body in its first pose does not fit the picture")
+
+
+def test_a_short_recording_needs_no_more_frames_than_it_has():
+    figures = fit_figures(_fit(0.2), [_fit(0.2)] * 2) | {"frames": 2}
+    assert figures["frames_off"] == [0, 1] and len(fit_sentences(figures)) == 2
+
+
+def test_without_silhouettes_and_keypoints_nothing_is_said():
+    figures = fit_figures(_fit(), [_fit()] * 4) | {"frames": 4}
+    assert figures["fit_by"] is None and figures["fit_first"] is None and figures["fit_worst"] is None and fit_sentences(figures) == []
+    # A summary of an older version.
+    assert fit_sentences({"frames": 4}) == []
+
+
+def test_keypoints_on_the_markers_are_at_no_distance_and_moved_ones_at_theirs(whole, textured_session, tmp_path):
+    pose = np.asarray(whole.initial["pose"], float)
+    names = list(whole.body.dof_names)
+    # In front of both cameras, standing.
+    pose[names.index("root_z")] = 0.9
+    session = _with_keypoints(whole, textured_session, tmp_path, pose)
+    assert np.abs(frame_fit(session, whole, pose[None], 0).distance).max() < 1e-3
+    moved = pose.copy()
+    moved[names.index("root_z")] += 0.9
+    assert frame_fit(session, whole, moved[None], 0).distance.min() > 0.2
+    assert outlines(whole, pose)
+
+
+def _with_keypoints(model, session, folder, pose):
+    """The session with keypoints at the markers of a pose in every frame."""
+    import jax
+    import jax.numpy as jnp
+
+    from bayes_body.geometry.camera import project
+
+    places = np.asarray(model.markers(jnp.asarray(pose, jnp.float32)))
+    views = []
+    for c, view in enumerate(session.views):
+        pixels, _ = project(jax.tree.map(lambda leaf, c=c: leaf[c], model.rig), jnp.asarray(places))
+        points = np.concatenate([np.asarray(pixels), np.ones((len(places), 1))], axis=1)
+        order = [model.body.markers.names.index(name) for name in MARKERS]
+        write_series(folder / f"{view.camera.name}.npz", KeypointSeries(np.tile(points[order], (session.frames, 1, 1)), MARKERS, 0))
+        views.append(dataclasses.replace(view, keypoints=str(folder / f"{view.camera.name}.npz")))
+    return dataclasses.replace(session, views=tuple(views))

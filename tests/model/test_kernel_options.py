@@ -1,0 +1,32 @@
+"""A kernel's options: the definition's, those of the run that is continued, and those given for this run."""
+
+import pytest
+
+from bayes_body.errors import InputError
+from bayes_body.model.definition import load_definition
+from bayes_body.model.kernel_options import kernel_options
+
+
+def test_the_definition_s_kernel_has_the_definition_s_options():
+    kind, options = kernel_options(load_definition("tempered_smc"))
+    assert kind == "tempered" and options.particles == 500 and options.leapfrog_steps == 6
+
+
+def test_another_kernel_has_its_own_defaults():
+    kind, options = kernel_options(load_definition("tempered_smc"), "sir")
+    assert kind == "sir" and options == type(options)()
+
+
+def test_a_run_that_is_continued_keeps_its_options_and_given_ones_go_first():
+    definition = load_definition("tempered_smc")
+    stored = {"kind": "tempered", "particles": 77, "moves": 3}
+    assert kernel_options(definition, None, {"particles": 78}, stored)[1].particles == 78
+    _, options = kernel_options(definition, None, {}, stored)
+    assert options.particles == 77 and options.moves == 3
+    assert kernel_options(definition, "sir", {}, stored)[1].particles != 77
+
+
+@pytest.mark.parametrize(("name", "said"), [("layers", "--layers"), ("foo", "--set foo")])
+def test_an_option_that_does_not_exist_is_named_as_it_was_given(name, said):
+    with pytest.raises(InputError, match=rf"{said}: the kernel 'sir' has no such option; expected one of particles.*; leave it out"):
+        kernel_options(load_definition("arm"), "sir", {name: 3})

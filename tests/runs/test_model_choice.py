@@ -1,0 +1,55 @@
+"""Which model tracks a session if the user names none."""
+
+import dataclasses
+
+import pytest
+
+from bayes_body.errors import InputError
+from bayes_body.model.definition import load_definition
+from bayes_body.runs.model_choice import choose_model
+
+
+def _views(session, **changes):
+    return dataclasses.replace(session, views=tuple(dataclasses.replace(view, **changes) for view in session.views))
+
+
+def test_keypoints_come_first(keypoint_session):
+    choice = choose_model(keypoint_session)
+    assert choice.model == "markers_31"
+    assert choice.sentence == "model      markers_31, because 2 of 2 cameras have keypoints; --model names another."
+
+
+def test_one_camera_with_keypoints_is_enough(keypoint_session):
+    first, second = keypoint_session.views
+    session = dataclasses.replace(keypoint_session, views=(first, dataclasses.replace(second, keypoints=None)))
+    assert choose_model(session).reason == "1 of 2 cameras has keypoints"
+
+
+@pytest.mark.parametrize(
+    ("changes", "frames", "source"),
+    [
+        ({}, 5, "masks"),
+        ({"masks": None, "background": "empty.png"}, 5, "from an image of the empty scene"),
+        ({"masks": None}, 10, "from a background that is learned from the frames"),
+    ],
+    ids=["masks", "empty scene", "learned"],
+)
+def test_else_silhouettes(textured_session, changes, frames, source):
+    session = dataclasses.replace(_views(textured_session, **changes), frames=frames)
+    choice = choose_model(session)
+    assert choice.model == "tempered_smc"
+    assert choice.sentence == f"model      tempered_smc, because the session has silhouettes ({source}) and no keypoints; --model names another."
+
+
+@pytest.mark.parametrize(
+    ("changes", "frames"), [({"masks": None}, 5), ({"masks": None, "path": "path.npz"}, 100)], ids=["too few frames", "a moving camera"]
+)
+def test_a_session_with_neither_is_refused_with_the_remedy(textured_session, changes, frames):
+    session = dataclasses.replace(_views(textured_session, **changes), frames=frames)
+    with pytest.raises(InputError, match=r"neither keypoints nor silhouettes; expected .*; import .* --keypoints or --masks.* --model"):
+        choose_model(session)
+
+
+def test_no_mode_seeker_is_chosen(textured_session, keypoint_session):
+    for session in (textured_session, keypoint_session):
+        assert load_definition(choose_model(session).model).kernel.kind != "annealed"
