@@ -41,6 +41,7 @@ import jax  # noqa: E402
 import jaxtyping  # noqa: E402
 import numpy as np  # noqa: E402
 from beartype.roar import BeartypeDecorHintException  # noqa: E402
+from browser import browser  # noqa: E402, F401
 
 
 def _check_shapes(function):
