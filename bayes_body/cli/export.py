@@ -22,6 +22,7 @@ def export(
     out: Path | None = typer.Option(None, "--out", help="File to write; motion.FORMAT in the run's folder by default."),
     up: str | None = typer.Option(None, "--up", help="Axis that shall point up: x, y or z; the session's by default, y in bvh. OpenSim wants y."),
     rate: float | None = typer.Option(None, "--rate", help="Frames a second to write, where the session's are wrong; no frame is made or left out."),
+    intervals: bool = typer.Option(False, "--intervals", help="Add points for standard deviations and quantiles (c3d only, which has means alone)."),
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace files that are there already."),
     plugin: Plugins = None,
 ) -> None:
@@ -41,7 +42,7 @@ def export(
         raise input_error("--rate", f"{rate:g}", "a finite number above 0", "give the frames a second")
     file = out or run / f"{DEFAULT_STEM}.{check_format(to)}"
     with own_terms(plugin), load_run(run) as saved:
-        motion = write(saved, check_format(to), file, fps=rate, up=axis, overwrite=overwrite)
+        motion = write(saved, check_format(to), file, fps=rate, up=axis, intervals=intervals, overwrite=overwrite)
     typer.echo(_told(motion, files_of(to, file)))
 
 

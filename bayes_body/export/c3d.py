@@ -1,11 +1,12 @@
 r"""C3D, the binary format of motion laboratories (c3d.org), by ezc3d: millimetres, 32-bit floats.
 
 The first points are the markers' means. Their residual, which elsewhere tells how well cameras agree, is the posterior's standard deviation, the root
-of the mean variance of the three axes $\sqrt{(s_x^2 + s_y^2 + s_z^2)/3}$. A C3D residual is seven bits, in steps of POINT:SCALE mm. In full
-precision and axis by axis the moments are further points, `_sd`, `_q05` and `_q95` after a marker's name.
+of the mean variance of the three axes $\sqrt{(s_x^2 + s_y^2 + s_z^2)/3}$. A C3D residual is seven bits, in steps of POINT:SCALE mm. On demand the
+moments are further points, in full precision and axis by axis: `_sd`, `_q05` and `_q95` after a marker's name.
 """
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +31,13 @@ MEANINGS = {
 }
 
 
-def write_c3d(motion: Motion, path: Path) -> None:
+def write_c3d(motion: Motion, path: Path, intervals: bool = False) -> None:
     """Write the file.
+
+    Args:
+        motion: of a run.
+        path: the file.
+        intervals: whether standard deviations and quantiles are further points.
 
     Raises:
         InputError: more frames than the format can count, or the file system refuses it.
@@ -41,39 +47,39 @@ def write_c3d(motion: Motion, path: Path) -> None:
     with replacing(path) as partial:
         # ezc3d alone would say of a folder that is not there no more than "iostream error".
         partial.touch()
-        _document(motion).write(str(partial))
+        _document(motion, tuple(MEANINGS) if intervals else ("mean",)).write(str(partial))
 
 
-def _document(motion: Motion) -> Any:
+def _document(motion: Motion, sets: Sequence[str]) -> Any:
     import ezc3d
 
     c3d = ezc3d.c3d()
-    residuals, step = _residuals(motion.markers)
+    residuals, step = _residuals(motion.markers, len(sets))
     points = c3d["parameters"]["POINT"]
     points["UNITS"]["value"] = ["mm"]
     points["RATE"]["value"] = [motion.fps]
     points["SCALE"]["value"] = [-step]
-    points["LABELS"]["value"] = [f"{marker}{'' if name == 'mean' else f'_{name}'}" for name in MEANINGS for marker in motion.marker_names]
-    points["DESCRIPTIONS"]["value"] = [meaning for meaning in MEANINGS.values() for _ in motion.marker_names]
-    c3d["data"]["points"] = _points(motion.markers)
+    points["LABELS"]["value"] = [f"{marker}{'' if name == 'mean' else f'_{name}'}" for name in sets for marker in motion.marker_names]
+    points["DESCRIPTIONS"]["value"] = [MEANINGS[name] for name in sets for _ in motion.marker_names]
+    c3d["data"]["points"] = _points(motion.markers, sets)
     c3d["data"]["meta_points"]["residuals"] = residuals
     c3d.add_parameter("POINT", "X_SCREEN", ["+Y" if motion.up == "x" else "+X"])
     c3d.add_parameter("POINT", "Y_SCREEN", [f"+{motion.up.upper()}"])
     return c3d
 
 
-def _points(markers: Moments) -> Float[np.ndarray, "4 point frame"]:
-    sets = np.concatenate([getattr(markers, name) for name in MEANINGS], axis=1)
-    points = np.ones((4, sets.shape[1], sets.shape[0]))
-    points[:3] = MILLIMETRES * sets.transpose(2, 1, 0)
+def _points(markers: Moments, sets: Sequence[str]) -> Float[np.ndarray, "4 point frame"]:
+    values = np.concatenate([getattr(markers, name) for name in sets], axis=1)
+    points = np.ones((4, values.shape[1], values.shape[0]))
+    points[:3] = MILLIMETRES * values.transpose(2, 1, 0)
     return points
 
 
-def _residuals(markers: Moments) -> tuple[Float[np.ndarray, "1 point frame"], float]:
+def _residuals(markers: Moments, sets: int) -> tuple[Float[np.ndarray, "1 point frame"], float]:
     """Millimetres, of the means; 0 of the other points. And the step that the format rounds them to, as fine as the largest lets it be."""
     sd = MILLIMETRES * np.sqrt((markers.sd**2).mean(axis=-1)).T
     step = max(math.ceil(sd.max() / (LARGEST_STEP - 1) / FINEST) * FINEST, FINEST)
-    out = np.zeros((1, len(MEANINGS) * sd.shape[0], sd.shape[1]))
+    out = np.zeros((1, sets * sd.shape[0], sd.shape[1]))
     # ezc3d cuts off what is below a step: half of one makes a rounding of it.
     out[0, : sd.shape[0]] = np.round(sd / step) * step + step / 2
     return out, step

@@ -1,6 +1,7 @@
 """The formats by name, and writing one."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from bayes_body.errors import InputError, input_error, nearest
@@ -34,7 +35,9 @@ def files_of(name: str, out: Path) -> tuple[Path, ...]:
     return tuple(trc_files(out).values()) if name == "trc" else (out,)
 
 
-def export(run: SavedRun, name: str, out: Path, *, fps: float | None = None, up: Axis | None = None, overwrite: bool = False) -> Motion:
+def export(
+    run: SavedRun, name: str, out: Path, *, fps: float | None = None, up: Axis | None = None, intervals: bool = False, overwrite: bool = False
+) -> Motion:
     """Write a run's motion; returns what was written.
 
     Args:
@@ -43,12 +46,17 @@ def export(run: SavedRun, name: str, out: Path, *, fps: float | None = None, up:
         out: the file.
         fps: as of `read_motion`.
         up: as of `read_motion`; of BVH y by default.
+        intervals: whether a C3D file has points for standard deviations and quantiles; of no other format.
         overwrite: whether a file that is there is replaced.
 
     Raises:
-        InputError: no such format, a file that is there, or one that cannot be written.
+        InputError: no such format, intervals of another format than C3D, a file that is there, or one that cannot be written.
     """
     writer = WRITERS[check_format(name)]
+    if intervals:
+        if name != "c3d":
+            raise input_error("--intervals", f"given with --to {name}", "--to c3d", "leave it out")
+        writer = partial(write_c3d, intervals=True)
     for file in files_of(name, out):
         _check_free(file, overwrite)
     make_folder(out.parent)

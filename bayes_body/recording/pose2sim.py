@@ -11,7 +11,7 @@ from bayes_body.recording.options import Options, metres_per_unit, up_axis
 from bayes_body.session.session import Session
 
 WHAT = "a project of Pose2Sim (calibration, videos, pose)"
-WHY_UP = "Pose2Sim's toml does not say which axis of its world points up, and depends on how the scene was measured"
+WHY_UP = "Pose2Sim's toml does not say which axis of its world points up (that depends on how the scene was calibrated)"
 
 
 def import_pose2sim(source: Path, folder: Path, options: Options | None = None) -> tuple[Session, list[str]]:

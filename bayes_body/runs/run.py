@@ -40,6 +40,8 @@ from bayes_body.view.progress import progress_bar, waiting, watched
 
 POSTERIOR, SUMMARY, FRAMES = "posterior.nc", "summary.json", "frames"
 # What a new run takes where nothing is said.
+# Options of kernels with a flag of their own on the command line; the others are given by --set.
+FLAGS = ("particles", "layers", "move", "moves", "leapfrog_steps")
 DEFAULTS = {"model": "deutscher_apf", "runs": 1, "seed": 0}
 
 type Show = Callable[[str], None]
@@ -168,8 +170,13 @@ def kernel_options(definition: Definition, kind: str | None, overrides: Mapping[
     for name in overrides:
         if name not in schema.model_fields:
             found, expected = f"the kernel '{kind}' has no such option", f"one of {', '.join(schema.model_fields)}"
-            raise input_error(f"--{name.replace('_', '-')}", found, expected, "leave it out")
+            raise input_error(_flag(name, overrides[name]), found, expected, "leave it out")
     return kind, validate(schema, given | dict(overrides), "the kernel's options")
+
+
+def _flag(name: str, value: Any) -> str:
+    """How a user gave an option of the kernel on the command line."""
+    return f"--{name.replace('_', '-')}" if name in FLAGS else f"--set {name}={json.dumps(value)}"
 
 
 def _kept_record(settings: Settings) -> dict[str, dict[str, Any]] | None:

@@ -52,8 +52,24 @@ def test_trc(written):
             assert np.abs(positions[marker] - 1000 * getattr(motion.markers, moment)[:, m]).max() < 5.1e-4
 
 
-def test_c3d(written):
+def test_c3d_has_means_alone_with_their_sd_as_residuals(written):
     motion, path = written("c3d")
+    c3d = ezc3d.c3d(str(path))
+    points = c3d["parameters"]["POINT"]
+    assert points["LABELS"]["value"] == list(MARKERS) and "residual: posterior sd" in points["DESCRIPTIONS"]["value"][0]
+    assert np.array_equal(c3d["data"]["points"][:3].transpose(2, 1, 0).astype(np.float32), (1000 * motion.markers.mean).astype(np.float32))
+    sd = 1000 * np.sqrt((motion.markers.sd**2).mean(axis=-1)).T
+    assert np.abs(c3d["data"]["meta_points"]["residuals"][0] - sd).max() < 0.51 * abs(points["SCALE"]["value"][0])
+
+
+@pytest.mark.parametrize("name", ["trc", "csv", "npz", "bvh"])
+def test_intervals_are_a_choice_of_c3d_alone(written, name):
+    with pytest.raises(InputError, match=f"--intervals: given with --to {name}; expected --to c3d; leave it out"):
+        written(name, intervals=True)
+
+
+def test_c3d_with_intervals(written):
+    motion, path = written("c3d", intervals=True)
     c3d = ezc3d.c3d(str(path))
     points = c3d["parameters"]["POINT"]
     assert points["UNITS"]["value"] == ["mm"] and points["RATE"]["value"] == [60.0] and c3d["parameters"]["ANALOG"]["USED"]["value"] == [0]

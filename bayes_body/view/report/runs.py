@@ -21,7 +21,7 @@ GROWTH = (
     "ancestors: read it with the effective particles and the ancestors above. It should grow in a straight line; a dashed line is at 400 draws."
 )
 FOREST = (
-    "Median, middle half (thick) and 94 % (thin) of each run's draws, as their distance from the median of all runs, which stands beside the name: "
+    "Median, middle half (thick) and 90 % (thin) of each run's draws, as their distance from the median of all runs, which stands beside the name: "
     "short lines are joints that the recording pins down, lines that lie apart are runs that disagree."
 )
 
