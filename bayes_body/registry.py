@@ -16,6 +16,8 @@ from bayes_body.toml.schema import Schema
 type Room = Literal["likelihood", "observation", "dynamics", "potential", "kernel"]
 type Place = tuple[Room, str]
 
+# The remedy where a definition names a term of the user's own.
+OWN = "If it is a term of your own, name its file with --plugin."
 ROOMS: tuple[Room, ...] = get_args(Room.__value__)
 
 
@@ -150,10 +152,11 @@ def find(room: Room, name: str) -> Term:
     """The term of that name.
 
     Raises:
-        InputError: there is none; the nearest known name is said.
+        InputError: there is none; it names the nearest known name, and how a term of one's own is found.
     """
     if (room, name) not in _terms and (room, name) in _BUILT_IN:
         import_module(_BUILT_IN[room, name])
     if (room, name) not in _terms:
-        raise InputError(f"{room} '{name}' does not exist; {nearest(name, names(room))}")
+        known = nearest(name, names(room))
+        raise InputError(f"{room} '{name}' does not exist; {known}{'' if known.endswith('?') else '.'} {OWN}")
     return _terms[room, name]

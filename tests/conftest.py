@@ -29,6 +29,7 @@ import jax
 import jaxtyping
 import numpy as np
 from beartype.roar import BeartypeDecorHintException
+from browser import browser  # noqa: F401
 
 
 def _check_shapes(function):

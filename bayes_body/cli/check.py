@@ -20,7 +20,7 @@ LARGEST_BINS = 200
 
 def check(
     model: str = typer.Argument(help="A definition's name (`bayes-body models`) or the path of your own."),
-    kernel: str | None = typer.Option(None, "--kernel", help="annealed, sir or tempered; the model's own by default."),
+    kernel: str | None = typer.Option(None, "--kernel", help="annealed, sir, tempered or hmc; the model's own by default."),
     replications: int = typer.Option(200, "--replications", help="Truths that are drawn and filtered."),
     json_file: Path | None = typer.Option(
         None, "--json", help="Where all figures go; what is done lies beside it until all is done, and the same command goes on with it."

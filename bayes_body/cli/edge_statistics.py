@@ -28,7 +28,7 @@ def edge_statistics(
     ),
     plot: Path | None = typer.Option(None, "--plot", help="A .png of the learned densities over what was seen."),
 ) -> None:
-    """Learn the [[likelihood.scale]] tables of `edge_phase`, and print them."""
+    """Learn the `likelihood.scale` tables of `edge_phase`, and print them."""
     from bayes_body.config import configure
 
     configure()

@@ -65,7 +65,7 @@ def ignored(session: Session, points: Points) -> Iterator[str]:
     names = sorted(name for name in given if points.index(name) is None)
     usual = [name for name in names if name in DETECTED]
     if usual:
-        yield f"not used, for this body has no such points: {', '.join(usual)}"
+        yield f"this body has no points {', '.join(usual)}; the pose was fitted to the other points"
     for name in (name for name in names if name not in DETECTED):
         yield f"'{name}' is no point of this body and was not used; {nearest(name, points.names)}"
 

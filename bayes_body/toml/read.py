@@ -62,8 +62,24 @@ def _syntax_error(where: object, text: str, message: str) -> InputError:
     else:
         line, column = len(lines), len(lines[-1]) + 1
     line_text = shown(lines[line - 1].strip()).strip('"')
+    twice = _given_twice(reason, lines[line - 1])
+    if twice:
+        return input_error(f"{where}: line {line}", *twice)
     found = f"{reason[:1].lower()}{reason[1:]} in the line `{line_text}`"
     return input_error(f"{where}: line {line}, column {column}", found, "TOML, such as key = value or [table]", "correct that line")
+
+
+def _given_twice(reason: str, line: str) -> tuple[str, str, str] | None:
+    """Finding, expectation and remedy where tomllib's reason is a key or a table that is there already; None for any other reason."""
+    inline = re.match(r"Duplicate inline table key '(.*)'", reason)
+    header = re.match(r"\s*\[+([^\]]*)\]", line)
+    if not inline and not reason.startswith(("Cannot overwrite a value", "Cannot declare")):
+        return None
+    if header and not inline:
+        expected = "one header for each table"
+        return f"the table [{header[1].strip()}] is given twice", expected, "put its keys under one header, or use [[...]] at all of a list's tables"
+    key = inline[1] if inline else line.partition("=")[0].strip()
+    return f"key '{key}' is given twice", "each key once in its table", "remove one of the two"
 
 
 def validate[Schema: BaseModel](schema: type[Schema], data: Mapping[str, Any], where: str) -> Schema:

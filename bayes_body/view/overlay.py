@@ -1,17 +1,18 @@
-"""Pictures of a run: the recording with the posterior drawn over it, all cameras side by side.
+"""Pictures of a run: the recording with the posterior drawn over it, all cameras side by side, each cut to the person.
 
-The posterior mean is a strong outline (left side blue, right side orange, middle green); draws are a fan of thin ones, so that where the posterior
-is wide the fan is too.
+The posterior mean is a translucent body with an outline (left side blue, right side orange, middle green). Draws are thin light outlines over it and
+spread where the posterior is wide.
 """
 
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import cv2
 import numpy as np
 from cv2.typing import MatLike
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from bayes_body.errors import input_error
 from bayes_body.files.atomic import make_folder, replacing
 from bayes_body.model.build import Model
 from bayes_body.observation.pictures import read_colour
@@ -20,11 +21,13 @@ from bayes_body.session.session import Session, View
 from bayes_body.tracking.draws import Draws, FrameResult
 from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.silhouette import Outline, outlines, seen_in
+from bayes_body.view.video import frames_in, h264_video
+from bayes_body.view.windows import EMPTY, TILE_HEIGHT, Window, grid, person_windows
 
 # BGR, as OpenCV has it.
 LEFT, RIGHT, MIDDLE, INK = (255, 160, 40), (30, 130, 255), (90, 220, 60), (255, 255, 255)
-UNSEEN = 30
-TILE_HEIGHT = 480
+# Opacity of the mean's inside, of its outline, and of each draw; draws are this much nearer to white.
+INSIDE, MEAN, DRAW, LIGHTER = 0.15, 0.75, 0.3, 0.55
 VIDEO = "overlay.mp4"
 FAN = 20
 STILLS = 5
@@ -44,23 +47,17 @@ def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = un
     """
     frames = len(draws.frames)
     stills = _stills(folder, frames)
-    video = None
     make_folder(folder / "overlay")
-    with replacing(folder / VIDEO) as partial:
-        try:
-            for index in watch(range(frames)):
-                result = draws.frames[index]
-                picture = mosaic(session, draws.model, index, mean_pose(result).mean(axis=0), _fan(result, index))
-                video = video or _open_video(partial, session.fps, picture)
-                video.write(picture)
-                if index in stills:
-                    _write(stills[index], picture)
-        finally:
-            if video:
-                video.release()
-        # OpenCV says nothing of a disk that is full.
-        if _frames_in(partial) != frames:
-            raise input_error(folder / VIDEO, "cannot be written whole", "a folder with room", "free some space")
+    means = np.stack([mean_pose(result).mean(axis=0) for result in draws.frames])
+    windows = person_windows(session, draws.model, means)
+    with replacing(folder / VIDEO) as partial, ExitStack() as video:
+        write = None
+        for index in watch(range(frames)):
+            picture = mosaic(session, draws.model, index, means[index], _fan(draws.frames[index], index), windows)
+            write = write or video.enter_context(h264_video(partial, session.fps, (picture.shape[1], picture.shape[0])))
+            write(picture)
+            if index in stills:
+                _write(stills[index], picture)
     for path in set((folder / "overlay").glob("frame_*.png")) - set(stills.values()):
         path.unlink()
     return [folder / VIDEO, *stills.values()]
@@ -68,23 +65,12 @@ def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = un
 
 def is_drawn(folder: Path, frames: int) -> bool:
     """Whether a folder holds the overlay of a run of so many frames."""
-    return all(path.exists() for path in _stills(folder, frames).values()) and _frames_in(folder / VIDEO) == frames
+    return all(path.exists() for path in _stills(folder, frames).values()) and frames_in(folder / VIDEO) == frames
 
 
 def _stills(folder: Path, frames: int) -> dict[int, Path]:
     chosen = np.unique(np.linspace(0, frames - 1, min(STILLS, frames)).round().astype(int))
     return {int(index): folder / "overlay" / f"frame_{index:06d}.png" for index in chosen}
-
-
-def _frames_in(video: Path) -> int:
-    """0 where there is none, or it is not whole."""
-    if not video.exists():
-        return 0
-    reader = cv2.VideoCapture(str(video))
-    try:
-        return int(reader.get(cv2.CAP_PROP_FRAME_COUNT))
-    finally:
-        reader.release()
 
 
 def _fan(result: FrameResult, index: int) -> Float[np.ndarray, "draw dof"]:
@@ -93,42 +79,71 @@ def _fan(result: FrameResult, index: int) -> Float[np.ndarray, "draw dof"]:
     return np.concatenate(list(sample))[:FAN]
 
 
-def mosaic(session: Session, model: Model, index: int, mean: Float[np.ndarray, " dof"], fan: Float[np.ndarray, "draw dof"]) -> MatLike:
-    """One frame, all cameras in a grid: the mean body and a fan of draws over the images, or over a dark tile where a camera did not see."""
+def mosaic(
+    session: Session, model: Model, index: int, mean: Float[np.ndarray, " dof"], fan: Float[np.ndarray, "draw dof"], windows: Sequence[Window]
+) -> MatLike:
+    """One frame, all cameras in a grid: the mean body and draws over the person's part of the images.
+
+    Args:
+        session: the recording.
+        model: its body and cameras.
+        index: the frame.
+        mean: a pose, radians and metres.
+        fan: draws.
+        windows: one for each camera, of `person_windows`.
+
+    Raises:
+        InputError: an image of the session is gone.
+    """
     model = seen_in(model, session, index)
     drawn = [outlines(model, pose) for pose in fan]
     strong = outlines(model, mean)
     tiles = []
-    for c, view in enumerate(session.views):
+    for c, (view, window) in enumerate(zip(session.views, windows, strict=True)):
         picture, note = backdrop(session, index, view)
-        tiles.append(label(fit(paint(picture, strong[c], [each[c] for each in drawn])), f"{view.camera.name}  frame {index}{note}"))
+        placed = [[Outline(part, window.place(polygon, index)) for part, polygon in body[c]] for body in (strong, *drawn)]
+        tiles.append(label(paint(window.cut(picture, index), placed[0], placed[1:]), f"{view.camera.name}  frame {index}{note}"))
     return grid(tiles)
 
 
 def backdrop(session: Session, index: int, view: View) -> tuple[MatLike, str]:
-    """A camera's image of a frame, in colours, and nothing to add; or a plain dark picture of its size, and that it did not see."""
+    """A camera's image of a frame, in colour, and an empty note; without an image, a dark picture of its size, and a note that says so."""
     image = read_colour(session, index, view)
     if image is not None:
         return image, ""
     width, height = view.camera.size_px
-    return np.full((height, width, 3), UNSEEN, np.uint8), "\nnot seen"
+    return np.full((height, width, 3), EMPTY, np.uint8), "\nno image"
 
 
-def paint(image: MatLike, strong: list[Outline], fan: list[list[Outline]]) -> MatLike:
-    """The image, in colours, with thin outlines half transparent under strong ones."""
-    picture = image.copy()
-    thin = picture.copy()
+def paint(image: MatLike, strong: list[Outline], fan: Sequence[list[Outline]]) -> MatLike:
+    """The image, in colour, with a translucent body under thin outlines: where many of these agree, they add up to a strong line."""
+    picture = _blended(image, INSIDE, lambda layer: _fill(layer, strong))
+    picture = _blended(picture, MEAN, lambda layer: _draw(layer, strong, 2))
     for each in fan:
-        _draw(thin, each, 1)
-    picture = cv2.addWeighted(thin, 0.5, picture, 0.5, 0)
-    _draw(picture, strong, 2)
+        picture = _blended(picture, DRAW, lambda layer, each=each: _draw(layer, each, 1, LIGHTER))
     return picture
 
 
-def _draw(picture: MatLike, parts: list[Outline], thickness: int) -> None:
+def _blended(picture: MatLike, opacity: float, draw: Callable[[MatLike], None]) -> MatLike:
+    layer = picture.copy()
+    draw(layer)
+    return cv2.addWeighted(layer, opacity, picture, 1 - opacity, 0)
+
+
+def _fill(picture: MatLike, parts: list[Outline]) -> None:
     for outline in parts:
-        points = np.round(outline.polygon * 16).astype(np.int32)
-        cv2.polylines(picture, [points], True, colour(outline.part), thickness, cv2.LINE_AA, shift=4)
+        cv2.fillConvexPoly(picture, _fixed(outline), colour(outline.part), cv2.LINE_AA, shift=4)
+
+
+def _draw(picture: MatLike, parts: list[Outline], thickness: int, lighter: float = 0.0) -> None:
+    for outline in parts:
+        ink = tuple(round(level + lighter * (255 - level)) for level in colour(outline.part))
+        cv2.polylines(picture, [_fixed(outline)], True, ink, thickness, cv2.LINE_AA, shift=4)
+
+
+def _fixed(outline: Outline) -> Int[np.ndarray, "corner 2"]:
+    """Corners with four bits of a pixel's fraction."""
+    return np.round(outline.polygon * 16).astype(np.int32)
 
 
 def colour(part: str) -> tuple[int, int, int]:
@@ -150,22 +165,6 @@ def label(picture: MatLike, text: str) -> MatLike:
         for thickness, ink in ((4, (0, 0, 0)), (1, INK)):
             cv2.putText(picture, line, (10, 24 + 22 * row), cv2.FONT_HERSHEY_SIMPLEX, 0.6, ink, thickness, cv2.LINE_AA)
     return picture
-
-
-def grid(tiles: list[MatLike]) -> MatLike:
-    """Tiles of one height in rows of about equal width, even-sized as video codecs want it."""
-    columns = int(np.ceil(np.sqrt(len(tiles))))
-    rows = [np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)]
-    width = max(row.shape[1] for row in rows)
-    width += width % 2
-    return np.vstack([cv2.copyMakeBorder(row, 0, 0, 0, width - row.shape[1], cv2.BORDER_CONSTANT) for row in rows])
-
-
-def _open_video(path: Path, fps: float, picture: MatLike) -> cv2.VideoWriter:
-    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, picture.shape[1::-1])
-    if not video.isOpened():
-        raise input_error(path, "cannot be written as a video", "a folder that can be written", "check its permissions and free space")
-    return video
 
 
 def _write(path: Path, picture: MatLike) -> None:

@@ -15,8 +15,9 @@ from bayes_body.geometry.camera import Camera, project
 from bayes_body.model.build import Model
 from bayes_body.observation.frames import read_frame
 from bayes_body.session.session import Session
-from bayes_body.view.overlay import backdrop, fit, grid, label, paint
+from bayes_body.view.overlay import backdrop, fit, label, paint
 from bayes_body.view.silhouette import intersection_over_union, outlines, projected_masks
+from bayes_body.view.windows import grid
 
 AXIS_M = 0.5
 # x red, y green, z blue; BGR.

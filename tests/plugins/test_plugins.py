@@ -72,7 +72,7 @@ def test_a_bare_function_is_no_leaf_of_the_model(write, density):
 
 
 def test_without_it_its_name_means_nothing(density):
-    with pytest.raises(InputError, match=r"likelihood #1\.kind: likelihood 'brightness' does not exist"):
+    with pytest.raises(InputError, match=r"likelihood #1\.kind: likelihood 'brightness' does not exist; .* name its file with --plugin\."):
         density()
 
 

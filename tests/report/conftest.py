@@ -152,7 +152,8 @@ class Page(HTMLParser):
         if self.open and self.open[-1] == "style":
             self.styles += data
         else:
-            self.text += data
+            # Numbers and units are held together by spaces that do not break.
+            self.text += data.replace("\u00a0", " ")
 
     def of(self, name: str) -> list[dict[str, str | None]]:
         return [attributes for tag, attributes in self.tags if tag == name]

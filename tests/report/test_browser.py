@@ -1,8 +1,6 @@
 """The page in a browser without a network: all pictures load, nothing complains, it fits a phone, and it can be seen."""
 
 import re
-import shutil
-import subprocess
 
 import cv2
 import pytest
@@ -10,7 +8,6 @@ import pytest
 from bayes_body.storage.saved_run import load_run
 from bayes_body.view.report import write_report
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 # Read by the test alone: the page itself has no script, and forbids any.
 PROBE = """<script>addEventListener("load", () => {
   const images = [...document.images], root = document.documentElement;
@@ -19,24 +16,6 @@ PROBE = """<script>addEventListener("load", () => {
   root.dataset.overflow = root.scrollWidth - root.clientWidth;
   root.dataset.height = root.scrollHeight;
 })</script></body>"""
-
-
-@pytest.fixture
-def browser(tmp_path):
-    """`browser(path, "--screenshot=...")`: standard output and error of a browser without a network."""
-    program = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if program is None:
-        pytest.skip(f"no browser: install one of {', '.join(BROWSERS)}")
-
-    def call(path, *options):
-        quiet = ["--disable-background-networking", "--disable-component-update", "--disable-sync", "--disable-quic", "--no-first-run"]
-        alone = ["--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}", "--host-resolver-rules=MAP * ~NOTFOUND"]
-        command = [program, *alone, *quiet, "--hide-scrollbars", "--enable-logging=stderr", "--virtual-time-budget=5000", *options, path.as_uri()]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
-        assert done.returncode == 0, done.stderr
-        return done.stdout, done.stderr
-
-    return call
 
 
 @pytest.fixture(scope="module")

@@ -131,3 +131,8 @@ def test_a_definition_as_long_as_a_book_is_cut(inspect):
     run = dataclasses.replace(inspect().run, texts={"text": "x" * (2 * LONGEST)})
     text = provenance_section(run)
     assert text.count("x") < 1.1 * LONGEST and "cut after 200,000 characters of 400,000" in text
+
+
+def test_a_number_and_its_unit_stand_on_one_line():
+    assert tag("p", "54 % in 3 m, 7 mm <b>, 12 frames, 5 more") == "<p>54\u00a0% in 3\u00a0m, 7\u00a0mm &lt;b&gt;, 12 frames, 5 more</p>"
+    assert joined(["1 s", "2 steps"]) == "1\u00a0s\n2 steps"

@@ -100,7 +100,11 @@ def test_a_validators_lines_are_sentences_as_they_are():
     ("content", "sentence"),
     [
         (b"a = 1\r\nb 2\r\n", "line 2, column 3: expected '=' after a key in a key/value pair in the line `b 2`"),
-        (b"a = 1\na = 2\n", "line 2, column 6: cannot overwrite a value in the line `a = 2`"),
+        (b"a = 1\nb = 1\na = 2\n", "line 3: key 'a' is given twice; expected each key once in its table; remove one of the two."),
+        (b"[x]\na.b = 1\na.b = 2\n", "line 3: key 'a.b' is given twice"),
+        (b"a = {b = 1, b = 2}\n", "line 1: key 'b' is given twice"),
+        (b"[x]\na = 1\n[x]\nb = 2\n", "line 3: the table [x] is given twice; expected one header for each table; put its keys under one header"),
+        (b"[[x]]\na = 1\n[x]\nb = 2\n", "line 3: the table [x] is given twice"),
         (b'\xef\xbb\xbfa = "x', 'line 1, column 7: unterminated string in the line `a = "x`'),
         (b"a = 1\nb = '\xe9'\n", "line 2: the byte 0xe9; expected text in UTF-8; save the file as UTF-8."),
     ],

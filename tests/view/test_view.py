@@ -12,9 +12,10 @@ from bayes_body.errors import InputError
 from bayes_body.kernels.particle_filter import build_kernel
 from bayes_body.model.build import load_model
 from bayes_body.tracking.track import track
-from bayes_body.view.overlay import LEFT, MIDDLE, RIGHT, UNSEEN, colour, draw_overlay, grid, mosaic
+from bayes_body.view.overlay import LEFT, MIDDLE, RIGHT, colour, draw_overlay, mosaic, paint
 from bayes_body.view.rig_check import AXIS_COLOURS, draw_check
-from bayes_body.view.silhouette import outlines, projected_masks
+from bayes_body.view.silhouette import Outline, outlines, projected_masks
+from bayes_body.view.windows import EMPTY, person_windows
 
 
 @pytest.fixture(scope="module")
@@ -58,17 +59,34 @@ def test_overlay_video_and_stills(model, textured_session, tmp_path):
     assert [path.name for path in stills] == [f"frame_{frame:06d}.png" for frame in range(5)]
     picture = cv2.imread(str(stills[0]))
     assert picture.shape[1] == int(reader.get(cv2.CAP_PROP_FRAME_WIDTH)) and picture.shape[0] == 480
-    # The arm's parts have no side: their strong outline has the middle's colour, on grey images.
-    assert (np.abs(picture.astype(int) - MIDDLE).max(axis=-1) < 40).sum() > 100
+    # The arm's parts have no side: their outlines are green, on grey images.
+    assert _green(picture) > 500
+    assert _green(cv2.imread(str(textured_session.folder / "a" / "image0000.png"))) == 0
 
 
 def test_sides_have_colours():
     assert [colour(name) for name in ("l_thigh", "r_calf", "torso")] == [LEFT, RIGHT, MIDDLE]
 
 
-def test_tiles_of_any_width_make_a_grid():
-    tiles = [np.zeros((480, width, 3), np.uint8) for width in (101, 200, 333)]
-    assert grid(tiles).shape == (960, 334, 3)
+def _green(picture):
+    blue, green, red = np.moveaxis(picture.astype(int), -1, 0)
+    return int(((green > blue + 40) & (green > red + 40)).sum())
+
+
+def test_the_mean_is_translucent_and_a_draw_lies_over_it():
+    grey = np.full((100, 100, 3), 120, np.uint8)
+    grey[40:60] = 180
+    square = np.array([(10, 10), (90, 10), (90, 90), (10, 90)], float)
+    across = np.array([(50, 5), (50, 95)], float)
+    mean = paint(grey, [Outline("torso", square)], [])
+    both = paint(grey, [Outline("torso", square)], [[Outline("l_thigh", across)]] * 8)
+    inside, band, edge = (mean[row, column].astype(int) for row, column in ((30, 30), (50, 30), (10, 30)))
+    # What is in the image is seen through the body and through its outline's colour.
+    assert (band - inside > 40).all() and (inside != 120).any() and (edge != MIDDLE).any()
+    assert abs(edge - MIDDLE).max() < abs(inside - MIDDLE).max()
+    # The draw is to be seen inside of the body and across its outline, and nothing else changes.
+    assert both[30, 50, 0] > mean[30, 50, 0] + 60 and both[10, 50, 0] > mean[10, 50, 0] + 60
+    assert (both[:, :40] == mean[:, :40]).all()
 
 
 def _lowered(session):
@@ -145,14 +163,15 @@ def coloured(textured_session, model, tmp_path):
 
 def test_pictures_are_in_colour_and_dark_where_a_camera_did_not_see(coloured, model):
     pose = np.asarray(model.initial["pose"])
-    red = mosaic(coloured, model, 1, pose, pose[None])
-    assert _count(red, (0, 0, 120)) > 0.3 * red[..., 0].size
-    half = mosaic(coloured, model, 2, pose, pose[None])
+    windows = person_windows(coloured, model, np.stack([pose] * coloured.frames))
+    red = mosaic(coloured, model, 1, pose, pose[None], windows)
+    assert _count(red, (0, 0, 120)) > 0.2 * red[..., 0].size
+    half = mosaic(coloured, model, 2, pose, pose[None], windows)
     assert red.shape == half.shape
-    unseen = half[:, 640:1060]
-    assert (unseen == UNSEEN).all(axis=-1).mean() > 0.9
+    unseen = half[:, windows[0].tile[0] : windows[0].tile[0] + windows[1].tile[0]]
+    assert (unseen == EMPTY).all(axis=-1).mean() > 0.5
     # Its name, what is missing, and the posterior are there all the same.
-    assert _count(unseen, (255, 255, 255)) > 100 and _count(unseen, MIDDLE) > 100
+    assert _count(unseen, (255, 255, 255)) > 100 and _green(unseen) > 100
 
 
 def test_a_folder_that_cannot_be_written_is_said(model, textured_session, tmp_path):

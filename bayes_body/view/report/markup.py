@@ -1,8 +1,14 @@
-"""HTML from plain texts: whatever comes from a file or a user is escaped where it enters, so that nothing on the page can be markup but our own."""
+"""HTML from plain texts: whatever comes from a file or a user is escaped where it enters, so that nothing on the page can be markup but our own.
 
+A number and its unit never stand on two lines: the space between them is one that does not break.
+"""
+
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import NamedTuple
+
+UNITS = re.compile(r"(?<=\d) (?=(?:%|°|mm|m|px|ms|s|kB|MB|nats)(?!\w))")
 
 
 class Markup(str):
@@ -29,8 +35,12 @@ class Picture(NamedTuple):
 
 def tag(name: str, *content: str, **attributes: str) -> Markup:
     """`<name attributes>content</name>`; what is not `Markup` is escaped. `class_` is `class`."""
-    inside = "".join(part if isinstance(part, Markup) else escape(part) for part in content)
+    inside = "".join(map(_escaped, content))
     return Markup(f"<{name}{_attributes(attributes)}>{inside}</{name}>")
+
+
+def _escaped(text: str) -> Markup:
+    return text if isinstance(text, Markup) else Markup(UNITS.sub("\u00a0", escape(text)))
 
 
 def _attributes(attributes: dict[str, str]) -> str:
@@ -39,7 +49,7 @@ def _attributes(attributes: dict[str, str]) -> str:
 
 def joined(parts: Iterable[str]) -> Markup:
     """The parts one after the other; what is not `Markup` is escaped."""
-    return Markup("\n".join(part if isinstance(part, Markup) else escape(part) for part in parts))
+    return Markup("\n".join(map(_escaped, parts)))
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Markup:

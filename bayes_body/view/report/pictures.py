@@ -1,4 +1,4 @@
-"""Stills and a moving picture of the run's overlay, made small enough for a page: browsers play WebP, but not the video beside it."""
+"""Stills and a moving picture of the run's overlay, small enough for a page: an animated WebP needs no controls, and paper gets a still instead."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -41,7 +41,9 @@ def picture_section(folder: Path, quality: Quality | None) -> Markup:
         return section("pictures", "Pictures", tag("p", "The pictures are left out: with them the page would be too large."))
     stills = list(_stills(folder / "overlay", quality))
     video = _animation(folder / "overlay.mp4", quality)
-    parts: list[str] = [tag("p", "The mean is a thick outline (left side blue, right side orange, middle green), draws are thin ones.")]
+    parts: list[str] = [
+        tag("p", "The mean is a translucent body (left side blue, right side orange, middle green). Draws are thin light outlines over it.")
+    ]
     parts += [figures([video], "moving")] if video else [tag("p", "overlay.mp4 is no longer there or cannot be read: there is no moving picture.")]
     parts += [figures(stills, "stills")] if stills else [tag("p", "There are no stills in overlay/.")]
     return section("pictures", "Pictures", *(parts if video or stills else parts[1:]))

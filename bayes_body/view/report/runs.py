@@ -25,7 +25,7 @@ SEEKER = (
     "make the pose doubtful; runs that agree prove nothing."
 )
 FOREST = (
-    "Median, middle half (thick) and 94 % (thin) of each run's draws, as their distance from the median of all runs, which stands beside the name: "
+    "Median, middle half (thick) and 90 % (thin) of each run's draws, as their distance from the median of all runs, which stands beside the name: "
     "short lines are joints that the recording pins down, lines that lie apart are runs that disagree."
 )
 

@@ -1,0 +1,129 @@
+"""The part of each camera's image that shows the person.
+
+All frames of a video have one size, so a window has one size for the whole track. Its centre follows the person, smoothed over time: the picture does
+not shake. All cameras share one shape, so that their tiles stand in a grid without gaps.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from cv2.typing import MatLike
+from jaxtyping import Float
+from scipy.ndimage import gaussian_filter1d
+
+from bayes_body.model.build import Model
+from bayes_body.session.session import Session
+from bayes_body.view.silhouette import outlines, seen_in
+
+TILE_HEIGHT = 480
+# Grey level where there is no image.
+EMPTY = 30
+# Room around the person's box, as a share of its longer side: hands and feet reach beyond a body without them.
+MARGIN = 0.15
+# Standard deviation of the smoothing of the centre, seconds.
+SMOOTHING_S = 0.3
+# Narrowest and widest shape, width / height; tile pixels per image pixel beyond which a window shows more of the scene instead.
+SHAPES, MOST_ZOOM = (0.6, 1.6), 3.0
+# Width / height of what all tiles are shown on.
+SCREEN = 1.6
+
+
+class Window(NamedTuple):
+    """A rectangle of one camera's image that moves with the person, and the tile that shows it.
+
+    Attributes:
+        size: (width, height), image pixels.
+        centres: (column, row) in each frame, image pixels.
+        tile: (width, height), pixels.
+    """
+
+    size: tuple[int, int]
+    centres: Float[np.ndarray, "frame 2"]
+    tile: tuple[int, int]
+
+    def cut(self, image: MatLike, frame: int) -> MatLike:
+        """The tile of a frame; what lies outside of the image is dark grey."""
+        pads = [max(0, -(-(size - length) // 2)) for size, length in zip(self.size, image.shape[1::-1], strict=True)]
+        padded = cv2.copyMakeBorder(image, pads[1], pads[1], pads[0], pads[0], cv2.BORDER_CONSTANT, value=(EMPTY,) * 3)
+        centre = self.centres[frame] + pads
+        shrinks = self.tile[0] < self.size[0]
+        return cv2.resize(cv2.getRectSubPix(padded, self.size, centre), self.tile, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
+
+    def place(self, points: Float[np.ndarray, "point 2"], frame: int) -> Float[np.ndarray, "point 2"]:
+        """Points of the image, (column, row), in the tile of a frame."""
+        size = np.array(self.size)
+        # Whole numbers are the middles of pixels, in the image and in the tile.
+        return (points - self.centres[frame] + size / 2) * self.tile / size - 0.5
+
+
+def person_windows(session: Session, model: Model, poses: Float[np.ndarray, "frame dof"]) -> list[Window]:
+    """For each camera, a window that holds the posed body in every frame.
+
+    Args:
+        session: the recording.
+        model: its body and cameras.
+        poses: one for each frame from the first, radians and metres.
+
+    Raises:
+        InputError: a moving camera's file cannot be read.
+    """
+    boxes = np.stack([_boxes(session, seen_in(model, session, index), pose) for index, pose in enumerate(poses)])
+    sizes = [np.array(view.camera.size_px, float) for view in session.views]
+    found = [_followed(boxes[:, c], size, session.fps) for c, size in enumerate(sizes)]
+    shape = float(np.clip(np.median([width / height for _, (width, height) in found]), *SHAPES))
+    return [_window(centres, needed, size, shape) for (centres, needed), size in zip(found, sizes, strict=True)]
+
+
+def _boxes(session: Session, model: Model, pose: Float[np.ndarray, " dof"]) -> Float[np.ndarray, "camera 2 2"]:
+    """Least and greatest (column, row) of the body inside each image; NaN where no part of it is there."""
+    boxes = np.full((len(session.views), 2, 2), np.nan)
+    for c, parts in enumerate(outlines(model, pose)):
+        if parts:
+            points = np.concatenate([part.polygon for part in parts])
+            box = np.clip([points.min(axis=0), points.max(axis=0)], 0, session.views[c].camera.size_px)
+            if (box[1] > box[0]).all():
+                boxes[c] = box
+    return boxes
+
+
+def _followed(
+    boxes: Float[np.ndarray, "frame 2 2"], image: Float[np.ndarray, " 2"], fps: float
+) -> tuple[Float[np.ndarray, "frame 2"], Float[np.ndarray, " 2"]]:
+    """Smooth centres, and the (width, height) around them that holds all boxes and the margin; the whole image where there is no box."""
+    seen = np.flatnonzero(np.isfinite(boxes).all(axis=(1, 2)))
+    if not seen.size:
+        return np.tile(image / 2, (len(boxes), 1)), image
+    middles = boxes[seen].mean(axis=1)
+    frames = np.arange(len(boxes))
+    followed = np.stack([np.interp(frames, seen, middles[:, axis]) for axis in range(2)], axis=1)
+    centres = gaussian_filter1d(followed, SMOOTHING_S * fps, axis=0, mode="nearest")
+    reach = np.maximum(boxes[seen, 1] - centres[seen], centres[seen] - boxes[seen, 0]).max(axis=0)
+    return centres, np.minimum(2 * (reach + MARGIN * 2 * reach.max()), image)
+
+
+def _window(centres: Float[np.ndarray, "frame 2"], needed: Float[np.ndarray, " 2"], image: Float[np.ndarray, " 2"], shape: float) -> Window:
+    """The window of that shape around what is needed, inside the image as far as it fits."""
+    height = max(needed[1], needed[0] / shape, TILE_HEIGHT / MOST_ZOOM)
+    size = np.array([height * shape, height])
+    edge = np.minimum(size, image) / 2
+    width = 2 * round(TILE_HEIGHT * shape / 2)
+    columns, rows = size.round().astype(int)
+    return Window((int(columns), int(rows)), np.clip(centres, edge, image - edge), (width, TILE_HEIGHT))
+
+
+def columns_of(count: int, width: float, height: int) -> int:
+    """How many tiles of (width, height) stand in a row, so that all of them fit a SCREEN as large as possible; of equals, the fewest."""
+    return max(range(1, count + 1), key=lambda columns: min(SCREEN / (columns * width), 1 / (-(-count // columns) * height)))
+
+
+def grid(tiles: Sequence[MatLike]) -> MatLike:
+    """Tiles of one height in rows, even-sized as video codecs want it."""
+    height = tiles[0].shape[0]
+    columns = columns_of(len(tiles), float(np.mean([tile.shape[1] for tile in tiles])), height)
+    rows = [np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)]
+    width = max(row.shape[1] for row in rows)
+    width += width % 2
+    filled = [cv2.copyMakeBorder(row, 0, 0, 0, width - row.shape[1], cv2.BORDER_CONSTANT, value=(EMPTY,) * 3) for row in rows]
+    return np.vstack([*filled, np.full((1, width, 3), EMPTY, np.uint8)][: len(filled) + (len(filled) * height) % 2])
