@@ -89,11 +89,11 @@ class Scenes:
 
     def _make(self, definition: Definition) -> Scene:
         if self.recording is not None:
-            return self._seen(definition, "recording")
+            return self._recorded(definition, "recording")
         if ROOT not in definition.body.markers:
             return self._drawn(definition)
         try:
-            return self._seen(definition, "rendered")
+            return self._recorded(definition, "rendered")
         except InputError:
             # For example a likelihood of keypoints, for which no detector ran here.
             if not_generative(load_model(definition, self.session)):

@@ -268,7 +268,7 @@ def test_first_keypoints_are_those_of_the_first_frame(pose2sim, tmp_path):
         rows = json.loads((pose2sim / "pose" / f"{name}_json" / f"{name}.{number[name]:04d}.json").read_text())["people"]
         people = [tuple(row["pose_keypoints_2d"][:3]) for row in rows]
         assert session.initial_keypoints[name]["nose"] in people
-    assert any("Of several people in the first frame the one on whom most cameras agree" in remark for remark in remarks)
+    assert any("There are several people in the first frame. The subject is the one on whom most cameras agree" in remark for remark in remarks)
     assert not session.fit_lengths
 
 
