@@ -56,7 +56,7 @@ FAULTS = {
     "text": ('{"people": [{"pose_keypoints_2d": [1, "2", 0.5]}]}', "an entry that is not a finite number"),
     "true": ('{"people": [{"pose_keypoints_2d": [1, true, 0.5]}]}', "an entry that is not a finite number"),
     "NaN": ('{"people": [{"pose_keypoints_2d": [1, NaN, 0.5]}]}', "an entry that is not a finite number"),
-    "far away": ('{"people": [{"pose_keypoints_2d": [1e9, 2, 0.5]}]}', "far outside of any image"),
+    "far away": ('{"people": [{"pose_keypoints_2d": [1e9, 2, 0.5]}]}', "far outside any image"),
     "a thousand digits": ('{"people": [{"pose_keypoints_2d": [' + "9" * 5000 + ", 2, 0.5]}]}", "not JSON with valid numbers"),
     "nested without end": ("[" * 100000, "not JSON"),
     "unequal people": (

@@ -79,7 +79,7 @@ def test_remarks_name_what_was_changed(imported):
     assert "l_elbow 48.9 deg becomes -48.9" in remarks
     assert "r_knee 4.5 deg becomes -4.5" in remarks
     assert re.search(r"PoseParameters.txt: its limits exclude the initial pose in \d+ of 31 angles; .* deutscher_31 apply", remarks)
-    assert "60 frames a second are assumed" in remarks
+    assert "60 frames per second are assumed" in remarks
 
 
 def test_save_and_load_is_the_same_session(imported):
