@@ -80,7 +80,7 @@ def test_folders(tmp_path):
         keypoint_files(tmp_path / "none")
     write(tmp_path / "a.0001.json", person(17))
     write(tmp_path / "b.0001.json", person(17))
-    with pytest.raises(InputError, match="2 files with 1 numbers"):
+    with pytest.raises(InputError, match="2 files with 1 different numbers"):
         keypoint_files(tmp_path)
     write(tmp_path / "b.0001.json", person(18)).rename(tmp_path / "b.0002.json")
     with pytest.raises(InputError, match="frames with 17 and with 18 keypoints"):
