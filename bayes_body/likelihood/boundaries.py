@@ -60,7 +60,7 @@ def contour(body: Body, per_side: int) -> Contour:
 
 
 def boundaries(body: Body, rig: Camera, contour: Contour, in_camera: RigPatches, visibility: Visibility) -> Boundaries:
-    """Project the samples of the parts' patches, which are given in each camera's frame (`patch_pixels.seen_patches`)."""
+    """Project the samples of the parts' patches, which are given in each camera's frame (`patch_pixels.rig_patches`)."""
     pixels = sample_pixels(rig, in_camera, contour.samples)
     depths, normals = jax.vmap(_direction, (0, 0, None))(rig, in_camera, contour)
     shown = _share(_inside_image(rig, pixels), SOFT_PX, visibility) * _shown(body, rig, in_camera, pixels, depths, visibility)

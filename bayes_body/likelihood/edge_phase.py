@@ -27,7 +27,7 @@ from bayes_body.evidence.edge_phase import PhaseMaps, look_up
 from bayes_body.geometry.camera import Camera
 from bayes_body.likelihood.boundaries import Boundaries, Contour, Visibility, boundaries, contour
 from bayes_body.likelihood.edge_density import PHASE_SD, EdgeStatistics, log_density
-from bayes_body.likelihood.patch_pixels import sample_slopes, seen_patches
+from bayes_body.likelihood.patch_pixels import rig_patches, sample_slopes
 from bayes_body.registry import register
 from bayes_body.shapes import Scalar
 from bayes_body.toml.schema import Count, Finite, Positive, Schema, Share
@@ -93,7 +93,7 @@ class EdgePhase:
     def __call__(self, values: Variables, maps: PhaseMaps) -> Scalar:
         """log p(z | pose), up to a constant."""
         pose = values[POSE]
-        edges = boundaries(self.body, self.rig, self.contour, seen_patches(self.body, self.rig, pose), self.visibility)
+        edges = boundaries(self.body, self.rig, self.contour, rig_patches(self.body, self.rig, pose), self.visibility)
         total = jnp.sum(self.sample_log_densities(maps, edges))
         # Clipping coordinates would hide an invalid pose.
         return jnp.where(jnp.isfinite(jnp.sum(pose)), self.weight * total, jnp.nan)
@@ -116,7 +116,7 @@ class EdgePhase:
         The sum is over all visible samples. The paper uses the middle of each side, and its formula is the diagonal.
         """
         pose = values[POSE]
-        edges = boundaries(self.body, self.rig, self.contour, seen_patches(self.body, self.rig, pose), self.visibility)
+        edges = boundaries(self.body, self.rig, self.contour, rig_patches(self.body, self.rig, pose), self.visibility)
         along_u, along_v = sample_slopes(self.body, self.rig, self.contour.samples, pose)
         visible = edges.visible * jnp.asarray(maps.seen, pose.dtype)[:, None, None]
         across = (jnp.sqrt(visible) * (along_u * edges.normals[0] + along_v * edges.normals[1])).reshape(len(pose), -1)

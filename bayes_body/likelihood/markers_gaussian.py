@@ -95,19 +95,19 @@ class MarkersGaussian:
         # If a marker is behind a camera, its expected place does not depend on the pose, which would hide a NaN.
         return jnp.where(jnp.isfinite(jnp.sum(pose)), jnp.sum(jnp.where(present, densities, 0.0)), jnp.nan)
 
-    def expected(self, pose: Pose) -> Float[Array, "camera seen 2"]:
+    def expected(self, pose: Pose) -> Float[Array, "camera present 2"]:
         """The expected pixels of the body's markers in each camera."""
         points = marker_positions(self.body.skeleton, self.body.markers, pose)[list(self.markers), :]
 
-        def of(camera: Camera) -> Float[Array, "seen 2"]:
+        def of(camera: Camera) -> Float[Array, "present 2"]:
             pixels, visible = project(camera, points)
             return jnp.where(visible[:, None], pixels, camera.size / 2 - BEHIND * jnp.sqrt(jnp.sum(camera.size**2)))
 
         return jax.vmap(of)(self.rig)
 
     def _log_density(
-        self, pixels: Float[Array, "camera seen 2"], confidence: Float[Array, "camera seen"], expected: Float[Array, "camera seen 2"]
-    ) -> Float[Array, "camera seen"]:
+        self, pixels: Float[Array, "camera present 2"], confidence: Float[Array, "camera present"], expected: Float[Array, "camera present 2"]
+    ) -> Float[Array, "camera present"]:
         variance = self._sd(confidence) ** 2
         squares = jnp.sum((pixels - expected) ** 2, axis=-1) / variance
         nu = self.degrees_of_freedom
@@ -118,14 +118,14 @@ class MarkersGaussian:
         anywhere = jnp.where(self._inside(pixels), math.log(self.outliers) - jnp.log(jnp.prod(self.rig.size, axis=1))[:, None], -jnp.inf)
         return jnp.logaddexp(math.log1p(-self.outliers) + inlier, anywhere)
 
-    def _sd(self, confidence: Float[Array, "camera seen"]) -> Float[Array, "camera seen"]:
+    def _sd(self, confidence: Float[Array, "camera present"]) -> Float[Array, "camera present"]:
         return self.sd_px[:, None] / confidence**self.by_confidence
 
-    def _inside(self, pixels: Float[Array, "camera seen 2"]) -> Bool[Array, "camera seen"]:
+    def _inside(self, pixels: Float[Array, "camera present 2"]) -> Bool[Array, "camera present"]:
         # The first pixel's centre is (0, 0), so an image begins half a pixel before it.
         return jnp.all((pixels >= -0.5) & (pixels <= self.rig.size[:, None] - 0.5), axis=-1)
 
-    def draw(self, key: Key, pose: Pose) -> Float[Array, "camera seen 2"]:
+    def draw(self, key: Key, pose: Pose) -> Float[Array, "camera present 2"]:
         """Draw pixels of the body's markers, all with confidence 1."""
         noise, spread, choice, place = jax.random.split(key, 4)
         expected = self.expected(pose)

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from bayes_body.body.solids import Body, PartTopology
 from bayes_body.geometry.camera import Camera, Pixels
-from bayes_body.likelihood.patch_pixels import corner_pixels, seen_patches
+from bayes_body.likelihood.patch_pixels import corner_pixels, rig_patches
 from bayes_body.shapes import Pose
 
 # The distance, in pixels, to a part that is not completely in front of the camera.
@@ -32,7 +32,7 @@ type Reached = tuple[Array, Array]
 
 def outline_forms(body: Body, rig: Camera, pose: Pose) -> Float[Array, "camera coefficient 4 part"]:
     """The forms of every part's outline in each camera: four for a cylinder, one (repeated) for a sphere. Relative to the image's centre, pixels."""
-    return forms_of(body.topology, rig, seen_patches(body, rig, pose))
+    return forms_of(body.topology, rig, rig_patches(body, rig, pose))
 
 
 def forms_of(topology: PartTopology, rig: Camera, in_camera: Float[Array, "camera 4 part 3"]) -> Float[Array, "camera coefficient 4 part"]:

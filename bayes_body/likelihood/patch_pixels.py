@@ -20,10 +20,10 @@ type CameraPatches = Float[Array, "4 part 3"]
 
 def rig_pixels(body: Body, rig: Camera, samples: Samples, pose: Pose) -> Pixels[Float[Array, "camera part sample"]]:
     """The pixels of each sample of each part of a posed body, in each camera of a rig."""
-    return sample_pixels(rig, seen_patches(body, rig, pose), samples)
+    return sample_pixels(rig, rig_patches(body, rig, pose), samples)
 
 
-def seen_patches(body: Body, rig: Camera, pose: Pose) -> Float[Array, "camera 4 part 3"]:
+def rig_patches(body: Body, rig: Camera, pose: Pose) -> Float[Array, "camera 4 part 3"]:
     """The parts' patches in each camera's frame: start, along, across and taper."""
     T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, pose))))
     shaped = widened(body, pose)
@@ -47,7 +47,7 @@ def sample_slopes(body: Body, rig: Camera, samples: Samples, pose: Pose) -> tupl
             # The hand-written derivative supports reverse mode only.
             return cameras.project_components(camera, X, Y, Z)
 
-        pixels = jax.vmap(of)(rig, seen_patches(body, rig, pose))
+        pixels = jax.vmap(of)(rig, rig_patches(body, rig, pose))
         return pixels.u, pixels.v
 
     slopes = jax.jacfwd(places)(pose)
@@ -62,7 +62,7 @@ def corner_pixels(
     def of(camera: Camera, in_camera: CameraPatches) -> Pixels[Float[Array, "corner part"]]:
         patch = Patches(*in_camera)
         X, Y, Z = (patch.start[:, k] + t * patch.along[:, k] + s * patch.across[:, k] + t * s * patch.taper[:, k] for k in range(3))
-        return _seen_at(camera, X, Y, Z)
+        return _visible_pixels(camera, X, Y, Z)
 
     return jax.vmap(of)(rig, in_camera)
 
@@ -79,10 +79,10 @@ def _camera_patches(body: Body, T_world_part: Transform, camera: Camera) -> Came
 
 
 def _pixels(camera: Camera, in_camera: CameraPatches, samples: Samples) -> Pixels[Float[Array, "part sample"]]:
-    return _seen_at(camera, *_spread(in_camera, samples))
+    return _visible_pixels(camera, *_spread(in_camera, samples))
 
 
-def _seen_at(camera: Camera, X: Array, Y: Array, Z: Array) -> Pixels[Array]:
+def _visible_pixels(camera: Camera, X: Array, Y: Array, Z: Array) -> Pixels[Array]:
     # Visibility has no derivative and stays outside; XLA merges the common part of both.
     return Pixels(*_project(camera, X, Y, Z), cameras.in_view(camera, X, Y, Z))
 

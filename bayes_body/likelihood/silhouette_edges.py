@@ -32,7 +32,7 @@ from bayes_body.evidence.silhouette_edges import EDGES, SILHOUETTE, Lookup, Silh
 from bayes_body.geometry.camera import Camera
 from bayes_body.likelihood.coverage import projected_area
 from bayes_body.likelihood.outlines import forms_of, point_distance
-from bayes_body.likelihood.patch_pixels import sample_pixels, seen_patches
+from bayes_body.likelihood.patch_pixels import rig_patches, sample_pixels
 from bayes_body.registry import register
 from bayes_body.shapes import Pose, Scalar
 from bayes_body.toml.schema import Count, NonNegative, Positive, Schema
@@ -93,8 +93,8 @@ class SilhouetteEdges:
     def __call__(self, values: Variables, maps: SilhouetteEdgeMaps) -> Scalar:
         """log p(z | pose), up to a constant."""
         pose = values[POSE]
-        seen = seen_patches(self.body, self.rig, pose)
-        pixels = sample_pixels(self.rig, seen, self.samples)
+        in_camera = rig_patches(self.body, self.rig, pose)
+        pixels = sample_pixels(self.rig, in_camera, self.samples)
         errors = look_up(maps.errors, self.map_index, self.lookup, self.rig, pixels)
         if self.gamma == 0:
             error = jnp.sum(errors * (self.weights[SILHOUETTE] + self.weights[EDGES]))
@@ -102,14 +102,14 @@ class SilhouetteEdges:
             silhouette, edges = (jnp.sum(errors * weight, axis=(1, 2)) for weight in self.weights)
             error = jnp.sum(silhouette / self._area_agreement(maps, pose) + edges)
         if self.covers:
-            error = error + self._uncovered(maps, seen)
+            error = error + self._uncovered(maps, in_camera)
         # A nearest look-up would turn NaN into pixel 0 and hide it.
         return jnp.where(jnp.isfinite(jnp.sum(pose)), -self.precision * error, jnp.nan)
 
-    def _uncovered(self, maps: SilhouetteEdgeMaps, seen: Float[Array, "camera 4 part 3"]) -> Scalar:
+    def _uncovered(self, maps: SilhouetteEdgeMaps, in_camera: Float[Array, "camera 4 part 3"]) -> Scalar:
         """The term "cover", summed over the cameras that saw the frame."""
         # `forms` is an argument of the map: as a closure it would be recomputed for every point.
-        forms = jax.lax.optimization_barrier(forms_of(self.body.topology, self.rig, seen))
+        forms = jax.lax.optimization_barrier(forms_of(self.body.topology, self.rig, in_camera))
         points = jnp.asarray(maps.points, forms.dtype)
         inside = jax.vmap(partial(point_distance, self.body.topology))(forms, points[..., 0], points[..., 1])
         outside = jnp.maximum(-inside, 0) / self.soft_px

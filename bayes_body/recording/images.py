@@ -59,7 +59,7 @@ def check_size(path: Path, found: tuple[int, int], size_px: tuple[int, int] | No
     """
     if size_px is not None and found != tuple(size_px):
         remedy = "use the images that the camera was calibrated with, or scale focal_px, centre_px and size_px to these images"
-        raise input_error(path, f"{found[0]} x {found[1]} pixels", f"{size_px[0]} x {size_px[1]} as its camera", remedy)
+        raise input_error(path, f"{found[0]} x {found[1]} pixels", f"{size_px[0]} x {size_px[1]} as its camera has", remedy)
 
 
 def not_seen(path: Path, found: str, expected: str, remedy: str) -> NotSeenError:

@@ -170,7 +170,7 @@ class SessionFile(Schema):
     def _ambiguous(self) -> Iterator[str]:
         angles = frozenset(self.subject.motion_sd_deg) | frozenset(self.initial.angles_deg)
         for name in sorted(angles & self.positions):
-            yield f"'{name}': given both in degrees and in metres; expected either an angle or a position; remove one."
+            yield f"'{name}': given both in degrees and in metres; expected an angle or a position; remove one."
 
 
 def to_radians(degrees: Mapping[str, float]) -> dict[str, float]:

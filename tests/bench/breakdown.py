@@ -30,7 +30,7 @@ def kinematics(state, density) -> jax.Array:
     return sum(leaf.sum() for leaf in part_transforms(_likelihood(density).body, state["pose"]))
 
 
-def seen_patches(state, density) -> jax.Array:
+def rig_patches(state, density) -> jax.Array:
     term = _likelihood(density)
     T_world_part = jax.lax.optimization_barrier(part_transforms(term.body, state["pose"]))
 
@@ -71,7 +71,7 @@ def _likelihood(density) -> SilhouetteEdges:
 def stages(nearest: Case, bilinear: Case) -> dict[str, Timing]:
     """Seconds of each stage, all particles."""
     found: dict[str, Timing] = {}
-    nested = [("kinematics", kinematics), ("+ patches", seen_patches), ("+ projection", projection)]
+    nested = [("kinematics", kinematics), ("+ patches", rig_patches), ("+ projection", projection)]
     for name, stage in nested:
         found[name] = _measure(name, spread(stage), nearest.states, nearest.density)
     found["+ look-up, nearest"] = _measure("+ look-up, nearest", spread(whole), nearest.states, nearest.density)

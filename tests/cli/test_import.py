@@ -162,7 +162,7 @@ def test_import_of_opencvs_calibration(cli, laboratory, tmp_path):
 OPTIONS = {
     "no unit": (("--up", "z", "--fps", "30"), ["--unit: not given", "expected m, cm or mm"]),
     "no up": (("--unit", "mm", "--fps", "30"), ["--up: not given", "expected x, y or z"]),
-    "no rate": (("--unit", "mm", "--up", "z"), ["--fps: not given, and no recording says"]),
+    "no rate": (("--unit", "mm", "--up", "z"), ["--fps: not given, and no recording states"]),
     "another unit": (("--unit", "m", "--up", "z", "--fps", "30"), ["factor of 1000"]),
     "height in mm": ((*SAID, "--height", "1800"), ["--height: 1800; expected metres", "millimetres, divide by 1000"]),
     "no such camera": ((*SAID, "--offset", "lefd=1"), ["--offset: 'lefd': no such camera; did you mean 'left'?"]),

@@ -231,7 +231,7 @@ def test_at_another_frame_rate_a_body_drifts_as_far():
     [
         ({"alpha_1": 0.5}, "keep -0.3 of the position"),
         ({"alpha_1": 2.5}, r"set alpha_1 = 1 \+ alpha_2"),
-        ({"sd_deg": {"*": 2.0, "l_knee": 60.0}}, "'l_knee'.*over √12.*smaller one, or wider limits"),
+        ({"sd_deg": {"*": 2.0, "l_knee": 60.0}}, "'l_knee'.*over √12.*smaller value, or wider limits"),
         ({"sd_deg": {"*": 2.0, "root_yaw": 100.0}}, "'root_yaw'.*a quarter turn"),
         ({"sd_deg": {"l_*": 2.0}}, "no standard deviation for the dof 'root_yaw'"),
         ({"sd_deg": {"*": 2.0, "l_kne": 2.0}}, "l_kne: matches no dof"),

@@ -17,7 +17,7 @@ from bayes_body.evidence.edge_phase import PhaseMaps, look_up, pack, steer
 from bayes_body.geometry.camera import Pixels, project
 from bayes_body.likelihood.boundaries import boundaries, contour
 from bayes_body.likelihood.edge_phase import Options, build
-from bayes_body.likelihood.patch_pixels import sample_slopes, seen_patches
+from bayes_body.likelihood.patch_pixels import rig_patches, sample_slopes
 from bayes_body.model.build import load_model
 from bayes_body.model.definition import load_body, load_definition
 from bayes_body.observation.edge_phase import responses
@@ -141,7 +141,7 @@ def _pose(model, **angles):
 def _seen(model, samples, visibility):
     """Pose -> where its boundaries are seen."""
     body, rig, outline = model.body, model.rig, contour(model.body, samples)
-    return jax.jit(lambda pose: boundaries(body, rig, outline, seen_patches(body, rig, pose), visibility))
+    return jax.jit(lambda pose: boundaries(body, rig, outline, rig_patches(body, rig, pose), visibility))
 
 
 def test_samples_stand_on_the_occluding_contour_of_the_paper():

@@ -187,5 +187,7 @@ def test_a_wrong_detection_moves_a_gaussian_and_not_a_student(x64, scene):
 def test_a_body_without_such_markers(scene):
     scene = scene("arm_4")
     body = replace(scene.body, markers=replace(scene.body.markers, names=("a", "b", "c")))
-    with pytest.raises(InputError, match=r"markers: the body 'arm_4' has the markers a, b, c; expected some of pelvis, .*; name the body's"):
+    with pytest.raises(
+        InputError, match=r"markers: the body 'arm_4' has the markers a, b, c; expected some of pelvis, .*; use these names in the body's"
+    ):
         factor(scene._replace(body=body))

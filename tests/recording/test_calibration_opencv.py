@@ -64,7 +64,7 @@ def test_a_file_without_a_size(write):
 REFUSED = {
     "no matrix": ({"matrix": ""}, "no camera matrix; expected one under a name such as camera_matrix"),
     "no distortion": ({"distortion": ""}, "no distortion coefficients"),
-    "intrinsics alone": ({"rotation": "", "translation": ""}, "intrinsics alone do not place a camera"),
+    "intrinsics alone": ({"rotation": "", "translation": ""}, "intrinsics without extrinsics do not place a camera"),
     "no rotation": ({"rotation": ""}, "no rotation from the world to the camera"),
     "rational": ({"distortion": matrix("dist", np.full((1, 8), 0.1))}, "rational"),
     "stereo pair": ({"size": matrix("M2", np.eye(3))}, "the intrinsics of a stereo pair"),

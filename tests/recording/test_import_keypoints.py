@@ -104,7 +104,7 @@ def test_a_camera_without_keypoints(lab, tmp_path):
 
 
 def test_what_is_wrong_is_said(lab, tmp_path):
-    with pytest.raises(InputError, match=r"--keypoints .*nowhere: no such folder of any camera; expected a folder CAMERA_json"):
+    with pytest.raises(InputError, match=r"--keypoints .*nowhere: no folder of any camera in it; expected a folder CAMERA_json"):
         import_opencv(lab, tmp_path / "s", options(keypoints=tmp_path / "nowhere"))
     with pytest.raises(InputError, match="--layout: COCO_17, but there are no keypoints; expected"):
         import_opencv(lab, tmp_path / "s", options(layout="COCO_17"))

@@ -212,12 +212,12 @@ WRONG = {
     "masks from another number": (
         lambda o, t: [images(t / "m" / name, first=1) for name in NAMES],
         {"masks": "m"},
-        "m/left: numbers 1 to 6; expected 0 to 5, the camera's frames",
+        "m/left: numbers 1 to 6; expected 0 to 5, this camera's frames",
     ),
     "small masks": (lambda o, t: [images(t / "m" / name, size=(9, 8)) for name in NAMES], {"masks": "m"}, "9 x 8 pixels; expected 96 x 64"),
     "no empty scene": (lambda o, t: None, {"background": "m"}, "no image or video for camera 'left'"),
     "no truth": (lambda o, t: None, {"truth": "t.npz"}, "t.npz: no such file"),
-    "no video": (lambda o, t: (o / "left.mp4").unlink(), {}, "camera 'left': no video or folder of images of its name"),
+    "no video": (lambda o, t: (o / "left.mp4").unlink(), {}, "camera 'left': no video or folder of images with its name"),
     "another size": (lambda o, t: resize(o), {}, "camera 'left': left.mp4 has 96 x 64 pixels; expected 128 x 64"),
     "another rate": (lambda o, t: video(o / "left.mp4", fps=25.0), {}, "frame rate: cameras differ: left 25, right 30"),
     "no calibration": (lambda o, t: [(o / f"{name}.yml").unlink() for name in NAMES], {}, "no calibration in it"),
@@ -268,7 +268,7 @@ def test_first_keypoints_are_those_of_the_first_frame(pose2sim, tmp_path):
         rows = json.loads((pose2sim / "pose" / f"{name}_json" / f"{name}.{number[name]:04d}.json").read_text())["people"]
         people = [tuple(row["pose_keypoints_2d"][:3]) for row in rows]
         assert session.initial_keypoints[name]["nose"] in people
-    assert any("Of several people in the first frame the one on whom most cameras agree" in remark for remark in remarks)
+    assert any("There are several people in the first frame. The subject is the one on whom most cameras agree" in remark for remark in remarks)
     assert not session.fit_lengths
 
 

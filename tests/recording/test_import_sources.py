@@ -105,7 +105,7 @@ def test_only_a_codecs_padding_may_be_missing(tmp_path):
     assert settled((1088, 1088), (1080, 1080)) is not None
     assert settled((1088, 1920), (1088, 1912)) is not None
     for other in [(1920, 1080), (1072, 1920), (540, 960), (1096, 1920)]:
-        with pytest.raises(InputError, match=r"a.mp4 has .* pixels; expected 1088 x 1920, as its calibration says"):
+        with pytest.raises(InputError, match=r"a.mp4 has .* pixels; expected 1088 x 1920, as in its calibration"):
             settled((1088, 1920), other)
     with pytest.raises(InputError, match="expected 1080 x 1920"):
         settled((1080, 1920), (1088, 1920))
@@ -165,7 +165,7 @@ def test_heights_that_are_no_metres(height, remedy):
 def test_words_of_the_options():
     assert metres_per_unit("cm", "") == 0.01
     assert up_axis("y", "") == "y"
-    with pytest.raises(InputError, match=r"--unit: not given; nobody knows; expected m, cm or mm; say .* --unit mm"):
+    with pytest.raises(InputError, match=r"--unit: not given; nobody knows; expected m, cm or mm; give .* --unit mm"):
         metres_per_unit(None, "nobody knows")
     with pytest.raises(InputError, match="--unit: 'inch': no such unit; known: cm, m, mm"):
         metres_per_unit("inch", "")

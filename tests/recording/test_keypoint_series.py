@@ -47,8 +47,8 @@ FAULTS = {
     "numbers for names": (GOOD | {"names": np.arange(2)}, "names: int64 of shape"),
     "objects": (GOOD | {"names": np.array(["a", None], object)}, "names: .*object"),
     "percent": (GOOD | {"keypoints": np.full((2, 2, 3), 80.0)}, "a confidence of 80; expected 0 to 1"),
-    "far away": (GOOD | {"keypoints": np.full((2, 2, 3), [1e7, 0, 0.5])}, "far outside of any image"),
-    "infinite": (GOOD | {"keypoints": np.full((2, 2, 3), [np.inf, 0, 0.5])}, "far outside of any image"),
+    "far away": (GOOD | {"keypoints": np.full((2, 2, 3), [1e7, 0, 0.5])}, "far outside any image"),
+    "infinite": (GOOD | {"keypoints": np.full((2, 2, 3), [np.inf, 0, 0.5])}, "far outside any image"),
     "half a frame": (GOOD | {"first": np.array(0.5)}, "first: float64 of shape"),
 }
 

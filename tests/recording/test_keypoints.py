@@ -53,10 +53,10 @@ FAULTS = {
     "a list": ("[]", "no list `people`"),
     "two and a half numbers": ('{"people": [{"pose_keypoints_2d": [1, 2, 0.5, 4]}]}', "pose_keypoints_2d: 4 numbers; expected x, y, confidence"),
     "nothing": ('{"people": [{}]}', "person 1: pose_keypoints_2d: none"),
-    "text": ('{"people": [{"pose_keypoints_2d": [1, "2", 0.5]}]}', "an entry that is no finite number"),
-    "true": ('{"people": [{"pose_keypoints_2d": [1, true, 0.5]}]}', "an entry that is no finite number"),
-    "NaN": ('{"people": [{"pose_keypoints_2d": [1, NaN, 0.5]}]}', "an entry that is no finite number"),
-    "far away": ('{"people": [{"pose_keypoints_2d": [1e9, 2, 0.5]}]}', "far outside of any image"),
+    "text": ('{"people": [{"pose_keypoints_2d": [1, "2", 0.5]}]}', "an entry that is not a finite number"),
+    "true": ('{"people": [{"pose_keypoints_2d": [1, true, 0.5]}]}', "an entry that is not a finite number"),
+    "NaN": ('{"people": [{"pose_keypoints_2d": [1, NaN, 0.5]}]}', "an entry that is not a finite number"),
+    "far away": ('{"people": [{"pose_keypoints_2d": [1e9, 2, 0.5]}]}', "far outside any image"),
     "a thousand digits": ('{"people": [{"pose_keypoints_2d": [' + "9" * 5000 + ", 2, 0.5]}]}", "not JSON with valid numbers"),
     "nested without end": ("[" * 100000, "not JSON"),
     "unequal people": (
@@ -80,7 +80,7 @@ def test_folders(tmp_path):
         keypoint_files(tmp_path / "none")
     write(tmp_path / "a.0001.json", person(17))
     write(tmp_path / "b.0001.json", person(17))
-    with pytest.raises(InputError, match="2 files with 1 numbers"):
+    with pytest.raises(InputError, match="2 files with 1 different numbers"):
         keypoint_files(tmp_path)
     write(tmp_path / "b.0001.json", person(18)).rename(tmp_path / "b.0002.json")
     with pytest.raises(InputError, match="frames with 17 and with 18 keypoints"):

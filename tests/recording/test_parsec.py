@@ -79,7 +79,7 @@ def test_remarks_name_what_was_changed(imported):
     assert "l_elbow 48.9 deg becomes -48.9" in remarks
     assert "r_knee 4.5 deg becomes -4.5" in remarks
     assert re.search(r"PoseParameters.txt: its limits exclude the initial pose in \d+ of 31 angles; .* deutscher_31 apply", remarks)
-    assert "60 frames a second are assumed" in remarks
+    assert "60 frames per second are assumed" in remarks
 
 
 def test_save_and_load_is_the_same_session(imported):
@@ -159,7 +159,7 @@ def test_masks_of_another_size(copy):
 def test_missing_masks_of_one_camera(copy):
     (copy.folder / "FG3").unlink()
     (sentence,) = refused(copy)
-    assert "FG3: missing; expected the same of camera 3 as of the other cameras; restore it" in sentence
+    assert "FG3: missing; expected the same files for camera 3 as for the other cameras; restore it" in sentence
 
 
 def test_no_masks_at_all_is_a_remark(copy, tmp_path):
@@ -173,7 +173,7 @@ def test_no_masks_at_all_is_a_remark(copy, tmp_path):
 def test_camera_without_calibration(copy):
     (copy.folder / "CALIB" / "Camera2.cal").unlink()
     (sentence,) = refused(copy)
-    assert "Camera2.cal: missing; expected the same of camera 2" in sentence
+    assert "Camera2.cal: missing; expected the same files for camera 2" in sentence
 
 
 @pytest.mark.parametrize(("name", "count"), [("BodyShapeParameters.txt", 58), ("InitialPose.txt", 31), ("PoseParameters.txt", 93)])

@@ -107,7 +107,7 @@ def test_sources_of_images(path):
     (sentence,) = refused(path, line, f'{line}\nvideo = "left.mp4"')
     assert sentence.startswith("camera 'left': both images and video")
     (sentence,) = refused(path, line, f"{line}\noffset = -8")
-    assert sentence.startswith("camera 'left'.offset: -8, its frames would begin at number -1; expected 0 or later")
+    assert sentence.startswith("camera 'left'.offset: -8, so its frames would begin at number -1; expected 0 or later")
 
 
 def test_first_keypoints_belong_to_a_camera(path):
@@ -224,7 +224,7 @@ def test_cameras_that_do_not_fit_together(path):
 @pytest.mark.parametrize("pattern", ["left.png", "%04d/%04d.png", "%s.png", "50%/%04d.png"])
 def test_patterns_have_one_place_for_the_number(path, pattern):
     (sentence,) = refused(path, "left/%04d.png", pattern)
-    assert sentence.startswith(f"camera 'left'.images: \"{pattern}\"; expected one place for the frame's number; write it as %d")
+    assert sentence.startswith(f"camera 'left'.images: \"{pattern}\"; expected one placeholder for the frame number; write %d")
 
 
 def test_a_dof_in_degrees_and_in_metres(path):

@@ -71,8 +71,8 @@ def _placed(skeleton: Skeleton, values: Mapping[str, Float[np.ndarray, "frame do
     shifts = [bones[0].dofs.index(dof) for dof in ("tx", "ty", "tz")]
     moved[:, 0] = skeleton.position + values[ROOT][:, shifts]
     positions, rotations = place(parents, moved, np.stack(local, axis=1))
-    way = longest_path(parents, rest)
-    return {"joints": tuple(names), "parents": tuple(parents), "positions": positions, "rotations": rotations, "way": way}
+    longest = longest_path(parents, rest)
+    return {"joints": tuple(names), "parents": tuple(parents), "positions": positions, "rotations": rotations, "longest_path": longest}
 
 
 def _turned(bone: Bone, values: Float[np.ndarray, "frame dof"], degrees: float) -> Float[np.ndarray, "frame 3 3"]:

@@ -65,8 +65,8 @@ def read_bvh(path: Path) -> Capture:
     parents = tuple(joint.parent for joint in joints)
     offsets, local = _channels(joints, values)
     positions, rotations = place(parents, offsets, local)
-    way = longest_path(parents, np.array([joint.offset for joint in joints]))
-    return Capture(fps, tuple(joint.name for joint in joints), parents, positions, UNITS["cm"], "y", rotations, way)
+    longest = longest_path(parents, np.array([joint.offset for joint in joints]))
+    return Capture(fps, tuple(joint.name for joint in joints), parents, positions, UNITS["cm"], "y", rotations, longest)
 
 
 def _joints(path: Path, lines: list[str]) -> list[Joint]:

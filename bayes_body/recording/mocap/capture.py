@@ -17,7 +17,7 @@ AXES = ("x", "y", "z", "-x", "-y", "-z")
 HEIGHTS_M = (0.8, 2.7)
 EXTENTS_M = (0.2, 2.7)
 # Height divided by the longest path through a skeleton, along the bones from toe to fingertips (0.65 to 0.69 for the people of the CMU set).
-HEIGHT_OF_WAY = 0.67
+HEIGHT_OF_PATH = 0.67
 # As for the positions of a session.
 FARTHEST_M = 1000.0
 # Number of frames in which the vertical extent is measured.
@@ -36,7 +36,7 @@ class Capture(NamedTuple):
         metres: metres per unit of length, as the file states or its format implies.
         up: one of `AXES`, as the file states or its format implies.
         rotations: as in `Motion`, in the file's axes.
-        way: the longest path along the skeleton's bones from end to end; None for loose markers.
+        longest_path: the longest path along the skeleton's bones from end to end; None for loose markers.
     """
 
     fps: float
@@ -46,7 +46,7 @@ class Capture(NamedTuple):
     metres: float
     up: str
     rotations: Float[np.ndarray, "frame joint 3 3"] | None = None
-    way: float | None = None
+    longest_path: float | None = None
 
 
 def to_motion(path: Path, capture: Capture, unit: str | float | None, up: str | None, fps: float | None) -> Motion:
@@ -118,9 +118,9 @@ def known_unit(where: str, name: str) -> float:
 
 def _check_height(path: Path, capture: Capture, metres: float, turn: Float[np.ndarray, "3 3"]) -> None:
     height, bounds = _extent(capture.positions @ turn.T), EXTENTS_M
-    if capture.way is not None:
+    if capture.longest_path is not None:
         # Take the skeleton's length, because a person who lies down has no vertical extent.
-        height, bounds = max(height, HEIGHT_OF_WAY * capture.way), HEIGHTS_M
+        height, bounds = max(height, HEIGHT_OF_PATH * capture.longest_path), HEIGHTS_M
     if height and not bounds[0] <= height * metres <= bounds[1]:
         raise _no_height(path, height, metres, bounds)
 

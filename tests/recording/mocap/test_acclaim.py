@@ -136,7 +136,7 @@ BAD_AMC = {
     "frames out of turn": (AMC.replace("\n8\n", "\n9\n"), r"line 9: frame 9 after frame 7; expected consecutive frame numbers"),
     "no number": (AMC.replace("foot 90", "foot 9o"), r"line 7: '9o'; expected numbers"),
     "NaN": (AMC.replace("foot 90", "foot nan"), r"line 7: nan; expected finite numbers"),
-    "values before a frame": (AMC.replace("7\n", ""), r"line 4: values before the first frame's number"),
+    "values before a frame": (AMC.replace("7\n", ""), r"line 4: values before the first frame number"),
     "nothing": ("", r"no frame; expected an AMC motion"),
     "something else": ('{"a": [1,\n2]}\n', r"line 1: the bone '{\"a\":'"),
     "binary": ("a\0b", r"line 1: the byte 0x00: not text"),
