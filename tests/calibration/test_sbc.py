@@ -15,6 +15,9 @@ from bayes_body.calibration.problem import alone
 from bayes_body.kernels import tempered_smc
 from bayes_body.kernels.parts import extended
 
+# Fits and replications run for longer than they compile.
+pytestmark = pytest.mark.usefixtures("optimised")
+
 REPLICATIONS, BINS, SEED = 200, 20, 100
 LIMIT = 0.05 / 3
 
@@ -123,7 +126,6 @@ def test_a_faulty_tempered_is_found_out(tempered, fault):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("optimised")
 def test_a_dropped_jacobian_is_found_out(tempered_slowly):
     """By default its moves alone, in tests/laws/test_invariance.py."""
     assert least_p(tempered_slowly()) > LIMIT
