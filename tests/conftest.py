@@ -71,6 +71,7 @@ TESTS = Path(__file__).parent
 LONGEST = (
     "compare/test_benchmark.py",
     "kernels/test_hmc_filter.py",
+    "initial/test_first_pose.py",
     "closed_forms/test_definitions.py",
     "programs/test_inference.py",
     "cli/test_demo.py",
@@ -78,7 +79,6 @@ LONGEST = (
     "calibration/test_quadrature.py",
     "closed_forms/test_tempered.py",
     "calibration/test_sbc.py",
-    "initial/test_first_pose.py",
     "likelihood/test_edge_phase.py",
     "programs/test_bodytrack.py",
     "cli/test_track.py",

@@ -15,6 +15,9 @@ from bayes_body.calibration.problem import point_mass
 from bayes_body.density.coordinates import Coordinates
 from bayes_body.kernels import tempered_smc
 
+# Fits and replications run for longer than they compile.
+pytestmark = pytest.mark.usefixtures("optimised")
+
 REPLICATIONS, BINS, SEED = 200, 20, 100
 LIMIT = 0.05 / 3
 
@@ -116,7 +119,6 @@ def test_a_faulty_tempered_is_found_out(tempered, fault):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("optimised")
 def test_a_dropped_jacobian_is_found_out(tempered_slowly):
     """By default its moves alone, in tests/closed_forms/test_invariance.py."""
     assert least_p(tempered_slowly()) > LIMIT

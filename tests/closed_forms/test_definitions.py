@@ -44,7 +44,7 @@ def test_it_says_what_it_is(model):
     assert len(definition.title) > 20 and len(definition.source) > 20
 
 
-@pytest.mark.parametrize("model", _alike_are_slow(), indirect=True)
+@pytest.mark.parametrize("model", list(_alike_are_slow()), indirect=True)
 def test_its_density_is_the_sum_of_its_parts_finite_at_first_with_finite_gradients_everywhere_a_particle_may_go(model, density):
     """One program: to compile the gradient takes most of the time."""
     view = density.unconstrained()

@@ -1,5 +1,7 @@
 """Estimator variance on posteriors in closed form: the truth is found, and a sampler of n independent draws has the error of n."""
 
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -109,5 +111,9 @@ def test_both_samplers_find_the_same_posterior(target):
         assert np.max(np.abs(runs.means.mean(axis=0) - mean) / (runs.means.std(axis=0, ddof=1) / np.sqrt(20))) < 4.5
 
 
-def test_a_gradient_costs_more_than_a_value(target):
-    assert 0.5 < ev.gradient_cost(target[0]) < 50
+def test_the_cost_of_a_gradient_is_the_ratio_of_the_shortest_times(target, monkeypatch):
+    """By a clock that runs as it is asked: gradients take 6 s and more, values 2 s and more."""
+    gradients, values = (least + np.arange(ev.TIMED) for least in (6.0, 2.0))
+    ticks = np.cumsum([step for seconds in (*gradients[::-1], *values) for step in (0.0, seconds)])
+    monkeypatch.setattr(ev, "time", SimpleNamespace(perf_counter=iter(ticks.tolist()).__next__))
+    assert ev.gradient_cost(target[0]) == pytest.approx(3.0)

@@ -11,6 +11,9 @@ from bayes_body.errors import InputError
 from bayes_body.initial import first_pose, with_first_pose
 from bayes_body.model.build import load_model
 
+# Fits and replications run for longer than they compile.
+pytestmark = pytest.mark.usefixtures("optimised")
+
 
 def _markers(person):
     return {name: tuple(float(x) for x in place) for name, place in person.places.items()}
@@ -57,7 +60,6 @@ def test_markers_of_the_very_body_are_met(scene, model):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("optimised")
 def test_nearly_all_poses_within_the_limits_are_found(scene, model):
     worst = [_recovered(model, scene(1), pose) for pose in _random_poses(model.body.skeleton, np.random.default_rng(2), 100)]
     assert np.mean(np.array(worst) < 0.01) >= 0.95

@@ -19,6 +19,9 @@ from bayes_body.session.read import load_session, save_session
 from bayes_body.session.session import Subject
 from bayes_body.view.silhouette import intersection_over_union, projected_masks
 
+# Fits and replications run for longer than they compile.
+pytestmark = pytest.mark.usefixtures("optimised")
+
 HEIGHT_M = 1.75
 STANDING = {
     "root_z": 0.95,

@@ -15,6 +15,9 @@ from bayes_body.retarget import retarget
 from bayes_body.retarget.exact import decompose
 from bayes_body.retarget.turns import angles_of
 
+# Fits and replications run for longer than they compile.
+pytestmark = pytest.mark.usefixtures("optimised")
+
 FRAMES = 40
 # Limits within which no joint of this body has two triples of angles for one rotation.
 WIDE = 0.5
@@ -77,7 +80,6 @@ def test_lengths_that_end_a_limb_are_those_of_its_points(body, own_motion, lengt
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize(("up", "order"), [("z", (0, 1, 2)), ("y", (1, 2, 0))])
 def test_an_exported_bvh_gives_its_angles_back(schema, angles, lengths, tmp_path, up, order):
     longer = {name: 1.03 * length for name, length in lengths.items()}

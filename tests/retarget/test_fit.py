@@ -10,6 +10,9 @@ from bayes_body.recording.mocap import landmarks, read_motion, resample
 from bayes_body.recording.truth import read_truth
 from bayes_body.retarget import retarget
 
+# Fits and replications run for longer than they compile.
+pytestmark = pytest.mark.usefixtures("optimised")
+
 FPS = 60.0
 # The first walk of every subject of the set, and the most that its markers may lie off on average, mm: two skeletons are never the same.
 SUBJECTS = {"02": "02_01", "05": "05_01", "06": "06_01", "07": "07_01", "08": "08_01", "16": "16_15", "35": "35_01", "38": "38_01", "39": "39_01"}
@@ -90,7 +93,6 @@ def test_too_little_to_go_by_is_a_sentence(body, points, fps, parts):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("optimised")
 def test_kept_lengths_stay(body, walker):
     found = retarget(body, walker, FPS, fit_lengths=False)
     assert found.lengths_m == {}
@@ -100,7 +102,6 @@ def test_kept_lengths_stay(body, walker):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("subject", SUBJECTS)
 def test_walks_of_real_people_fit_without_flips(body, cmu_mocap, subject):
     motion = resample(read_motion(cmu_mocap / subject / f"{SUBJECTS[subject]}.amc"), FPS)
@@ -112,7 +113,6 @@ def test_walks_of_real_people_fit_without_flips(body, cmu_mocap, subject):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("optimised")
 def test_the_command_writes_a_truth_that_is_read(command, cmu_mocap, tmp_path):
     out = tmp_path / "motion.npz"
     status, told, _ = command("mocap", cmu_mocap / "02" / "02_02.amc", "--fps", 60, "--out", out)
