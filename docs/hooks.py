@@ -17,12 +17,14 @@ OPERATORS = ("arg", "diag", "logit")
 
 def on_config(config):
     """A navigation entry that ends in `/` becomes the pages of that folder, in the order of their names."""
-    docs, entries = Path(config.docs_dir), []
-    for entry in config.nav:
-        ((title, target),) = entry.items()
-        folder = isinstance(target, str) and target.endswith("/")
-        entries.append({title: sorted(path.relative_to(docs).as_posix() for path in (docs / target).glob("*.md"))} if folder else entry)
-    config.nav = entries
+    docs = Path(config.docs_dir)
+
+    def pages(target):
+        if isinstance(target, list):
+            return [{title: pages(below) for title, below in entry.items()} for entry in target]
+        return sorted(path.relative_to(docs).as_posix() for path in (docs / target).glob("*.md")) if target.endswith("/") else target
+
+    config.nav = pages(config.nav)
     return config
 
 
