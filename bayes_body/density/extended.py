@@ -39,12 +39,12 @@ class Extended(NamedTuple):
         """The likelihood side."""
         return self.density.log_likelihood(self.state(ancestor, position), self.density.ancestor(ancestor))
 
-    def log_density(self, ancestor: Index, position: State, inverse_temperature: Scalar) -> tuple[Scalar, Scalar]:
+    def log_density(self, ancestor: Index, position: State, inverse_temperature: float | Scalar = 1.0) -> tuple[Scalar, Scalar]:
         """log π_β(i, x) less log w_i, which is constant while the ancestor is; and the log-likelihood."""
         log_joint, log_likelihood = self.density.log_joint(self.state(ancestor, position), self.density.ancestor(ancestor), inverse_temperature)
         return log_joint + self.coordinates.log_determinant(position), log_likelihood
 
-    def choose_ancestor(self, key: Key, ancestor: Index, position: State, inverse_temperature: Scalar, candidates: int) -> Index:
+    def choose_ancestor(self, key: Key, ancestor: Index, position: State, inverse_temperature: float | Scalar, candidates: int) -> Index:
         """An ancestor from p(i | x), exactly, by iterated sampling importance resampling (Andrieu, Lee & Vihola 2018).
 
         The present ancestor competes with `candidates` - 1 others. These are drawn by their weights; the choice is by how well the state follows.
@@ -67,7 +67,7 @@ class Extended(NamedTuple):
         # NaN: an ancestor that the state cannot come from.
         return competing[jax.random.categorical(choose_key, jnp.where(jnp.isnan(log_probs), -jnp.inf, log_probs))]
 
-    def _given_ancestor(self, ancestor: Index, position: State, inverse_temperature: Scalar) -> Scalar:
+    def _given_ancestor(self, ancestor: Index, position: State, inverse_temperature: float | Scalar) -> Scalar:
         """The terms of log π_β(i, x) - log w_i that depend on the ancestor: all of them only where a factor reads the frame before."""
         if self.density.reads_previous:
             return self.log_density(ancestor, position, inverse_temperature)[0]

@@ -56,7 +56,9 @@ def varying_like[Tree](tree: Tree, reference: Any) -> Tree:
     """
     axes = frozenset().union(*(jax.typeof(leaf).mat.varying for leaf in jax.tree.leaves(reference)))
 
-    def marked(leaf: jax.Array) -> jax.Array:
+    def marked(leaf: Any) -> jax.Array:
+        # A library's state may hold plain numbers.
+        leaf = jnp.asarray(leaf)
         missing = tuple(sorted(axes - jax.typeof(leaf).mat.varying))
         return jax.lax.pcast(leaf, missing, to="varying") if missing else leaf
 
