@@ -237,23 +237,31 @@ def test_a_session_without_masks(cli, walk, tmp_path):
     cli("track", tmp_path, "--out", tmp_path / "run").refuses("session.toml", "neither keypoints nor silhouettes", "--keypoints", "--model")
 
 
-def test_without_an_out_each_run_has_a_folder_of_its_own(cli, textured_session, tmp_path, monkeypatch):
-    save_session(dataclasses.replace(textured_session, folder=tmp_path / "trial"))
-    monkeypatch.chdir(tmp_path)
-    for folder in ("trial_run", "trial_run_2"):
-        outcome = cli("track", "trial", "--model", "arm", "--particles", 20, "--frames", 1)
-        assert outcome.status == 0, outcome.err
-        assert outcome.out.startswith(f"run        {folder}\n") and (tmp_path / folder / "posterior.nc").exists()
-    first = (tmp_path / "trial_run" / "posterior.nc").stat().st_mtime_ns
-    monkeypatch.chdir(tmp_path / "trial")
-    assert cli("track", ".", "--model", "arm", "--particles", 20, "--frames", 1).status == 0
-    assert (tmp_path / "trial_run_3" / "posterior.nc").exists()
-    assert (tmp_path / "trial_run" / "posterior.nc").stat().st_mtime_ns == first
-    cli("track", ".", "--resume").refuses("--resume: no --out", "name it with --out")
+@pytest.fixture
+def trial(textured_session, tmp_path) -> Path:
+    """A session of blobs in a folder `trial`."""
+    folder = tmp_path / "trial"
+    save_session(dataclasses.replace(textured_session, folder=folder))
+    for view in textured_session.views:
+        (folder / view.camera.name).symlink_to(textured_session.folder / view.camera.name)
+    return folder
 
 
-def test_warnings_are_called_so(cli, textured_session, tmp_path):
-    save_session(dataclasses.replace(textured_session, folder=tmp_path / "trial"))
-    outcome = cli("track", tmp_path / "trial", "--model", "arm", "--particles", 20, "--frames", 1)
+def test_without_an_out_each_run_has_a_folder_of_its_own(cli, trial, monkeypatch):
+    monkeypatch.chdir(trial.parent)
+    outcome = cli("track", "trial", "--model", "arm", "--particles", 20, "--frames", 1)
+    assert outcome.status == 0, outcome.err
+    assert outcome.out.startswith("run        trial_run\n")
+    first = (trial.parent / "trial_run" / "posterior.nc").stat().st_mtime_ns
+    # What `look at` was before.
     assert "look at    " not in outcome.out
     assert "warning     a single run cannot show whether another run would agree; use --runs 2 or more." in outcome.out
+    monkeypatch.chdir(trial)
+    outcome = cli("track", ".", "--model", "arm", "--particles", 20, "--frames", 1)
+    assert outcome.status == 0, outcome.err
+    assert (trial.parent / "trial_run_2" / "posterior.nc").exists()
+    assert (trial.parent / "trial_run" / "posterior.nc").stat().st_mtime_ns == first
+
+
+def test_a_run_is_continued_by_its_own_name_only(cli, trial):
+    cli("track", trial, "--resume").refuses("--resume: no --out", "name it with --out")
