@@ -116,12 +116,12 @@ def test_figures_have_their_units_and_what_does_not_exist_is_a_dash(inspect):
     evidence = np.array([[-10.0, -20.0], [-11.0, -21.0]])
     it = inspect(frames=2, log_evidence=evidence)
     cells = dict(re.findall(r'<th scope="row">([^<]*)</th><td>([^<]*)</td>', key_figures(it.run.summary, it.diagnosis)))
-    assert cells["frames"] == "2" and cells["time a frame, all runs"] == "0.25 s"
+    assert cells["frames"] == "2" and cells["time a frame, all runs"] == "0.25\u00a0s"
     assert cells["overlap with the silhouettes (IoU), median"] == "–"
     assert cells["effective particles"] == "60 (median), 60 (least) of 60"
     # The runs' evidence is averaged before the logarithm.
     mean, sd = np.log((np.exp(-30) + np.exp(-32)) / 2), np.std([-30, -32], ddof=1)
-    assert cells["log-evidence"] == f"{mean:.1f} ± {sd:.1f} nats (sd over the runs)"
+    assert cells["log-evidence"] == f"{mean:.1f} ± {sd:.1f}\u00a0nats (sd over the runs)"
 
 
 def test_a_single_run_has_no_agreement_and_says_so(inspect, parse):
@@ -222,7 +222,7 @@ def test_how_it_was_made(inspect):
     text = provenance_section(inspect().run)
     cells = dict(re.findall(r'<th scope="row">([^<]*)</th><td>([^<]*)</td>', text))
     assert (cells["platform"], cells["devices"], cells["bayes-body"], cells["title"]) == ("an abacus", "bead:0", "0.0.9", "blobs")
-    assert cells["cameras"] == "a 160 × 120 px; b 128 × 144 px" and "kind = &quot;silhouette_edges&quot;" in text
+    assert cells["cameras"] == "a 160 × 120\u00a0px; b 128 × 144\u00a0px" and "kind = &quot;silhouette_edges&quot;" in text
 
 
 def test_a_run_whose_session_is_gone(make_run, parse):

@@ -71,7 +71,7 @@ def test_sentences_and_table_say_what_is_so(inspect, parse, arm):
     table = rows(found)
     assert list(table)[1:] == ["left wrist", "left elbow", "left shoulder"], "largest error first"
     head = table["marker"]
-    assert head == ["error, mm", "offset fitted, mm", "length of the offset, mm", "inside 50 %", "inside 90 %"]
+    assert head == ["error, mm", "offset fitted, mm", "length of the offset, mm", "inside 50\u00a0%", "inside 90\u00a0%"]
     assert [table[name][0] for name in ("left shoulder", "left elbow", "left wrist")] == ["10", "20", "60"]
     alts = [image["alt"] for image in parse(found).of("img")]
     assert alts[0] == "Error of the mean markers over the frames, from 30 to 30 mm." and "90 %: " in alts[1]
