@@ -12,7 +12,7 @@ from bayes_body.calibration.problem import Problem, check_cases, problem_of
 from bayes_body.calibration.replication_log import ReplicationLog
 from bayes_body.calibration.replications import Experiments, Figures, run_replications
 from bayes_body.calibration.scene import model_in_a_room
-from bayes_body.model.build import Model, load_model
+from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.plugins.load import load_plugin
 from bayes_body.registry import find
@@ -73,7 +73,7 @@ def model_of(plan: Plan) -> Model:
         load_plugin(plugin)
     definition = load_definition(plan.model)
     if plan.session is not None:
-        return load_model(definition, load_session(Path(plan.session)))
+        return build_model(definition, load_session(Path(plan.session)))
     return model_in_a_room(definition, None if plan.rig is None else Path(plan.rig))
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_body.model.build import Model, load_model
+from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import Definition, definitions_folder
 from bayes_body.recording.rig import read_rig
 from bayes_body.session.session import CameraSpec, Session, View
@@ -33,13 +33,13 @@ def model_in_a_room(definition: Definition, rig: Path | None = None) -> Model:
         InputError: the rig cannot be read.
     """
     found = read_rig(definitions_folder() / "rigs" / f"{RIG}.toml" if rig is None else rig)
-    there = load_model(definition, _session(found.fps, found.cameras))
+    there = build_model(definition, _session(found.fps, found.cameras))
     if rig is not None:
         return there
     markers = np.asarray(there.markers(there.initial["pose"]), float)
     centre = (markers.min(axis=0) + markers.max(axis=0)) / 2
     reach = REACH * float(np.linalg.norm(markers - centre, axis=1).max())
-    return load_model(definition, _session(found.fps, tuple(_moved(camera, centre, reach) for camera in found.cameras)))
+    return build_model(definition, _session(found.fps, tuple(_moved(camera, centre, reach) for camera in found.cameras)))
 
 
 def _moved(camera: CameraSpec, centre: np.ndarray, reach: float) -> CameraSpec:

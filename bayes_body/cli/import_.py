@@ -203,10 +203,10 @@ def _draw(session: "Session", name: str, path: Path) -> Path:
     from bayes_body.config import configure
 
     configure()
-    from bayes_body.model.build import load_model
+    from bayes_body.model.build import build_model
     from bayes_body.view.rig_check import draw_check
 
-    model = load_model(name, session)
+    model = build_model(name, session)
     if session.initial_markers or session.initial_keypoints:
         from bayes_body.initial import apply_first_pose, first_pose
 

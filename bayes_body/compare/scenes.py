@@ -22,7 +22,7 @@ from bayes_body.evidence.markers import MARKERS
 from bayes_body.files.atomic import make_folder, replacing
 from bayes_body.geometry.camera import Camera
 from bayes_body.initial import with_first_pose
-from bayes_body.model.build import Model, load_model
+from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import Definition, definitions_folder
 from bayes_body.observation.frames import read_frame
 from bayes_body.recording.rig import read_rig
@@ -96,12 +96,12 @@ class Scenes:
             return self._recorded(definition, "rendered")
         except InputError:
             # For example a likelihood of keypoints, for which no detector ran here.
-            if not_generative(load_model(definition, self.session)):
+            if not_generative(build_model(definition, self.session)):
                 raise
             return self._drawn(definition)
 
     def _recorded(self, definition: Definition, kind: str) -> Scene:
-        model = load_model(definition, self.session)
+        model = build_model(definition, self.session)
         # Check that the recording has what the likelihoods read, before fitting the first pose.
         model.observe(read_frame(self.session, 0))
         return Scene(self.session, with_first_pose(model, self.session), kind)

@@ -25,7 +25,7 @@ from bayes_body.errors import input_error
 from bayes_body.initial import FirstPose, apply_first_pose, first_pose
 from bayes_body.metrics import accuracy_figures, draws_against_truth, log_evidence, silhouette_overlap
 from bayes_body.metrics.accuracy import LEVELS
-from bayes_body.model.build import Model, load_model
+from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import Definition
 from bayes_body.session.session import Session
 from bayes_body.tracking.track import track
@@ -115,7 +115,7 @@ def trials(
     for number in watch(range(len(sessions) * len(scales))):
         place, scale = number // len(scales), scales[number % len(scales)]
         if (KEPT, number) not in kept:
-            model = load_model(with_scale(definition, scale), sessions[place])
+            model = build_model(with_scale(definition, scale), sessions[place])
             if place not in starts:
                 # The fit of the first pose does not use the images, so it is the same for each scale.
                 starts[place] = first_pose(model, sessions[place])

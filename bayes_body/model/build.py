@@ -106,10 +106,6 @@ def build_model(name: str | Path | Definition, session: Session) -> Model:
     return Model(definition, body, rig, transition, tuple(factors), transition.begin({"pose": _initial_pose(session, body, definition)}), observers)
 
 
-# The name of before; callers move to `build_model` or to `initial.load_model`.
-load_model = build_model
-
-
 def _likelihoods(definition: Definition, body: Body, rig: Camera) -> tuple[list[Factor], dict[str, Callable[[Any], Any]]]:
     factors, observers = [], {}
     for index, term in enumerate(definition.likelihoods):

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from bayes_body.density.density import Density
 from bayes_body.density.factor import State
 from bayes_body.kernels.parts.batching import everywhere, over_particles
-from bayes_body.model.build import Model, load_model
+from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.observation.frames import read_frame
 from bayes_body.recording.parsec import import_parsec
@@ -50,7 +50,7 @@ def load(session: Session, lookup: str, particles: int) -> Case:
     definition = load_definition("deutscher_apf")
     (term,) = definition.likelihoods
     term = replace(term, options=term.options.model_copy(update={"lookup": lookup}))
-    model = load_model(replace(definition, likelihoods=(term,)), session)
+    model = build_model(replace(definition, likelihoods=(term,)), session)
     density = model.density(model.observe(read_frame(session, 0)))
     perturb = jax.vmap(lambda key: model.transition.perturb(key, model.initial, model.initial, jnp.asarray(SPREAD)))
     return Case(model, everywhere(density), everywhere(perturb(jax.random.split(jax.random.key(0), particles))))

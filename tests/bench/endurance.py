@@ -17,7 +17,7 @@ bayes_body.configure()
 import jax  # noqa: E402
 from case import recording  # noqa: E402
 
-from bayes_body.model.build import load_model  # noqa: E402
+from bayes_body.model.build import build_model  # noqa: E402
 from bayes_body.model.kernel_options import kernel_options  # noqa: E402
 from bayes_body.posterior import stream_posterior  # noqa: E402
 from bayes_body.registry import find  # noqa: E402
@@ -50,7 +50,7 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         session = load_session(link_looped(recording(), Path(folder) / "session", options.frames))
-        model = load_model("deutscher_apf", session)
+        model = build_model("deutscher_apf", session)
         kind, kernel = kernel_options(model.definition, options.kernel, {"particles": options.particles})
         print(f"{kind}, {options.particles} particles; frames, memory (MB), seconds a frame")
         files = FrameFiles(Path(folder) / "frames")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayes_body.body.build import build_body
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.model.definition import definition_names, load_body
 from bayes_body.recording.parsec import import_parsec
 
@@ -36,7 +36,7 @@ def test_captured_people_stay_inside(cmu_mocap):
 
 def test_the_first_pose_of_a_real_recording_is_inside(bodytrack, tmp_path):
     session, _ = import_parsec(bodytrack, tmp_path)
-    body, pose = (model := load_model("deutscher_apf", session)).body, np.asarray(model.initial["pose"])
+    body, pose = (model := build_model("deutscher_apf", session)).body, np.asarray(model.initial["pose"])
     low, high = np.asarray(body.skeleton.low), np.asarray(body.skeleton.high)
     assert ((low <= pose) & (pose <= high)).all()
     assert all(pose[body.dof_names.index(name)] < high[body.dof_names.index(name)] for name in KNEES)

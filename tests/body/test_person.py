@@ -9,7 +9,7 @@ import pytest
 from bayes_body.body.build import Shape, build_body
 from bayes_body.body.kinematics import marker_positions
 from bayes_body.body.solids import part_transforms
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_body
 from bayes_body.session.session import Subject
 
@@ -59,10 +59,10 @@ def test_toes_point_to_where_knees_do_not_bend(pair):
 
 def test_a_subject_measured_for_the_body_without_is_taken(textured_session):
     subject = Subject(body="deutscher_31", height_m=HEIGHT, lengths_m={"l_thigh": 0.5}, motion_sd={"root_x": 0.02})
-    model = load_model("tempered_smc", dataclasses.replace(textured_session, subject=subject))
+    model = build_model("tempered_smc", dataclasses.replace(textured_session, subject=subject))
     assert model.body.name == "person_31"
     assert np.isclose(model.body.lengths[model.body.topology.names.index("l_thigh")], 0.5)
     assert np.isclose(model.body.lengths[model.body.topology.names.index("l_foot")], 0.112 * HEIGHT)
     # Measures of a body of another chart are not.
-    other = load_model("tempered_smc", dataclasses.replace(textured_session, subject=dataclasses.replace(subject, body="arm_4")))
+    other = build_model("tempered_smc", dataclasses.replace(textured_session, subject=dataclasses.replace(subject, body="arm_4")))
     assert np.isclose(other.body.lengths[other.body.topology.names.index("l_thigh")], 0.245 * HEIGHT)

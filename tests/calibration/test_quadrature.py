@@ -12,7 +12,7 @@ from closed_forms.targets import CENTRE, conjugate, point_mass, skewed
 from bayes_body import kernels
 from bayes_body.calibration.quadrature import integrate
 from bayes_body.calibration.reference import LIMIT, compare
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.observation.frames import Frame
 from bayes_body.session.session import CameraSpec, Session, View
@@ -39,7 +39,7 @@ def test_a_posterior_of_several_ancestors_is_their_mixture():
 
 
 def test_too_many_dofs_are_refused(textured_session):
-    model = load_model("deutscher_apf", textured_session)
+    model = build_model("deutscher_apf", textured_session)
     with pytest.raises(ValueError, match="31 dofs; expected at most 4"):
         integrate(model.density(jax.tree.map(jnp.asarray, {})))
 
@@ -78,7 +78,7 @@ def _on_the_drawing(name):
     views = tuple(View(camera, images=f"unused{k}_%04d.png") for k, camera in enumerate(cameras))
     initial = {"shoulder_x": np.radians(-20), "shoulder_y": np.radians(-40), "shoulder_z": 0.0, "elbow": np.radians(-85)}
     session = Session(Path(), "drawn", "z", 60.0, 1, 0, views, initial=initial)
-    model = load_model(load_definition(name), session)
+    model = build_model(load_definition(name), session)
     images, masks = zip(*(_drawn(camera) for camera in cameras), strict=True)
     return model, model.density(jax.tree.map(jnp.asarray, model.observe(Frame(0, images, masks))))
 

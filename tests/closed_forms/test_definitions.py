@@ -7,7 +7,7 @@ import pytest
 
 from bayes_body.density.density import Density
 from bayes_body.density.factor import variables
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.model.definition import definition_names, load_definition
 from bayes_body.observation.frames import read_frame
 
@@ -30,7 +30,7 @@ def _alike_are_slow():
 
 @pytest.fixture(params=definition_names())
 def model(request, keypoint_session):
-    return load_model(request.param, keypoint_session)
+    return build_model(request.param, keypoint_session)
 
 
 @pytest.fixture

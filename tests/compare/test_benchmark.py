@@ -15,7 +15,7 @@ from bayes_body.compare import Row, Scene, Scenes, Settings, benchmark_rows, pai
 from bayes_body.compare.benchmark import FIGURES, followed, measured, options_of
 from bayes_body.compare.scenes import not_generative
 from bayes_body.errors import InputError
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.observation.frames import read_frame
 
@@ -32,7 +32,7 @@ class TinyScenes(Scenes):
         self.blobs = session
 
     def _make(self, definition):
-        model = load_model(definition, self.blobs)
+        model = build_model(definition, self.blobs)
         return Scene(self.blobs, model, "blobs") if not_generative(model) else self._drawn(definition)
 
 
@@ -54,7 +54,7 @@ def frame_densities(keypoint_session):
 
     @cache
     def made(name):
-        model = load_model(name, keypoint_session)
+        model = build_model(name, keypoint_session)
         start = model.start(TINY.most_particles)
         return model, start, model.density(model.observe(read_frame(keypoint_session, 0)), start)
 

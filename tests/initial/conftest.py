@@ -11,7 +11,7 @@ from bayes_body.body.build import Shape, build_body
 from bayes_body.body.kinematics import marker_positions
 from bayes_body.geometry.camera import project
 from bayes_body.initial.points import as_markers, body_points
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_body
 from bayes_body.session.session import CameraSpec, Session, Subject, View
 
@@ -58,7 +58,7 @@ def body_schema():
 
 @pytest.fixture(scope="session")
 def model(scene):
-    return load_model("deutscher_apf", scene(1))
+    return build_model("deutscher_apf", scene(1))
 
 
 @pytest.fixture(scope="session")
@@ -95,7 +95,7 @@ def seen(model):
 
     def look(session, person, rng, outliers=0.0, noise_px=4.0):
         places = np.array(list(person.places.values())) @ TURNED[session.up].T
-        rig = load_model(model.definition, session).rig
+        rig = build_model(model.definition, session).rig
         pixels = np.array(jax.jit(jax.vmap(project, (0, None)))(rig, jnp.asarray(places))[0])
         pixels += rng.normal(0, noise_px, pixels.shape)
         wrong = rng.random(pixels.shape[:2]) < outliers

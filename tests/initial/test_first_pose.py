@@ -9,7 +9,7 @@ import pytest
 from bayes_body.body.kinematics import marker_positions
 from bayes_body.errors import InputError
 from bayes_body.initial import first_pose, with_first_pose
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 
 # Fits and replications run for longer than they compile.
 pytestmark = pytest.mark.usefixtures("optimised")
@@ -29,7 +29,7 @@ def _median(errors):
 
 def test_angles_are_taken_as_they_are(scene, model):
     session = scene(1, initial={"l_knee": -0.7, "root_z": 0.9})
-    model = load_model(model.definition, session)
+    model = build_model(model.definition, session)
     found = first_pose(model, session)
     assert (found.pose == model.initial["pose"]).all()
     assert found.remarks == ()
@@ -85,7 +85,7 @@ def test_four_cameras_with_a_fifth_of_all_keypoints_wrong(scene, model, walker, 
     for _ in range(4):
         person, session = walker(rng), scene(4)
         keypoints, wrong = seen(session, person, rng, outliers=0.2)
-        model_of = load_model(model.definition, session)
+        model_of = build_model(model.definition, session)
         found = first_pose(model_of, _with(session, initial_keypoints=keypoints))
         medians.append(_median(errors_m(found.pose, person)))
         gross = {point for point in wrong if found.keypoint_residuals_px[point[0]][point[1]] > 100}
@@ -128,7 +128,7 @@ def test_a_person_stands_in_a_world_whose_other_axis_is_up(scene, model, walker,
     for _ in range(3):
         person, session = walker(rng), scene(4, up)
         keypoints, _ = seen(session, person, rng)
-        found = first_pose(load_model(model.definition, session), _with(session, initial_keypoints=keypoints))
+        found = first_pose(build_model(model.definition, session), _with(session, initial_keypoints=keypoints))
         assert _median(errors_m(found.pose, person, up)) < 0.04
 
 
@@ -140,7 +140,7 @@ def test_lengths_are_fitted_on_request(scene, model, walker, seen, errors_m):
         session = scene(4, fit_lengths=True)
         keypoints, _ = seen(session, person, rng)
         session = _with(session, initial_keypoints=keypoints)
-        usual = load_model(model.definition, session)
+        usual = build_model(model.definition, session)
         found = first_pose(usual, session)
         fitted = with_first_pose(usual, session)
         assert found.lengths_m["l_thigh"] == pytest.approx(found.lengths_m["r_thigh"])
@@ -168,13 +168,13 @@ def test_given_angles_draw_the_fit(scene, model, walker):
     person = walker(np.random.default_rng(9))
     known = {name: place for name, place in _markers(person).items() if not name.startswith("l_") and name in model.body.markers.names}
     session = scene(1, initial_markers=known, initial={"l_knee": -1.1})
-    found = first_pose(load_model(model.definition, session), session)
+    found = first_pose(build_model(model.definition, session), session)
     assert found.pose[model.body.dof_names.index("l_knee")] == pytest.approx(-1.1, abs=0.02)
 
 
 def test_a_body_of_three_markers(scene):
     session = scene(1)
-    arm = load_model("arm", session)
+    arm = build_model("arm", session)
     true = jnp.asarray([-0.6, -0.9, 0.3, -1.0])
     places = dict(zip(arm.body.markers.names, np.asarray(arm.markers(true)).astype(float).tolist(), strict=True))
     found = first_pose(arm, _with(session, initial_markers={name: tuple(place) for name, place in places.items()}))
@@ -187,7 +187,7 @@ def test_a_camera_that_fits_badly_is_said(scene, model, walker, seen):
     session = scene(4)
     keypoints, _ = seen(session, walker(rng), rng)
     shifted = {name: (u, v + 250, confidence) for name, (u, v, confidence) in keypoints["cam2"].items()}
-    found = first_pose(load_model(model.definition, session), _with(session, initial_keypoints=keypoints | {"cam2": shifted}))
+    found = first_pose(build_model(model.definition, session), _with(session, initial_keypoints=keypoints | {"cam2": shifted}))
     assert len(found.remarks) == 1
     assert "camera cam2's keypoints fit badly, median 2" in found.remarks[0]
 

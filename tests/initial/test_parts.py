@@ -16,7 +16,7 @@ from bayes_body.initial.lengths import SPREAD, fields, fixed, scaled, scaling
 from bayes_body.initial.points import as_markers, body_points
 from bayes_body.initial.problem import build_problem
 from bayes_body.initial.starts import HEADINGS, candidates
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_body
 
 
@@ -112,7 +112,7 @@ def test_there_are_upright_starts_of_every_heading(scene, model, walker, seen, u
     session = dataclasses.replace(session, initial_keypoints=seen(session, walker(rng), rng)[0])
     points = body_points(model.body)
     found = candidates(
-        build_problem(load_model(model.definition, session), session, points, read_evidence(session, points)), "xyz".index(up), jax.random.key(0)
+        build_problem(build_model(model.definition, session), session, points, read_evidence(session, points)), "xyz".index(up), jax.random.key(0)
     )
     assert set(np.asarray(found.heading)[np.asarray(found.upright)].tolist()) == set(range(HEADINGS))
     # Moved to where the person is, some 4 m from the cameras and 0.9 m high.

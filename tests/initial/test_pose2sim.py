@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayes_body.initial import first_pose
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.session.session import CameraSpec, Session, Subject, View
 
 # BODY_25B: in this order limbs have a body's proportions.
@@ -45,7 +45,7 @@ def found(pose2sim_beam):
         }
         views = tuple(View(camera, video=f"videos/{camera.name}.mp4") for camera in cameras)
         session = Session(pose2sim_beam, "beam", "z", 60.0, 100, 0, views, Subject(height_m=1.75), initial_keypoints=keypoints)
-        model = load_model("deutscher_apf", session)
+        model = build_model("deutscher_apf", session)
         told = first_pose(model, session)
         result[frame] = dict(zip(model.body.markers.names, np.asarray(model.markers(told.pose)), strict=True)), told
     return result

@@ -18,7 +18,7 @@ from bayes_body.geometry.camera import Pixels, project
 from bayes_body.likelihood.boundaries import boundaries, contour
 from bayes_body.likelihood.edge_phase import Options, build
 from bayes_body.likelihood.patch_pixels import rig_patches, sample_slopes
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_body, load_definition
 from bayes_body.observation.edge_phase import responses
 from bayes_body.observation.frames import Frame
@@ -123,11 +123,11 @@ def _model(visibility="soft", cameras=1):
     definition = load_definition("poon_fleet_2002_legs")
     (term,) = definition.likelihoods
     options = term.options.model_copy(update={"visibility": visibility})
-    return load_model(replace(definition, likelihoods=(replace(term, options=options),)), _session(cameras))
+    return build_model(replace(definition, likelihoods=(replace(term, options=options),)), _session(cameras))
 
 
 def _rig():
-    return load_model("poon_fleet_2002_legs", _session()).rig
+    return build_model("poon_fleet_2002_legs", _session()).rig
 
 
 STANDING = {"root_z": 0.95, "l_hip_y": 0.1, "r_hip_y": -0.1, "l_hip_x": 0.1, "r_hip_x": -0.1, "l_knee": -0.2, "r_knee": -0.3}
@@ -170,7 +170,7 @@ def test_samples_stand_on_the_occluding_contour_of_the_paper():
 
 def test_normals_of_a_sphere_point_from_its_centre():
     definition = load_definition("poon_fleet_2002_legs")
-    model = load_model(replace(definition, body_name="poon_fleet_22", body=load_body("poon_fleet_22"), dynamics=_everywhere(definition)), _session())
+    model = build_model(replace(definition, body_name="poon_fleet_22", body=load_body("poon_fleet_22"), dynamics=_everywhere(definition)), _session())
     pose = _pose(model, root_z=0.95)
     found = _seen(model, 10, "soft")(pose)
     head = model.body.topology.names.index("head")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayes_body.density.factor import Variable
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.observation.frames import read_frame
 
@@ -23,7 +23,7 @@ def case(request, session):
     definition = load_definition("deutscher_apf")
     (term,) = definition.likelihoods
     term = replace(term, options=term.options.model_copy(update={"lookup": request.param}))
-    model = load_model(replace(definition, likelihoods=(term,)), session)
+    model = build_model(replace(definition, likelihoods=(term,)), session)
     (factor,) = (factor for factor in model.factors if factor.name == NAME)
     return factor, jax.tree.map(jnp.asarray, model.observe(read_frame(session, 0))[NAME]), model.initial["pose"]
 

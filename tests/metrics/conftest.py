@@ -7,19 +7,19 @@ import pytest
 
 from bayes_body.evidence.markers import MARKERS
 from bayes_body.metrics.truth import Cloud
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 
 
 @pytest.fixture(scope="module")
 def arm(textured_session):
     """A body of three of the fifteen markers."""
-    return load_model("arm", textured_session)
+    return build_model("arm", textured_session)
 
 
 @pytest.fixture(scope="module")
 def whole(textured_session):
     """A body of all fifteen."""
-    return load_model("deutscher_apf", textured_session)
+    return build_model("deutscher_apf", textured_session)
 
 
 @pytest.fixture

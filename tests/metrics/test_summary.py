@@ -12,7 +12,7 @@ from bayes_body.kernels import annealed
 from bayes_body.kernels.particle_filter import build_kernel
 from bayes_body.metrics import draws_against_truth, log_evidence, marker_disagreement, silhouette_overlap, summarise
 from bayes_body.metrics.figures import NAMES
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.posterior import markers, mean_poses, rhat
 from bayes_body.runs.run import run
 from bayes_body.runs.settings import Settings
@@ -23,7 +23,7 @@ from bayes_body.view.silhouette import intersection_over_union
 
 @pytest.fixture(scope="module")
 def draws(textured_session):
-    return track(textured_session, load_model("arm", textured_session), build_kernel(), jax.random.key(2), particles=50, runs=2)
+    return track(textured_session, build_model("arm", textured_session), build_kernel(), jax.random.key(2), particles=50, runs=2)
 
 
 def test_intersection_over_union():

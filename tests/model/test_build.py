@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayes_body.errors import InputError
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.session.session import Subject
 
 
@@ -16,18 +16,18 @@ def _with(session, **changes):
 
 
 def test_height_scales_the_body(textured_session):
-    lengths = [load_model("arm", _with(textured_session, subject=Subject(height_m=h))).body.lengths for h in (1.5, 1.8)]
+    lengths = [build_model("arm", _with(textured_session, subject=Subject(height_m=h))).body.lengths for h in (1.5, 1.8)]
     assert np.allclose(lengths[1] / lengths[0], 1.2)
 
 
 def test_measures_of_another_body_are_not_taken_but_its_height_is(textured_session):
     subject = Subject(body="deutscher_31", height_m=1.8, lengths_m={"l_thigh": 0.5}, motion_sd={"root_x": 0.02})
-    model = load_model("arm", _with(textured_session, subject=subject))
+    model = build_model("arm", _with(textured_session, subject=subject))
     assert np.isclose(model.body.lengths[0], 0.186 * 1.8)
 
 
 def test_the_initial_pose_is_the_sessions_and_the_rest_the_middle(textured_session):
-    model = load_model("arm", _with(textured_session, initial={"elbow": -0.7}))
+    model = build_model("arm", _with(textured_session, initial={"elbow": -0.7}))
     pose = dict(zip(model.body.dof_names, np.asarray(model.initial["pose"]), strict=True))
     assert np.isclose(pose["elbow"], -0.7)
     assert np.isclose(pose["shoulder_z"], 0.0, atol=1e-6)
@@ -42,11 +42,11 @@ def test_the_initial_pose_is_the_sessions_and_the_rest_the_middle(textured_sessi
 )
 def test_an_initial_pose_that_the_body_cannot_take(textured_session, initial, said):
     with pytest.raises(InputError, match=said.replace("(", r"\(")):
-        load_model("arm", _with(textured_session, initial=initial))
+        build_model("arm", _with(textured_session, initial=initial))
 
 
 def test_start_is_the_initial_state_over_and_over(textured_session):
-    model = load_model("arm", textured_session)
+    model = build_model("arm", textured_session)
     particles = model.start(7)
     assert (particles.states["pose"] == model.initial["pose"]).all()
     assert np.isclose(np.exp(particles.log_weights).sum(), 1)
@@ -61,7 +61,7 @@ def test_a_model_of_another_subject_of_the_same_body_compiles_nothing_anew(textu
         return factor.log_potential.body.lengths.sum() + pose.sum()
 
     for height in (1.6, 1.9):
-        model = load_model("arm", _with(textured_session, subject=Subject(height_m=height)))
+        model = build_model("arm", _with(textured_session, subject=Subject(height_m=height)))
         value(model.factors[0], model.initial["pose"])
     assert len(traces) == 1
 
@@ -70,10 +70,10 @@ def test_a_smaller_body_takes_what_it_has_of_a_larger_ones_measures(textured_ses
     subject = Subject(
         body="deutscher_31", height_m=1.8, lengths_m={"l_thigh": 0.46, "head": 0.2}, radii_m={"head": (0.1, 0.1), "l_calf": (0.05, 0.03)}
     )
-    model = load_model("poon_fleet_2002_legs", _with(textured_session, subject=subject, initial={"l_knee": -0.3, "l_elbow": -0.2}))
+    model = build_model("poon_fleet_2002_legs", _with(textured_session, subject=subject, initial={"l_knee": -0.3, "l_elbow": -0.2}))
     names = model.body.topology.names
     assert np.isclose(model.body.lengths[names.index("l_thigh")], 0.46)
     assert np.allclose(model.body.radii[names.index("l_calf")], [0.05, 0.03])
     assert np.isclose(model.initial["pose"][model.body.dof_names.index("l_knee")], -0.3)
     with pytest.raises(InputError, match="'l_nee' is no dof"):
-        load_model("poon_fleet_2002_legs", _with(textured_session, initial={"l_nee": -0.3}))
+        build_model("poon_fleet_2002_legs", _with(textured_session, initial={"l_nee": -0.3}))

@@ -13,7 +13,7 @@ from own_terms import GOOD, MODEL, plugins_of_this_test
 import bayes_body as bb
 from bayes_body import registry
 from bayes_body.errors import InputError
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.observation.frames import read_frame
 from bayes_body.plugins import load as plugins
@@ -48,7 +48,7 @@ def density(tmp_path, textured_session):
 
     def build(text: str = MODEL):
         (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
-        model = load_model(tmp_path / "mine.toml", textured_session)
+        model = build_model(tmp_path / "mine.toml", textured_session)
         return model, model.density(model.observe(read_frame(textured_session, 0)))
 
     return build
@@ -217,7 +217,7 @@ def test_minus_infinity_is_a_log_potential(write, density):
 
 
 def test_built_in_factors_are_left_alone(textured_session):
-    model = load_model("arm", textured_session)
+    model = build_model("arm", textured_session)
     nonsense = model.density({"silhouette_edges": np.nan})
     check_own_factors(nonsense, model.initial)
 

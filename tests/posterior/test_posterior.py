@@ -12,7 +12,7 @@ import xarray as xr
 
 from bayes_body.errors import InputError
 from bayes_body.kernels.particle_filter import build_kernel
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.posterior import equal_weight_draws, markers, mean_poses, rhat, save_posterior, stream_posterior, to_datatree
 from bayes_body.posterior import stream as streaming
 from bayes_body.tracking.track import track
@@ -27,7 +27,7 @@ FILTER = {
 
 @pytest.fixture(scope="module")
 def draws(textured_session):
-    return track(textured_session, load_model("arm", textured_session), build_kernel(), jax.random.key(2), particles=PARTICLES, runs=RUNS)
+    return track(textured_session, build_model("arm", textured_session), build_kernel(), jax.random.key(2), particles=PARTICLES, runs=RUNS)
 
 
 def test_the_tree_holds_draws_weights_and_ancestors(draws, tmp_path):

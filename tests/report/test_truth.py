@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayes_body.evidence.markers import MARKERS
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.posterior import markers
 from bayes_body.storage.saved_run import load_run
 from bayes_body.view.report.figures import MOST_POINTS, style
@@ -21,7 +21,7 @@ NAMES = ("l_shoulder", "l_elbow", "l_wrist")
 
 @pytest.fixture(scope="module")
 def arm(textured_session):
-    return load_model("arm", textured_session)
+    return build_model("arm", textured_session)
 
 
 def truth_of(arm, poses, beside):

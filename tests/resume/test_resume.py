@@ -12,7 +12,7 @@ import pytest
 from bayes_body.errors import InputError
 from bayes_body.files.lock import locked
 from bayes_body.kernels import annealed
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.runs.run import run
 from bayes_body.runs.settings import Settings
 from bayes_body.storage import FrameFiles, frame_files
@@ -174,7 +174,7 @@ def test_the_run_file_keeps_the_session_s_text(looped, uninterrupted):
 @pytest.mark.parametrize("kept", [0, 1, 4])
 def test_frames_that_are_kept_are_not_computed_again(textured_session, kept):
     """In memory, of a kernel with layers: what is there already is taken as it is, and the end is the same."""
-    model, key, kernel = load_model("arm", textured_session), jax.random.key(5), annealed(layers=2)
+    model, key, kernel = build_model("arm", textured_session), jax.random.key(5), annealed(layers=2)
     whole = track(textured_session, model, kernel, key, particles=40, runs=2)
     store, told = list(whole.frames)[:kept], []
     again = track(textured_session, model, kernel, key, particles=40, runs=2, on_frame=told.append, into=store)
@@ -190,7 +190,7 @@ def test_frames_that_are_kept_are_not_computed_again(textured_session, kept):
     ("sizes", "said"), [({"particles": 41}, "particles: 41; expected the 40"), ({"runs": 1}, "runs: 1"), ({"frames": 2}, "frames: 2; .* the 5")]
 )
 def test_frames_of_another_size_are_not_continued(textured_session, sizes, said):
-    model, key, kernel = load_model("arm", textured_session), jax.random.key(5), annealed(layers=2)
+    model, key, kernel = build_model("arm", textured_session), jax.random.key(5), annealed(layers=2)
     whole = track(textured_session, model, kernel, key, particles=40, runs=2)
     with pytest.raises(InputError, match=said):
         track(textured_session, model, kernel, key, **{"particles": 40, "runs": 2, **sizes}, into=list(whole.frames))

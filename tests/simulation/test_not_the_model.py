@@ -8,7 +8,7 @@ from simulation.walker import FPS, walker
 
 from bayes_body.body.build import build_body
 from bayes_body.initial.outline import fit_outline
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_body, load_definition
 from bayes_body.recording.images import read_mask
 from bayes_body.recording.rig import read_rig
@@ -35,7 +35,7 @@ def test_a_model_at_the_true_angles_is_not_the_rendered_person(model, person, tm
     schema = load_body(definition.body_name)
     truth = retarget(build_body(definition.body_name, schema), landmarks, FPS / STEP, schema=schema)
     subject = Subject(body=definition.body_name, height_m=HEIGHT, lengths_m=truth.lengths_m)
-    body = load_model(definition, replace(session, subject=subject, initial={}))
+    body = build_model(definition, replace(session, subject=subject, initial={}))
     poses = truth.angles.astype(np.float32)
     overlap = overlaps(body, poses, session)
     # At 1 the pictures would come from the model that is fitted to them.
@@ -43,7 +43,7 @@ def test_a_model_at_the_true_angles_is_not_the_rendered_person(model, person, tm
     assert overlap.max() < 0.95
     # As thick as somebody looks in the first frame, in the others: nearer, and never the same.
     outline = fit_outline(replace(body, initial={"pose": poses[0]}), session)
-    dressed = load_model(definition, replace(session, subject=replace(subject, outline_radii_m=outline.radii_m), initial={}))
+    dressed = build_model(definition, replace(session, subject=replace(subject, outline_radii_m=outline.radii_m), initial={}))
     nearer = overlaps(dressed, poses[1:], session)
     # Picture by picture: some are seen worse than others, whatever somebody wears.
     assert np.median(nearer - overlap[1:]) > 0.003

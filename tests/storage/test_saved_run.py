@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayes_body.errors import InputError
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.model.definition import definitions_folder, load_definition, parse_definition
 from bayes_body.posterior import markers
 from bayes_body.session.read import load_session
@@ -171,7 +171,7 @@ def test_the_model_s_body_must_be_the_posterior_s(make_run):
     document["definition"] = {"text": definition.text, "body_text": definition.body_text}
     (folder / "run.toml").write_text(tomlkit.dumps(document), encoding="utf-8")
     with load_run(folder) as run, pytest.raises(InputError, match=r"posterior.nc: dofs shoulder_x"):
-        assert load_model(definition, run.session) and run.model
+        assert build_model(definition, run.session) and run.model
 
 
 def test_only_an_angle_without_limits_winds(make_run, tmp_path):

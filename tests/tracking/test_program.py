@@ -13,7 +13,7 @@ import pytest
 
 from bayes_body.errors import InputError
 from bayes_body.kernels.particle_filter import build_kernel
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.tracking.program import compiled_ahead
 from bayes_body.tracking.track import track
 
@@ -22,7 +22,7 @@ KEY = jax.random.key(11)
 
 @pytest.fixture(scope="module")
 def arm(textured_session):
-    return load_model("arm", textured_session)
+    return build_model("arm", textured_session)
 
 
 class Counted:
@@ -56,7 +56,7 @@ def test_of_another_form_it_is_made_anew(textured_session, arm):
 
 def test_in_double_precision_too(textured_session):
     with jax.enable_x64(True):
-        arm, kernel = load_model("arm", textured_session), Counted()
+        arm, kernel = build_model("arm", textured_session), Counted()
         with compiled_ahead(textured_session, arm, kernel, 40) as ahead:
             pass
         assert track(textured_session, arm, kernel, KEY, 40, ahead=ahead).states["pose"].dtype == np.float64

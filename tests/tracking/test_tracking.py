@@ -9,7 +9,7 @@ import pytest
 
 from bayes_body.errors import InputError
 from bayes_body.kernels.particle_filter import build_kernel
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.registry import find, names
 from bayes_body.tracking.track import track
 
@@ -18,7 +18,7 @@ KEY = jax.random.key(11)
 
 @pytest.fixture(scope="module")
 def arm(textured_session):
-    return load_model("arm", textured_session)
+    return build_model("arm", textured_session)
 
 
 @pytest.mark.parametrize("name", names("kernel"))

@@ -10,7 +10,7 @@ import pytest
 
 from bayes_body.errors import InputError
 from bayes_body.kernels.particle_filter import build_kernel
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.tracking.track import track
 from bayes_body.view.overlay import LEFT, MIDDLE, RIGHT, colour, draw_overlay, mosaic, paint
 from bayes_body.view.rig_check import AXIS_COLOURS, draw_check
@@ -20,7 +20,7 @@ from bayes_body.view.windows import EMPTY, person_windows
 
 @pytest.fixture(scope="module")
 def model(textured_session):
-    return load_model("arm", textured_session)
+    return build_model("arm", textured_session)
 
 
 def test_the_silhouette_covers_what_the_surface_projects_to(model, textured_session):
@@ -48,7 +48,7 @@ def test_an_outline_behind_a_camera_is_not_drawn(model, textured_session):
         camera, rotation=np.diag([-1.0, 1.0, -1.0]) @ camera.rotation, translation_m=np.diag([-1.0, 1.0, -1.0]) @ camera.translation_m
     )
     away = dataclasses.replace(textured_session, views=(dataclasses.replace(textured_session.views[0], camera=turned),))
-    assert outlines(load_model("arm", away), np.asarray(model.initial["pose"])) == [[]]
+    assert outlines(build_model("arm", away), np.asarray(model.initial["pose"])) == [[]]
 
 
 def test_overlay_video_and_stills(model, textured_session, tmp_path):
@@ -105,7 +105,7 @@ def _count(picture, ink):
 @pytest.mark.parametrize("origin_in_view", [True, False])
 def test_the_import_picture_shows_the_axes_where_the_origin_is_in_view(textured_session, tmp_path, origin_in_view):
     session = _lowered(textured_session) if origin_in_view else textured_session
-    picture = cv2.imread(str(draw_check(session, load_model("arm", session), tmp_path / "made" / "check.png")))
+    picture = cv2.imread(str(draw_check(session, build_model("arm", session), tmp_path / "made" / "check.png")))
     assert picture.shape[0] == 480
     for ink in AXIS_COLOURS:
         assert (_count(picture, ink) > 30) == origin_in_view
@@ -114,7 +114,7 @@ def test_the_import_picture_shows_the_axes_where_the_origin_is_in_view(textured_
 def test_the_import_picture_shows_which_way_is_up_and_a_floor_of_metres(textured_session, tmp_path):
     """The corners of the floor's tiles, projected by OpenCV, lie on light lines; seen from above they would be elsewhere if another axis were up."""
     session = dataclasses.replace(_lowered(textured_session), folder=_flat(textured_session, tmp_path))
-    tile = cv2.imread(str(draw_check(session, load_model("arm", session), tmp_path / "check.png")))
+    tile = cv2.imread(str(draw_check(session, build_model("arm", session), tmp_path / "check.png")))
     view = session.views[0]
     corners = np.array([(x, y, 0) for x in range(-2, 1) for y in range(-1, 2) if (x, y) != (0, 0)], float)
     columns, rows = (_projected(corners, view.camera) * 480 / view.camera.size_px[1]).round().astype(int).T
@@ -123,7 +123,7 @@ def test_the_import_picture_shows_which_way_is_up_and_a_floor_of_metres(textured
     grey = tile[:480, :640].max(axis=-1)
     for column, row in zip(columns[inside], rows[inside], strict=True):
         assert grey[row - 4 : row + 5, column - 4 : column + 5].max() > 90
-    other = cv2.imread(str(draw_check(dataclasses.replace(session, up="y"), load_model("arm", session), tmp_path / "other.png")))
+    other = cv2.imread(str(draw_check(dataclasses.replace(session, up="y"), build_model("arm", session), tmp_path / "other.png")))
     assert (tile != other).any()
 
 
@@ -146,7 +146,7 @@ def _flat(session, folder):
 
 def test_the_import_picture_of_a_session_without_masks(textured_session, tmp_path):
     session = dataclasses.replace(textured_session, views=tuple(dataclasses.replace(view, masks=None) for view in textured_session.views))
-    assert draw_check(session, load_model("arm", session), tmp_path / "check.png").exists()
+    assert draw_check(session, build_model("arm", session), tmp_path / "check.png").exists()
 
 
 @pytest.fixture

@@ -7,14 +7,14 @@ import cv2
 import numpy as np
 import pytest
 
-from bayes_body.model.build import load_model
+from bayes_body.model.build import build_model
 from bayes_body.view.silhouette import outlines
 from bayes_body.view.windows import EMPTY, SHAPES, TILE_HEIGHT, Window, columns_of, grid, person_windows
 
 
 @pytest.fixture(scope="module")
 def model(textured_session):
-    return load_model("arm", textured_session)
+    return build_model("arm", textured_session)
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_a_body_that_no_image_shows_leaves_the_whole_image(textured_session, mod
         turned = dataclasses.replace(view.camera, rotation=np.diag([-1.0, 1.0, -1.0]) @ view.camera.rotation)
         away.append(dataclasses.replace(view, camera=turned))
     session = dataclasses.replace(textured_session, views=tuple(away))
-    for window, view in zip(person_windows(session, load_model("arm", session), poses), session.views, strict=True):
+    for window, view in zip(person_windows(session, build_model("arm", session), poses), session.views, strict=True):
         size = np.array(view.camera.size_px)
         assert (window.size >= size - 1).all()
         np.testing.assert_allclose(window.centres, np.tile(size / 2, (5, 1)), atol=1)
