@@ -5,6 +5,8 @@ import sys
 from pathlib import Path
 
 CACHE_LIMIT_BYTES = 2**30
+# `compiler_options` of a program that runs for less time than XLA would take to optimise it.
+FAST_COMPILE: dict[str, int] = {"xla_backend_optimization_level": 0}
 
 
 def configure(devices: int | None = None, cache: bool = True) -> None:

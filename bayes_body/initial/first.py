@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.errors import input_error
-from bayes_body.initial.evidence import WORDS, ignored, read_evidence
 from bayes_body.initial.fit import SETTLED, fit
 from bayes_body.initial.lengths import factors
+from bayes_body.initial.measurements import PREFIX, read_measurements, unused_names
 from bayes_body.initial.misfit import Problem
 from bayes_body.initial.outline import LEAST_OVERLAP, fit_outline
 from bayes_body.initial.points import body_points
@@ -73,7 +73,7 @@ def check_first_pose(model: Model, session: Session) -> None:
         "import the recording with --keypoints, or give four keypoints or more in each of two cameras under [initial.keypoints_px.CAMERA], "
         "or angles_deg and positions_m under [initial]"
     )
-    raise input_error(WORDS, found, expected, remedy)
+    raise input_error(PREFIX, found, expected, remedy)
 
 
 def _is_placed(model: Model, session: Session) -> bool:
@@ -146,11 +146,11 @@ def _posed(model: Model, session: Session) -> FirstPose:
     if not session.initial_markers and not session.initial_keypoints:
         return FirstPose(model.initial["pose"])
     points = body_points(model.body)
-    evidence = read_evidence(session, points)
-    problem = build_problem(model, session, points, evidence)
+    measurements = read_measurements(session, points)
+    problem = build_problem(model, session, points, measurements)
     best, gain = fit(problem, "xyz".index(session.up))
-    told = tell(session, points, evidence, best.distances, best.pose, _lengths(model, session, problem, best.z))
-    remarks = [*ignored(session, points), *told.remarks]
+    told = tell(session, points, measurements, best.distances, best.pose, _lengths(model, session, problem, best.z))
+    remarks = [*unused_names(session, points), *told.remarks]
     if gain > SETTLED:
         remarks.append("the fit had not converged when it ended: look at the first pose before you trust it")
     return told._replace(remarks=tuple(remarks))

@@ -6,18 +6,18 @@ once more in small steps.
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 from jaxtyping import Array, Float, Int
 
+from bayes_body.config import FAST_COMPILE
 from bayes_body.dynamics.limits import BoxTransform
 from bayes_body.errors import InputError
+from bayes_body.initial.adam import minimise
 from bayes_body.initial.misfit import Explained, Problem, explain
-from bayes_body.initial.quick import QUICK
 from bayes_body.initial.starts import candidates, choose, inside, random_poses
 from bayes_body.shapes import Key, Pose, Scalar
 
@@ -80,33 +80,22 @@ def fit(problem: Problem, up: int) -> Fit:
 
 def rest(problem: Problem) -> Pose:
     """How the body stands where nothing is known of it: upright, its limbs hanging from where the prior has them, by the same program as `fit`."""
-    evidence = jax.tree.map(jnp.zeros_like, problem.evidence)
+    nothing = jax.tree.map(jnp.zeros_like, problem.measurements)
     poses = jnp.tile(problem.prior.mean, (STARTS, 1))
     heavy = problem.prior._replace(weights=WEIGHT * jnp.asarray(problem.points.hanging, poses.dtype))
-    return descend(problem._replace(evidence=evidence, prior=heavy), _unbounded(problem, poses), SEARCH, 1.0).explained.pose[0]
+    return descend(problem._replace(measurements=nothing, prior=heavy), _unbounded(problem, poses), SEARCH, 1.0).explained.pose[0]
 
 
-# Not `QUICK`: it runs in six rounds or more, which the compiler makes seven times as fast in a second.
+# Not `FAST_COMPILE`: it runs in six rounds or more, which the compiler makes seven times as fast in a second.
 @jax.jit
 def descend(problem: Problem, starts: Float[Array, "start parameter"], rate: float | Scalar, width: float | Scalar) -> Descent:
-    """Adam from every start; its rate falls to nothing, the misfit's width from `width` to 1 in the first half."""
-    adam = optax.scale_by_adam(b1=0.9, b2=0.99)
+    """Adam from every start; the misfit's width falls from `width` to 1 in the first half."""
 
-    def slopes(parameters: Float[Array, "start parameter"], width: Scalar) -> tuple[Float[Array, "start parameter"], Explained]:
-        return jax.vmap(jax.grad(explain, argnums=1, has_aux=True), (None, 0, None))(problem, parameters, width)
+    def slope(parameters: Float[Array, "start parameter"], progress: Scalar) -> tuple[Float[Array, "start parameter"], Explained]:
+        now = jnp.maximum(width ** (1 - 2 * progress), 1.0)
+        return jax.vmap(jax.grad(explain, argnums=1, has_aux=True), (None, 0, None))(problem, parameters, now)
 
-    def step(carry: tuple[Array, Any, Explained], progress: Scalar) -> tuple[tuple[Array, Any, Explained], None]:
-        parameters, state, _ = carry
-        slope, explained = slopes(parameters, jnp.maximum(width ** (1 - 2 * progress), 1.0))
-        direction, state = adam.update(slope, state)
-        pace = -0.5 * rate * (1 + jnp.cos(jnp.pi * progress))
-        return (jnp.asarray(optax.apply_updates(parameters, optax.tree.scale(pace, direction))), state, explained), None
-
-    _, shape = jax.eval_shape(slopes, starts, jnp.ones((), starts.dtype))
-    nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape)
-    # The last step's pace is 0: what it explained is what is returned.
-    (parameters, _, explained), _ = jax.lax.scan(step, (starts, adam.init(starts), nothing), jnp.linspace(0, 1, STEPS, dtype=starts.dtype))
-    return Descent(parameters, explained)
+    return Descent(*minimise(slope, starts, rate, STEPS))
 
 
 def _different(found: Descent) -> Int[np.ndarray, " kept"]:
@@ -126,7 +115,7 @@ def _unbounded(problem: Problem, poses: Float[Array, "start dof"]) -> Float[Arra
     return jnp.concatenate([BoxTransform(skeleton.low, skeleton.high).inv(inside(skeleton, poses)), z], axis=1)
 
 
-@partial(jax.jit, compiler_options=QUICK)
+@partial(jax.jit, compiler_options=FAST_COMPILE)
 def _thrown(problem: Problem, key: Key, best: Float[Array, "kept parameter"]) -> Float[Array, "start parameter"]:
     """As many starts as before: the best, and copies of them in which the angles of some joints, never the root's, are drawn anew."""
     topology, count = problem.body.skeleton.topology, len(problem.body.dof_names)

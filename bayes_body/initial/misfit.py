@@ -1,4 +1,4 @@
-r"""How badly a posed body explains what is known of the first pose: robust distances and a weak prior.
+r"""The misfit of a posed body to the measured points of the first pose: robust distances and a weak prior.
 
 $$U = \sum_i w_i \Bigl[\tfrac{\nu + d_i}{2} \log\bigl(1 + \tfrac{r_i^2}{\nu \sigma_i^2}\bigr) + d_i \log \sigma_i\Bigr]
     + \tfrac12 \sum_k \bigl(\tfrac{s_k - m_k}{\tau_k}\bigr)^2 + \tfrac{1 - \cos\theta}{\tau_\theta^2} + \tfrac12 \|z\|^2,$$
@@ -19,8 +19,8 @@ from bayes_body.body.solids import Body
 from bayes_body.dynamics.limits import BoxTransform
 from bayes_body.geometry import transforms
 from bayes_body.geometry.camera import NEAR, Camera, project, to_camera
-from bayes_body.initial.evidence import Evidence
 from bayes_body.initial.lengths import Scaling, scaled
+from bayes_body.initial.measurements import Measurements
 from bayes_body.initial.points import Points, as_markers
 from bayes_body.shapes import Pose, Scalar, Vector3
 
@@ -55,9 +55,9 @@ class Problem(NamedTuple):
         body: of the model.
         scaling: how its lengths may change.
         rig: the cameras.
-        points: which points of the body the evidence is about; its weights hold theirs.
-        evidence: where they are.
-        tolerance: how far a point of the evidence may lie from the body's, metres.
+        points: which points of the body were measured; the measurements' weights include theirs.
+        measurements: where they are.
+        tolerance: how far a measured point may lie from the body's, metres.
         prior: of the dofs.
     """
 
@@ -65,7 +65,7 @@ class Problem(NamedTuple):
     scaling: Scaling
     rig: Camera
     points: Points
-    evidence: Evidence
+    measurements: Measurements
     tolerance: Float[Array, " point"]
     prior: Prior
 
@@ -81,7 +81,7 @@ def split(problem: Problem, parameters: Parameters) -> tuple[Pose, Float[Array, 
 
 
 class Distances(NamedTuple):
-    """Between the evidence and the body's points, and what they may be (one standard deviation)."""
+    """Distances between the measurements and the body's points, and their standard deviations."""
 
     metres: Float[Array, " point"]
     metres_sd: Float[Array, " point"]
@@ -90,7 +90,7 @@ class Distances(NamedTuple):
 
 
 def distances(problem: Problem, places: Places) -> Distances:
-    """Of every point, those without evidence too."""
+    """The distances of every point, including points that were not measured."""
 
     def in_image(camera: Camera, pixels: Float[Array, "point 2"]) -> tuple[Float[Array, " point"], Float[Array, " point"]]:
         seen, visible = project(camera, places)
@@ -99,18 +99,18 @@ def distances(problem: Problem, places: Places) -> Distances:
         sd = jnp.hypot(DETECTOR_PX, jax.lax.stop_gradient(camera.focal[0] * problem.tolerance / depth))
         return jnp.where(visible, _norm(seen - pixels), UNSEEN_PX), sd
 
-    pixels, pixels_sd = jax.vmap(in_image)(problem.rig, problem.evidence.pixels)
-    return Distances(_norm(places - problem.evidence.markers), problem.tolerance, pixels, pixels_sd)
+    pixels, pixels_sd = jax.vmap(in_image)(problem.rig, problem.measurements.pixels)
+    return Distances(_norm(places - problem.measurements.markers), problem.tolerance, pixels, pixels_sd)
 
 
 def potential(problem: Problem, places: Places, far: Distances, pose: Pose, z: Float[Array, " group"], width: Scalar | float) -> Scalar:
-    """U of a pose whose points are at `places`, `far` from the evidence.
+    """U of a pose whose points are at `places`, `far` from the measurements.
 
     With every sd `width` times as wide: wide, a fit that starts far off sees where to go.
     """
-    evidence = problem.evidence
-    markers = _robust(far.metres, width * far.metres_sd, evidence.marker_weights, 3)
-    keypoints = _robust(far.pixels, width * far.pixels_sd, evidence.pixel_weights, 2)
+    measurements = problem.measurements
+    markers = _robust(far.metres, width * far.metres_sd, measurements.marker_weights, 3)
+    keypoints = _robust(far.pixels, width * far.pixels_sd, measurements.pixel_weights, 2)
     return markers + keypoints + _surprise(problem, places, pose) + 0.5 * jnp.sum(z * z)
 
 
@@ -122,7 +122,7 @@ def _surprise(problem: Problem, places: Places, pose: Pose) -> Scalar:
 
 
 class Explained(NamedTuple):
-    """A posed body against the evidence: its misfit, what it is, where its points are and how far off."""
+    """A posed body against the measurements: its misfit, what it is, where its points are and how far off."""
 
     misfit: Scalar
     pose: Pose

@@ -18,13 +18,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 from jaxtyping import Array, Float
 
 from bayes_body.body.solids import Body
+from bayes_body.config import FAST_COMPILE
 from bayes_body.errors import input_error
 from bayes_body.geometry.camera import Camera
-from bayes_body.initial.quick import QUICK
+from bayes_body.initial.adam import minimise
 from bayes_body.likelihood.outlines import outline_forms, signed_distance
 from bayes_body.model.build import Model
 from bayes_body.observation.frames import read_frame
@@ -137,24 +137,16 @@ def _overlap(body: Body, rig: Camera, pose: Pose, seen: Silhouettes) -> Scalar:
     return jnp.mean(jax.vmap(of)(outline_forms(body, rig, pose), *seen))
 
 
-@partial(jax.jit, compiler_options=QUICK)
+@partial(jax.jit, compiler_options=FAST_COMPILE)
 def _fit(
     body: Body, rig: Camera, pose: Pose, groups: Float[Array, "group part 2"], seen: Silhouettes
 ) -> tuple[Float[Array, " group"], Scalar, Scalar]:
-    """The logarithms of the factors, and the overlap without and with them: Adam, its rate falling to nothing."""
-    adam = optax.adam(optax.cosine_decay_schedule(RATE, STEPS))
+    """The logarithms of the factors, and the overlap without and with them."""
 
     def loss(logs: Float[Array, " group"]) -> tuple[Scalar, Scalar]:
         overlap = _overlap(_thick(body, groups, logs), rig, pose, seen)
         return 1 - overlap + 0.5 * PULL * jnp.sum(logs**2), overlap
 
-    def step(carry: tuple[Array, optax.OptState], _: None) -> tuple[tuple[Array, optax.OptState], Scalar]:
-        logs, state = carry
-        (_, overlap), slope = jax.value_and_grad(loss, has_aux=True)(logs)
-        change, state = adam.update(slope, state)
-        return (jnp.asarray(optax.apply_updates(logs, change)), state), overlap
-
     start = jnp.zeros(groups.shape[0], groups.dtype)
-    (logs, _), overlaps = jax.lax.scan(step, (start, adam.init(start)), None, STEPS)
-    # The last step's rate is next to nothing.
-    return logs, overlaps[0], overlaps[-1]
+    logs, after = minimise(lambda logs, _: jax.grad(loss, has_aux=True)(logs), start, RATE, STEPS)
+    return logs, _overlap(body, rig, pose, seen), after

@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 from bayes_body.body.kinematics import forward_kinematics
 from bayes_body.body.skeleton import Markers
 from bayes_body.body.solids import Body
+from bayes_body.config import FAST_COMPILE
 from bayes_body.geometry import transforms
-from bayes_body.initial.quick import QUICK
 
 # What detectors call points that are joint centres of the body.
 OTHER_NAMES = {"neck": "thorax", "mid_hip": "pelvis"}
@@ -41,7 +41,7 @@ HANGING = (("elbow", "shoulder"), ("wrist", "elbow"), ("knee", "hip"), ("ankle",
 @partial(jax.tree_util.register_dataclass, meta_fields=["names", "joints", "crown"], data_fields=["face"])
 @dataclass(frozen=True)
 class Points:
-    """The points of one body that evidence may be about.
+    """The points of one body that can be measured.
 
     Attributes:
         names: of the body's virtual markers, then of its face.
@@ -113,7 +113,7 @@ def _facing(body: Body) -> Float[Array, "3 3"] | None:
     return _head_frame(body, names.index("head"), left, right)
 
 
-@partial(jax.jit, static_argnames=("crown", "left", "right"), compiler_options=QUICK)
+@partial(jax.jit, static_argnames=("crown", "left", "right"), compiler_options=FAST_COMPILE)
 def _head_frame(body: Body, crown: int, left: int, right: int) -> Float[Array, "3 3"]:
     markers, T_world_joints = body.markers, forward_kinematics(body.skeleton, jnp.zeros(len(body.dof_names), body.lengths.dtype))
     places = [transforms.apply(transforms.pick(T_world_joints, markers.joints[m]), markers.offsets[m]) for m in (crown, left, right)]

@@ -1,13 +1,13 @@
-"""A session and a model as the problem that the fit solves: evidence in arrays, and what is expected where it says nothing."""
+"""The problem of the first pose, from a session and a model: the measurements as arrays, and a prior for what they leave open."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from bayes_body.body.solids import Body
-from bayes_body.initial.evidence import Evidence
 from bayes_body.initial.fit import rest
 from bayes_body.initial.lengths import fixed, scaling
+from bayes_body.initial.measurements import Measurements
 from bayes_body.initial.misfit import Prior, Problem
 from bayes_body.initial.points import Points
 from bayes_body.model.build import Model
@@ -22,16 +22,17 @@ RANGE_SHARE = 0.25
 LOOSER = 8.0
 
 
-def build_problem(model: Model, session: Session, points: Points, evidence: Evidence) -> Problem:
+def build_problem(model: Model, session: Session, points: Points, measurements: Measurements) -> Problem:
     """The problem of a session's first pose, in the model's precision; angles are drawn to how the body rests, or to what the session says."""
     body, dtype = model.body, model.body.lengths.dtype
-    weighted = evidence._replace(marker_weights=evidence.marker_weights * points.weight, pixel_weights=evidence.pixel_weights * points.weight)
+    marker_weights, pixel_weights = measurements.marker_weights * points.weight, measurements.pixel_weights * points.weight
+    weighted = measurements._replace(marker_weights=marker_weights, pixel_weights=pixel_weights)
     problem = Problem(
         body=body,
         scaling=scaling(body, model.definition.body) if session.fit_lengths else fixed(body),
         rig=model.rig,
         points=points,
-        evidence=jax.tree.map(lambda leaf: leaf.astype(dtype), weighted),
+        measurements=jax.tree.map(lambda leaf: leaf.astype(dtype), weighted),
         tolerance=jnp.asarray(points.tolerance_m, dtype),
         prior=_prior(body, session, points),
     )

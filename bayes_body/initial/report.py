@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body.initial.evidence import Evidence
+from bayes_body.initial.measurements import Measurements
 from bayes_body.initial.misfit import Distances
 from bayes_body.initial.points import FACE, Points
 from bayes_body.session.session import Session
@@ -46,7 +46,7 @@ class FirstPose(NamedTuple):
 
 
 class _Row(NamedTuple):
-    """One point of the evidence: its residual and sd, metres of a marker (camera None), pixels of a keypoint."""
+    """One marker or keypoint: its residual and sd, metres of a marker (camera None), pixels of a keypoint."""
 
     camera: str | None
     name: str
@@ -54,9 +54,11 @@ class _Row(NamedTuple):
     sd: float
 
 
-def tell(session: Session, points: Points, evidence: Evidence, far: Distances, pose: Float[Array, " dof"], lengths: Mapping[str, float]) -> FirstPose:
+def tell(
+    session: Session, points: Points, measurements: Measurements, far: Distances, pose: Float[Array, " dof"], lengths: Mapping[str, float]
+) -> FirstPose:
     """The report of a fit; remarks on points that were taken for wrong, and on markers or a camera that fit badly as a whole."""
-    markers, cameras = _marker_rows(points, evidence, far), _keypoint_rows(session, points, evidence, far)
+    markers, cameras = _marker_rows(points, measurements, far), _keypoint_rows(session, points, measurements, far)
     groups = [markers, *cameras.values()]
     return FirstPose(
         pose=pose,
@@ -70,16 +72,16 @@ def tell(session: Session, points: Points, evidence: Evidence, far: Distances, p
     )
 
 
-def _marker_rows(points: Points, evidence: Evidence, far: Distances) -> list[_Row]:
+def _marker_rows(points: Points, measurements: Measurements, far: Distances) -> list[_Row]:
     metres, sd = np.asarray(far.metres), np.asarray(far.metres_sd)
-    return [_Row(None, points.names[k], float(metres[k]), float(sd[k])) for k in np.flatnonzero(evidence.marker_weights)]
+    return [_Row(None, points.names[k], float(metres[k]), float(sd[k])) for k in np.flatnonzero(measurements.marker_weights)]
 
 
-def _keypoint_rows(session: Session, points: Points, evidence: Evidence, far: Distances) -> dict[str, list[_Row]]:
+def _keypoint_rows(session: Session, points: Points, measurements: Measurements, far: Distances) -> dict[str, list[_Row]]:
     pixels, sd = np.asarray(far.pixels), np.asarray(far.pixels_sd)
     return {
         view.camera.name: [
-            _Row(view.camera.name, points.names[k], float(pixels[c, k]), float(sd[c, k])) for k in np.flatnonzero(evidence.pixel_weights[c])
+            _Row(view.camera.name, points.names[k], float(pixels[c, k]), float(sd[c, k])) for k in np.flatnonzero(measurements.pixel_weights[c])
         ]
         for c, view in enumerate(session.views)
         if view.camera.name in session.initial_keypoints

@@ -1,4 +1,4 @@
-r"""Where the fit of a first pose starts: many orientations of the root, each moved to where the evidence is.
+r"""Where the fit of a first pose starts: many orientations of the root, each moved to the markers or keypoints.
 
 Given its angles, every point of a body is affine in its shifts, $p_k = a_k + J_k s$, and so is what says where it should be: $p_k = m_k$ of a
 marker, and $(R_x - x_k R_z)\,p_k + t_x - x_k t_z = 0$, likewise y, of a keypoint seen at $(x_k, y_k)$ at depth 1. Reweighted least squares gives s,
@@ -20,10 +20,10 @@ from jaxtyping import Array, Bool, Float, Int
 from bayes_body.body.kinematics import forward_kinematics
 from bayes_body.body.skeleton import Skeleton
 from bayes_body.body.solids import Body
+from bayes_body.config import FAST_COMPILE
 from bayes_body.geometry import transforms
 from bayes_body.geometry.camera import Camera, to_camera
 from bayes_body.initial.misfit import Places, Problem, distances, places_of, potential
-from bayes_body.initial.quick import QUICK
 from bayes_body.shapes import Key, Pose
 
 STEP = np.pi / 6
@@ -39,7 +39,7 @@ WIDE = 8.0
 
 
 class Candidates(NamedTuple):
-    """Poses to start from, moved to where the evidence is, their misfits with a wide eye, and how they stand."""
+    """Poses to start from, moved to the markers or keypoints; their misfit at the width WIDE, and their stance."""
 
     poses: Float[Array, "candidate dof"]
     scores: Float[Array, " candidate"]
@@ -58,7 +58,7 @@ def candidates(problem: Problem, up: int, key: Key) -> Candidates:
     return _candidates(problem, orientations(problem.body), up, key)
 
 
-@partial(jax.jit, static_argnames="up", compiler_options=QUICK)
+@partial(jax.jit, static_argnames="up", compiler_options=FAST_COMPILE)
 def _candidates(problem: Problem, grid: Float[Array, "orientation angle"], up: int, key: Key) -> Candidates:
     skeleton = problem.body.skeleton
     still = jnp.broadcast_to(problem.prior.mean, (grid.shape[0], problem.prior.mean.shape[0]))
@@ -148,8 +148,8 @@ def _moved(problem: Problem, pose: Pose) -> tuple[Pose, Places]:
 def _equations(
     problem: Problem, a: Float[Array, "point 3"], J: Float[Array, "point 3 shift"]
 ) -> tuple[Float[Array, "equation 3 shift"], Float[Array, "equation 3"], Float[Array, " equation"]]:
-    """`rows s + sides` is 0 where a point is where the evidence has it, metres; keypoints have two rows and an empty third."""
-    evidence = problem.evidence
+    """`rows s + sides` is 0 if a point lies where it was measured, metres; keypoints have two rows and an empty third."""
+    measurements = problem.measurements
 
     def of_camera(camera: Camera, rays: Float[Array, "point 2"]) -> tuple[Array, Array]:
         p = to_camera(camera, a) + camera.translation
@@ -158,9 +158,9 @@ def _equations(
         sides = p[:, :2] - rays * p[:, 2:]
         return jnp.pad(rows, ((0, 0), (0, 1), (0, 0))), jnp.pad(sides, ((0, 0), (0, 1)))
 
-    rows, sides = jax.vmap(of_camera)(problem.rig, evidence.rays)
+    rows, sides = jax.vmap(of_camera)(problem.rig, measurements.rays)
     return (
         jnp.concatenate([J, rows.reshape(-1, *rows.shape[2:])]),
-        jnp.concatenate([a - evidence.markers, sides.reshape(-1, 3)]),
-        jnp.concatenate([evidence.marker_weights, evidence.pixel_weights.ravel()]),
+        jnp.concatenate([a - measurements.markers, sides.reshape(-1, 3)]),
+        jnp.concatenate([measurements.marker_weights, measurements.pixel_weights.ravel()]),
     )

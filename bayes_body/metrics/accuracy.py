@@ -72,7 +72,7 @@ def frame_accuracy(
     inside[:, known] = inside_intervals(cloud, weights, true)
     optimistic = _distances(cloud, true).mean(axis=1)[weights > 0].min()
     spread = _distances(cloud, mean).mean(axis=1)
-    expected = np.concatenate(weighted_quantiles(spread[None, :, None], weights[None], SHARES), axis=None)
+    expected = weighted_quantiles(spread[None, :, None], weights[None], SHARES).ravel()
     relative = _relative(off[known], tuple(name for name, is_known in zip(names, known, strict=True) if is_known))
     return FrameAccuracy(off, relative, float(optimistic), inside, expected)
 

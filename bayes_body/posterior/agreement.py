@@ -1,29 +1,32 @@
-r"""Whether independent runs agree: R-hat, and how many independent draws a run is worth.
+r"""Whether independent runs agree: R-hat, and the number of independent draws that a run is worth.
 
-R-hat is the rank-normalised split R-hat of Vehtari et al. (2021), the larger of bulk and folded, on equal-weight draws: nothing in it knows weights.
-ArviZ computes it one dof of one frame at a time; this computes many at once.
+R-hat is the rank-normalised split R-hat of Vehtari et al. (2021): the larger of the bulk and the folded one. It takes no weights, so it is computed
+on draws of equal weight. ArviZ gives the same figure for one dof of one frame at a time; `split_rhat` computes all dofs of many frames at once.
 
-A run of n independent draws has a mean of variance $\sigma^2 / n$. With the variance of the runs' means against that of the pooled posterior,
-$n = \sigma^2 / \mathrm{Var}(\bar x_r)$: what a weight's effective sample size leaves out, that particles share ancestors, is in it.
+The mean of n independent draws has the variance $\sigma^2 / n$. With $\sigma^2$ of the pooled posterior and the variance of the runs' means,
+$n = \sigma^2 / \mathrm{Var}(\bar x_r)$. Unlike the effective sample size of the weights, this counts that particles share ancestors.
 """
 
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.posterior.blocks import Block, systematic_resampling, weights_of_runs
-from bayes_body.posterior.weighted import RESAMPLING_SEED
+from bayes_body.posterior.blocks import Block, weights_of_runs
+from bayes_body.posterior.resampling import RESAMPLING_SEED, systematic_resampling
+
+# R-hat splits each chain; a half needs two draws for a variance.
+FEWEST_DRAWS = 4
 
 
 def rhat_of_block(block: Block) -> Float[np.ndarray, "frame dof"]:
-    """R-hat of every dof of each frame; NaN with a single run, below four draws, or where a dof never moves."""
+    """R-hat of every dof of each frame; NaN with a single run, below four draws, and for a dof that never moves."""
     runs, draws, frames, dofs = block.poses.shape
-    if runs < 2 or draws < 4:
+    if runs < 2 or draws < FEWEST_DRAWS:
         return np.full((frames, dofs), np.nan)
     return split_rhat(_equal_weight(block))
 
 
 def split_rhat(draws: Float[np.ndarray, "frame chain draw dof"]) -> Float[np.ndarray, "frame dof"]:
-    """Rank-normalised split R-hat of draws of equal weight, four of a chain or more; NaN where a dof never moves."""
+    """Rank-normalised split R-hat of draws of equal weight, at least four a chain; NaN for a dof that never moves."""
     half = draws.shape[2] // 2
     split = np.concatenate([draws[:, :, :half], draws[:, :, -half:]], axis=1)
     folded = np.abs(split - np.median(split, axis=(1, 2), keepdims=True))
@@ -31,19 +34,19 @@ def split_rhat(draws: Float[np.ndarray, "frame chain draw dof"]) -> Float[np.nda
 
 
 def _equal_weight(block: Block) -> Float[np.ndarray, "frame run draw dof"]:
-    """As many equal-weight draws as there are particles, by systematic resampling in random order; a frame's own seed, whatever the block."""
-    cumulative = np.cumsum(weights_of_runs(block.log_weights), axis=1)
-    runs, draws, frames = cumulative.shape
+    """As many draws of equal weight as there are particles; each frame has its own seed, so its draws do not depend on the block."""
+    weights = weights_of_runs(block.log_weights)
+    runs, draws, frames = weights.shape
     chosen = np.empty((frames, runs, draws), int)
     for place, frame in enumerate(block.frames):
         rng = np.random.default_rng([RESAMPLING_SEED, frame])
         for run in range(runs):
-            chosen[place, run] = systematic_resampling(rng, cumulative[run, :, place], draws)
+            chosen[place, run] = systematic_resampling(rng, weights[run, :, place], draws)
     return np.take_along_axis(block.poses.transpose(2, 0, 1, 3), chosen[..., None], axis=2)
 
 
 def _normal_scores(values: Float[np.ndarray, "frame chain draw dof"]) -> Float[np.ndarray, "frame chain draw dof"]:
-    """The normal quantiles of the ranks over all chains, equal values sharing the mean of their ranks."""
+    """Normal scores of the ranks over all chains; equal values share the mean of their ranks."""
     from scipy.special import ndtri
     from scipy.stats import rankdata
 
@@ -62,7 +65,7 @@ def _rhat(scores: Float[np.ndarray, "frame chain draw dof"]) -> Float[np.ndarray
 
 
 def independent_draws(block: Block) -> Float[np.ndarray, " frame"]:
-    """How many independent draws a run is worth, over the dofs of each frame that move; NaN with a single run."""
+    """The number of independent draws that a run is worth, over the dofs of each frame that move; NaN with a single run."""
     runs, _, frames, _ = block.poses.shape
     if runs < 2:
         return np.full(frames, np.nan)

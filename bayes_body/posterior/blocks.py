@@ -1,16 +1,16 @@
-"""A posterior in pieces: some frames at a time, so that a recording of any length needs a bounded memory."""
+"""Read a posterior some frames at a time, so that a recording of any length needs a bounded memory."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     import xarray as xr
 
-# Frames read at a time, and the most numbers of one array (8 bytes each) that a piece may hold.
+# The most frames of a block, and the most numbers (8 bytes each) of one of its arrays.
 BLOCK, LARGEST = 64, 2**22
 
 
@@ -18,7 +18,7 @@ class Block(NamedTuple):
     """Some frames of a posterior.
 
     Attributes:
-        frames: which.
+        frames: their numbers.
         poses: radians and metres, float64.
         log_weights: normalised over the draws of a run and frame.
     """
@@ -29,13 +29,13 @@ class Block(NamedTuple):
 
 
 def pose_blocks(tree: "xr.DataTree", frames: range | None = None, block: int = BLOCK, width: int | None = None) -> Iterator[Block]:
-    """Poses and weights, piece by piece.
+    """Poses and weights, block by block.
 
     Args:
-        tree: as `to_datatree` makes it, in memory or opened lazily.
-        frames: which frames; all by default.
-        block: the most frames at a time; fewer where a piece would not fit the memory.
-        width: numbers that the caller makes of one draw of one frame; the dofs by default.
+        tree: from `to_datatree`, in memory or opened lazily.
+        frames: numbers of the frames to read; all by default.
+        block: the most frames at a time; fewer if their arrays would be too large.
+        width: count of numbers that the caller computes from one draw of one frame; the dofs by default.
     """
     pose, log_weight = tree["posterior"]["pose"], tree["sample_stats"]["log_weight"]
     frames = range(pose.sizes["frame"]) if frames is None else frames
@@ -60,18 +60,6 @@ def weights_of_runs(log_weights: Float[np.ndarray, "run draw frame"]) -> Float[n
     """Weights that sum to one over the draws of each run and frame."""
     weights = np.exp(log_weights - log_weights.max(axis=1, keepdims=True))
     return weights / weights.sum(axis=1, keepdims=True)
-
-
-def systematic_resampling(rng: np.random.Generator, cumulative: Float[np.ndarray, " particle"], count: int) -> Int[np.ndarray, " draw"]:
-    """The particles' indices of `count` draws of equal weight, in random order.
-
-    Args:
-        rng: of the draws.
-        cumulative: sums of the particles' weights, normalised or not.
-        count: draws.
-    """
-    levels = (np.arange(count) + rng.random()) / count * cumulative[-1]
-    return rng.permutation(np.minimum(np.searchsorted(cumulative, levels), cumulative.size - 1))
 
 
 def log_mean_exp(values: Float[np.ndarray, " run"]) -> float:

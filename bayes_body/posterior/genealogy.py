@@ -1,6 +1,7 @@
-"""Where particles come from: how many of the particles some frames back have descendants among those of a frame.
+"""Particle genealogy: how many particles of an earlier frame have descendants in a frame.
 
-A filter that resamples forgets: of all particles long ago one is left as everyone's ancestor. How fast tells how much a frame's particles share.
+Resampling thins the ancestors out: all particles of a frame descend from one particle long before.
+The sooner they do, the more alike their pasts are.
 """
 
 from collections.abc import Iterator
@@ -16,9 +17,9 @@ if TYPE_CHECKING:
 
 
 def unique_ancestors(tree: "xr.DataTree", lags: tuple[int, ...]) -> Float[np.ndarray, "lag run frame"]:
-    """How many particles of `lag` frames before have descendants among a frame's; NaN where there is no such frame.
+    """The number of particles `lag` frames before a frame that have descendants in it; NaN if there is no such frame.
 
-    Lag 1 counts what the resampling of that frame left. The frame before the first is the start, where all particles are one pose.
+    Lag 1 counts the particles that the frame's own resampling kept. Before the first frame all particles are one pose.
     """
     ancestor = tree["sample_stats"]["ancestor"]
     runs, draws, frames = (ancestor.sizes[name] for name in ("chain", "draw", "frame"))
@@ -33,7 +34,7 @@ def unique_ancestors(tree: "xr.DataTree", lags: tuple[int, ...]) -> Float[np.nda
 
 
 def _lineages(known: Int[np.ndarray, "run frame draw"], start: int, most: int) -> Iterator[tuple[int, Int[np.ndarray, "run some draw"]]]:
-    """For each lag the ancestors so far back of the particles of frame `start` and later, as far as they are known: always of the last frames."""
+    """For each lag the ancestors of the particles of frame `start` and later; of the last frames only, where earlier ancestors are unknown."""
     lineage = known[:, start:]
     yield 1, lineage
     for lag in range(2, most + 1):

@@ -1,6 +1,6 @@
-"""What a posterior's tree holds: its variables by group, with their dimensions and where in a frame they come from.
+"""The layout of a posterior's tree: its variables by group, with their dimensions and their source in a frame's result.
 
-A chain is an independent run of the filter, a draw is a particle. The tree in memory and the file are both made from this.
+A chain is an independent run of the filter, a draw is a particle. Both the tree in memory and the file follow this layout.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bayes_body.posterior.mixing import PREFIX
 from bayes_body.tracking.draws import Draws, FrameResult
 
-# Of the figures of Markov chains, those that are no figure a chain.
+# Dimensions of the figures of Markov chains that are not one figure a chain.
 MARKOV_DIMS: Mapping[str, tuple[str, ...]] = {"ess": ("dof",), "length": ()}
 
 
@@ -23,9 +23,9 @@ class Variable:
 
     Attributes:
         group: `posterior`, `sample_stats` or `filter`.
-        name: within its group.
+        name: in its group.
         dims: its dimensions, `frame` among them.
-        of: a frame's part of it: all dimensions but `frame`.
+        of: takes its values from a frame's result; they have all dimensions but `frame`.
     """
 
     group: str
@@ -39,7 +39,7 @@ class Variable:
         return self.dims.index("frame")
 
     def stack(self, frames: Sequence[FrameResult]) -> NDArray[Any]:
-        """Some frames of it, with the axis `frame` in its place."""
+        """Its values in some frames, with the axis `frame` in its place."""
         return np.stack([np.asarray(self.of(frame)) for frame in frames], axis=self.frame_axis)
 
 
@@ -60,7 +60,7 @@ def variables(draws: Draws) -> list[Variable]:
 
 
 def _dims(name: str, values: NDArray[Any]) -> tuple[str, ...]:
-    """Of one draw of a state's variable."""
+    """The dimensions of one draw of a state's variable."""
     return ("dof",) if name == "pose" else tuple(f"{name}_dim_{axis}" for axis in range(values.ndim - 2))
 
 
@@ -77,7 +77,7 @@ def _markov(name: str) -> Callable[[FrameResult], Any]:
 
 
 def sizes(draws: Draws) -> dict[str, int]:
-    """Of every dimension."""
+    """The size of every dimension."""
     found = {"frame": len(draws.frames)}
     for variable in variables(draws):
         without = [dim for dim in variable.dims if dim != "frame"]
@@ -86,7 +86,7 @@ def sizes(draws: Draws) -> dict[str, int]:
 
 
 def coordinates(draws: Draws, dims: Sequence[str]) -> dict[str, tuple[str, NDArray[Any] | list[str]]]:
-    """For each of the dimensions its labels, by name: (dimension, values); `unit` says what the numbers of a dof are."""
+    """The labels of each dimension, by name: (dimension, values); `unit` is the unit of each dof."""
     topology, lengths = draws.model.body.skeleton.topology, sizes(draws)
     labels: Mapping[str, list[str]] = {"dof": list(topology.dof_names), "camera": list(draws.cameras)}
     found: dict[str, tuple[str, NDArray[Any] | list[str]]] = {dim: (dim, labels.get(dim, np.arange(lengths[dim]))) for dim in dims}
@@ -107,5 +107,5 @@ def dims_of(members: Sequence[Variable]) -> list[str]:
 
 
 def attributes_of(draws: Draws, attributes: Mapping[str, Any] | None) -> dict[str, Any]:
-    """What is said of the tree as a whole."""
+    """Attributes of the whole tree."""
     return {"model": draws.model.definition.name, **(attributes or {})}

@@ -1,7 +1,8 @@
-"""How the Markov chains of a frame mixed: R-hat over them, effective draws and autocorrelation of each dof, divergences, energy.
+"""How well the Markov chains of a frame mixed: R-hat, effective draws and autocorrelation of each dof, divergences, energy.
 
-A filter of Hamiltonian Monte Carlo runs several chains a frame, whose draws lie one chain after the other. These are not ArviZ's chains, which are
-independent filters: chains of one frame share its prediction, and say whether they reached one posterior, not whether another filter would.
+The Hamiltonian Monte Carlo filter runs several chains a frame and stores their draws one chain after the other. ArviZ's chains are something else:
+independent filters. The chains of one frame share its prediction. Their R-hat tests whether they reached one posterior, not whether another filter
+would reach the same.
 """
 
 from typing import TYPE_CHECKING, NamedTuple
@@ -9,29 +10,27 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayes_body.posterior.agreement import split_rhat
+from bayes_body.posterior.agreement import FEWEST_DRAWS, split_rhat
 from bayes_body.posterior.blocks import BLOCK, pose_blocks
 
 if TYPE_CHECKING:
     import xarray as xr
 
-# In the tree's group `filter`.
+# Of the names in the tree's group `filter`.
 PREFIX = "markov_"
-# Draws of a chain from which on its halves can be told apart.
-FEWEST = 4
-# Of these lags an autocorrelation is shown, at most.
+# The largest lag of an autocorrelation that is shown.
 LAGS = 40
 
 
 class Mixing(NamedTuple):
-    """Figures of all chains.
+    """The figures of all chains.
 
     Attributes:
         length: draws of a chain.
-        acceptance: mean probability of acceptance behind burn-in.
-        divergences: trajectories behind burn-in whose energy went wrong.
-        energy_fraction: E-BFMI (Betancourt 2016): how far a fresh momentum moves the energy, as a share of how far it varies.
-        step: factor of the step size behind burn-in.
+        acceptance: mean probability of acceptance after burn-in.
+        divergences: divergent trajectories after burn-in.
+        energy_fraction: E-BFMI (Betancourt 2016): the energy change by a fresh momentum, as a share of the energy's variation.
+        step: factor of the step size after burn-in.
         ess: effective draws of all chains together, by autocorrelation.
         rhat: rank-normalised split R-hat over the chains; NaN below two chains or four draws of each.
     """
@@ -46,7 +45,7 @@ class Mixing(NamedTuple):
 
 
 def mixing_of(tree: "xr.DataTree", block: int = BLOCK) -> Mixing | None:
-    """The figures of a posterior's tree; None where its kernel runs no chains. At most `block` frames are read at a time."""
+    """The figures of a posterior's tree; None if its kernel runs no Markov chains. At most `block` frames are read at a time."""
     group = tree["filter"]
     if f"{PREFIX}length" not in group:
         return None
@@ -57,7 +56,7 @@ def mixing_of(tree: "xr.DataTree", block: int = BLOCK) -> Mixing | None:
 
 
 def by_chain(poses: Float[np.ndarray, "run draw frame dof"], length: int) -> Float[np.ndarray, "run chain step frame dof"]:
-    """Draws chain by chain; a last chain that is not whole is left out, or kept where it is the only one."""
+    """Draws chain by chain; an incomplete last chain is dropped, unless it is the only one."""
     runs, draws, *rest = poses.shape
     chains = max(draws // length, 1)
     steps = min(length, draws)
@@ -66,14 +65,14 @@ def by_chain(poses: Float[np.ndarray, "run draw frame dof"], length: int) -> Flo
 
 def _rhat(draws: Float[np.ndarray, "run chain step frame dof"]) -> Float[np.ndarray, "run frame dof"]:
     runs, chains, steps, frames, dofs = draws.shape
-    if chains < 2 or steps < FEWEST:
+    if chains < 2 or steps < FEWEST_DRAWS:
         return np.full((runs, frames, dofs), np.nan)
     together = draws.transpose(0, 3, 1, 2, 4).reshape(-1, chains, steps, dofs)
     return split_rhat(together).reshape(runs, frames, dofs)
 
 
 def autocorrelation(draws: Float[np.ndarray, "chain step"]) -> Float[np.ndarray, " lag"]:
-    """Of one dof, the mean over chains around the mean of all, from lag 0 on; NaN where the dof never moves."""
+    """Autocorrelation of one dof from lag 0 on, averaged over chains and centred on the mean of all; NaN for a dof that never moves."""
     centred = draws - draws.mean()
     steps = draws.shape[1]
     lags = min(LAGS, steps - 1) + 1

@@ -1,7 +1,7 @@
 r"""Mean, standard deviation and quantiles of weighted draws.
 
 $\bar x = \sum_i w_i x_i$, $s^2 = \sum_i w_i (x_i - \bar x)^2$, and the quantile q is the smallest draw up to which the weights sum to q: exact,
-without interpolation. Weights sum to one.
+without interpolation.
 """
 
 from typing import NamedTuple
@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-# A cumulated sum of weights ends some rounding errors below 1.
+# A cumulated sum of weights may miss a share by some rounding errors: without this, 19 of 20 equal weights need not reach 0.95.
 ROUNDING = 1e-12
 
 
 class Moments(NamedTuple):
-    """What is known of a quantity, frame by frame: arrays of one shape (frame, ...), in the quantity's unit.
+    """Moments of a quantity in each frame: arrays of one shape (frame, ...), in the quantity's unit.
 
     Attributes:
         mean: weighted mean.
@@ -33,7 +33,7 @@ def weighted_moments(values: Float[np.ndarray, "frame draw *of"], weights: Float
     """Moments over the draws of each frame.
 
     Args:
-        values: one quantity, of any shape, a draw.
+        values: one quantity of any shape for each draw.
         weights: their weights, which sum to one in each frame.
     """
     flat = values.reshape(*values.shape[:2], -1)
@@ -45,13 +45,16 @@ def weighted_moments(values: Float[np.ndarray, "frame draw *of"], weights: Float
 
 def weighted_quantiles(
     values: Float[np.ndarray, "frame draw k"], weights: Float[np.ndarray, "frame draw"], shares: tuple[float, ...]
-) -> list[Float[np.ndarray, "frame k"]]:
-    """For each share the smallest draw up to which the weights sum to it."""
-    order = np.argsort(values, axis=1)
-    cumulative = np.cumsum(np.take_along_axis(weights[:, :, None], order, axis=1), axis=1)
-    places = [np.argmax(cumulative >= share - ROUNDING, axis=1) for share in shares]
-    chosen = [np.take_along_axis(order, place[:, None], axis=1) for place in places]
-    return [np.take_along_axis(values, choice, axis=1)[:, 0] for choice in chosen]
+) -> Float[np.ndarray, "share frame k"]:
+    """For each share (above 0) the smallest draw up to which the weights sum to it; NaN where a draw is NaN.
+
+    Raises:
+        ValueError: the weights of a frame are all zero, or not finite.
+    """
+    at = np.subtract(shares, ROUNDING)
+    # Frame by frame: weights of one dimension serve all columns, and only one frame is sorted at a time.
+    each = [np.quantile(frame, at, axis=0, weights=own, method="inverted_cdf") for frame, own in zip(values, weights, strict=True)]
+    return np.stack(each, axis=1)
 
 
 def unwrapped(angles: Float[np.ndarray, "frame draw k"], weights: Float[np.ndarray, "frame draw"]) -> Float[np.ndarray, "frame draw k"]:

@@ -1,7 +1,7 @@
-"""`posterior.nc` written frame by frame, with a bounded memory: the tree of `to_datatree`, as xarray and ArviZ read it.
+"""Write `posterior.nc` frame by frame in a bounded memory: the tree of `to_datatree`, as xarray and ArviZ read it.
 
-The groups `posterior` and `sample_stats` lie in chunks of all draws of a run and some frames; the figures of `filter`, a few numbers a frame, in one
-piece each. Nothing in the file depends on when or in how many goes it was made.
+The groups `posterior` and `sample_stats` are stored in chunks: all draws of one run, some frames. The group `filter` has a few numbers a
+frame, and each of its variables is one piece. The file does not depend on when it was written, or on how often the run was resumed.
 """
 
 import shutil
@@ -21,7 +21,7 @@ from bayes_body.tracking.draws import Draws, FrameResult
 if TYPE_CHECKING:
     import h5netcdf
 
-# Bytes of a chunk, and the most frames in it.
+# Size of a chunk in bytes, and the most frames in it.
 CHUNK_BYTES, CHUNK_FRAMES = 2**20, 256
 IN_CHUNKS = ("posterior", "sample_stats")
 
@@ -30,7 +30,7 @@ def stream_posterior(draws: Draws, path: Path, attributes: Mapping[str, Any] | N
     """Write the tree of `to_datatree(draws, attributes)` as NetCDF, whole or not at all.
 
     Raises:
-        InputError: there is no room for it, or the file system refuses it; or a frame's file is damaged.
+        InputError: the disk is full, the file system refuses the file, or a frame's file is damaged.
     """
     import h5netcdf
 
@@ -49,13 +49,13 @@ def stream_posterior(draws: Draws, path: Path, attributes: Mapping[str, Any] | N
 
 
 def frames_in_chunk(draws: Draws) -> int:
-    """How many frames of one run a chunk of the poses holds."""
+    """The number of frames in a chunk of the poses of one run."""
     a_frame = sum(values[0].nbytes for values in draws.frames[0].states.values())
     return int(np.clip(CHUNK_BYTES // a_frame, 1, min(CHUNK_FRAMES, len(draws.frames))))
 
 
 def stored_frames(path: Path) -> int:
-    """How many frames a `posterior.nc` holds; 0 where there is none, or none that can be read."""
+    """The number of frames in a `posterior.nc`; 0 if the file is missing or cannot be read."""
     import h5netcdf
 
     try:

@@ -1,4 +1,4 @@
-"""Draws as an ArviZ DataTree: a chain is an independent run of the filter, a draw is a particle, and weights are kept beside the draws."""
+"""Draws as an ArviZ DataTree: a chain is an independent run of the filter, a draw is a particle, and weights are stored beside the draws."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,9 +17,9 @@ def to_datatree(draws: Draws, attributes: Mapping[str, Any] | None = None) -> "x
 
     Groups: `posterior` (chain, draw, frame, dof), radians and metres as the `unit` coordinate says; `sample_stats` with `log_weight` and `ancestor`
     (chain, draw, frame); `filter` with `ess`, `log_evidence`, `lost` and `evaluations` (chain, frame), with `survival_rate`, `inverse_temperature`
-    and `acceptance_rate` (chain, frame, layer), and with `seen` (frame, camera). Of a kernel of Markov chains `filter` has `markov_acceptance`,
-    `markov_divergences`, `markov_energy_fraction` and `markov_step` (chain, frame, markov_chain), `markov_ess` (chain, frame, dof) and
-    `markov_length` (chain, frame), whose draws lie one chain after the other.
+    and `acceptance_rate` (chain, frame, layer), and with `seen` (frame, camera). If the kernel runs Markov chains, `filter` also has
+    `markov_acceptance`, `markov_divergences`, `markov_energy_fraction` and `markov_step` (chain, frame, markov_chain), `markov_ess`
+    (chain, frame, dof) and `markov_length` (chain, frame); their draws lie one chain after the other.
     """
     import xarray as xr
 

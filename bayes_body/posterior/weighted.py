@@ -1,6 +1,6 @@
-"""What respects the weights: means, markers, equal-weight draws, R-hat; of one frame, or of all.
+"""Weighted means, markers, draws of equal weight and R-hat; of one frame, or of all.
 
-Nothing in ArviZ takes weights, so what ArviZ computes (R-hat) is computed on equal-weight draws made from the particles by resampling.
+R-hat takes no weights: it is computed on draws of equal weight, which are resampled from the particles.
 """
 
 import jax
@@ -10,11 +10,9 @@ from jaxtyping import Float
 
 from bayes_body.body.kinematics import marker_positions
 from bayes_body.model.build import Model
-from bayes_body.posterior.blocks import systematic_resampling
+from bayes_body.posterior.agreement import FEWEST_DRAWS, split_rhat
+from bayes_body.posterior.resampling import RESAMPLING_SEED, systematic_resampling
 from bayes_body.tracking.draws import Draws, FrameResult
-
-# Equal-weight draws are a matter of the posterior, not of the sampler: their seed is fixed, so that a saved run always gives the same figures.
-RESAMPLING_SEED = 0
 
 _positions = jax.jit(jax.vmap(marker_positions, (None, None, 0)))
 
@@ -32,19 +30,19 @@ def mean_poses(draws: Draws) -> Float[np.ndarray, "run frame dof"]:
 
 
 def markers(model: Model, poses: Float[np.ndarray, "*batch dof"]) -> Float[np.ndarray, "*batch marker 3"]:
-    """The virtual markers of any array of poses, metres, computed when asked for."""
+    """The virtual markers of an array of poses, metres."""
     flat = jnp.asarray(poses.reshape(-1, poses.shape[-1]))
     positions = np.asarray(_positions(model.body.skeleton, model.body.markers, flat))
     return positions.reshape(*poses.shape[:-1], *positions.shape[1:])
 
 
 def equal_weight_poses(frame: FrameResult, index: int, count: int | None = None, seed: int = RESAMPLING_SEED) -> Float[np.ndarray, "run draw dof"]:
-    """One frame's poses of equal weight, by systematic resampling in random order.
+    """Poses of equal weight from one frame's particles, by systematic resampling, in random order.
 
     Args:
         frame: its particles.
-        index: its number: each frame has random numbers of its own.
-        count: how many; by default as many as there are particles.
+        index: the frame's number, which gives each frame its own random numbers.
+        count: number of draws; by default the number of particles.
         seed: of the resampling.
     """
     rng = np.random.default_rng((seed, index))
@@ -53,8 +51,7 @@ def equal_weight_poses(frame: FrameResult, index: int, count: int | None = None,
     out = np.empty((runs, number, frame.states["pose"].shape[-1]), frame.states["pose"].dtype)
     for run in range(runs):
         log_weights = frame.log_weights[run].astype(float)
-        cumulative = np.cumsum(np.exp(log_weights - log_weights.max()))
-        out[run] = frame.states["pose"][run, systematic_resampling(rng, cumulative, number)]
+        out[run] = frame.states["pose"][run, systematic_resampling(rng, np.exp(log_weights - log_weights.max()), number)]
     return out
 
 
@@ -64,21 +61,16 @@ def equal_weight_draws(draws: Draws, count: int | None = None, seed: int = RESAM
 
 
 def frame_rhat(frame: FrameResult, index: int) -> Float[np.ndarray, " dof"]:
-    """Rank-normalised split R-hat of one frame over the runs (Vehtari et al. 2021); NaN with a single run. A dof that never moves has none either.
+    """R-hat of one frame over the runs (`agreement.split_rhat`); NaN with a single run, below four particles, and for a dof that never moves.
 
     Args:
         frame: its particles.
-        index: its number.
+        index: the frame's number.
     """
-    import arviz as az
-    import xarray as xr
-
-    if frame.log_weights.shape[0] < 2:
+    runs, draws = frame.log_weights.shape
+    if runs < 2 or draws < FEWEST_DRAWS:
         return np.full(frame.states["pose"].shape[-1], np.nan)
-    sample = equal_weight_poses(frame, index)
-    # A dof that never moves is 0 / 0.
-    with np.errstate(invalid="ignore"):
-        return np.asarray(az.rhat(xr.Dataset({"pose": (("chain", "draw", "dof"), sample)}))["pose"])
+    return split_rhat(equal_weight_poses(frame, index)[None])[0]
 
 
 def rhat(draws: Draws) -> Float[np.ndarray, "frame dof"]:

@@ -21,8 +21,8 @@ from bayes_body.body.schema import BodySchema
 from bayes_body.body.skeleton import Motion as Dof
 from bayes_body.body.skeleton import Skeleton
 from bayes_body.body.solids import Body
+from bayes_body.config import FAST_COMPILE
 from bayes_body.initial.lengths import Scaling, scaling
-from bayes_body.initial.quick import QUICK
 from bayes_body.recording.mocap.motion import Motion
 from bayes_body.retarget.turns import angles_of
 
@@ -115,7 +115,7 @@ def _placements(skeleton: Skeleton, motion: Motion, joints: Mapping[str, str]) -
         yield Placed(rotations @ np.roll(np.eye(3), turn, axis=0) @ at_zero, places)
 
 
-@partial(jax.jit, compiler_options=QUICK)
+@partial(jax.jit, compiler_options=FAST_COMPILE)
 def _at_zero(skeleton: Skeleton) -> Float[Array, "joint 3 3"]:
     """The joints' rotations in the zero pose."""
     return forward_kinematics(skeleton, jnp.zeros(len(skeleton.topology.dof_names), skeleton.offsets.dtype)).rotation

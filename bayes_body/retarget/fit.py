@@ -10,26 +10,26 @@ from jumping between solutions that fit alike; lengths follow z as in `bayes_bod
 A frame's own misfit has many minima: the most complete frame is searched as a first pose is, and its neighbours start from it, theirs from them.
 """
 
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 from jaxtyping import Array, Float, Int
 
 from bayes_body.body.kinematics import marker_positions
 from bayes_body.body.solids import Body
+from bayes_body.config import FAST_COMPILE
 from bayes_body.dynamics.limits import BoxTransform
+from bayes_body.initial.adam import minimise
 from bayes_body.initial.fit import fit as search
 from bayes_body.initial.lengths import scaled
 from bayes_body.initial.misfit import NU, Problem
-from bayes_body.initial.quick import QUICK
-from bayes_body.retarget.problem import evidence
+from bayes_body.retarget.problem import landmarks_of_frame
 from bayes_body.shapes import Index, Pose, Scalar
 
 # Adam's steps and rates (unconstrained coordinates): of each frame from its neighbour's pose, and of all frames together.
-FOLLOW_STEPS, FOLLOW_RATE = 30, 0.05
+FOLLOW_STEPS, FOLLOW_RATE = 40, 0.05
 STEPS, RATE = 600, 0.06
 # Angles and shifts of a person who moves: speeds, rad/s and m/s, and accelerations, rad/s^2 and m/s^2, of this order.
 SPEEDS, ACCELERATIONS = (10.0, 3.0), (100.0, 20.0)
@@ -66,7 +66,7 @@ def fit_motion(problem: Problem, places: Float[np.ndarray, "frame marker 3"], fp
     known = np.isfinite(places).all(axis=-1)
     motion = Motion(jnp.asarray(np.where(known[..., None], places, 0.0), dtype), jnp.asarray(known, dtype), jnp.asarray(1 / fps, dtype))
     first = int(known.sum(axis=1).argmax())
-    best, _ = search(problem._replace(evidence=evidence(places[first], dtype)), UP)
+    best, _ = search(problem._replace(measurements=landmarks_of_frame(places[first], dtype)), UP)
     started = follow(problem, motion, best.pose, best.z, jnp.asarray(_order(first, len(places))), jnp.asarray(first))
     found = together(problem, motion, started, best.z)
     return Fitted(found.poses[:frames], found.z)
@@ -87,12 +87,11 @@ def _unbounded(problem: Problem, pose: Pose) -> Pose:
     return jnp.asarray(BoxTransform(problem.body.skeleton.low, problem.body.skeleton.high).inv(pose))
 
 
-@jax.jit(compiler_options=QUICK)
+@jax.jit(compiler_options=FAST_COMPILE)
 def follow(problem: Problem, motion: Motion, pose: Pose, z: Float[Array, " group"], order: Int[Array, " frame"], first: Index) -> Array:
     """Unconstrained angles of every frame, each fitted from where its neighbour's ended, with the lengths as they are."""
     start, body = _unbounded(problem, pose), scaled(problem.body, problem.scaling, z)
     usual = _by_unit(problem, SPEEDS)
-    adam = optax.scale_by_adam(b1=0.9, b2=0.99)
 
     def one(before: Pose, frame: Index) -> tuple[Pose, Pose]:
         # The frame before the first one starts where the first did, not where the last one ended.
@@ -104,12 +103,7 @@ def follow(problem: Problem, motion: Motion, pose: Pose, z: Float[Array, " group
             moved = (pose - _poses(problem, before)) / (usual * motion.step_s)
             return _misfit_of_frame(problem, body, pose, motion.places[frame], motion.known[frame]) + 0.5 * jnp.sum(moved**2)
 
-        def step(carry: tuple[Pose, Any], progress: Scalar) -> tuple[tuple[Pose, Any], None]:
-            x, state = carry
-            direction, state = adam.update(jax.grad(misfit)(x), state)
-            return (jnp.asarray(optax.apply_updates(x, optax.tree.scale(-FOLLOW_RATE * (1 - progress), direction))), state), None
-
-        (x, _), _ = jax.lax.scan(step, (before, adam.init(before)), jnp.linspace(0, 1, FOLLOW_STEPS, dtype=before.dtype))
+        x, _ = minimise(lambda x, _: (jax.grad(misfit)(x), ()), before, FOLLOW_RATE, FOLLOW_STEPS)
         return x, x
 
     _, found = jax.lax.scan(one, start, order)
@@ -121,18 +115,10 @@ class _Parameters(NamedTuple):
     z: Float[Array, " group"]
 
 
-@jax.jit(compiler_options=QUICK)
+@jax.jit(compiler_options=FAST_COMPILE)
 def together(problem: Problem, motion: Motion, x: Float[Array, "frame dof"], z: Float[Array, " group"]) -> Fitted:
     """All frames and the lengths, from unconstrained angles `x` and lengths `z` on."""
-    adam = optax.adam(optax.cosine_decay_schedule(RATE, STEPS), b1=0.9, b2=0.99)
-
-    def step(carry: tuple[_Parameters, Any], _: None) -> tuple[tuple[_Parameters, Any], None]:
-        parameters, state = carry
-        updates, state = adam.update(jax.grad(_misfit, argnums=2)(problem, motion, parameters), state)
-        return (cast(_Parameters, optax.apply_updates(parameters, updates)), state), None
-
-    start = _Parameters(x, z)
-    (found, _), _ = jax.lax.scan(step, (start, adam.init(start)), None, STEPS)
+    found, _ = minimise(lambda p, _: (jax.grad(_misfit, argnums=2)(problem, motion, p), ()), _Parameters(x, z), RATE, STEPS)
     return Fitted(_poses(problem, found.x), found.z)
 
 

@@ -10,9 +10,9 @@ from bayes_body.body.schema import BodySchema
 from bayes_body.body.solids import Body
 from bayes_body.errors import input_error
 from bayes_body.geometry.camera import Camera
-from bayes_body.initial.evidence import Evidence
 from bayes_body.initial.fit import rest
 from bayes_body.initial.lengths import fixed, scaling
+from bayes_body.initial.measurements import Measurements
 from bayes_body.initial.misfit import Prior, Problem
 from bayes_body.initial.points import Points
 
@@ -23,7 +23,7 @@ UP = (0.0, 0.0, 1.0)
 
 
 def build_problem(body: Body, schema: BodySchema | None) -> Problem:
-    """The problem without evidence; lengths are fitted where a schema says what they enter. Angles are drawn to how the body rests."""
+    """The problem without landmarks. Lengths are fitted if a schema says what they enter; the prior draws the angles to the resting pose."""
     names, dtype = body.markers.names, body.lengths.dtype
     points = Points(names, body.markers.joints, 0, jnp.zeros((0, 3), dtype))
     problem = Problem(
@@ -31,19 +31,19 @@ def build_problem(body: Body, schema: BodySchema | None) -> Problem:
         scaling=fixed(body) if schema is None else scaling(body, schema),
         rig=_no_camera(dtype),
         points=points,
-        evidence=evidence(np.full((len(names), 3), np.nan), dtype),
+        measurements=landmarks_of_frame(np.full((len(names), 3), np.nan), dtype),
         tolerance=jnp.asarray(points.tolerance_m, dtype),
         prior=_prior(body, dtype),
     )
     return problem._replace(prior=problem.prior._replace(mean=rest(problem)))
 
 
-def evidence(places: Float[np.ndarray, "point 3"], dtype: jnp.dtype) -> Evidence:
+def landmarks_of_frame(places: Float[np.ndarray, "point 3"], dtype: jnp.dtype) -> Measurements:
     """Where the body's points are, metres; NaN where unknown."""
     known = np.isfinite(places).all(axis=-1)
     none = jnp.zeros((0, len(places)), dtype)
     markers = jnp.asarray(np.where(known[:, None], places, 0.0), dtype)
-    return Evidence(markers, jnp.asarray(known, dtype), none[..., None] * jnp.zeros(2, dtype), none[..., None] * jnp.zeros(2, dtype), none)
+    return Measurements(markers, jnp.asarray(known, dtype), none[..., None] * jnp.zeros(2, dtype), none[..., None] * jnp.zeros(2, dtype), none)
 
 
 def places_of(body: Body, landmarks: Mapping[str, np.ndarray]) -> Float[np.ndarray, "frame marker 3"]:

@@ -14,9 +14,9 @@ from bayes_body.body.build import Shape, build_body
 from bayes_body.body.kinematics import marker_positions
 from bayes_body.body.schema import BodySchema
 from bayes_body.body.solids import Body
+from bayes_body.config import FAST_COMPILE
 from bayes_body.errors import InputError, input_error
 from bayes_body.initial.lengths import factors, scaled
-from bayes_body.initial.quick import QUICK
 from bayes_body.model.definition import load_body
 from bayes_body.recording.mocap.landmarks import landmarks
 from bayes_body.recording.mocap.motion import Motion
@@ -131,7 +131,7 @@ def _result(
     return Retargeted(angles, lengths, np.linalg.norm(at - places, axis=-1), exact, body, at, remarks)
 
 
-@partial(jax.jit, compiler_options=QUICK)
+@partial(jax.jit, compiler_options=FAST_COMPILE)
 def _markers(body: Body, poses: Float[Array, "frame dof"]) -> Float[Array, "frame marker 3"]:
     return jax.vmap(marker_positions, (None, None, 0))(body.skeleton, body.markers, poses)
 

@@ -1,4 +1,4 @@
-"""Parts of the first pose: points of a body, lengths, evidence, starts."""
+"""Parts of the first pose: points of a body, lengths, measurements, starts."""
 
 import dataclasses
 
@@ -11,8 +11,8 @@ from bayes_body.body.build import Shape, build_body
 from bayes_body.body.kinematics import marker_positions
 from bayes_body.errors import FaultyFileError, InputError
 from bayes_body.geometry.camera import project
-from bayes_body.initial.evidence import read_evidence
 from bayes_body.initial.lengths import SPREAD, fields, fixed, scaled, scaling
+from bayes_body.initial.measurements import read_measurements
 from bayes_body.initial.points import as_markers, body_points
 from bayes_body.initial.problem import build_problem
 from bayes_body.initial.starts import HEADINGS, candidates
@@ -62,13 +62,13 @@ def test_rays_are_what_the_camera_projects_to_the_pixels(scene, model, walker, s
     session = scene(1)
     person = walker(rng)
     keypoints, _ = seen(session, person, rng, noise_px=0.0)
-    evidence = read_evidence(dataclasses.replace(session, initial_keypoints=keypoints), body_points(model.body))
+    measurements = read_measurements(dataclasses.replace(session, initial_keypoints=keypoints), body_points(model.body))
     spec = session.views[0].camera
-    given = evidence.pixel_weights[0] > 0
-    ahead = np.concatenate([evidence.rays[0], np.ones((len(given), 1))], axis=1)
+    given = measurements.pixel_weights[0] > 0
+    ahead = np.concatenate([measurements.rays[0], np.ones((len(given), 1))], axis=1)
     places = (4 * ahead - spec.translation_m) @ spec.rotation
     pixels, _ = project(jax.tree.map(lambda leaf: leaf[0], model.rig), jnp.asarray(places))
-    assert np.allclose(np.asarray(pixels)[given], evidence.pixels[0][given], atol=0.05)
+    assert np.allclose(np.asarray(pixels)[given], measurements.pixels[0][given], atol=0.05)
 
 
 KEYPOINTS = dict.fromkeys(("l_hip", "r_hip", "l_knee", "r_knee", "l_ankle"), (500.0, 900.0, 0.5))
@@ -94,7 +94,7 @@ KEYPOINTS = dict.fromkeys(("l_hip", "r_hip", "l_knee", "r_knee", "l_ankle"), (50
 )
 def test_what_cannot_be_used_is_said(scene, model, known, said):
     with pytest.raises(InputError, match=said):
-        read_evidence(scene(1, **known), body_points(model.body))
+        read_measurements(scene(1, **known), body_points(model.body))
 
 
 def test_a_camera_that_sees_nothing_is_said(scene, model):
@@ -102,7 +102,7 @@ def test_a_camera_that_sees_nothing_is_said(scene, model):
     view = session.views[0]
     flat = dataclasses.replace(view, camera=dataclasses.replace(view.camera, rotation=np.zeros((3, 3))))
     with pytest.raises(FaultyFileError, match="camera 'cam0': it maps space to a line"):
-        read_evidence(dataclasses.replace(session, views=(flat,)), body_points(model.body))
+        read_measurements(dataclasses.replace(session, views=(flat,)), body_points(model.body))
 
 
 @pytest.mark.parametrize("up", ["x", "y", "z"])
@@ -112,7 +112,7 @@ def test_there_are_upright_starts_of_every_heading(scene, model, walker, seen, u
     session = dataclasses.replace(session, initial_keypoints=seen(session, walker(rng), rng)[0])
     points = body_points(model.body)
     found = candidates(
-        build_problem(build_model(model.definition, session), session, points, read_evidence(session, points)), "xyz".index(up), jax.random.key(0)
+        build_problem(build_model(model.definition, session), session, points, read_measurements(session, points)), "xyz".index(up), jax.random.key(0)
     )
     assert set(np.asarray(found.heading)[np.asarray(found.upright)].tolist()) == set(range(HEADINGS))
     # Moved to where the person is, some 4 m from the cameras and 0.9 m high.

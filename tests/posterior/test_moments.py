@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayes_body.posterior.moments import unwrapped, weighted_moments
+from bayes_body.posterior.moments import unwrapped, weighted_moments, weighted_quantiles
 
 
 def normalised(weights):
@@ -26,6 +26,13 @@ def test_a_draw_of_no_weight_is_no_draw():
     values = np.array([[[1.0], [2.0], [1e9]]])
     moments = weighted_moments(values, np.array([[0.5, 0.5, 0.0]]))
     assert (moments.mean, moments.sd, moments.q05, moments.q95) == (1.5, 0.5, 1.0, 2.0)
+
+
+def test_equal_weights_reach_a_share_in_spite_of_rounding():
+    for count in (20, 100):
+        weights = np.full((1, count), 1 / count)
+        found = weighted_quantiles(np.arange(count, dtype=float)[None, :, None], weights, (0.05, 0.25, 0.5, 0.75, 0.95))
+        assert np.array_equal(found.ravel(), count * np.array([0.05, 0.25, 0.5, 0.75, 0.95]) - 1)
 
 
 def test_each_frame_has_its_own_weights():

@@ -55,7 +55,7 @@ def bands(it: Inspection) -> Bands:
         weights = pooled(weights_of_runs(piece.log_weights)) / piece.poses.shape[0]
         poses = pooled(piece.poses)
         poses[..., endless] = unwrapped(poses[..., endless], weights)
-        found.append(np.stack(weighted_quantiles(poses, weights, SHARES)))
+        found.append(weighted_quantiles(poses, weights, SHARES))
     return Bands(frames, it.dofs, it.units, np.concatenate(found, axis=1) * dof_scale(it.units))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.posterior.blocks import pose_blocks, weights_of_runs
-from bayes_body.posterior.weighted import RESAMPLING_SEED
+from bayes_body.posterior.resampling import RESAMPLING_SEED
 from bayes_body.view.report.bands import dof_scale
 from bayes_body.view.report.inspection import Inspection
 

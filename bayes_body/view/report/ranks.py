@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from bayes_body.posterior.weighted import RESAMPLING_SEED
+from bayes_body.posterior.resampling import RESAMPLING_SEED
 
 SIMULATIONS = 500
 

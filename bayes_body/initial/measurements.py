@@ -1,4 +1,4 @@
-"""What a session says of the first pose as arrays, and everything about it that cannot be used."""
+"""The markers and keypoints of a session's first pose as arrays, with a check of every value."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -12,22 +12,22 @@ from bayes_body.initial.points import FACE, Points
 from bayes_body.recording.keypoint_layouts import LAYOUTS
 from bayes_body.session.session import CameraSpec, Session
 
-# Fewer points leave the pose to the prior.
+# With fewer points the prior alone would decide the pose.
 FEWEST = 4
-# As a share of the image's size: networks guess a point a little outside when a person is cut off.
+# As a share of the image's size: for a person who is cut off, networks place points a little outside the image.
 MARGIN = 0.1
-WORDS = "session.toml: initial"
+PREFIX = "session.toml: initial"
 DETECTED = frozenset(name for names in LAYOUTS.values() for name in names)
 
 
-class Evidence(NamedTuple):
-    """Where points are, one row a point of the body (`Points`); a weight of 0 where nothing is known.
+class Measurements(NamedTuple):
+    """Positions of the body's points (`Points`), one row a point. The weight is 0 where a point was not measured.
 
     Attributes:
-        markers: in the world, metres.
-        marker_weights: 1 where a marker is given.
+        markers: positions in the world, metres.
+        marker_weights: 1 for a given marker, else 0.
         pixels: (column, row) in each camera.
-        rays: the same without distortion: (x, y) at depth 1 of each camera.
+        rays: the pixels without distortion, as (x, y) at depth 1 of each camera.
         pixel_weights: confidences.
     """
 
@@ -38,12 +38,12 @@ class Evidence(NamedTuple):
     pixel_weights: Float[Array, "camera point"]
 
 
-def read_evidence(session: Session, points: Points) -> Evidence:
-    """The session's markers and keypoints; names that the body does not know are left out.
+def read_measurements(session: Session, points: Points) -> Measurements:
+    """Read the session's markers and keypoints; names that are no point of the body are left out.
 
     Raises:
         FaultyFileError: one sentence for each value that cannot be used.
-        InputError: too little is left to fit a body to.
+        InputError: too few points are left to fit a body to.
     """
     sentences = [*_faulty_markers(session), *_faulty_keypoints(session)]
     if sentences:
@@ -56,11 +56,11 @@ def read_evidence(session: Session, points: Points) -> Evidence:
     pixels, weights = _keypoints(session, points)
     _check_enough(session, points, marker_weights, weights)
     rays = np.stack([_undistorted(view.camera, pixels[c]) for c, view in enumerate(session.views)])
-    return Evidence(*(jnp.asarray(each, float) for each in (markers, marker_weights, pixels, rays, weights)))
+    return Measurements(*(jnp.asarray(each, float) for each in (markers, marker_weights, pixels, rays, weights)))
 
 
-def ignored(session: Session, points: Points) -> Iterator[str]:
-    """Remarks on the names that are no point of the body: those that detectors use, and others, which may be misspelt."""
+def unused_names(session: Session, points: Points) -> Iterator[str]:
+    """Remarks on names that are no point of the body: names that detectors use, and others, which may be misspelt."""
     given = {*session.initial_markers, *(name for keypoints in session.initial_keypoints.values() for name in keypoints)}
     names = sorted(name for name in given if points.index(name) is None)
     usual = [name for name in names if name in DETECTED]
@@ -76,7 +76,7 @@ def _keypoints(session: Session, points: Points) -> tuple[Float[np.ndarray, "cam
     for c, view in enumerate(session.views):
         for name, (u, v, confidence) in session.initial_keypoints.get(view.camera.name, {}).items():
             k = points.index(name)
-            # Two words for one point: the surer one counts.
+            # If two names mean one point, the keypoint with the higher confidence counts.
             if k is not None and confidence > weights[c, k]:
                 pixels[c, k], weights[c, k] = (u, v), confidence
     return pixels, weights
@@ -89,33 +89,35 @@ def _check_enough(session: Session, points: Points, markers: Float[np.ndarray, "
         and not any(p[2] for each in session.initial_keypoints.values() for p in each.values())
     ):
         raise InputError(
-            f"{WORDS}.keypoints_px: every confidence is 0; expected some above 0; give keypoints that were found, or the pose in angles."
+            f"{PREFIX}.keypoints_px: every confidence is 0; expected some above 0; give keypoints that were found, or the pose in angles."
         )
     known = (markers > 0) | (weights > 0).any(axis=0)
     body = [name for name in points.names if name not in FACE]
-    found = [name for name, given in zip(points.names, known, strict=True) if given and name in body]
+    measured = [name for name, is_known in zip(points.names, known, strict=True) if is_known and name in body]
     fewest = min(FEWEST, len(body))
-    if len(found) < fewest:
-        told = f"{len(found)} points of the body ({', '.join(found) or 'none'})"
-        raise InputError(f"{WORDS}: {told}; expected at least {fewest} of {', '.join(body)}; give more markers or keypoints, or the pose in angles.")
+    if len(measured) < fewest:
+        given = f"{len(measured)} points of the body ({', '.join(measured) or 'none'})"
+        raise InputError(
+            f"{PREFIX}: {given}; expected at least {fewest} of {', '.join(body)}; give more markers or keypoints, or the pose in angles."
+        )
 
 
 def _faulty_markers(session: Session) -> Iterator[str]:
     for name, place in session.initial_markers.items():
         if not np.isfinite(place).all():
-            yield f"{WORDS}.markers_m.{name}: {tuple(place)}; expected three numbers in metres; correct it, or leave the marker out."
+            yield f"{PREFIX}.markers_m.{name}: {tuple(place)}; expected three numbers in metres; correct it, or leave the marker out."
 
 
 def _faulty_keypoints(session: Session) -> Iterator[str]:
     cameras = {view.camera.name: view.camera for view in session.views}
     for name, keypoints in session.initial_keypoints.items():
         if name not in cameras:
-            yield f"{WORDS}.keypoints_px.{name}: no camera of that name; expected one of {', '.join(cameras)}; rename it."
+            yield f"{PREFIX}.keypoints_px.{name}: no camera of that name; expected one of {', '.join(cameras)}; rename it."
             continue
         if _is_singular(cameras[name]):
             yield f"camera '{name}': it maps space to a line or a point; expected a rotation and focal lengths above 0; calibrate it again."
         for keypoint, (u, v, confidence) in keypoints.items():
-            yield from _faulty_keypoint(f"{WORDS}.keypoints_px.{name}.{keypoint}", u, v, confidence, cameras[name].size_px)
+            yield from _faulty_keypoint(f"{PREFIX}.keypoints_px.{name}.{keypoint}", u, v, confidence, cameras[name].size_px)
 
 
 def _faulty_keypoint(place: str, u: float, v: float, confidence: float, size: tuple[int, int]) -> Iterator[str]:

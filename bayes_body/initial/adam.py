@@ -1,0 +1,40 @@
+r"""Adam (Kingma & Ba 2015) with a falling rate: the loop that the first pose, retargeting and outlines share (docs/decisions/18_least_squares.md).
+
+Step k of n is at progress $p = k / (n - 1)$ and has the rate $\tfrac12 r (1 + \cos \pi p)$, which ends at 0.
+"""
+
+from collections.abc import Callable
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from bayes_body.shapes import Scalar
+
+
+def minimise[Parameters, Info](
+    slope: Callable[[Parameters, Scalar], tuple[Parameters, Info]], start: Parameters, rate: float | Scalar, steps: int
+) -> tuple[Parameters, Info]:
+    """The parameters after all steps, and what the last step's `slope` reported: that step's rate is 0, so it is about these parameters.
+
+    Args:
+        slope: from parameters and the progress (0 to 1) to the gradient and anything else.
+        start: any pytree of arrays of one dtype.
+        rate: of the first step, in the parameters' unit.
+        steps: how many; each calls `slope` once.
+    """
+    adam, at_start = optax.scale_by_adam(b1=0.9, b2=0.99), cast(Any, start)
+    dtype = jax.tree.leaves(start)[0].dtype
+
+    def step(carry: tuple[Any, Any, Any], progress: Scalar) -> tuple[tuple[Any, Any, Any], None]:
+        parameters, state, _ = carry
+        gradient, info = slope(parameters, progress)
+        direction, state = adam.update(cast(Any, gradient), state)
+        pace = -0.5 * rate * (1 + jnp.cos(jnp.pi * progress))
+        return (optax.apply_updates(parameters, optax.tree.scale(pace, direction)), state, info), None
+
+    _, shape = jax.eval_shape(slope, start, jnp.ones((), dtype))
+    nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape)
+    (parameters, _, info), _ = jax.lax.scan(step, (at_start, adam.init(at_start), nothing), jnp.linspace(0, 1, steps, dtype=dtype))
+    return parameters, info
