@@ -56,7 +56,7 @@ def test_its_density_is_the_sum_of_its_parts_finite_at_first_with_finite_gradien
     positions = jnp.concatenate([at[None], at + jax.random.normal(jax.random.key(0), (200, at.size))])
     (values, parts), gradients = jax.jit(jax.vmap(jax.value_and_grad(value_and_parts, has_aux=True)))(positions)
     assert np.isfinite([values[0], *(each[0] for each in parts.values())]).all(), parts
-    volume = view.log_determinant({"pose": at})
+    volume = view.coordinates.log_determinant({"pose": at})
     assert np.isclose(values[0], sum(each[0] for each in parts.values()) + volume, rtol=1e-5, atol=1e-3)
     # A hard constraint makes a value minus infinity, never a NaN.
     assert not np.isnan(values).any()
