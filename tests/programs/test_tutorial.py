@@ -37,7 +37,7 @@ def names(tmp_path_factory):
     return defined
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_both_samplers_find_the_same_posterior(names):
     nuts, smc, prior = (names[name].reshape(-1, len(names["dofs"])) for name in ("poses", "particle_poses", "prior_draws"))
     sd = nuts.std(axis=0)
@@ -47,7 +47,7 @@ def test_both_samplers_find_the_same_posterior(names):
     assert (sd / prior.std(axis=0)).min() < 0.7
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_pictures_bring_the_pose_nearer_to_the_truth(names):
     def error(poses):
         joints = np.stack([names["model"].markers(pose) for pose in poses.reshape(-1, len(names["dofs"]))[::20]])

@@ -145,7 +145,7 @@ CHANGES = {
     "runs": ({"runs": 1}, "--runs was 2 and is now 1"),
     "particles": ({"overrides": {"particles": 41}}, "kernel.particles was 40 and is now 41"),
     "kernel": ({"kernel": "annealed"}, "kernel.kind was sir and is now annealed"),
-    "model": ({"model": "deutscher_apf", "kernel": "sir"}, "--model was arm and is now deutscher_apf"),
+    "model": ({"model": "arm_edges", "kernel": "sir"}, "--model was arm and is now arm_edges"),
 }
 
 
