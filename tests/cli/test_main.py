@@ -29,7 +29,7 @@ def test_version(cli):
     assert cli("--version").out == f"bayes-body {__version__}\n"
 
 
-@pytest.mark.parametrize("arguments", [["trak"], ["track"], ["track", "walk"], ["track", "walk", "--out", "x", "--runs", "two"], ["models", "chek"]])
+@pytest.mark.parametrize("arguments", [["trak"], ["track"], ["track", "walk", "--out", "x", "--runs", "two"], ["models", "chek"]])
 def test_a_mistyped_command_is_a_usage_error(cli, arguments):
     outcome = cli(*arguments)
     assert outcome.status == 2

@@ -198,7 +198,9 @@ def test_another_run_is_not_continued(cli, walk, run):
 
 def test_an_out_that_is_a_file(cli, walk, tmp_path):
     (tmp_path / "run").write_text("mine")
-    cli("track", walk, "--out", tmp_path / "run").refuses(str(tmp_path / "run"), "cannot be made", "expected a writable folder", "name another folder")
+    cli("track", walk, "--out", tmp_path / "run").refuses(
+        str(tmp_path / "run"), "cannot be made", "expected a writable folder", "name another folder"
+    )
     assert (tmp_path / "run").read_text() == "mine"
 
 
