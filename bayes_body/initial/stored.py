@@ -34,7 +34,7 @@ def restored(model: Model, table: Mapping[str, Any], where: str) -> FirstPose:
     if not isinstance(pose, dict) or set(pose) != set(model.body.dof_names):
         raise input_error(f"{where}: pose", "of other dofs", f"a number for each dof of the body '{model.body.name}'", "begin the run anew")
     if not isinstance(lengths, dict) or not isinstance(radii, dict) or not all(isinstance(ends, list) and len(ends) == 2 for ends in radii.values()):
-        raise input_error(where, "lengths or radii that are no numbers", "a number for each length, two for each part", "begin the run anew")
+        raise input_error(where, "lengths or radii that are not numbers", "a number for each length, two for each part", "begin the run anew")
     if not all(isinstance(value, float) for value in (*pose.values(), *lengths.values(), *chain.from_iterable(radii.values()))):
         raise input_error(where, "not all of it numbers", "radians and metres", "begin the run anew")
     placed = jnp.asarray([pose[name] for name in model.body.dof_names], model.body.lengths.dtype)

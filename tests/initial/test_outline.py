@@ -182,7 +182,7 @@ def test_what_is_kept_comes_back(model):
     assert (again.lengths_m, again.outline_radii_m) == (found.lengths_m, found.outline_radii_m)
     assert (again.pose == pose).all()
     for radii in ({"l_calf": 0.1}, {"l_calf": [0.1]}, [0.1, 0.1]):
-        with pytest.raises(InputError, match="lengths or radii that are none"):
+        with pytest.raises(InputError, match="lengths or radii that are not numbers"):
             restored(model, table | {"outline_radii_m": radii}, "run.toml")
     with pytest.raises(InputError, match="not all of it numbers"):
         restored(model, table | {"outline_radii_m": {"l_calf": [0.1, "thick"]}}, "run.toml")
