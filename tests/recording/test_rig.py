@@ -147,7 +147,7 @@ def test_a_pose2sim_calibration_is_a_rig(tmp_path):
         (KEYFRAME.format(0, 1), "camera 'a': path has 1 keyframe; expected 2 or more"),
         (KEYFRAME.format(1, 1) + KEYFRAME.format(0.5, 2), "path goes from 1 s to 0.5 s; expected ascending times"),
         ("rotation = [[1, 0, 0], [0, 1, 0], [0, 0, 2]]\ntranslation_m = [0, 0, 4]", "rotation: not a rotation, R R^T is"),
-        (AIMED + "\nfocal_px = -1", "cannot overwrite a value"),
+        (AIMED + "\nfocal_px = -1", "key 'focal_px' is given twice"),
         (AIMED + "\nzoom = 2", "camera 'a'.zoom: unknown key"),
     ],
 )
