@@ -93,7 +93,7 @@ def test_a_valid_run_is_said_to_be_one_and_a_bad_one_has_warnings(inspect):
 def test_the_verdict_begins_with_the_result():
     summary = {"frames": 60, "frames_lost": 2, "iou_median": 0.812, "error_mm_mean": 48.4, "coverage_90": 0.91}
     said = (
-        "60 frames tracked, 2 lost; overlap with the silhouettes 0.81; mean markers 48 mm from the truth; "
+        "60 frames tracked, 2 lost; overlap with the silhouettes 0.81; mean markers 48\u00a0mm from the truth; "
         "91\u00a0% of the truth inside the 90\u00a0% intervals."
     )
     assert verdict(summary, [], agreement_known=True).splitlines() == [said, "The runs agree; no limit is crossed."]

@@ -96,9 +96,9 @@ def test_a_mode_seeker_promises_nothing(inspect, parse, arm):
     it = inspect(**ARM, pose=pose, log_evidence=np.full((2, 5), np.nan), truth=truth_of(arm, centres, [0, 0, 0.01]))
     with style():
         found = truth_section(it)
-    assert "mode seeker's particles promises nothing" in parse(found).text and "intervals hold" not in parse(found).text
+    assert "a mode seeker's particles is no uncertainty" in parse(found).text and "intervals hold" not in parse(found).text
     # Five frames are too few for an offset.
-    assert rows(found)["marker"] == ["error, mm"] and len(parse(found).of("img")) == 1 and "bands" not in parse(found).text
+    assert rows(found)["marker"] == ["error, mm"] and len(parse(found).of("img")) == 1 and "90 % interval" not in parse(found).text
 
 
 def test_a_long_run_is_thinned_and_each_frame_meets_its_own_truth(inspect, parse, arm):
