@@ -8,6 +8,9 @@ import pytest
 from bayes_body.kernels import particle_filter
 from bayes_body.kernels.particle_filter import build_kernel
 
+# These programs run for longer than they compile.
+pytestmark = pytest.mark.usefixtures("optimised")
+
 # The means of five keys are tested; the spread of one frame's estimate is known well enough only from more.
 KEYS, SPREAD_KEYS, PARTICLES = 5, 25, 8000
 
@@ -61,7 +64,6 @@ def test_a_filter_that_keeps_its_weights_after_resampling_is_found_out(linear_ga
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("optimised")
 def test_the_error_falls_with_the_root_of_the_particles(linear_gaussian, observations):
     """The slope of log error over log N is -1/2, within four of its standard errors, once N is large enough for the data's outlier."""
     exact, kernel, sizes, keys = linear_gaussian.kalman(observations)[0], build_kernel(), (4000, 64_000), 60

@@ -16,6 +16,9 @@ NAMES = (
     *("l_hip", "r_hip", "l_knee", "r_knee", "l_ankle", "r_ankle", "upper_neck", "head"),
 )
 
+# These programs run for longer than they compile.
+pytestmark = pytest.mark.usefixtures("optimised")
+
 
 def _cameras(folder):
     for camera in ET.parse(folder / "calibration" / "Calib.qca.txt").getroot().iter("camera"):

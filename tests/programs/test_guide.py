@@ -14,6 +14,9 @@ from bayes_body.likelihood.edge_phase import Scale
 from bayes_body.model.definition import definition_names, load_definition
 from bayes_body.registry import Room, find, names
 
+# These programs run for longer than they compile.
+pytestmark = pytest.mark.usefixtures("optimised")
+
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 FIRST_RUN = (ROOT / "docs" / "guide" / "first_run.md").read_text(encoding="utf-8")
