@@ -25,6 +25,7 @@ os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 
 import beartype
 import cv2
+import hypothesis
 import jax
 import jaxtyping
 import numpy as np
@@ -65,6 +66,10 @@ def _mappings() -> int:
     except OSError:
         return 0
 
+
+# An example that a busy machine computes slowly is no failure.
+hypothesis.settings.register_profile("no deadline", deadline=None)
+hypothesis.settings.load_profile("no deadline")
 
 TESTS = Path(__file__).parent
 # The files that take longest, the longest first: with all others after them both workers end at about the same time.
