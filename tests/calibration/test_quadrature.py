@@ -83,7 +83,7 @@ def _on_the_drawing(name):
     return model, model.density(jax.tree.map(jnp.asarray, model.observe(Frame(0, images, masks))))
 
 
-@pytest.fixture(scope="module", params=["arm", "arm_edges"])
+@pytest.fixture(scope="module", params=["arm", pytest.param("arm_edges", marks=pytest.mark.long)])
 def drawn(request):
     """A model, its density on the drawn frame, and the quadrature of it."""
     model, density = _on_the_drawing(request.param)
@@ -112,7 +112,7 @@ def test_means_and_variances_of_the_kernels_are_those_of_the_grid(drawn, name):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("optimised")
-@pytest.mark.parametrize("drawn", ["arm_edges"], indirect=True)
+@pytest.mark.parametrize("drawn", ["arm"], indirect=True)
 def test_draws_that_are_too_narrow_are_found_out(drawn):
     model, density, exact = drawn
     honest = kernels.hmc(**HMC)

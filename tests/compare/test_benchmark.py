@@ -89,19 +89,21 @@ def test_every_kernel_is_traced_on_every_definition(frame_densities, pair):
     assert info.ancestors.shape == (TINY.most_particles,) and info.ess.shape == info.log_evidence.shape == info.lost.shape == ()
 
 
-# The kernels differ on any model, and the models for any kernel: what both do together is traced above.
+# A fault of a kernel shows on any model, and a fault of a model with any kernel. How the two fit together is traced above.
 EVERY_KERNEL_ON, EVERY_MODEL_WITH = "arm_markers", "sir"
+# One whole body for each kernel that is some definition's own.
+WITH_ITS_OWN_KERNEL = {("deutscher_apf", "annealed"), ("hmc_legs", "hmc"), ("markers_31", "tempered")}
 
 
 def _marks(pair):
     if pair.model == EVERY_KERNEL_ON or pair.kernel == EVERY_MODEL_WITH:
         return ()
-    return pytest.mark.slow if pair.kernel == load_definition(pair.model).kernel.kind else pytest.mark.long
+    return pytest.mark.slow if (pair.model, pair.kernel) in WITH_ITS_OWN_KERNEL else pytest.mark.long
 
 
 @pytest.mark.parametrize("pair", [pytest.param(pair, id=f"{pair.model}-{pair.kernel}", marks=_marks(pair)) for pair in ALL])
 def test_a_kernel_follows_a_scene_of_a_definition(scenes, pair, monkeypatch):
-    """Every kernel on one model, every model with one kernel; `slow`: each model with its own kernel; `long`: all pairs."""
+    """Every kernel on one model, every model with one kernel; `slow`: three whole bodies with their own kernel; `long`: all pairs."""
     definition, options = load_definition(pair.model), options_of(load_definition(pair.model), pair.kernel, TINY.most_particles)
     term, traces = registry.find("kernel", pair.kernel), []
 
@@ -197,7 +199,7 @@ def test_a_fault_of_the_program_is_told_apart(rows):
 
     with plugins_of_this_test():
         registry.register("kernel", "broken", Options)(lambda **_: fails)
-        # In the matrix at once, because it is registered.
+        # It is in the benchmark at once, because it is registered.
         assert ("arm_markers", "broken") in pairs()
         broken, fine = rows(pairs(["arm_markers"], ["broken", "sir"]))
     assert (broken["error"], broken["why_not"]) == ("ZeroDivisionError: by design", None) and "Traceback" in broken["details"]

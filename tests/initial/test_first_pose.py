@@ -59,7 +59,7 @@ def test_markers_of_the_very_body_are_met(scene, model):
     assert max(worst) < 0.03
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_nearly_all_poses_within_the_limits_are_found(scene, model):
     worst = [_recovered(model, scene(1), pose) for pose in _random_poses(model.body.skeleton, np.random.default_rng(2), 100)]
     assert np.mean(np.array(worst) < 0.01) >= 0.95

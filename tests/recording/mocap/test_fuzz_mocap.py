@@ -12,7 +12,7 @@ QUICK, MANY = 200, 10_000
 
 @pytest.fixture
 def readers(c3d, trc, points):
-    """By kind: a sound file, and how it is read."""
+    """By kind: a valid file, and how it is read."""
     few = {"names": points[0][:5], "positions": points[1][:6, :5]}
 
     def amc(path):
@@ -44,7 +44,7 @@ def test_some_damaged_files(readers, kind, tmp_path):
     assert torture(readers[kind], tmp_path, QUICK, 1) > QUICK / 10
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("kind", ["amc", "asf", "bvh", "c3d", "trc"])
 def test_many_damaged_files(readers, kind, tmp_path):
