@@ -186,7 +186,7 @@ def test_a_run_that_is_finished_says_so_and_stays(cli, walk, run):
     before = (run / "posterior.nc").read_bytes()
     outcome = cli("track", walk, "--out", run, "--resume")
     assert outcome.status == 0, outcome.err
-    assert f"all {FRAMES} frames are there, nothing is left to track" in outcome.out
+    assert f"all {FRAMES} frames exist, nothing is left to track" in outcome.out
     assert (run / "posterior.nc").read_bytes() == before
 
 

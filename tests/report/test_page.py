@@ -108,7 +108,7 @@ def test_a_body_off_the_person_is_a_warning(make_run):
     path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | figures), encoding="utf-8")
     with load_run(folder) as run:
         first, later = Inspection(run).warnings[:2]
-    assert first.startswith("frame 0: the body in its first pose does not fit the picture") and "0.31" in first
+    assert first.startswith("frame 0: the body in its first pose does not fit the image") and "0.31" in first
     assert later.startswith("from frame 2 the body no longer covers the person") and "0.12" in later
 
 
