@@ -173,9 +173,7 @@ _WORDINGS = {
     ),
     "keypoints": _Wording(
         lambda value: value > MOST_DISTANCE,
-        lambda value: (
-            f"its markers are {value:.2f} times the person's size in the image away from the keypoints (limit {MOST_DISTANCE:g}; 0 is best)"
-        ),
+        lambda value: f"its markers are {value:.2f} of the person's size in the image away from the keypoints (limit {MOST_DISTANCE:g}; 0 is best)",
     ),
 }
 

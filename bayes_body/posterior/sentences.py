@@ -48,8 +48,8 @@ def _mode_seeker(diagnosis: Diagnosis) -> str | None:
         return None
     return (
         f"the kernel {diagnosis.kernel or 'of this run'} is a mode seeker: the spread of its particles is not a measure of uncertainty, its "
-        "effective sample size is fixed by construction, and it estimates no evidence; "
-        "use a kernel that samples the posterior if you need one of these."
+        "effective sample size is fixed by construction, and it estimates no evidence; use a kernel that samples the posterior if you need "
+        "one of these."
     )
 
 
