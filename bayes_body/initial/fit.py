@@ -128,6 +128,6 @@ def _thrown(problem: Problem, key: Key, best: Float[Array, "kept parameter"]) ->
     joints = jax.random.uniform(which, (STARTS, len(topology.joint_names))) < THROWN
     joints = joints.at[:, 0].set(False).at[: best.shape[0]].set(False)
     owner = {motion.dof: j for j, motions in enumerate(topology.motions) for motion in motions}
-    anew = joints[:, jnp.array([owner[k] for k in range(count)])]
+    redrawn = joints[:, jnp.array([owner[k] for k in range(count)])]
     thrown = _unbounded(problem, random_poses(skeleton, where, poses))[:, :count]
-    return parameters.at[:, :count].set(jnp.where(anew, thrown, parameters[:, :count]))
+    return parameters.at[:, :count].set(jnp.where(redrawn, thrown, parameters[:, :count]))
