@@ -169,7 +169,7 @@ class _Wording(NamedTuple):
 _WORDINGS = {
     "silhouettes": _Wording(
         lambda value: value < LEAST_COVER,
-        lambda value: f"its projection and the silhouettes share {value:.2f} of the smaller area (limit {LEAST_COVER:g}; 1 is best)",
+        lambda value: f"its overlap with the silhouettes, relative to the smaller area, is {value:.2f} (limit {LEAST_COVER:g}; 1 is best)",
     ),
     "keypoints": _Wording(
         lambda value: value > MOST_DISTANCE,
