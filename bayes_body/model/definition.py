@@ -176,7 +176,7 @@ class _Collector:
             if key != "name":
                 self.sentences.append(f"{self.where}: body.{key}: unknown key beside a body's name; {nearest(key, ['name'])}")
         if not isinstance(name, str):
-            self.sentences.append(str(input_error(f"{self.where}: body.name", str(name), "a text", "put the name of a body in double quotes")))
+            self.sentences.append(str(input_error(f"{self.where}: body.name", str(name), "a string", "put the name of a body in double quotes")))
             return "", "", None
         if self.body_text is not None:
             return name, self.body_text, self._parsed_body(name, self.body_text)

@@ -28,7 +28,7 @@ PLAIN_WORDS = {
     "int_type": WHOLE,
     "int_parsing": WHOLE,
     "int_from_float": WHOLE,
-    "string_type": ("a text", "put it in double quotes"),
+    "string_type": ("a string", "put it in double quotes"),
     "bool_type": ("true or false", "write it without quotes"),
     "bool_parsing": ("true or false", "write it without quotes"),
     "greater_than": ("", "write a larger number"),
@@ -227,4 +227,4 @@ def _kind_of(annotation: Any) -> str:
     annotation = _plain(annotation)
     if get_origin(annotation) in (tuple, list):
         return "a list"
-    return {str: "a text", float: "a number", int: "a whole number", bool: "true or false"}.get(annotation, "a value")
+    return {str: "a string", float: "a number", int: "a whole number", bool: "true or false"}.get(annotation, "a value")
