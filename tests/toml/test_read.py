@@ -73,7 +73,7 @@ SOUND = {"title": "t", "joint": [{"name": "hip"}]}
         ({"likelihood": [{"kind": "mask", "wieght": 2.0}]}, "likelihood #1.wieght: unknown key; did you mean 'weight'?"),
         ({"likelihood": [{"kind": "edges", "scales_px": [4, 8.5]}]}, "likelihood #1.scales_px #2 = 8.5; expected a whole number; write it without"),
         ({"pair": ["a"]}, "pair = ['a']; expected 2 entries, not 1; add what is missing."),
-        ({"pair": ["a", 1, 2]}, "pair = ['a', 1, 2]; expected at most 2 entries, not 3; remove what is too much."),
+        ({"pair": ["a", 1, 2]}, "pair = ['a', 1, 2]; expected at most 2 entries, not 3; remove the surplus entries."),
     ],
 )
 def test_a_fault_is_one_sentence(change, sentence):
