@@ -7,9 +7,8 @@ test of this needs no tolerance.
 - `sir`: iterated sampling importance resampling (Andrieu, Lee & Vihola 2018). The current state is one of n particles. The others are predicted and
   weighted as in the filter, and one of them all is drawn by weight. This is exact for every n ≥ 2.
 - `tempered`: the kernel's own move at temperature 1. The ancestor is redrawn, and the state moves in unconstrained coordinates. Whitening and step
-size
-  must not depend on the state that is moved. So the whitening is computed from a new prediction, and each move draws its step size between `SCALES`
-  times the kernel's first one. Some of these step sizes then suit the posterior, however narrow it is.
+  size must not depend on the state that is moved. So the whitening is computed from a new prediction, and each move draws its step size between
+  `SCALES` times the kernel's first one. Some of these step sizes then suit the posterior, however narrow it is.
 - `hmc`: the kernel's own transitions on the marginal view, followed by an ancestor drawn from p(i | state). The mass matrix is computed at a new
   prediction.
 - `annealed` has no such move: no weight corrects its noise, which is a proposal.
