@@ -162,7 +162,7 @@ def test_a_file_that_is_none(tmp_path, kind):
 def test_two_files_of_one_name(write, tmp_path):
     load_plugin(write())
     (tmp_path / "other").mkdir()
-    with pytest.raises(InputError, match="has the same file name; expected one of its own"):
+    with pytest.raises(InputError, match="has the same file name; expected a file name of its own"):
         load_plugin(write(name="other/mine.py"))
 
 
