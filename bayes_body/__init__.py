@@ -1,7 +1,7 @@
-"""Bayesian 3D human pose and motion, with honest uncertainty, from calibrated video.
+"""Bayesian 3D human pose and motion from calibrated video, with calibrated uncertainty.
 
-Everything here is imported when it is first asked for (PEP 562): `import bayes_body` costs nothing and sets no JAX configuration; call `configure()`
-before the first computation.
+Every public name is imported at its first use (PEP 562): `import bayes_body` costs nothing and does not configure JAX. Call `configure()` before the
+first computation.
 """
 
 from importlib import import_module

@@ -1,18 +1,18 @@
-"""Process-wide settings of JAX. Importing bayes_body sets none; the command line and the programs call `configure()` before anything is traced."""
+"""Process-wide settings of JAX. Importing bayes_body sets none. The command line and the programs call `configure()` before they trace anything."""
 
 import os
 import sys
 from pathlib import Path
 
 CACHE_LIMIT_BYTES = 2**30
-# `compiler_options` of a program that runs for less time than XLA would take to optimise it.
+# `compiler_options` for a program whose optimisation by XLA would take longer than its run.
 FAST_COMPILE: dict[str, int] = {"xla_backend_optimization_level": 0}
 
 
 def configure(devices: int | None = None, cache: bool = True) -> None:
     """Prepare JAX: one host device per core (at most `devices`), and a persistent compilation cache in the user's cache folder.
 
-    Particles are distributed over the host devices. Call this before the first JAX computation. Settings that the environment already makes are kept.
+    Particles are distributed over the host devices. Call this before the first JAX computation. Settings made by environment variables are kept.
 
     Args:
         devices: number of host devices; default: one per core, at most 16.
@@ -38,7 +38,7 @@ def cache_folder(use: str = "") -> Path:
     Compiled code is for one type of processor: on a home folder shared by several machines, each type needs a separate cache.
 
     Args:
-        use: a prefix of the folder's name, so that tests and runs do not push each other's programs out.
+        use: a prefix of the folder's name, so that tests and runs do not evict each other's programs.
     """
     from importlib.metadata import version
 

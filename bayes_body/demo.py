@@ -1,7 +1,7 @@
-"""The demonstration: a simulated person walks through a room and is filmed, tracked exactly as a user's recording, and compared with the truth.
+"""The demonstration: a simulated person walks through a room, is filmed and tracked like a real recording, and the result is compared with the truth.
 
-The walk is the walking cycle that ships (learned from one captured walker). The seed draws the person and the room. Neither the renderer nor the
-walker shares anything with the model's body. Two independent filters track it, so that the run can say whether they agree.
+The walk comes from the walking cycle that ships (learned from one captured walker). The seed determines the person and the room. Neither the renderer
+nor the walker shares anything with the model's body. Two independent filters track the person, so that the run can report whether they agree.
 """
 
 import math
@@ -36,7 +36,7 @@ SESSION, RUN = "recording", "run"
 
 
 class Size(NamedTuple):
-    """Frames that are filmed, and particles of each run."""
+    """The number of frames to film, and of particles in each run."""
 
     frames: int
     particles: int
@@ -46,7 +46,7 @@ WHOLE, QUICK = Size(60, 300), Size(12, 192)
 
 
 class Demo(NamedTuple):
-    """The run's summary, and the files to look at."""
+    """The run's summary, and the paths of the files to look at."""
 
     summary: dict[str, Any]
     recording: Path
@@ -56,21 +56,21 @@ class Demo(NamedTuple):
 
 
 def demo(out: Path, seed: int, size: Size, show: Show, show_run: Show, bar: bool) -> Demo:
-    """Film, track, measure.
+    """Film a simulated person, track the recording and compare the result with the truth.
 
     Args:
         out: a folder for the recording and the run.
-        seed: of the person, the walk, the room and the tracker.
+        seed: random seed of the person, the walk, the room and the tracker.
         size: WHOLE or QUICK.
-        show: takes lines for the user about the progress.
-        show_run: takes the lines of the run: its figures and its warnings.
-        bar: whether progress bars are drawn.
+        show: called with each line about the progress.
+        show_run: called with each line about the run: its figures and its warnings.
+        bar: whether to draw progress bars.
 
     Raises:
-        InputError: the folder holds a demonstration already or cannot be written.
+        InputError: the folder already holds a demonstration or cannot be written.
     """
     if (out / SESSION / FILE_NAME).exists() or (out / RUN).exists():
-        raise input_error(out, "holds a demonstration already", "a folder without one", "name another with --out, or remove it")
+        raise input_error(out, "already holds a demonstration", "a folder without one", "name another with --out, or remove it")
     session = film(out / SESSION, seed, size.frames, bar)
     show(f"filmed     {session.frames} frames with {len(session.views)} cameras: {out / SESSION}")
     settings = Settings(out / SESSION, out / RUN, MODEL, overrides={"particles": size.particles}, runs=RUNS, seed=seed)
@@ -82,7 +82,7 @@ def demo(out: Path, seed: int, size: Size, show: Show, show_run: Show, bar: bool
 
 
 def result_of(summary: Mapping[str, Any]) -> str:
-    """The demonstration's result in one sentence: the error, what the intervals hold, and how far the runs lie apart."""
+    """The demonstration's result in one sentence: the error, the coverage of the intervals, and the distance between the runs."""
     lost = summary["frames_lost"]
     tracked = f"{summary['frames']} frames tracked, {lost or 'none'} lost"
     truth = f"the mean markers are {summary['error_mm_mean']:.0f} mm from the truth"
@@ -91,7 +91,7 @@ def result_of(summary: Mapping[str, Any]) -> str:
 
 
 def film(folder: Path, seed: int, frames: int, bar: bool) -> Session:
-    """The recording of a simulated walk, another for each seed."""
+    """Write the recording of a simulated walk and return its session; each seed gives a different one."""
     random = np.random.default_rng([seed, 2])
     rig, person = read_rig(definitions_folder() / "rigs" / f"{RIG}.toml"), build_person(seed)
     height, heading, phase = person.build.height_m, random.uniform(-math.pi, math.pi), random.uniform()

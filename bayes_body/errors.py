@@ -1,15 +1,15 @@
-"""Errors about a user's input: which input, its value, what was expected, and the remedy, in one sentence."""
+"""Errors about a user's input. Each names the input, its value, what was expected, and the remedy, in one sentence."""
 
 import difflib
 from collections.abc import Iterable
 
 
 class InputError(ValueError):
-    """A user's input that cannot be used. The command line prints it as one sentence and exits with status 2."""
+    """Raised for input that cannot be used. The command line prints it as one sentence and exits with status 2."""
 
 
 class FaultyFileError(InputError):
-    """All faults of one file, one sentence each."""
+    """Raised with all faults of one file, one sentence each."""
 
     def __init__(self, sentences: Iterable[str]):
         self.sentences = tuple(sentences)
@@ -17,12 +17,12 @@ class FaultyFileError(InputError):
 
 
 def input_error(subject: object, found: str, expected: str, remedy: str) -> InputError:
-    """The error `subject: found; expected ...; remedy.`"""
+    """Return the error `subject: found; expected ...; remedy.`"""
     return InputError(f"{subject}: {found}; expected {expected}; {remedy}.")
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """`did you mean 'x'?` if a known name is similar, else the list of known names."""
+    """Return `did you mean 'x'?` if a known name is similar, else the list of known names."""
     known = sorted(known)
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     return f"did you mean '{close[0]}'?" if close else f"known: {', '.join(known) or 'none'}"

@@ -1,6 +1,6 @@
-"""Names -> terms. A definition names its likelihoods, dynamics, potentials, observations and kernels; here the names get their meaning.
+"""The registry of terms. It maps the names of likelihoods, dynamics, potentials, observations and kernels in a definition to their code.
 
-A built-in term is imported when its name is first asked for, so that listing names costs nothing. A user's plugin adds its own by `register`.
+A built-in term is imported when it is first looked up, so that listing names costs nothing. A user's plugin adds terms with `register`.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -16,18 +16,18 @@ from bayes_body.toml.schema import Schema
 type Room = Literal["likelihood", "observation", "dynamics", "potential", "kernel"]
 type Place = tuple[Room, str]
 
-# The remedy where a definition names a term of the user's own.
+# The remedy if a definition names a user's own term.
 OWN = "If it is a term of your own, name its file with --plugin."
 ROOMS: tuple[Room, ...] = get_args(Room.__value__)
 
 
 class Term(NamedTuple):
-    """What a name stands for.
+    """A registered term.
 
     Attributes:
         options: the schema of its options, a pydantic model.
-        build: makes the term from them.
-        note: what a user must know of it before a run; said at every run.
+        build: makes the term from its options.
+        note: what a user must know about it before a run; printed at every run.
     """
 
     options: type[BaseModel]
@@ -58,17 +58,17 @@ _terms: dict[Place, Term] = {}
 def register(
     room: Room, name: str, options: type[BaseModel] = Schema, note: str = "", observation: str | None = None
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Give a build function a name in a room.
+    """Register a build function under a name in a room. Use it as a decorator.
 
     Args:
         room: likelihood, observation, dynamics, potential or kernel.
-        name: what `kind` shall say in a definition.
-        options: the schema of the term's table, a subclass of `Schema`; by default it has none.
+        name: the value of `kind` in a definition.
+        options: the schema of the term's table, a subclass of `Schema`; by default the term has no options.
         note: what a user must know before trusting its results.
-        observation: of a likelihood, the observation that prepares its data, where that is not one of its own.
+        observation: for a likelihood, the observation that prepares its data, unless one of the same name is registered.
 
     Raises:
-        InputError: there is no such room or observation, the name is taken, or the options are no schema.
+        InputError: there is no such room or observation, the name is taken, or the options are not a schema.
     """
 
     def decorate(build: Callable[..., Any]) -> Callable[..., Any]:
@@ -87,14 +87,15 @@ def register(
 
 
 def _check(room: Room, name: str, options: type[BaseModel], build: Callable[..., Any]) -> None:
-    """What types promise, for those whose code no type checker has seen."""
+    """Check the types of the arguments, since a plugin's code need not have passed a type checker."""
     if room not in ROOMS:
         raise InputError(f"register: room '{room}' does not exist; {nearest(str(room), ROOMS)}")
     if not isinstance(name, str) or not name:
-        raise input_error(f"register: {room}", f"the name {name!r}", "a text", f'name it, such as register("{room}", "mine")')
+        raise input_error(f"register: {room}", f"the name {name!r}", "a string", f'name it, such as register("{room}", "mine")')
     if not (isinstance(options, type) and issubclass(options, BaseModel)):
         shown = options.__name__ if isinstance(options, type) else repr(options)
-        raise input_error(f"{room} '{name}': options", f"{shown} is no schema", "a class that derives from Schema", "write `class Options(Schema)`")
+        found, remedy = f"{shown} is not a schema", "write `class Options(Schema)`"
+        raise input_error(f"{room} '{name}': options", found, "a class that derives from Schema", remedy)
     if not callable(build):
         raise input_error(f"{room} '{name}'", f"{build!r} cannot be called", "a build function", "put @register above a function")
 
@@ -105,7 +106,7 @@ def _home(build: Callable[..., Any]) -> str:
 
 @contextmanager
 def additions() -> Iterator[list[Place]]:
-    """Collects what is registered inside, built-in terms left out; if the inside fails, that is forgotten again."""
+    """Collect the terms registered in the body of the `with` statement, without built-in terms. If the body fails, they are removed again."""
     before, found = set(_terms), []
 
     def new() -> list[Place]:
@@ -120,28 +121,28 @@ def additions() -> Iterator[list[Place]]:
 
 
 def forget(places: Iterable[Place]) -> None:
-    """Give names free again."""
+    """Remove terms from the registry."""
     for place in places:
         _terms.pop(place, None)
 
 
 def replace(place: Place, term: Term) -> None:
-    """Let a name that is registered stand for another term."""
+    """Replace the term of a registered name."""
     _terms[place] = term
 
 
 def names(room: Room) -> tuple[str, ...]:
-    """All names of a room, sorted."""
+    """Return all names of a room, sorted."""
     return tuple(sorted({name for r, name in [*_BUILT_IN, *_terms] if r == room}))
 
 
 def own_names(room: Room) -> tuple[str, ...]:
-    """Those that are not built in, sorted."""
+    """Return the names of a room that are not built in, sorted."""
     return tuple(sorted(name for r, name in _terms if r == room and (r, name) not in _BUILT_IN))
 
 
 def notes(places: Iterable[Place]) -> Iterator[str]:
-    """What must be known of these terms, a sentence each; most have none."""
+    """Yield the notes of these terms; most have none."""
     for room, name in dict.fromkeys(places):
         note = find(room, name).note
         if note:
@@ -149,10 +150,10 @@ def notes(places: Iterable[Place]) -> Iterator[str]:
 
 
 def find(room: Room, name: str) -> Term:
-    """The term of that name.
+    """Return the term of that name.
 
     Raises:
-        InputError: there is none; it names the nearest known name, and how a term of one's own is found.
+        InputError: there is none. The message gives the nearest known name, and says how a user's own term is loaded.
     """
     if (room, name) not in _terms and (room, name) in _BUILT_IN:
         import_module(_BUILT_IN[room, name])

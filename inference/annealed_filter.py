@@ -2,8 +2,9 @@
 
     python inference/annealed_filter.py --session SESSION --out RUN
 
-A mode seeker: its particles gather where the likelihood is high. It finds the pose. The spread of its particles is no uncertainty, and it estimates
-no evidence. For a sample of the posterior see particle_filter.py. SESSION is a folder that `bayes-body import` made. Copy this file and change it.
+This filter is a mode seeker: its particles gather where the likelihood is high. It finds the pose. The spread of its particles does not measure
+uncertainty, and it estimates no evidence. For a sample of the posterior see particle_filter.py. SESSION is a folder made by `bayes-body import`. Copy
+this file and change it.
 """
 
 import argparse
@@ -22,10 +23,10 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--session", type=Path, required=True, help="folder with a session.toml")
     parser.add_argument("--out", type=Path, required=True, help="folder for posterior.nc and the overlay")
     parser.add_argument("--model", default="deutscher_apf", help="a definition's name or the path of your own (%(default)s)")
-    parser.add_argument("--particles", type=bb.whole_number(1), default=1000, help="particles a run (%(default)s)")
-    parser.add_argument("--layers", type=bb.whole_number(1), default=5, help="annealing layers a frame (%(default)s)")
+    parser.add_argument("--particles", type=bb.whole_number(1), default=1000, help="particles per run (%(default)s)")
+    parser.add_argument("--layers", type=bb.whole_number(1), default=5, help="annealing layers per frame (%(default)s)")
     parser.add_argument("--runs", type=bb.whole_number(1), default=2, help="independent filters (%(default)s)")
-    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="seed of everything random (%(default)s)")
+    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="random seed (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="two frames, 64 particles, 2 layers: a trial")
     return parser.parse_args()
 
@@ -48,14 +49,14 @@ def main() -> None:
     pose, weights = posterior["posterior"]["pose"], np.exp(posterior["sample_stats"]["log_weight"])
     last = pose.weighted(weights).mean("draw").isel(frame=-1)  # (chain, dof): the pose that each run found
     spread = pose.weighted(weights).std("draw").mean("chain").isel(frame=-1)
-    print(f"{'dof':<16}{'mean':>8} ± spread   runs apart   in frame {frames - 1}, {arguments.runs} runs")
+    print(f"{'dof':<16}{'mean':>8} ± spread   range of runs, in frame {frames - 1}, {arguments.runs} runs")
     for dof in last.dof.values:
         scale, unit = (1000, "mm") if last.sel(dof=dof).unit == "m" else (np.degrees(1), "deg")
         each = last.sel(dof=dof) * scale
         print(f"{dof:<16}{float(each.mean()):8.1f} ± {float(spread.sel(dof=dof)) * scale:<8.1f}{float(each.max() - each.min()):9.1f}    {unit}")
     print(f"effective particles: {float(posterior['filter']['ess'].min()):.0f} at least, of {particles}; every layer keeps about half")
     print(f"frames lost: {len(draws.frames_lost)}; seconds: {draws.timing.total:.1f}, {draws.timing.compile:.1f} of them compilation")
-    print("A mode seeker: the spread is no uncertainty. Where runs disagree the pose is doubtful; agreement proves nothing.")
+    print("This filter is a mode seeker: the spread is no uncertainty. If runs disagree, the pose is doubtful. Agreement proves nothing.")
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""How far two samplers' posterior means lie from the truth at equal computation (Poon & Fleet 2002, Fig. 8 and 9).
+"""Compare the errors of two samplers' posterior means at equal computation (Poon & Fleet 2002, Fig. 8 and 9).
 
     python inference/estimator_variance.py --session SESSION --frame 20 --json figures.json --plot figures.png
 
-Compares the hybrid Monte Carlo filter with the particle filter on one frame, after one fixed prediction mixture: at equal evaluations of the
-likelihood (a gradient counts by its cost) and at equal seconds. Then it does so along the frames that follow. SESSION is a folder that
-`bayes-body import` made.
+The program compares the hybrid Monte Carlo filter with the particle filter on one frame, both with the same fixed prediction mixture. It does so at
+equal evaluations of the likelihood (a gradient counts by its cost) and at equal seconds, and then along the frames that follow. SESSION is a folder
+made by `bayes-body import`.
 """
 
 import argparse
@@ -23,15 +23,15 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Estimator variance of hybrid Monte Carlo and of a particle filter at equal computation.")
     parser.add_argument("--session", type=Path, required=True, help="folder with a session.toml")
     parser.add_argument("--json", type=Path, required=True, help="file for all figures")
-    parser.add_argument("--plot", type=Path, help="a .png of the figures")
+    parser.add_argument("--plot", type=Path, help="a .png with a plot of the ratios")
     parser.add_argument("--model", default="poon_fleet_2002_legs", help="a definition's name or the path of your own (%(default)s)")
     parser.add_argument("--frame", type=bb.whole_number(1), default=10, help="the frame, counted from 0 (%(default)s)")
     parser.add_argument("--components", type=bb.whole_number(1), default=10, help="components of the prediction mixture (%(default)s)")
-    parser.add_argument("--frames", type=bb.whole_number(0), help="how many frames to follow after it (20; none with --quick)")
+    parser.add_argument("--frames", type=bb.whole_number(0), help="number of frames to follow after it (20; none with --quick)")
     parser.add_argument("--runs", type=bb.whole_number(2), help="runs of each sampler (50; 10 with --quick)")
-    parser.add_argument("--truth", type=bb.whole_number(1), help="particles of each run that finds the true mean (4000000; 400000 with --quick)")
+    parser.add_argument("--truth", type=bb.whole_number(1), help="particles of each run that estimates the true mean (4000000; 400000 with --quick)")
     parser.add_argument("--set", type=bb.setting, action="append", default=[], metavar="KEY=VALUE", help="an option of hmc, such as step=0.1")
-    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="seed of everything random (%(default)s)")
+    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="random seed (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="fewer runs, on one frame, and a rougher true mean")
     return parser.parse_args()
 

@@ -2,8 +2,9 @@
 
     python inference/hmc_filter.py --session SESSION --out RUN
 
-A few chains of Hamiltonian Monte Carlo a frame, on the likelihood times the mixture of predictions from the frame before. Where the posterior has
-several modes, a chain may stay in one: compare chains and runs. SESSION is a folder that `bayes-body import` made. Copy this file and change it.
+The filter runs a few chains of Hamiltonian Monte Carlo per frame, on the likelihood times the mixture of predictions from the previous frame. If the
+posterior has several modes, a chain may stay in one: compare chains and runs. SESSION is a folder made by `bayes-body import`. Copy this file and
+change it.
 """
 
 import argparse
@@ -22,11 +23,11 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--session", type=Path, required=True, help="folder with a session.toml")
     parser.add_argument("--out", type=Path, required=True, help="folder for posterior.nc and the overlay")
     parser.add_argument("--model", default="poon_fleet_2002_legs", help="a definition's name or the path of your own (%(default)s)")
-    parser.add_argument("--particles", type=bb.whole_number(1), default=400, help="draws kept in a frame, all chains together (%(default)s)")
-    parser.add_argument("--chains", type=bb.whole_number(1), default=8, help="chains a frame (%(default)s)")
+    parser.add_argument("--particles", type=bb.whole_number(1), default=400, help="draws kept per frame, all chains together (%(default)s)")
+    parser.add_argument("--chains", type=bb.whole_number(1), default=8, help="chains per frame (%(default)s)")
     parser.add_argument("--starts", type=bb.whole_number(1), default=500, help="predictions from which the chains' starts are drawn (%(default)s)")
     parser.add_argument("--runs", type=bb.whole_number(1), default=2, help="independent filters (%(default)s)")
-    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="seed of everything random (%(default)s)")
+    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="random seed (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="two frames, 64 draws: a trial")
     return parser.parse_args()
 
@@ -52,8 +53,8 @@ def main() -> None:
         scale, unit = (1000, "mm") if last.sel(dof=dof).unit == "m" else (np.degrees(1), "deg")
         print(f"{dof:<16}{float(last.sel(dof=dof).mean()) * scale:10.1f} ± {float(last.sel(dof=dof).std()) * scale:<7.1f} {unit}")
     ess, accepted = posterior["filter"]["ess"], posterior["filter"]["acceptance_rate"]
-    print(f"effective particles: {float(ess.min()):.0f} at least, {float(ess.median()):.0f} median, of {particles}, for the worst dof")
-    print(f"accepted: {float(accepted.min()):.0%} of a frame's trajectories at least; below a fifth or above nine tenths, change the step")
+    print(f"effective particles for the worst dof: {float(ess.min()):.0f} at least, {float(ess.median()):.0f} median, of {particles}")
+    print(f"accepted: at least {float(accepted.min()):.0%} of a frame's trajectories; if it is below 20% or above 90%, change the step")
     print(f"frames lost: {len(draws.frames_lost)}; seconds: {draws.timing.total:.1f}, {draws.timing.compile:.1f} of them compilation")
     evidence = posterior["filter"]["log_evidence"].sum("frame").values
     print(f"log-evidence: {np.logaddexp.reduce(evidence) - np.log(len(evidence)):.2f} (by run: {', '.join(f'{value:.2f}' for value in evidence)})")

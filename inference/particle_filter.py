@@ -2,8 +2,8 @@
 
     python inference/particle_filter.py --session SESSION --out RUN
 
-Weighted particles are a sample of p(pose | images so far). Their spread is an uncertainty as long as enough of them are effective. With 31 dofs and a
-sharp likelihood that takes many. SESSION is a folder that `bayes-body import` made. Copy this file and change it.
+The weighted particles are a sample of p(pose | images so far). Their spread measures the uncertainty as long as enough of them are effective. With 31
+dofs and a sharp likelihood, this takes many particles. SESSION is a folder made by `bayes-body import`. Copy this file and change it.
 """
 
 import argparse
@@ -22,9 +22,9 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--session", type=Path, required=True, help="folder with a session.toml")
     parser.add_argument("--out", type=Path, required=True, help="folder for posterior.nc and the overlay")
     parser.add_argument("--model", default="deutscher_apf", help="a definition's name or the path of your own (%(default)s)")
-    parser.add_argument("--particles", type=bb.whole_number(1), default=4000, help="particles a run (%(default)s)")
+    parser.add_argument("--particles", type=bb.whole_number(1), default=4000, help="particles per run (%(default)s)")
     parser.add_argument("--runs", type=bb.whole_number(1), default=2, help="independent filters (%(default)s)")
-    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="seed of everything random (%(default)s)")
+    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="random seed (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="two frames, 64 particles: a trial")
     return parser.parse_args()
 
@@ -52,7 +52,8 @@ def main() -> None:
         scale, unit = (1000, "mm") if last.sel(dof=dof).unit == "m" else (np.degrees(1), "deg")
         print(f"{dof:<16}{float(last.sel(dof=dof)) * scale:10.1f} ± {float(sd.sel(dof=dof)) * scale:<7.1f} {unit}")
     ess = posterior["filter"]["ess"]
-    print(f"effective particles: {float(ess.min()):.0f} at least, median {float(ess.median()):.0f}, of {particles}; below some tens, trust no sd")
+    print(f"effective particles: {float(ess.min()):.0f} at least, {float(ess.median()):.0f} median, of {particles}")
+    print("If only a few tens of particles are effective, do not trust the sd.")
     print(f"frames lost: {len(draws.frames_lost)}; seconds: {draws.timing.total:.1f}, {draws.timing.compile:.1f} of them compilation")
 
     evidence = posterior["filter"]["log_evidence"].sum("frame").values

@@ -2,8 +2,8 @@
 
     python inference/tempered_smc.py --session SESSION --out RUN
 
-In each frame the particles go from the prediction to the posterior in stages, with moves by Hamiltonian Monte Carlo. This works even where few draws
-of the prediction have a high likelihood. SESSION is a folder that `bayes-body import` made. Copy this file and change it.
+In each frame, the particles move from the prediction to the posterior in stages, by Hamiltonian Monte Carlo. This works even if few draws from the
+prediction have a high likelihood. SESSION is a folder made by `bayes-body import`. Copy this file and change it.
 """
 
 import argparse
@@ -22,10 +22,10 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--session", type=Path, required=True, help="folder with a session.toml")
     parser.add_argument("--out", type=Path, required=True, help="folder for posterior.nc and the overlay")
     parser.add_argument("--model", default="tempered_smc", help="a definition's name or the path of your own (%(default)s)")
-    parser.add_argument("--particles", type=bb.whole_number(1), default=500, help="particles a run (%(default)s)")
-    parser.add_argument("--moves", type=bb.whole_number(1), default=1, help="Markov moves a stage (%(default)s)")
+    parser.add_argument("--particles", type=bb.whole_number(1), default=500, help="particles per run (%(default)s)")
+    parser.add_argument("--moves", type=bb.whole_number(1), default=1, help="Markov moves per stage (%(default)s)")
     parser.add_argument("--runs", type=bb.whole_number(1), default=2, help="independent filters (%(default)s)")
-    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="seed of everything random (%(default)s)")
+    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="random seed (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="two frames, 64 particles: a trial")
     return parser.parse_args()
 
@@ -54,7 +54,7 @@ def main() -> None:
     filtered = posterior["filter"]
     print(f"effective particles: {float(filtered['ess'].min()):.0f} at least, of {particles}; frames lost: {len(draws.frames_lost)}")
     stages, accepted = float(filtered["inverse_temperature"].count("layer").mean()), float(filtered["acceptance_rate"].mean())
-    print(f"stages a frame: {stages:.1f}; moves accepted: {accepted:.2f}")
+    print(f"stages per frame: {stages:.1f}; fraction of moves accepted: {accepted:.2f}")
     print(f"seconds: {draws.timing.total:.1f}, {draws.timing.compile:.1f} of them compilation")
     evidence = filtered["log_evidence"].sum("frame").values
     print(f"log-evidence: {np.logaddexp.reduce(evidence) - np.log(len(evidence)):.2f} (by run: {', '.join(f'{value:.2f}' for value in evidence)})")

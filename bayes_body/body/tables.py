@@ -83,7 +83,7 @@ class Joint(Schema):
 class Part(Schema):
     """A tapered cylinder with an elliptical section along +z of its frame, or a sphere about the point at half its length.
 
-    Radii and length are in metres, or shares of the body's height for subjects without their own measurements. `widened` names the dofs of axis
+    Radii and length are in metres, or fractions of the body's height for subjects without their own measurements. `widened` names the dofs of axis
     `width` that are added to the radii of base and tip; an empty name means none.
     """
 

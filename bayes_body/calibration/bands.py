@@ -4,7 +4,7 @@ Among n ranks in B equally likely bins, $R_k$ are in the first k bins. With $R_k
 
 $$\gamma = 2 \min_{k < B} \min\big(P(\mathrm{Bin} \le R_k),\, P(\mathrm{Bin} \ge R_k)\big)$$
 
-is the smallest two-sided tail probability along the curve. Its distribution under uniform ranks is simulated. A curve's p-value is the share of
+is the smallest two-sided tail probability along the curve. Its distribution under uniform ranks is simulated. A curve's p-value is the fraction of
 simulated curves with a $\gamma$ that is no larger. The band of a level is where $\gamma$ is above the quantile of that level. For m quantities, each
 band has the level $1 - \alpha / m$ (Bonferroni), so all curves together lie inside with probability at least $1 - \alpha$. Holm's procedure rejects a
 quantity if and only if some curve leaves its band.
@@ -23,7 +23,7 @@ SEED = 214
 
 
 class Bands(NamedTuple):
-    """The band around one quantity's curve: at each k / B the expected share, and the lowest and highest share inside."""
+    """The band around one quantity's curve: at each k / B the expected fraction of ranks, and the lowest and highest fraction inside the band."""
 
     points: Float[np.ndarray, " point"]
     low: Float[np.ndarray, " point"]

@@ -21,7 +21,7 @@ from bayes_body.toml.read import validate
 from bayes_body.view.progress import Watch, unwatched
 
 SBC, INVARIANCE = "sbc", "invariance"
-# A move costs a small part of a filter, so more replications are affordable.
+# A move is much cheaper than a filter, so more replications are affordable.
 MOVES_A_REPLICATION = 2
 
 

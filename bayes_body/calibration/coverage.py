@@ -1,4 +1,4 @@
-"""How often the truth is inside the posterior's weighted, equal-tailed intervals. Each share has a binomial interval."""
+"""The coverage of the posterior's weighted, equal-tailed intervals: how often they contain the truth. Each coverage has a binomial interval."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ CONFIDENCE = 0.95
 
 
 class Coverage(NamedTuple):
-    """The share of truths inside, and a binomial interval for its probability (Wilson 1927)."""
+    """The fraction of truths inside, and a binomial interval for its probability (Wilson 1927)."""
 
     share: float
     low: float

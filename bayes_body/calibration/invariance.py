@@ -1,11 +1,11 @@
-r"""Exact invariance (Geweke 2004; Gandy & Scott 2020): a truth that a posterior-invariant move has changed is still a truth of its data.
+r"""Test exact invariance (Geweke 2004; Gandy & Scott 2020): after a posterior-invariant move, a truth and its data have the same joint distribution.
 
 $$s \sim p(s),\; z \sim p(z \mid s),\; s' \sim K_z(s, \cdot) \quad\Rightarrow\quad (s', z) \overset{d}{=} (s, z), \qquad \text{where}\quad
 p(s' \mid z) = \int K_z(s, s')\, p(s \mid z)\, ds.$$
 
-Each figure of (s', z) is compared with that of independent draws of (s, z) by the two-sample Kolmogorov-Smirnov test. Nothing is approximated: a
+Each figure of (s', z) is compared with that of independent draws of (s, z) by the two-sample Kolmogorov-Smirnov test. There is no approximation: a
 kernel's Markov move (calibration/markov_moves.py) is right or wrong, with any number of particles. The state has an ancestor, one of `ANCESTORS`
-weighted particles of the frame before; these are drawn with each case.
+weighted particles of the previous frame. These are drawn for each case.
 """
 
 from collections.abc import Callable
@@ -29,7 +29,7 @@ TRANSITION, WEIGHT = "log-transition", "log-weight of the ancestor"
 
 
 class Moved(NamedTuple):
-    """Figures of a truth after its move, and of another truth with its own data; and whether the move changed the state."""
+    """Figures of a truth after its move, figures of another truth with its own data, and whether the move changed the state."""
 
     after: Float[Array, " figure"]
     other: Float[Array, " figure"]
@@ -39,7 +39,7 @@ class Moved(NamedTuple):
 
 
 class _Joint(NamedTuple):
-    """A state, its ancestor among the weighted particles before, and the density given these and the data that the state makes."""
+    """A state, its ancestor among the previous weighted particles, and the density given these particles and data simulated from the state."""
 
     state: State
     ancestor: Index
@@ -49,12 +49,12 @@ class _Joint(NamedTuple):
 
 
 def figure_names(problem: Problem) -> tuple[str, ...]:
-    """The figures: the problem's quantities, the log-likelihood of the data, the log-density of the transition, and the ancestor's log-weight."""
+    """The names of the figures: quantities of the problem, log-likelihood, log-density of the transition, and log-weight of the ancestor."""
     return (*problem.quantities.names, LOG_LIKELIHOOD, TRANSITION, WEIGHT)
 
 
 def replicate(problem: Problem, move: MarkovMove, applications: int = 1) -> Callable[..., Moved]:
-    """One replication as a function of its key and of the problem, as in `sbc.replicate`; the move is applied `applications` times."""
+    """Return one replication as a function of its key and of the problem, as in `sbc.replicate`. The move is applied `applications` times."""
 
     def one(key: Key, problem: Problem = problem) -> Moved:
         true_key, other_key, move_key = jax.random.split(key, 3)
@@ -78,8 +78,8 @@ def replicate(problem: Problem, move: MarkovMove, applications: int = 1) -> Call
 
 
 def p_values(after: Float[np.ndarray, "replication figure"], other: Float[np.ndarray, "replication figure"]) -> Float[np.ndarray, " figure"]:
-    """For each figure: whether moved and independent cases have the same distribution."""
-    # Its result is declared as a plain tuple.
+    """Return for each figure the p-value of a test that moved and independent cases have the same distribution."""
+    # The test's result is declared as a plain tuple.
     return np.array([cast(Any, ks_2samp(*pair)).pvalue for pair in zip(after.T, other.T, strict=True)])
 
 
@@ -97,7 +97,7 @@ def _joint(key: Key, problem: Problem) -> _Joint:
 
 def _figures(problem: Problem, state: State, ancestor: Index, density: Density) -> Float[Array, " figure"]:
     before = density.ancestor(ancestor)
-    # The log-weight detects an ancestor that is chosen without its weight: the state may not depend on where it came from.
+    # The log-weight detects an ancestor that is chosen without its weight, which the state may not reveal.
     figures = jnp.stack(
         [density.log_likelihood(state, before), density.transition.log_density(state, before), density.previous.log_weights[ancestor]]
     )

@@ -1,16 +1,17 @@
-r"""Markov moves that leave the posterior of a frame exactly invariant: the moves that kernels are made of, in a form that can be tested exactly.
+r"""Markov moves that leave the posterior of a frame exactly invariant: the moves of kernels, in a form that can be tested exactly.
 
-A kernel with n particles approaches the posterior only as n grows. But take a truth, the data that it makes, and a move whose invariant distribution
-is the posterior given these data: their joint distribution is the same before and after the move (Geweke 2004; Gandy & Scott 2020). A test of that
-has no tolerance to choose.
+A kernel with n particles approaches the posterior only as n grows. But take a truth, data simulated from it, and a move that leaves the posterior
+given these data invariant. Then the joint distribution of truth and data is the same before and after the move (Geweke 2004; Gandy & Scott 2020). A
+test of this needs no tolerance.
 
-- `sir`: iterated sampling importance resampling (Andrieu, Lee & Vihola 2018). The present state is one of n particles. The others are predicted and
-  weighted as the filter does it, and one of all is drawn by weight: exact for every n ≥ 2.
-- `tempered`: its own move at temperature 1. The ancestor is redrawn and the state moved in coordinates without limits. Whitening and step size must
-  not depend on the state that is moved: the whitening is that of a fresh prediction, and each move draws its step size anew, between `SCALES` of the
-  kernel's first one, so that some fit however narrow the posterior is.
-- `hmc`: its own transitions on the marginal view, and the ancestor drawn anew from p(i | state). The mass matrix is that at a fresh prediction.
-- `annealed` has none: its noise is a proposal that no weight corrects.
+- `sir`: iterated sampling importance resampling (Andrieu, Lee & Vihola 2018). The current state is one of n particles. The others are predicted and
+  weighted as in the filter, and one of them all is drawn by weight. This is exact for every n ≥ 2.
+- `tempered`: the kernel's own move at temperature 1. The ancestor is redrawn, and the state moves in unconstrained coordinates. Whitening and step
+  size must not depend on the state that is moved. So the whitening is computed from a new prediction, and each move draws its step size between
+  `SCALES` times the kernel's first one. Some of these step sizes then suit the posterior, however narrow it is.
+- `hmc`: the kernel's own transitions on the marginal view, followed by an ancestor drawn from p(i | state). The mass matrix is computed at a new
+  prediction.
+- `annealed` has no such move: no weight corrects its noise, which is a proposal.
 """
 
 from collections.abc import Callable
@@ -29,38 +30,38 @@ from bayes_body.kernels.parts.moves import ExtendedParticle, Move, MoveSettings,
 from bayes_body.kernels.parts.weights import predict
 from bayes_body.shapes import Index, Key
 
-# The smallest and the largest step size, as shares of the kernel's first one.
+# The smallest and the largest step size, relative to the kernel's first one.
 SCALES = (0.02, 1.0)
-# Particles of an iterated resampling, the present state included, and predictions from which a whitening is made.
+# The number of particles in an iterated resampling, including the current state, and of predictions from which a whitening is computed.
 PARTICLES, PREDICTED = 256, 64
 # Repetitions of a move: each draws its own step size.
 REPEATED = 8
 
 
 class MarkovMove(Protocol):
-    """From a state and its ancestor among `previous` to another pair; p(ancestor, state | data) is invariant."""
+    """A map from a state and its ancestor among `previous` to another such pair, which leaves p(ancestor, state | data) invariant."""
 
     def __call__(self, key: Key, state: State, ancestor: Index, previous: Particles, density: Density) -> tuple[State, Index]:
-        """One application."""
+        """Apply the move once."""
         ...
 
 
 def markov_move(kind: str, options: Any) -> MarkovMove | None:
-    """The move of a kernel, or None where it has none.
+    """Return the move of a kernel, or None if it has none.
 
     Args:
         kind: the kernel's name.
-        options: of the kernel, as its schema defines them.
+        options: the kernel's options, in its schema.
     """
     return _MOVES[kind](options) if kind in _MOVES else None
 
 
 def iterated_sir(particles: int = PARTICLES) -> MarkovMove:
-    """The present state against `particles` - 1 rivals that the particle filter predicts and weighs."""
+    """Return the move of `sir`: the current state competes with `particles` - 1 others that the particle filter predicts and weighs."""
 
     def move(key: Key, state: State, ancestor: Index, previous: Particles, density: Density) -> tuple[State, Index]:
         ancestor_key, sample_key, choice_key = jax.random.split(key, 3)
-        # Independent draws: with systematic resampling the rivals would depend on each other, and the move would not be exact.
+        # With systematic resampling the particles would depend on each other, and the move would not be exact.
         rivals = jax.random.categorical(ancestor_key, previous.log_weights, shape=(particles - 1,)).astype(ancestor.dtype)
         density = density.with_previous(previous)
         drawn = predict(sample_key, rivals, density)
@@ -75,7 +76,7 @@ def iterated_sir(particles: int = PARTICLES) -> MarkovMove:
 
 
 def tempered_walk(move: Move, moves: int, candidates: int, repeated: int = REPEATED) -> MarkovMove:
-    """The ancestor redrawn among `candidates` and the state moved `moves` times, `repeated` times over."""
+    """Return the move of `tempered`: `repeated` times, redraw the ancestor among `candidates` and move the state `moves` times."""
 
     def moved(key: Key, state: State, ancestor: Index, previous: Particles, density: Density) -> tuple[State, Index]:
         view = extended(density.with_previous(previous))
@@ -98,7 +99,7 @@ def tempered_walk(move: Move, moves: int, candidates: int, repeated: int = REPEA
 
 
 def hmc_walk(options: Any, transitions: int = REPEATED) -> MarkovMove:
-    """`transitions` trajectories on the marginal view, each with its own step size; then an ancestor of the state where they end."""
+    """Return the move of `hmc`: `transitions` trajectories on the marginal view, each with its own step size, then an ancestor of the last state."""
     schedule = Schedule(1, 0, 1, options.leapfrog_steps, options.jitter, options.sampler, 0.0)
 
     def move(key: Key, state: State, ancestor: Index, previous: Particles, density: Density) -> tuple[State, Index]:
@@ -124,7 +125,7 @@ def hmc_walk(options: Any, transitions: int = REPEATED) -> MarkovMove:
 
 
 def _roots(key: Key, view: Extended) -> dict[str, Array]:
-    """The whitening, variable by variable, of a fresh prediction."""
+    """Return the whitening of each variable, from a new prediction."""
     ancestor_key, draw_key = jax.random.split(key)
     density = view.density
     ancestors = jax.random.categorical(ancestor_key, density.previous.log_weights, shape=(PREDICTED,))

@@ -43,7 +43,7 @@ def draw_ranks(findings: Findings, bins: int, path: Path, title: str) -> None:
         axis.tick_params(labelbottom=True)
     figure.suptitle(title, fontsize=11)
     figure.supxlabel("posterior level of the truth", fontsize=9)
-    figure.supylabel("share of truths below, minus the level", fontsize=9)
+    figure.supylabel("fraction of truths below, minus the level", fontsize=9)
     with replacing(path) as partial:
         figure.savefig(partial, dpi=110)
 

@@ -1,4 +1,4 @@
-r"""A posterior of few dimensions by summation over a grid. Samplers are compared with it where nothing can be simulated.
+r"""Integrate a posterior of few dimensions by summation over a grid. Samplers are compared with the result if data cannot be simulated.
 
 $$\hat\mu = \frac{\sum_g s_g\, e^{\ell(s_g)}}{\sum_g e^{\ell(s_g)}},$$
 
@@ -21,8 +21,8 @@ from bayes_body.errors import input_error
 MOST_DOFS = 4
 # Cells per side while the box shrinks, and then for increasingly fine grids.
 COARSE, FINE = 13, (13, 17, 23, 31, 41)
-# The share of the mass in a slice at the box's border below which it is cut off; the change of a mean or standard deviation, in standard deviations,
-# below which the grid is fine enough.
+# A slice at the box's border with less than this fraction of the mass is cut off. The grid is fine enough if no mean or standard deviation changes by
+# more than this, in standard deviations.
 NEGLIGIBLE, TOLERANCE = 1e-6, 0.005
 PREDICTED, REACH, MOST_DRAWN_IN = 4096, 6.0, 12
 BATCH = 2048
@@ -105,7 +105,7 @@ def _evaluator(density: Density, name: str) -> Evaluate:
 
 
 def _grid(evaluate: Evaluate, low: np.ndarray, high: np.ndarray, cells: int) -> tuple[list[np.ndarray], np.ndarray, float]:
-    """Midpoints along each axis, the share of the mass in each cell, and the log of the mass."""
+    """Midpoints along each axis, the fraction of the mass in each cell, and the log of the mass."""
     axes = [a + (b - a) * (np.arange(cells) + 0.5) / cells for a, b in zip(low, high, strict=True)]
     points = np.stack([axis.reshape(-1) for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
     logs = evaluate(points)

@@ -1,8 +1,8 @@
 """A room for checking a model without a recording: the shipped rig of four cameras, aimed at the body.
 
-The body appears small in the images, a quarter as large as it could be. Then the posterior is about as wide as the motion prior, and some thousand
-particles are enough. Nearer cameras would change nothing in principle, but a sampler from the prior would need millions. The cameras of a rig that
-the user gives are not moved.
+The body appears small in the images, a quarter as large as it could be. Then the posterior is about as wide as the motion prior, and a few thousand
+particles are enough. With nearer cameras the check would be equally valid, but a sampler from the prior would need millions. The cameras of a rig
+that the user gives are not moved.
 """
 
 from dataclasses import replace
@@ -18,7 +18,7 @@ from bayes_body.session.session import CameraSpec, Session, View
 RIG = "room_4"
 # The body extends beyond its markers (a hand beyond the wrist), and moves.
 REACH = 1.6
-# The body's extent, as a share of half the smaller side of an image.
+# The body's extent, as a fraction of half the smaller side of an image.
 FILLED = 0.225
 
 

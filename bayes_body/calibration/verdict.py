@@ -1,4 +1,4 @@
-"""Turn the figures of a check into a verdict: ranks and bands of each quantity, coverage, the Markov move, effective sizes; and sentences."""
+"""Convert the figures of a check to a verdict and sentences: ranks and bands of each quantity, coverage, the Markov move, effective sizes."""
 
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ from bayes_body.calibration.check import Findings
 from bayes_body.calibration.coverage import WIDTHS, coverage
 
 FAMILY = 0.95
-# The share of replications that may have too few effective particles; the share of states that a move must change for its test to be informative.
+# The fraction of replications that may have too few effective particles; the fraction of states that a move must change to make its test informative.
 MOST_SHORT, LEAST_MOVED = 0.05, 0.1
 ESS_NAMES = ("weights", "distinct", "ancestors")
 
@@ -42,7 +42,7 @@ def verdict(findings: Findings, bins: int, no_move: str = "") -> Verdict:
 
 
 def ranked_quantities(findings: Findings) -> NDArray[np.intp]:
-    """Indices of the quantities that vary: the ranks of a constant one mean nothing."""
+    """Indices of the quantities that vary. The ranks of a constant quantity are meaningless."""
     return np.flatnonzero(np.ptp(findings.ranks["truth"].astype(float), axis=0) > 0)
 
 

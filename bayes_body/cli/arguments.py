@@ -1,4 +1,4 @@
-"""Types of command-line arguments, for the programs that users copy: argparse says what is wrong in the sentence that these raise."""
+"""Types of command-line arguments, for the programs that users copy; argparse prints the sentences that these raise."""
 
 import argparse
 import json
@@ -7,10 +7,10 @@ from typing import Any
 
 
 def whole_number(least: int, most: int = 2**32 - 1) -> Callable[[str], int]:
-    """A reader of whole numbers from `least` to `most`.
+    """Return a function that reads whole numbers from `least` to `most`.
 
     Raises:
-        argparse.ArgumentTypeError: by the reader, for any other text.
+        argparse.ArgumentTypeError: by the returned function, for any other text.
     """
 
     def read(text: str) -> int:
@@ -22,13 +22,13 @@ def whole_number(least: int, most: int = 2**32 - 1) -> Callable[[str], int]:
 
 
 def setting(text: str) -> tuple[str, Any]:
-    """A name and its value, from a text such as `step=0.1` or `carry="means"`.
+    """Return the name and the value in a text such as `step=0.1` or `carry="means"`.
 
     Raises:
-        argparse.ArgumentTypeError: it is none.
+        argparse.ArgumentTypeError: the text does not have this form.
     """
     name, _, value = text.partition("=")
     try:
         return name, json.loads(value)
     except ValueError:
-        raise argparse.ArgumentTypeError(f'{text}; expected NAME=VALUE; write, say, step=0.1 or carry="means"') from None
+        raise argparse.ArgumentTypeError(f'{text}; expected NAME=VALUE; write for example step=0.1 or carry="means"') from None

@@ -1,4 +1,4 @@
-"""`bayes-body benchmark`: every kernel on every definition, side by side."""
+"""`bayes-body benchmark`: compare every kernel on every definition."""
 
 import json
 import sys
@@ -17,7 +17,7 @@ from bayes_body.errors import input_error
 if TYPE_CHECKING:
     from bayes_body.compare import Pair, Row, Settings
 
-# Of the table: heading, the row's key, how it is written.
+# Columns of the table: heading, the row's key, format.
 COLUMNS = (
     ("s/frame", "seconds_per_frame", ".3f"),
     ("ESS/s", "ess_per_second", ",.0f"),
@@ -30,16 +30,16 @@ WIDTH = 160
 
 
 def benchmark(
-    out: Path | None = typer.Option(None, "--json", help="File for the rows; rows that it has already, made with the same settings, are kept."),
-    quick: bool = typer.Option(False, "--quick", help="5 frames, at most 200 particles: whether everything runs, not how well."),
-    session: Path | None = typer.Option(None, "--session", help="Folder of a session to try all on; by default scenes are simulated."),
+    out: Path | None = typer.Option(None, "--json", help="File for the rows; rows that it already has with the same settings are kept."),
+    quick: bool = typer.Option(False, "--quick", help="5 frames and at most 200 particles: only tests whether everything runs."),
+    session: Path | None = typer.Option(None, "--session", help="Folder of a session to use for all pairs; by default scenes are simulated."),
     model: list[str] | None = typer.Option(None, "--model", help="Only this definition, a name or a path; may be given more than once."),
     kernel: list[str] | None = typer.Option(None, "--kernel", help="Only this kernel; may be given more than once."),
     frames: int | None = typer.Option(None, "--frames", help="Frames of each run, 60 by default."),
     seed: int = typer.Option(0, "--seed", help="Seed of everything random."),
     plugin: Plugins = None,
 ) -> None:
-    """Run each kernel on each model: seconds a frame, ESS a second, error, coverage, evidence; or one sentence why not."""
+    """Run each kernel on each model and show seconds per frame, ESS per second, error, coverage and evidence, or why a pair cannot run."""
     from dataclasses import replace
 
     from bayes_body.config import configure
@@ -64,7 +64,7 @@ def benchmark(
 
 
 def _made(asked: "tuple[Pair, ...]", settings: "Settings", out: Path | None) -> "list[Row]":
-    """All rows; the file holds each as soon as it is there."""
+    """Return all rows; each is written to the file as soon as it is computed."""
     from bayes_body.compare import benchmark_rows
 
     kept = _kept(out)
@@ -87,14 +87,14 @@ def _named(pair: "Pair") -> str:
 
 
 def _kept(out: Path | None) -> "dict[tuple[Any, Any], Row]":
-    """The rows that the file has, by model and kernel."""
+    """Return the rows that are already in the file, by model and kernel."""
     if out is None or not out.exists():
         return {}
     try:
         rows = json.loads(out.read_text(encoding="utf-8"))["rows"]
         return {(row["model"], row["kernel"]): row for row in rows}
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise input_error(out, f"cannot be read ({type(error).__name__})", "rows that this command wrote", "name another file with --json") from None
+        raise input_error(out, f"cannot be read ({type(error).__name__})", "rows written by this command", "name another file with --json") from None
 
 
 def _write(out: Path | None, rows: "list[Row]") -> None:
@@ -115,7 +115,7 @@ def _show(rows: "list[Row]") -> None:
     if table.row_count:
         console.print(table)
     for row in rows:
-        said = row["why_not"] or (f"an internal error, {row['error']}; this is a fault of the program" if row["error"] else None)
+        said = row["why_not"] or (f"an internal error, {row['error']}; this is a bug in the program" if row["error"] else None)
         if said:
             console.print(f"{Path(row['model']).stem} × {row['kernel']}: {said}", markup=False, highlight=False, soft_wrap=True)
 

@@ -1,4 +1,4 @@
-"""`bayes-body check`: is what a kernel gives the posterior of the model? Exit status 0 if it passes, 1 if it does not."""
+"""`bayes-body check`: test whether a kernel samples the posterior of a model. The exit status is 0 if it passes, 1 if it does not."""
 
 import os
 import sys
@@ -21,25 +21,29 @@ LARGEST_BINS = 200
 def check(
     model: str = typer.Argument(help="A definition's name (`bayes-body models`) or the path of your own."),
     kernel: str | None = typer.Option(None, "--kernel", help="annealed, sir, tempered or hmc; the model's own by default."),
-    replications: int = typer.Option(200, "--replications", help="Truths that are drawn and filtered."),
+    replications: int = typer.Option(200, "--replications", help="Number of truths that are drawn and filtered."),
     json_file: Path | None = typer.Option(
-        None, "--json", help="Where all figures go; what is done lies beside it until all is done, and the same command goes on with it."
+        None,
+        "--json",
+        help="File for all figures. Until the check is complete, the finished part is in a file beside it; the same command continues it.",
     ),
     plot: Path | None = typer.Option(None, "--plot", help="A picture of the ranks (.png, .pdf or .svg)."),
-    particles: int | None = typer.Option(None, "--particles", help="Particles; by default as many as a pilot finds to be enough."),
-    layers: int | None = typer.Option(None, "--layers", help="Annealing layers a frame (annealed only)."),
+    particles: int | None = typer.Option(None, "--particles", help="Number of particles; by default a pilot finds how many are enough."),
+    layers: int | None = typer.Option(None, "--layers", help="Annealing layers per frame (annealed only)."),
     move: str | None = typer.Option(None, "--move", help="hmc or random_walk (tempered only)."),
-    moves: int | None = typer.Option(None, "--moves", help="Markov moves of a particle in a stage (tempered only)."),
+    moves: int | None = typer.Option(None, "--moves", help="Markov moves of a particle per stage (tempered only)."),
     leapfrog_steps: int | None = typer.Option(None, "--leapfrog-steps", help="Gradients that an HMC move takes (tempered only)."),
-    session: Path | None = typer.Option(None, "--session", help="Folder of a session: its cameras, subject, first pose; a room of four by default."),
-    rig: Path | None = typer.Option(None, "--rig", help="File of a rig whose cameras take the room's place."),
-    frames: int = typer.Option(2, "--frames", help="Frames that each filter goes through; the last is looked at."),
+    session: Path | None = typer.Option(
+        None, "--session", help="Folder of a session whose cameras, subject and first pose are used; by default a room with four cameras."
+    ),
+    rig: Path | None = typer.Option(None, "--rig", help="File of a rig whose cameras replace those of the room."),
+    frames: int = typer.Option(2, "--frames", help="Number of frames that are filtered; the last one is tested."),
     bins: int = typer.Option(20, "--bins", help="Bins of the ranks; each needs 10 effective particles."),
-    jobs: int | None = typer.Option(None, "--jobs", help="Processes; one a core by default."),
+    jobs: int | None = typer.Option(None, "--jobs", help="Number of processes; by default one per core."),
     seed: int = typer.Option(0, "--seed", help="Seed of everything random."),
     plugin: Plugins = None,
 ) -> None:
-    """Check a kernel on a model: simulation-based calibration, invariance of its Markov move, coverage; or means against a grid quadrature."""
+    """Check a kernel on a model: simulation-based calibration, invariance of its Markov move, coverage; or compare means with a grid quadrature."""
     from bayes_body.config import configure
 
     configure()
@@ -55,7 +59,7 @@ def check(
     check_range("--seed", seed, 0, LARGEST_SEED)
     _check_files(json_file, plot)
     if session is not None and rig is not None:
-        raise input_error("--rig", f"given beside --session {session}", "one of the two", "leave one out")
+        raise input_error("--rig", f"given together with --session {session}", "one of the two", "leave one out")
     given = {name: value for name, value in (counts | {"move": move}).items() if value is not None}
     folder, cameras = (None if path is None else str(path) for path in (session, rig))
     with own_terms(plugin):
@@ -68,14 +72,14 @@ def check(
 
 
 def _run(plan: "Plan", pilot: bool, replications: int, jobs: int, json_file: Path | None, plot: Path | None) -> bool:
-    """Whether it passed."""
+    """Run the check, and return whether it passed."""
     from bayes_body.calibration.report import run_and_report
 
     return run_and_report(plan, pilot, replications, jobs, json_file, plot, lambda line: typer.echo(line), sys.stderr.isatty())
 
 
 def _check_files(json_file: Path | None, plot: Path | None) -> None:
-    """What is computed for minutes must have a place to go."""
+    """Check that the output files can be written, before minutes of computation."""
     for option, path in (("--json", json_file), ("--plot", plot)):
         if path is not None and (path.is_dir() or not path.parent.is_dir()):
             found = "a folder" if path.is_dir() else f"there is no folder {path.parent}"

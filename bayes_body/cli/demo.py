@@ -1,4 +1,4 @@
-"""`bayes-body demo`: from nothing to a posterior with its report, in a few minutes."""
+"""`bayes-body demo`: simulate, track and report a walk in a few minutes."""
 
 import sys
 from pathlib import Path
@@ -12,27 +12,27 @@ if TYPE_CHECKING:
     from bayes_body.demo import Demo
 
 FOLDER = "bayes_body_demo"
-# Key of the summary, what a reader calls it, how it is printed.
+# Key of the summary, label, format.
 ROWS = (
-    ("error_mm_mean", "error of the 15 markers, posterior mean against truth", "{:.0f} mm"),
-    ("error_mm_relative", "the same, pelvis on pelvis", "{:.0f} mm"),
-    ("error_mm_mean_fitted_offset", "the same, with the two skeletons' constant offset fitted", "{:.0f} mm"),
+    ("error_mm_mean", "error of the 15 markers, posterior mean compared with the truth", "{:.0f} mm"),
+    ("error_mm_relative", "the same, relative to the pelvis", "{:.0f} mm"),
+    ("error_mm_mean_fitted_offset", "the same, with the constant offset of the two skeletons fitted", "{:.0f} mm"),
     ("coverage_90", "truth inside the 90 % intervals", "{:.0%}"),
     ("coverage_50", "truth inside the 50 % intervals", "{:.0%}"),
     ("iou_median", "overlap with the silhouettes (IoU)", "{:.2f}"),
-    ("rhat_share", "R-hat of the two runs below 1.05, share of angles and frames", "{:.0%}"),
+    ("rhat_share", "fraction of angles and frames with R-hat of the two runs below 1.05", "{:.0%}"),
     ("ess_median", "effective particles, median", "{:.0f}"),
     ("frames_lost", "frames lost", "{}"),
-    ("seconds_per_frame", "time a frame", "{:.2f} s"),
+    ("seconds_per_frame", "time per frame", "{:.2f} s"),
 )
 
 
 def demo(
-    out: Path | None = typer.Option(None, "--out", help=f"Folder for recording and run; {FOLDER}, or the next free {FOLDER}_2 ..., by default."),
-    seed: int = typer.Option(0, "--seed", help="Each seed makes another person, walk, room and noise."),
-    quick: bool = typer.Option(False, "--quick", help="A fifth of the frames and fewer particles: to see that it works."),
+    out: Path | None = typer.Option(None, "--out", help=f"Folder for recording and run; by default {FOLDER}, or the next free {FOLDER}_2 ..."),
+    seed: int = typer.Option(0, "--seed", help="Each seed gives another person, walk, room and noise."),
+    quick: bool = typer.Option(False, "--quick", help="A fifth of the frames and fewer particles: only tests whether it works."),
 ) -> None:
-    """Film a simulated walk, track it as a recording of yours, and compare the posterior with the truth."""
+    """Film a simulated walk, track it like a real recording, and compare the posterior with the truth."""
     from bayes_body.config import configure
 
     check_range("--seed", seed, 0, LARGEST_SEED)
@@ -44,7 +44,7 @@ def demo(
     folder, lines = free_folder(Path(FOLDER)) if out is None else out, list[str]()
     try:
         found = demonstrate(folder, seed, QUICK if quick else WHOLE, typer.echo, lines.append, sys.stderr.isatty())
-        # The result comes first, the lines of the run after it.
+        # The result is printed first, then the lines of the run.
         typer.echo(f"result     {result_of(found.summary)}\n")
         _table(found.summary)
         typer.echo("")

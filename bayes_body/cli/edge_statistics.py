@@ -1,4 +1,4 @@
-"""`bayes-body learn edge-statistics`: what filters answer on a person's boundary, from recordings whose silhouettes are known."""
+"""`bayes-body learn edge-statistics`: statistics of filter responses on a person's boundary, from recordings with known silhouettes."""
 
 import sys
 from pathlib import Path
@@ -19,14 +19,14 @@ DISPLACED_PX = (0.0, 2.0, 5.0, 10.0)
 
 def edge_statistics(
     sessions: list[Path] = typer.Argument(
-        help="Recordings with silhouettes to be believed: `bayes-body simulate --masks`, or masks you have checked."
+        help="Recordings with reliable silhouettes: from `bayes-body simulate --masks`, or masks that you have checked."
     ),
-    wavelengths: str = typer.Option(WAVELENGTHS, "--wavelengths", help="Of the filters, pixels, with commas between them."),
-    frames: int = typer.Option(5, "--frames", help="How many of each recording, evenly spread."),
+    wavelengths: str = typer.Option(WAVELENGTHS, "--wavelengths", help="Wavelengths of the filters in pixels, separated by commas."),
+    frames: int = typer.Option(5, "--frames", help="Number of evenly spaced frames of each recording."),
     held_out: list[Path] = typer.Option(
-        [], "--held-out", help="A recording that is compared with, but not learned from; may be given several times."
+        [], "--held-out", help="A recording that is only used for the comparison, not for learning; may be given several times."
     ),
-    plot: Path | None = typer.Option(None, "--plot", help="A .png of the learned densities over what was seen."),
+    plot: Path | None = typer.Option(None, "--plot", help="A .png of the learned densities over the data."),
 ) -> None:
     """Learn the `likelihood.scale` tables of `edge_phase`, and print them."""
     from bayes_body.config import configure
@@ -46,8 +46,8 @@ def edge_statistics(
             learned.append((wavelength, fit(found[0], found[-1]), found[0]))
             compared.append([mean_log_density(each, learned[-1][1]) for each in (others.at(wavelength, asked) if others else found)])
     typer.echo("\n".join(_table(wavelength, statistics) for wavelength, statistics, _ in learned))
-    whose = "recordings held out" if others else "recordings learned from"
-    typer.echo(f"# mean log-density a sample, nats, on the {whose}: boundaries displaced by ... px, and elsewhere")
+    whose = "held-out recordings" if others else "training recordings"
+    typer.echo(f"# mean log-density per sample, nats, on the {whose}: on boundaries displaced by ... px, and elsewhere")
     typer.echo("# wavelength px " + "".join(f"{by:8g}" for by in DISPLACED_PX) + "   elsewhere")
     for (wavelength, *_), values in zip(learned, compared, strict=True):
         typer.echo(f"# {wavelength:13g} " + "".join(f"{value:8.2f}" for value in values[:-1]) + f"{values[-1]:12.2f}")
@@ -74,7 +74,7 @@ def _table(wavelength: float, statistics: "EdgeStatistics") -> str:
 
 
 def _images(sessions: list[Path], frames: int) -> "Images":
-    """All images of some frames whose silhouettes are known."""
+    """Return the images of some frames whose silhouettes are known."""
     from bayes_body.learning.edge_statistics import Images, known_pairs
     from bayes_body.session.read import load_session
     from bayes_body.simulation.film import TRUE_MASKS, mask_pattern
@@ -85,18 +85,18 @@ def _images(sessions: list[Path], frames: int) -> "Images":
         found = known_pairs(session, frames, lambda name: mask_pattern(TRUE_MASKS, name))
         if not found:
             raise input_error(
-                path, "no silhouettes that are known", f"a folder {TRUE_MASKS}, or masks", "simulate with --masks, or give cameras their `masks`"
+                path, "no known silhouettes", f"a folder {TRUE_MASKS}, or masks", "simulate with --masks, or give cameras their `masks`"
             )
         pairs += found
     return Images(pairs)
 
 
 def _numbers(text: str) -> list[float]:
-    """Wavelengths, ascending."""
+    """Return the wavelengths, ascending."""
     try:
         found = sorted({float(word) for word in text.split(",")})
     except ValueError:
         found = []
     if not found or not all(3 <= value < float("inf") for value in found):
-        raise input_error("--wavelengths", repr(text), "numbers from 3 up with commas between them", f"give, say, {WAVELENGTHS}")
+        raise input_error("--wavelengths", repr(text), "numbers from 3 up, separated by commas", f"give for example {WAVELENGTHS}")
     return found

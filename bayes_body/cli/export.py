@@ -13,15 +13,15 @@ from bayes_body.errors import input_error
 if TYPE_CHECKING:
     from bayes_body.export.motion import Axis, Motion
 
-# The file's name in the run's folder, where none is given.
+# The file's name in the run's folder, if none is given.
 DEFAULT_STEM = "motion"
 
 
 def export(
-    run: Path = typer.Argument(help="Folder of a run, as `bayes-body track` makes it."),
+    run: Path = typer.Argument(help="Folder of a run made by `bayes-body track`."),
     to: str = typer.Option(..., "--to", help="trc (OpenSim, Pose2Sim), c3d, bvh (Blender), csv or npz."),
     out: Path | None = typer.Option(None, "--out", help="The file; motion.FORMAT in the run's folder by default."),
-    up: str | None = typer.Option(None, "--up", help="Axis that points up: x, y or z; the session's by default, y in bvh. OpenSim needs y."),
+    up: str | None = typer.Option(None, "--up", help="Axis that points up: x, y or z; by default the session's, or y for bvh. OpenSim needs y."),
     rate: float | None = typer.Option(None, "--rate", help="Frames a second, if the session's are wrong; no frame is added or left out."),
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace existing files."),
     spread: bool = typer.Option(False, "--spread", help="c3d only: standard deviation and quantiles of each axis as further points."),
@@ -29,7 +29,7 @@ def export(
 ) -> None:
     """Write mean, standard deviation and 5 % and 95 % quantiles of markers, and (csv, npz) of joint angles; or (bvh) the mean pose of a skeleton.
 
-    A mode seeker's run has means only: the spread of its particles is no uncertainty.
+    For a mode seeker's run only means are written: the spread of its particles is not a measure of uncertainty.
     """
     from bayes_body.config import configure
 
@@ -43,9 +43,9 @@ def export(
     if up is not None and axis is None:
         raise input_error("--up", up, "x, y or z", "name one of them")
     if rate is not None and not (math.isfinite(rate) and rate > 0):
-        raise input_error("--rate", f"{rate:g}", "a finite number above 0", "give the frames a second")
+        raise input_error("--rate", f"{rate:g}", "a finite number above 0", "give the number of frames a second")
     if spread and check_format(to) != "c3d":
-        raise input_error("--spread", f"with --to {to}", "c3d", "leave it out: the other formats have the spread, or no room for it")
+        raise input_error("--spread", f"with --to {to}", "c3d", "leave it out: the other formats always have the spread, or cannot store it")
     file = out or run / f"{DEFAULT_STEM}.{check_format(to)}"
     with own_terms(plugin), load_run(run) as saved:
         motion = write(saved, check_format(to), file, fps=rate, up=axis, overwrite=overwrite, spread=spread)
@@ -57,9 +57,9 @@ def export(
 def _report(motion: "Motion", files: tuple[Path, ...], kernel: str) -> Iterator[str]:
     yield f"{', '.join(map(str, files))}: {len(motion.marker_names)} markers, {motion.frames} frames at {motion.fps:g} a second, {motion.up} up"
     if not motion.has_intervals:
-        yield f"Means only: the kernel {kernel} is a mode seeker, and the spread of its particles is no uncertainty."
+        yield f"Means only: the kernel {kernel} is a mode seeker, and the spread of its particles is not a measure of uncertainty."
     if motion.lost.any():
         from bayes_body.posterior.diagnostics import frame_ranges
 
-        wide = ", with its wide spread" if motion.has_intervals else ""
+        wide = " with a wide spread" if motion.has_intervals else ""
         yield f"{frame_ranges(motion.lost.nonzero()[0].tolist())}: lost; the values there are a prediction{wide}."

@@ -1,4 +1,4 @@
-"""`bayes-body import`: a laboratory's files become a session."""
+"""`bayes-body import`: make a session from a laboratory's files."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,37 +16,38 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Make a session from a laboratory's files.", no_args_is_help=True)
 
-FILES, SUBJECT, TIME, SPACE = "Beside the source", "Subject and picture", "Time", "Space"
+FILES, SUBJECT, TIME, SPACE = "Further files", "Subject and picture", "Time", "Space"
 
 Target = Annotated[Path, typer.Argument(help="Folder to write session.toml and check.png into.", show_default=False)]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace a session.toml that is there already, with what was edited in it.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing session.toml, including your edits in it.")]
 Masks = Annotated[
-    Path | None, typer.Option("--masks", help="Folder with CAMERA/ of numbered silhouettes, numbered as the frames.", rich_help_panel=FILES)
+    Path | None,
+    typer.Option("--masks", help="Folder with silhouettes in CAMERA/, numbered like the frames.", rich_help_panel=FILES),
 ]
 Background = Annotated[Path | None, typer.Option("--background", help="Folder with CAMERA.mp4, .png ... of the empty scene.", rich_help_panel=FILES)]
 Truth = Annotated[
     Path | None, typer.Option("--truth", help="An .npz with true `markers` (frame, 15, 3), metres, and their `names`.", rich_help_panel=FILES)
 ]
-Height = Annotated[float | None, typer.Option("--height", help="The subject's stature, metres.", rich_help_panel=SUBJECT)]
+Height = Annotated[float | None, typer.Option("--height", help="The subject's height, metres.", rich_help_panel=SUBJECT)]
 Model = Annotated[str, typer.Option("--model", help="Definition whose body is drawn in check.png.", rich_help_panel=SUBJECT)]
-Fps = Annotated[float | None, typer.Option("--fps", help="Frames a second, if the recording does not say it, or wrongly.", rich_help_panel=TIME)]
+Fps = Annotated[float | None, typer.Option("--fps", help="Frames a second, if the recording does not state it or is wrong.", rich_help_panel=TIME)]
 Offset = Annotated[
     list[str] | None,
     typer.Option(
-        "--offset", metavar="CAMERA=FRAMES", help="The camera's own frame k + FRAMES is the others' frame k; repeatable.", rich_help_panel=TIME
+        "--offset", metavar="CAMERA=FRAMES", help="Frame k + FRAMES of this camera is frame k of the others; may be repeated.", rich_help_panel=TIME
     ),
 ]
-Unit = Annotated[str | None, typer.Option("--unit", help="Of the calibration's translations: m, cm or mm.", rich_help_panel=SPACE)]
+Unit = Annotated[str | None, typer.Option("--unit", help="Unit of the calibration's translations: m, cm or mm.", rich_help_panel=SPACE)]
 Up = Annotated[str | None, typer.Option("--up", help="The axis of the calibration's world that points up: x, y or z.", rich_help_panel=SPACE)]
 Layout = Annotated[
     str | None,
     typer.Option(
-        "--layout", help="Order of the keypoints: BODY_25, BODY_25B, COCO_17, COCO_18 or HALPE_26; found out by default.", rich_help_panel=FILES
+        "--layout", help="Order of the keypoints: BODY_25, BODY_25B, COCO_17, COCO_18 or HALPE_26; detected by default.", rich_help_panel=FILES
     ),
 ]
 Keypoints = Annotated[
     Path | None,
-    typer.Option("--keypoints", help="Folder with CAMERA_json/ of OpenPose's files, numbered as the frames.", rich_help_panel=FILES),
+    typer.Option("--keypoints", help="Folder with OpenPose's files in CAMERA_json/, numbered like the frames.", rich_help_panel=FILES),
 ]
 DEFAULT_MODEL = "deutscher_apf"
 
@@ -71,7 +72,7 @@ def parsec(
     fps: Fps = None,
     offset: Offset = None,
 ) -> None:
-    """Cameras, images, masks, body shape and initial pose of the PARSEC suite's bodytrack."""
+    """Import cameras, images, masks, body shape and initial pose of the PARSEC suite's bodytrack."""
     from bayes_body.recording.options import Options
     from bayes_body.recording.parsec import import_parsec
 
@@ -98,7 +99,7 @@ def pose2sim(
     unit: Unit = None,
     up: Up = None,
 ) -> None:
-    """A Pose2Sim project as it lies: cameras, videos or images, and keypoints if there are any."""
+    """Import a Pose2Sim project: cameras, videos or images, and keypoints if there are any."""
     from bayes_body.recording.options import Options
     from bayes_body.recording.pose2sim import import_pose2sim
 
@@ -129,7 +130,7 @@ def opencv(
     unit: Unit = None,
     up: Up = None,
 ) -> None:
-    """Cameras calibrated with OpenCV, EasyMocap or Anipose, and their videos or images; --unit and --up must be given."""
+    """Import cameras calibrated with OpenCV, EasyMocap or Anipose, and their videos or images; --unit and --up must be given."""
     from bayes_body.recording.opencv import import_opencv
     from bayes_body.recording.options import Options
 
@@ -155,7 +156,7 @@ def qualisys(
     offset: Offset = None,
     up: Up = None,
 ) -> None:
-    """Video cameras of Qualisys Track Manager; z points up unless --up says otherwise."""
+    """Import video cameras of Qualisys Track Manager; z points up unless --up gives another axis."""
     from bayes_body.recording.options import Options
     from bayes_body.recording.qualisys import import_qualisys
 
@@ -180,15 +181,15 @@ def _offsets(texts: list[str] | None) -> dict[str, int]:
 
 
 def _import(importer: "Importer", source: Path, folder: Path, options: "Options", model: str, overwrite: bool) -> None:
-    """Run an importer, tell its remarks, and draw the picture by which a person checks the session."""
+    """Run an importer, print its remarks, and draw the picture for checking the session."""
     from bayes_body.cli.models import checked_definition
     from bayes_body.config import configure
     from bayes_body.session.read import FILE_NAME
 
     if (folder / FILE_NAME).exists() and not overwrite:
-        raise input_error(folder, f"holds a {FILE_NAME} already", "a folder without one", "name another, or replace it with --overwrite")
+        raise input_error(folder, f"already holds a {FILE_NAME}", "a folder without one", "name another, or replace it with --overwrite")
     if model != DEFAULT_MODEL:
-        # Told before anything is written.
+        # A wrong model is reported before anything is written.
         configure()
         checked_definition(model)
     session, remarks = importer(source, folder, options)

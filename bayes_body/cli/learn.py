@@ -1,4 +1,4 @@
-"""`bayes-body learn`: small arrays from captured motion, with their source and the command that learns them again; constants of likelihoods."""
+"""`bayes-body learn`: learn small arrays from captured motion, with a record of their source and command; learn constants of likelihoods."""
 
 import os
 from pathlib import Path
@@ -21,12 +21,14 @@ ENDINGS = (".amc", ".bvh", ".c3d", ".trc")
 
 @app.command("walking-cycle")
 def walking_cycle(
-    walks: list[Path] = typer.Argument(help="Captured walks of one person straight ahead, or a folder of them; runs are left out."),
-    out: Path = typer.Option(..., "--out", help="The .npz to write; a .toml beside it says where it comes from."),
-    source: str = typer.Option("", "--source", help="Whose data it is, for the .toml."),
-    overwrite: bool = typer.Option(False, "--overwrite", help="Replace files that are there already."),
+    walks: list[Path] = typer.Argument(
+        help="Captured walks of one person straight ahead, or a folder of them; motions in which the person runs are left out."
+    ),
+    out: Path = typer.Option(..., "--out", help="The .npz to write; a .toml beside it records its source."),
+    source: str = typer.Option("", "--source", help="The source of the data, for the .toml."),
+    overwrite: bool = typer.Option(False, "--overwrite", help="Replace existing files."),
 ) -> None:
-    """Learn the mean stride of a walker and the modes in which strides differ, with which a simulated person walks."""
+    """Learn a walker's mean stride and the main variations between strides; simulated people walk with them."""
     from bayes_body.files.atomic import write_text
     from bayes_body.learning.cycle import learn, save_cycle
     from bayes_body.recording.mocap import landmarks, read_motion
@@ -41,15 +43,17 @@ def walking_cycle(
     save_cycle(found.cycle, out)
     used = [file.stem for file in files if not any(sentence.startswith(f"{file.stem}:") for sentence in found.left_out)]
     write_text(table, _told(found, source, used, [*map(_named, walks), "--out", _named(out)]))
-    typer.echo(f"{out}: {found.strides} strides of {', '.join(used)}, {len(found.cycle.modes)} modes for {100 * found.explained:.0f} %.")
+    typer.echo(
+        f"{out}: {found.strides} strides of {', '.join(used)}, {len(found.cycle.modes)} modes explain {100 * found.explained:.0f} % of the variance."
+    )
 
 
 def _check(out: Path, table: Path, overwrite: bool) -> None:
     if out.suffix != ".npz":
-        raise input_error("--out", str(out), "a file that ends in .npz", "name one")
+        raise input_error("--out", str(out), "a file that ends in .npz", "give such a name")
     for path in (out, table):
         if path.exists() and not overwrite:
-            raise input_error(path, "is there already", "a file that is not", "name another, or give --overwrite")
+            raise input_error(path, "already exists", "a file that does not exist yet", "name another, or give --overwrite")
 
 
 def _files(path: Path) -> list[Path]:
@@ -62,7 +66,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _named(path: Path) -> str:
-    """The path without what is this machine's own."""
+    """Return the path without the part that is specific to this machine."""
     root = os.environ.get("BAYES_BODY_DATA")
     if root and path.resolve().is_relative_to(Path(root).resolve()):
         return f"$BAYES_BODY_DATA/{path.resolve().relative_to(Path(root).resolve())}"
@@ -70,15 +74,15 @@ def _named(path: Path) -> str:
 
 
 def _told(found: "Learned", source: str, used: list[str], words: list[str]) -> str:
-    """The file beside the arrays: where they come from, and how to make them again."""
+    """Return the text of the file beside the arrays, with their source and the command that makes them."""
     import math
 
     import tomlkit
 
     cycle, (duration, length) = found.cycle, found.cycle.pace
     document = tomlkit.document()
-    document.add(tomlkit.comment("Arrays: mean and modes (Fourier terms of landmarks against the pelvis, in heights), pace and segments."))
-    document["title"] = "The mean stride of one walker and the modes in which strides differ"
+    document.add(tomlkit.comment("Arrays: mean and modes (Fourier coefficients of landmarks relative to the pelvis, in heights), pace and segments."))
+    document["title"] = "Mean stride of one walker, and the main modes of variation between strides"
     document["source"] = source
     document["motions"] = used
     document["command"] = " ".join(["bayes-body learn walking-cycle", *words])

@@ -1,4 +1,4 @@
-"""`bayes-body learn likelihood-scale`: the scale of a likelihood, from recordings whose truth is known."""
+"""`bayes-body learn likelihood-scale`: learn the scale of a likelihood from recordings with known truth."""
 
 import json
 import sys
@@ -18,20 +18,20 @@ HEADINGS = f"{'recording':32} {'scale':>7} {'coverage of 90 %':>17} {'error mm':
 
 
 def likelihood_scale(
-    sessions: list[Path] = typer.Argument(help="Folders of recordings with their truth, as `bayes-body simulate` makes them."),
+    sessions: list[Path] = typer.Argument(help="Folders of recordings with their truth, such as those made by `bayes-body simulate`."),
     model: str = typer.Option(
         "tempered_smc", "--model", help="A definition's name or the path of your own; one of its likelihoods has a `precision`."
     ),
-    scales: str = typer.Option(SCALES, "--scales", help="Values of `precision` to try, with commas between them."),
+    scales: str = typer.Option(SCALES, "--scales", help="Values of `precision` to try, separated by commas."),
     kernel: str | None = typer.Option(None, "--kernel", help="sir or tempered; the model's own by default."),
-    particles: int | None = typer.Option(None, "--particles", help="Particles a run."),
-    frames: int | None = typer.Option(None, "--frames", help="Only the first so many frames of each recording."),
+    particles: int | None = typer.Option(None, "--particles", help="Particles per run."),
+    frames: int | None = typer.Option(None, "--frames", help="Number of frames of each recording, from the first on; all by default."),
     seed: int = typer.Option(0, "--seed", help="Seed of everything random."),
     json_file: Path | None = typer.Option(
-        None, "--json", help="Where all figures go; what is done lies beside it until all is done, and the same command goes on with it."
+        None, "--json", help="File for all figures. Until all are computed, the finished part is in a file beside it; the same command continues it."
     ),
 ) -> None:
-    """Find the `precision` at which 90 % intervals hold the truth in nine cases of ten."""
+    """Find the `precision` at which 90 % intervals contain the truth in nine of ten cases."""
     from bayes_body.config import configure
 
     configure()
@@ -44,7 +44,7 @@ def likelihood_scale(
     check_range("--seed", seed, 0, LARGEST_SEED)
     tried, definition = _numbers(scales), checked_definition(model)
     kind, options = kernel_options(definition, kernel, {} if particles is None else {"particles": particles})
-    # Trials go by their number among the recordings: the same ones in the same order are the same trials.
+    # A trial is identified by the recording's number: the same recordings in the same order give the same trials.
     settings = {"recordings": [path.name for path in sessions], "model": definition.text, "body": definition.body_text, "scales": tried}
     settings |= {"kernel": kind, "options": options.model_dump(), "frames": frames, "seed": seed}
     found = _tried(sessions, definition, tried, kind, options, settings, json_file)
@@ -56,7 +56,7 @@ def likelihood_scale(
         _write(json_file, settings | {"trials": [trial._asdict() for trial in found], "coverage_90": coverage.tolist(), "precision": chosen})
     if coverage.max() < LEVEL:
         typer.echo(
-            f"no scale reaches {LEVEL:.0%}: at small ones the motion prior decides, at large ones the misfit; of the best ones the largest is taken"
+            f"no scale reaches {LEVEL:.0%}: small ones are limited by the motion prior, large ones by the misfit; the largest of the best is used"
         )
     typer.echo(f"precision = {chosen:.3g}")
 
@@ -64,7 +64,7 @@ def likelihood_scale(
 def _tried(
     sessions: list[Path], definition: Any, scales: list[float], kind: str, options: Any, settings: dict[str, Any], out: Path | None
 ) -> "list[Trial]":
-    """All trials, each told as soon as it is there."""
+    """Return all trials; each is printed as soon as it is computed."""
     from bayes_body.calibration.replication_log import SUFFIX, ReplicationLog
     from bayes_body.learning.likelihood_scale import trials
     from bayes_body.registry import find
@@ -83,13 +83,13 @@ def _tried(
 
 
 def _numbers(text: str) -> list[float]:
-    """The scales, ascending."""
+    """Return the scales, ascending."""
     try:
         found = sorted({float(word) for word in text.split(",")})
     except ValueError:
         found = []
     if len(found) < 2 or not all(0 < value < float("inf") for value in found):
-        raise input_error("--scales", repr(text), "two or more numbers above 0 with commas between them", f"give, say, {SCALES}")
+        raise input_error("--scales", repr(text), "two or more numbers above 0, separated by commas", f"give for example {SCALES}")
     return found
 
 

@@ -1,4 +1,4 @@
-"""`bayes-body`: the commands. Each fault of an input is one sentence on standard error, with exit status 2 and never a traceback."""
+"""`bayes-body`: the commands. Each fault in an input is reported in one sentence on standard error, with exit status 2 and without a traceback."""
 
 import os
 import sys
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             typer.secho(f"bayes-body: {sentence}", err=True, fg="red")
         sys.exit(WRONG_INPUT)
     except SystemExit as stopped:
-        # typer exits with this status on an interruption, and prints nothing.
+        # On an interruption, typer exits with this status and prints nothing.
         if stopped.code == INTERRUPTED:
             typer.secho("bayes-body: interrupted.", err=True, fg="red")
         raise
@@ -63,7 +63,7 @@ def _internal(error: Exception) -> str:
     handle, path = tempfile.mkstemp(prefix="bayes-body-", suffix=".log")
     with os.fdopen(handle, "w") as log:
         log.write("".join(traceback.format_exception(error)))
-    return f"an internal error, {type(error).__name__}: {error}; this is a fault of the program: report it with the details in {path}."
+    return f"an internal error, {type(error).__name__}: {error}; this is a bug in the program: report it with the details in {path}."
 
 
 if __name__ == "__main__":

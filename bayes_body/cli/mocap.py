@@ -1,4 +1,4 @@
-"""`bayes-body mocap`: a captured motion as the joint angles of a body."""
+"""`bayes-body mocap`: convert a captured motion to the joint angles of a body."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,16 +16,18 @@ if TYPE_CHECKING:
 def mocap(
     file: Path = typer.Argument(help="Motion capture: .amc, .bvh, .c3d or .trc."),
     out: Path = typer.Option(..., "--out", help="The .npz to write: markers (a session's truth), angles, lengths."),
-    body: str = typer.Option("deutscher_31", "--body", help="Whose angles: a body's name or the path of your own .toml file."),
+    body: str = typer.Option("deutscher_31", "--body", help="The body whose joint angles are computed: its name or the path of your own .toml file."),
     skeleton: Path | None = typer.Option(None, "--skeleton", help="The .asf of an .amc; the one beside it by default."),
-    unit: str | None = typer.Option(None, "--unit", help="m, cm, mm, in, ft or cmu; what the file says, or is usual, by default."),
-    up: str | None = typer.Option(None, "--up", help="The file's axis that points up, where it is not found by itself: x, y, z, -x, -y or -z."),
-    fps: float | None = typer.Option(None, "--fps", help="Frames a second to make of it; the file's own by default."),
-    height: float | None = typer.Option(None, "--height", help="The person's, metres, from which lengths start or, with --keep-lengths, follow."),
-    keep_lengths: bool = typer.Option(False, "--keep-lengths", help="Keep the body's lengths; by default they become the person's."),
-    overwrite: bool = typer.Option(False, "--overwrite", help="Replace a file that is there already."),
+    unit: str | None = typer.Option(None, "--unit", help="m, cm, mm, in, ft or cmu; by default the file's unit, or its format's usual one."),
+    up: str | None = typer.Option(None, "--up", help="The file's axis that points up, if it cannot be detected: x, y, z, -x, -y or -z."),
+    fps: float | None = typer.Option(None, "--fps", help="Frames a second of the result; the file's own by default."),
+    height: float | None = typer.Option(
+        None, "--height", help="The person's height, metres: the fit starts from its lengths, or with --keep-lengths keeps them."
+    ),
+    keep_lengths: bool = typer.Option(False, "--keep-lengths", help="Keep the body's lengths; by default they are fitted to the person."),
+    overwrite: bool = typer.Option(False, "--overwrite", help="Replace an existing file."),
 ) -> None:
-    """Map a captured motion to a body's joint angles, exactly where the skeletons agree, and say how far off its markers are."""
+    """Map a captured motion to a body's joint angles, exactly if the skeletons agree, and show the distances of its markers."""
     from bayes_body.config import configure
 
     _check(out, height, overwrite)
@@ -48,15 +50,15 @@ def mocap(
 
 def _check(out: Path, height: float | None, overwrite: bool) -> None:
     if out.suffix != ".npz":
-        raise input_error("--out", str(out), "a file that ends in .npz", "name one")
+        raise input_error("--out", str(out), "a file that ends in .npz", "give such a name")
     if out.exists() and not overwrite:
-        raise input_error(out, "is there already", "a file that is not", "name another, or give --overwrite")
+        raise input_error(out, "already exists", "a file that does not exist yet", "name another, or give --overwrite")
     if height is not None and not 0.5 <= height <= 2.8:
         raise input_error("--height", f"{height:g}", "metres between 0.5 and 2.8", "correct it")
 
 
 def _write(out: Path, found: "Retargeted", points: "dict[str, np.ndarray]", fps: float) -> None:
-    """The motion as `recording.truth.read_truth` reads it, and what it became."""
+    """Write the motion in the form that `recording.truth.read_truth` reads, and the joint angles, lengths and residuals."""
     import numpy as np
 
     from bayes_body.evidence.markers import MARKERS

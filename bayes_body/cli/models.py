@@ -1,4 +1,4 @@
-"""`bayes-body models`: what definitions there are, and what is wrong with a user's own."""
+"""`bayes-body models`: list the definitions, and check a user's own definition."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -12,23 +12,23 @@ from bayes_body.cli.plugin_option import Plugins, own_terms
 if TYPE_CHECKING:
     from bayes_body.model.definition import Definition
 
-# Any will do: it scales the noise and nothing that could be wrong depends on it.
+# Any value will do: it scales the noise, and no check depends on it.
 SOME_FPS = 60.0
 
 
 class _ListByDefault(TyperGroup):
-    """`bayes-body models` alone is `bayes-body models list`."""
+    """Make `bayes-body models` without a command mean `bayes-body models list`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         return super().parse_args(ctx, args or ["list"])
 
 
-app = typer.Typer(cls=_ListByDefault, help="List the model definitions (what it does without a command), or check one.")
+app = typer.Typer(cls=_ListByDefault, help="List the model definitions (the default), or check one.")
 
 
 @app.command("list")
 def list_models() -> None:
-    """List the shipped definitions, a line each."""
+    """List the definitions that ship, one line each."""
     from bayes_body.model.definition import definition_names, definitions_folder, load_definition
 
     table = Table("model", "dofs", "kernel", "what it is", box=None, pad_edge=False)
@@ -36,26 +36,26 @@ def list_models() -> None:
         definition = load_definition(name)
         dofs = sum(not dof.is_fixed for joint in definition.body.joints for dof in joint.dofs)
         table.add_row(name, str(dofs), definition.kernel.kind, definition.title)
-    # Console() alone would wrap to 80 columns where the output is piped.
+    # Console() alone would wrap piped output to 80 columns.
     console = Console() if Console().is_terminal else Console(width=160)
     console.print(table)
-    console.print(f"The files lie in {definitions_folder()}; copy one to make your own.", highlight=False, soft_wrap=True)
+    console.print(f"The files are in {definitions_folder()}; copy one to make your own.", highlight=False, soft_wrap=True)
 
 
 @app.command()
 def check(file: str = typer.Argument(help="A definition's name or the path of your own .toml file."), plugin: Plugins = None) -> None:
-    """Say in one sentence each what is wrong with a definition."""
+    """Check a definition, and print one sentence for each fault in it."""
     with own_terms(plugin):
         definition = checked_definition(file)
     terms = ", ".join(term.kind for term in (*definition.likelihoods, *definition.constraints))
-    typer.echo(f"{file}: sound: {definition.title} (body {definition.body_name}; {definition.dynamics.kind}; {terms}; {definition.kernel.kind}).")
+    typer.echo(f"{file}: valid: {definition.title} (body {definition.body_name}; {definition.dynamics.kind}; {terms}; {definition.kernel.kind}).")
 
 
 def checked_definition(name: str) -> "Definition":
-    """The definition, once it is known to fit its body: what its terms say of single dofs is read only when they are built.
+    """Return the definition after a check that it fits its body. Options of single dofs are only checked when the terms are built.
 
     Raises:
-        InputError: anything in the file is wrong; each sentence names it.
+        InputError: something in the file is wrong; each sentence names one fault.
     """
     from bayes_body.body.build import build_body
     from bayes_body.errors import InputError

@@ -1,4 +1,4 @@
-"""`--plugin`, of every verb that works with models: the only way in which a user's own code is run."""
+"""`--plugin`, an option of every command that works with models: the only way to run a user's own code."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,20 +7,20 @@ from typing import Annotated
 
 import typer
 
-HELP = "A Python file of your own whose terms the model names; may be given more than once. It is run, so give no stranger's."
+HELP = "Your own Python file with terms that the model names; may be given more than once. It is executed: only give files that you trust."
 
-# Not a `type` statement: typer does not look behind one.
+# Not a `type` statement, because typer does not resolve it.
 Plugins = Annotated[list[Path] | None, typer.Option("--plugin", help=HELP, show_default=False)]
 
 
 @contextmanager
 def own_terms(files: list[Path] | None) -> Iterator[None]:
-    """Inside, the terms of these files have their names; what fails in a plugin's code is a sentence that names its line.
+    """Within it, the terms of these files are registered. An error in a plugin's code gives a sentence that names its line.
 
     Raises:
         InputError: a plugin cannot be used, or fails.
     """
-    # Without a plugin its checks need not be imported.
+    # Without plugins, the modules that load them need not be imported.
     if not files:
         yield
         return

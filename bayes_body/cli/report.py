@@ -9,11 +9,11 @@ from bayes_body.cli.plugin_option import Plugins, own_terms
 
 
 def report(
-    run: Path = typer.Argument(help="Folder of a run, as `bayes-body track` makes it."),
+    run: Path = typer.Argument(help="Folder of a run made by `bayes-body track`."),
     out: Path | None = typer.Option(None, "--out", help="The file; report.html in the run's folder by default."),
     plugin: Plugins = None,
 ) -> None:
-    """One HTML file that opens without a network: figures, pictures, joint angles, diagnostics, and how the run was made."""
+    """Write one HTML file that opens without a network: figures, pictures, joint angles, diagnostics, and how the run was made."""
     from bayes_body.config import configure
 
     configure()
@@ -23,7 +23,7 @@ def report(
     from bayes_body.view.report import write_report
 
     with own_terms(plugin), load_run(run) as saved:
-        # Checked here: the page would silently lack all that needs the model.
+        # Checked here, because otherwise everything that needs the model would silently be missing from the page.
         check_plugins(saved.folder, saved.plugins)
         path = write_report(saved, out, watched("report", sys.stderr.isatty()))
     typer.echo(f"{path}: {path.stat().st_size / 1e6:.1f} MB; open it in a browser.")

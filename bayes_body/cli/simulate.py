@@ -1,4 +1,4 @@
-"""`bayes-body simulate`: a captured motion, filmed by cameras that need not exist yet, as a session with its truth."""
+"""`bayes-body simulate`: film a captured motion with simulated cameras, as a session with its truth."""
 
 import zlib
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 MOTION, PERSON, PICTURE = "Motion", "Person", "Picture"
 WALK = "walk"
-# Of the walk that ships, where no number of frames is said.
+# Duration of the walk that ships, if no number of frames is given.
 WALK_S = 2.0
 
 
@@ -29,23 +29,33 @@ def simulate(
     rig: Annotated[str, typer.Option("--rig", help="humaneva_7, room_4, side_1, moving_1, or a .toml: a rig, a session, Pose2Sim's.")] = "room_4",
     cameras: Annotated[str | None, typer.Option("--cameras", help="Only these cameras of the rig, such as C1,C2,C3.")] = None,
     skeleton: Annotated[Path | None, typer.Option("--skeleton", help="The .asf of an .amc, if it is not beside it.", rich_help_panel=MOTION)] = None,
-    unit: Annotated[str | None, typer.Option("--unit", help="Of the motion's lengths, if its file does not say it.", rich_help_panel=MOTION)] = None,
-    up: Annotated[str | None, typer.Option("--up", help="Axis that points up, if not its format's usual.", rich_help_panel=MOTION)] = None,
-    frames: Annotated[int | None, typer.Option("--frames", help="How many, at the rig's rate; all by default.", rich_help_panel=MOTION)] = None,
-    first_frame: Annotated[int, typer.Option("--first-frame", help="Of the motion, at the rig's rate.", rich_help_panel=MOTION)] = 0,
+    unit: Annotated[
+        str | None, typer.Option("--unit", help="Unit of the motion's lengths, if its file does not state it.", rich_help_panel=MOTION)
+    ] = None,
+    up: Annotated[
+        str | None, typer.Option("--up", help="Axis that points up, if it is not the usual one of its format.", rich_help_panel=MOTION)
+    ] = None,
+    frames: Annotated[
+        int | None, typer.Option("--frames", help="Number of frames, at the rig's rate; all by default.", rich_help_panel=MOTION)
+    ] = None,
+    first_frame: Annotated[int, typer.Option("--first-frame", help="First frame of the motion, at the rig's rate.", rich_help_panel=MOTION)] = 0,
     centre: Annotated[bool, typer.Option("--centre/--no-centre", help="Move the motion to where the cameras look.", rich_help_panel=MOTION)] = True,
     subject: Annotated[
-        str, typer.Option("--subject", help="Who is filmed: a number or a name; each is somebody else.", rich_help_panel=PERSON)
+        str, typer.Option("--subject", help="The simulated person: a number or a name; each gives a different person.", rich_help_panel=PERSON)
     ] = "0",
     height: Annotated[
-        float | None, typer.Option("--height", help="Stature, metres; the motion grows with it. By default the motion's own.", rich_help_panel=PERSON)
+        float | None,
+        typer.Option(
+            "--height", help="The person's height, metres; the motion is scaled with it. By default the motion's own.", rich_help_panel=PERSON
+        ),
     ] = None,
     body: Annotated[
-        str | None, typer.Option("--body", help="A body whose joint angles are fitted to the motion and join the truth.", rich_help_panel=PERSON)
+        str | None,
+        typer.Option("--body", help="A body whose joint angles are fitted to the motion and stored with the truth.", rich_help_panel=PERSON),
     ] = None,
-    clutter: Annotated[float, typer.Option("--clutter", help="Furniture and textures: 0 none, 1 usual.", rich_help_panel=PICTURE)] = 1.0,
+    clutter: Annotated[float, typer.Option("--clutter", help="Amount of furniture and textures: 0 none, 1 usual.", rich_help_panel=PICTURE)] = 1.0,
     noise: Annotated[
-        float, typer.Option("--noise", help="Sensor noise, drift of exposure, differing gains: 0 none, 1 usual.", rich_help_panel=PICTURE)
+        float, typer.Option("--noise", help="Amount of sensor noise, exposure drift and gain differences: 0 none, 1 usual.", rich_help_panel=PICTURE)
     ] = 1.0,
     segmentation: Annotated[
         str | None,
@@ -55,11 +65,11 @@ def simulate(
             rich_help_panel=PICTURE,
         ),
     ] = None,
-    masks: Annotated[bool, typer.Option("--masks", help="Write the true silhouettes too, into true_masks.", rich_help_panel=PICTURE)] = False,
+    masks: Annotated[bool, typer.Option("--masks", help="Also write the true silhouettes, into true_masks.", rich_help_panel=PICTURE)] = False,
     background: Annotated[
         Path | None, typer.Option("--background", help="Folder with CAMERA.png, .mp4 ... of your own empty scene.", rich_help_panel=PICTURE)
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", help="Of the room, noise and keypoints.", rich_help_panel=PICTURE)] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the room, noise and keypoints.", rich_help_panel=PICTURE)] = 0,
 ) -> None:
     """Film a motion with simulated cameras: videos, empty scenes, calibration, first keypoints and the truth, as a session."""
     from bayes_body.simulation.options import Options
@@ -93,7 +103,7 @@ def simulate(
 
 def _quality(text: str | None) -> Literal["good", "poor"] | None:
     if text not in (None, "good", "poor"):
-        raise InputError(f"--segmentation: '{text}': no such segmenter; {nearest(text, ('good', 'poor'))}")
+        raise InputError(f"--segmentation: there is no segmenter '{text}'; {nearest(text, ('good', 'poor'))}")
     return cast(Literal["good", "poor"] | None, text)
 
 
@@ -104,20 +114,20 @@ def _rig(name: str, cameras: str | None) -> "Rig":
     shipped = definition_names("rigs")
     path = definitions_folder() / "rigs" / f"{name}.toml" if name in shipped else Path(name)
     if not path.exists():
-        raise InputError(f"--rig: '{name}': neither a rig that ships nor a file; {nearest(name, shipped)}")
+        raise InputError(f"--rig: '{name}' is neither a rig that ships nor a file; {nearest(name, shipped)}")
     rig = read_rig(path)
     return rig if cameras is None else rig.select([each.strip() for each in cameras.split(",")])
 
 
 def _captured(path: Path, fps: float, skeleton: Path | None, unit: str | None, up: str | None) -> "Landmarks":
-    """A captured motion's landmarks at a frame rate."""
+    """Return a captured motion's landmarks, resampled to a frame rate."""
     from bayes_body.recording.mocap import landmarks, read_motion, resample
 
     return landmarks(resample(read_motion(path, skeleton, unit=unit, up=up), fps))
 
 
 def _walk(fps: float, frames: int | None, first: int, seed: int, height: float | None) -> "Landmarks":
-    """As many frames of the walk that ships as are asked for, in the subject's own gait."""
+    """Return the landmarks of the walk that ships, with enough frames, in the subject's own gait."""
     from bayes_body.learning.walking_cycle import load_cycle, walk
 
     count = round(WALK_S * fps) if frames is None else frames
@@ -126,12 +136,12 @@ def _walk(fps: float, frames: int | None, first: int, seed: int, height: float |
 
 
 def _seed_of(subject: str) -> int:
-    """A number is itself; a name always the same person."""
+    """Return the subject's seed: a number is used directly, and a name always gives the same seed."""
     return int(subject) if subject.isdecimal() and len(subject) < 10 else zlib.crc32(subject.encode())
 
 
 def _angles(name: str, landmarks: "Landmarks", fps: float) -> dict[str, "np.ndarray"]:
-    """The joint angles of a body that does what the person does, with their names."""
+    """Return the joint angles of a body fitted to the person's motion, with their names."""
     import numpy as np
 
     from bayes_body.body.build import build_body
@@ -145,7 +155,7 @@ def _angles(name: str, landmarks: "Landmarks", fps: float) -> dict[str, "np.ndar
     with waiting(f"fitting {name} to the motion"):
         found = retarget(build_body(name, schema), landmarks, fps, schema=schema)
     residual = found.residual()
-    typer.echo(f"{name} follows the motion to within {residual.mean_mm:.0f} mm in the mean, {residual.most_mm:.0f} mm for 95 % of its markers.")
+    typer.echo(f"{name} follows the motion to within {residual.mean_mm:.0f} mm on average, {residual.most_mm:.0f} mm for 95 % of its markers.")
     for remark in found.remarks:
         typer.echo(f"note: {remark}.")
     lengths = list(found.lengths_m.items())

@@ -1,4 +1,4 @@
-"""`bayes-body track`: track the person of a session."""
+"""`bayes-body track`: track the person in a session."""
 
 import sys
 from argparse import ArgumentTypeError
@@ -11,14 +11,14 @@ from bayes_body.cli.arguments import setting
 from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.errors import InputError, input_error
 
-# What a key of JAX is made from without 64-bit arrays.
+# The largest seed of a JAX key without 64-bit arrays.
 LARGEST_SEED = 2**32 - 1
 
 
 def track(
-    session: Path = typer.Argument(help="Folder of a session, as `bayes-body import` makes it."),
+    session: Path = typer.Argument(help="Folder of a session made by `bayes-body import`."),
     out: Path | None = typer.Option(
-        None, "--out", help="Folder for the run; SESSION_run by default, or the next free SESSION_run_2 ... Without --resume it must not hold a run."
+        None, "--out", help="Folder for the run; by default SESSION_run, or the next free SESSION_run_2 ... Without --resume it must not hold a run."
     ),
     model: str | None = typer.Option(
         None,
@@ -28,23 +28,23 @@ def track(
     kernel: str | None = typer.Option(
         None,
         "--kernel",
-        help="tempered, hmc, sir, or annealed (a mode seeker: it finds the pose, its spread is no uncertainty); the model's own by default.",
+        help="tempered, hmc, sir, or annealed (a mode seeker: it finds the pose, but not its uncertainty); the model's own by default.",
     ),
-    particles: int | None = typer.Option(None, "--particles", help="Particles of a run."),
-    layers: int | None = typer.Option(None, "--layers", help="Annealing layers a frame (annealed only)."),
+    particles: int | None = typer.Option(None, "--particles", help="Particles per run."),
+    layers: int | None = typer.Option(None, "--layers", help="Annealing layers per frame (annealed only)."),
     move: str | None = typer.Option(None, "--move", help="hmc or random_walk (tempered only)."),
-    moves: int | None = typer.Option(None, "--moves", help="Markov moves of a particle at a stage (tempered only)."),
-    leapfrog_steps: int | None = typer.Option(None, "--leapfrog-steps", help="Leapfrog steps of a trajectory (tempered and hmc only)."),
+    moves: int | None = typer.Option(None, "--moves", help="Markov moves of a particle per stage (tempered only)."),
+    leapfrog_steps: int | None = typer.Option(None, "--leapfrog-steps", help="Leapfrog steps per trajectory (tempered and hmc only)."),
     settings: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Another option of the kernel, such as step=0.1; may be repeated."),
-    runs: int | None = typer.Option(None, "--runs", help="Independent filters, 1 by default; R-hat needs two or more."),
+    runs: int | None = typer.Option(None, "--runs", help="Number of independent filters, 1 by default; R-hat needs two or more."),
     frames: int | None = typer.Option(None, "--frames", help="Number of frames from the first on; all by default."),
     seed: int | None = typer.Option(None, "--seed", help="Seed of everything random, 0 by default."),
     resume: bool = typer.Option(
-        False, "--resume", help="Continue the run of --out after its last whole frame; options that are left out are those of that run."
+        False, "--resume", help="Continue the run in --out after its last complete frame; options that are not given are those of that run."
     ),
     plugin: Plugins = None,
 ) -> None:
-    """Track the person of a session; writes run.toml, frames, posterior.nc, summary.json, overlay.mp4 and stills."""
+    """Track the person in a session; writes run.toml, frames, posterior.nc, summary.json, overlay.mp4 and stills."""
     from bayes_body.config import configure
 
     configure()
@@ -68,7 +68,7 @@ def track(
     asked = Settings(session, folder, model, kernel, overrides, runs, frames, seed, resume)
     with own_terms(plugin):
         if resume and (folder / RUN_FILE).exists():
-            # Before the model is read: without the run's plugins a term of it does not exist.
+            # This is checked before the model is read: without the run's plugins, some of its terms do not exist.
             read_run_file(folder)
         if model is not None:
             checked_definition(model)
@@ -77,11 +77,11 @@ def track(
 
 
 def _free_run(session: Path, resume: bool) -> Path:
-    """`SESSION_run` beside the session, or the next free `SESSION_run_2`, ..."""
+    """Return `SESSION_run` beside the session, or the next free `SESSION_run_2`, ..."""
     from bayes_body.storage.names import free_folder
 
     if resume:
-        raise input_error("--resume", "no --out", "the folder of the run that is continued", "name it with --out")
+        raise input_error("--resume", "no --out", "the folder of the run to continue", "name it with --out")
     folder = session if session.is_dir() else session.parent
     # The name of `.` is empty.
     folder = folder if folder.name not in ("", "..") else folder.resolve()
@@ -96,7 +96,7 @@ def _setting(text: str) -> tuple[str, Any]:
 
 
 def _frames_of(folder: Path) -> int:
-    """The session's number of frames, after a check that its files exist: a run that fails half way is of little use."""
+    """Return the session's number of frames, after a check that its files exist, so that the run does not fail half way."""
     from bayes_body.recording.check import check_session
     from bayes_body.session.read import FILE_NAME, load_session
 

@@ -6,7 +6,7 @@ error splits exactly,
 $$\frac{1}{R} \sum_r (\hat\mu_r - \mu)^2 = (\bar\mu - \mu)^2 + \frac{1}{R} \sum_r (\hat\mu_r - \bar\mu)^2,$$
 
 into bias² and variance. All are in units of the true posterior's variance of that dof and frame: n independent draws have a variance of 1/n. A bias²
-below a share 1/R of the variance cannot be distinguished from 0. The truth comes from two long runs of the chain-based filter that carries all draws.
+below 1/R times the variance cannot be distinguished from 0. The truth comes from two long runs of the chain-based filter that carries all draws.
 """
 
 import time
@@ -163,7 +163,7 @@ def summary(figures: Mapping[str, Any]) -> str:
         error, bias, variance = (np.mean(of[each]) for each in ("error", "bias", "variance"))
         frames = f"{len(of['error'])} frame{'' if len(of['error']) == 1 else 's'}"
         parts = f"error² {error:.4f} of the posterior's variance, bias² {bias:.4f}, variance {variance:.4f}"
-        lines.append(f"along {frames}, {name}: {parts} (medians over dofs), {of['seconds']:.2f} s a frame")
+        lines.append(f"along {frames}, {name}: {parts} (medians over dofs), {of['seconds']:.2f} s per frame")
     return "\n".join(lines)
 
 

@@ -1,6 +1,6 @@
 r"""Estimator variance of two samplers at equal computation (Poon & Fleet 2002, 5.2, Fig. 8).
 
-Both work on one frame after one fixed prediction mixture. An estimate is a run's posterior mean of each dof. Its error is the mean squared deviation
+Both sample one frame, with one fixed prediction mixture. An estimate is a run's posterior mean of each dof. Its error is the mean squared deviation
 from the true posterior mean (`estimator_truth`) over independent runs, $\frac{1}{R} \sum_r (\hat\mu_r - \mu)^2$. A particle costs one likelihood
 evaluation; a gradient costs as many as were measured.
 """
@@ -171,10 +171,10 @@ def summary(figures: Mapping[str, Any]) -> str:
         low, high = row["ratio_interval"]
         median = f"{row['ratio_median']:.2f}, 95 % from {low:.2f} to {high:.2f}"
         lines.append(
-            f"at equal {at}: error² of sir ({settings['particles_sir'][at]} particles) over hmc {median}; {row['seconds_hmc']:.2f} s a run of hmc"
+            f"at equal {at}: error² of sir ({settings['particles_sir'][at]} particles) over hmc {median}; {row['seconds_hmc']:.2f} s per run of hmc"
         )
     rhat = f"R-hat of long chains {settings['truth_rhat']:.3f}"
-    lines.append(f"the truth is by {settings['truth_by']}, of {settings['truth_effective']:.0f} effective draws, {rhat}")
+    lines.append(f"the truth was estimated by {settings['truth_by']}, with {settings['truth_effective']:.0f} effective draws, {rhat}")
     lines.append(f"its two runs differ by at most {settings['truth_difference']:.1%} of hmc's error²")
     if settings["truth_difference"] > LARGEST_DIFFERENCE or not settings["truth_converged"]:
         allowed = f"an R-hat above {LARGEST_RHAT} or a difference above {LARGEST_DIFFERENCE:.0%} is too much"

@@ -1,7 +1,7 @@
 """Scenes with known truth for a model: a given recording, a rendered walk, or data drawn from the model itself.
 
-A body with a pelvis walks in front of the four shipped cameras, drawn by a renderer that does not use the model. No recording shows an arm alone.
-There, and where a recording lacks what a likelihood reads, data are drawn from the model if its likelihoods are distributions over data.
+A body with a pelvis walks in front of the four shipped cameras, drawn by a renderer that does not use the model. No recording shows an arm alone. For
+an arm, and if a recording lacks the data of a likelihood, data are drawn from the model if its likelihoods are distributions over data.
 """
 
 from collections.abc import Callable
@@ -95,7 +95,7 @@ class Scenes:
         try:
             return self._recorded(definition, "rendered")
         except InputError:
-            # For example a likelihood of keypoints, for which no detector ran here.
+            # For example, the likelihood reads keypoints, but no detector ran on this recording.
             if not_generative(build_model(definition, self.session)):
                 raise
             return self._drawn(definition)

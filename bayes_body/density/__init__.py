@@ -1,1 +1,1 @@
-"""The language of models: factors over named variables, transitions, and the density that their product is."""
+"""Densities: factors over named variables, transitions, and the density that is their product."""

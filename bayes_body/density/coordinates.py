@@ -1,6 +1,6 @@
-r"""Coordinates without limits: a bijection $x \mapsto s(x)$ for each sampled variable, onto the support of its distribution.
+r"""Unconstrained coordinates: for each sampled variable, a bijection $x \mapsto s(x)$ onto the support of its distribution.
 
-A density over the state becomes one over the coordinates by the Jacobian: $\log p(x) = \log p(s(x)) + \log |\det \partial s / \partial x|$.
+The Jacobian converts a density over the state to one over the coordinates: $\log p(x) = \log p(s(x)) + \log |\det \partial s / \partial x|$.
 """
 
 from collections.abc import Mapping
@@ -16,25 +16,25 @@ from bayes_body.shapes import Scalar
 
 
 class Coordinates(NamedTuple):
-    """The map between a state's sampled variables and coordinates without limits (a position)."""
+    """The map between a state's sampled variables and unconstrained coordinates (a position)."""
 
     bijections: dict[str, Transform]
 
     def constrain(self, position: State) -> dict[str, Array]:
-        """The sampled variables at a position."""
+        """Return the sampled variables at a position."""
         return {name: jnp.asarray(self.bijections[name](value)) for name, value in position.items()}
 
     def unconstrain(self, state: State) -> dict[str, Array]:
-        """The position of a state, the inverse of `constrain`; variables that are not sampled are left out."""
+        """Return the position of a state, the inverse of `constrain`. Variables that are not sampled are left out."""
         return {name: jnp.asarray(bijection.inv(state[name])) for name, bijection in self.bijections.items()}
 
     def log_determinant(self, position: State) -> Scalar:
-        """log |det ds/dx|: without it the density would be over x, not over the state."""
+        """Return log |det ds/dx|, which is added to a log-density of the state to give the log-density of the position."""
         state = self.constrain(position)
         terms = (jnp.sum(self.bijections[name].log_abs_det_jacobian(x, state[name])) for name, x in position.items())
         return sum(terms, jnp.zeros(()))
 
 
 def coordinates_of(distributions: Mapping[str, Distribution]) -> Coordinates:
-    """The coordinates that belong to the supports of these distributions, one a variable."""
+    """Return the coordinates for the supports of these distributions, one per variable."""
     return Coordinates({name: biject_to(distribution.support) for name, distribution in distributions.items()})

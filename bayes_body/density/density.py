@@ -1,12 +1,12 @@
-r"""The model, written once, and its marginal view.
+r"""The posterior density of a frame, and its marginal view.
 
-With the weighted particles $(w_i, s^i_{t-1})$ of the frame before, the posterior of a frame is
+Given the weighted particles $(w_i, s^i_{t-1})$ of the previous frame, the posterior of a frame is
 
 $$\ell(i, s_t) = \log w_i + \log p(s_t \mid s^i_{t-1}) + \beta \log L(s_t; z_t, s^i_{t-1}, z_{t-1}) + \log C(s_t).$$
 
 The *marginal* view sums over the ancestor $i$: $\log \sum_i \exp \ell(i, s_t)$, the target of Poon & Fleet's HMC (14). The *extended* view
 (density/extended.py) keeps the ancestor as a variable, for particle filters and tempered SMC. Both call the same factors, use the same coordinates
-(density/coordinates.py) and temper by the same rule (`tempered`); belief propagation reads single variables of the same factors (`reading`).
+(density/coordinates.py) and temper by the same rule (`tempered`). Belief propagation reads single variables of the same factors (`reading`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,20 +24,20 @@ from bayes_body.density.factor import Data, Factor, Particles, Side, State, Tran
 from bayes_body.errors import input_error
 from bayes_body.shapes import Index, Key, Scalar
 
-# By variable, a distribution for each particle of the frame before.
+# For each variable, a batch of distributions: one for each particle of the previous frame.
 type Predictions = Mapping[str, Distribution]
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=[], data_fields=["transition", "factors", "data", "previous"])
 @dataclass(frozen=True, eq=False)
 class Density:
-    """The posterior of one frame. It is a pytree: a new frame's images or particles never retrace a compiled function that takes it.
+    """The posterior of one frame. It is a pytree: with a new frame's images or particles, a compiled function of it is not traced again.
 
     Attributes:
         transition: the motion prior.
         factors: all other terms.
         data: the data of this frame that the factors need, by factor name.
-        previous: the particles of the frame before.
+        previous: the particles of the previous frame.
     """
 
     transition: Transition
@@ -46,47 +46,47 @@ class Density:
     previous: Particles
 
     def __call__(self, state: State) -> Scalar:
-        """The log-posterior of a state, up to the evidence: the marginal view."""
+        """Return the log-posterior of a state in the marginal view, up to the evidence."""
         return self.marginal(state)
 
     def with_previous(self, previous: Particles) -> "Density":
-        """The same frame after other particles."""
+        """Return the density of the same frame with other particles of the previous frame."""
         return replace(self, previous=previous)
 
     def ancestor(self, index: int | Index) -> State:
-        """One particle of the frame before."""
+        """Return one particle of the previous frame."""
         return jax.tree.map(lambda leaf: leaf[index], self.previous.states)
 
     @property
     def reads_previous(self) -> bool:
-        """Whether any factor depends on the frame before."""
+        """Whether any factor depends on the previous frame."""
         return any(factor.reads_previous for factor in self.factors)
 
     @property
     def without_gradient(self) -> tuple[str, ...]:
-        """The likelihoods without a gradient: a gradient-based kernel would move blindly."""
+        """The names of the likelihoods without a useful gradient, which a gradient-based kernel cannot use."""
         return tuple(factor.name for factor in self.factors if factor.side == "likelihood" and not factor.has_gradient)
 
     @property
     def without_curvature(self) -> tuple[str, ...]:
-        """The likelihoods that offer no curvature: their gradients are differenced for a mass matrix."""
+        """The names of the likelihoods without a curvature. For a mass matrix, their curvature is computed by differences of gradients."""
         return tuple(factor.name for factor in self.factors if factor.side == "likelihood" and factor.curvature is None)
 
     @property
     def not_generative(self) -> tuple[str, ...]:
-        """The likelihoods that are not a distribution over a frame's data: nothing can be simulated from them."""
+        """The names of the likelihoods that are not a distribution over a frame's data, so that data cannot be simulated from them."""
         return tuple(factor.name for factor in self.factors if factor.side == "likelihood" and factor.simulate is None)
 
     def simulate(self, key: Key, state: State, previous: State | None = None) -> Data:
-        """A frame's data drawn given a state (after `previous`, by default the first particle of the frame before).
+        """Draw a frame's data given a state and the state of the previous frame (by default its first particle).
 
         Raises:
             InputError: a likelihood is not generative.
         """
         if self.not_generative:
-            expected = "a model whose likelihoods are all generative"
+            expected = "a model whose likelihoods are all distributions over images"
             raise input_error(
-                "the likelihood", f"'{self.not_generative[0]}' is no distribution over images", expected, "take markers_gaussian, for one"
+                "the likelihood", f"'{self.not_generative[0]}' is not a distribution over images", expected, "take markers_gaussian, for one"
             )
         values = variables(state, self.ancestor(0) if previous is None else previous)
         likelihoods = [factor for factor in self.factors if factor.side == "likelihood"]
@@ -97,29 +97,29 @@ class Density:
     # -- the sides ----------------------------------------------------------------------------------------------------------------------
 
     def side(self, side: Side, state: State, previous: State) -> Scalar:
-        """The sum of the factors of one side."""
+        """Return the sum of the factors of one side."""
         return self._sum([factor for factor in self.factors if factor.side == side], state, previous)
 
     def log_likelihood(self, state: State, previous: State) -> Scalar:
-        """The likelihood side: what tempering tempers."""
+        """Return the sum of the log-likelihoods, the part that tempering affects."""
         return self.side("likelihood", state, previous)
 
     def log_constraint(self, state: State, previous: State) -> Scalar:
-        """The terms besides the transition that are never tempered: constraints, and the prior side's other factors."""
+        """Return the sum of the constraints and of the prior's factors other than the transition. These terms are never tempered."""
         return self.side("constraint", state, previous) + self.side("prior", state, previous)
 
     def log_weight(self, state: State, previous: State) -> Scalar:
-        """Everything but the transition: the weight of a particle drawn from it."""
+        """Return all terms but the transition: the log-weight of a particle drawn from the transition."""
         return self._sum(self.factors, state, previous)
 
     def log_joint(self, state: State, previous: State, inverse_temperature: float | Scalar = 1.0) -> tuple[Scalar, Scalar]:
-        r"""log p(s | previous) + log C + β log L with β = `inverse_temperature`, and log L alone."""
+        r"""Return log p(s | previous) + log C + β log L with β = `inverse_temperature`, and log L alone."""
         log_likelihood = self.log_likelihood(state, previous)
         prior = self.transition.log_density(state, previous) + self.log_constraint(state, previous)
         return prior + tempered(inverse_temperature, log_likelihood), log_likelihood
 
     def curvature(self, state: State, previous: State) -> dict[str, Array]:
-        """Approximately minus the second derivatives of the likelihoods that offer them, by variable: (entry, entry)."""
+        """Return approximately minus the second derivatives of the likelihoods that have a curvature, by variable: (entry, entry)."""
         values, total = variables(state, previous), {name: jnp.zeros((value.size, value.size), value.dtype) for name, value in state.items()}
         for factor in self.factors:
             if factor.side == "likelihood" and factor.curvature is not None:
@@ -128,11 +128,11 @@ class Density:
         return total
 
     def log_likelihood_of(self, names: Sequence[str], state: State, previous: State) -> Scalar:
-        """The sum of the likelihoods of these names."""
+        """Return the sum of the log-likelihoods with these names."""
         return self._sum([factor for factor in self.factors if factor.name in names], state, previous)
 
     def parts(self, state: State, previous: State | None = None) -> dict[str, Scalar]:
-        """The log-potential of each factor by name, and the transition's. Without `previous` the first particle of the frame before is taken."""
+        """Return the log-potential of each factor and of the transition, by name. `previous` defaults to the first particle of the previous frame."""
         before = self.ancestor(0) if previous is None else previous
         values = variables(state, before)
         terms = {factor.name: factor(values, self.data) for factor in self.factors}
@@ -145,26 +145,26 @@ class Density:
     # -- the marginal view --------------------------------------------------------------------------------------------------------------
 
     def marginal(self, state: State, inverse_temperature: float | Scalar = 1.0, predictions: Predictions | None = None) -> Scalar:
-        r"""$\log \sum_i \exp \ell(i, s_t)$; `predictions` as `self.predictions()` makes them, where many states are evaluated."""
+        r"""Return $\log \sum_i \exp \ell(i, s_t)$. If many states are evaluated, pass `predictions` from `self.predictions()`."""
         by_ancestor = self._by_ancestor(state, inverse_temperature, predictions)
-        # A factor that does not read the frame before is the same for all ancestors: it is evaluated once, outside the sum.
+        # A factor that does not read the previous frame is the same for all ancestors. It is evaluated once, outside the sum.
         shared = [factor for factor in self.factors if not factor.reads_previous]
         common = self._tempered_sum(shared, state, self.ancestor(0), inverse_temperature)
         return (by_ancestor[0] if by_ancestor.shape == (1,) else jax.nn.logsumexp(by_ancestor)) + common
 
     def predictions(self) -> Predictions:
-        """The motion prior after each particle of the frame before, by variable: distributions with a leading particle axis.
+        """Return the motion prior given each particle of the previous frame, by variable: distributions with a leading particle axis.
 
-        Terms that depend on the frame before only are computed here, once for all states.
+        Terms that depend only on the previous frame are computed here, once for all states.
         """
         return jax.vmap(self.transition.conditional)(self.previous.states)
 
     def ancestor_log_probs(self, state: State, predictions: Predictions | None = None) -> Float[Array, " particle"]:
-        """log p(i | s_t): from which particle of the frame before a state comes; `predictions` as in `marginal`."""
+        """Return log p(i | s_t), where i is the state's ancestor among the particles of the previous frame; `predictions` as in `marginal`."""
         return jax.nn.log_softmax(self._by_ancestor(state, 1.0, predictions))
 
     def _by_ancestor(self, state: State, inverse_temperature: float | Scalar, predictions: Predictions | None = None) -> Float[Array, " particle"]:
-        """The terms of the log-density that differ between ancestors, for each of them."""
+        """Return, for each ancestor, the terms of the log-density that depend on the ancestor."""
         linking = [factor for factor in self.factors if factor.reads_previous]
         distributions = self.predictions() if predictions is None else predictions
         links = sum((_log_prob_each(each, state[name]) for name, each in distributions.items()), self.previous.log_weights)
@@ -178,30 +178,30 @@ class Density:
         return rest + tempered(inverse_temperature, likelihood)
 
     def reading(self, variable: Variable) -> tuple[Factor, ...]:
-        """The factors in whose scope a variable is: what a belief-propagation node multiplies."""
+        """Return the factors whose scope contains a variable: those that a belief-propagation node multiplies."""
         return tuple(factor for factor in self.factors if variable in factor.scope)
 
     def coordinates(self) -> Coordinates:
-        """Coordinates without limits for the sampled variables; the supports are the same after every ancestor."""
+        """Return unconstrained coordinates for the sampled variables. The supports are the same for every ancestor."""
         return coordinates_of(self.transition.conditional(self.ancestor(0)))
 
     def unconstrained(self) -> "Unconstrained":
-        """The marginal view over coordinates without limits, for gradient-based samplers."""
+        """Return the marginal view in unconstrained coordinates, for gradient-based samplers."""
         return Unconstrained(self, self.coordinates(), self.predictions())
 
 
 class Unconstrained(NamedTuple):
     r"""The marginal log-density of a position: $x \mapsto \log \sum_i \exp \ell(i, s(x)) + \log |\det \partial s / \partial x|$.
 
-    A position maps each sampled variable to an array without limits. Call it on one, or give it to a sampler as its log-density:
+    A position maps each sampled variable to an unconstrained array. Call this object with a position, or give it to a sampler as its log-density:
 
         target = density.unconstrained()
         value, gradient = jax.value_and_grad(target)(target.unconstrain(model.initial))
 
     Attributes:
-        density: of the frame.
-        coordinates: without limits.
-        predictions: the motion prior after each particle of the frame before, computed once.
+        density: the density of the frame.
+        coordinates: the unconstrained coordinates.
+        predictions: the motion prior given each particle of the previous frame, computed once.
     """
 
     density: Density
@@ -209,31 +209,31 @@ class Unconstrained(NamedTuple):
     predictions: Predictions
 
     def __call__(self, position: State) -> Scalar:
-        """The log-density at a position, with the Jacobian."""
+        """Return the log-density at a position, including the Jacobian."""
         return self.density.marginal(self.constrain(position), predictions=self.predictions) + self.coordinates.log_determinant(position)
 
     def constrain(self, position: State) -> dict[str, Array]:
-        """The sampled variables of the state at a position."""
+        """Return the sampled variables of the state at a position."""
         return self.coordinates.constrain(position)
 
     def unconstrain(self, state: State) -> dict[str, Array]:
-        """The position of a state: the inverse of `constrain`."""
+        """Return the position of a state: the inverse of `constrain`."""
         return self.coordinates.unconstrain(state)
 
     def complete(self, key: Key, position: State) -> tuple[State, Index]:
-        """The whole state at a position, and the ancestor that it carries the rest along from: drawn from p(i | s)."""
+        """Return the whole state at a position, and its ancestor, drawn from p(i | s). The variables that are not sampled come from the ancestor."""
         sampled = self.constrain(position)
         ancestor = jax.random.categorical(key, self.density.ancestor_log_probs(sampled, self.predictions))
         return self.density.transition.carry(self.density.ancestor(ancestor), sampled), ancestor
 
 
 def tempered(inverse_temperature: float | Scalar, log_likelihood: Scalar) -> Scalar:
-    """β log L, and 0 at β = 0 whatever the likelihood is: 0 · (-inf) would be NaN."""
+    """Return β log L, but 0 at β = 0 for every likelihood, since 0 · (-inf) would be NaN."""
     hot = jnp.asarray(inverse_temperature) == 0
     return jnp.where(hot, 0.0, inverse_temperature * jnp.where(hot, 0.0, log_likelihood))
 
 
 def _log_prob_each(distributions: Distribution, value: Array) -> Float[Array, " particle"]:
-    """The log-densities of one value under a batch of distributions, by their own `log_prob_each` where it shares work between them."""
+    """Return the log-densities of one value under a batch of distributions, by their faster method `log_prob_each` if they have one."""
     shared = getattr(distributions, "log_prob_each", None)
     return shared(value) if shared else jax.vmap(lambda one: jnp.asarray(one.log_prob(value)))(distributions)

@@ -1,9 +1,9 @@
-r"""The extended view of a frame's posterior: the ancestor is a variable too, and states are in coordinates without limits.
+r"""The extended view of a frame's posterior: the ancestor is a variable too, and states are in unconstrained coordinates.
 
 $$\log \pi_\beta(i, x) = \log w_i + \log p(s(x) \mid s^i_{t-1}) + \log C + \beta \log L + \log |\det \partial s / \partial x|.$$
 
-Particle methods use it: after one ancestor a density costs one transition, while the marginal view (`Density.unconstrained`) costs one for each
-particle of the frame before. A Gibbs step redraws the ancestor.
+Particle methods use it. Given one ancestor, a density costs one transition, while the marginal view (`Density.unconstrained`) costs one for each
+particle of the previous frame. A Gibbs step redraws the ancestor.
 """
 
 from typing import NamedTuple
@@ -19,12 +19,12 @@ from bayes_body.shapes import Index, Key, Scalar
 
 
 class Extended(NamedTuple):
-    """The extended view; make it with `extended`.
+    """The extended view. Create it with `extended`.
 
     Attributes:
-        density: of the frame.
-        coordinates: without limits; the same after every ancestor.
-        cumulative_weights: of the particles of the frame before, not normalised.
+        density: the density of the frame.
+        coordinates: the unconstrained coordinates, the same for every ancestor.
+        cumulative_weights: cumulative sum of the weights of the previous frame's particles, not normalised.
     """
 
     density: Density
@@ -32,29 +32,30 @@ class Extended(NamedTuple):
     cumulative_weights: Float[Array, " particle"]
 
     def state(self, ancestor: Index, position: State) -> State:
-        """The whole state at a position, with what it carries along from its ancestor."""
+        """Return the whole state at a position, with the variables that it takes from its ancestor."""
         return self.density.transition.carry(self.density.ancestor(ancestor), self.coordinates.constrain(position))
 
     def log_likelihood(self, ancestor: Index, position: State) -> Scalar:
-        """The likelihood side."""
+        """Return the log-likelihood."""
         return self.density.log_likelihood(self.state(ancestor, position), self.density.ancestor(ancestor))
 
     def log_density(self, ancestor: Index, position: State, inverse_temperature: float | Scalar = 1.0) -> tuple[Scalar, Scalar]:
-        """log π_β(i, x) less log w_i, which is constant while the ancestor is; and the log-likelihood."""
+        """Return log π_β(i, x) - log w_i, and the log-likelihood. log w_i is constant as long as the ancestor does not change."""
         log_joint, log_likelihood = self.density.log_joint(self.state(ancestor, position), self.density.ancestor(ancestor), inverse_temperature)
         return log_joint + self.coordinates.log_determinant(position), log_likelihood
 
     def choose_ancestor(self, key: Key, ancestor: Index, position: State, inverse_temperature: float | Scalar, candidates: int) -> Index:
-        """An ancestor from p(i | x), exactly, by iterated sampling importance resampling (Andrieu, Lee & Vihola 2018).
+        """Redraw the ancestor by iterated sampling importance resampling (Andrieu, Lee & Vihola 2018), which leaves p(i | x) exactly invariant.
 
-        The present ancestor competes with `candidates` - 1 others. These are drawn by their weights; the choice is by how well the state follows.
+        The current ancestor competes with `candidates` - 1 others, which are drawn by weight. One is chosen in proportion to the density of the state
+        given that ancestor.
 
         Args:
-            key: of the draw.
-            ancestor: the present one.
-            position: of the state.
-            inverse_temperature: of the target.
-            candidates: how many compete, the present one included.
+            key: random key.
+            ancestor: the current ancestor.
+            position: the position of the state.
+            inverse_temperature: β of the target.
+            candidates: the number of competing ancestors, including the current one.
         """
         count = self.cumulative_weights.shape[0]
         if candidates == 1 or count == 1:
@@ -64,17 +65,17 @@ class Extended(NamedTuple):
         others = jnp.minimum(jnp.searchsorted(self.cumulative_weights, levels, side="right"), count - 1)
         competing = jnp.concatenate([ancestor[None], others.astype(ancestor.dtype)])
         log_probs = jax.vmap(lambda one: self._given_ancestor(one, position, inverse_temperature))(competing)
-        # NaN: an ancestor that the state cannot come from.
+        # NaN marks an ancestor from which the state cannot come.
         return competing[jax.random.categorical(choose_key, jnp.where(jnp.isnan(log_probs), -jnp.inf, log_probs))]
 
     def _given_ancestor(self, ancestor: Index, position: State, inverse_temperature: float | Scalar) -> Scalar:
-        """The terms of log π_β(i, x) - log w_i that depend on the ancestor: all of them only where a factor reads the frame before."""
+        """Return the terms of log π_β(i, x) - log w_i that depend on the ancestor: all if a factor reads the previous frame, else the transition."""
         if self.density.reads_previous:
             return self.log_density(ancestor, position, inverse_temperature)[0]
         return self.density.transition.log_density(self.state(ancestor, position), self.density.ancestor(ancestor))
 
 
 def extended(density: Density) -> Extended:
-    """The extended view of a density, after the particles that it holds as the frame before."""
+    """Return the extended view of a density, given the particles of its previous frame."""
     log_weights = density.previous.log_weights
     return Extended(density, density.coordinates(), jnp.cumsum(jnp.exp(log_weights - jnp.max(log_weights))))

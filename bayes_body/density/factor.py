@@ -1,11 +1,11 @@
-r"""The language of models. A model is a product of factors over named variables,
+r"""The terms of a model. A model is a product of factors over named variables,
 
 $$p(s_t, z_t \mid s_{t-1}) \propto p(s_t \mid s_{t-1}) \prod_f \psi_f(s_{\mathrm{scope}(f)}; z_t),$$
 
-and a motion prior is a Transition: one normalised distribution, to draw from and to evaluate.
+and a motion prior is a Transition: one normalised distribution that can be sampled and evaluated.
 
-A state is a mapping from a variable's name to its array. A kinematic-tree model has one variable, `pose`; a second-order prior also carries the pose
-before. Factors and transitions are pytrees: their functions are static, their arrays are leaves.
+A state maps a variable's name to its array. A kinematic-tree model has one variable, `pose`. A second-order prior also carries the previous pose.
+Factors and transitions are pytrees: their functions are static, their arrays are leaves.
 """
 
 from collections.abc import Callable, Mapping
@@ -26,7 +26,7 @@ type Side = Literal["prior", "likelihood", "constraint"]
 
 
 class Variable(NamedTuple):
-    """A variable at a time offset: `Variable("pose")` now, `Variable("pose", -1)` one frame before."""
+    """A variable at a time offset: `Variable("pose")` in this frame, `Variable("pose", -1)` in the previous frame."""
 
     name: str
     offset: int = 0
@@ -36,7 +36,7 @@ type Variables = Mapping[Variable, Array]
 
 
 def variables(state: State, previous: State | None = None) -> dict[Variable, Array]:
-    """The variables of this frame and, if `previous` is given, of the frame before."""
+    """Return the variables of this frame and, if `previous` is given, of the previous frame."""
     now = {Variable(name): value for name, value in state.items()}
     return now if previous is None else now | {Variable(name, -1): value for name, value in previous.items()}
 
@@ -49,15 +49,15 @@ class Factor:
     """One term of the model.
 
     Attributes:
-        name: unique in its model; also the key of the factor's data of a frame.
-        side: a tempering kernel tempers only likelihoods; a constraint always holds at full power.
-        scope: the variables that it reads; it gets no others.
+        name: unique in its model; also the key of the factor's data in a frame's data.
+        side: a tempering kernel tempers only likelihoods; a constraint always applies at full power.
+        scope: the variables that it reads; it is given no others.
         log_potential: `(variables, data) -> scalar`; a `jax.tree_util.Partial`, so that its arrays are leaves of the model.
-        has_gradient: whether its gradient is useful; that of a nearest look-up is zero everywhere.
-        simulate: `(key, variables) -> data`, a draw of a frame's data from the distribution whose normalised log-density is `log_potential`; a
+        has_gradient: whether its gradient is useful; for example, the gradient of a nearest look-up is zero everywhere.
+        simulate: `(key, variables) -> data`, which draws a frame's data from the distribution whose normalised log-density is `log_potential`; a
             `jax.tree_util.Partial`. None if the factor is not such a distribution.
         curvature: `(variables, data) -> matrices by variable`, for the mass matrix of a sampler: approximately minus the second derivatives of
-            `log_potential`, (entry, entry), without negative eigenvalues; a `jax.tree_util.Partial`. None if the factor offers none.
+            `log_potential`, (entry, entry), without negative eigenvalues; a `jax.tree_util.Partial`. None if the factor has none.
     """
 
     name: str
@@ -69,23 +69,23 @@ class Factor:
     curvature: Callable[[Variables, Any], Mapping[str, Array]] | None = None
 
     def __call__(self, values: Variables, data: Data) -> Scalar:
-        """The log-potential of the scoped part of `values`, given the frame's data."""
+        """Return the log-potential of those of the `values` that are in the scope, given the frame's data."""
         return self.log_potential({variable: values[variable] for variable in self.scope}, data.get(self.name))
 
     @property
     def reads_previous(self) -> bool:
-        """Whether it depends on the frame before: then it differs between the ancestors of one state."""
+        """Whether it depends on the previous frame, so that it differs between the ancestors of one state."""
         return any(variable.offset < 0 for variable in self.scope)
 
 
 def sampled_only(previous: State, sampled: State) -> State:
-    """Default `carry`: the whole state is sampled."""
+    """Return the sampled variables: the default `carry`, for a state that is sampled as a whole."""
     del previous
     return sampled
 
 
 def nothing_before(first: State) -> State:
-    """Default `begin`: the prior has no memory."""
+    """Return the first state: the default `begin`, for a prior without memory."""
     return first
 
 
@@ -95,12 +95,13 @@ class Transition:
     """A motion prior.
 
     Attributes:
-        name: as in the registry.
+        name: its name in the registry.
         conditional: previous state -> a numpyro Distribution for each variable. The variables are independent given the previous state; each
             distribution has a scalar log_prob.
-        perturbation: (state, scale) -> distributions of the noise, centred on the state, its standard deviation multiplied by `scale`. It is a
-            proposal of annealing kernels and never enters a density.
-        carry: (previous, sampled) -> the whole state, with variables that are remembered but not random (a second-order prior's pose before).
+        perturbation: (state, scale) -> distributions of the noise, centred on the state, with the standard deviation multiplied by `scale`. It is a
+            proposal of annealing kernels and is not part of the density.
+        carry: (previous, sampled) -> the whole state, including variables that are remembered but not random (such as the previous pose of a
+            second-order prior).
         begin: the sampled variables of a first state -> the whole state.
     """
 
@@ -111,27 +112,27 @@ class Transition:
     begin: Callable[[State], State] = jax.tree_util.Partial(nothing_before)
 
     def sample(self, key: Key, previous: State) -> State:
-        """One state of the next frame."""
+        """Draw a state of the next frame."""
         return self.carry(previous, draw(key, self.conditional(previous)))
 
     def perturb(self, key: Key, state: State, previous: State, scale: Scalar) -> State:
-        """The state moved by the noise."""
+        """Return the state with noise added."""
         return self.carry(previous, draw(key, self.perturbation(state, scale)))
 
     def log_density(self, state: State, previous: State) -> Scalar:
-        """log p(state | previous), normalised over the support."""
+        """Return log p(state | previous), normalised over the support."""
         terms = [jnp.asarray(d.log_prob(state[name])) for name, d in self.conditional(previous).items()]
         return sum(terms, jnp.zeros(()))
 
 
 def draw(key: Key, distributions: Mapping[str, Distribution]) -> dict[str, Array]:
-    """One value of each variable."""
+    """Draw one value of each variable."""
     keys = jax.random.split(key, len(distributions))
     return {name: jnp.asarray(distributions[name].sample(k)) for name, k in zip(sorted(distributions), keys, strict=True)}
 
 
 class Particles(NamedTuple):
-    """Weighted states: every leaf of `states` has a leading particle axis; the log-weights are normalised."""
+    """Weighted states. Every leaf of `states` has a leading particle axis; the log-weights are normalised."""
 
     states: State
     log_weights: Float[Array, " particle"]

@@ -1,7 +1,7 @@
 r"""Process noise within the joint limits (Poon & Fleet 2002, 3.3): Beta for a limited dof, normal for a translation, wrapped normal for a full turn.
 
-On $[\mathrm{low}, \mathrm{high}]$, with $u$ the share of the range, the noise has a fixed variance $v$ of $u$, and its mode at the prediction clipped
-to the limits ("the densities become increasingly skewed as the prediction approaches the boundaries"):
+Let $u$ be the position within $[\mathrm{low}, \mathrm{high}]$ as a fraction of the range. The variance $v$ of $u$ is fixed, and its mode is the
+prediction clipped to the limits ("the densities become increasingly skewed as the prediction approaches the boundaries"):
 
 $$u \sim \mathrm{Beta}(1 + m\kappa,\ 1 + (1 - m)\kappa), \qquad
 v = \frac{(1 + m\kappa)(1 + (1 - m)\kappa)}{(2 + \kappa)^2 (3 + \kappa)}, \qquad m = \mathrm{clip}(u^p, 0, 1),$$
@@ -21,9 +21,9 @@ from numpyro.distributions import constraints
 from bayes_body.dynamics.limits import InBox
 from bayes_body.shapes import Index, Key, Pose, Scalar
 
-# The largest variance of a share of the range, just below that of the uniform distribution.
+# The largest variance of u, just below that of the uniform distribution.
 LARGEST_VARIANCE = (1 - 1e-4) / 12
-# Nearer to a limit than this share of the range, the log-density is constant; otherwise it would go to minus infinity.
+# Nearer to a limit than this fraction of the range, the log-density is constant; otherwise it would go to minus infinity.
 NEAREST = 1.2e-7
 # These many iterations reach float64's rounding from any start.
 NEWTON_STEPS = 12
@@ -86,7 +86,7 @@ class JointNoise(InBox):
     def log_prob_each(self, value: Pose) -> Float[Array, " component"]:
         """The log-densities of one value under a batch of distributions with equal scale and limits; the leading axis is the component.
 
-        What does not depend on the component, above all the logarithms of the shares of the range, is computed once.
+        Everything that does not depend on the component, above all the logarithms of u and 1 - u, is computed once.
         """
         return _log_probs(value, self, jax.tree.map(lambda leaf: leaf[0], self))
 

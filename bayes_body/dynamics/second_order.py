@@ -4,7 +4,7 @@ $$s_t \sim \mathrm{noise}\big(\alpha_1 s_{t-1} - \alpha_2 s_{t-2}\big)
   = \mathrm{noise}\big((\alpha_1 - \alpha_2)\, s_{t-1} + \alpha_2 (s_{t-1} - s_{t-2})\big),$$
 
 with the noise of `joint_noise`: Beta with a fixed variance for a dof with limits, normal for the position, wrapped normal for the torso's rotation,
-whose velocity is the shorter way round. The pose before is carried along and not random. At a first pose the body stands still.
+whose velocity is the shorter way round. The previous pose is carried along and is not random. At the first pose the velocity is 0.
 """
 
 import math
@@ -36,8 +36,9 @@ LARGEST_TURN = math.pi / 2
 class Options(Schema):
     """Options of `[dynamics] kind = "second_order"`.
 
-    `alpha_2` is the share of the velocity that is kept from frame to frame, `alpha_1 - alpha_2` that of the position. Both, and the noise's standard
-    deviations, are valid at `at_fps` frames per second. At another rate, velocities decay at the same rate in seconds, and the prior drifts as far.
+    `alpha_2` is the fraction of the velocity that is kept from frame to frame, `alpha_1 - alpha_2` that of the position. Both, and the noise's
+    standard deviations, are valid at `at_fps` frames per second. At another rate, velocities decay at the same rate in seconds, and the prior drifts
+    as far.
     """
 
     alpha_1: Positive = 1.8
@@ -50,7 +51,7 @@ class Options(Schema):
     def _check_position(self) -> "Options":
         if not 0 < self.alpha_1 - self.alpha_2 <= 1:
             found = f"alpha_1 = {self.alpha_1:g} and alpha_2 = {self.alpha_2:g} keep {self.alpha_1 - self.alpha_2:g} of the position"
-            raise ValueError(f"{found}; expected a share above 0 and up to 1; set alpha_1 = 1 + alpha_2")
+            raise ValueError(f"{found}; expected a fraction above 0 and up to 1; set alpha_1 = 1 + alpha_2")
         return self
 
 
@@ -129,5 +130,5 @@ def _check_sizes(body: Body, sd: np.ndarray) -> None:
         most = (high[index] - low[index]) / math.sqrt(12) if limited else LARGEST_TURN if angular else math.inf
         if not sd[index] < most:
             why = f"the range of {(high[index] - low[index]) * number:.4g} {unit} over √12" if limited else "a quarter turn"
-            found = f"a standard deviation of {sd[index] * number:.4g} {unit} a frame for '{name}'"
+            found = f"a standard deviation of {sd[index] * number:.4g} {unit} per frame for '{name}'"
             raise input_error(f"dynamics.sd_{unit}", found, f"less than {most * number:.4g} {unit}, {why}", "give a smaller value, or wider limits")

@@ -24,15 +24,15 @@ _OUTSIDE = -9.0
 
 # The order of the two maps of a camera in SilhouetteEdgeMaps.
 SILHOUETTE, EDGES = 0, 1
-# The share of foreground for a camera without a silhouette.
+# The fraction of foreground for a camera without a silhouette.
 UNSEEN_SHARE = -1.0
 
 
 class SilhouetteEdgeMaps(NamedTuple):
-    """For one frame: the error maps (1 − V)² of silhouette and edges, packed, and the share of foreground pixels of each silhouette.
+    """For one frame: the error maps (1 − V)² of silhouette and edges, packed, and the fraction of foreground pixels of each silhouette.
 
     `points` are pixels of each silhouette, column and row relative to the image's centre, for the likelihood's term "cover"; empty if it is not used.
-    A camera that did not see the frame has the same error everywhere, and the share `UNSEEN_SHARE`.
+    A camera that did not see the frame has the same error everywhere, and the fraction `UNSEEN_SHARE`.
     """
 
     errors: Packed

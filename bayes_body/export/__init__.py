@@ -1,1 +1,1 @@
-"""A run's motion in the formats of other programs, with its uncertainty where the format has room for it."""
+"""Export of a run's motion to the formats of other programs, with its uncertainty if the format can store it."""

@@ -1,8 +1,9 @@
-r"""BVH, the skeleton format of animation programs: the hierarchy of the body's joints, and the posterior's mean pose frame by frame; centimetres.
+r"""BVH, the skeleton format of animation programs: the hierarchy of the body's joints, and the posterior's mean pose in every frame; centimetres.
 
-At rest (all rotations zero) the skeleton stands in the body's zero pose, its joints' axes along those of the world: with $R_j$ a joint's rotation and
-$R^0_j$ that at the zero pose, the file's rotations are $W_j = R_j {R^0_j}^T$ seen from the parent's. The mean is that of the joint angles, which the
-joints are then placed by: bones keep their lengths, as they would not in a mean of positions. The format has no room for uncertainty.
+At rest (all rotations zero) the skeleton is in the body's zero pose, and the joints' axes are parallel to those of the world. With $R_j$ a joint's
+rotation and $R^0_j$ its rotation in the zero pose, the file contains $W_j = R_j {R^0_j}^T$, relative to the parent's. The mean pose is the mean of
+the joint angles, from which the joints' positions follow. So bones keep their lengths, unlike in a mean of positions. The format cannot store
+uncertainty.
 """
 
 import warnings
@@ -25,11 +26,11 @@ from bayes_body.files.atomic import replacing
 from bayes_body.geometry.transforms import Transform
 
 CENTIMETRES = 100.0
-# About the joint's own axes, in this order.
+# Rotations about the joint's own axes, in this order.
 EULER = "ZXY"
 POSITIONS = "Xposition Yposition Zposition"
 ROTATIONS = " ".join(f"{axis}rotation" for axis in EULER)
-# Of a last joint that has no marker beyond it: programs draw a bone that far.
+# Length of the bone that programs draw at a last joint without a marker beyond it.
 STUB_M = 0.05
 
 
@@ -37,12 +38,12 @@ class Joints(NamedTuple):
     """The body's joints in the file's axes, depth first.
 
     Attributes:
-        names: of the joints.
-        parents: index of each joint's parent; -1 of the root.
-        moving: which joints shift against their parent, the root among them.
-        offsets: (joint, 3), from the parent at rest, metres; of the root 0.
-        ends: (joint, 3), from a last joint to what lies beyond it, at rest, metres; NaN of the others.
-        positions: (frame, joint, 3), from the parent in its axes, metres.
+        names: names of the joints.
+        parents: index of each joint's parent; -1 for the root.
+        moving: which joints shift relative to their parent, including the root.
+        offsets: (joint, 3), from the parent at rest, metres; 0 for the root.
+        ends: (joint, 3), from a last joint to the end of its bone, at rest, metres; NaN for other joints.
+        positions: (frame, joint, 3), from the parent, in the parent's axes, metres.
         angles: (frame, joint, 3), degrees, in the order of `EULER`.
     """
 
@@ -56,15 +57,15 @@ class Joints(NamedTuple):
 
 
 def write_bvh(motion: Motion, path: Path) -> None:
-    """Write the file; six decimals of centimetres and degrees.
+    """Write the file; centimetres and degrees have six decimals.
 
     Raises:
-        InputError: a body that does not hang on one root, or the file system refuses it.
+        InputError: the body does not have exactly one root, or the file system does not accept the file.
     """
     joints = joints_of(motion)
     moving = np.array(joints.moving)
     columns = [part for j in range(len(moving)) for part in ([joints.positions[:, j] * CENTIMETRES] if moving[j] else []) + [joints.angles[:, j]]]
-    # Adding 0 makes 0 of -0, here and below.
+    # Adding 0 turns -0 into 0, here and below.
     with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="\n") as file:
         file.write("HIERARCHY\n" + "\n".join(_hierarchy(joints, 0, "")) + "\n")
         file.write(f"MOTION\nFrames: {motion.frames}\nFrame Time: {1 / motion.fps:.10g}\n")
@@ -72,10 +73,10 @@ def write_bvh(motion: Motion, path: Path) -> None:
 
 
 def joints_of(motion: Motion) -> Joints:
-    """The mean pose as a hierarchy.
+    """Return the mean pose as a hierarchy of joints.
 
     Raises:
-        InputError: a body that does not hang on one root.
+        InputError: the body does not have exactly one root.
     """
     body, turn = motion.body, np.eye(3)[list(motion.order)]
     order = _depth_first(body)
@@ -83,7 +84,7 @@ def joints_of(motion: Motion) -> Joints:
     names, above = tuple(topology.joint_names[j] for j in order), [topology.parents[j] for j in order]
     parents = tuple(order.index(parent) if parent >= 0 else -1 for parent in above)
     units = np.where(np.array(motion.dof_units) == "deg", np.pi / 180, 1.0)
-    # The zero pose is the last, so that one compiled program places them all.
+    # The zero pose is appended, so that one compiled program computes all poses.
     rotations, origins = _placed(body.skeleton, np.vstack([motion.dofs.mean * units, np.zeros(len(units))]))
     R, p, R_rest, p_rest = rotations[:-1, order], origins[:-1, order], rotations[-1, order], origins[-1, order]
     moving = tuple(parent < 0 or any(dof.is_shift for dof in topology.motions[j]) for j, parent in zip(order, parents, strict=True))
@@ -99,11 +100,11 @@ def joints_of(motion: Motion) -> Joints:
 
 
 def _depth_first(body: Body) -> list[int]:
-    """The joints as the format nests them."""
+    """Return the joints in the order in which the format nests them."""
     parents = body.skeleton.topology.parents
     roots = [j for j, parent in enumerate(parents) if parent < 0]
     if len(roots) != 1:
-        raise input_error("--to bvh", f"the body '{body.name}' has {len(roots)} roots", "one, on which all joints hang", "take npz, csv, c3d or trc")
+        raise input_error("--to bvh", f"the body '{body.name}' has {len(roots)} roots", "exactly one root", "use npz, csv, c3d or trc")
     order, ahead = [], roots
     while ahead:
         order.append(ahead.pop())
@@ -114,7 +115,7 @@ def _depth_first(body: Body) -> list[int]:
 def _placed(
     skeleton: Skeleton, poses: Float[np.ndarray, "frame dof"]
 ) -> tuple[Float[np.ndarray, "frame joint 3 3"], Float[np.ndarray, "frame joint 3"]]:
-    """World rotations and origins of the joints; poses in radians and metres."""
+    """Return the world rotations and origins of the joints; poses in radians and metres."""
     rotations, origins = _transforms(skeleton, jnp.asarray(poses))
     return np.asarray(rotations, float), np.asarray(origins, float)
 
@@ -125,7 +126,7 @@ def _transforms(skeleton: Skeleton, poses: Float[Array, "frame dof"]) -> Transfo
 
 
 def _ends(body: Body, order: list[int], R_rest: Float[np.ndarray, "joint 3 3"]) -> Float[np.ndarray, "joint 3"]:
-    """Of a last joint its farthest marker, such as the wrist beyond the elbow; else a stub along its axis z."""
+    """Return the end of each last joint's bone: its farthest marker, such as the wrist beyond the elbow, or else a stub along its z axis."""
     ends = np.full((len(order), 3), np.nan)
     offsets, joints = np.asarray(body.markers.offsets, float).reshape(-1, 3), np.array(body.markers.joints, int)
     for row, j in enumerate(order):
@@ -137,9 +138,9 @@ def _ends(body: Body, order: list[int], R_rest: Float[np.ndarray, "joint 3 3"]) 
 
 
 def _euler(local: Float[np.ndarray, "frame joint 3 3"]) -> Float[np.ndarray, "frame joint 3"]:
-    """Degrees, without jumps of whole turns from frame to frame."""
+    """Return Euler angles in degrees, without jumps of whole turns from frame to frame."""
     with warnings.catch_warnings():
-        # At the middle angle's quarter turn the other two are one: any choice is the same rotation.
+        # If the middle angle is a quarter turn, only one combination of the other two matters: every choice gives the same rotation.
         warnings.filterwarnings("ignore", message="Gimbal lock")
         angles = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_euler(EULER).reshape(local.shape[:3])
     return np.degrees(np.unwrap(angles, axis=0))

@@ -1,9 +1,9 @@
-r"""C3D, the binary format of motion laboratories (c3d.org), by ezc3d: millimetres, 32-bit floats.
+r"""C3D, the binary format of motion laboratories (c3d.org), written with ezc3d: millimetres, 32-bit floats.
 
-The points are the markers' means. Their residual, elsewhere a measure of how well the cameras agree, is the posterior's standard deviation: the root
-of the mean variance of the three axes, $\sqrt{(s_x^2 + s_y^2 + s_z^2)/3}$. A C3D residual has seven bits, in steps of POINT:SCALE mm. On request the
-moments of each axis follow in full precision as further points, with `_sd`, `_q05` and `_q95` after the marker's name. A mode seeker's run has the
-means only, and its residuals are 0.
+The points are the markers' means. A point's residual, which usually measures the agreement of the cameras, is the posterior's standard deviation: the
+root of the mean variance of the three axes, $\sqrt{(s_x^2 + s_y^2 + s_z^2)/3}$. A C3D residual has seven bits, in steps of POINT:SCALE mm. On
+request, the moments of each axis are stored in full precision as further points, with `_sd`, `_q05` and `_q95` after the marker's name. The file of a
+mode seeker's run has the means only, and its residuals are 0.
 """
 
 import math
@@ -20,14 +20,14 @@ from bayes_body.files.atomic import replacing
 from bayes_body.posterior.moments import Moments
 
 MILLIMETRES = 1000.0
-# Seven bits; and the finest step that is worth having, mm.
+# Largest number of steps (seven bits), and the smallest useful step, mm.
 LARGEST_STEP, FINEST = 127, 0.01
 # The format counts frames in 16 bits.
 MOST_FRAMES = 65535
-MODE_SEEKER_MEANING = "mean of a mode seeker's particles; no uncertainty"
+MODE_SEEKER_MEANING = "mean of a mode seeker's particles, without uncertainty"
 MEANINGS = {
     "mean": "posterior mean; residual: posterior sd, root mean square of the axes",
-    "sd": "posterior standard deviation of each axis, no position",
+    "sd": "posterior standard deviation of each axis, not a position",
     "q05": "5 % quantile of each axis",
     "q95": "95 % quantile of each axis",
 }
@@ -37,17 +37,17 @@ def write_c3d(motion: Motion, path: Path, spread: bool = False) -> None:
     """Write the file.
 
     Args:
-        motion: of a run.
+        motion: the motion of a run.
         path: the file.
-        spread: whether standard deviation and quantiles of each axis are further points.
+        spread: whether to write standard deviation and quantiles of each axis as further points.
 
     Raises:
-        InputError: more frames than the format can count, or the file system refuses it.
+        InputError: there are more frames than the format can count, or the file system does not accept the file.
     """
     if motion.frames > MOST_FRAMES:
         raise input_error("--to c3d", f"{motion.frames} frames", f"at most {MOST_FRAMES}, the format's limit", "choose npz, csv or trc")
     with replacing(path) as partial:
-        # ezc3d alone would say of a folder that is not there no more than "iostream error".
+        # For a missing folder, ezc3d itself would only report "iostream error".
         partial.touch()
         _document(motion, motion.moments if spread else ("mean",)).write(str(partial))
 
@@ -82,10 +82,13 @@ def _points(markers: Moments, moments: Sequence[str]) -> Float[np.ndarray, "4 po
 
 
 def _residuals(motion: Motion, sets: int) -> tuple[Float[np.ndarray, "1 point frame"], float]:
-    """Residuals in millimetres of `sets` times the markers, 0 behind the means; and the step that the format rounds them to, as fine as possible."""
+    """Return the residuals, millimetres, and the smallest possible step to which the format rounds them.
+
+    There are `sets` points for each marker; only the first, the mean, has a residual that is not 0.
+    """
     sd = MILLIMETRES * np.sqrt((motion.markers.sd**2).mean(axis=-1)).T * motion.has_intervals
     step = max(math.ceil(sd.max() / (LARGEST_STEP - 1) / FINEST) * FINEST, FINEST)
     out = np.zeros((1, sets * sd.shape[0], sd.shape[1]))
-    # ezc3d truncates to whole steps: half a step more makes it round. Zero stays zero.
+    # ezc3d truncates to whole steps: adding half a step makes it round. Zero stays zero.
     out[0, : sd.shape[0]] = np.where(sd > 0, np.round(sd / step) * step + step / 2, 0.0)
     return out, step

@@ -1,4 +1,4 @@
-"""CSV: one row a frame; the columns' names end in their units."""
+"""CSV: one row for each frame; the columns' names end in their units."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +14,7 @@ def write_csv(motion: Motion, path: Path) -> None:
     """Write the file: `frame` (from 0), `time_s`, `lost` (0 or 1), then the moments of each marker's axes and of each dof; six decimals.
 
     Raises:
-        InputError: the file system refuses it.
+        InputError: the file system does not accept the file.
     """
     names, columns = zip(*_columns(motion), strict=True)
     values = np.column_stack([np.arange(motion.frames), motion.seconds, motion.lost, *columns])

@@ -1,4 +1,4 @@
-"""The formats by name, and writing one."""
+"""The formats by name, and the export to one of them."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -16,15 +16,15 @@ from bayes_body.posterior.moments import Moments
 from bayes_body.storage.saved_run import SavedRun
 
 WRITERS: dict[str, Callable[[Motion, Path], None]] = {"trc": write_trc, "csv": write_csv, "npz": write_npz, "c3d": write_c3d, "bvh": write_bvh}
-# Programs take it for granted that y points up in a BVH file.
+# Programs assume that y points up in a BVH file.
 USUAL_UP: dict[str, Axis] = {"bvh": "y"}
 
 
 def check_format(name: str) -> str:
-    """The name of a format that exists.
+    """Return the name if a format of that name exists.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: there is no such format.
     """
     if name not in WRITERS:
         raise InputError(f"--to: format '{name}' does not exist; {nearest(name, WRITERS)}")
@@ -32,7 +32,7 @@ def check_format(name: str) -> str:
 
 
 def files_of(name: str, out: Path, moments: Sequence[str] = Moments._fields) -> tuple[Path, ...]:
-    """The files that a format writes for `out`: TRC one for each moment, the others one."""
+    """Return the files that a format writes for `out`: TRC writes one for each moment, the others write one."""
     return tuple(trc_files(out, moments).values()) if name == "trc" else (out,)
 
 
@@ -42,16 +42,16 @@ def export(
     """Write a run's motion, and return it.
 
     Args:
-        run: read back from its folder.
-        name: of the format.
+        run: the run, loaded from its folder.
+        name: the format's name.
         out: the file.
-        fps: as of `read_motion`.
-        up: as of `read_motion`; of BVH y by default.
-        overwrite: whether an existing file is replaced.
-        spread: whether a C3D file has further points for standard deviation and quantiles; the other formats always have them where they can.
+        fps: as in `read_motion`.
+        up: as in `read_motion`; y by default for BVH.
+        overwrite: whether to replace an existing file.
+        spread: whether a C3D file has further points for standard deviation and quantiles; other formats have them whenever they can store them.
 
     Raises:
-        InputError: no such format, a file that exists already, or one that cannot be written.
+        InputError: there is no such format, the file already exists, or it cannot be written.
     """
     writer = partial(write_c3d, spread=spread) if check_format(name) == "c3d" else WRITERS[name]
     for file in files_of(name, out, MODE_SEEKER_MOMENTS if run.mode_seeker else Moments._fields):
@@ -65,10 +65,10 @@ def export(
 def _check_free(file: Path, overwrite: bool) -> None:
     try:
         folder, there = file.is_dir(), file.exists()
-    # A name that is too long, for one.
+    # For example, the name is too long.
     except OSError as error:
         raise refused(file, "written", error) from None
     if folder:
-        raise input_error(file, "a folder", "the name of a file", "name one in it with --out")
+        raise input_error(file, "a folder", "the name of a file", "name a file in it with --out")
     if there and not overwrite:
-        raise input_error(file, "is there already", "a file that is not", "name another with --out, or replace it with --overwrite")
+        raise input_error(file, "already exists", "a file that does not exist yet", "name another with --out, or replace it with --overwrite")

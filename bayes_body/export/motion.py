@@ -1,6 +1,6 @@
-"""What is exported of a run: markers and dofs, frame by frame, with standard deviation and 5 % and 95 % quantiles of the posterior.
+"""The exported data of a run: markers and dofs in every frame, with standard deviation and 5 % and 95 % quantiles of the posterior.
 
-The particles of a mode seeker are no sample of the posterior: of such a run only the means are exported.
+The particles of a mode seeker are not a sample of the posterior. Of such a run only the means are exported.
 """
 
 from dataclasses import dataclass
@@ -23,18 +23,18 @@ class Motion:
     """A run's motion; all its independent filters have the same weight.
 
     Attributes:
-        title: of the session.
+        title: title of the session.
         fps: frames a second.
         up: the axis that points up.
-        marker_names: of the virtual markers.
+        marker_names: names of the virtual markers.
         markers: (frame, marker, 3), metres.
-        dof_names: of the body.
-        dof_units: for each dof `deg` or `m`.
+        dof_names: names of the body's dofs.
+        dof_units: unit of each dof, `deg` or `m`.
         dofs: (frame, dof), degrees and metres.
-        lost: frames that no particle of at least one run explained; their values are predictions.
-        body: of the run, by whose joints the dofs can be placed.
-        order: which of the session's axes stands at x, y and z here.
-        moments: the fields of `Moments` that are written; only the mean of a mode seeker.
+        lost: frames that were lost in at least one run: no particle of it explained them, and their values are predictions.
+        body: the run's body, to compute joints from the dofs.
+        order: the session's axes that are x, y and z here.
+        moments: the fields of `Moments` that are written; only the mean for a mode seeker.
     """
 
     title: str
@@ -67,11 +67,11 @@ class Motion:
 
 
 def read_motion(run: SavedRun, fps: float | None = None, up: Axis | None = None) -> Motion:
-    """The motion of a run.
+    """Return the motion of a run.
 
     Args:
-        run: read back from its folder.
-        fps: frames a second, if the session's are wrong; no frame is added or left out.
+        run: the run, loaded from its folder.
+        fps: frames a second, if the session's value is wrong; no frame is added or left out.
         up: the axis that points up in the result; the session's by default. The axes are permuted cyclically (x, y, z to y, z, x): no reflection.
 
     Raises:
@@ -97,6 +97,6 @@ def read_motion(run: SavedRun, fps: float | None = None, up: Axis | None = None)
 
 
 def _order(given: Axis, wanted: Axis) -> tuple[int, int, int]:
-    """Which of the given axes stands at x, y and z: a turn of space, under which standard deviations and quantiles stay those of an axis."""
+    """Return the given axes that become x, y and z. It is a cyclic permutation, so standard deviations and quantiles still belong to single axes."""
     turn = AXES.index(given) - AXES.index(wanted)
     return turn % 3, (1 + turn) % 3, (2 + turn) % 3

@@ -1,4 +1,4 @@
-"""NPZ, for NumPy: arrays with names that end in their units, every digit kept."""
+"""NPZ, for NumPy: arrays in full precision, with names that end in their units."""
 
 from pathlib import Path
 
@@ -12,11 +12,11 @@ def write_npz(motion: Motion, path: Path) -> None:
     """Write the file.
 
     Arrays: `frame` (from 0), `time_s`, `lost`, `fps`, `up`; `marker_names` and `marker_mean_m`, `marker_sd_m`, `marker_q05_m`, `marker_q95_m`
-    (frame, marker, 3); `angle_names` and `angle_mean_deg`, ... (frame, angle); `shift_names` and `shift_mean_m`, ... (frame, shift). A mode seeker's
-    run has the means only.
+    (frame, marker, 3); `angle_names` and `angle_mean_deg`, ... (frame, angle); `shift_names` and `shift_mean_m`, ... (frame, shift). The file of a
+    mode seeker's run has the means only.
 
     Raises:
-        InputError: the file system refuses it.
+        InputError: the file system does not accept the file.
     """
     units, names = np.array(motion.dof_units, str), np.array(motion.dof_names, str)
     arrays = {
@@ -34,6 +34,6 @@ def write_npz(motion: Motion, path: Path) -> None:
         values = getattr(motion.dofs, name)
         arrays[f"angle_{name}_deg"] = values[:, units == "deg"]
         arrays[f"shift_{name}_m"] = values[:, units == "m"]
-    # Opened here: given a name, NumPy would append an ending.
+    # The file is opened here, because NumPy would append an ending to a name.
     with replacing(path) as partial, partial.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)

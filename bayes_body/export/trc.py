@@ -1,6 +1,6 @@
 """TRC, the marker format of OpenSim and Pose2Sim: text, tab-separated, millimetres, frames counted from 1.
 
-The format has no room for uncertainty: the mean is one file, and standard deviation and quantiles are files of the same form beside it. A mode
+The format cannot store uncertainty. The mean is one file, and the standard deviation and the quantiles are further files of the same form. A mode
 seeker's run has the mean only.
 """
 
@@ -18,7 +18,7 @@ MILLIMETRES = 1000.0
 
 
 def trc_files(path: Path, moments: Sequence[str] = Moments._fields) -> dict[str, Path]:
-    """The file of each moment: `path` for the mean, `walk_sd.trc` and so on for the others."""
+    """Return the file of each moment: `path` for the mean, `walk_sd.trc` and so on for the others."""
     return {name: path if name == "mean" else path.with_stem(f"{path.stem}_{name}") for name in moments}
 
 
@@ -26,7 +26,7 @@ def write_trc(motion: Motion, path: Path) -> None:
     """Write a file for each moment; the last digit is 1 µm.
 
     Raises:
-        InputError: the file system refuses it.
+        InputError: the file system does not accept a file.
     """
     for name, file in trc_files(path, motion.moments).items():
         with replacing(file) as partial:

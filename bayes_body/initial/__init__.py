@@ -1,4 +1,4 @@
-"""The first pose: given as angles, or fitted to markers or keypoints within the body's limits; and the model that starts from it."""
+"""The first pose, given as angles or fitted to markers or keypoints within the body's limits; and the model that starts from it."""
 
 from bayes_body.initial.first import (
     Show,

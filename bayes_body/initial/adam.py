@@ -1,6 +1,6 @@
-r"""Adam (Kingma & Ba 2015) with a falling rate: the loop that the first pose, retargeting and outlines share (docs/decisions/18_least_squares.md).
+r"""Adam (Kingma & Ba 2015) with a decaying learning rate; the fits of first poses, motions and outlines use it (docs/decisions/18_least_squares.md).
 
-Step k of n is at progress $p = k / (n - 1)$ and has the rate $\tfrac12 r (1 + \cos \pi p)$, which ends at 0.
+Step k of n has progress $p = k / (n - 1)$ and learning rate $\tfrac12 r (1 + \cos \pi p)$, which ends at 0.
 """
 
 from collections.abc import Callable
@@ -16,13 +16,15 @@ from bayes_body.shapes import Scalar
 def minimise[Parameters, Info](
     slope: Callable[[Parameters, Scalar], tuple[Parameters, Info]], start: Parameters, rate: float | Scalar, steps: int
 ) -> tuple[Parameters, Info]:
-    """The parameters after all steps, and what the last step's `slope` reported: that step's rate is 0, so it is about these parameters.
+    """Return the parameters after all steps, and the extra output of the last call of `slope`.
+
+    The last step has rate 0, so that output belongs to the returned parameters.
 
     Args:
-        slope: from parameters and the progress (0 to 1) to the gradient and anything else.
+        slope: maps the parameters and the progress (0 to 1) to the gradient and any extra output.
         start: any pytree of arrays of one dtype.
-        rate: of the first step, in the parameters' unit.
-        steps: how many; each calls `slope` once.
+        rate: learning rate of the first step, in the parameters' unit.
+        steps: number of steps; each calls `slope` once.
     """
     adam, at_start = optax.scale_by_adam(b1=0.9, b2=0.99), cast(Any, start)
     dtype = jax.tree.leaves(start)[0].dtype

@@ -1,4 +1,4 @@
-"""A session's model with its first pose: the session's angles, or the pose that fits its markers and keypoints best; and how thick the body looks."""
+"""A session's model with its first pose: the session's angles, or the pose that fits its markers and keypoints best; and the fitted outline."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -27,15 +27,16 @@ type Show = Callable[[str], None]
 
 
 def load_model(name: str | Path | Definition, session: Session, show: Show = print) -> Model:
-    """The model of that name (or path) for a session, starting from the session's first pose.
+    """Return the model of that name (or path) for a session, starting from the session's first pose.
 
-    Angles are taken as they are. To markers, keypoints or silhouettes the pose, the lengths or the outline are fitted here, once, which takes some
-    seconds and is reported. A session that gives none of them in frame 0, but has keypoints in every frame, is fitted to those.
+    Given angles are used unchanged. If the session gives markers, keypoints or silhouettes, the pose, the lengths or the outline are fitted to them
+    once, here. This takes some seconds and is reported. If the session has no first pose but keypoints in every frame, the pose is fitted to the
+    keypoints of frame 0.
 
     Args:
-        name: of a definition that ships, or the path of one, or the definition itself.
+        name: name of a definition that ships, or the path of one, or the definition itself.
         session: the recording.
-        show: takes a line for the user about each fit.
+        show: receives a line for the user about each fit.
 
     Raises:
         InputError: the definition, the subject or the first pose cannot be used, or there is no first pose.
@@ -47,7 +48,7 @@ def load_model(name: str | Path | Definition, session: Session, show: Show = pri
 
 
 def fit_first_pose(model: Model, session: Session, show: Show) -> FirstPose:
-    """`first_pose`, with a line for the user about the time that the fit took, and one for each remark."""
+    """Call `first_pose`, and show the user a line with the fit's duration and residuals and a line for each remark."""
     begun = time.perf_counter()
     found = first_pose(model, session)
     misfits = [f"{1000 * found.median_m:.0f} mm off the markers"] if np.isfinite(found.median_m) else []
@@ -63,7 +64,7 @@ def check_first_pose(model: Model, session: Session) -> None:
     """Check that the session says where the body is in frame 0. A body on a fixed base needs no first pose.
 
     Raises:
-        InputError: it does not: the body would be tracked from the origin of the world.
+        InputError: the session does not say so; the body would be tracked from the origin of the world.
     """
     if _is_placed(model, session) or session.initial_markers or session.initial_keypoints:
         return
@@ -77,14 +78,14 @@ def check_first_pose(model: Model, session: Session) -> None:
 
 
 def _is_placed(model: Model, session: Session) -> bool:
-    """Whether the session gives a dof without limits, such as the root's position, or the body has none."""
+    """Return whether the session gives a dof without limits, such as the root's position, or the body has no such dof."""
     low, high = np.asarray(model.body.skeleton.low), np.asarray(model.body.skeleton.high)
     endless = [name for name, bounded in zip(model.body.dof_names, np.isfinite(low) & np.isfinite(high), strict=True) if not bounded]
     return not endless or any(name in session.initial for name in endless)
 
 
 def with_first_keypoints(model: Model, session: Session) -> Session:
-    """A session without a first pose with the keypoints that its cameras have in frame 0; any other session as it is.
+    """Return the session; if it has no first pose, add the keypoints that its cameras have in frame 0.
 
     Raises:
         InputError: a file of keypoints cannot be read.
@@ -101,12 +102,12 @@ def with_first_keypoints(model: Model, session: Session) -> Session:
 
 
 def is_fitted(session: Session) -> bool:
-    """Whether the session asks for a fit: of its first pose, or of how thick the body looks there."""
+    """Return whether the session asks for a fit of its first pose or of the body's outline."""
     return bool(session.initial_markers or session.initial_keypoints or session.fit_outline)
 
 
 def with_first_pose(model: Model, session: Session) -> Model:
-    """A model that starts from the session's first pose, with fitted lengths and outline if the session asks for them.
+    """Return the model that starts from the session's first pose, with fitted lengths and outline if the session asks for them.
 
     Raises:
         InputError: as `first_pose`.
@@ -115,11 +116,11 @@ def with_first_pose(model: Model, session: Session) -> Model:
 
 
 def apply_first_pose(model: Model, session: Session, found: FirstPose) -> Model:
-    """The model that starts from that pose, with the lengths and the outline that were fitted."""
+    """Return the model that starts from that pose, with the fitted lengths and outline."""
     if found.lengths_m or found.outline_radii_m:
         subject = session.subject
         if not model.definition.takes_measures_of(subject.body):
-            # As in `build_model`: another body's measures mean nothing here, a height means the same for all.
+            # As in `build_model`: the measures of another body do not apply here, but a height has the same meaning for every body.
             subject = Subject(height_m=subject.height_m)
         lengths, radii = found.lengths_m or subject.lengths_m, found.outline_radii_m or subject.outline_radii_m
         subject = replace(subject, body=model.definition.body_name, lengths_m=lengths, outline_radii_m=radii)
@@ -128,13 +129,14 @@ def apply_first_pose(model: Model, session: Session, found: FirstPose) -> Model:
 
 
 def first_pose(model: Model, session: Session) -> FirstPose:
-    """The pose of frame 0: the session's angles, or the pose that fits its markers and keypoints best.
+    """Return the pose of frame 0: the session's angles, or the pose that fits its markers and keypoints best.
 
-    Angles that are given beside markers or keypoints are the centre of the fit's prior.
+    Angles that are given together with markers or keypoints are the centre of the fit's prior.
 
     Raises:
-        FaultyFileError: markers or keypoints hold values that cannot be used, a sentence each.
-        InputError: too few points, or lengths to be fitted from one camera, or an outline without silhouettes, or the fit did not converge.
+        FaultyFileError: markers or keypoints hold values that cannot be used; one sentence for each.
+        InputError: there are too few points, lengths are to be fitted from one camera, an outline is to be fitted without silhouettes, or the fit did
+            not converge.
     """
     if session.fit_lengths:
         _check_lengths(session)
@@ -152,7 +154,7 @@ def _posed(model: Model, session: Session) -> FirstPose:
     told = tell(session, points, measurements, best.distances, best.pose, _lengths(model, session, problem, best.z))
     remarks = [*unused_names(session, points), *told.remarks]
     if gain > SETTLED:
-        remarks.append("the fit had not converged when it ended: look at the first pose before you trust it")
+        remarks.append("the fit did not converge within its steps: check the first pose before you trust it")
     return told._replace(remarks=tuple(remarks))
 
 
@@ -160,16 +162,17 @@ def _with_outline(model: Model, session: Session, found: FirstPose) -> FirstPose
     outline = fit_outline(apply_first_pose(model, session, found), session)
     if outline.radii_m:
         return found._replace(outline_radii_m=outline.radii_m)
-    overlap = f"the body in its first pose overlaps with the silhouettes by {outline.before:.2f} (IoU; expected {LEAST_OVERLAP:g} at least)"
-    return found._replace(remarks=(*found.remarks, f"{overlap}: how thick it looks was not fitted; look at the pose before you trust it"))
+    overlap = f"the body in its first pose overlaps the silhouettes with an IoU of {outline.before:.2f} (expected at least {LEAST_OVERLAP:g})"
+    return found._replace(remarks=(*found.remarks, f"{overlap}: the outline was not fitted; check the pose before you trust it"))
 
 
 def _check_lengths(session: Session) -> None:
     cameras = [name for name, keypoints in session.initial_keypoints.items() if any(point[2] > 0 for point in keypoints.values())]
     if not session.initial_markers and len(cameras) < 2:
         found = f"true, with keypoints from {len(cameras)} camera{'s' * (len(cameras) != 1)} and no markers"
-        expected = "markers, or keypoints from two cameras: one camera cannot tell a small person from a far one"
-        raise input_error("session.toml: initial.fit_lengths", found, expected, "set it to false and give the subject's height_m, or give more")
+        expected = "markers, or keypoints from two cameras: one camera cannot distinguish a small person from a distant one"
+        remedy = "set it to false and give the subject's height_m, or give markers or more keypoints"
+        raise input_error("session.toml: initial.fit_lengths", found, expected, remedy)
 
 
 def _lengths(model: Model, session: Session, problem: Problem, z: Float[Array, " group"]) -> Mapping[str, float]:

@@ -1,8 +1,8 @@
-"""Many starts, fitted at once by Adam in unconstrained coordinates, with a misfit that narrows as they go.
+"""Fit of the first pose: many starts, optimised in parallel by Adam in unconstrained coordinates, with a misfit whose width shrinks.
 
-One compiled program runs in rounds: from every heading and the best of a random population; several times from the best of these with some limbs
-thrown anew, which frees a limb that went round the wrong way and tries the other of two depths that one camera cannot tell apart; and from the best
-once more in small steps.
+One compiled program runs in rounds. The first round starts from every heading and the best of a random population. Several rounds follow that start
+from the best results with the angles of some limbs drawn again. This frees a limb that went round the wrong way, and tries the other of two depths
+that one camera cannot distinguish. The last round starts from the best result and takes small steps.
 """
 
 from functools import partial
@@ -21,44 +21,46 @@ from bayes_body.initial.misfit import Explained, Problem, explain
 from bayes_body.initial.starts import candidates, choose, inside, random_poses
 from bayes_body.shapes import Key, Pose, Scalar
 
-# Starts of a round, their steps, and how often limbs are thrown: with these, 96 of 100 poses drawn evenly within the limits of `deutscher_31` come
-# back from their markers to less than 10 mm at the worst marker.
+# Number of starts in a round, of steps from each start, and of rounds in which limbs are redrawn. With these, 96 of 100 poses that were drawn
+# uniformly within the limits of `deutscher_31` are recovered from their markers to less than 10 mm at the worst marker.
 STARTS = 48
 STEPS = 300
 THROWS = 3
-# The different results of a round that the next starts from, how far apart makes them different, and how likely a joint is thrown.
+# Number of different results of a round from which the next round starts, the distance at which two results count as different, and the probability
+# that a joint is redrawn.
 KEPT = 8
 APART_M = 0.1
 THROWN = 0.3
-# Adam's rate at first, in unconstrained coordinates, and how much wider the misfit is.
+# Adam's initial rate in the search rounds and in the last round, in unconstrained coordinates; and the initial width of the misfit in the first
+# search round and in those with redrawn limbs.
 SEARCH, SEARCH_WIDTH, THROW_WIDTH, REFINE = 0.1, 8.0, 4.0, 0.05
-# A last round that takes off more than this had not settled before.
+# If the last round lowers the misfit by more than this, the search had not converged.
 SETTLED = 0.5
-# How strongly a resting body's points are pulled down, per metre: much more than the angles are drawn to 0.
+# Strength of the downward pull on the points of a resting body, per metre. It is much stronger than the pull of the angles towards 0.
 WEIGHT = 30.0
 
 
 class Fit(NamedTuple):
-    """The best pose with all that is known of it, and how much misfit the last round still took off."""
+    """The best pose with its misfit, points and distances, and the decrease of the misfit in the last round."""
 
     best: Explained
     gain: float
 
 
 class Descent(NamedTuple):
-    """Where every start went, its leaves with a leading axis of starts; the misfit of a start that was lost is NaN."""
+    """The results of all starts; each leaf has a leading axis of starts. The misfit is NaN for a start that diverged."""
 
     parameters: Float[Array, "start parameter"]
     explained: Explained
 
     @property
     def order(self) -> Int[np.ndarray, " start"]:
-        """The starts from the best to the worst, lost ones last."""
+        """The starts from the best to the worst; diverged ones are last."""
         return np.argsort(np.asarray(self.explained.misfit))
 
 
 def fit(problem: Problem, up: int) -> Fit:
-    """The pose of the least misfit that was found; always the same for the same problem.
+    """Return the pose with the smallest misfit found. The result is always the same for the same problem.
 
     Raises:
         InputError: no start led to finite numbers.
@@ -79,17 +81,17 @@ def fit(problem: Problem, up: int) -> Fit:
 
 
 def rest(problem: Problem) -> Pose:
-    """How the body stands where nothing is known of it: upright, its limbs hanging from where the prior has them, by the same program as `fit`."""
+    """Return the body's resting pose: upright, with hanging limbs. The optimisation starts from the prior's mean, by the same program as `fit`."""
     nothing = jax.tree.map(jnp.zeros_like, problem.measurements)
     poses = jnp.tile(problem.prior.mean, (STARTS, 1))
     heavy = problem.prior._replace(weights=WEIGHT * jnp.asarray(problem.points.hanging, poses.dtype))
     return descend(problem._replace(measurements=nothing, prior=heavy), _unbounded(problem, poses), SEARCH, 1.0).explained.pose[0]
 
 
-# Not `FAST_COMPILE`: it runs in six rounds or more, which the compiler makes seven times as fast in a second.
+# Not `FAST_COMPILE`: this runs in six rounds or more, and one second of further compilation makes them seven times as fast.
 @jax.jit
 def descend(problem: Problem, starts: Float[Array, "start parameter"], rate: float | Scalar, width: float | Scalar) -> Descent:
-    """Adam from every start; the misfit's width falls from `width` to 1 in the first half."""
+    """Run Adam from every start. The misfit's width falls from `width` to 1 in the first half of the steps."""
 
     def slope(parameters: Float[Array, "start parameter"], progress: Scalar) -> tuple[Float[Array, "start parameter"], Explained]:
         now = jnp.maximum(width ** (1 - 2 * progress), 1.0)
@@ -99,12 +101,12 @@ def descend(problem: Problem, starts: Float[Array, "start parameter"], rate: flo
 
 
 def _different(found: Descent) -> Int[np.ndarray, " kept"]:
-    """The best of the starts, without those that went where a better one is."""
+    """Return the best starts, without those that ended at the same place as a better one."""
     places, kept = np.asarray(found.explained.places), list[int]()
     for i in found.order:
         if all(np.linalg.norm(places[i] - places[k], axis=-1).mean() > APART_M for k in kept):
             kept.append(int(i))
-    # Always as many, so that nothing compiles anew.
+    # Always the same number, so that nothing is compiled again.
     return np.resize(kept[:KEPT], KEPT)
 
 
@@ -117,7 +119,7 @@ def _unbounded(problem: Problem, poses: Float[Array, "start dof"]) -> Float[Arra
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)
 def _thrown(problem: Problem, key: Key, best: Float[Array, "kept parameter"]) -> Float[Array, "start parameter"]:
-    """As many starts as before: the best, and copies of them in which the angles of some joints, never the root's, are drawn anew."""
+    """Return the same number of starts: the best, and copies of them in which the angles of some joints, never the root's, are drawn again."""
     topology, count = problem.body.skeleton.topology, len(problem.body.dof_names)
     parameters = jnp.tile(best, (-(-STARTS // best.shape[0]), 1))[:STARTS]
     skeleton = problem.body.skeleton
@@ -126,6 +128,6 @@ def _thrown(problem: Problem, key: Key, best: Float[Array, "kept parameter"]) ->
     joints = jax.random.uniform(which, (STARTS, len(topology.joint_names))) < THROWN
     joints = joints.at[:, 0].set(False).at[: best.shape[0]].set(False)
     owner = {motion.dof: j for j, motions in enumerate(topology.motions) for motion in motions}
-    anew = joints[:, jnp.array([owner[k] for k in range(count)])]
+    redrawn = joints[:, jnp.array([owner[k] for k in range(count)])]
     thrown = _unbounded(problem, random_poses(skeleton, where, poses))[:, :count]
-    return parameters.at[:, :count].set(jnp.where(anew, thrown, parameters[:, :count]))
+    return parameters.at[:, :count].set(jnp.where(redrawn, thrown, parameters[:, :count]))

@@ -1,7 +1,7 @@
-r"""Lengths that are fitted with the pose: $\ell_k = \bar\ell_k e^{\sigma z_{g(k)}}$, $z \sim N(0, 1)$, one z for a left and right pair.
+r"""Lengths that are fitted together with the pose: $\ell_k = \bar\ell_k e^{\sigma z_{g(k)}}$, $z \sim N(0, 1)$, with one z for a left and right pair.
 
-A body is affine in its lengths: offsets of joints, markers and parts are constants plus named lengths with a sign. What each length contributes
-is read off by building the body with that length alone.
+A body is affine in its lengths: the offsets of joints, markers and parts are constants plus named lengths with a sign. To find the contribution of
+a length, the body is built with that length alone.
 """
 
 from dataclasses import replace
@@ -16,12 +16,12 @@ from bayes_body.body.build import Shape, build_body
 from bayes_body.body.schema import BodySchema
 from bayes_body.body.solids import Body
 
-# Of a length's logarithm: how far a person's segments lie from the proportions of all.
+# Standard deviation of a length's logarithm: how much a person's segments differ from average proportions.
 SPREAD = 0.1
 
 
 class Fields(NamedTuple):
-    """The arrays of a body that its lengths enter, metres; in `Contributions` with a leading axis of lengths."""
+    """The arrays of a body that depend on its lengths, metres; in `Scaling.contributions`, with a leading axis of lengths."""
 
     joints: Float[Array, "*length joint 3"]
     markers: Float[Array, "*length marker 3"]
@@ -33,8 +33,8 @@ class Scaling(NamedTuple):
     """How a body changes with its lengths.
 
     Attributes:
-        values: the body's lengths, metres; none if they are not fitted.
-        groups: 1 where a length (row) follows a parameter (column).
+        values: the body's lengths, metres; empty if they are not fitted.
+        groups: 1 where a length (row) depends on a parameter (column).
         contributions: what each length adds to the body's arrays.
     """
 
@@ -44,25 +44,25 @@ class Scaling(NamedTuple):
 
 
 def fixed(body: Body) -> Scaling:
-    """A body whose lengths stay: no parameter."""
+    """Return the scaling of a body with constant lengths: it has no parameters."""
     none = jax.tree.map(lambda leaf: jnp.zeros((0, *leaf.shape), leaf.dtype), fields(body))
     return Scaling(jnp.zeros(0, body.lengths.dtype), jnp.zeros((0, 0), body.lengths.dtype), none)
 
 
 def scaling(body: Body, schema: BodySchema) -> Scaling:
-    """All lengths of a body as parameters, left and right tied."""
+    """Return the scaling in which all lengths of a body are parameters; left and right share one."""
     names = tuple(schema.lengths_of_height)
     none = dict.fromkeys(names, 0.0)
     constant = _flat(build_body(body.name, schema, Shape(1.0, none)))
     rows = np.stack([_flat(build_body(body.name, schema, Shape(1.0, none | {name: 1.0}))) - constant for name in names])
-    # The lengths that this body was built with; one that enters nothing comes out as 0.
+    # The lengths with which this body was built; a length on which nothing depends is 0 here.
     values = np.linalg.lstsq(rows.T, _flat(body) - constant, rcond=None)[0]
     dtype = body.lengths.dtype
     return Scaling(jnp.asarray(values, dtype), jnp.asarray(_groups(names), dtype), _unflat(values[:, None] * rows, body))
 
 
 def scaled(body: Body, change: Scaling, z: Float[Array, " group"]) -> Body:
-    """The body with its lengths at the parameters z."""
+    """Return the body with the lengths that belong to the parameters z."""
     if not change.values.shape[0]:
         return body
     growth = factors(change, z) - 1
@@ -72,12 +72,12 @@ def scaled(body: Body, change: Scaling, z: Float[Array, " group"]) -> Body:
 
 
 def factors(change: Scaling, z: Float[Array, " group"]) -> Float[Array, " length"]:
-    """By how much each length is multiplied."""
+    """Return the factor applied to each length."""
     return jnp.exp(SPREAD * (change.groups @ z))
 
 
 def fields(body: Body) -> Fields:
-    """The arrays of a body that its lengths enter."""
+    """Return the arrays of a body that depend on its lengths."""
     return Fields(body.skeleton.offsets, body.markers.offsets, body.offsets, body.lengths)
 
 

@@ -12,23 +12,23 @@ from bayes_body.initial.points import FACE, Points
 from bayes_body.recording.keypoint_layouts import LAYOUTS
 from bayes_body.session.session import CameraSpec, Session
 
-# With fewer points the prior alone would decide the pose.
+# With fewer points, the prior alone would determine the pose.
 FEWEST = 4
-# As a share of the image's size: for a person who is cut off, networks place points a little outside the image.
+# Fraction of the image's size: if the image cuts a person off, networks place points a little outside of it.
 MARGIN = 0.1
 PREFIX = "session.toml: initial"
 DETECTED = frozenset(name for names in LAYOUTS.values() for name in names)
 
 
 class Measurements(NamedTuple):
-    """Positions of the body's points (`Points`), one row a point. The weight is 0 where a point was not measured.
+    """Measured positions of the body's points (`Points`), one row for each point. The weight is 0 where a point was not measured.
 
     Attributes:
         markers: positions in the world, metres.
         marker_weights: 1 for a given marker, else 0.
         pixels: (column, row) in each camera.
-        rays: the pixels without distortion, as (x, y) at depth 1 of each camera.
-        pixel_weights: confidences.
+        rays: the pixels with the lens distortion removed, as (x, y) at depth 1 of each camera.
+        pixel_weights: confidences of the keypoints.
     """
 
     markers: Float[Array, "point 3"]
@@ -39,11 +39,11 @@ class Measurements(NamedTuple):
 
 
 def read_measurements(session: Session, points: Points) -> Measurements:
-    """Read the session's markers and keypoints; names that are no point of the body are left out.
+    """Read the session's markers and keypoints; names that do not belong to a point of the body are ignored.
 
     Raises:
-        FaultyFileError: one sentence for each value that cannot be used.
-        InputError: too few points are left to fit a body to.
+        FaultyFileError: some values cannot be used; one sentence for each.
+        InputError: too few points remain to fit a body to.
     """
     sentences = [*_faulty_markers(session), *_faulty_keypoints(session)]
     if sentences:
@@ -60,14 +60,14 @@ def read_measurements(session: Session, points: Points) -> Measurements:
 
 
 def unused_names(session: Session, points: Points) -> Iterator[str]:
-    """Remarks on names that are no point of the body: names that detectors use, and others, which may be misspelt."""
+    """Yield remarks on names that do not belong to a point of the body: names that detectors use, and others, which may be misspelt."""
     given = {*session.initial_markers, *(name for keypoints in session.initial_keypoints.values() for name in keypoints)}
     names = sorted(name for name in given if points.index(name) is None)
     usual = [name for name in names if name in DETECTED]
     if usual:
         yield f"this body has no points {', '.join(usual)}; the pose was fitted to the other points"
     for name in (name for name in names if name not in DETECTED):
-        yield f"'{name}' is no point of this body and was not used; {nearest(name, points.names)}"
+        yield f"'{name}' is not a point of this body and was not used; {nearest(name, points.names)}"
 
 
 def _keypoints(session: Session, points: Points) -> tuple[Float[np.ndarray, "camera point 2"], Float[np.ndarray, "camera point"]]:
@@ -76,7 +76,7 @@ def _keypoints(session: Session, points: Points) -> tuple[Float[np.ndarray, "cam
     for c, view in enumerate(session.views):
         for name, (u, v, confidence) in session.initial_keypoints.get(view.camera.name, {}).items():
             k = points.index(name)
-            # If two names mean one point, the keypoint with the higher confidence counts.
+            # If two names mean the same point, the keypoint with the higher confidence is used.
             if k is not None and confidence > weights[c, k]:
                 pixels[c, k], weights[c, k] = (u, v), confidence
     return pixels, weights
@@ -125,7 +125,7 @@ def _faulty_keypoint(place: str, u: float, v: float, confidence: float, size: tu
         yield f"{place}: confidence {confidence:g}; expected a number between 0 and 1; correct it, or leave the keypoint out."
     elif confidence > 0 and not all(-MARGIN * side <= value <= (1 + MARGIN) * side for value, side in zip((u, v), size, strict=True)):
         found = f"({u:g}, {v:g}) lies outside its image of {size[0]} x {size[1]} px"
-        yield f"{place}: {found}; expected a column and a row inside; correct it, or leave the keypoint out."
+        yield f"{place}: {found}; expected a column and a row inside the image; correct it, or leave the keypoint out."
 
 
 def _is_singular(camera: CameraSpec) -> bool:
@@ -136,14 +136,14 @@ def _is_singular(camera: CameraSpec) -> bool:
 
 
 def _undistorted(camera: CameraSpec, pixels: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, "point 2"]:
-    """Points at depth 1 that the camera sees at these pixels, by fixed-point iteration."""
+    """Return the points at depth 1 that the camera sees at these pixels, by fixed-point iteration."""
     yd = (pixels[:, 1] - camera.centre_px[1]) / camera.focal_px[1]
     xd = (pixels[:, 0] - camera.centre_px[0]) / camera.focal_px[0] - camera.skew * yd
     k1, k2, p1, p2, k3 = camera.distortion
     x, y = xd, yd
     for _ in range(30):
         r2 = x * x + y * y
-        # Past the lens's turning point the polynomial falls to 0 and has no inverse: stay near it.
+        # Beyond its turning point the lens polynomial falls to 0 and has no inverse: stay near that point.
         radial = np.maximum(1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 0.3)
         x, y = (xd - 2 * p1 * x * y - p2 * (r2 + 2 * x * x)) / radial, (yd - p1 * (r2 + 2 * y * y) - 2 * p2 * x * y) / radial
     return np.stack([x, y], axis=1)

@@ -3,9 +3,9 @@ r"""The misfit of a posed body to the measured points of the first pose: robust 
 $$U = \sum_i w_i \Bigl[\tfrac{\nu + d_i}{2} \log\bigl(1 + \tfrac{r_i^2}{\nu \sigma_i^2}\bigr) + d_i \log \sigma_i\Bigr]
     + \tfrac12 \sum_k \bigl(\tfrac{s_k - m_k}{\tau_k}\bigr)^2 + \tfrac{1 - \cos\theta}{\tau_\theta^2} + \tfrac12 \|z\|^2,$$
 
-$\theta$ is the body's tilt against the world's up. Student's t with $\nu = 3$ of the d-vectors r, metres of markers (d = 3) and pixels of keypoints
-(d = 2). $\sigma$ is the detector's own error and, across the image at the point's depth, the distance between its point and the body's. Lange et al.
-1989, Robust statistical modeling using the t distribution.
+$\theta$ is the body's tilt relative to the world's up direction. The residuals r have d dimensions: metres for markers (d = 3), pixels for keypoints
+(d = 2). They follow a Student t distribution with $\nu = 3$. $\sigma$ combines the detector's error with the distance between the detector's point
+and the body's point, projected to pixels at the point's depth. Source: Lange et al. 1989, Robust statistical modeling using the t distribution.
 """
 
 from typing import NamedTuple
@@ -26,19 +26,19 @@ from bayes_body.shapes import Pose, Scalar, Vector3
 
 NU = 3.0
 DETECTOR_PX = 10.0
-# What a point that a camera cannot see counts as, pixels: far off, and finite.
+# The residual of a point that a camera cannot see, pixels: large but finite.
 UNSEEN_PX = 3000.0
 
 
 class Prior(NamedTuple):
-    """Independent normal distributions of the dofs, radians and metres, with an infinite sd where nothing is known; and how people stand.
+    """Independent normal distributions of the dofs, radians and metres, and a preference for an upright body.
 
     Attributes:
-        mean: of each dof.
-        sd: of each dof.
+        mean: mean of each dof.
+        sd: standard deviation of each dof; infinite where nothing is known.
         up: the world's direction that points up.
-        upright: how strongly the root's z is drawn there, 1 / sd^2 of its angle; 0 for a body that is fixed to the world.
-        weights: of the body's points, per metre: how strongly each is pulled down.
+        upright: strength with which the root's z is pulled towards `up`, 1 / sd^2 of its angle; 0 for a body that is fixed to the world.
+        weights: strength of the downward pull on each of the body's points, per metre.
     """
 
     mean: Pose
@@ -52,13 +52,13 @@ class Problem(NamedTuple):
     """Everything that the misfit of a pose depends on.
 
     Attributes:
-        body: of the model.
-        scaling: how its lengths may change.
+        body: the model's body.
+        scaling: how its lengths can change.
         rig: the cameras.
-        points: which points of the body were measured; the measurements' weights include theirs.
-        measurements: where they are.
-        tolerance: how far a measured point may lie from the body's, metres.
-        prior: of the dofs.
+        points: the points of the body that can be measured.
+        measurements: the measured positions; their weights include those of the points.
+        tolerance: expected distance of a measured point from the body's point, metres.
+        prior: prior of the dofs.
     """
 
     body: Body
@@ -75,7 +75,7 @@ type Places = Float[Array, "point 3"]
 
 
 def split(problem: Problem, parameters: Parameters) -> tuple[Pose, Float[Array, " group"]]:
-    """The pose, within its limits, and the lengths' parameters that unconstrained parameters stand for."""
+    """Return the pose, within its limits, and the parameters of the lengths from a vector of unconstrained parameters."""
     count, skeleton = len(problem.body.dof_names), problem.body.skeleton
     return BoxTransform(skeleton.low, skeleton.high)(parameters[:count]), parameters[count:]
 
@@ -90,12 +90,12 @@ class Distances(NamedTuple):
 
 
 def distances(problem: Problem, places: Places) -> Distances:
-    """The distances of every point, including points that were not measured."""
+    """Return the distances of all points, including points that were not measured."""
 
     def in_image(camera: Camera, pixels: Float[Array, "point 2"]) -> tuple[Float[Array, " point"], Float[Array, " point"]]:
         seen, visible = project(camera, places)
         depth = jnp.maximum(to_camera(camera, places)[:, 2] + camera.translation[2], NEAR)
-        # Without a gradient: no pose fits better for being farther away.
+        # Without a gradient, since a pose must not fit better just because it is farther away.
         sd = jnp.hypot(DETECTOR_PX, jax.lax.stop_gradient(camera.focal[0] * problem.tolerance / depth))
         return jnp.where(visible, _norm(seen - pixels), UNSEEN_PX), sd
 
@@ -104,9 +104,9 @@ def distances(problem: Problem, places: Places) -> Distances:
 
 
 def potential(problem: Problem, places: Places, far: Distances, pose: Pose, z: Float[Array, " group"], width: Scalar | float) -> Scalar:
-    """U of a pose whose points are at `places`, `far` from the measurements.
+    """Return U of a pose whose points are at `places`, with distances `far` from the measurements.
 
-    With every sd `width` times as wide: wide, a fit that starts far off sees where to go.
+    Every standard deviation is multiplied by `width`. A large width gives a useful gradient to a fit that starts far from the solution.
     """
     measurements = problem.measurements
     markers = _robust(far.metres, width * far.metres_sd, measurements.marker_weights, 3)
@@ -122,7 +122,7 @@ def _surprise(problem: Problem, places: Places, pose: Pose) -> Scalar:
 
 
 class Explained(NamedTuple):
-    """A posed body against the measurements: its misfit, what it is, where its points are and how far off."""
+    """A posed body compared with the measurements: its misfit, pose, length parameters, points, and their distances to the measurements."""
 
     misfit: Scalar
     pose: Pose
@@ -132,7 +132,7 @@ class Explained(NamedTuple):
 
 
 def explain(problem: Problem, parameters: Parameters, width: Scalar | float) -> tuple[Scalar, Explained]:
-    """U of unconstrained parameters (see `potential`), and all that comes with it."""
+    """Return U of unconstrained parameters (see `potential`), and the posed body it belongs to."""
     pose, z = split(problem, parameters)
     places = places_of(problem, pose, z)
     far = distances(problem, places)
@@ -141,7 +141,7 @@ def explain(problem: Problem, parameters: Parameters, width: Scalar | float) -> 
 
 
 def places_of(problem: Problem, pose: Pose, z: Float[Array, " group"]) -> Places:
-    """Where the points of the posed body are, metres."""
+    """Return the positions of the posed body's points, metres."""
     body = scaled(problem.body, problem.scaling, z)
     return marker_positions(body.skeleton, as_markers(body, problem.points), pose)
 

@@ -1,13 +1,15 @@
-r"""How thick the parts of a body look, clothes included, from the first frame's silhouettes.
+r"""Estimate the apparent thickness of body parts, clothes included, from the silhouettes of the first frame.
 
-Trousers stick out of a calf as thick as the mean of many. Where they are not in the model, a silhouette says more of them than of the pose: at the
-true pose they remain uncovered, and a leg laid beside the other explains no less (docs/decisions). With the pose held, the radii are those of
+Trousers are wider than a calf of average thickness. If the model leaves them out, they affect the silhouette term more than the pose does: at the
+true pose they remain uncovered, and a pose with one leg beside the other explains the silhouette just as well (docs/decisions). The pose is kept
+fixed, and the radii are the solution of
 
 $$\min_r\ 1 - \frac1C \sum_c \frac{\sum_x m_c(x)\, s_c(x; r)}{\sum_x m_c + s_c - m_c s_c}
     + \frac{\lambda}{2} \sum_g \log^2 (r_g / \bar r_g),$$
 
-the overlap (IoU) of the silhouettes m with the body's projection s, a logistic of the signed distance to its outline (likelihood/outlines.py), and a
-pull to the radii $\bar r$ that the body has; one r for the base and one for the tip of each kind of part, left and right alike.
+The first two terms are one minus the overlap (IoU) of the silhouettes m with the body's projection s, which is a logistic function of the signed
+distance to the body's outline (likelihood/outlines.py). The last term pulls the radii towards the body's own radii $\bar r$. Each kind of part has
+one r for its base and one for its tip; left and right share them.
 """
 
 from collections.abc import Mapping
@@ -32,22 +34,25 @@ from bayes_body.recording.camera_path import cameras_at
 from bayes_body.session.session import Session
 from bayes_body.shapes import Pose, Scalar
 
-# The grid on which silhouettes are compared, laid over each with a margin of this share of its size on all sides: columns, rows.
+# Columns and rows of the grid on which silhouettes are compared. It covers each silhouette with a margin of this fraction of its size on all sides.
 GRID = (64, 96)
 MARGIN = 0.25
-# How soft the projection's outline is, steps of the grid.
+# Softness of the projection's outline, steps of the grid.
 SOFT = 0.25
-# λ: by about this much the silhouettes of drawn people's later frames overlap most with the body (docs/decisions).
+# λ: about this value gives the largest overlap of the body with the silhouettes in later frames of simulated people (docs/decisions).
 PULL = 0.2
 STEPS = 100
 RATE = 0.05
-# With less overlap than this the pose is not that of the silhouettes, and no thickness helps.
+# With less overlap than this, the pose does not match the silhouettes, and no thickness helps.
 LEAST_OVERLAP = 0.4
 WHERE = "session.toml: initial.fit_outline"
 
 
 class Silhouettes(NamedTuple):
-    """Of each camera that saw the person: the grid's columns and rows, pixels from the image's middle on, and which of its points are foreground."""
+    """The silhouette in each camera that saw the person, on its grid.
+
+    The grid's columns and rows are in pixels from the image's middle; `inside` is 1 where a grid point is foreground.
+    """
 
     columns: Float[Array, "camera column"]
     rows: Float[Array, "camera row"]
@@ -55,7 +60,7 @@ class Silhouettes(NamedTuple):
 
 
 class Outline(NamedTuple):
-    """(base, tip) of each part, metres, by name; and the silhouettes' overlap (IoU) without and with them."""
+    """The (base, tip) radii of each part, metres, by name; and the overlap (IoU) with the silhouettes before and after the fit."""
 
     radii_m: Mapping[str, tuple[float, float]]
     before: float
@@ -63,9 +68,9 @@ class Outline(NamedTuple):
 
 
 def fit_outline(model: Model, session: Session) -> Outline:
-    """How thick the body of a model looks in the first frame; its initial state is the pose there.
+    """Return the fitted outline of a model's body in the first frame; the model's initial state is the pose there.
 
-    Parts on a joint without dofs, such as hands and feet, keep their radii: they lie where the pose cannot turn them to.
+    Parts on a joint without dofs, such as hands and feet, keep their radii: the pose cannot turn them to where they are in the image.
 
     Raises:
         InputError: the session has no silhouettes, or no camera shows one in the first frame.
@@ -83,7 +88,7 @@ def fit_outline(model: Model, session: Session) -> Outline:
 
 
 def _silhouettes(session: Session) -> tuple[list[int], Silhouettes]:
-    """The numbers of the cameras that show the person in the first frame, and what they show."""
+    """Return the numbers of the cameras that show the person in the first frame, and their silhouettes."""
     masks = read_frame(session, 0).masks
     if masks is None:
         found, remedy = "true, in a session without silhouettes", "set it to false, or give each [[camera]] its `masks` or a `background`"
@@ -91,7 +96,7 @@ def _silhouettes(session: Session) -> tuple[list[int], Silhouettes]:
     seen = {c: np.asarray(mask) for c, mask in enumerate(masks) if mask is not None and mask.any()}
     if not seen:
         raise input_error(
-            WHERE, "true, and no camera shows a silhouette in the first frame", "one that does", "set it to false, or start at another frame"
+            WHERE, "true, but no camera shows a silhouette in the first frame", "one that does", "set it to false, or start at another frame"
         )
     grids = [_grid(mask) for mask in seen.values()]
     return list(seen), Silhouettes(*(jnp.asarray(np.stack(each), float) for each in zip(*grids, strict=True)))
@@ -109,7 +114,7 @@ def _grid(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _groups(body: Body) -> Float[np.ndarray, "group part 2"]:
-    """1 where a part's base or tip follows a parameter."""
+    """Return an array that is 1 where the radius of a part's base or tip depends on a parameter."""
     topology, moves = body.topology, [bool(motions) for motions in body.skeleton.topology.motions]
     kinds = dict[tuple[str, int], np.ndarray]()
     for p, (name, joint) in enumerate(zip(topology.names, topology.joints, strict=True)):
@@ -126,7 +131,7 @@ def _thick(body: Body, groups: Float[Array, "group part 2"], logs: Float[Array, 
 
 
 def _overlap(body: Body, rig: Camera, pose: Pose, seen: Silhouettes) -> Scalar:
-    """The mean IoU of silhouettes and the body's projection."""
+    """Return the mean IoU of the silhouettes and the body's projection."""
 
     def of(forms: Array, columns: Array, rows: Array, inside: Array) -> Scalar:
         distance = signed_distance(body.topology, forms, columns, rows)
@@ -141,7 +146,7 @@ def _overlap(body: Body, rig: Camera, pose: Pose, seen: Silhouettes) -> Scalar:
 def _fit(
     body: Body, rig: Camera, pose: Pose, groups: Float[Array, "group part 2"], seen: Silhouettes
 ) -> tuple[Float[Array, " group"], Scalar, Scalar]:
-    """The logarithms of the factors, and the overlap without and with them."""
+    """Return the logarithms of the radii's factors, and the overlap before and after the fit."""
 
     def loss(logs: Float[Array, " group"]) -> tuple[Scalar, Scalar]:
         overlap = _overlap(_thick(body, groups, logs), rig, pose, seen)

@@ -1,9 +1,9 @@
-"""Which point of a body a marker or a keypoint of that name is.
+"""The points of a body that markers and keypoints measure, by name.
 
-A name is one of the body's virtual markers, or another word for one, or a point of the face. Points of the face are told from the crown and the
-shoulders: the body knows its left and right, the head's axis is up, and so the nose says where it looks. They are shares of the distance from the
-head's joint to the crown, of ANSUR II (Gordon et al. 2014): means of 4082 men, tragion to top of head 130 mm, bitragion breadth 145 mm, between
-the pupils 64 mm.
+A name is one of the body's virtual markers, a synonym of one, or a point of the face. The points of the face follow from the crown and the
+shoulders: the shoulders define left and right, and the head's axis defines up; together they define forward. The offsets of the face's points are
+fractions of the distance from the head's joint to the crown. They come from ANSUR II (Gordon et al. 2014), means of 4082 men: tragion to top of
+head 130 mm, bitragion breadth 145 mm, distance between the pupils 64 mm.
 """
 
 from dataclasses import dataclass, replace
@@ -20,9 +20,9 @@ from bayes_body.body.solids import Body
 from bayes_body.config import FAST_COMPILE
 from bayes_body.geometry import transforms
 
-# What detectors call points that are joint centres of the body.
+# Detectors' names of points that are joint centres of the body.
 OTHER_NAMES = {"neck": "thorax", "mid_hip": "pelvis"}
-# Forward, left and up, as shares of the distance from the head's joint to the crown.
+# Forward, left and up, as fractions of the distance from the head's joint to the crown.
 FACE = {
     "nose": (0.38, 0.0, 0.48),
     "l_eye": (0.30, 0.10, 0.63),
@@ -30,11 +30,11 @@ FACE = {
     "l_ear": (0.05, 0.23, 0.58),
     "r_ear": (0.05, -0.23, 0.58),
 }
-# Networks put hips outside and above the joint's centre; a crown and a face are no joints at all. Metres.
+# Tolerances, metres. Networks put hips outside and above the joint's centre; the crown and the points of the face are not joints.
 LOOSE_M = {"l_hip": 0.04, "r_hip": 0.04, "pelvis": 0.04, "thorax": 0.04, "head": 0.04, **dict.fromkeys(FACE, 0.06)}
 TIGHT_M = 0.02
 FACE_WEIGHT = 0.3
-# What is below what in a person who stands at rest, on the left, on the right or in the middle.
+# Pairs of points of which the first is below the second in a person who stands at rest; on the left, on the right or in the middle.
 HANGING = (("elbow", "shoulder"), ("wrist", "elbow"), ("knee", "hip"), ("ankle", "knee"), ("pelvis", "thorax"), ("thorax", "head"))
 
 
@@ -44,10 +44,10 @@ class Points:
     """The points of one body that can be measured.
 
     Attributes:
-        names: of the body's virtual markers, then of its face.
+        names: names of the body's virtual markers, then of the points of its face.
         joints: each point's joint.
-        crown: which marker is the crown, 0 for a body without a head.
-        face: offsets of the face in the head joint's frame, as shares of the crown's distance; no rows for a body without a head.
+        crown: index of the marker that is the crown; 0 for a body without a head.
+        face: offsets of the face's points in the head joint's frame, as fractions of the crown's distance; no rows for a body without a head.
     """
 
     names: tuple[str, ...]
@@ -57,17 +57,17 @@ class Points:
 
     @property
     def tolerance_m(self) -> Float[np.ndarray, " point"]:
-        """How far the same point of two sources may lie apart, metres."""
+        """Expected distance between the positions of the same point in two sources, metres."""
         return np.array([LOOSE_M.get(name, TIGHT_M) for name in self.names])
 
     @property
     def weight(self) -> Float[np.ndarray, " point"]:
-        """How much a point counts."""
+        """The weight of each point."""
         return np.array([FACE_WEIGHT if name in FACE else 1.0 for name in self.names])
 
     @property
     def hanging(self) -> Float[np.ndarray, " point"]:
-        """How a person at rest pulls on each point, down (above 0) or up: 1 for what hangs, -1 for what it hangs from."""
+        """The pull on each point of a person at rest, down (above 0) or up: 1 for a point that hangs, -1 for the point from which it hangs."""
         pulls = np.zeros(len(self.names))
         for end, base in HANGING:
             for side in ("l_", "r_", ""):
@@ -77,25 +77,25 @@ class Points:
         return pulls
 
     def index(self, name: str) -> int | None:
-        """Which point has that name, in a detector's words or the body's; None if the body has none."""
+        """Return the index of the point of that name, a detector's or the body's own; None if the body has no such point."""
         name = OTHER_NAMES.get(name, name)
         return self.names.index(name) if name in self.names else None
 
 
 def body_points(body: Body) -> Points:
-    """The points of a body; a face only where it has a marker `head`, above its joint, and a pair of markers `l_...`, `r_...`."""
+    """Return the points of a body. It has a face only if it has a marker `head`, above its joint, and a pair of markers `l_...`, `r_...`."""
     markers = body.markers
     frame = _facing(body)
     if frame is None:
         return Points(markers.names, markers.joints, 0, jnp.zeros((0, 3), body.lengths.dtype))
     crown = markers.names.index("head")
-    shares = jnp.asarray([list(share) for share in FACE.values()], body.lengths.dtype)
-    face = jnp.sum(shares[:, :, None] * frame[None], axis=1)
+    fractions = jnp.asarray([list(fraction) for fraction in FACE.values()], body.lengths.dtype)
+    face = jnp.sum(fractions[:, :, None] * frame[None], axis=1)
     return Points((*markers.names, *FACE), (*markers.joints, *[markers.joints[crown]] * len(FACE)), crown, face)
 
 
 def as_markers(body: Body, points: Points) -> Markers:
-    """The points as markers of this body, whose lengths may have changed since `body_points`."""
+    """Return the points as markers of this body, whose lengths may have changed since `body_points`."""
     if not points.face.shape[0]:
         return body.markers
     crown = body.markers.offsets[points.crown]
@@ -104,7 +104,7 @@ def as_markers(body: Body, points: Points) -> Markers:
 
 
 def _facing(body: Body) -> Float[Array, "3 3"] | None:
-    """Rows: forward, left and up in the head joint's frame, in the pose in which all angles are 0."""
+    """Return forward, left and up, one row each, in the head joint's frame, in the pose in which all angles are 0."""
     names = body.markers.names
     pairs = [(name, "r_" + name[2:]) for name in names if name.startswith("l_") and "r_" + name[2:] in names]
     if "head" not in names or not pairs:

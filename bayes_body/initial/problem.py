@@ -1,4 +1,4 @@
-"""The problem of the first pose, from a session and a model: the measurements as arrays, and a prior for what they leave open."""
+"""The optimisation problem of the first pose, from a session and a model: the measurements as arrays, and a prior."""
 
 import jax
 import jax.numpy as jnp
@@ -13,17 +13,17 @@ from bayes_body.initial.points import Points
 from bayes_body.model.build import Model
 from bayes_body.session.session import Session
 
-# How sure an angle or a position is that a session gives beside markers or keypoints: radians, metres.
+# Standard deviation of an angle (radians) or a position (metres) that a session gives together with markers or keypoints.
 GIVEN_SD = {True: 0.35, False: 0.2}
-# How far from upright people stand, radians, and how far a joint is from its rest, as a share of its range, as one camera needs it.
+# Standard deviations of the body's tilt, radians, and of a joint about its resting angle, as a fraction of its range; the values suit one camera.
 TILT_SD = 0.4
 RANGE_SHARE = 0.25
-# With more to go by than one camera the prior only decides what nothing else tells: its sds are this many times as wide.
+# With more data than one camera's, the prior should decide only what the data leave open: its standard deviations are multiplied by this.
 LOOSER = 8.0
 
 
 def build_problem(model: Model, session: Session, points: Points, measurements: Measurements) -> Problem:
-    """The problem of a session's first pose, in the model's precision; angles are drawn to how the body rests, or to what the session says."""
+    """Return the problem of a session's first pose, in the model's dtype. The prior's mean is the resting pose, or the session's value of a dof."""
     body, dtype = model.body, model.body.lengths.dtype
     marker_weights, pixel_weights = measurements.marker_weights * points.weight, measurements.pixel_weights * points.weight
     weighted = measurements._replace(marker_weights=marker_weights, pixel_weights=pixel_weights)
@@ -47,7 +47,7 @@ def _prior(body: Body, session: Session, points: Points) -> Prior:
     mean, sd = np.clip(0.0, low, high), np.where(np.isfinite(high - low), width * RANGE_SHARE * (high - low), np.inf)
     topology = body.skeleton.topology
     root = topology.motions[0]
-    # A body whose root can be anywhere may face anywhere, and stands upright; one that is fixed to the world stands as its angles say.
+    # A body with a free root can face any direction, and is expected to stand upright. A body fixed to the world stands as its angles say.
     floats = any(motion.is_shift for motion in root)
     if floats:
         sd[[motion.dof for motion in root]] = np.inf

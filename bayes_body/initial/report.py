@@ -11,26 +11,26 @@ from bayes_body.initial.misfit import Distances
 from bayes_body.initial.points import FACE, Points
 from bayes_body.session.session import Session
 
-# Times the larger of its sd and the robust spread of its camera: farther off, a point is taken for wrong.
+# In units of the larger of a point's standard deviation and the robust spread of its camera: a point with a larger residual is an outlier.
 OUTLIER = 4.0
-# Times its sd: if the median point of a camera is farther off, the camera as a whole does not fit.
+# In units of a point's standard deviation: if the median residual of a camera is larger, the camera as a whole does not fit.
 BAD = 3.0
-# From the median of an absolute normal variable to its standard deviation.
+# Factor from the median absolute value of a normal variable to its standard deviation.
 NORMAL = 1.4826
 
 
 class FirstPose(NamedTuple):
-    """A session's first pose and how well it explains what the session says.
+    """A session's first pose and its residuals to the session's markers and keypoints.
 
     Attributes:
         pose: radians and metres, in the order of the body's dofs.
         marker_residuals_m: by name, metres.
         keypoint_residuals_px: by camera and name, pixels; keypoints with confidence 0 are left out.
-        median_m: of the markers' residuals; NaN without markers.
-        median_px: of the keypoints' residuals, the face's left out; NaN without keypoints.
-        outliers: (camera, name) of the points that were taken for wrong; the camera is None for a marker.
+        median_m: median of the markers' residuals; NaN without markers.
+        median_px: median of the keypoints' residuals, without the face; NaN without keypoints.
+        outliers: (camera, name) of the points that were treated as wrong; the camera is None for a marker.
         lengths_m: the body's lengths if they were fitted, else empty.
-        outline_radii_m: how thick its parts look, (base, tip), if that was fitted, else empty.
+        outline_radii_m: the (base, tip) outline radii of its parts if they were fitted, else empty.
         remarks: sentences for the user.
     """
 
@@ -46,7 +46,7 @@ class FirstPose(NamedTuple):
 
 
 class _Row(NamedTuple):
-    """One marker or keypoint: its residual and sd, metres of a marker (camera None), pixels of a keypoint."""
+    """One marker or keypoint: its residual and standard deviation, metres for a marker (camera None), pixels for a keypoint."""
 
     camera: str | None
     name: str
@@ -57,7 +57,7 @@ class _Row(NamedTuple):
 def tell(
     session: Session, points: Points, measurements: Measurements, far: Distances, pose: Float[Array, " dof"], lengths: Mapping[str, float]
 ) -> FirstPose:
-    """The report of a fit; remarks on points that were taken for wrong, and on markers or a camera that fit badly as a whole."""
+    """Return the report of a fit, with remarks on points that were treated as wrong, and on markers or a camera that fit badly as a whole."""
     markers, cameras = _marker_rows(points, measurements, far), _keypoint_rows(session, points, measurements, far)
     groups = [markers, *cameras.values()]
     return FirstPose(
@@ -101,12 +101,13 @@ def _remarks(rows: list[_Row]) -> list[str]:
     if _median([row.residual / row.sd for row in _bones(rows)]) > BAD:
         whose = "the markers" if rows[0].camera is None else f"camera {rows[0].camera}'s keypoints"
         median = _amount(rows[0].camera, _median([row.residual for row in _bones(rows)]))
-        return [f"{whose} fit badly, median {median} off: check the calibration, the subject's height, and that all show one person at one time"]
+        check = "check the calibration, the subject's height, and that all show the same person at the same time"
+        return [f"{whose} fit badly, median {median} off: {check}"]
     return [_wrong_point(row) for row in _outliers(rows)]
 
 
 def _wrong_point(row: _Row) -> str:
-    off = f"{row.name} is {_amount(row.camera, row.residual)} off: taken for"
+    off = f"{row.name} is {_amount(row.camera, row.residual)} off: treated as"
     return f"marker {off} wrong" if row.camera is None else f"camera {row.camera}'s {off} a wrong detection"
 
 

@@ -1,11 +1,11 @@
-r"""Where the fit of a first pose starts: many orientations of the root, each moved to the markers or keypoints.
+r"""The starts of the fit of a first pose: many orientations of the root, each shifted to the markers or keypoints.
 
-Given its angles, every point of a body is affine in its shifts, $p_k = a_k + J_k s$, and so is what says where it should be: $p_k = m_k$ of a
-marker, and $(R_x - x_k R_z)\,p_k + t_x - x_k t_z = 0$, likewise y, of a keypoint seen at $(x_k, y_k)$ at depth 1. Reweighted least squares gives s,
-from one camera or from many; with one, the body's size tells how far away it is.
+Given the angles, every point of a body is affine in the shifts s: $p_k = a_k + J_k s$. The conditions on the points are linear too: $p_k = m_k$ for a
+marker, and $(R_x - x_k R_z)\,p_k + t_x - x_k t_z = 0$, likewise for y, for a keypoint seen at $(x_k, y_k)$ at depth 1. Reweighted least squares
+solves them for s, with one camera or with many. With one camera, the body's size determines its distance.
 
-Orientations: every thirty degrees of each angle of the root. Those in which the body stands upright are taken in every heading; the best of all
-others, with random limbs, follow.
+The orientations lie on a grid with a step of thirty degrees for each angle of the root. The best upright orientation of every heading is used,
+followed by the best of all others, with random limbs.
 """
 
 import itertools
@@ -32,14 +32,14 @@ HEADINGS = 12
 UPRIGHT = 0.9
 MOST = 2048
 ROUNDS = 10
-# The sigmoid's slope vanishes at a limit: starts keep this share of the range away from it.
+# The sigmoid's slope vanishes at a limit: starts stay away from it by this fraction of the range.
 INSIDE = 0.03
-# How wide the misfit is when starts are compared.
+# Width of the misfit when starts are compared.
 WIDE = 8.0
 
 
 class Candidates(NamedTuple):
-    """Poses to start from, moved to the markers or keypoints; their misfit at the width WIDE, and their stance."""
+    """Poses to start from, shifted to the markers or keypoints; their misfit at the width WIDE, whether they are upright, and their heading."""
 
     poses: Float[Array, "candidate dof"]
     scores: Float[Array, " candidate"]
@@ -48,12 +48,12 @@ class Candidates(NamedTuple):
 
 
 def candidates(problem: Problem, up: int, key: Key) -> Candidates:
-    """Orientations of the root on a grid, the other angles as the prior has them and, a second time over, anywhere within limits.
+    """Return every orientation of the root on a grid twice: with the other angles at the prior's mean, and with random angles within limits.
 
     Args:
         problem: the fit.
-        up: the world's axis that points up.
-        key: of the random limbs.
+        up: index of the world's axis that points up.
+        key: random key for the limbs.
     """
     return _candidates(problem, orientations(problem.body), up, key)
 
@@ -76,7 +76,7 @@ def _candidates(problem: Problem, grid: Float[Array, "orientation angle"], up: i
 
 
 def choose(found: Candidates, count: int) -> Int[np.ndarray, " start"]:
-    """Which candidates to start from: the best upright one of each heading, then the best of all."""
+    """Return the indices of the candidates to start from: the best upright one of each heading, then the best of all."""
     order = np.argsort(np.asarray(found.scores))
     upright, heading = np.asarray(found.upright), np.asarray(found.heading)
     first: dict[int, int] = {}
@@ -88,7 +88,7 @@ def choose(found: Candidates, count: int) -> Int[np.ndarray, " start"]:
 
 
 def random_poses(skeleton: Skeleton, key: Key, poses: Float[Array, "start dof"]) -> Float[Array, "start dof"]:
-    """The poses with every limited angle drawn anew, uniformly between its limits."""
+    """Return the poses with every limited angle drawn again, uniformly between its limits."""
     low, high = skeleton.low, skeleton.high
     drawn = jnp.isfinite(low) & jnp.isfinite(high) & jnp.array(skeleton.topology.angular)
     u = jax.random.uniform(key, poses.shape, poses.dtype)
@@ -96,7 +96,7 @@ def random_poses(skeleton: Skeleton, key: Key, poses: Float[Array, "start dof"])
 
 
 def inside(skeleton: Skeleton, poses: Float[Array, "start dof"]) -> Float[Array, "start dof"]:
-    """The poses, kept a little away from their limits."""
+    """Return the poses, moved a little away from their limits."""
     bounded = jnp.isfinite(skeleton.low) & jnp.isfinite(skeleton.high)
     margin = INSIDE * jnp.where(bounded, skeleton.high - skeleton.low, 0.0)
     return jnp.clip(poses, skeleton.low + margin, skeleton.high - margin)
@@ -107,7 +107,7 @@ def _root_angles(body: Body) -> list[int]:
 
 
 def orientations(body: Body) -> Float[Array, "candidate angle"]:
-    """Every combination of the root's angles on a grid through 0; without limits, a full turn."""
+    """Return every combination of the root's angles on a grid through 0; an angle without limits covers a full turn."""
     axes = []
     for k in _root_angles(body):
         low, high = float(body.skeleton.low[k]), float(body.skeleton.high[k])
@@ -124,7 +124,7 @@ def _stance(body: Body, pose: Pose, up: int) -> tuple[Bool[Array, ""], Int[Array
 
 
 def _moved(problem: Problem, pose: Pose) -> tuple[Pose, Places]:
-    """The pose with its shifts solved for, and where its points are then."""
+    """Return the pose with the shifts that fit best, and the positions of its points."""
     topology, dtype = problem.body.skeleton.topology, pose.dtype
     shifts = jnp.array([k for k, angular in enumerate(topology.angular) if not angular], int)
     settings = jnp.concatenate([jnp.zeros((1, shifts.size), dtype), jnp.eye(shifts.size, dtype=dtype)])
@@ -136,11 +136,11 @@ def _moved(problem: Problem, pose: Pose) -> tuple[Pose, Places]:
     rows, sides, weights = _equations(problem, a, J)
     s = jnp.zeros(shifts.size, dtype)
     for step in range(ROUNDS):
-        # Metres; wide at first, so that the first solution is that of all points.
+        # Metres. The scale is large at first, so that the first solution uses all points.
         missed, scale = jnp.sum((rows @ s + sides) ** 2, axis=-1), 2.0 * 0.7**step
         w = weights / (1 + missed / scale**2)
         A = jnp.einsum("e,eis,eit->st", w, rows, rows)
-        # The smallest trace of a ridge: a direction that nothing tells of stays 0.
+        # A very small ridge: a direction that the data do not determine stays 0.
         s = -jnp.linalg.solve(A + 1e-4 * jnp.eye(s.size, dtype=dtype), jnp.einsum("e,eis,ei->s", w, rows, sides))
     return pose.at[shifts].set(s), a + J @ s
 
@@ -148,7 +148,10 @@ def _moved(problem: Problem, pose: Pose) -> tuple[Pose, Places]:
 def _equations(
     problem: Problem, a: Float[Array, "point 3"], J: Float[Array, "point 3 shift"]
 ) -> tuple[Float[Array, "equation 3 shift"], Float[Array, "equation 3"], Float[Array, " equation"]]:
-    """`rows s + sides` is 0 if a point lies where it was measured, metres; keypoints have two rows and an empty third."""
+    """Return the equations' rows, sides and weights. `rows s + sides` (metres) is 0 if a point lies where it was measured.
+
+    Keypoints have two rows and an empty third.
+    """
     measurements = problem.measurements
 
     def of_camera(camera: Camera, rays: Float[Array, "point 2"]) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Kernels: from the particles of one frame to those of the next. `kernels.hmc(...)`, `kernels.sir(...)` and so on build them."""
+"""Kernels, which map the particles of one frame to those of the next. `kernels.hmc(...)`, `kernels.sir(...)` and so on build them."""
 
 from bayes_body.kernels.annealed_filter import build_kernel as annealed
 from bayes_body.kernels.hmc_filter import build_kernel as hmc

@@ -3,9 +3,9 @@ r"""The annealed particle filter (Deutscher & Reid 2005).
 **A mode seeker, not a posterior sampler**: its particles gather at high values of the likelihood, and their spread does not measure uncertainty. It
 does not estimate the evidence, which is reported as NaN.
 
-A frame has layers $r = R \ldots 1$. At each, particles are resampled, crossed over, moved by the noise of the prior shrunk to $\tau^{R-r}$ of its
-standard deviation (Darby et al. 2008, (10)), and weighted by $w^{\beta_r}$. Bisection finds the $\beta_r$ at which the survival rate
-$1 / (N \sum_n \pi_n^2)$ is $\tau$. The noise of the layers is a proposal that no weight corrects: this makes the filter a mode seeker.
+A frame has layers $r = R \ldots 1$. At each layer, particles are resampled, crossed over, moved by the prior's noise with its standard deviation
+multiplied by $\tau^{R-r}$ (Darby et al. 2008, (10)), and weighted by $w^{\beta_r}$. Bisection finds the $\beta_r$ at which the survival rate
+$1 / (N \sum_n \pi_n^2)$ is $\tau$. The noise of the layers is a proposal that no weight corrects. This makes the filter a mode seeker.
 
 Crossover: a particle takes an interval of its parameters (a piece of a chain of joints) from a second parent, which is drawn by weight.
 """
@@ -27,7 +27,7 @@ from bayes_body.shapes import Index, Key, Scalar
 from bayes_body.toml.read import validate
 from bayes_body.toml.schema import Count, ProperShare, Schema, Share
 
-# The power of the likelihood is searched between these two; the logarithm of their ratio is halved so many times, to 1e-7.
+# Limits of the bisection for the likelihood's power, and its number of steps, which gives a precision of 1e-7 in the logarithm.
 LOWEST_POWER, HIGHEST_POWER = 1e-6, 1e6
 BISECTIONS = 28
 
@@ -43,7 +43,7 @@ class Options(Schema):
 
 
 class _Layer(NamedTuple):
-    """What a layer hands to the next: particles, the ancestor of each in the frame before, and whether a layer found no particle with weight."""
+    """The state passed from layer to layer: particles, their ancestors in the previous frame, and whether a layer had no particle with weight."""
 
     states: State
     log_weights: LogWeights
@@ -52,18 +52,18 @@ class _Layer(NamedTuple):
 
 
 def build_kernel(layers: int = 5, survival_rate: float = 0.5, crossover_rate: float = 0.5, resampling: Scheme = "systematic") -> Kernel:
-    """One frame of the filter.
+    """Return a kernel that filters one frame.
 
     Args:
-        layers: R, annealing layers a frame.
-        survival_rate: τ, the share of particles that survive a layer; also the factor by which the noise shrinks.
-        crossover_rate: the share of particles that take an interval of a second parent's parameters, from the second layer on.
+        layers: R, the number of annealing layers per frame.
+        survival_rate: τ, the fraction of particles that survive a layer; also the factor by which the noise shrinks.
+        crossover_rate: from the second layer on, the fraction of particles that take an interval of a second parent's parameters.
         resampling: how ancestors are drawn.
 
     Raises:
-        InputError: an argument outside its range.
+        InputError: an argument is outside its range.
     """
-    # A script's arguments were not checked yet.
+    # The arguments of a script have not been checked yet.
     validate(Options, {"layers": layers, "survival_rate": survival_rate, "crossover_rate": crossover_rate, "resampling": resampling}, "annealed()")
     resample = resampler(resampling)
     scales = survival_rate ** jnp.arange(layers)
@@ -106,7 +106,7 @@ def build_kernel(layers: int = 5, survival_rate: float = 0.5, crossover_rate: fl
 
 
 def _move_and_weigh(particle: tuple[Key, State, State], shared: tuple[Density, Index, Scalar]) -> Weighed:
-    """The moved particle with the terms of its weight. The first layer draws from the motion prior; the others move by its noise, shrunk."""
+    """Return the moved particle with the terms of its weight. The first layer draws from the motion prior; the others add its shrunken noise."""
     key, parent, previous = particle
     density, index, scale = shared
     transition = density.transition
@@ -116,7 +116,7 @@ def _move_and_weigh(particle: tuple[Key, State, State], shared: tuple[Density, I
 
 def _cross_over(key: Key, parents: State, before: _Layer, resample: Resample, rate: Scalar) -> State:
     second_key, shuffle_key, interval_key, share_key = jax.random.split(key, 4)
-    # Systematic draws come in the order of the particles: without the shuffle a particle would be crossed with itself.
+    # Systematic draws come in the order of the particles. Without the shuffle, a particle would be crossed with itself.
     second = jax.random.permutation(shuffle_key, resample(second_key, before.log_weights))
     takes_part = jax.random.uniform(share_key, second.shape) < rate
 
@@ -131,8 +131,8 @@ def _cross_over(key: Key, parents: State, before: _Layer, resample: Resample, ra
 
 
 def _power_for_survival(log_likelihood: LogWeights, log_constraint: LogWeights, survival_rate: float) -> Scalar:
-    """β at which the survival rate is met, by bisection on its logarithm; the survival rate falls as β grows."""
-    # The maximum is subtracted first: large powers of the values themselves would lose their differences in float32.
+    """Return the β that gives the survival rate, by bisection on log β. The survival rate decreases as β increases."""
+    # The maximum is subtracted first. Otherwise large powers would lose the differences between particles in float32.
     clean = jnp.where(jnp.isnan(log_likelihood) | jnp.isneginf(log_constraint), -jnp.inf, log_likelihood)
     relative = clean - jnp.max(jnp.where(jnp.isfinite(clean), clean, -jnp.inf))
     count = log_likelihood.shape[0]
@@ -152,5 +152,5 @@ NOTE = "a mode seeker: it finds the pose, but the spread of its particles is no 
 
 @register("kernel", "annealed", Options, NOTE)
 def build(options: Options, **_: Any) -> Kernel:
-    """The kernel of a definition."""
+    """Build the kernel from a definition's options."""
     return build_kernel(options.layers, options.survival_rate, options.crossover_rate, options.resampling)

@@ -1,15 +1,16 @@
 r"""The hybrid Monte Carlo filter (Poon & Fleet 2002, 4), through blackjax, on the marginal view.
 
-With the particles $(w_i, s^i_{t-1})$ of the frame before, the target is the likelihood times the prediction mixture (14),
-$p(s_t \mid z_{1:t}) \propto L(s_t; z_t) \sum_i w_i\, p(s_t \mid s^i_{t-1})$, in coordinates without limits.
+Given the particles $(w_i, s^i_{t-1})$ of the previous frame, the target is the likelihood times the prediction mixture (14),
+$p(s_t \mid z_{1:t}) \propto L(s_t; z_t) \sum_i w_i\, p(s_t \mid s^i_{t-1})$, in unconstrained coordinates.
 
-A frame begins with M states (`kernels/parts/starts.py`). They come from the mixture by sampling importance resampling of `starts` draws (M in the
-paper), which also estimate the evidence as well as a particle filter of that size does; or they are M particles of an annealed filter. A chain runs
-from each state, and its first states are burn-in. The other states of all chains are the particles, of equal weight, chain after chain.
+A frame begins with M states (`kernels/parts/starts.py`). They are chosen by sampling importance resampling from `starts` draws of the mixture (M
+draws in the paper). These draws also estimate the evidence, as accurately as a particle filter of that size. Alternatively, the states are M
+particles of an annealed filter. A chain runs from each state, and its first states are burn-in. The remaining states of all chains are the particles.
+They have equal weight and are ordered by chain.
 
-`carry` chooses the components of the next frame's mixture. They are the means of the chains, as in the paper, one component a chain; or the draws
-themselves, each with an ancestor drawn from $p(i \mid s_t)$. Means carry only the spread between chains, not that of the posterior: a filter of one
-chain treats the frame before as known exactly.
+`carry` chooses the components of the next frame's mixture. They are either the means of the chains, as in the paper, one component per chain, or the
+draws themselves, each with an ancestor drawn from $p(i \mid s_t)$. Means keep only the spread between chains, not that of the posterior. A filter
+with one chain treats the previous frame as known exactly.
 """
 
 from collections.abc import Callable
@@ -46,9 +47,9 @@ class Options(Schema):
     """Options of `[kernel] kind = "hmc"`.
 
     `particles` is the number of draws of all `chains` together: every `thinning`-th state after `burn_in`. `step` is the paper's factor of the step
-    size; `jitter` is the share by which a trajectory's number of steps varies. With a `target_acceptance` burn-in tunes the step. With
-    `mass = "adapted"` burn-in finds the mass matrix, beginning with the curvature's, and all chains adapt together. The states that chains begin in
-    are found among `starts` draws of the prediction, by weights (`starts_by = "importance"`) or by annealing.
+    size. `jitter` is the fraction by which a trajectory's number of steps varies. With a `target_acceptance`, burn-in tunes the step. With
+    `mass = "adapted"`, burn-in estimates the mass matrix, beginning with that of the curvature, and all chains adapt together. The starts of the
+    chains are chosen among `starts` draws of the prediction, by weight (`starts_by = "importance"`) or by annealing.
     """
 
     particles: Count = 400
@@ -71,15 +72,15 @@ class Options(Schema):
         if self.target_acceptance and not self.burn_in:
             raise ValueError("target_acceptance without burn_in: the step is tuned in burn-in; give a burn_in, such as 50")
         if self.mass == "adapted" and self.burn_in < FEWEST:
-            raise ValueError(f"burn_in = {self.burn_in} is too short to find the mass matrix in; give at least {FEWEST}, such as 24")
+            raise ValueError(f"burn_in = {self.burn_in} is too short to estimate the mass matrix; give at least {FEWEST}, such as 24")
         return self
 
 
 def build_sampler(**options: Any) -> Callable[[Key, Density, int], tuple[Particles, FilterInfo]]:
-    """(key, density, number of draws) -> draws of one frame's posterior, after the particles that the density holds as the frame before.
+    """Return a function (key, density, number of draws) -> draws of one frame's posterior, given the previous frame's particles in the density.
 
     Args:
-        options: as of `build_kernel`; `carry` is not used.
+        options: as for `build_kernel`; `carry` is not used.
 
     Raises:
         InputError: an argument that does not exist or is outside its range.
@@ -88,10 +89,10 @@ def build_sampler(**options: Any) -> Callable[[Key, Density, int], tuple[Particl
 
 
 def build_kernel(**options: Any) -> Kernel:
-    """One frame of the filter; the number of particles is that of the particles given to it.
+    """Return a kernel that filters one frame. It returns as many particles as it is given.
 
     Args:
-        options: those of `Options`, but for the particles.
+        options: those of `Options`, except `particles`.
 
     Raises:
         InputError: an argument that does not exist or is outside its range.
@@ -100,7 +101,7 @@ def build_kernel(**options: Any) -> Kernel:
 
 
 class _Filter:
-    """The steps of a frame, for one choice of options."""
+    """The computations of a frame, for one choice of options."""
 
     def __init__(self, options: Options):
         self.options = options
@@ -112,27 +113,27 @@ class _Filter:
             return self.sample(key, density.with_previous(particles), count)
         length = self._length(count)
         after, info = self.sample(key, density.with_previous(_chain_means(particles, length)), count)
-        # The first draw of a chain stands for its mean.
+        # The first draw of a chain represents its mean.
         return after, info._replace(ancestors=info.ancestors * length)
 
     def _length(self, count: int) -> int:
-        """Draws of a chain: ceil(count / chains). Surplus draws of the last chain are dropped."""
+        """Return the number of draws per chain: ceil(count / chains). Surplus draws of the last chain are discarded."""
         return -(-count // min(self.options.chains, count))
 
     def sample(self, key: Key, density: Density, count: int) -> tuple[Particles, FilterInfo]:
-        """`count` draws of a frame's posterior. The particles that the density holds as the frame before are the prediction mixture."""
+        """Return `count` draws of a frame's posterior. The previous frame's particles in the density define the prediction mixture."""
         check_gradients(density, "the kernel 'hmc'")
         start_key, chain_key, ancestor_key = jax.random.split(key, 3)
         length = self._length(count)
         chains = -(-count // length)
-        # Made once: its predictions are the same for all chains and draws.
+        # Computed once, since its predictions are the same for all chains and draws.
         target = density.unconstrained()
         begin = self._initialise(start_key, target, chains)
         keys = jax.random.split(chain_key, chains)
         batch = -(-chains // jax.device_count())
-        # Chains that have a mass matrix each need a step each.
+        # If each chain has its own mass matrix, each needs its own step.
         together = axes_of(chains, batch, CHAINS) if self.options.mass == "adapted" else ()
-        # JAX cannot check which values differ between devices in NUTS' loop, nor in a sum over chains.
+        # JAX cannot check which values differ between devices in the loop of NUTS or in a sum over chains.
         checked = self.options.sampler != "nuts" and not together
         ran: Chain = over_particles(self._chain(length, together), (keys, begin.starts), target, batch, checked, CHAINS)
         draws = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], ran.positions)
@@ -181,7 +182,7 @@ class _Filter:
         return run
 
     def _states(self, key: Key, draws: State, target: Unconstrained) -> tuple[State, Int[Array, " particle"]]:
-        """The whole states of draws, each with an ancestor drawn from p(i | s)."""
+        """Return the whole states of draws, each with an ancestor drawn from p(i | s)."""
 
         def complete(key_and_position: tuple[Key, State], target: Unconstrained) -> tuple[State, Index]:
             return target.complete(*key_and_position)
@@ -191,7 +192,7 @@ class _Filter:
 
 
 def _chain_means(particles: Particles, length: int) -> Particles:
-    """The mean state of each chain of so many draws, equally weighted; angles are averaged as numbers, whole turns included."""
+    """Return the mean state of each chain of `length` draws, with equal weights. Angles are averaged as plain numbers, including full turns."""
     count = particles.log_weights.shape[0]
 
     def means(leaf: Array) -> Array:
@@ -202,7 +203,7 @@ def _chain_means(particles: Particles, length: int) -> Particles:
 
 
 def _coordinates(target: Unconstrained) -> tuple[Float[Array, "particle dof"], Float[Array, " particle"]]:
-    """The particles of the frame before in coordinates without limits, and their weights."""
+    """Return the particles of the previous frame in unconstrained coordinates, and their weights."""
     previous = target.density.previous
     flat = jax.vmap(lambda state: ravel_pytree(target.unconstrain(state))[0])(dict(previous.states))
     return flat, jax.nn.softmax(previous.log_weights)
@@ -210,5 +211,5 @@ def _coordinates(target: Unconstrained) -> tuple[Float[Array, "particle dof"], F
 
 @register("kernel", "hmc", Options)
 def build(options: Options, **_: Any) -> Kernel:
-    """The kernel of a definition."""
+    """Build the kernel from a definition's options."""
     return _Filter(options).frame

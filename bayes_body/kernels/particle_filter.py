@@ -3,9 +3,9 @@ r"""The particle filter, by sampling importance resampling (Gordon, Salmond & Sm
 $$i \sim w, \qquad s_t \sim p(s_t \mid s^i_{t-1}), \qquad w_t \propto L(s_t; z_t)\, C(s_t), \qquad
 \hat p(z_t \mid z_{1:t-1}) = \frac{\sum_n L(s^n_t)\, C(s^n_t)}{\sum_n C(s^n_t)}.$$
 
-The particles are a weighted sample of the posterior. The constraints C remove a part of the prediction, and the denominator divides by what remains.
-Without constraints the denominator is N, and the estimate of the evidence is unbiased. With 31 dofs and a sharp likelihood few particles survive a
-frame: the price of sampling from the prior.
+The particles are a weighted sample of the posterior. The constraints C remove a part of the prediction, and the denominator normalises the rest.
+Without constraints the denominator is N, and the estimate of the evidence is unbiased. The filter samples from the prior, so with 31 dofs and a sharp
+likelihood few particles survive a frame.
 """
 
 from typing import Any
@@ -32,7 +32,7 @@ class Options(Schema):
 
 
 def build_kernel(resampling: Scheme = "systematic") -> Kernel:
-    """One frame of the filter; the number of particles is that of the particles given to it.
+    """Return a kernel that filters one frame. It returns as many particles as it is given.
 
     Raises:
         InputError: there is no such resampling scheme.
@@ -63,5 +63,5 @@ def build_kernel(resampling: Scheme = "systematic") -> Kernel:
 
 @register("kernel", "sir", Options)
 def build(options: Options, **_: Any) -> Kernel:
-    """The kernel of a definition."""
+    """Build the kernel from a definition's options."""
     return build_kernel(options.resampling)

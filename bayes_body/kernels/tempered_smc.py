@@ -1,18 +1,18 @@
 r"""Tempered SMC within a particle filter, on the extended space of ancestor and state (Del Moral, Doucet & Jasra 2006).
 
-With the weighted particles $(w_i, s^i_{t-1})$ of the frame before, inverse temperatures $0 = \beta_0 < \ldots < \beta_K = 1$ lead from the
+Given the weighted particles $(w_i, s^i_{t-1})$ of the previous frame, inverse temperatures $0 = \beta_0 < \ldots < \beta_K = 1$ lead from the
 prediction to the posterior of the frame:
 
 $$\pi_\beta(i, s_t) \propto w_i\, p(s_t \mid s^i_{t-1})\, C(s_t)\, L(s_t; z_t)^\beta, \qquad
 \hat p(z_t \mid z_{1:t-1}) = \prod_k \frac{1}{N} \sum_n L(s^n)^{\beta_k - \beta_{k-1}}.$$
 
-Only the likelihood is tempered; a constraint holds at full power throughout. A stage resamples, moves each particle by a Markov kernel that leaves
-$\pi_\beta$ invariant, and reweights to the next temperature: the highest β at which the effective sample size is still `target_ess` of the particles.
-A move redraws the ancestor, then the state by HMC or a random walk. The state moves in coordinates without limits, whitened variable by variable by
-the covariance of the weighted particles. The step size follows the acceptance rate from stage to stage.
+Only the likelihood is tempered. Constraints apply at full power in all stages. A stage resamples, moves each particle by a Markov kernel that leaves
+$\pi_\beta$ invariant, and reweights to the next temperature. That is the highest β at which the effective sample size is at least the fraction
+`target_ess` of the particles. A move redraws the ancestor, and then the state by HMC or a random walk. The state moves in unconstrained coordinates,
+whitened for each variable by the covariance of the weighted particles. The step size is adapted from stage to stage by the acceptance rate.
 
-The particles are a weighted sample of the posterior. `waste_free` keeps every state of the chains that the moves make (Dau & Chopin 2022).
-Temperatures and step sizes that are chosen by the particles bias the evidence by O(1/N). With those of a pilot run, `frozen_at`, it is unbiased.
+The particles are a weighted sample of the posterior. `waste_free` keeps every state of the moves' chains (Dau & Chopin 2022). Temperatures and step
+sizes that depend on the particles bias the evidence by O(1/N). With those of a pilot run, `frozen_at`, it is unbiased.
 """
 
 from collections.abc import Callable
@@ -38,7 +38,7 @@ from bayes_body.shapes import Flag, Key, Keys, Scalar
 from bayes_body.toml.read import validate
 from bayes_body.toml.schema import Count, ProperShare, Schema
 
-# How strongly the logarithm of the step size follows the acceptance rate of a stage.
+# The gain with which the acceptance rate of a stage adapts the logarithm of the step size.
 GAIN = 1.0
 
 
@@ -46,7 +46,7 @@ class Options(Schema):
     """Options of `[kernel] kind = "tempered"`.
 
     A stage makes `moves` Markov moves. `final_stages` more stages follow at the posterior itself; they keep the particles' weights. A move chooses
-    its ancestor among `candidates`, the present one included. The last of `most_stages` goes to the posterior, however few particles survive that.
+    its ancestor among `candidates`, including the current one. The last of `most_stages` goes to the posterior, even if few particles survive.
     """
 
     particles: Count = 1000
@@ -65,11 +65,11 @@ type LadderKernel = Callable[[Key, Particles, Density], tuple[Particles, FilterI
 
 
 def build_kernel(frozen_at: Ladder | None = None, **options: Any) -> Kernel:
-    """One frame of the sampler; the number of particles is that of the particles given to it.
+    """Return a kernel that samples one frame. It returns as many particles as it is given.
 
     Args:
         frozen_at: the ladder of a pilot run, from `build_ladder_kernel`.
-        options: those of `Options`, but for the particles.
+        options: those of `Options`, except `particles`.
 
     Raises:
         InputError: an argument that does not exist or is outside its range.
@@ -84,7 +84,7 @@ def build_kernel(frozen_at: Ladder | None = None, **options: Any) -> Kernel:
 
 
 def build_ladder_kernel(frozen_at: Ladder | None = None, **options: Any) -> LadderKernel:
-    """As `build_kernel`; this kernel also returns the ladder of temperatures that it used."""
+    """Return a kernel as `build_kernel` does, which also returns the ladder of temperatures that it used."""
     checked = validate(Options, options, "tempered()")
     return _Sampler(checked, frozen_at).frame
 
@@ -121,7 +121,7 @@ class _Sampler:
     # -- stages -------------------------------------------------------------------------------------------------------------------------
 
     def _begin(self, key: Key, view: Extended) -> tuple[TemperedState, Particles, Flag]:
-        """The prediction under its constraints, reweighted to the first temperature; the prediction; and whether no particle explains the frame."""
+        """Return the constrained prediction reweighted to the first temperature, the prediction, and whether no particle explains the frame."""
         ancestor_key, draw_key, resample_key = jax.random.split(key, 3)
         ancestors = self.resample(ancestor_key, view.density.previous.log_weights)
         drawn = predict(draw_key, ancestors, view.density)
@@ -133,7 +133,7 @@ class _Sampler:
         return first, predicted, drawn.normalised().lost
 
     def _stage(self, key: Key, state: TemperedState, view: Extended) -> TemperedState:
-        """Resample, move at the temperature reached, reweight to the next."""
+        """Resample, move at the current temperature, and reweight to the next."""
         state, settings = self._with_moves(state)
         states_a_chain = self.options.moves + 1 if self.options.waste_free else 1
 
@@ -148,7 +148,7 @@ class _Sampler:
 
     def _step(self, key: Key, state: TemperedState, move: Callable[..., tuple[ExtendedParticle, Any]], resampled: int) -> TemperedState:
         count, stage, at_top = state.log_weights.shape[0], state.stage, state.inverse_temperature >= 1
-        # At the top there is nothing to reweight: the particles keep their weights, unless there are fewer chains than particles.
+        # At β = 1 there is nothing to reweight: the particles keep their weights, unless there are fewer chains than particles.
         keeps_weights = at_top & (resampled == count)
 
         def resample(key: Key, log_weights: LogWeights, count: int | None = None) -> Int[Array, " drawn"]:
@@ -161,7 +161,7 @@ class _Sampler:
 
         after = feynman_kac_step(key, state.particles, state.log_weights, move, log_potential, resample, resampled)
         reached = state.inverse_temperature + self._increment(after.particles.log_likelihood, state)
-        # A sum in float32 that misses 1 by rounding would cost one more stage.
+        # If rounding in float32 left the sum just below 1, that would cost one more stage.
         reached = jnp.where(reached > 1 - 1e-6, 1.0, reached)
         acceptance = jnp.asarray(after.info, state.log_step_size.dtype)
         excess = jnp.where(jnp.isnan(acceptance), 0.0, GAIN * (acceptance - self.move.acceptance_rate))
@@ -188,7 +188,7 @@ class _Sampler:
     # -- moves --------------------------------------------------------------------------------------------------------------------------
 
     def _with_moves(self, state: TemperedState) -> tuple[TemperedState, MoveSettings]:
-        """The step size and the whitening of the moves at the temperature reached, entered in the ladder."""
+        """Enter the step size and whitening of the moves at the current temperature in the ladder. Return the state and the settings of the moves."""
         reached = state.stage - 1
         if self.frozen is not None:
             roots = {name: root[reached] for name, root in self.frozen.whitening.items()}
@@ -202,7 +202,7 @@ class _Sampler:
     def _walk(
         self, keys: Keys, particles: ExtendedParticle, view: Extended, settings: MoveSettings
     ) -> tuple[ExtendedParticle, Float[Array, " particle"]]:
-        """All particles moved: their last states, or with `waste_free` all states (particle, move, ...); and the acceptance rate of each."""
+        """Move all particles. Return their last states, or with `waste_free` all states (particle, move, ...), and their acceptance rates."""
         options = self.options
 
         def one(particle: tuple[Key, ExtendedParticle], shared: tuple[Extended, MoveSettings]) -> tuple[ExtendedParticle, Scalar]:
@@ -231,7 +231,7 @@ class _Sampler:
         return after, info
 
     def _evaluations(self, last: TemperedState) -> Array:
-        """Those of the prediction and of each stage's moves."""
+        """Return the number of evaluations in the prediction and in the moves of all stages."""
         count, options = last.log_weights.shape[0], self.options
         moved = count // (options.moves + 1) if options.waste_free else count
         return count + (last.stage - 1) * moved * options.moves * self.move.evaluations
@@ -239,5 +239,5 @@ class _Sampler:
 
 @register("kernel", "tempered", Options)
 def build(options: Options, **_: Any) -> Kernel:
-    """The kernel of a definition."""
+    """Build the kernel from a definition's options."""
     return build_kernel(**options.model_dump(exclude={"particles"}))

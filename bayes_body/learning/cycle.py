@@ -1,6 +1,6 @@
 r"""A walking cycle: a walker's mean stride and the main modes of variation between strides, $x = \bar x + \sum_k c_k m_k$ with $c_k \sim N(0, 1)$.
 
-Strides are those of `bayes_body.learning.gait`. Modes are the first singular vectors of the centred strides; so many as explain 95 % of the variance.
+Strides are those of `bayes_body.learning.gait`. Modes are the first singular vectors of the centred strides, enough to explain 95 % of the variance.
 """
 
 import io
@@ -51,7 +51,7 @@ class WalkingCycle:
 
 @dataclass(frozen=True)
 class Learned:
-    """A cycle, its number of strides, the share of variance that its modes explain, and remarks on walks that were left out."""
+    """A cycle, its number of strides, the fraction of variance that its modes explain, and remarks on walks that were left out."""
 
     cycle: WalkingCycle
     strides: int
@@ -85,7 +85,7 @@ def learn(walks: Sequence[Walk]) -> Learned:
             used.append(landmarks)
     if len(all_strides) < 2:
         found = f"{len(all_strides)} strides ({'; '.join(left_out) or 'no walk'})"
-        raise input_error("the walks", found, "at least 2 whole strides", "give walks straight ahead of at least two steps each")
+        raise input_error("the walks", found, "at least 2 whole strides", "give straight walks of at least two steps each")
     tall = float(np.mean([height(each, names) for each in used]))
     bones = np.mean([segments(each, names) for each in used], axis=0) / tall
     return _of_strides(all_strides, names, bones, tall, tuple(left_out))
@@ -132,7 +132,7 @@ def load_cycle(path: Path | None = None) -> WalkingCycle:
     """Read a walking cycle; by default the one that ships with the package.
 
     Raises:
-        InputError: no such file, or malformed.
+        InputError: the file does not exist or is malformed.
     """
     path = definitions_folder() / "learned" / f"{NAME}.npz" if path is None else path
     kind, remedy = "a walking cycle", "make one with `bayes-body learn walking-cycle`"

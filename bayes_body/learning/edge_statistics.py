@@ -26,7 +26,7 @@ from bayes_body.observation.outline_points import displaced, elsewhere_points, o
 from bayes_body.recording.images import read_mask
 from bayes_body.session.session import Session
 
-# Shares of the amplitudes below ρ_min and above ρ_max.
+# Fractions of the amplitudes below ρ_min and above ρ_max.
 TAIL = 0.005
 LEAST_POINTS = 200
 
@@ -78,7 +78,7 @@ class Images(NamedTuple):
     pairs: Sequence[tuple[NDArray[np.uint8], NDArray[np.bool_]]]
 
     def at(self, wavelength_px: float, displacements: Sequence[float | None], seed: int = 0) -> list[Response]:
-        """Responses on all outlines, one item for each displacement: moved by so many pixels, or elsewhere if it is None."""
+        """Responses for each displacement from all outlines: displaced by that number of pixels, or elsewhere if it is None."""
         rng = np.random.default_rng(seed)
         found: list[list[Response]] = [[] for _ in displacements]
         for grey, mask in self.pairs:
@@ -96,8 +96,7 @@ def known_pairs(session: Session, frames: int, true_masks: Callable[[str], str])
         session: the recording.
         frames: number of frames.
         true_masks: maps a camera's name to the printf pattern of the simulator's silhouettes, relative to the session's folder. If there are none,
-        the
-            session's masks are used.
+            the session's masks are used.
     """
     found = []
     for index in sorted({round(place) for place in np.linspace(0, session.frames - 1, frames)}):

@@ -61,7 +61,7 @@ class Trial(NamedTuple):
 
     @property
     def coverage(self) -> float:
-        """The share of known coordinates inside their intervals."""
+        """The fraction of known coordinates inside their intervals."""
         return self.inside / self.known
 
 
@@ -73,7 +73,7 @@ def with_scale(definition: Definition, scale: float) -> Definition:
     """
     scaled = [index for index, term in enumerate(definition.likelihoods) if hasattr(term.options, OPTION)]
     if len(scaled) != 1:
-        found = f"{len(scaled)} likelihoods with a {OPTION}"
+        found = f"it has {len(scaled)} likelihoods with a {OPTION}"
         raise input_error(f"the model '{definition.name}'", found, "one", "a distribution over images needs no scale; scale several one at a time")
     terms = list(definition.likelihoods)
     terms[scaled[0]] = replace(terms[scaled[0]], options=terms[scaled[0]].options.model_copy(update={OPTION: scale}))
@@ -100,8 +100,8 @@ def trials(
         kernel: a posterior sampler; the intervals of a mode seeker mean nothing.
         particles: number of particles of a run.
         seed: the seed of everything random.
-        frames: use only the first so many frames.
-        kept: trials that are there already, and where new ones go.
+        frames: use only this many frames, from the first.
+        kept: existing trials, to which new ones are added.
         watch: wraps the iteration over trials, to show progress.
 
     Raises:
@@ -129,9 +129,11 @@ def _trial(session: Session, model: Model, scale: float, kernel: Kernel, particl
     draws = track(session, model, kernel, jax.random.key(seed), particles, frames=min(frames or session.frames, session.frames))
     found = draws_against_truth(session, draws)
     if found is None:
-        raise input_error(f"the model '{model.definition.name}'", "none of its markers is in the truth", "one with markers", "use another body")
+        raise input_error(
+            f"the model '{model.definition.name}'", "none of its markers is in the truth", "a model with such markers", "use another body"
+        )
     if np.isnan(log_evidence(draws)):
-        raise input_error("--kernel", "a mode seeker", "one whose particles are draws of the posterior", "use sir or tempered")
+        raise input_error("--kernel", "a mode seeker", "a kernel whose particles are draws from the posterior", "use sir or tempered")
     figures = accuracy_figures(found, mode_seeker=False)
     inside, known = int(found.plain.inside[LEVELS.index(LEVEL)].sum()), int(found.plain.known.sum())
     iou = float(np.nanmedian(silhouette_overlap(session, draws)))
@@ -149,7 +151,7 @@ def choose_scale(scales: Float[np.ndarray, " scale"], coverage: Float[np.ndarray
     """The largest scale at which the decreasing coverage crosses the level; otherwise the largest scale that is about as good as the best.
 
     Raises:
-        InputError: there is neither within the scales.
+        InputError: neither exists within the scales.
     """
     near = int(np.flatnonzero(coverage >= coverage.max() - NEAR)[-1])
     if coverage.max() < level and 0 < near < len(scales) - 1:

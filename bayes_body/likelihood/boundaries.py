@@ -3,7 +3,7 @@ r"""Points on the occluding boundaries of a body's parts in each camera: their p
 Samples are at fixed places of the contour $e \pm r (a \times c)/\|a \times c\|$ (Poon & Fleet 2002, 3.2; body/solids.py), so they move smoothly with
 the pose. A part hides a sample if the sample lies inside the part's outline, and the part's axis is nearer to the camera there. Parts are convex;
 their outlines are quadrilaterals and ellipses. With hard visibility a sample is hidden or not, so a density built on it has jumps. With soft
-visibility it is hidden by the share
+visibility it is hidden to the fraction
 
 $$\sigma(d / h_d)\ \sigma((Z - Z' - m) / h_Z)$$
 
@@ -40,7 +40,7 @@ class Contour(NamedTuple):
 
 
 class Boundaries(NamedTuple):
-    """The samples in a rig's images: pixels, unit normals, and the visible share of each, in [0, 1]."""
+    """The samples in a rig's images: pixels, unit normals, and the visible fraction of each, in [0, 1]."""
 
     pixels: Pixels[Grid]
     normals: tuple[Grid, Grid]
@@ -92,7 +92,7 @@ def _share(value: Array, width: float, visibility: Visibility) -> Array:
 
 
 def _shown(body: Body, rig: Camera, in_camera: RigPatches, pixels: Pixels[Grid], depths: Grid, visibility: Visibility) -> Grid:
-    """The share of each sample that no other part hides."""
+    """Return the fraction of each sample that no other part hides."""
     cameras, parts, samples = depths.shape
     forms = forms_of(body.topology, rig, in_camera)
     ends = corner_pixels(rig, in_camera, np.repeat([[0.0], [1.0]], parts, axis=1).astype(in_camera.dtype), np.zeros((2, parts), in_camera.dtype))

@@ -1,4 +1,4 @@
-r"""The share of an image that a body covers: of the points of a coarse grid, those in the projection of any part.
+r"""The fraction of an image that a body covers: of the points of a coarse grid, those in the projection of any part.
 
 The membership of a grid point in a part's quadrilateral is soft over one step of the grid: $\prod$ of sigmoids of the distances to its four sides.
 Therefore the area has a gradient. The union over parts is $1 - \prod_p (1 - m_p)$.
@@ -18,7 +18,7 @@ from bayes_body.shapes import Pose, Scalar
 
 
 def projected_area(body: Body, rig: Camera, pose: Pose, grid: tuple[int, int]) -> Float[Array, " camera"]:
-    """The covered share of each camera's image, in [0, 1]. A part with a corner that is not visible covers nothing.
+    """Return the covered fraction of each camera's image, in [0, 1]. A part with a corner that is not visible covers nothing.
 
     Args:
         body: the body.

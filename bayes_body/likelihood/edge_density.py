@@ -24,7 +24,7 @@ from jaxtyping import Array, Float
 PHASE_SD = 0.15 * math.pi
 # δ: with a, b above 1, a Beta density would be zero at both ends.
 NEAREST = 0.01
-# The share of the range of ρ' over which the soft clip bends.
+# The fraction of the range of ρ' over which the soft clip bends.
 BEND = 0.05
 # Nodes of the integral over ρ'.
 QUADRATURE = 64

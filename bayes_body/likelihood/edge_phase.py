@@ -133,7 +133,7 @@ def _by_scale(statistics: EdgeStatistics) -> EdgeStatistics:
     return EdgeStatistics(statistics.epsilon.T, statistics.amplitude.T, statistics.log_amplitude.T, statistics.log_occluded)
 
 
-@register("likelihood", "edge_phase", Options, note="it reads grey levels; the pictures of a colour video are converted")
+@register("likelihood", "edge_phase", Options, note="it reads grey levels; colour images are converted")
 def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
     """Build the factor for one rig and body."""
     dtype = body.lengths.dtype

@@ -4,7 +4,7 @@ $$p(z \mid s) = \prod_{c, m \,\text{present}} \Big[ (1 - \epsilon)\, f\big(\|z_{
   + \frac{\epsilon}{W_c H_c} \Big],$$
 
 where f is Gaussian, $\frac{1}{2\pi\sigma^2} e^{-r^2/2\sigma^2}$, or Student's t in two dimensions (Lange et al. 1989), which has the same constant,
-$\frac{1}{2\pi\sigma^2} (1 + r^2/\nu\sigma^2)^{-(\nu+2)/2}$; $\epsilon$ is the share of outliers, uniform over the image, and
+$\frac{1}{2\pi\sigma^2} (1 + r^2/\nu\sigma^2)^{-(\nu+2)/2}$; $\epsilon$ is the fraction of outliers, uniform over the image, and
 $\sigma_{cm} = \sigma_c / q_{cm}^a$ with the confidence q. Which markers are present, and their confidence, is given. A marker behind a camera is
 expected at a fixed place far outside the image: this is unlikely but finite, and the density is still normalised.
 
@@ -64,7 +64,7 @@ class MarkersGaussian:
         noise: gaussian or student.
         markers: indices of the visible markers in the body.
         places: their indices in `MARKERS`.
-        outliers: share of the markers that are outliers, uniform over the image.
+        outliers: fraction of the markers that are outliers, uniform over the image.
         by_confidence: the power a of the confidence.
         body: the body.
         rig: the cameras.

@@ -1,4 +1,4 @@
-"""How good a run is: overlap with the silhouettes, agreement of the runs, error and coverage against the truth, and the figures of `summary.json`."""
+"""Measures of a run's quality, for `summary.json`: overlap with the silhouettes, agreement of the runs, and error and coverage against the truth."""
 
 from bayes_body.metrics.figures import accuracy_figures
 from bayes_body.metrics.fit import silhouette_overlap

@@ -1,13 +1,13 @@
-r"""How far one frame's weighted markers are from the truth, and whether their spread says so.
+r"""Error and coverage of one frame's weighted markers, compared with the truth.
 
-With particles $x_i$ of weights $w_i$ and the truth $z$, all of one marker: the error is $\|\sum_i w_i x_i - z\|$. Of one axis, the equal-tailed
+Consider one marker, with particles $x_i$ of weights $w_i$ and the truth $z$. The error is $\|\sum_i w_i x_i - z\|$. For each axis, the equal-tailed
 interval of level L reaches from the quantile $(1-L)/2$ to $(1+L)/2$, where the quantile p is the smallest particle up to which the weights sum to p
-(`posterior.moments`). The truth is inside, ends included, exactly if
+(`posterior.moments`). The truth is inside, ends included, if and only if
 
 $$\sum_i w_i [x_i \le z] \ge \tfrac{1-L}{2} \quad\text{and}\quad \sum_i w_i [x_i < z] < \tfrac{1+L}{2},$$
 
-two sums that serve all levels, without sorting. If the truth is one more draw from what n particles of equal weight are drawn from, it is inside with
-a probability that differs from L by at most $1/(n+1)$.
+The same two sums are used for all levels, without sorting. If the truth and n particles of equal weight are drawn from the same distribution, the
+truth is inside with a probability that differs from L by at most $1/(n+1)$.
 """
 
 from typing import NamedTuple
@@ -19,21 +19,22 @@ from numpy.typing import NDArray
 from bayes_body.posterior.moments import ROUNDING, weighted_quantiles
 
 LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-# Of the distance that a run itself expects between its mean and the truth: the ends of its 90 % and of its 50 %.
+# Probabilities of the quantiles of the error that a run expects: the ends of its central 90 % and 50 %.
 SHARES = (0.05, 0.25, 0.75, 0.95)
-# The marker that others are measured from.
+# The marker relative to which others are measured.
 ORIGIN = "pelvis"
 
 
 class FrameAccuracy(NamedTuple):
-    """One frame of one run against the truth, metres; NaN where the truth is unknown.
+    """One frame of one run compared with the truth, metres; NaN where the truth is unknown.
 
     Attributes:
-        off: from the weighted mean marker to the true one.
-        relative: mean of that distance over the markers but the pelvis, mean and truth shifted to their own pelvis.
-        optimistic: least mean distance of a single particle's markers from the truth: of the best particle, which nobody knows without the truth.
+        off: vector from the weighted mean marker to the true one.
+        relative: mean error of all markers except the pelvis, after mean and truth are each shifted to their own pelvis.
+        optimistic: smallest mean distance of a single particle's markers from the truth. The best particle cannot be known without the truth.
         inside: whether the truth is inside the interval of each of LEVELS; False where it is unknown.
-        expected: quantiles SHARES of the mean distance of a particle's markers from the mean's: of the error, if the truth is one more draw.
+        expected: quantiles, at SHARES, of the mean distance of a particle's markers from the mean markers. If the truth is another draw from the
+            posterior, the error has these quantiles.
     """
 
     off: Float[np.ndarray, "marker 3"]
@@ -54,13 +55,13 @@ def frame_accuracy(
     truth: Float[np.ndarray, "marker 3"],
     names: tuple[str, ...],
 ) -> FrameAccuracy:
-    """A frame of one run against the truth.
+    """Compare one frame of one run with the truth.
 
     Args:
-        positions: of the particles' markers, metres.
-        weights: of the particles; they sum to one.
-        truth: of the same markers, metres; a marker is unknown if any of its numbers is NaN.
-        names: of the markers.
+        positions: positions of the particles' markers, metres.
+        weights: weights of the particles; they sum to one.
+        truth: true positions of the same markers, metres; a marker is unknown if any of its numbers is NaN.
+        names: names of the markers.
     """
     known = np.isfinite(truth).all(axis=-1)
     off, inside = np.full(truth.shape, np.nan), np.zeros((len(LEVELS), *truth.shape), bool)
@@ -80,14 +81,14 @@ def frame_accuracy(
 def inside_intervals(
     cloud: Float[np.ndarray, "particle marker 3"], weights: Float[np.ndarray, " particle"], truth: Float[np.ndarray, "marker 3"]
 ) -> Bool[np.ndarray, "level marker 3"]:
-    """Whether the truth lies inside the weighted equal-tailed interval of each of LEVELS, each axis by itself."""
+    """Return whether the truth lies inside the weighted equal-tailed interval of each of LEVELS, for each axis separately."""
     below, up_to = (weights @ side.reshape(len(cloud), -1) for side in (cloud < truth, cloud <= truth))
     ends = [((1 - level) / 2 - ROUNDING, (1 + level) / 2 - ROUNDING) for level in LEVELS]
     return np.stack([(up_to >= low) & (below < high) for low, high in ends]).reshape(-1, *truth.shape)
 
 
 def _relative(off: Float[np.ndarray, "marker 3"], names: tuple[str, ...]) -> float:
-    """What is left of the difference from the truth once the pelvises lie on each other; the pelvis, which then has none, does not count."""
+    """Return the mean error after the pelvises are aligned; the pelvis itself is left out."""
     if ORIGIN not in names or len(names) == 1:
         return float("nan")
     place = names.index(ORIGIN)

@@ -1,7 +1,8 @@
-"""The figures of `summary.json` about the error: millimetres, and shares between 0 and 1.
+"""The figures of `summary.json` about the error: millimetres, and fractions between 0 and 1.
 
-As in HumanEva (Sigal, Balan & Black 2010): the error of a frame is the mean over its markers, that of a recording the mean over its frames, beside
-it the standard deviation over the frames. Optimistic is the best particle of each frame (Balan, Sigal & Black 2005), which no tracker knows.
+They follow HumanEva (Sigal, Balan & Black 2010). The error of a frame is the mean over its markers. The error of a recording is the mean over its
+frames, and is given with the standard deviation over the frames. The optimistic error is that of the best particle of each frame (Balan, Sigal &
+Black 2005), which a tracker cannot identify.
 """
 
 from typing import Any
@@ -22,11 +23,11 @@ ACCEPTED = (0.80, 0.98)
 
 
 def accuracy_figures(found: AgainstTruth | None, mode_seeker: bool) -> dict[str, Any]:
-    """The figures by NAMES; None for one that does not exist, and for all of them without a truth.
+    """Return the figures NAMES; None for a figure that does not exist, and for all of them without a truth.
 
     Args:
         found: the run compared with the truth.
-        mode_seeker: whether the particles are no sample of the posterior: such a run has no intervals, and no coverage.
+        mode_seeker: whether the kernel is a mode seeker. Its particles are not a sample of the posterior, so it has no intervals and no coverage.
     """
     if found is None:
         return dict.fromkeys(NAMES)
@@ -45,18 +46,18 @@ def accuracy_figures(found: AgainstTruth | None, mode_seeker: bool) -> dict[str,
 
 
 def sd_over_frames(frame_error: Float[np.ndarray, "frame run"]) -> float:
-    """Standard deviation of a run's error over the frames, mean over the runs, metres; NaN below two frames with a known truth."""
+    """Return the standard deviation of a run's error over the frames, mean over the runs, metres; NaN if fewer than two frames have a known truth."""
     known = frame_error[np.isfinite(frame_error).all(axis=1)]
     return float(known.std(axis=0, ddof=1).mean()) if len(known) > 1 else float("nan")
 
 
 def coverage_at(coverage: Float[np.ndarray, " level"], level: float) -> float | None:
-    """The coverage of one of LEVELS; None where no truth is known."""
+    """Return the coverage of one of LEVELS; None if no truth is known."""
     return _known(coverage[LEVELS.index(level)])
 
 
 def width(coverage_90: float) -> str:
-    """Whether 90 % intervals of this coverage are too narrow, too wide or about right."""
+    """Say whether 90 % intervals with this coverage are too narrow, too wide or about right."""
     low, high = ACCEPTED
     return "too narrow" if coverage_90 < low else "too wide" if coverage_90 > high else "about right"
 

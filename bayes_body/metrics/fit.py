@@ -1,12 +1,12 @@
-r"""How well the projected mean body fits a frame: by the silhouettes, or by the keypoints.
+r"""Fit of the projected mean body to a frame, measured by the silhouettes or by the keypoints.
 
 With A the body's projection and B the silhouette, the overlap is $|A \cap B| / |A \cup B|$ (IoU) and the cover is
-$|A \cap B| / \min(|A|, |B|)$. The cover stays near 1 where the body is a part of the person, such as two legs, and where clothes or a shadow make the
-silhouette larger; it falls where the two lie apart. The distance to the keypoints is the median over the body's markers, divided by the person's size
-in the image (the larger side of the box around the keypoints).
+$|A \cap B| / \min(|A|, |B|)$. The cover stays near 1 if the body is only a part of the person, such as two legs, or if clothes or a shadow enlarge
+the silhouette. It falls if the two lie apart. The distance to the keypoints is the median over the body's markers, divided by the person's size in
+the image (the larger side of the box around the keypoints).
 
-Limits: on the demonstration and the PARSEC recording (four cameras each) the cover of good poses is 0.90 to 0.97 in every camera. A body that is
-0.1 m off has 0.66 to 0.87, median 0.79; one that is 0.2 m off 0.43 to 0.71, median 0.60; one that stands at the origin 0.00 to 0.49.
+The limits come from the demonstration and the PARSEC recording (four cameras each). The cover of good poses is 0.90 to 0.97 in every camera. For a
+body that is 0.1 m off it is 0.66 to 0.87, median 0.79; for one that is 0.2 m off 0.43 to 0.71, median 0.60; for one at the origin 0.00 to 0.49.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,18 +27,19 @@ from bayes_body.tracking.draws import Draws
 from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.silhouette import intersection_over_union, projected_masks, seen_in
 
-# Median over the cameras of the cover, below which the body is off the person; and of the distance (shares of the person's size), above which it is.
+# The body is not on the person if the median over the cameras of the cover is below the first, or that of the distance (as a fraction of the
+# person's size) is above the second.
 LEAST_COVER, MOST_DISTANCE = 0.7, 0.2
-# Consecutive frames that a warning needs: a single bad silhouette is none.
+# Number of consecutive frames that a warning needs: a single bad silhouette gives no warning.
 FEWEST_FRAMES = 3
-# Keypoints of less confidence are not used, nor a camera with fewer of them.
+# Keypoints with lower confidence are not used, and neither are cameras with fewer keypoints.
 LEAST_CONFIDENCE, FEWEST_POINTS = 0.3, 4
-# Distances are cut here: a marker behind the camera has none.
+# Distances are cut at this value. A marker behind the camera has no distance and gets this value.
 FARTHEST = 10.0
 
 
 class Fit(NamedTuple):
-    """The fit of a frame; NaN in a camera without silhouette or keypoints."""
+    """The fit of a frame; NaN for a camera without silhouette or keypoints."""
 
     overlap: Float[np.ndarray, "run camera"]
     cover: Float[np.ndarray, "run camera"]
@@ -46,13 +47,13 @@ class Fit(NamedTuple):
 
 
 def silhouette_overlap(session: Session, draws: Draws, watch: Watch = unwatched) -> Float[np.ndarray, "run frame camera"]:
-    """Overlap (IoU) of the projected mean body of each run with the silhouettes; NaN where the session has none."""
+    """Return the overlap (IoU) of the projected mean body of each run with the silhouettes; NaN where the session has none."""
     frames = watch(range(len(draws.frames)))
     return np.stack([frame_fit(session, draws.model, mean_pose(draws.frames[index]), index).overlap for index in frames], axis=1)
 
 
 def frame_fit(session: Session, model: Model, poses: Float[np.ndarray, "run dof"], index: int) -> Fit:
-    """The fit of poses (radians and metres) to frame `index`."""
+    """Return the fit of poses (radians and metres) to frame `index`."""
     frame, model = read_frame(session, index), seen_in(model, session, index)
     shape = (len(poses), len(session.views))
     overlap, cover = np.full(shape, np.nan), np.full(shape, np.nan)
@@ -66,7 +67,7 @@ def frame_fit(session: Session, model: Model, poses: Float[np.ndarray, "run dof"
 
 
 def cover_of(body: Bool[np.ndarray, "row column"], person: Bool[np.ndarray, "row column"]) -> float:
-    """|body ∩ person| / min(|body|, |person|): 0 if the body is out of the image, NaN if the person is."""
+    """Return |body ∩ person| / min(|body|, |person|); 0 if the body is outside of the image, NaN if the person is."""
     areas = np.count_nonzero(body), np.count_nonzero(person)
     if not areas[1]:
         return float("nan")
@@ -74,7 +75,7 @@ def cover_of(body: Bool[np.ndarray, "row column"], person: Bool[np.ndarray, "row
 
 
 def _distances(model: Model, poses: Float[np.ndarray, "run dof"], frame: Frame) -> Float[np.ndarray, "run camera"]:
-    """Median distance of the markers from the keypoints, as a share of the person's size in the image."""
+    """Return the median distance of the markers from the keypoints, as a fraction of the person's size in the image."""
     names = model.body.markers.names
     found = np.full((len(poses), len(frame.seen)), np.nan)
     if frame.keypoints is None or not names:
@@ -91,7 +92,7 @@ def _distances(model: Model, poses: Float[np.ndarray, "run dof"], frame: Frame) 
 
 
 def _usable(keypoints: Keypoints | None, names: Sequence[str]) -> dict[int, tuple[float, float]]:
-    """By the marker's index, the pixels of its keypoint."""
+    """Return the pixels of the usable keypoints, by the index of their marker."""
     found = {name: point for name, point in (keypoints or {}).items() if name in names and point[2] >= LEAST_CONFIDENCE}
     return {names.index(name): (point[0], point[1]) for name, point in found.items()}
 
@@ -102,7 +103,7 @@ def _projected(rig: Camera, places: Float[Array, "run marker 3"]) -> tuple[Float
 
 
 def first_fit(session: Session, model: Model) -> dict[str, Any]:
-    """How well the model's first pose fits frame 0, by the keys `fit_by` and `fit_first` of `summary.json`."""
+    """Return the fit of the model's first pose to frame 0, as the keys `fit_by` and `fit_first` of `summary.json`."""
     found = frame_fit(session, model, np.asarray(model.initial["pose"], float)[None], 0)
     return _first(found, np.isfinite(found.distance).any())
 
@@ -115,11 +116,11 @@ def _first(first: Fit, by_keypoints: bool | np.bool_) -> dict[str, Any]:
 
 
 def fit_figures(first: Fit, frames: Sequence[Fit]) -> dict[str, Any]:
-    """The keys of `summary.json` about the fit; by keypoints if there are any, else by silhouettes.
+    """Return the keys of `summary.json` about the fit; by keypoints if there are any, else by silhouettes.
 
     Args:
-        first: of the first pose to frame 0.
-        frames: of each run's mean pose to each frame.
+        first: fit of the first pose to frame 0.
+        frames: fit of each run's mean pose to each frame.
     """
     by_keypoints = any(np.isfinite(each.distance).any() for each in frames)
     values = np.stack([_over_cameras(each.distance if by_keypoints else each.cover) for each in frames])
@@ -137,12 +138,12 @@ def fit_figures(first: Fit, frames: Sequence[Fit]) -> dict[str, Any]:
 
 
 def _over_cameras(values: Float[np.ndarray, "run camera"]) -> Float[np.ndarray, " run"]:
-    """The median over the cameras that know one; NaN without any."""
+    """Return the median over the cameras that have a value; NaN if none has."""
     return np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in values])
 
 
 def _lasting(crossed: Bool[np.ndarray, " frame"]) -> Bool[np.ndarray, " frame"]:
-    """Stretches of at least FEWEST_FRAMES, or of all frames if there are fewer."""
+    """Keep only stretches of at least FEWEST_FRAMES frames, or of all frames if there are fewer."""
     least, out = min(FEWEST_FRAMES, len(crossed)), np.zeros_like(crossed)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], crossed.astype(int), [0]]))).reshape(-1, 2)
     for start, stop in edges:
@@ -151,10 +152,10 @@ def _lasting(crossed: Bool[np.ndarray, " frame"]) -> Bool[np.ndarray, " frame"]:
 
 
 def fit_sentences(figures: Mapping[str, Any]) -> list[str]:
-    """Warnings on a first pose that does not fit, and on frames in which the body is off the person; a summary of an older version has none.
+    """Return warnings about a first pose that does not fit, and about frames in which the body is not on the person.
 
     Args:
-        figures: from `first_fit` or `fit_figures`, such as a whole summary.
+        figures: the figures from `first_fit` or `fit_figures`, or a whole summary. A summary from an older version gives no warnings.
     """
     wording = _WORDINGS.get(figures.get("fit_by") or "")
     return [] if wording is None else [*_first_sentence(wording, figures.get("fit_first")), *_later_sentence(wording, figures)]
@@ -168,11 +169,11 @@ class _Wording(NamedTuple):
 _WORDINGS = {
     "silhouettes": _Wording(
         lambda value: value < LEAST_COVER,
-        lambda value: f"its projection and the silhouettes cover each other by {value:.2f} (limit {LEAST_COVER:g}; 1 is best)",
+        lambda value: f"its overlap with the silhouettes, relative to the smaller area, is {value:.2f} (limit {LEAST_COVER:g}; 1 is best)",
     ),
     "keypoints": _Wording(
         lambda value: value > MOST_DISTANCE,
-        lambda value: f"its markers are {value:.2f} of the person's size in the image from the keypoints (limit {MOST_DISTANCE:g}; 0 is best)",
+        lambda value: f"its markers are {value:.2f} of the person's size in the image away from the keypoints (limit {MOST_DISTANCE:g}; 0 is best)",
     ),
 }
 
@@ -181,7 +182,7 @@ def _first_sentence(wording: _Wording, value: float | None) -> list[str]:
     if value is None or not wording.is_off(value):
         return []
     remedy = "check the calibration, the units and the first pose of the session"
-    return [f"frame 0: the body in its first pose does not fit the picture: {wording.figure(value)}; {remedy}."]
+    return [f"frame 0: the body in its first pose does not fit the image: {wording.figure(value)}; {remedy}."]
 
 
 def _later_sentence(wording: _Wording, figures: Mapping[str, Any]) -> list[str]:
@@ -191,4 +192,5 @@ def _later_sentence(wording: _Wording, figures: Mapping[str, Any]) -> list[str]:
     to_the_end = off[-1] == figures.get("frames", 0) - 1 and off == list(range(off[0], off[-1] + 1))
     where = f"from frame {off[0]} the body no longer covers the person" if to_the_end else f"{frame_ranges(off)}: the body does not cover the person"
     at_worst = f"at worst, at frame {figures['fit_worst_frame']}, {wording.figure(worst)}"
-    return [f"{where}: {at_worst}; the poses there are no track of the person: look at the overlay, and raise --particles or correct the first pose."]
+    remedy = "the poses there do not follow the person: look at the overlay, and raise --particles or correct the first pose"
+    return [f"{where}: {at_worst}; {remedy}."]

@@ -1,6 +1,6 @@
 """Agreement of the runs, evidence, and the figures of `summary.json`.
 
-Frames are read one at a time; a few numbers of each are kept.
+Frames are read one at a time, and only a few numbers of each are kept.
 """
 
 import resource
@@ -23,7 +23,7 @@ from bayes_body.view.progress import Watch, unwatched
 
 
 def marker_disagreement(draws: Draws) -> float:
-    """Mean distance between the runs' mean markers: over pairs of runs, frames and markers, metres; NaN with a single run."""
+    """Return the mean distance between the runs' mean markers, over pairs of runs, frames and markers, metres; NaN with a single run."""
     return float(np.mean([_disagreement(draws.model, frame) for frame in draws.frames]))
 
 
@@ -34,12 +34,12 @@ def _disagreement(model: Model, frame: FrameResult) -> float:
 
 
 def log_evidence(draws: Draws) -> float:
-    """log p(all images), up to the likelihood's constant: the runs' estimates averaged before the logarithm; NaN from a mode seeker."""
+    """Return log p(all images), up to the likelihood's constant; NaN for a mode seeker. The runs' estimates are averaged before the logarithm."""
     return log_mean_exp(sum((np.asarray(frame.info.log_evidence, float) for frame in draws.frames), np.zeros(draws.runs)))
 
 
 class _Figures(NamedTuple):
-    """What the summary takes from one frame: the fit, arrays (run,), and single numbers."""
+    """The figures of one frame for the summary: the fit, arrays (run,), and single numbers."""
 
     ess: NDArray[Any]
     layers: NDArray[Any]
@@ -55,15 +55,15 @@ def _figures(session: Session, model: Model, frame: FrameResult, index: int) -> 
     info, fit = frame.info, frame_fit(session, model, mean_pose(frame), index)
     evidence, evaluations = np.asarray(info.log_evidence, float), int(np.sum(info.evaluations))
     worst = _largest(frame_rhat(frame, index))
-    # A kernel that chooses its number of layers pads them with NaN.
+    # A kernel that chooses its number of layers fills the unused layers with NaN.
     layers = np.isfinite(info.inverse_temperatures).sum(axis=-1)
     return _Figures(np.asarray(info.ess), layers, evidence, evaluations, frame.lost, worst, fit, _disagreement(model, frame))
 
 
 def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: Watch = unwatched) -> dict[str, Any]:
-    """The stable keys of `summary.json`; a figure that does not exist is null.
+    """Return the stable keys of `summary.json`; a figure that does not exist is null.
 
-    Seconds are wall-clock, all runs together; `seconds_per_frame` and `evaluations_per_second` leave the compilation out. An evaluation is the
+    Seconds are wall-clock time of all runs together; `seconds_per_frame` and `evaluations_per_second` exclude the compilation. An evaluation is the
     likelihood of a whole pose over all cameras.
     """
     frames, working = len(draws.frames), draws.timing.total - draws.timing.compile
@@ -106,7 +106,7 @@ def _largest(values: NDArray[np.floating]) -> float:
 
 
 def peak_memory_mb() -> float:
-    """The most memory that this process has held, in 10⁶ bytes."""
+    """Return the peak memory of this process, in 10⁶ bytes."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     # Kilobytes on Linux, bytes on macOS.
     return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6

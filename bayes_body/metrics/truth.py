@@ -1,12 +1,12 @@
-r"""A whole run compared with the truth, frame by frame: directly, and with the offset between the joint centres of the two skeletons fitted.
+r"""Compare a whole run with the truth, frame by frame: directly, and with the offset between the joint centres of the two skeletons fitted.
 
-Two skeletons are never the same: the truth's "hip" is not where the body's hip joint is. An offset that is constant over the frames, in
-the joint's frame, is no error of tracking. Of each marker m on a joint with the orientation $R_t$ (of the run's mean pose), the offset
+Two skeletons are never the same: the truth's "hip" is not where the body's hip joint is. An offset that is constant over the frames, in the joint's
+frame, is not a tracking error. For each marker m, on a joint with the orientation $R_t$ in the run's mean pose, the offset
 
 $$\delta_m = \arg\min_\delta \sum_t \| \bar x_{t,m} + R_t \delta - z_{t,m} \|^2 = \mathrm{mean}_t\; R_t^\top (z_{t,m} - \bar x_{t,m})$$
 
-is fitted on every other frame and added to the body's marker in the frames between, and vice versa: no frame is measured with an offset that it
-helped to fit.
+is fitted on every other frame and added to the body's marker in the frames between, and vice versa. So no frame is measured with an offset to which
+it contributed.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -32,7 +32,7 @@ from bayes_body.shapes import Pose
 from bayes_body.tracking.draws import Draws
 from bayes_body.view.progress import Watch, unwatched
 
-# Frames with a known truth below which no offset is fitted.
+# With fewer frames with a known truth, no offset is fitted.
 FEWEST = 10
 
 
@@ -50,14 +50,14 @@ class Accuracy(NamedTuple):
     """Some frames compared with the truth, metres; NaN where the truth is unknown. `FrameAccuracy` explains the fields.
 
     Attributes:
-        names: of the markers that the body and the truth both have.
-        error: of each marker.
-        relative: pelvis on pelvis.
-        optimistic: of the best particle.
-        expected: by SHARES, mean over the runs.
-        inside: how often the truth is inside the interval of each of LEVELS, over frames, runs and axes.
-        known: of how many that is.
-        residual: from the mean marker to the true one, in the frame of the marker's joint, mean over the runs.
+        names: names of the markers that both the body and the truth have.
+        error: error of each marker.
+        relative: mean error relative to the pelvis.
+        optimistic: mean error of the best particle.
+        expected: quantiles of the expected error at SHARES, mean over the runs.
+        inside: number of frames, runs and axes in which the truth is inside the interval of each of LEVELS.
+        known: number of frames, runs and axes in which the truth is known.
+        residual: vector from the mean marker to the true one, in the frame of the marker's joint, mean over the runs.
     """
 
     names: tuple[str, ...]
@@ -71,17 +71,17 @@ class Accuracy(NamedTuple):
 
     @property
     def frame_error(self) -> Float[np.ndarray, "frame run"]:
-        """The mean error of a frame's known markers, metres."""
+        """Mean error of a frame's known markers, metres."""
         return mean_known(self.error, -1)
 
     @property
     def coverage(self) -> Float[np.ndarray, " level"]:
-        """The share of frames, runs, markers and axes with the truth inside, by LEVELS; NaN where no truth is known."""
+        """Fraction of frames, runs, markers and axes with the truth inside, for each of LEVELS; NaN if no truth is known."""
         return shares(self.inside.sum(axis=-1), self.known.sum())
 
     @property
     def coverage_by_marker(self) -> Float[np.ndarray, "level marker"]:
-        """The same, marker by marker."""
+        """Coverage of each marker."""
         return shares(self.inside, self.known)
 
 
@@ -89,9 +89,9 @@ class AgainstTruth(NamedTuple):
     """A run compared with the truth.
 
     Attributes:
-        plain: with the body's markers as they are.
-        fitted: with the offset of the other half of the frames; None below FEWEST frames with a known truth.
-        offsets: fitted on all frames, in the frame of the marker's joint, metres; NaN of a marker that is never known.
+        plain: accuracy of the body's markers without an offset.
+        fitted: accuracy with the offset fitted on the other half of the frames; None with fewer than FEWEST frames with a known truth.
+        offsets: offsets fitted on all frames, in the frame of the marker's joint, metres; NaN for a marker that is never known.
     """
 
     plain: Accuracy
@@ -100,21 +100,21 @@ class AgainstTruth(NamedTuple):
 
 
 def true_markers(session: Session) -> Float[np.ndarray, "frame 15 3"] | None:
-    """The session's true markers, in the order of `evidence.markers.MARKERS`, metres; None where it names none.
+    """Return the session's true markers, in the order of `evidence.markers.MARKERS`, metres; None if the session names none.
 
     Raises:
-        InputError: the file that it names cannot be used.
+        InputError: the file that the session names cannot be used.
     """
     return None if session.truth_path is None else read_truth(session.truth_path, session.frames)
 
 
 def draws_against_truth(session: Session, draws: Draws, watch: Watch = unwatched) -> AgainstTruth | None:
-    """Compare draws with the session's truth; None if it has none, or none of the body's markers.
+    """Compare draws with the session's truth; None if it has no truth, or none for the body's markers.
 
     Args:
         session: the recording.
-        draws: of its first frames.
-        watch: an iterator over the frames' numbers that shows progress; used twice, the second time with the offsets.
+        draws: draws of the recording's first frames.
+        watch: wraps the frames' numbers to show progress; used twice, the second time with the offsets.
 
     Raises:
         InputError: the session's truth cannot be used.
@@ -132,12 +132,12 @@ def _cloud(draws: Draws, index: int) -> Cloud:
 
 
 def against_truth(model: Model, clouds: Clouds, truth: Float[np.ndarray, "frame 15 3"]) -> AgainstTruth | None:
-    """Compare particles with the truth, one frame in memory at a time; None if the two share no marker.
+    """Compare particles with the truth, with one frame in memory at a time; None if body and truth share no marker.
 
     Args:
-        model: of the run.
-        clouds: an iterator over the particles of each frame, a new one at each call.
-        truth: of the same frames, in the order of `evidence.markers.MARKERS`, metres; NaN where unknown.
+        model: the run's model.
+        clouds: returns a new iterator over the particles of each frame at each call.
+        truth: true markers in the same frames, in the order of `evidence.markers.MARKERS`, metres; NaN where unknown.
     """
     body = model.body.markers
     places = [place for place, name in enumerate(body.names) if name in MARKERS]
@@ -156,7 +156,7 @@ def against_truth(model: Model, clouds: Clouds, truth: Float[np.ndarray, "frame 
 
 
 def _folds(truth: Float[np.ndarray, "frame marker 3"]) -> Int[np.ndarray, " frame"]:
-    """Which half a frame belongs to: turn by turn, of those whose truth is known, since a truth may be known in every other frame only."""
+    """Return the half to which each frame belongs. The halves alternate over the frames whose truth is known, which may be only every other frame."""
     return np.cumsum(np.isfinite(truth).all(axis=-1).any(axis=-1)) % 2
 
 
@@ -168,7 +168,7 @@ def _accuracy(
     offsets: Float[np.ndarray, "fold marker 3"],
     folds: Int[np.ndarray, " frame"],
 ) -> Accuracy:
-    """All frames, each with its fold's offset added to the markers; a marker without an offset counts as unknown."""
+    """Return the accuracy over all frames, each with its fold's offset added to the markers. The truth of a marker without an offset is unknown."""
     found, inside = [], np.zeros((), int)
     moved = [replace(model, body=replace(model.body, markers=_moved(common, offset))) for offset in offsets]
     known = np.where(np.isfinite(offsets[folds]), truth, np.nan)
@@ -200,7 +200,7 @@ def _of_run(
 
 
 def _stacked(runs: Sequence[tuple[FrameAccuracy, NDArray[np.floating]]]) -> tuple[NDArray[np.floating], ...]:
-    """The stored figures of a frame: errors of each run, and the mean over the runs of the expected error and of the residual."""
+    """Return the stored figures of a frame: the errors of each run, and the means over the runs of the expected error and of the residual."""
     of = [accuracy for accuracy, _ in runs]
     error, relative, optimistic = (np.array([getattr(each, name) for each in of]) for name in ("error", "relative", "optimistic"))
     return error, relative, optimistic, np.mean([each.expected for each in of], axis=0), np.mean([residual for _, residual in runs], axis=0)
@@ -208,16 +208,16 @@ def _stacked(runs: Sequence[tuple[FrameAccuracy, NDArray[np.floating]]]) -> tupl
 
 @partial(jax.jit, static_argnums=1)
 def _orientations(skeleton: Skeleton, joints: tuple[int, ...], pose: Pose) -> Float[Array, "marker 3 3"]:
-    """`R_world_joint` of each marker's joint."""
+    """Return `R_world_joint` of each marker's joint."""
     return forward_kinematics(skeleton, pose).rotation[np.array(joints, int)]
 
 
 def mean_known(values: NDArray[np.floating], axis: int | tuple[int, ...]) -> NDArray[np.floating]:
-    """The mean over what is not NaN; NaN where there is nothing."""
+    """Return the mean of the values that are not NaN; NaN if there are none."""
     known = np.isfinite(values)
     return shares(np.where(known, values, 0).sum(axis=axis), known.sum(axis=axis))
 
 
 def shares(part: NDArray[np.number], whole: NDArray[np.integer]) -> NDArray[np.floating]:
-    """`part / whole`; NaN where the whole is nothing."""
+    """Return `part / whole`; NaN where the whole is 0."""
     return np.divide(part, whole, out=np.full(np.shape(part), np.nan), where=whole > 0)

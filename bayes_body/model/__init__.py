@@ -1,1 +1,1 @@
-"""Definitions (TOML), and the model that a definition and a session make."""
+"""Definitions (TOML), and models, which are built from a definition and a session."""

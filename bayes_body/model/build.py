@@ -1,4 +1,4 @@
-"""A definition and a session make a model: arrays in metres and radians, and one density for every frame."""
+"""Build a model from a definition and a session: arrays in metres and radians, and one density for every frame."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -26,16 +26,16 @@ from bayes_body.shapes import Pose
 
 @dataclass(frozen=True)
 class Model:
-    """A definition made concrete for one session.
+    """A definition applied to one session.
 
     Attributes:
-        definition: what it was built from.
-        body: of the session's subject.
+        definition: the definition that it was built from.
+        body: the body of the session's subject.
         rig: the session's cameras, stacked.
         transition: the motion prior at the session's frame rate.
-        factors: everything else.
-        initial: the state of frame 0 as the session gives it.
-        observers: for each factor that looks at images, from a frame's images to its arrays (host side).
+        factors: all other terms.
+        initial: the state of frame 0, from the session.
+        observers: for each factor that uses images, a function from a frame's images to the factor's arrays (on the host).
     """
 
     definition: Definition
@@ -47,21 +47,21 @@ class Model:
     observers: Mapping[str, Callable[[Any], Any]]
 
     def observe(self, frame: Any) -> Data:
-        """A frame's images (`observation.frames.Frame`) as the arrays that the factors need, by factor name."""
+        """Convert a frame's images (`observation.frames.Frame`) to the arrays that the factors need, by factor name."""
         return {name: observer(frame) for name, observer in self.observers.items()}
 
     def density(self, observation: Data, previous: Particles | None = None) -> Density:
-        """The posterior of a frame as a log-density of the state.
+        """Return the posterior of a frame as a log-density of the state.
 
         Args:
-            observation: from `observe`.
-            previous: the particles of the frame before; by default one, the initial state.
+            observation: the result of `observe`.
+            previous: the particles of the previous frame; by default one particle, the initial state.
         """
         point_mass = Particles(jax.tree.map(lambda leaf: leaf[None], dict(self.initial)), jnp.zeros(1, self.body.lengths.dtype))
         return Density(self.transition, self.factors, jax.tree.map(jnp.asarray, observation), point_mass if previous is None else previous)
 
     def at(self, cameras: Sequence[CameraSpec]) -> "Model":
-        """The same model with its cameras at other places, as a frame of moving cameras needs it. Shapes stay, so nothing is compiled again."""
+        """Return the same model with other camera positions, for a frame of moving cameras. Shapes do not change, so nothing is compiled again."""
         rig = stack([_camera(spec) for spec in cameras])
 
         def placed(node: Any) -> Any:
@@ -71,23 +71,23 @@ class Model:
         return replace(self, rig=rig, factors=factors)
 
     def beginning_at(self, pose: Pose) -> "Model":
-        """The same model with another first pose."""
+        """Return the same model with another first pose."""
         return replace(self, initial=self.transition.begin({"pose": jnp.asarray(pose, self.body.lengths.dtype)}))
 
     def start(self, count: int) -> Particles:
-        """`count` equal particles at the initial state; the first frame's transition spreads them."""
+        """Return `count` equal particles at the initial state. The first frame's transition spreads them."""
         states = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *leaf.shape)), dict(self.initial))
         return Particles(states, jnp.full((count,), -math.log(count), self.body.lengths.dtype))
 
     def markers(self, pose: Pose) -> Float[Array, "marker 3"]:
-        """World positions of the body's virtual markers, metres."""
+        """Return the world positions of the body's virtual markers, metres."""
         return marker_positions(self.body.skeleton, self.body.markers, pose)
 
 
 def build_model(name: str | Path | Definition, session: Session) -> Model:
-    """The model of that name (or path), for a session. It starts from the angles that the session gives; nothing is fitted.
+    """Build the model of that name (or path) for a session. It starts from the angles that the session gives; nothing is fitted.
 
-    `initial.load_model` is the whole of it: it fits the first pose, and refuses a session without one.
+    `initial.load_model` does more: it also fits the first pose, and refuses a session without one.
 
     Raises:
         InputError: the definition or the session's subject cannot be used.
@@ -116,13 +116,13 @@ def _likelihoods(definition: Definition, body: Body, rig: Camera) -> tuple[list[
 
 
 def _shape(subject: Subject, definition: Definition) -> Shape:
-    """The subject's measures, as far as they are measures of this body."""
+    """Return those of the subject's measurements that apply to this body."""
     if not definition.takes_measures_of(subject.body):
-        # Another body's lengths mean nothing here; a height means the same for all.
+        # Lengths of another body do not apply here, but a height applies to every body.
         return Shape(subject.height_m)
     if subject.body is None or subject.body != definition.body.measured_as:
         return Shape(subject.height_m, subject.lengths_m, subject.radii_m, subject.sections, subject.outline_radii_m)
-    # A smaller body has not all that the other one has.
+    # A smaller body may lack parts of the other body.
     known = {*definition.body.lengths_of_height, *(part.name for part in definition.body.parts)}
 
     def own[Value](measures: Mapping[str, Value]) -> dict[str, Value]:
@@ -149,14 +149,14 @@ def _camera(spec: CameraSpec) -> Camera:
 
 
 def _initial_pose(session: Session, body: Body, definition: Definition) -> Pose:
-    """The angles of the session's first pose. A dof that it leaves out starts in the middle of its limits, or at 0 if it has none."""
+    """Return the angles of the session's first pose. A missing dof starts at the middle of its limits, or at 0 if it has none."""
     larger = definition.body.measured_as
     known = [definition.body, *([load_body(larger)] if larger else [])]
     also = {dof.name for each in known for joint in each.joints for dof in joint.dofs}
     for name in session.initial:
-        # A fixed dof keeps its value, and a smaller body lacks dofs of the body in whose names the subject is measured.
+        # A fixed dof keeps its value. A smaller body may lack dofs of the body whose names the subject uses.
         if name not in body.dof_names and name not in also:
-            raise InputError(f"session.toml: initial: '{name}' is no dof of the body '{body.name}'; {nearest(name, body.dof_names)}")
+            raise InputError(f"session.toml: initial: '{name}' is not a dof of the body '{body.name}'; {nearest(name, body.dof_names)}")
     low, high = np.asarray(body.skeleton.low, float), np.asarray(body.skeleton.high, float)
     bounded = np.isfinite(low) & np.isfinite(high)
     middle = np.where(bounded, (np.where(bounded, low, 0) + np.where(bounded, high, 0)) / 2, 0.0)
@@ -166,7 +166,7 @@ def _initial_pose(session: Session, body: Body, definition: Definition) -> Pose:
             unit = "rad" if name in _angles(body) else "m"
             found, expected = f"{value:.4g} {unit}", f"a value between {least:.4g} and {most:.4g} {unit}, the limits of the body '{body.name}'"
             raise input_error(
-                f"session.toml: initial: '{name}'", found, expected, "correct the initial pose, or widen the limits in a body file of your own"
+                f"session.toml: initial: '{name}'", found, expected, "correct the initial pose, or widen the limits in your own body file"
             )
     return jnp.asarray(values, body.lengths.dtype)
 

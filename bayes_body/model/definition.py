@@ -1,6 +1,6 @@
-"""Model definitions: the schema of models/*.toml, found by name or by path, read and validated.
+"""Model definitions: read models/*.toml, by name or by path, and validate them.
 
-A definition names terms. The registry gives the schema of each term's table. Nothing here builds arrays.
+A definition names terms. The registry provides the schema of each term's table. Nothing here builds arrays.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -30,7 +30,7 @@ class TermTable(BaseModel):
 
 
 class _File(Schema):
-    """A whole definition whose terms are not validated yet."""
+    """The schema of a definition file whose terms are not validated yet."""
 
     title: str
     source: str
@@ -58,7 +58,7 @@ class LikelihoodDefinition(TermDefinition):
 
 @dataclass(frozen=True)
 class Definition:
-    """A declared model: the text of its file, titles, a body, and terms with validated options."""
+    """A model definition: the text of its file, its title and source, a body, and terms with validated options."""
 
     name: str
     text: str
@@ -73,24 +73,24 @@ class Definition:
     kernel: TermDefinition
 
     def takes_measures_of(self, body: str | None) -> bool:
-        """Whether lengths and a first pose that are named as in `body` (None: unknown) can be used for this definition's body."""
+        """Whether lengths and a first pose with the names of `body` (None: unknown) can be used for this definition's body."""
         return body in (None, self.body_name, self.body.measured_as)
 
 
 def definitions_folder() -> Path:
-    """The folder of the shipped definitions: inside the package in a wheel, beside it in a checkout."""
+    """Return the folder of the shipped definitions: inside the package in a wheel, beside it in a checkout."""
     package = Path(__file__).parents[1]
     inside = package / "_models"
     return inside if inside.is_dir() else package.parent / "models"
 
 
 def definition_names(folder: str = "") -> tuple[str, ...]:
-    """Names of the shipped models, or with `folder` = "bodies" of the shipped bodies."""
+    """Return the names of the shipped models or, with `folder` = "bodies", of the shipped bodies."""
     return tuple(sorted(path.stem for path in (definitions_folder() / folder).glob("*.toml")))
 
 
 def load_definition(name: str | Path) -> Definition:
-    """A shipped definition by name, or a user's by path.
+    """Load a shipped definition by name, or a user's by path.
 
     Raises:
         InputError: there is none of that name, or the file is no TOML.
@@ -104,16 +104,16 @@ def load_definition(name: str | Path) -> Definition:
 
 
 def parse_definition(name: str, text: str, body_text: str | None, where: str = "") -> Definition:
-    """A definition from a text, as a run stores it, whatever the files contain now.
+    """Read a definition from texts, such as those that a run stores, which may differ from the files.
 
     Args:
-        name: of the definition.
-        text: of the model file.
-        body_text: of the body file; without it a body that the model names is looked up.
-        where: the text's name in error messages; `name` by default.
+        name: name of the definition.
+        text: text of the model file.
+        body_text: text of the body file; without it, the body that the model names is looked up.
+        where: the name of the text in error messages; `name` by default.
 
     Raises:
-        InputError: the text is no TOML.
+        InputError: the text is not TOML.
         FaultyFileError: one sentence for each thing in it that is wrong.
     """
     where = where or name
@@ -122,7 +122,7 @@ def parse_definition(name: str, text: str, body_text: str | None, where: str = "
 
 def _read(name: str, text: str, data: Mapping[str, Any], collect: "_Collector") -> Definition:
     file = collect.attempt(lambda: validate(_File, data, collect.where))
-    # Read from the tables themselves: a fault in one place must not hide those in another.
+    # Read directly from the tables, so that a fault in one place does not hide those in another.
     body_name, body_text, body = collect.body(data.get("body"))
     likelihoods = tuple(collect.likelihood(index, table) for index, table in _tables(data.get("likelihood")))
     constraints = tuple(collect.term("potential", f"constraint #{index + 1}", table) for index, table in _tables(data.get("constraint")))
@@ -133,17 +133,17 @@ def _read(name: str, text: str, data: Mapping[str, Any], collect: "_Collector") 
 
 
 def _tables(value: Any) -> Iterator[tuple[int, TermTable]]:
-    """The tables of a list that name a term; the schema of the file reports the others."""
+    """Yield the tables of a list that name a term. The schema of the file reports the others."""
     for index, table in enumerate(value if isinstance(value, list) else []):
         if isinstance(table, dict) and isinstance(table.get("kind"), str):
             yield index, TermTable(**table)
 
 
 def load_body(name: str, beside: Path = Path()) -> BodySchema:
-    """A shipped body by name, or a user's by path, from the folder `beside` on.
+    """Load a shipped body by name, or a user's by path, relative to the folder `beside`.
 
     Raises:
-        InputError: as `load_definition`.
+        InputError: as in `load_definition`.
     """
     path = _locate(name, "bodies", "body", beside)
     return validate(BodySchema, read_toml(path), path.name if path.parent.parent == definitions_folder() else str(path))
@@ -159,14 +159,14 @@ def _locate(name: str, folder: str, kind: str, beside: Path) -> Path:
 
 
 class _Collector:
-    """Reads the terms of one file and collects all faults, so that a user sees them at once."""
+    """Reads the terms of one file and collects all faults, so that a user sees them together."""
 
     def __init__(self, where: str, folder: Path, body_text: str | None = None):
         self.where, self.folder, self.body_text = where, folder, body_text
         self.sentences: list[str] = []
 
     def body(self, table: Any) -> tuple[str, str, BodySchema | None]:
-        """The body's name, the text of its file, and the body. A body that is written out in the model has no text of its own."""
+        """Return the body's name, the text of its file, and the body. A body that is written out in the model has no separate text."""
         if not isinstance(table, dict):
             return "", "", None
         if "name" not in table:
@@ -176,7 +176,7 @@ class _Collector:
             if key != "name":
                 self.sentences.append(f"{self.where}: body.{key}: unknown key beside a body's name; {nearest(key, ['name'])}")
         if not isinstance(name, str):
-            self.sentences.append(str(input_error(f"{self.where}: body.name", str(name), "a text", "put the name of a body in double quotes")))
+            self.sentences.append(str(input_error(f"{self.where}: body.name", str(name), "a string", "put the name of a body in double quotes")))
             return "", "", None
         if self.body_text is not None:
             return name, self.body_text, self._parsed_body(name, self.body_text)
@@ -189,15 +189,15 @@ class _Collector:
         return self.attempt(lambda: validate(BodySchema, parse_toml(text, where), where))
 
     def term(self, room: Room, place: str, table: TermTable) -> TermDefinition:
-        """A term with its options, validated by the schema that its kind registered."""
+        """Return a term with its options, validated by the schema registered for its kind."""
         return TermDefinition(table.kind, self._options(room, place, table.kind, table.options))
 
     def likelihood(self, index: int, table: TermTable) -> LikelihoodDefinition:
-        """A likelihood; its sub-table `observation` belongs to the observation of the same kind."""
+        """Return a likelihood. Its sub-table `observation` belongs to the observation of the same kind."""
         place, options = f"likelihood #{index + 1}", table.options
         observation = options.pop("observation", {})
         read = self._options("likelihood", place, table.kind, options)
-        # A kind that does not exist is reported once.
+        # A kind that does not exist is reported only once.
         known = table.kind in names("likelihood")
         prepared = self._options("observation", f"{place}.observation", table.kind, observation) if known else None
         return LikelihoodDefinition(table.kind, read, prepared)
@@ -207,7 +207,7 @@ class _Collector:
         return self.attempt(lambda: validate(term.options, options, f"{self.where}: {place}")) if term else None
 
     def attempt[Result](self, action: Callable[[], Result], prefix: str = "") -> Result | None:
-        """The action's result; None if an input is wrong: its sentences are collected."""
+        """Return the action's result. If an input is wrong, collect its sentences and return None."""
         try:
             return action()
         except FaultyFileError as error:

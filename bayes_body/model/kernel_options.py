@@ -1,4 +1,4 @@
-"""The options of the kernel that a run uses: from the definition, from the run that is continued, and from the command line."""
+"""The options of a run's kernel: from the definition, from a continued run, and from the command line."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -8,25 +8,25 @@ from bayes_body.model.definition import Definition
 from bayes_body.registry import find
 from bayes_body.toml.read import validate
 
-# Options with a flag of their own in `bayes-body track`; the others are given by --set.
+# Options that have their own flag in `bayes-body track`; the others are given by --set.
 FLAGS = ("particles", "layers", "move", "moves", "leapfrog_steps")
 
 
 def kernel_options(
     definition: Definition, kind: str | None = None, overrides: Mapping[str, Any] | None = None, stored: Mapping[str, Any] | None = None
 ) -> tuple[str, Any]:
-    """A kernel's name and its validated options.
+    """Return a kernel's name and its validated options.
 
-    The options are the definition's if it names this kernel, else the kernel's own defaults. `overrides` replace single options.
+    The options are those of the definition if it names this kernel, else the kernel's defaults. `overrides` replace single options.
 
     Args:
-        definition: of the model.
-        kind: the kernel's name; None takes the definition's.
-        overrides: options that are given for this run.
-        stored: kernel and options of the run that is continued; they replace the definition's if the kernel is the same.
+        definition: the model's definition.
+        kind: the kernel's name; None for that of the definition.
+        overrides: options given for this run.
+        stored: kernel and options of the continued run; they replace those of the definition if the kernel is the same.
 
     Raises:
-        InputError: there is no such kernel, or it has no such option, or an option's value is not allowed.
+        InputError: there is no such kernel, it has no such option, or an option's value is not allowed.
     """
     kind, overrides = kind or definition.kernel.kind, overrides or {}
     schema = find("kernel", kind).options

@@ -1,1 +1,1 @@
-"""A user's own terms: loaded from a file, checked before a run."""
+"""Plugins: a user's own terms, loaded from a file and checked before a run."""

@@ -1,4 +1,4 @@
-"""What a term of a user's own must keep to: a built-in one is held to it by the type checker and by tests, a plugin's when it is used."""
+"""Checks of a plugin's terms when they are used. For built-in terms, the type checker and the tests guarantee the same."""
 
 import math
 import re
@@ -13,7 +13,7 @@ from bayes_body.density.factor import Data, Factor, State, Transition, Variables
 from bayes_body.errors import input_error
 from bayes_body.registry import Room
 
-# What each room's build function returns, in a user's words.
+# What each room's build function returns, in the user's terms.
 MADE = {
     "likelihood": "a Factor",
     "potential": "a Factor",
@@ -24,16 +24,16 @@ MADE = {
 
 
 def checked_term(room: Room, term: Any, name: str, where: str) -> Any:
-    """What a build function returned, once it is what its room promises.
+    """Check what a build function returned, and return it in the form that its room requires.
 
     Args:
-        room: where its name stands.
-        term: what was returned.
-        name: of the factor, as it was asked for.
-        where: how sentences shall call the term.
+        room: the room of the term.
+        term: what the build function returned.
+        name: the name requested for the factor.
+        where: the name of the term in error messages.
 
     Raises:
-        InputError: it is something else, or a factor has another name or the wrong side.
+        InputError: it has the wrong type, or a factor has a different name or the wrong side.
     """
     kind = {"likelihood": Factor, "potential": Factor, "dynamics": Transition}.get(room)
     if not (isinstance(term, kind) if kind else callable(term)):
@@ -52,21 +52,21 @@ def _checked_factor(room: Room, factor: Factor, name: str, where: str) -> Factor
 
 
 def _leafless(function: Any) -> Any:
-    """A bare function would be a leaf of the model, which must be arrays."""
+    """Wrap a bare function, which would otherwise be a leaf of the model. Leaves must be arrays."""
     bare = callable(function) and jax.tree.leaves(function) == [function]
     return jax.tree_util.Partial(function) if bare else function
 
 
 def check_factors(density: Any, state: State, own: Mapping[str, str]) -> None:
-    """That the factors of a user's own give one number, and at a first pose none that no posterior can be made of.
+    """Check that a user's own factors return one number, which at the first pose is finite or minus infinity.
 
     Args:
-        density: of the first frame (`bayes_body.density.density.Density`).
+        density: the density of the first frame (`bayes_body.density.density.Density`).
         state: the first pose.
-        own: the names of the terms that are the user's, and how sentences shall call each; a second factor of a kind has a number after its name.
+        own: the user's own terms: their names, and their names in error messages. A second factor of a kind has a number after its name.
 
     Raises:
-        InputError: a factor reads a variable that is not there, returns an array or no number, or NaN or infinity.
+        InputError: a factor reads a variable that does not exist, or returns an array, something other than a number, NaN or infinity.
     """
     values = variables(state, density.ancestor(0))
     for factor in density.factors:
@@ -96,7 +96,7 @@ def _check_value(factor: Factor, values: Variables, data: Data, where: str) -> N
     value = float(jax.jit(factor)(values, data))
     if math.isnan(value) or value == math.inf:
         found = f"is {'NaN' if math.isnan(value) else 'infinite'} at the first pose, with the data of the first frame"
-        raise input_error(where, found, "a finite number, or minus infinity", "look for 0 / 0, the logarithm of 0, or data that are missing")
+        raise input_error(where, found, "a finite number, or minus infinity", "look for 0 / 0, the logarithm of 0, or missing data")
 
 
 def _shown(value: Any) -> str:

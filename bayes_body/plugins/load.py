@@ -1,7 +1,7 @@
-"""A user's own terms: a Python file that registers likelihoods, observations, dynamics, potentials or kernels by name, for use from TOML.
+"""Load plugins: Python files that register a user's own likelihoods, observations, dynamics, potentials or kernels, for use from TOML.
 
-A definition never names code. A plugin is run only where its file is named, by `load_plugin` or `--plugin`; its terms are held to the promises of
-built-in ones, and what is wrong with them is said in a sentence that names the file and the line.
+A definition cannot load code. A plugin is run only if its file is named by `load_plugin` or `--plugin`. Its terms are checked, and each fault is
+reported in a sentence that names the file and the line.
 """
 
 import sys
@@ -18,7 +18,7 @@ from bayes_body.errors import InputError, input_error
 from bayes_body.plugins.check import check_factors, checked_term
 from bayes_body.registry import Place, Room
 
-# Where plugins' modules lie among those of Python: no import statement finds them.
+# The prefix of plugins' names in sys.modules. No import statement finds them.
 MODULES = "bayes_body plugin"
 
 
@@ -27,7 +27,7 @@ class Plugin(NamedTuple):
 
     Attributes:
         path: its file.
-        text: what that held when it was run.
+        text: the content of the file when it was run.
         places: room and name of each of its terms.
     """
 
@@ -40,10 +40,10 @@ _loaded: dict[Path, Plugin] = {}
 
 
 def load_plugin(path: Path | str) -> Plugin:
-    """Run a file that registers terms; again only if it changed since, and then its new terms take the place of the old.
+    """Run a file that registers terms. If the file has changed since, run it again and replace its terms; if not, do nothing.
 
     Raises:
-        InputError: no such file, no Python, it fails, it registers nothing or a name that is taken, or a term of it can be of no use.
+        InputError: the file does not exist or is not Python, its code fails, it registers nothing or a name that is taken, or a term is unusable.
     """
     path = Path(path).resolve()
     text = _read(path)
@@ -52,7 +52,7 @@ def load_plugin(path: Path | str) -> Plugin:
         return before
     for other in _loaded.values():
         if other.path.name == path.name and other.path != path:
-            raise input_error(path, f"the plugin {other.path} has the same file name", "one of its own, by which runs know it", "rename one of them")
+            raise input_error(path, f"the plugin {other.path} has the same file name", "a file name of its own", "rename one of them")
     if before:
         unload(before)
     with registry.additions() as places:
@@ -70,31 +70,31 @@ def load_plugin(path: Path | str) -> Plugin:
 
 
 def unload(plugin: Plugin) -> None:
-    """Forget a plugin and its terms."""
+    """Remove a plugin and its terms."""
     registry.forget(plugin.places)
     _loaded.pop(plugin.path, None)
     sys.modules.pop(_module_name(plugin.path), None)
 
 
 def loaded() -> tuple[Plugin, ...]:
-    """The plugins that were run, in that order."""
+    """Return the loaded plugins, in the order of loading."""
     return tuple(_loaded.values())
 
 
 def providing(places: Collection[Place]) -> tuple[Plugin, ...]:
-    """Those to which at least one of the terms belongs."""
+    """Return the plugins that provide at least one of the terms."""
     return tuple(plugin for plugin in loaded() if set(plugin.places) & set(places))
 
 
 def check_own_factors(density: Any, state: State) -> None:
-    """Hold the factors that are not built in against what a density needs; without such factors it costs nothing.
+    """Check the factors that are not built in against the requirements of a density. Without such factors this costs nothing.
 
     Args:
-        density: of the first frame (`bayes_body.density.density.Density`).
+        density: the density of the first frame (`bayes_body.density.density.Density`).
         state: the first pose.
 
     Raises:
-        InputError: as `plugin_checks.check_factors`.
+        InputError: as in `plugins.check.check_factors`.
     """
     files = {place: f"{plugin.path}: " for plugin in loaded() for place in plugin.places}
     rooms: tuple[Room, ...] = ("likelihood", "potential")
@@ -105,10 +105,10 @@ def check_own_factors(density: Any, state: State) -> None:
 
 @contextmanager
 def plugins_to_blame() -> Iterator[None]:
-    """Whatever fails inside in a plugin's code is an InputError that names the plugin's line.
+    """Convert an error in a plugin's code, raised in the `with` block, to an InputError that names the plugin's line.
 
     Raises:
-        InputError: as just said.
+        InputError: a plugin's code failed.
     """
     try:
         yield
@@ -136,9 +136,9 @@ def _read(path: Path) -> str:
 
 
 def _execute(path: Path, text: str) -> None:
-    """Run the file as a module of its own.
+    """Run the file as a separate module.
 
-    Not by Python's loader: that would leave a folder of compiled code beside the user's file, and could run another text than the one that is kept.
+    Python's loader is not used. It would create a folder of compiled code beside the user's file, and could run a different text from the one stored.
     """
     try:
         code = compile(text, str(path), "exec", dont_inherit=True)
@@ -149,7 +149,7 @@ def _execute(path: Path, text: str) -> None:
         raise input_error(path, str(error), "Python", "check the path") from None
     module = ModuleType(_module_name(path))
     module.__file__ = str(path)
-    # Annotations are looked up in a class's module.
+    # Annotations are looked up in the module of the class.
     sys.modules[module.__name__] = module
     try:
         exec(code, module.__dict__)
@@ -166,16 +166,16 @@ def _module_name(path: Path) -> str:
 
 
 def _check(plugin: Plugin) -> None:
-    """That its terms can be used at all; of a likelihood also that its data will be prepared."""
+    """Check that its terms can be used, and that each likelihood has an observation that prepares its data."""
     if not plugin.places:
         raise input_error(plugin.path, "registers nothing", "at least one term", 'put @bb.register("likelihood", "mine") above a build function')
     for room, name in plugin.places:
         where = f"{plugin.path}: {room} '{name}'"
         if room == "likelihood" and name not in registry.names("observation"):
             remedy = 'give its @register observation="markers_gaussian" or another, or register an observation of the same name'
-            raise input_error(where, "no observation", "what prepares its data", remedy)
+            raise input_error(where, "no observation", "an observation that prepares its data", remedy)
         if room == "kernel" and "particles" not in registry.find(room, name).options.model_fields:
-            raise input_error(where, "its options have no `particles`", "their number", "add `particles: Count = 1000` to them")
+            raise input_error(where, "its options have no `particles`", "an option for their number", "add `particles: Count = 1000` to them")
 
 
 # -- its terms ----------------------------------------------------------------------------------------------------------------------------------
@@ -199,7 +199,7 @@ def _guarded(plugin: Plugin, place: Place, build: Callable[..., Any]) -> Callabl
 
 
 def _failure(path: Path, text: str, error: BaseException, line: int | None) -> InputError:
-    """The last line of the error, and the plugin's line that it comes from."""
+    """Return an InputError with the last line of the error's text and the plugin's line that raised it."""
     lines = str(error).strip().splitlines()
     said = f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
     at = f": line {line}, `{text.splitlines()[line - 1].strip()}`" if line else ""
@@ -207,7 +207,7 @@ def _failure(path: Path, text: str, error: BaseException, line: int | None) -> I
 
 
 def _line_in(path: Path, error: BaseException) -> int | None:
-    """The last line of a file that an error passed through."""
+    """Return the number of the last line of a file in an error's traceback."""
     line, trace = None, error.__traceback__
     while trace is not None:
         if trace.tb_frame.f_code.co_filename == str(path):

@@ -1,4 +1,4 @@
-"""Draws as an ArviZ DataTree, and what respects their weights."""
+"""Draws as an ArviZ DataTree, and statistics that take their weights into account."""
 
 from bayes_body.posterior.stream import stream_posterior
 from bayes_body.posterior.tree import save_posterior, to_datatree

@@ -1,10 +1,11 @@
-r"""Whether independent runs agree: R-hat, and the number of independent draws that a run is worth.
+r"""Agreement of independent runs: R-hat, and the number of independent draws to which a run is equivalent.
 
-R-hat is the rank-normalised split R-hat of Vehtari et al. (2021): the larger of the bulk and the folded one. It takes no weights, so it is computed
-on draws of equal weight. ArviZ gives the same figure for one dof of one frame at a time; `split_rhat` computes all dofs of many frames at once.
+R-hat is the rank-normalised split R-hat of Vehtari et al. (2021): the larger of the bulk and the folded one. It does not use weights, so it is
+computed on draws of equal weight. ArviZ gives the same figure for one dof of one frame at a time; `split_rhat` computes all dofs of many frames at
+once.
 
 The mean of n independent draws has the variance $\sigma^2 / n$. With $\sigma^2$ of the pooled posterior and the variance of the runs' means,
-$n = \sigma^2 / \mathrm{Var}(\bar x_r)$. Unlike the effective sample size of the weights, this counts that particles share ancestors.
+$n = \sigma^2 / \mathrm{Var}(\bar x_r)$. Unlike the effective sample size of the weights, n is also reduced by shared ancestors.
 """
 
 import numpy as np
@@ -18,7 +19,7 @@ FEWEST_DRAWS = 4
 
 
 def rhat_of_block(block: Block) -> Float[np.ndarray, "frame dof"]:
-    """R-hat of every dof of each frame; NaN with a single run, below four draws, and for a dof that never moves."""
+    """Return R-hat of every dof of each frame; NaN with a single run, with fewer than four draws, and for a dof that never moves."""
     runs, draws, frames, dofs = block.poses.shape
     if runs < 2 or draws < FEWEST_DRAWS:
         return np.full((frames, dofs), np.nan)
@@ -26,7 +27,7 @@ def rhat_of_block(block: Block) -> Float[np.ndarray, "frame dof"]:
 
 
 def split_rhat(draws: Float[np.ndarray, "frame chain draw dof"]) -> Float[np.ndarray, "frame dof"]:
-    """Rank-normalised split R-hat of draws of equal weight, at least four a chain; NaN for a dof that never moves."""
+    """Return the rank-normalised split R-hat of draws of equal weight, at least four per chain; NaN for a dof that never moves."""
     half = draws.shape[2] // 2
     split = np.concatenate([draws[:, :, :half], draws[:, :, -half:]], axis=1)
     folded = np.abs(split - np.median(split, axis=(1, 2), keepdims=True))
@@ -34,7 +35,7 @@ def split_rhat(draws: Float[np.ndarray, "frame chain draw dof"]) -> Float[np.nda
 
 
 def _equal_weight(block: Block) -> Float[np.ndarray, "frame run draw dof"]:
-    """As many draws of equal weight as there are particles; each frame has its own seed, so its draws do not depend on the block."""
+    """Return draws of equal weight, as many as there are particles. Each frame has its own seed, so its draws do not depend on the block."""
     weights = weights_of_runs(block.log_weights)
     runs, draws, frames = weights.shape
     chosen = np.empty((frames, runs, draws), int)
@@ -46,7 +47,7 @@ def _equal_weight(block: Block) -> Float[np.ndarray, "frame run draw dof"]:
 
 
 def _normal_scores(values: Float[np.ndarray, "frame chain draw dof"]) -> Float[np.ndarray, "frame chain draw dof"]:
-    """Normal scores of the ranks over all chains; equal values share the mean of their ranks."""
+    """Return the normal scores of the ranks over all chains; equal values share the mean of their ranks."""
     from scipy.special import ndtri
     from scipy.stats import rankdata
 
@@ -65,7 +66,7 @@ def _rhat(scores: Float[np.ndarray, "frame chain draw dof"]) -> Float[np.ndarray
 
 
 def independent_draws(block: Block) -> Float[np.ndarray, " frame"]:
-    """The number of independent draws that a run is worth, over the dofs of each frame that move; NaN with a single run."""
+    """Return the number of independent draws to which a run is equivalent, over the dofs of each frame that move; NaN with a single run."""
     runs, _, frames, _ = block.poses.shape
     if runs < 2:
         return np.full(frames, np.nan)

@@ -1,4 +1,4 @@
-"""Read a posterior some frames at a time, so that a recording of any length needs a bounded memory."""
+"""Read a posterior a few frames at a time, so that memory is bounded for a recording of any length."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
@@ -18,9 +18,9 @@ class Block(NamedTuple):
     """Some frames of a posterior.
 
     Attributes:
-        frames: their numbers.
+        frames: numbers of the frames.
         poses: radians and metres, float64.
-        log_weights: normalised over the draws of a run and frame.
+        log_weights: log-weights, normalised over the draws of a run and frame.
     """
 
     frames: range
@@ -29,13 +29,13 @@ class Block(NamedTuple):
 
 
 def pose_blocks(tree: "xr.DataTree", frames: range | None = None, block: int = BLOCK, width: int | None = None) -> Iterator[Block]:
-    """Poses and weights, block by block.
+    """Yield poses and weights, block by block.
 
     Args:
-        tree: from `to_datatree`, in memory or opened lazily.
+        tree: a tree made by `to_datatree`, in memory or opened lazily.
         frames: numbers of the frames to read; all by default.
-        block: the most frames at a time; fewer if their arrays would be too large.
-        width: count of numbers that the caller computes from one draw of one frame; the dofs by default.
+        block: largest number of frames at a time; fewer are read if their arrays would be too large.
+        width: how many numbers the caller computes from one draw of one frame; the number of dofs by default.
     """
     pose, log_weight = tree["posterior"]["pose"], tree["sample_stats"]["log_weight"]
     frames = range(pose.sizes["frame"]) if frames is None else frames
@@ -46,7 +46,7 @@ def pose_blocks(tree: "xr.DataTree", frames: range | None = None, block: int = B
 
 
 def pieces(frames: range, block: int) -> Iterator[range]:
-    """The range cut into ranges of at most `block` (at least one) frames."""
+    """Yield the range in pieces of at most `block` (at least one) frames."""
     block = max(block, 1)
     for start in range(0, len(frames), block):
         yield frames[start : start + block]
@@ -57,17 +57,17 @@ def _slice(frames: range) -> slice:
 
 
 def weights_of_runs(log_weights: Float[np.ndarray, "run draw frame"]) -> Float[np.ndarray, "run draw frame"]:
-    """Weights that sum to one over the draws of each run and frame."""
+    """Return weights that sum to one over the draws of each run and frame."""
     weights = np.exp(log_weights - log_weights.max(axis=1, keepdims=True))
     return weights / weights.sum(axis=1, keepdims=True)
 
 
 def log_mean_exp(values: Float[np.ndarray, " run"]) -> float:
-    """The logarithm of the mean of estimates given by their logarithms; NaN if one is NaN."""
+    """Return the logarithm of the mean of estimates that are given by their logarithms; NaN if one is NaN."""
     return float("nan") if np.isnan(values).any() else float(np.logaddexp.reduce(values) - np.log(values.size))
 
 
 def pooled(values: NDArray[np.floating]) -> NDArray[np.floating]:
-    """From (run, draw, frame, ...) to (frame, run and draw, ...)."""
+    """Return an array (run, draw, frame, ...) as (frame, run and draw, ...)."""
     by_frame = np.moveaxis(values, 2, 0)
     return by_frame.reshape(by_frame.shape[0], -1, *by_frame.shape[3:])

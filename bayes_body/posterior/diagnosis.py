@@ -1,4 +1,4 @@
-"""The diagnostic figures of a run, and the limits beyond which a reader is warned."""
+"""The diagnostic figures of a run, and the limits beyond which there is a warning."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -11,25 +11,26 @@ from bayes_body.posterior.mixing import Mixing
 if TYPE_CHECKING:
     import xarray as xr
 
-# Frames back to which ancestors are counted.
+# Numbers of frames over which ancestors are traced back.
 LAGS = (1, 5, 10)
 
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Limits beyond which a figure becomes a warning.
+    """Limits beyond which a figure gives a warning.
 
     Attributes:
-        ess_share: least effective particles of a frame, as a share of the particles...
-        ess: ...and as a number: below either, means and quantiles rest on too few. With 50 the mean is known to 1/7 of the posterior's sd.
+        ess_share: smallest number of effective particles of a frame, as a fraction of the particles.
+        ess: smallest number of effective particles of a frame. Below either limit, means and quantiles rest on too few particles. With 50, the
+            standard error of the mean is 1/7 of the posterior's standard deviation.
         pareto_k: largest k of a frame's weights (Vehtari et al. 2024).
-        ancestors: least particles of the frame before that have descendants.
-        rhat: largest R-hat. Vehtari et al. (2021) ask for 1.01 of long chains; the runs of a filter are short.
-        evidence_sd: largest standard deviation over the runs of the log-evidence, nats: a Bayes factor below e² is not seen through it.
-        markov_rhat: largest R-hat over the Markov chains of a frame, which are shorter still.
-        divergent_share: largest share of a frame's trajectories that may diverge.
-        energy_fraction: least E-BFMI of a frame's chains, the mean of them (Betancourt 2016).
-        acceptance: least and largest acceptance rate of a frame's Markov moves, mean over runs and layers.
+        ancestors: smallest number of particles of the frame before that have descendants.
+        rhat: largest R-hat. Vehtari et al. (2021) recommend 1.01 for long chains; the runs of a filter are short.
+        evidence_sd: largest standard deviation over the runs of the log-evidence, nats. At this value, noise hides Bayes factors below e².
+        markov_rhat: largest R-hat over the Markov chains of a frame, which are even shorter.
+        divergent_share: largest fraction of a frame's trajectories that diverge.
+        energy_fraction: smallest E-BFMI of a frame's chains, mean over the chains (Betancourt 2016).
+        acceptance: smallest and largest acceptance rate of a frame's Markov moves, mean over runs and layers.
     """
 
     markov_rhat: float = 1.1
@@ -46,24 +47,24 @@ class Thresholds:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Figures of a run, frame by frame. What does not exist is NaN.
+    """Figures of a run in every frame. A figure that does not exist is NaN.
 
     Attributes:
-        kernel: the kernel's name; empty where the tree does not say.
-        particles: a run.
-        dofs: names.
-        ess: effective sample size of the weights, particles; of Markov chains by their autocorrelation, the least of all dofs.
+        kernel: the kernel's name; empty if the tree does not have it.
+        particles: number of particles of a run.
+        dofs: names of the dofs.
+        ess: effective sample size of the weights, particles. For Markov chains it is computed from their autocorrelation, as the minimum over dofs.
         pareto_k: tail shape of the weights; -∞ where the largest weights are all the same.
-        ancestors: by lag, how many particles of `lags` frames before have descendants.
-        lags: frames back.
-        acceptance_rate: share of a layer's Markov moves that were accepted.
+        ancestors: for each lag, the number of particles `lag` frames before that have descendants.
+        lags: numbers of frames back.
+        acceptance_rate: fraction of a layer's Markov moves that were accepted.
         rhat: rank-normalised R-hat over the runs.
-        independent_draws: how many independent draws a run is worth, from the variance of the runs' means.
-        log_evidence: of each frame given those before, nats, up to the likelihood's constant.
+        independent_draws: number of independent draws to which a run is equivalent, from the variance of the runs' means.
+        log_evidence: log-evidence of each frame given the frames before it, nats, up to the likelihood's constant.
         lost: frames that no particle explained.
-        seen: whether a camera's image was of use; None where the run does not say.
-        cameras: names, or numbers where the run has no names.
-        mixing: of the Markov chains of each frame; None where the kernel runs none.
+        seen: whether a camera's image was used; None if the run does not record it.
+        cameras: names of the cameras, or numbers if the run has no names.
+        mixing: figures of the Markov chains of each frame; None if the kernel runs none.
     """
 
     kernel: str
@@ -89,22 +90,22 @@ class Diagnosis:
 
     @property
     def evidence_by_run(self) -> Float[np.ndarray, " run"]:
-        """The log-evidence of the whole recording, nats; NaN or -∞ where a frame has none."""
+        """The log-evidence of the whole recording, nats; NaN or -∞ if a frame has none."""
         return self.log_evidence.sum(axis=1)
 
     @property
     def evidence_sd(self) -> float:
-        """Standard deviation of that over the runs, nats; NaN with a single run, or where a run has none."""
+        """Standard deviation of `evidence_by_run` over the runs, nats; NaN with a single run, or if a run has no evidence."""
         return float(_sd(self.evidence_by_run[:, None])[0])
 
     @property
     def evidence_sd_frames(self) -> Float[np.ndarray, " frame"]:
-        """The same, frame by frame."""
+        """Standard deviation of each frame's log-evidence over the runs, nats."""
         return _sd(self.log_evidence)
 
 
 def is_mode_seeker(tree: "xr.DataTree") -> bool:
-    """Whether the kernel of a posterior's tree estimates no evidence: its particles are then no sample of the posterior."""
+    """Return whether the kernel of a posterior's tree estimates no evidence. Its particles are then not a sample of the posterior."""
     return bool(np.isnan(np.asarray(tree["filter"]["log_evidence"], float)).all())
 
 

@@ -1,4 +1,4 @@
-"""Weighted diagnostics of every frame of a run, read block by block, and warnings from them, in sentences."""
+"""Weighted diagnostics of every frame of a run, read block by block, and warnings from them as sentences."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
@@ -25,16 +25,16 @@ class HasTree(Protocol):
 
     @property
     def tree(self) -> "xr.DataTree":
-        """As `to_datatree` makes it."""
+        """A tree made by `to_datatree`."""
         ...
 
 
 def diagnose(run: "HasTree | xr.DataTree", block: int = BLOCK) -> Diagnosis:
-    """The figures of a run. Apart from them, memory does not grow with the run's length.
+    """Return the figures of a run. Apart from these figures, memory does not grow with the run's length.
 
     Args:
         run: a `SavedRun`, or the tree of a posterior.
-        block: the most frames read at a time.
+        block: largest number of frames read at a time.
     """
     import xarray as xr
 
@@ -67,9 +67,9 @@ def diagnose(run: "HasTree | xr.DataTree", block: int = BLOCK) -> Diagnosis:
 
 
 def worst_figures(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -> dict[str, float | None]:
-    """A figure for each diagnostic, the worst over runs, frames and dofs; None where it does not exist.
+    """Return the worst figure of each diagnostic over runs, frames and dofs; None for a figure that does not exist.
 
-    A mode seeker's weights are no importance weights: it has no Pareto k.
+    A mode seeker has no Pareto k, because its weights are not importance weights.
     """
     weighted = not diagnosis.mode_seeker
     known = diagnosis.rhat[np.isfinite(diagnosis.rhat)]
@@ -92,7 +92,7 @@ def _extreme(function: Callable[[np.ndarray], np.floating], values: np.ndarray) 
 
 
 def effective_sample_sizes(log_weights: Float[np.ndarray, "run draw frame"]) -> Float[np.ndarray, "run frame"]:
-    """1 / Σ w² of normalised weights, particles."""
+    """Return the effective sample sizes, 1 / Σ w² of normalised weights, particles."""
     return 1 / (weights_of_runs(log_weights) ** 2).sum(axis=1)
 
 

@@ -1,16 +1,16 @@
-"""Words that sentences about frames share."""
+"""Wording shared by sentences about frames."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-# Stretches of frames that a sentence names before it only counts.
+# Number of stretches of frames that a sentence names; it only counts the rest.
 MOST_STRETCHES = 6
 
 
 def frame_ranges(frames: Sequence[int], most: int = MOST_STRETCHES) -> str:
-    """`frame 3`, or `frames 3-7, 9`: ascending frames in words; beyond `most` stretches the rest is counted."""
+    """Return ascending frames in words, such as `frame 3` or `frames 3-7, 9`; beyond `most` stretches the rest is only counted."""
     stretches: list[list[int]] = []
     for frame in frames:
         if stretches and stretches[-1][1] == frame - 1:
@@ -23,15 +23,15 @@ def frame_ranges(frames: Sequence[int], most: int = MOST_STRETCHES) -> str:
 
 
 def frames_where(crossed: Bool[np.ndarray, " frame"]) -> str:
-    """The frames that cross a limit, in words."""
+    """Return the frames that cross a limit, in words."""
     return frame_ranges(np.flatnonzero(crossed).tolist())
 
 
 def largest(values: Float[np.ndarray, "frame k"]) -> Float[np.ndarray, " frame"]:
-    """The largest of each row; -∞ where there is none."""
+    """Return the largest value of each row; -∞ if it has none."""
     return np.where(np.isnan(values), -np.inf, values).max(axis=1)
 
 
 def at_worst(crossed: Bool[np.ndarray, " frame"], frame: int) -> str:
-    """Where the worst is, if that is not said yet."""
+    """Return words that name the worst frame; empty if only one frame crosses the limit."""
     return f" at worst, at frame {frame}" if crossed.sum() > 1 else ""

@@ -1,7 +1,7 @@
-"""Particle genealogy: how many particles of an earlier frame have descendants in a frame.
+"""Particle genealogy: the number of particles of an earlier frame that have descendants in a frame.
 
-Resampling thins the ancestors out: all particles of a frame descend from one particle long before.
-The sooner they do, the more alike their pasts are.
+Resampling reduces the number of ancestors: all particles of a frame descend from a single particle some frames before. The fewer frames this takes,
+the more similar are the particles' histories.
 """
 
 from collections.abc import Iterator
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 
 def unique_ancestors(tree: "xr.DataTree", lags: tuple[int, ...]) -> Float[np.ndarray, "lag run frame"]:
-    """The number of particles `lag` frames before a frame that have descendants in it; NaN if there is no such frame.
+    """Return the number of particles `lag` frames before a frame that have descendants in it; NaN if there is no such frame.
 
-    Lag 1 counts the particles that the frame's own resampling kept. Before the first frame all particles are one pose.
+    Lag 1 counts the particles that the frame's own resampling kept. Before the first frame all particles have the same pose.
     """
     ancestor = tree["sample_stats"]["ancestor"]
     runs, draws, frames = (ancestor.sizes[name] for name in ("chain", "draw", "frame"))
@@ -34,7 +34,7 @@ def unique_ancestors(tree: "xr.DataTree", lags: tuple[int, ...]) -> Float[np.nda
 
 
 def _lineages(known: Int[np.ndarray, "run frame draw"], start: int, most: int) -> Iterator[tuple[int, Int[np.ndarray, "run some draw"]]]:
-    """For each lag the ancestors of the particles of frame `start` and later; of the last frames only, where earlier ancestors are unknown."""
+    """Yield, for each lag, the ancestors of the particles of frame `start` and later. Frames whose ancestors are unknown are left out."""
     lineage = known[:, start:]
     yield 1, lineage
     for lag in range(2, most + 1):

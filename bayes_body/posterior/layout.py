@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bayes_body.posterior.mixing import PREFIX
 from bayes_body.tracking.draws import Draws, FrameResult
 
-# Dimensions of the figures of Markov chains that are not one figure a chain.
+# Dimensions of those figures of Markov chains that do not have one value for each chain.
 MARKOV_DIMS: Mapping[str, tuple[str, ...]] = {"ess": ("dof",), "length": ()}
 
 
@@ -23,9 +23,9 @@ class Variable:
 
     Attributes:
         group: `posterior`, `sample_stats` or `filter`.
-        name: in its group.
-        dims: its dimensions, `frame` among them.
-        of: takes its values from a frame's result; they have all dimensions but `frame`.
+        name: its name in the group.
+        dims: its dimensions, including `frame`.
+        of: function that takes its values from a frame's result; they have all dimensions except `frame`.
     """
 
     group: str
@@ -35,16 +35,16 @@ class Variable:
 
     @property
     def frame_axis(self) -> int:
-        """Which of the dimensions is `frame`."""
+        """Index of the dimension `frame`."""
         return self.dims.index("frame")
 
     def stack(self, frames: Sequence[FrameResult]) -> NDArray[Any]:
-        """Its values in some frames, with the axis `frame` in its place."""
+        """Return its values in several frames, with the axis `frame` at `frame_axis`."""
         return np.stack([np.asarray(self.of(frame)) for frame in frames], axis=self.frame_axis)
 
 
 def variables(draws: Draws) -> list[Variable]:
-    """All arrays of the tree."""
+    """Return all arrays of the tree."""
     by_draw, by_frame, markov = ("chain", "draw", "frame"), ("chain", "frame"), draws.frames[0].info.markov
     info = {"ess": "ess", "log_evidence": "log_evidence", "lost": "lost", "evaluations": "evaluations"}
     layers = {"survival_rate": "survival_rate", "inverse_temperature": "inverse_temperatures", "acceptance_rate": "acceptance_rate"}
@@ -60,7 +60,7 @@ def variables(draws: Draws) -> list[Variable]:
 
 
 def _dims(name: str, values: NDArray[Any]) -> tuple[str, ...]:
-    """The dimensions of one draw of a state's variable."""
+    """Return the dimensions of one draw of a state's variable."""
     return ("dof",) if name == "pose" else tuple(f"{name}_dim_{axis}" for axis in range(values.ndim - 2))
 
 
@@ -77,7 +77,7 @@ def _markov(name: str) -> Callable[[FrameResult], Any]:
 
 
 def sizes(draws: Draws) -> dict[str, int]:
-    """The size of every dimension."""
+    """Return the size of every dimension."""
     found = {"frame": len(draws.frames)}
     for variable in variables(draws):
         without = [dim for dim in variable.dims if dim != "frame"]
@@ -86,7 +86,7 @@ def sizes(draws: Draws) -> dict[str, int]:
 
 
 def coordinates(draws: Draws, dims: Sequence[str]) -> dict[str, tuple[str, NDArray[Any] | list[str]]]:
-    """The labels of each dimension, by name: (dimension, values); `unit` is the unit of each dof."""
+    """Return the coordinates by name, each as (dimension, values); `unit` is the unit of each dof."""
     topology, lengths = draws.model.body.skeleton.topology, sizes(draws)
     labels: Mapping[str, list[str]] = {"dof": list(topology.dof_names), "camera": list(draws.cameras)}
     found: dict[str, tuple[str, NDArray[Any] | list[str]]] = {dim: (dim, labels.get(dim, np.arange(lengths[dim]))) for dim in dims}
@@ -94,7 +94,7 @@ def coordinates(draws: Draws, dims: Sequence[str]) -> dict[str, tuple[str, NDArr
 
 
 def groups(draws: Draws) -> dict[str, list[Variable]]:
-    """The variables by group."""
+    """Return the variables by group."""
     found: dict[str, list[Variable]] = {}
     for variable in variables(draws):
         found.setdefault(variable.group, []).append(variable)
@@ -102,10 +102,10 @@ def groups(draws: Draws) -> dict[str, list[Variable]]:
 
 
 def dims_of(members: Sequence[Variable]) -> list[str]:
-    """The dimensions of a group, each once."""
+    """Return the dimensions of a group, without repetition."""
     return list(dict.fromkeys(dim for variable in members for dim in variable.dims))
 
 
 def attributes_of(draws: Draws, attributes: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Attributes of the whole tree."""
+    """Return the attributes of the whole tree."""
     return {"model": draws.model.definition.name, **(attributes or {})}

@@ -1,8 +1,8 @@
-"""How well the Markov chains of a frame mixed: R-hat, effective draws and autocorrelation of each dof, divergences, energy.
+"""Mixing of the Markov chains of a frame: R-hat, effective draws and autocorrelation of each dof, divergences, energy.
 
-The Hamiltonian Monte Carlo filter runs several chains a frame and stores their draws one chain after the other. ArviZ's chains are something else:
-independent filters. The chains of one frame share its prediction. Their R-hat tests whether they reached one posterior, not whether another filter
-would reach the same.
+The Hamiltonian Monte Carlo filter runs several chains in each frame, and stores their draws one chain after the other. These are not the chains of
+the ArviZ tree, which are independent runs of the filter. The chains of one frame share its prediction. Their R-hat tests whether they reached the
+same posterior. It does not test whether another run of the filter would reach it too.
 """
 
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,7 +16,7 @@ from bayes_body.posterior.blocks import BLOCK, pose_blocks
 if TYPE_CHECKING:
     import xarray as xr
 
-# Of the names in the tree's group `filter`.
+# Prefix of the names in the tree's group `filter`.
 PREFIX = "markov_"
 # The largest lag of an autocorrelation that is shown.
 LAGS = 40
@@ -26,13 +26,13 @@ class Mixing(NamedTuple):
     """The figures of all chains.
 
     Attributes:
-        length: draws of a chain.
+        length: number of draws of a chain.
         acceptance: mean probability of acceptance after burn-in.
-        divergences: divergent trajectories after burn-in.
-        energy_fraction: E-BFMI (Betancourt 2016): the energy change by a fresh momentum, as a share of the energy's variation.
+        divergences: number of divergent trajectories after burn-in.
+        energy_fraction: E-BFMI (Betancourt 2016): the energy change by a fresh momentum, as a fraction of the energy's variation.
         step: factor of the step size after burn-in.
-        ess: effective draws of all chains together, by autocorrelation.
-        rhat: rank-normalised split R-hat over the chains; NaN below two chains or four draws of each.
+        ess: effective draws of all chains together, from their autocorrelation.
+        rhat: rank-normalised split R-hat over the chains; NaN with fewer than two chains, or with fewer than four draws in each.
     """
 
     length: int
@@ -45,7 +45,7 @@ class Mixing(NamedTuple):
 
 
 def mixing_of(tree: "xr.DataTree", block: int = BLOCK) -> Mixing | None:
-    """The figures of a posterior's tree; None if its kernel runs no Markov chains. At most `block` frames are read at a time."""
+    """Return the figures of a posterior's tree; None if its kernel runs no Markov chains. At most `block` frames are read at a time."""
     group = tree["filter"]
     if f"{PREFIX}length" not in group:
         return None
@@ -56,7 +56,7 @@ def mixing_of(tree: "xr.DataTree", block: int = BLOCK) -> Mixing | None:
 
 
 def by_chain(poses: Float[np.ndarray, "run draw frame dof"], length: int) -> Float[np.ndarray, "run chain step frame dof"]:
-    """Draws chain by chain; an incomplete last chain is dropped, unless it is the only one."""
+    """Return the draws by chain; an incomplete last chain is dropped, unless it is the only one."""
     runs, draws, *rest = poses.shape
     chains = max(draws // length, 1)
     steps = min(length, draws)
@@ -72,7 +72,10 @@ def _rhat(draws: Float[np.ndarray, "run chain step frame dof"]) -> Float[np.ndar
 
 
 def autocorrelation(draws: Float[np.ndarray, "chain step"]) -> Float[np.ndarray, " lag"]:
-    """Autocorrelation of one dof from lag 0 on, averaged over chains and centred on the mean of all; NaN for a dof that never moves."""
+    """Return the autocorrelation of one dof from lag 0 on, averaged over the chains; NaN for a dof that never moves.
+
+    The draws are centred on the mean of all chains.
+    """
     centred = draws - draws.mean()
     steps = draws.shape[1]
     lags = min(LAGS, steps - 1) + 1

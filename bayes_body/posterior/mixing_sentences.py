@@ -1,4 +1,4 @@
-"""What a reader must be told of the Markov chains of a run: the frames that did not mix, and what to change."""
+"""Warnings about the Markov chains of a run: the frames in which they did not mix, and what to change."""
 
 from collections.abc import Iterator
 
@@ -8,12 +8,12 @@ from bayes_body.posterior.diagnosis import Diagnosis, Thresholds
 from bayes_body.posterior.frame_text import at_worst, frames_where, largest
 from bayes_body.posterior.mixing import Mixing
 
-# Acceptance below which chains that disagree are told to take smaller steps, rather than to run for longer.
+# If chains disagree, smaller steps are recommended below this acceptance rate, and longer chains above it.
 SMALLER_STEPS = 0.4
 
 
 def mixing_sentences(diagnosis: Diagnosis, thresholds: Thresholds) -> Iterator[str]:
-    """A sentence for each limit that the chains cross; none where the kernel runs none."""
+    """Yield a sentence for each limit that the chains cross; none if the kernel runs no Markov chains."""
     if diagnosis.mixing is None:
         return
     yield from _divergences(diagnosis.mixing, thresholds)
@@ -22,13 +22,13 @@ def mixing_sentences(diagnosis: Diagnosis, thresholds: Thresholds) -> Iterator[s
 
 
 def _divergences(mixing: Mixing, thresholds: Thresholds) -> Iterator[str]:
-    # Each state that is kept had one trajectory at least.
+    # Each state that is kept took at least one trajectory.
     trajectories = mixing.length * mixing.divergences.shape[-1]
     worst = mixing.divergences.sum(axis=-1).max(axis=0) / trajectories
     crossed = worst > thresholds.divergent_share
     if crossed.any():
         figure = f"{worst.max():.0%} of the trajectories diverged{at_worst(crossed, int(worst.argmax()))} (limit {thresholds.divergent_share:.0%})"
-        yield f"{frames_where(crossed)}: {figure}, and corners of the posterior may be missing; {_lower(mixing)}."
+        yield f"{frames_where(crossed)}: {figure}, so parts of the posterior may be missing; {_lower(mixing)}."
 
 
 def _disagreement(mixing: Mixing, dofs: tuple[str, ...], thresholds: Thresholds) -> Iterator[str]:
@@ -43,7 +43,7 @@ def _disagreement(mixing: Mixing, dofs: tuple[str, ...], thresholds: Thresholds)
     remedy = (
         f"with {accepted:.2f} of the trajectories accepted, {_lower(mixing)}"
         if accepted < SMALLER_STEPS
-        else "raise --leapfrog-steps or --particles, or --set burn_in=..., or --set starts=... where they sit in several modes"
+        else "raise --leapfrog-steps or --particles, or --set burn_in=..., or --set starts=... if the chains are in different modes"
     )
     yield f"{frames_where(crossed)}: the chains of a frame did not mix, {figure}; {remedy}."
 
@@ -53,8 +53,8 @@ def _energy(mixing: Mixing, thresholds: Thresholds) -> Iterator[str]:
     crossed = worst < thresholds.energy_fraction
     if crossed.any():
         figure = f"E-BFMI {worst.min():.2f}{at_worst(crossed, int(worst.argmin()))} (limit {thresholds.energy_fraction:g})"
-        yield f"{frames_where(crossed)}: momenta move the energy too little to reach the tails, {figure}; raise --particles and --set burn_in=..."
+        yield f"{frames_where(crossed)}: momenta change the energy too little to reach the tails, {figure}; raise --particles and --set burn_in=..."
 
 
 def _lower(mixing: Mixing) -> str:
-    return f"lower the step, as by --set step={np.median(mixing.step) / 2:.2g}, or tune it by --set target_acceptance=0.8"
+    return f"lower the step, for example with --set step={np.median(mixing.step) / 2:.2g}, or tune it with --set target_acceptance=0.8"

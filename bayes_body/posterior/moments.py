@@ -1,7 +1,7 @@
 r"""Mean, standard deviation and quantiles of weighted draws.
 
-$\bar x = \sum_i w_i x_i$, $s^2 = \sum_i w_i (x_i - \bar x)^2$, and the quantile q is the smallest draw up to which the weights sum to q: exact,
-without interpolation.
+$\bar x = \sum_i w_i x_i$, $s^2 = \sum_i w_i (x_i - \bar x)^2$, and the quantile q is the smallest draw up to which the weights sum to q. Quantiles
+are exact, without interpolation.
 """
 
 from typing import NamedTuple
@@ -9,18 +9,18 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-# A cumulated sum of weights may miss a share by some rounding errors: without this, 19 of 20 equal weights need not reach 0.95.
+# A cumulative sum of weights can miss a probability by rounding errors: without this, 19 of 20 equal weights might not reach 0.95.
 ROUNDING = 1e-12
 
 
 class Moments(NamedTuple):
-    """Moments of a quantity in each frame: arrays of one shape (frame, ...), in the quantity's unit.
+    """Moments of a quantity in each frame: arrays of the same shape (frame, ...), in the quantity's unit.
 
     Attributes:
         mean: weighted mean.
         sd: weighted standard deviation.
-        q05: the quantile 0.05.
-        q95: the quantile 0.95.
+        q05: 0.05 quantile.
+        q95: 0.95 quantile.
     """
 
     mean: Float[np.ndarray, "frame ..."]
@@ -30,7 +30,7 @@ class Moments(NamedTuple):
 
 
 def weighted_moments(values: Float[np.ndarray, "frame draw *of"], weights: Float[np.ndarray, "frame draw"]) -> Moments:
-    """Moments over the draws of each frame.
+    """Return the moments over the draws of each frame.
 
     Args:
         values: one quantity of any shape for each draw.
@@ -46,21 +46,22 @@ def weighted_moments(values: Float[np.ndarray, "frame draw *of"], weights: Float
 def weighted_quantiles(
     values: Float[np.ndarray, "frame draw k"], weights: Float[np.ndarray, "frame draw"], shares: tuple[float, ...]
 ) -> Float[np.ndarray, "share frame k"]:
-    """For each share (above 0) the smallest draw up to which the weights sum to it; NaN where a draw is NaN.
+    """Return the quantiles: for each probability in `shares` (above 0), the smallest draw up to which the weights sum to it; NaN where a draw is NaN.
 
     Raises:
         ValueError: the weights of a frame are all zero, or not finite.
     """
     at = np.subtract(shares, ROUNDING)
-    # Frame by frame: weights of one dimension serve all columns, and only one frame is sorted at a time.
+    # Frame by frame: one-dimensional weights apply to all columns, and only one frame is sorted at a time.
     each = [np.quantile(frame, at, axis=0, weights=own, method="inverted_cdf") for frame, own in zip(values, weights, strict=True)]
     return np.stack(each, axis=1)
 
 
 def unwrapped(angles: Float[np.ndarray, "frame draw k"], weights: Float[np.ndarray, "frame draw"]) -> Float[np.ndarray, "frame draw k"]:
-    """Angles (radians) each within half a turn of their weighted circular mean, on that turn on which their plain mean is.
+    """Return angles (radians) shifted by full turns to within half a turn of their weighted circular mean.
 
-    A full turn more or less then changes no moment, and an angle that winds on from frame to frame keeps its turns.
+    Full turns in single draws then do not change the moments. The circular mean is taken on the turn nearest to the arithmetic mean, so an angle that
+    keeps turning from frame to frame keeps its turns.
     """
     direction = np.einsum("fs,fsk->fk", weights, np.exp(1j * angles))
     centre = np.angle(direction)

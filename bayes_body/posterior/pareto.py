@@ -1,8 +1,8 @@
-r"""The tail of importance weights (Vehtari et al. 2024, PSIS): the shape k of a generalised Pareto distribution fitted to the largest.
+r"""The tail of importance weights (Vehtari et al. 2024, PSIS): the shape k of a generalised Pareto distribution fitted to the largest weights.
 
-Weights have a finite variance where $k < 1/2$ and a finite mean where $k < 1$; above 0.7 estimates from them need more draws than anyone has. The fit
-is the empirical Bayes estimate of Zhang & Stephens (2009), with the prior of Vehtari et al. that draws k to 0.5 with the force of ten draws. ArviZ
-fits one set of weights at a time; this fits many at once.
+The weights have a finite variance if $k < 1/2$, and a finite mean if $k < 1$. Above 0.7, estimates from them need impractically many draws. The fit
+is the empirical Bayes estimate of Zhang & Stephens (2009), with the prior of Vehtari et al., which pulls k towards 0.5 with the weight of ten draws.
+ArviZ fits one set of weights at a time; this module fits many at once.
 """
 
 import numpy as np
@@ -13,12 +13,12 @@ PRIOR_QUARTILE, PRIOR_SHAPE, PRIOR_DRAWS = 3, 0.5, 10
 
 
 def tail_size(draws: int) -> int:
-    """How many of the largest weights are the tail."""
+    """Return the number of largest weights that form the tail."""
     return int(3 * draws**0.5) if draws > 225 else draws // 5
 
 
 def pareto_shape(log_weights: Float[np.ndarray, "*batch draw"]) -> Float[np.ndarray, "*batch"]:
-    """k of each set of weights: -∞ where the tail's weights are all the same, ∞ where a few carry it alone, NaN below 25 draws."""
+    """Return k of each set of weights; -∞ if the tail's weights are all equal, ∞ if a few draws have all the weight, NaN with fewer than 25 draws."""
     batch, draws = log_weights.shape[:-1], log_weights.shape[-1]
     tail = tail_size(draws)
     shapes = np.full(int(np.prod(batch)), np.nan)
@@ -30,7 +30,7 @@ def pareto_shape(log_weights: Float[np.ndarray, "*batch draw"]) -> Float[np.ndar
     above = weights[:, 1:] - weights[:, :1]
     quartile = above[:, int(tail / 4 + 0.5) - 1]
     flat_tail = above[:, -1] <= np.finfo(np.float32).eps
-    # Most of the tail stands where its threshold does: with zeros there, a few draws carry everything.
+    # At least a quarter of the tail equals its smallest value. If these weights are zero, a few draws have all the weight.
     heaped = ~flat_tail & (quartile <= above[:, 0])
     shapes[flat_tail] = -np.inf
     shapes[heaped] = np.where(weights[heaped, 0] < np.finfo(float).tiny, np.inf, np.nan)
@@ -40,7 +40,7 @@ def pareto_shape(log_weights: Float[np.ndarray, "*batch draw"]) -> Float[np.ndar
 
 
 def _fit(above: Float[np.ndarray, "set tail"], quartile: Float[np.ndarray, "set 1"]) -> Float[np.ndarray, " set"]:
-    """k of exceedances, ascending: the mean of θ under its likelihood on a grid, then the k that belongs to it."""
+    """Return k of ascending exceedances: the mean of θ under its likelihood on a grid, then the k that belongs to it."""
     count = above.shape[1]
     points = 30 + int(count**0.5)
     grid = 1 - np.sqrt(points / (np.arange(1, points + 1) - 0.5))

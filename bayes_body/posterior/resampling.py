@@ -1,4 +1,4 @@
-"""Systematic resampling on the host: draws of equal weight from weighted ones, for what knows no weights."""
+"""Systematic resampling on the host: draws of equal weight from weighted draws, for methods that do not use weights."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -8,7 +8,7 @@ RESAMPLING_SEED = 0
 
 
 def systematic_resampling(rng: np.random.Generator, weights: Float[np.ndarray, " draw"], count: int) -> Int[np.ndarray, " count"]:
-    """Indices of `count` draws of equal weight in random order; the weights need not sum to one."""
+    """Return the indices of `count` draws of equal weight in random order; the weights need not sum to one."""
     cumulative = np.cumsum(weights)
     levels = (np.arange(count) + rng.random()) / count * cumulative[-1]
     return rng.permutation(np.minimum(np.searchsorted(cumulative, levels), len(weights) - 1))

@@ -12,27 +12,27 @@ from bayes_body.registry import find, names
 
 __all__ = ["frame_ranges", "sentences"]
 
-# The kernel to suggest where particles come from the prior alone: one that bridges prior and posterior.
+# BRIDGE is recommended to users of FROM_PRIOR, whose particles come from the prior alone: it bridges prior and posterior.
 BRIDGE, FROM_PRIOR = "tempered", "sir"
 
 
 def sentences(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -> list[str]:
-    """One sentence for each limit that is crossed, most serious first; none for a valid run.
+    """Return one sentence for each limit that is crossed, most serious first; none for a valid run.
 
     Args:
-        diagnosis: from `diagnose`.
+        diagnosis: a diagnosis from `diagnose`.
         thresholds: the limits.
     """
     found = [_mode_seeker(diagnosis), _lost(diagnosis), _unseen(diagnosis), _rhat(diagnosis, thresholds), *mixing_sentences(diagnosis, thresholds)]
     if not diagnosis.mode_seeker:
-        # A mode seeker chooses its powers so that the effective sample size stays: its weights are no importance weights.
+        # A mode seeker chooses its powers for a fixed effective sample size: its weights are not importance weights.
         found += [_ess(diagnosis, thresholds), _pareto_k(diagnosis, thresholds), _evidence(diagnosis, thresholds)]
     found += [_ancestors(diagnosis, thresholds), *_acceptance(diagnosis, thresholds), _single(diagnosis)]
     return [sentence for sentence in found if sentence]
 
 
 def _remedy(diagnosis: Diagnosis, *wanted: str) -> str:
-    """The options among `wanted` that the kernel has."""
+    """Return a remedy that names the options among `wanted` that the kernel has."""
     try:
         known = set(find("kernel", diagnosis.kernel).options.model_fields)
     except InputError:
@@ -47,8 +47,9 @@ def _mode_seeker(diagnosis: Diagnosis) -> str | None:
     if not diagnosis.mode_seeker:
         return None
     return (
-        f"the kernel {diagnosis.kernel or 'of this run'} is a mode seeker: the spread of its particles is no uncertainty, its effective sample size "
-        "is fixed by construction, and it estimates no evidence; use a kernel that samples the posterior if you need one of these."
+        f"the kernel {diagnosis.kernel or 'of this run'} is a mode seeker: the spread of its particles is not a measure of uncertainty, its "
+        "effective sample size is fixed by construction, and it estimates no evidence; use a kernel that samples the posterior if you need "
+        "one of these."
     )
 
 
@@ -56,7 +57,7 @@ def _lost(diagnosis: Diagnosis) -> str | None:
     lost = diagnosis.lost.any(axis=0)
     if not lost.any():
         return None
-    what = "lost: no particle explained the images, and the filter went on from its prediction"
+    what = "lost: no particle explained the images, and the filter continued from its prediction"
     return f"{frames_where(lost)}: {what}; look at the images, or {_remedy(diagnosis, 'particles')}."
 
 
@@ -64,7 +65,8 @@ def _unseen(diagnosis: Diagnosis) -> str | None:
     if diagnosis.seen is None or diagnosis.seen.all():
         return None
     blind = [f"{name} in {frames_where(~seen)}" for name, seen in zip(diagnosis.cameras, diagnosis.seen.T, strict=True) if not seen.all()]
-    return f"nothing seen by camera {'; camera '.join(blind)}: only the other cameras, or the motion prior, speak there; look at these images."
+    there = "there only the other cameras, or the motion prior, determine the pose; look at these images"
+    return f"nothing seen by camera {'; camera '.join(blind)}: {there}."
 
 
 def _rhat(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
@@ -93,7 +95,9 @@ def _pareto_k(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
     crossed = worst > thresholds.pareto_k
     if not crossed.any():
         return None
-    figure = f"a few weights carry the estimate, Pareto k {worst.max():.2f}{at_worst(crossed, int(worst.argmax()))} (limit {thresholds.pareto_k:g})"
+    figure = (
+        f"a few weights dominate the estimate, Pareto k {worst.max():.2f}{at_worst(crossed, int(worst.argmax()))} (limit {thresholds.pareto_k:g})"
+    )
     return f"{frames_where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
 
 
@@ -123,15 +127,15 @@ def _acceptance(diagnosis: Diagnosis, thresholds: Thresholds) -> Iterator[str]:
     mean = np.divide(np.where(known, rates, 0).sum(axis=1), known.sum(axis=1), out=np.full(len(rates), np.nan), where=known.any(axis=1))
     low, high = thresholds.acceptance
     for crossed, place, limit, meaning in (
-        (mean < low, np.where(np.isnan(mean), np.inf, mean).argmin(), low, "the moves hardly get anywhere"),
-        (mean > high, np.where(np.isnan(mean), -np.inf, mean).argmax(), high, "the moves are too short to get anywhere"),
+        (mean < low, np.where(np.isnan(mean), np.inf, mean).argmin(), low, "the moves hardly change the particles"),
+        (mean > high, np.where(np.isnan(mean), -np.inf, mean).argmax(), high, "the moves are too short to explore the posterior"),
     ):
         if crossed.any():
             figure = f"{mean[place]:.2f} of the Markov moves accepted{at_worst(crossed, int(place))} (limit {limit:g})"
             remedy = (
                 _remedy(diagnosis, "moves", "particles")
                 if diagnosis.mixing is None
-                else "change the step, by --set step=... or --set target_acceptance=0.8"
+                else "change the step, with --set step=... or --set target_acceptance=0.8"
             )
             yield f"{frames_where(crossed)}: {figure}, {meaning}; {remedy}."
 

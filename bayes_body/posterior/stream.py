@@ -1,7 +1,7 @@
-"""Write `posterior.nc` frame by frame in a bounded memory: the tree of `to_datatree`, as xarray and ArviZ read it.
+"""Write `posterior.nc` frame by frame in bounded memory: the tree of `to_datatree`, for xarray and ArviZ.
 
-The groups `posterior` and `sample_stats` are stored in chunks: all draws of one run, some frames. The group `filter` has a few numbers a
-frame, and each of its variables is one piece. The file does not depend on when it was written, or on how often the run was resumed.
+The groups `posterior` and `sample_stats` are stored in chunks: all draws of one run in some frames. The group `filter` has a few numbers per frame,
+and each of its variables is stored in one piece. The file depends neither on when it was written nor on how often the run was resumed.
 """
 
 import shutil
@@ -21,16 +21,16 @@ from bayes_body.tracking.draws import Draws, FrameResult
 if TYPE_CHECKING:
     import h5netcdf
 
-# Size of a chunk in bytes, and the most frames in it.
+# Size of a chunk in bytes, and the largest number of frames in it.
 CHUNK_BYTES, CHUNK_FRAMES = 2**20, 256
 IN_CHUNKS = ("posterior", "sample_stats")
 
 
 def stream_posterior(draws: Draws, path: Path, attributes: Mapping[str, Any] | None = None) -> None:
-    """Write the tree of `to_datatree(draws, attributes)` as NetCDF, whole or not at all.
+    """Write the tree of `to_datatree(draws, attributes)` as NetCDF, either completely or not at all.
 
     Raises:
-        InputError: the disk is full, the file system refuses the file, or a frame's file is damaged.
+        InputError: the disk is full, the file system does not accept the file, or a frame's file is damaged.
     """
     import h5netcdf
 
@@ -49,13 +49,13 @@ def stream_posterior(draws: Draws, path: Path, attributes: Mapping[str, Any] | N
 
 
 def frames_in_chunk(draws: Draws) -> int:
-    """The number of frames in a chunk of the poses of one run."""
+    """Return the number of frames in a chunk of the poses of one run."""
     a_frame = sum(values[0].nbytes for values in draws.frames[0].states.values())
     return int(np.clip(CHUNK_BYTES // a_frame, 1, min(CHUNK_FRAMES, len(draws.frames))))
 
 
 def stored_frames(path: Path) -> int:
-    """The number of frames in a `posterior.nc`; 0 if the file is missing or cannot be read."""
+    """Return the number of frames in a `posterior.nc`; 0 if the file is missing or cannot be read."""
     import h5netcdf
 
     try:
@@ -69,11 +69,11 @@ def _check_room(draws: Draws, path: Path) -> None:
     a_frame = sum(np.asarray(variable.of(draws.frames[0])).nbytes for members in groups(draws).values() for variable in members)
     wanted, free = len(draws.frames) * a_frame, shutil.disk_usage(path.parent).free
     if wanted > free:
-        raise input_error(path, f"cannot be written ({free / 1e6:.1f} MB are free)", f"room for {wanted / 1e6:.1f} MB", "free some space")
+        raise input_error(path, f"cannot be written ({free / 1e6:.1f} MB are free)", f"{wanted / 1e6:.1f} MB of free space", "free some space")
 
 
 def _make_group(file: "h5netcdf.File", name: str, members: Sequence[Variable], draws: Draws, step: int) -> Iterator[tuple[Variable, Any]]:
-    """A group with its coordinates, and its variables without values yet."""
+    """Make a group with its coordinates, and yield its variables, which have no values yet."""
     group, lengths = file.create_group(name), sizes(draws)
     group.dimensions = {dim: lengths[dim] for dim in dims_of(members)}
     labels = coordinates(draws, dims_of(members))
@@ -85,7 +85,7 @@ def _make_group(file: "h5netcdf.File", name: str, members: Sequence[Variable], d
         shape = tuple(lengths[dim] for dim in variable.dims)
         chunks = tuple(_chunk(dim, length, step) for dim, length in zip(variable.dims, shape, strict=True)) if name in IN_CHUNKS else None
         array = group.create_variable(variable.name, variable.dims, np.dtype("i1") if boolean else dtype, chunks=chunks)
-        # As xarray writes them: truth values are bytes, and what labels a dimension without being its index is named.
+        # Follow xarray's conventions: booleans are stored as bytes, and coordinates that are not an index are named in an attribute.
         array.attrs.update({"dtype": "bool"} if boolean else {})
         array.attrs.update({"coordinates": "unit"} if "dof" in variable.dims else {})
         yield variable, array

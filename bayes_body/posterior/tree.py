@@ -1,4 +1,4 @@
-"""Draws as an ArviZ DataTree: a chain is an independent run of the filter, a draw is a particle, and weights are stored beside the draws."""
+"""Draws as an ArviZ DataTree: a chain is an independent run of the filter, a draw is a particle, and the weights are stored with the draws."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
 
 
 def to_datatree(draws: Draws, attributes: Mapping[str, Any] | None = None) -> "xr.DataTree":
-    """The draws in ArviZ's form, all in memory.
+    """Return the draws in ArviZ's form, all in memory.
 
-    Groups: `posterior` (chain, draw, frame, dof), radians and metres as the `unit` coordinate says; `sample_stats` with `log_weight` and `ancestor`
-    (chain, draw, frame); `filter` with `ess`, `log_evidence`, `lost` and `evaluations` (chain, frame), with `survival_rate`, `inverse_temperature`
-    and `acceptance_rate` (chain, frame, layer), and with `seen` (frame, camera). If the kernel runs Markov chains, `filter` also has
-    `markov_acceptance`, `markov_divergences`, `markov_energy_fraction` and `markov_step` (chain, frame, markov_chain), `markov_ess`
-    (chain, frame, dof) and `markov_length` (chain, frame); their draws lie one chain after the other.
+    Groups: `posterior` (chain, draw, frame, dof), radians and metres as given by the `unit` coordinate; `sample_stats` with `log_weight` and
+    `ancestor` (chain, draw, frame); `filter` with `ess`, `log_evidence`, `lost` and `evaluations` (chain, frame), with `survival_rate`,
+    `inverse_temperature` and `acceptance_rate` (chain, frame, layer), and with `seen` (frame, camera). If the kernel runs Markov chains, `filter`
+    also has `markov_acceptance`, `markov_divergences`, `markov_energy_fraction` and `markov_step` (chain, frame, markov_chain), `markov_ess`
+    (chain, frame, dof) and `markov_length` (chain, frame); their draws are stored one chain after the other.
     """
     import xarray as xr
 
@@ -34,13 +34,13 @@ def to_datatree(draws: Draws, attributes: Mapping[str, Any] | None = None) -> "x
 
 
 def save_posterior(tree: "xr.DataTree", path: Path) -> None:
-    """Write the tree as NetCDF, whole or not at all; `xarray.open_datatree` or `arviz.from_netcdf` reads it.
+    """Write the tree as NetCDF, either completely or not at all; `xarray.open_datatree` or `arviz.from_netcdf` reads it.
 
     Raises:
-        InputError: the file system refuses it.
+        InputError: the file system does not accept it.
     """
     make_folder(path.parent)
-    # Made in memory: HDF5 does not survive a disk that is full.
+    # Encoded in memory, because HDF5 cannot handle a full disk.
     content = tree.to_netcdf(engine="h5netcdf")
     with replacing(path) as partial:
         partial.write_bytes(content)

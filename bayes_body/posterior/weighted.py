@@ -1,6 +1,6 @@
-"""Weighted means, markers, draws of equal weight and R-hat; of one frame, or of all.
+"""Weighted means, markers, draws of equal weight and R-hat, of one frame or of all frames.
 
-R-hat takes no weights: it is computed on draws of equal weight, which are resampled from the particles.
+R-hat does not use weights: it is computed on draws of equal weight, which are resampled from the particles.
 """
 
 import jax
@@ -18,32 +18,32 @@ _positions = jax.jit(jax.vmap(marker_positions, (None, None, 0)))
 
 
 def mean_pose(frame: FrameResult) -> Float[np.ndarray, "run dof"]:
-    """The weighted posterior mean of each run, radians and metres."""
+    """Return the weighted posterior mean of each run, radians and metres."""
     weights = np.exp(frame.log_weights - frame.log_weights.max(axis=-1, keepdims=True))
     weights /= weights.sum(axis=-1, keepdims=True)
     return np.einsum("rp,rpd->rd", weights, frame.states["pose"])
 
 
 def mean_poses(draws: Draws) -> Float[np.ndarray, "run frame dof"]:
-    """The weighted posterior mean of each run and frame, radians and metres."""
+    """Return the weighted posterior mean of each run and frame, radians and metres."""
     return np.stack([mean_pose(frame) for frame in draws.frames], axis=1)
 
 
 def markers(model: Model, poses: Float[np.ndarray, "*batch dof"]) -> Float[np.ndarray, "*batch marker 3"]:
-    """The virtual markers of an array of poses, metres."""
+    """Return the positions of the virtual markers of an array of poses, metres."""
     flat = jnp.asarray(poses.reshape(-1, poses.shape[-1]))
     positions = np.asarray(_positions(model.body.skeleton, model.body.markers, flat))
     return positions.reshape(*poses.shape[:-1], *positions.shape[1:])
 
 
 def equal_weight_poses(frame: FrameResult, index: int, count: int | None = None, seed: int = RESAMPLING_SEED) -> Float[np.ndarray, "run draw dof"]:
-    """Poses of equal weight from one frame's particles, by systematic resampling, in random order.
+    """Return poses of equal weight from one frame's particles, by systematic resampling, in random order.
 
     Args:
-        frame: its particles.
+        frame: the frame's particles.
         index: the frame's number, which gives each frame its own random numbers.
         count: number of draws; by default the number of particles.
-        seed: of the resampling.
+        seed: seed of the resampling.
     """
     rng = np.random.default_rng((seed, index))
     runs, particles = frame.log_weights.shape
@@ -56,15 +56,17 @@ def equal_weight_poses(frame: FrameResult, index: int, count: int | None = None,
 
 
 def equal_weight_draws(draws: Draws, count: int | None = None, seed: int = RESAMPLING_SEED) -> Float[np.ndarray, "run frame draw dof"]:
-    """Poses of equal weight of all frames, in memory at once; as many as there are particles, or `count`."""
+    """Return poses of equal weight of all frames, in memory at once; in each frame `count`, or by default as many as there are particles."""
     return np.stack([equal_weight_poses(frame, index, count, seed) for index, frame in enumerate(draws.frames)], axis=1)
 
 
 def frame_rhat(frame: FrameResult, index: int) -> Float[np.ndarray, " dof"]:
-    """R-hat of one frame over the runs (`agreement.split_rhat`); NaN with a single run, below four particles, and for a dof that never moves.
+    """Return R-hat of one frame over the runs (`agreement.split_rhat`).
+
+    It is NaN with a single run, with fewer than four particles, and for a dof that never moves.
 
     Args:
-        frame: its particles.
+        frame: the frame's particles.
         index: the frame's number.
     """
     runs, draws = frame.log_weights.shape
@@ -74,5 +76,5 @@ def frame_rhat(frame: FrameResult, index: int) -> Float[np.ndarray, " dof"]:
 
 
 def rhat(draws: Draws) -> Float[np.ndarray, "frame dof"]:
-    """R-hat of all frames, as `frame_rhat`."""
+    """Return R-hat of all frames, as `frame_rhat`."""
     return np.stack([frame_rhat(frame, index) for index, frame in enumerate(draws.frames)])

@@ -1,1 +1,1 @@
-"""Readers of what laboratories have: calibrations, images."""
+"""Read recordings: calibrations, images, videos, keypoints, motion capture and true markers."""

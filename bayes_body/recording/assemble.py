@@ -17,7 +17,7 @@ from bayes_body.recording.truth import read_truth
 from bayes_body.session.read import load_session, save_session
 from bayes_body.session.session import Session, Subject, View
 
-# Recordings lie in one of these folders of a project, or in the project's folder itself.
+# Recordings are in one of these folders of a project, or in the project's folder itself.
 PLACES = ("videos", "images")
 
 
@@ -44,7 +44,7 @@ def assemble(rig: Rig, folder: Path, title: str, options: Options) -> tuple[Sess
     Args:
         rig: the cameras and the folder with their recordings.
         folder: the session's folder; paths inside it are written relative to it.
-        title: one line for people.
+        title: one line for the reader.
         options: the user's options.
 
     Returns:

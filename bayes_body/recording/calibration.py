@@ -22,7 +22,7 @@ FARTHEST_M = 100.0
 NEAREST_M = 0.05
 # A larger number is damage, not a wrong unit.
 FARTHEST_SANE_M = 1e6
-# No sensor has so many pixels along a side, and no lens has such a focal length in pixels.
+# No sensor has more pixels along a side than this, and no lens has a longer focal length in pixels.
 MOST_PIXELS = 1e6
 # How many coefficients OpenCV's distortion models have. Those after the fifth belong to the rational, thin prism and tilted models.
 DISTORTION_LENGTHS = (4, 5, 8, 12, 14)

@@ -140,10 +140,10 @@ def _written(session: Session, view: View, c: int, people: Sequence[Sequence[Peo
 
 def _crowd(views: Sequence[View], people: Sequence[People], places: Places) -> list[str]:
     if not any(place is not None for place in places):
-        why = "No two cameras agree on anybody's keypoints" if len(views) > 1 and any(map(len, people)) else "The keypoint files contain no people"
+        why = "No two cameras agree on a person's keypoints" if len(views) > 1 and any(map(len, people)) else "The keypoint files contain no people"
         return [f"{why} in the first frame: the session has no first keypoints."]
     choices = [
-        f"{view.camera.name}: {'nobody' if place is None else f'#{place + 1}'} of {len(among)}"
+        f"{view.camera.name}: {'none' if place is None else f'#{place + 1}'} of {len(among)}"
         for view, among, place in zip(views, people, places, strict=True)
         if len(among) > 1 or place is None
     ]

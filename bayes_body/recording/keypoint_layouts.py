@@ -59,12 +59,12 @@ def choose_layout(points: Float[np.ndarray, "person keypoint 3"], name: str | No
             raise InputError(f"--layout: '{name}': no such order; {nearest(name, LAYOUTS)}")
         if name not in fitting:
             raise input_error(
-                f"--layout {name}", f"{count} keypoints a person", f"{len(LAYOUTS[name])}", "name the order in which the keypoints are written"
+                f"--layout {name}", f"{count} keypoints per person", f"{len(LAYOUTS[name])}", "name the order in which the keypoints are written"
             )
         return Layout(name, LAYOUTS[name])
     if not fitting:
         known = ", ".join(f"{each} ({len(keypoints)})" for each, keypoints in LAYOUTS.items())
-        raise input_error("keypoints", f"{count} a person", known, "write them in one of these orders")
+        raise input_error("keypoints", f"{count} per person", known, "write them in one of these orders")
     if len(fitting) == 1:
         return Layout(fitting[0], LAYOUTS[fitting[0]])
     return _by_proportions(points, fitting)
@@ -76,7 +76,7 @@ def _by_proportions(points: Float[np.ndarray, "person keypoint 3"], names: list[
     if not spreads[second] > CLEARLY * spreads[best]:
         remedy = f"choose one with --layout {best} or --layout {second}"
         raise input_error(
-            "keypoints", f"{points.shape[1]} a person, which may be {' or '.join(names)}", "people whose limb lengths decide between them", remedy
+            "keypoints", f"{points.shape[1]} per person, which may be {' or '.join(names)}", "people whose limb lengths decide between them", remedy
         )
     found = f"limb lengths differ from a body's proportions by {spreads[best]:.0%}, and by {spreads[second]:.0%} in the order {second}"
     return Layout(best, LAYOUTS[best], f"The keypoints are read as {best}: {found}.")
@@ -85,7 +85,7 @@ def _by_proportions(points: Float[np.ndarray, "person keypoint 3"], names: list[
 def disproportion(points: Float[np.ndarray, "person keypoint 3"], keypoints: tuple[str, ...]) -> float:
     """How far limb lengths are from a body's proportions in that order: mean |log(length / fraction)| about its median, median over people.
 
-    Infinite if nobody shows half of the limbs.
+    Infinite if no person shows half of the limbs.
     """
     index = {name: i for i, name in enumerate(keypoints)}
     ends = np.array([[index[f"{side}_{a}"], index[f"{side}_{b}"]] for side in "lr" for a, b in PROPORTIONS])

@@ -1,9 +1,9 @@
 """Follow the subject from frame to frame among the people that the cameras see.
 
-`choose_person` finds the subject in the first frame. From then on the subject in a camera is the person nearest to the projection of the body of the
-frame before (with one camera: to its place in the frame before), if the distance is within a fifth of the person's size. Cameras that do not agree
-with the body of this frame are dropped. If fewer than two cameras remain (with one camera: if nobody is near), `choose_person` is called again. If
-that fails too, the people who were near are used.
+`choose_person` finds the subject in the first frame. From then on, the subject in a camera is the person nearest to the projection of the previous
+frame's body (with one camera: to the subject's place in the previous frame), if the distance is within a fifth of the person's size. Cameras that do
+not agree with the body of this frame are dropped. If fewer than two cameras remain (with one camera: if no person is near), `choose_person` is called
+again. If that fails too, the people who were near are used.
 """
 
 from collections.abc import Iterable, Sequence
@@ -62,7 +62,7 @@ def _nearest(camera: CameraSpec, people: People, body: Body | None) -> int | Non
 
 
 def _body(cameras: Sequence[CameraSpec], people: Sequence[People], places: Places, before: Body | None) -> Body | None:
-    """The body of this frame, where it is known; the body of the frame before where too little is known."""
+    """The body of this frame. If too little of it is known, the body of the previous frame."""
     visible = [(camera, among[place]) for camera, among, place in zip(cameras, people, places, strict=True) if place is not None]
     if len(visible) < min(2, len(cameras)):
         return before

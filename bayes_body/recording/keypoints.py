@@ -26,7 +26,7 @@ FARTHEST_PX = 1e6
 
 
 def read_people(path: Path) -> Float[np.ndarray, "person keypoint 3"]:
-    """The people of one file: column, row (pixels; NaN where not found) and confidence, from 0 to 1; (0, 0, 3) if there is nobody.
+    """The people of one file: column, row (pixels; NaN where not found) and confidence, from 0 to 1; (0, 0, 3) without people.
 
     Some networks give confidences above 1; they are clipped to 1.
 
@@ -123,7 +123,7 @@ def read_openpose(folder: Path, frames: Sequence[int]) -> Float[np.ndarray, "fra
     if len(counts) > 1:
         raise input_error(
             folder,
-            f"frames with {counts[0]} and with {counts[-1]} keypoints a person",
+            f"frames with {counts[0]} and with {counts[-1]} keypoints per person",
             "the same number in each",
             "keep only one series of files in it",
         )

@@ -62,7 +62,7 @@ def check_fps(fps: float | None) -> None:
         InputError: it is not finite and above 0.
     """
     if fps is not None and not 0 < fps < 1e6:
-        raise input_error("--fps", f"{fps:g}", "frames a second, above 0", "give the rate at which the cameras filmed")
+        raise input_error("--fps", f"{fps:g}", "frames per second, above 0", "give the rate at which the cameras filmed")
 
 
 def metres_per_unit(unit: str | None, why: str) -> float:

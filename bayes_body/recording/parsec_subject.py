@@ -101,7 +101,7 @@ def _read_shape(path: Path) -> Subject:
 
 def _read_motion(path: Path) -> NDArray[np.float64]:
     """Standard deviations, minima and maxima, (3, 31), in the file's units."""
-    motion = read_numbers(path, 93, "31 standard deviations a frame, 31 minima, 31 maxima").reshape(3, -1)
+    motion = read_numbers(path, 93, "31 standard deviations per frame, 31 minima, 31 maxima").reshape(3, -1)
     _check_positive(path, {f"{dof}, standard deviation": value for dof, value in zip(DOFS, motion[0], strict=True)})
     return motion
 

@@ -19,7 +19,7 @@ from bayes_body.session.session import CameraSpec
 SAME = 0.1
 # In a crowd, all pairs would take minutes, and the subject is unlikely to be only the seventh by size.
 MOST_PROPOSERS = 6
-# With fewer common keypoints a comparison means nothing.
+# With fewer common keypoints a comparison is meaningless.
 FEWEST = 5
 
 # For one camera: (person, keypoint, 3) with column, row (pixels; NaN where not seen), confidence. Cameras see different numbers of people.
@@ -88,6 +88,6 @@ def _relative_error(camera: CameraSpec, points_m: Float[np.ndarray, "keypoint 3"
 
 
 def _size(person: Float[np.ndarray, "keypoint 3"]) -> float:
-    """Diagonal of the bounding box of a person, pixels; 0 for nobody."""
+    """Diagonal of the bounding box of a person, pixels; 0 if no keypoint is known."""
     seen = person[np.isfinite(person[:, :2]).all(axis=1), :2]
     return float(np.linalg.norm(np.ptp(seen, axis=0))) if len(seen) else 0.0

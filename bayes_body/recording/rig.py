@@ -63,7 +63,7 @@ class Rig:
 
     Attributes:
         name: the file's name.
-        title: one line for people.
+        title: one line for the reader.
         fps: frames per second.
         cameras: moving cameras as they are at time 0.
         grey: for each camera, whether it has no colour.

@@ -22,7 +22,7 @@ from bayes_body.recording.images import check_size, not_seen, silent
 
 # FFmpeg's messages add nothing to the error that follows. The variable is read when OpenCV opens its first video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-# Within so many frames, decode instead of seeking: a seek starts at a key frame, often a hundred frames before its target.
+# Within this many frames, decode instead of seeking, since a seek starts at a key frame, often a hundred frames before its target.
 NEAR = 50
 OPEN_AT_ONCE = 32
 
@@ -103,7 +103,7 @@ class _Reader:
         self._path = path
         self._times: list[float] = []
         self._next = 0
-        # The frame before `_next`, if it was asked for: pictures and silhouettes read the same frame.
+        # The frame before `_next`, if it was requested, since images and silhouettes both read it.
         self._last: NDArray[np.uint8] | None = None
         self._capture = self._open()
 

@@ -1,4 +1,4 @@
-"""A captured motion as the joint angles of a named body: exactly where the skeletons agree, by a fit to its landmarks where they do not."""
+"""A captured motion as the joint angles of a named body: exact if the skeletons agree, otherwise fitted to the motion's landmarks."""
 
 from bayes_body.retarget.result import Retargeted
 from bayes_body.retarget.to_body import retarget

@@ -1,10 +1,11 @@
-r"""A motion whose skeleton is the body's: each joint's rotation and shift taken apart into its dofs, $D_j = P_j^{-1} T_{parent(j)}^{-1} T_j$.
+r"""Exact decomposition of a motion whose skeleton is the body's: a joint's transform as its dofs, $D_j = P_j^{-1} T_{parent(j)}^{-1} T_j$.
 
-Nothing is fitted. The motion is refused (None) where a joint is missing, hangs on another parent, has an offset of its own, or turns in a way that
-the body's joint cannot: then its angles would not be the motion's.
+Nothing is fitted. The result is None if a joint is missing, has another parent, has an offset that the body does not have, or turns in a way that
+the body's joint cannot. In these cases the body's angles would not be the motion's.
 
-A file's joints have axes of their own: those of the body's joints, or, as bvh has it, axes that all point alike in the body's zero pose. With $R^0_j$
-a joint's rotation there and S that of the file's axes against the world's, $R_j = R^{file}_j\, S\, R^0_j$.
+The joints' axes in a file are either those of the body's joints or, as in bvh, axes that all have the same directions in the body's zero pose. In the
+second case, with $R^0_j$ the joint's rotation in the zero pose and S the rotation of the file's axes relative to the world's,
+$R_j = R^{file}_j\, S\, R^0_j$.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,19 +27,19 @@ from bayes_body.initial.lengths import Scaling, scaling
 from bayes_body.recording.mocap.motion import Motion
 from bayes_body.retarget.turns import angles_of
 
-# What still counts as the same: offsets in metres, rotations in radians.
+# Differences up to these count as zero: of offsets in metres, of rotations in radians.
 OFFSET_M, ANGLE = 1e-3, 1e-5
 
 
 class Placed(NamedTuple):
-    """Every joint of the body in the world as the motion has it: its rotation, with the body's axes, and its place, metres."""
+    """The motion's rotation, with the body's axes, and position, metres, of each of the body's joints in the world."""
 
     rotations: Float[np.ndarray, "frame joint 3 3"]
     places: Float[np.ndarray, "frame joint 3"]
 
 
 class Exact(NamedTuple):
-    """Angles of every frame, the joints, and if lengths may change, how, and by how much each is multiplied."""
+    """The angles in every frame, the joints in the world, how the body changes with its lengths (None if they are kept), and the lengths' factors."""
 
     angles: Float[np.ndarray, "frame dof"]
     placed: Placed
@@ -47,18 +48,18 @@ class Exact(NamedTuple):
 
     @property
     def lengths_m(self) -> list[float]:
-        """The lengths in the order of the body's file; none if they stay."""
+        """The lengths, metres, in the order of the body's file; empty if they are kept."""
         return [] if self.change is None else (np.asarray(self.change.values, float) * self.factors).tolist()
 
 
 def decompose(body: Body, motion: Motion, joints: Mapping[str, str], schema: BodySchema | None) -> Exact | None:
-    """The motion's own angles; None where its skeleton is not the body's.
+    """Return the motion's own angles; None if its skeleton is not the body's.
 
     Args:
-        body: whose dofs they are.
-        motion: with rotations, and no gaps.
-        joints: the motion's name of a joint of the body, where it is another.
-        schema: of the body, if its lengths may be the motion's; None keeps them.
+        body: the body whose dofs are returned.
+        motion: a motion with rotations and without gaps.
+        joints: the motion's names of the body's joints, where they differ.
+        schema: the body's schema if its lengths are adapted to the motion; None keeps the lengths.
     """
     placements = list(_placements(body.skeleton, motion, joints))
     change = scaling(body, schema) if schema is not None and placements else None
@@ -67,13 +68,13 @@ def decompose(body: Body, motion: Motion, joints: Mapping[str, str], schema: Bod
 
 
 def carried(body: Body, placed: Placed) -> Float[np.ndarray, "frame marker 3"]:
-    """Where the body's markers are that the motion's joints carry, metres."""
+    """Return the positions of the body's markers, attached to the motion's joints, metres."""
     joints = list(body.markers.joints)
     return placed.places[:, joints] + np.einsum("fmab,mb->fma", placed.rotations[:, joints], np.asarray(body.markers.offsets, float))
 
 
 def with_ends(body: Body, exact: Exact, points: Float[np.ndarray, "frame marker 3"], change: Scaling) -> Exact:
-    """Lengths that no joint hangs on, such as a forearm's, as the motion's points have them (metres, NaN where unknown)."""
+    """Estimate the lengths that no joint's offset depends on, such as a forearm's, from the motion's points (metres, NaN where unknown)."""
     joints, markers = np.asarray(change.contributions.joints, float), np.asarray(change.contributions.markers, float)
     free = ~joints.any(axis=(1, 2))
     known = np.isfinite(points).all(axis=(0, 2))
@@ -99,7 +100,7 @@ def _decomposed(body: Body, placed: Placed, change: Scaling | None) -> Exact | N
 
 
 def _placements(skeleton: Skeleton, motion: Motion, joints: Mapping[str, str]) -> Iterator[Placed]:
-    """The body's joints, for each way in which their axes may be meant; none where the trees differ."""
+    """Yield the body's joints for each possible convention of the file's axes; nothing if the trees differ."""
     topology, R = skeleton.topology, motion.rotations
     names = [joints.get(name, name) for name in topology.joint_names]
     if R is None or not len(R) or any(name not in motion.joints for name in names):
@@ -117,12 +118,12 @@ def _placements(skeleton: Skeleton, motion: Motion, joints: Mapping[str, str]) -
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)
 def _at_zero(skeleton: Skeleton) -> Float[Array, "joint 3 3"]:
-    """The joints' rotations in the zero pose."""
+    """Return the joints' rotations in the zero pose."""
     return forward_kinematics(skeleton, jnp.zeros(len(skeleton.topology.dof_names), skeleton.offsets.dtype)).rotation
 
 
 def _in_parents(skeleton: Skeleton, placed: Placed) -> Placed:
-    """Every joint in its parent's frame."""
+    """Return every joint in its parent's frame."""
     R, p = placed
     rotations, places = R.copy(), p.copy()
     for j, parent in enumerate(skeleton.topology.parents):
@@ -133,7 +134,7 @@ def _in_parents(skeleton: Skeleton, placed: Placed) -> Placed:
 
 
 def _offsets(body: Body, frames: Placed, change: Scaling | None) -> tuple[Float[np.ndarray, " length"], Float[np.ndarray, "joint 3"]]:
-    """How the body's lengths have to change for its offsets to be the motion's, and its offsets then, metres."""
+    """Return the factors of the body's lengths that best give the motion's offsets, and the offsets with these lengths, metres."""
     offsets = np.asarray(body.skeleton.offsets, float)
     if change is None:
         return np.zeros(0), offsets
@@ -147,7 +148,7 @@ def _offsets(body: Body, frames: Placed, change: Scaling | None) -> tuple[Float[
 def _taken_apart(
     skeleton: Skeleton, dofs: Sequence[Dof], rotation: Float[np.ndarray, "frame 3 3"], shift: Float[np.ndarray, "frame 3"]
 ) -> Float[np.ndarray, "frame turn"] | None:
-    """The joint's dofs in order; None if they leave more than is still the same."""
+    """Return the joint's dofs in order; None if they do not reproduce its rotation and shift within the tolerances."""
     turns = [dof for dof in dofs if not dof.is_shift]
     low, high = (np.asarray(side, float)[[dof.dof for dof in turns]] for side in (skeleton.low, skeleton.high))
     found = angles_of(rotation, [dof.axis for dof in turns], [dof.sign for dof in turns], low, high)

@@ -1,13 +1,14 @@
-r"""The angles of all frames at once, and the lengths that they share, by Adam in unconstrained coordinates.
+r"""Fit of a motion: the angles of all frames together, and the lengths that they share, by Adam in unconstrained coordinates.
 
 $$U = \sum_t \Bigl[\sum_i \tfrac{\nu + 3}{2} \log\bigl(1 + \tfrac{r_{ti}^2}{\nu \sigma_i^2}\bigr)
     + \tfrac12 \sum_k \bigl(\tfrac{s_{tk} - m_k}{\tau_k}\bigr)^2\Bigr]
     + \tfrac12 \sum_{tk} \Bigl(\frac{s_{t+1,k} - 2 s_{tk} + s_{t-1,k}}{\alpha_k\,\Delta t^2}\Bigr)^2 + \tfrac12 \|z\|^2$$
 
-The first sums are the misfit of a first pose to markers (`bayes_body.initial.misfit`). The second differences keep what the landmarks do not tell
-from jumping between solutions that fit alike; lengths follow z as in `bayes_body.initial.lengths`.
+The first sums are the misfit of a first pose to markers (`bayes_body.initial.misfit`). The term with second differences keeps dofs that the landmarks
+do not determine from jumping between equally good solutions. The lengths depend on z as in `bayes_body.initial.lengths`.
 
-A frame's own misfit has many minima: the most complete frame is searched as a first pose is, and its neighbours start from it, theirs from them.
+The misfit of a single frame has many minima. The most complete frame is therefore searched like a first pose. Each other frame starts from the
+solution of its neighbour.
 """
 
 from typing import NamedTuple
@@ -28,27 +29,27 @@ from bayes_body.initial.misfit import NU, Problem
 from bayes_body.retarget.problem import landmarks_of_frame
 from bayes_body.shapes import Index, Pose, Scalar
 
-# Adam's steps and rates (unconstrained coordinates): of each frame from its neighbour's pose, and of all frames together.
+# Adam's steps and rates (unconstrained coordinates): for each frame from its neighbour's pose, and for all frames together.
 FOLLOW_STEPS, FOLLOW_RATE = 40, 0.05
 STEPS, RATE = 600, 0.06
-# Angles and shifts of a person who moves: speeds, rad/s and m/s, and accelerations, rad/s^2 and m/s^2, of this order.
+# Typical speeds (rad/s for angles, m/s for shifts) and accelerations (rad/s^2, m/s^2) of a person who moves.
 SPEEDS, ACCELERATIONS = (10.0, 3.0), (100.0, 20.0)
 UP = 2
-# Frames are filled up to a multiple of this, so that recordings of like length are fitted by one compiled program.
+# The number of frames is padded to a multiple of this, so that recordings of similar length share a compiled program.
 BLOCK = 60
 
 type Frames = Float[Array, "frame marker 3"]
 
 
 class Fitted(NamedTuple):
-    """Angles of every frame, and the lengths' parameters."""
+    """The angles in every frame, and the lengths' parameters."""
 
     poses: Float[Array, "frame dof"]
     z: Float[Array, " group"]
 
 
 class Motion(NamedTuple):
-    """Landmarks, metres, 0 where they are unknown; which are known; and the time between frames, s."""
+    """Landmarks, metres, 0 where they are unknown; a mask, 1 for those that are known; and the time between frames, s."""
 
     places: Frames
     known: Float[Array, "frame marker"]
@@ -56,7 +57,7 @@ class Motion(NamedTuple):
 
 
 def fit_motion(problem: Problem, places: Float[np.ndarray, "frame marker 3"], fps: float) -> Fitted:
-    """The poses of the least misfit to the landmarks (metres, NaN where unknown) at `fps` frames a second.
+    """Return the poses with the smallest misfit to the landmarks (metres, NaN where unknown) at `fps` frames a second.
 
     Raises:
         InputError: no start led to finite numbers.
@@ -73,12 +74,12 @@ def fit_motion(problem: Problem, places: Float[np.ndarray, "frame marker 3"], fp
 
 
 def filled(frames: Float[np.ndarray, "frame *rest"], value: float) -> Float[np.ndarray, "more *rest"]:
-    """The frames, filled up with more of that value to a multiple of `BLOCK`."""
+    """Return the frames, padded with frames of that value to a multiple of `BLOCK`."""
     return np.concatenate([frames, np.full((-len(frames) % BLOCK, *frames.shape[1:]), value)])
 
 
 def _order(first: int, frames: int) -> Int[np.ndarray, " frame"]:
-    """From the first frame on to the end, then from it back to the beginning."""
+    """Return the order of the frames: from `first` to the end, then from `first` back to the beginning."""
     return np.concatenate([np.arange(first, frames), np.arange(first)[::-1]])
 
 
@@ -89,17 +90,17 @@ def _unbounded(problem: Problem, pose: Pose) -> Pose:
 
 @jax.jit(compiler_options=FAST_COMPILE)
 def follow(problem: Problem, motion: Motion, pose: Pose, z: Float[Array, " group"], order: Int[Array, " frame"], first: Index) -> Array:
-    """Unconstrained angles of every frame, each fitted from where its neighbour's ended, with the lengths as they are."""
+    """Return the unconstrained angles of every frame. Each frame is fitted from its neighbour's solution; the lengths are fixed."""
     start, body = _unbounded(problem, pose), scaled(problem.body, problem.scaling, z)
     usual = _by_unit(problem, SPEEDS)
 
     def one(before: Pose, frame: Index) -> tuple[Pose, Pose]:
-        # The frame before the first one starts where the first did, not where the last one ended.
+        # The frame before `first` starts from the first pose, not from the solution of the last frame.
         before = jnp.where(frame == first - 1, start, before)
 
         def misfit(x: Pose) -> Scalar:
             pose = _poses(problem, x)
-            # Adam's steps know no scale: without this it would walk away along what nothing tells of.
+            # Adam's steps do not depend on the gradient's size: without this term it would drift in directions that the landmarks do not determine.
             moved = (pose - _poses(problem, before)) / (usual * motion.step_s)
             return _misfit_of_frame(problem, body, pose, motion.places[frame], motion.known[frame]) + 0.5 * jnp.sum(moved**2)
 
@@ -117,7 +118,7 @@ class _Parameters(NamedTuple):
 
 @jax.jit(compiler_options=FAST_COMPILE)
 def together(problem: Problem, motion: Motion, x: Float[Array, "frame dof"], z: Float[Array, " group"]) -> Fitted:
-    """All frames and the lengths, from unconstrained angles `x` and lengths `z` on."""
+    """Fit all frames and the lengths together, starting from unconstrained angles `x` and length parameters `z`."""
     found, _ = minimise(lambda p, _: (jax.grad(_misfit, argnums=2)(problem, motion, p), ()), _Parameters(x, z), RATE, STEPS)
     return Fitted(_poses(problem, found.x), found.z)
 
@@ -139,7 +140,7 @@ def _misfit_of_frame(problem: Problem, body: Body, pose: Pose, markers: Float[Ar
 
 
 def _by_unit(problem: Problem, values: tuple[float, float]) -> Pose:
-    """The first value for each angle, the second for each shift."""
+    """Return the first value for each angle, the second for each shift."""
     return jnp.where(jnp.array(problem.body.skeleton.topology.angular), *(jnp.asarray(value, problem.body.lengths.dtype) for value in values))
 
 

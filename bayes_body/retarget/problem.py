@@ -1,4 +1,4 @@
-"""A body and landmarks as the problem that the fit solves: that of a first pose (`bayes_body.initial`), with markers only and no camera."""
+"""The optimisation problem of a body and landmarks: that of a first pose (`bayes_body.initial`), with markers only and without cameras."""
 
 from collections.abc import Mapping
 
@@ -16,14 +16,15 @@ from bayes_body.initial.measurements import Measurements
 from bayes_body.initial.misfit import Prior, Problem
 from bayes_body.initial.points import Points
 
-# Weak: it decides what the landmarks do not tell. A joint's sd, as a share of its range, and how far from upright people stand, radians.
+# The prior is weak: it decides only what the landmarks leave open. Standard deviations of a joint, as a fraction of its range, and of the body's
+# tilt, radians.
 RANGE_SHARE = 2.0
 TILT_SD = 3.0
 UP = (0.0, 0.0, 1.0)
 
 
 def build_problem(body: Body, schema: BodySchema | None) -> Problem:
-    """The problem without landmarks. Lengths are fitted if a schema says what they enter; the prior draws the angles to the resting pose."""
+    """Return the problem without landmarks. Lengths are fitted if a schema is given; the prior pulls the angles towards the resting pose."""
     names, dtype = body.markers.names, body.lengths.dtype
     points = Points(names, body.markers.joints, 0, jnp.zeros((0, 3), dtype))
     problem = Problem(
@@ -39,7 +40,7 @@ def build_problem(body: Body, schema: BodySchema | None) -> Problem:
 
 
 def landmarks_of_frame(places: Float[np.ndarray, "point 3"], dtype: jnp.dtype) -> Measurements:
-    """Where the body's points are, metres; NaN where unknown."""
+    """Return the positions of the body's points in one frame (metres, NaN where unknown) as measurements."""
     known = np.isfinite(places).all(axis=-1)
     none = jnp.zeros((0, len(places)), dtype)
     markers = jnp.asarray(np.where(known[:, None], places, 0.0), dtype)
@@ -47,16 +48,16 @@ def landmarks_of_frame(places: Float[np.ndarray, "point 3"], dtype: jnp.dtype) -
 
 
 def places_of(body: Body, landmarks: Mapping[str, np.ndarray]) -> Float[np.ndarray, "frame marker 3"]:
-    """The landmarks in the order of the body's markers; NaN where there is none of that name.
+    """Return the landmarks in the order of the body's markers; NaN where there is none of that name.
 
     Raises:
-        InputError: landmarks that have not as many frames as the first.
+        InputError: a landmark does not have the same number of frames as the first one.
     """
     frames = len(next(iter(landmarks.values()), ()))
     for name, each in landmarks.items():
         if each.shape != (frames, 3):
             found = f"{len(each)} frames" if each.shape[1:] == (3,) else f"an array of shape {each.shape}"
-            raise input_error(f"landmarks: {name}", found, f"({frames}, 3), as the first has", "give each in every frame, NaN where unknown")
+            raise input_error(f"landmarks: {name}", found, f"({frames}, 3), like the first", "give each in every frame, NaN where unknown")
     places = np.full((frames, len(body.markers.names), 3), np.nan)
     for m, name in enumerate(body.markers.names):
         if name in landmarks:

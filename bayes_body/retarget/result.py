@@ -1,4 +1,4 @@
-"""What a motion became: angles of a body, and how far its markers are from where they were captured."""
+"""The result of retargeting: angles of a body, and the distances of its markers from the captured points."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -15,11 +15,11 @@ class Retargeted(NamedTuple):
     Attributes:
         angles: (frame, dof), radians and metres, in the order of `body.dof_names`.
         lengths_m: the body's lengths if they were fitted, else empty.
-        residual_m: (frame, marker), the distance of each of the body's markers from the motion's point of that name; NaN where it has none. Of an
-            exact motion the points are where its joints carry the markers, but for the ends of limbs.
-        exact: whether the angles are the motion's own, decomposed, and not a fit.
-        body: with the fitted lengths.
-        markers_m: (frame, marker, 3), where the body's markers are at these angles.
+        residual_m: (frame, marker), the distance of each of the body's markers from the motion's point of that name; NaN where it has none. For an
+            exact motion, the points are the markers as attached to the motion's joints, except at the ends of limbs.
+        exact: whether the angles are the motion's own, from an exact decomposition, rather than a fit.
+        body: the body with the fitted lengths.
+        markers_m: (frame, marker, 3), the positions of the body's markers at these angles.
         remarks: sentences for the user.
     """
 
@@ -33,17 +33,17 @@ class Retargeted(NamedTuple):
 
     @property
     def marker_names(self) -> tuple[str, ...]:
-        """Of the columns of `residual_m`."""
+        """The names of the columns of `residual_m`."""
         return self.body.markers.names
 
     def residual(self, marker: str | None = None) -> "Residual":
-        """The residuals of one marker, or of all."""
+        """Return a summary of the residuals of one marker, or of all."""
         columns = slice(None) if marker is None else [self.marker_names.index(marker)]
         return summed_up(self.residual_m[:, columns])
 
 
 class Residual(NamedTuple):
-    """Distances in millimetres: their mean, what 95 % lie below, and the largest; NaN without any."""
+    """Summary of distances in millimetres: mean, 95 % quantile and maximum; NaN without distances."""
 
     mean_mm: float
     most_mm: float
@@ -51,7 +51,7 @@ class Residual(NamedTuple):
 
 
 def summed_up(residual_m: Float[np.ndarray, "frame marker"]) -> Residual:
-    """Distances in a few numbers; what is NaN does not count."""
+    """Return a summary of the distances; NaN values are ignored."""
     known = 1000 * residual_m[np.isfinite(residual_m)]
     if not known.size:
         return Residual(float("nan"), float("nan"), float("nan"))

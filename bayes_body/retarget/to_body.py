@@ -1,4 +1,4 @@
-"""From a captured motion to a body's joint angles, and which of the two ways it takes."""
+"""Retarget a captured motion to a body's joint angles, by exact decomposition or by a fit."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -25,12 +25,12 @@ from bayes_body.retarget.fit import filled, fit_motion
 from bayes_body.retarget.problem import build_problem, places_of
 from bayes_body.retarget.result import Retargeted
 
-# Fewer known points in the best frame leave the pose to chance.
+# With fewer known points in the best frame, the pose would be arbitrary.
 FEWEST = 4
-# A dof that moves more than this between frames is told: radians.
+# A dof that moves more than this between frames gets a remark: radians.
 JUMP = 1.0
 
-# Whether they have as many frames as each other is checked with a sentence.
+# Positions by name. `places_of` checks that all have the same number of frames.
 type Landmarks = Mapping[str, np.ndarray]
 
 
@@ -42,15 +42,18 @@ def retarget(
     schema: BodySchema | None = None,
     joints: Mapping[str, str] | None = None,
 ) -> Retargeted:
-    """The motion as joint angles of the body: its own where its skeleton is the body's, else those of the least misfit to its landmarks.
+    """Return the motion as joint angles of the body.
+
+    If the motion's skeleton is the body's, they are the motion's own angles. Otherwise they have the smallest misfit to its landmarks.
 
     Args:
-        body: whose angles they are.
-        motion: as it was read, or points by name, (frame, 3), metres, z up, NaN where unknown; those count that the body has as markers.
-        fps: frames a second; a `Motion` has its own.
-        fit_lengths: whether the body's lengths become the person's; False keeps them.
-        schema: of the body, which says what its lengths enter; that of the shipped body of that name by default.
-        joints: the motion's names of the body's joints, where they are others.
+        body: the body whose angles are returned.
+        motion: a motion that was read from a file, or points by name, (frame, 3), metres, z up, NaN where unknown. Points that are not markers of the
+            body are ignored.
+        fps: frames a second; ignored for a `Motion`, which has its own rate.
+        fit_lengths: whether the body's lengths are adapted to the person; False keeps them.
+        schema: the body's schema, from which the effect of its lengths follows; by default that of the shipped body of that name.
+        joints: the motion's names of the body's joints, where they differ.
 
     Raises:
         InputError: the motion has too few of the body's points, no frames, or no frame rate.
@@ -74,7 +77,8 @@ def _exact(body: Body, motion: Motion, exact: Exact, schema: BodySchema | None) 
         lengths = dict(zip(schema.lengths_of_height, exact.lengths_m, strict=True))
         body = _with_lengths(body, schema, lengths)
     places = carried(body, exact.placed)
-    # The motion's joints tell where all others are; its middle of the shoulders, say, need not be the body's thorax.
+    # Only markers at the ends of limbs use the motion's points. All others follow from its joints, because the points can differ in definition:
+    # the middle of the motion's shoulders, for example, need not be the body's thorax.
     ends = [joint not in body.skeleton.topology.parents for joint in body.markers.joints]
     if len(points):
         places[:, ends] = np.where(np.isfinite(points[:, ends]), points[:, ends], places[:, ends])
@@ -82,7 +86,7 @@ def _exact(body: Body, motion: Motion, exact: Exact, schema: BodySchema | None) 
 
 
 def _points(motion: Motion) -> Landmarks:
-    """The motion's landmarks; none if its joints alone do not tell them."""
+    """Return the motion's landmarks; empty if they cannot be determined."""
     try:
         return landmarks(motion)
     except InputError:
@@ -90,7 +94,7 @@ def _points(motion: Motion) -> Landmarks:
 
 
 def _with_lengths(body: Body, schema: BodySchema, lengths: Mapping[str, float]) -> Body:
-    """The body at these lengths; its radii and sections stay."""
+    """Return the body with these lengths; its radii and sections are kept."""
     now = build_body(body.name, schema, Shape(None, lengths))
     dtype = body.lengths.dtype
     skeleton = replace(body.skeleton, offsets=now.skeleton.offsets.astype(dtype))
@@ -140,7 +144,7 @@ def _outside(body: Body, angles: Float[np.ndarray, "frame dof"]) -> Iterator[str
     low, high = np.asarray(body.skeleton.low, float), np.asarray(body.skeleton.high, float)
     for k in np.flatnonzero(((angles < low - 1e-6) | (angles > high + 1e-6)).any(axis=0)):
         frames = int(((angles[:, k] < low[k] - 1e-6) | (angles[:, k] > high[k] + 1e-6)).sum())
-        yield f"{body.dof_names[k]} lies outside the body's limits in {frames} of {len(angles)} frames: no model of this body would find them"
+        yield f"{body.dof_names[k]} lies outside the body's limits in {frames} of {len(angles)} frames: no model of this body can reach these values"
 
 
 def _jumps(body: Body, angles: Float[np.ndarray, "frame dof"]) -> Iterator[str]:
@@ -148,4 +152,4 @@ def _jumps(body: Body, angles: Float[np.ndarray, "frame dof"]) -> Iterator[str]:
     steps = np.abs(np.diff(angles, axis=0))
     for k in np.flatnonzero(angular & (steps > JUMP).any(axis=0)) if len(steps) else ():
         frame, far = int(steps[:, k].argmax()) + 1, math.degrees(steps[:, k].max())
-        yield f"{body.dof_names[k]} moves by {far:.0f} degrees at frame {frame}: look at it before you trust it"
+        yield f"{body.dof_names[k]} moves by {far:.0f} degrees at frame {frame}: check that frame before you trust the motion"

@@ -1,7 +1,8 @@
-r"""Rotations as a joint's angles in their order, $D = R_{a_1}(\pm s_1) R_{a_2}(\pm s_2) R_{a_3}(\pm s_3)$, and how much of the rotation they leave.
+r"""Rotations as a joint's angles in order, $D = R_{a_1}(\pm s_1) R_{a_2}(\pm s_2) R_{a_3}(\pm s_3)$, and the remaining rotation.
 
-Three angles about unlike neighbouring axes give every rotation, twice: $(s_1 + \pi, \pi - s_2, s_3 + \pi)$ is the same where all axes differ, and
-$(s_1 + \pi, -s_2, s_3 + \pi)$ where the first is the third (Diebel 2006, Representing attitude, 5.6). Fewer angles give some rotations only.
+Three angles, with different axes for neighbours, give every rotation in two ways. The second solution is $(s_1 + \pi, \pi - s_2, s_3 + \pi)$ if all
+axes differ, and $(s_1 + \pi, -s_2, s_3 + \pi)$ if the first axis is also the third (Diebel 2006, Representing attitude, 5.6). Fewer angles give only
+some rotations.
 """
 
 import warnings
@@ -17,7 +18,7 @@ FULL = 2 * np.pi
 
 
 class Angles(NamedTuple):
-    """Angles of one joint over time, radians, and what each frame's leave of its rotation, radians."""
+    """Angles of one joint over time, radians, and the remaining rotation that they do not reproduce in each frame, radians."""
 
     values: Float[np.ndarray, "frame turn"]
     left: Float[np.ndarray, " frame"]
@@ -30,14 +31,14 @@ def angles_of(
     low: Float[np.ndarray, " turn"],
     high: Float[np.ndarray, " turn"],
 ) -> Angles | None:
-    """The angles of every frame, without jumps, within their limits where both can be had; None for axes that this cannot take apart.
+    """Return the angles of every frame, without jumps, and within their limits if possible; None for axes that cannot be decomposed.
 
     Args:
-        rotations: of the joint against its rest.
+        rotations: rotations of the joint relative to its rest.
         axes: 0, 1 or 2 for each angle, in order.
         signs: 1 or -1 for each angle.
-        low: limits, radians, or infinite.
-        high: likewise.
+        low: lower limits, radians, or infinite.
+        high: upper limits, radians, or infinite.
     """
     count = len(axes)
     if not count:
@@ -52,11 +53,11 @@ def angles_of(
 
 
 def _both(rotations: Float[np.ndarray, "frame 3 3"], axes: Sequence[int]) -> Float[np.ndarray, "frame 2 turn"]:
-    """The two triples of angles of every rotation, as far as there are axes."""
+    """Return the two solutions for the angles of every rotation, cut to the number of axes."""
     rest = [axis for axis in range(3) if axis not in axes]
     order = [*axes, *rest][:3]
     with warnings.catch_warnings():
-        # Where the middle angle is a right one only the sum of the others is determined: scipy sets the last to 0 and says so.
+        # In gimbal lock only the sum or difference of the outer angles is determined: scipy sets the last one to 0 and warns.
         warnings.simplefilter("ignore", UserWarning)
         one = Rotation.from_matrix(rotations).as_euler("".join("XYZ"[axis] for axis in order))
     middle = -one[:, 1] if order[0] == order[2] else np.pi - one[:, 1]
@@ -65,7 +66,7 @@ def _both(rotations: Float[np.ndarray, "frame 3 3"], axes: Sequence[int]) -> Flo
 
 
 def _chained(both: Float[np.ndarray, "frame 2 turn"], start: Float[np.ndarray, " turn"]) -> Float[np.ndarray, "frame turn"]:
-    """From `start` on, in every frame that of the two which is nearer to the frame before, up to full turns."""
+    """Return one solution for each frame, starting near `start`: the one nearer to the frame before, up to full turns."""
     chain = np.empty((len(both), both.shape[-1]))
     before = start
     for t, two in enumerate(both):
@@ -75,14 +76,14 @@ def _chained(both: Float[np.ndarray, "frame 2 turn"], start: Float[np.ndarray, "
 
 
 def _into(values: Float[np.ndarray, " turn"], low: Float[np.ndarray, " turn"], high: Float[np.ndarray, " turn"]) -> Float[np.ndarray, " turn"]:
-    """The same angles, less than half a turn from the middle of their limits."""
+    """Return the same angles, at most half a turn from the middle of their limits."""
     bounded = np.isfinite(low) & np.isfinite(high)
     middle = np.where(bounded, (np.where(bounded, low, 0.0) + np.where(bounded, high, 0.0)) / 2, 0.0)
     return values - FULL * np.round((values - middle) / FULL)
 
 
 def _cost(chain: Float[np.ndarray, "frame turn"], low: Float[np.ndarray, " turn"], high: Float[np.ndarray, " turn"]) -> tuple[int, float]:
-    """Angles outside their limits, then how large they are."""
+    """Return the number of angles outside their limits, then the sum of all angles' sizes."""
     return int(((chain < low - 1e-6) | (chain > high + 1e-6)).sum()), float(np.abs(chain).sum())
 
 

@@ -1,1 +1,1 @@
-"""A whole run on disk: track, summarise, draw."""
+"""A complete run on disk: track, summarise, draw."""

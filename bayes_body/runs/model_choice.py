@@ -1,4 +1,4 @@
-"""Which model tracks a session if the user names none: it follows from the data that the session has."""
+"""Choose the model for a session if the user names none; it depends on the data of the session."""
 
 from typing import NamedTuple
 
@@ -18,12 +18,12 @@ class ModelChoice(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """What `bayes-body track` prints."""
+        """The line that `bayes-body track` prints."""
         return f"model      {self.model}, because {self.reason}; --model names another."
 
 
 def choose_model(session: Session) -> ModelChoice:
-    """The keypoint model if a camera has keypoints, else the silhouette model. Both sample the posterior; a mode seeker is never chosen.
+    """Return the keypoint model if a camera has keypoints, else the silhouette model. Both sample the posterior; a mode seeker is never chosen.
 
     Raises:
         InputError: the session has neither keypoints nor silhouettes.
@@ -40,7 +40,7 @@ def choose_model(session: Session) -> ModelChoice:
 
 
 def _silhouette_source(session: Session) -> str:
-    """Where the silhouettes come from; empty if there can be none. The background of a moving camera cannot be learned."""
+    """Return the source of the silhouettes in words; empty if there can be none. The background of a moving camera cannot be learned."""
     without = [view for view in session.views if view.masks is None]
     if not without:
         return "masks"

@@ -1,7 +1,7 @@
-"""A whole run on disk: track a session, and write all that is needed to inspect, repeat and continue it.
+"""A complete run on disk: track a session, and write everything that is needed to inspect, repeat and continue it.
 
-`run.toml` is written first, then each frame as it is computed, then the posterior, the figures and the pictures. If a run stops, what it has computed
-stays; a later call continues it to the same end.
+`run.toml` is written first, then each frame as it is computed, then the posterior, the figures and the pictures. If a run stops, its results so far
+are kept. A later call continues it to the same result.
 """
 
 import json
@@ -42,15 +42,15 @@ from bayes_body.view.progress import progress_bar, waiting, watched
 
 
 def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
-    """Track and write everything; returns the content of `summary.json`.
+    """Track and write everything. Return the content of `summary.json`.
 
     Args:
-        settings: the run.
-        show: takes lines for the user.
-        bar: whether a progress bar is drawn on standard error.
+        settings: the settings of the run.
+        show: receives lines for the user.
+        bar: whether to draw a progress bar on standard error.
 
     Raises:
-        InputError: an input cannot be used, the session has no first pose, the folder holds another run or another process works on it, or a file
+        InputError: an input cannot be used, the session has no first pose, the folder has another run or is used by another process, or a file
             cannot be written.
     """
     check_unlocked(settings.out)
@@ -60,7 +60,7 @@ def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
     definition = load_definition(name)
     kind, options = kernel_options(definition, chosen.kernel, settings.overrides, (before or {}).get("kernel"))
     term, model = find("kernel", kind), build_model(definition, session)
-    # All that a user can mend is checked before the program is compiled.
+    # Everything that a user can correct is checked before the program is compiled.
     session = with_first_keypoints(model, session)
     fitted_before = "first_pose" in (before or {})
     if not fitted_before:
@@ -94,7 +94,7 @@ def _chosen_model(session: Session, show: Show) -> str:
 def _with_first_pose(
     model: Model, session: Session, record: Record, before: Mapping[str, Mapping[str, Any]] | None, out: Path, show: Show
 ) -> tuple[Model, Record]:
-    """The model with its first pose, and the record with it if it was fitted. A run that is continued starts from the pose that it stored."""
+    """Return the model with its first pose, and the record, with the pose if it was fitted. A continued run starts from its stored pose."""
     if before and "first_pose" in before:
         found = restored(model, before["first_pose"], f"{out / RUN_FILE}: first_pose")
     elif is_fitted(session):
@@ -105,13 +105,13 @@ def _with_first_pose(
 
 
 def _show_first_fit(session: Session, model: Model, show: Show) -> None:
-    """Warn before the tracking if the first pose does not fit the first frame."""
+    """Show a warning before the tracking if the first pose does not fit the first frame."""
     for sentence in fit_sentences(first_fit(session, model)):
         show(warning_line(sentence))
 
 
 def _begin(out: Path, wanted: int, show: Show) -> FrameFiles:
-    """The frames that are stored already, up to the first damaged one."""
+    """Return the frames that are already stored, up to the first damaged one."""
     frames = FrameFiles(out / FRAMES_FOLDER)
     remove_partial(out)
     damage = frames.mend()
@@ -120,19 +120,19 @@ def _begin(out: Path, wanted: int, show: Show) -> FrameFiles:
     if len(frames) > wanted:
         raise input_error("--frames", str(wanted), f"at least the {len(frames)} frames that the run has", "give a larger number")
     if len(frames):
-        what = f"going on at frame {len(frames)} of {wanted}" if len(frames) < wanted else f"all {wanted} frames are there, nothing is left to track"
+        what = f"continuing at frame {len(frames)} of {wanted}" if len(frames) < wanted else f"all {wanted} frames exist, nothing is left to track"
         show(f"{out}: {what}")
     return frames
 
 
 @contextmanager
 def _remark_on_stop(frames: FrameFiles, out: Path, show: Show) -> Iterator[None]:
-    """If anything stops the run, say how to continue it."""
+    """If the run stops early, tell the user how to continue it."""
     try:
         yield
     except BaseException:
         if len(frames):
-            show(f"{out}: {len(frames)} frames are kept; the same command with --resume goes on from there.")
+            show(f"{out}: {len(frames)} frames are kept; the same command with --resume continues from there.")
         raise
 
 
@@ -158,7 +158,7 @@ def _diagnosed(out: Path, bar: bool) -> tuple[dict[str, Any], list[str]]:
     """The worst figures of the posterior's diagnostics, and the warnings."""
     with load_run(out) as saved, waiting("diagnostics", bar):
         diagnosis = diagnose(saved)
-    # The first sentence about a mode seeker names it as one; the kernel's note before the run has said so.
+    # For a mode seeker the first sentence only says that it is one. The kernel's note before the run has already said so.
     return worst_figures(diagnosis), sentences(diagnosis)[diagnosis.mode_seeker :]
 
 
@@ -166,6 +166,6 @@ def _stored_summary(path: Path) -> dict[str, Any]:
     try:
         summary = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        # Missing, or not a summary: it is written again.
+        # The file is missing or not a summary, and will be written again.
         return {}
     return summary if isinstance(summary, dict) else {}

@@ -1,4 +1,4 @@
-"""The settings of a run: those that the user gives, those of the run that is continued, and the defaults."""
+"""The settings of a run: the user's, those of a run that is continued, and the defaults."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,17 +17,17 @@ type Record = dict[str, dict[str, Any]]
 
 @dataclass(frozen=True)
 class Settings:
-    """What the user asks for. A value of None comes from the run that is continued, or else from the model, the session or DEFAULTS.
+    """The settings that the user gives. A value of None is replaced by that of the continued run, or else of the model, the session or DEFAULTS.
 
     Attributes:
         session: folder of the session.
         out: folder of the run.
-        model: a definition's name or path; None lets the session decide (`choose_model`).
-        kernel: a kernel's name; None takes the model's own.
+        model: a definition's name or path; None chooses one by the session's data (`choose_model`).
+        kernel: a kernel's name; None means the model's own.
         overrides: options of the kernel that differ from the definition's.
         runs: number of independent filters.
         frames: number of frames; None for all.
-        seed: of everything random.
+        seed: seed of everything random.
         resume: whether to continue the run in the folder.
     """
 
@@ -43,7 +43,7 @@ class Settings:
 
 
 class Chosen(NamedTuple):
-    """Settings with their defaults. `model` None: the session decides; `kernel` None: the model's own; `frames` None: all."""
+    """Settings with their defaults. None means: for `model`, chosen by the session's data; for `kernel`, the model's own; for `frames`, all."""
 
     model: str | None
     kernel: str | None
@@ -53,7 +53,7 @@ class Chosen(NamedTuple):
 
 
 def choose(settings: Settings, stored: Mapping[str, Mapping[str, Any]] | None) -> Chosen:
-    """Each value as the user gives it, or else as the run that is continued has it, or else the default."""
+    """Return each setting: the user's value, or else the value of the run that is continued, or else the default."""
     defaults = DEFAULTS if stored is None else {**DEFAULTS, **stored["run"], "kernel": stored["kernel"].get("kind")}
     values: dict[str, Any] = {name: getattr(settings, name) for name in Chosen._fields}
     chosen: dict[str, Any] = {name: defaults.get(name) if value is None else value for name, value in values.items()}
@@ -61,20 +61,20 @@ def choose(settings: Settings, stored: Mapping[str, Mapping[str, Any]] | None) -
 
 
 def stored_record(settings: Settings) -> Record | None:
-    """The tables of the run that is to be continued; None if a new run begins.
+    """Return the tables of the run that is to be continued; None if a new run is started.
 
     Raises:
-        InputError: a new run is asked for in a folder that holds one, or the run's file cannot be read.
+        InputError: a new run is to be started in a folder that has a run, or the run's file cannot be read.
     """
     out, frames = settings.out, len(FrameFiles(settings.out / FRAMES_FOLDER))
     if settings.resume:
-        # A folder without frames holds a run that stopped before its first frame, or none: the same command begins it.
+        # A folder without frames has a run that stopped before its first frame, or no run: the same command starts it.
         return read_run_file(out) if frames or (out / RUN_FILE).exists() else None
     for name in (POSTERIOR_FILE, SUMMARY_FILE):
         if (out / name).exists():
             remedy = "name another with --out, continue it with --resume, or remove it"
-            raise input_error(out, f"holds another run ({name})", "a folder without one", remedy)
+            raise input_error(out, f"holds another run ({name})", "a folder without a run", remedy)
     if frames:
         found, remedy = f"holds a run that stopped at frame {frames}", "continue it with --resume, or name another folder with --out"
-        raise input_error(out, found, "a folder without one", remedy)
+        raise input_error(out, found, "a folder without a run", remedy)
     return None

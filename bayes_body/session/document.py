@@ -64,7 +64,7 @@ def _radii(radii: tuple[float, float]) -> list[Any]:
 
 def _initial_table(session: "Session") -> Table:
     table = tomlkit.table()
-    table.add(tomlkit.comment("The pose of the first frame, as far as it is known."))
+    table.add(tomlkit.comment("What is known about the pose of the first frame."))
     if session.fit_lengths:
         _add(table, "fit_lengths", True, "fit the segment lengths together with the pose")
     if session.fit_outline:

@@ -85,5 +85,5 @@ def save_session(session: Session) -> Path:
         session.folder.mkdir(parents=True, exist_ok=True)
         path.write_text(tomlkit.dumps(document(session)), encoding="utf-8")
     except OSError as error:
-        raise input_error(path, f"cannot be written ({error.strerror})", "a folder for the session", "name a folder that you may write to") from None
+        raise input_error(path, f"cannot be written ({error.strerror})", "a folder for the session", "name a folder in which you can write") from None
     return path

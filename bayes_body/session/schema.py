@@ -83,7 +83,7 @@ class CameraTable(Schema):
 
 
 class SubjectTable(Schema):
-    """`[subject]`: what is known of the person."""
+    """`[subject]`: what is known about the person."""
 
     body: str | None = None
     height_m: Length | None = None
@@ -96,7 +96,7 @@ class SubjectTable(Schema):
 
 
 class InitialTable(Schema):
-    """`[initial]`: what is known of the first pose: dofs of a body, markers in the world, or keypoints in the images."""
+    """`[initial]`: what is known about the first pose: dofs of a body, markers in the world, or keypoints in the images."""
 
     angles_deg: dict[str, Finite] = {}
     positions_m: dict[str, Far] = {}
@@ -107,7 +107,7 @@ class InitialTable(Schema):
 
 
 class SegmentationTable(Schema):
-    """`[segmentation]`: how silhouettes are found where there are no masks."""
+    """`[segmentation]`: how silhouettes are found if there are no masks."""
 
     threshold: Positive = 16.0
     learning_frames: Count = 200

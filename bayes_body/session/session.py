@@ -1,4 +1,4 @@
-"""What a recording is: calibrated cameras, their images, the subject's measurements and the first pose.
+"""The description of a recording: calibrated cameras, their images, the subject's measurements and the first pose.
 
 Plain data in metres, radians and pixels. `bayes_body.session.read` reads and writes it.
 """
@@ -118,7 +118,7 @@ class Session:
 
     Attributes:
         folder: the folder of `session.toml`; relative paths start here.
-        title: one line for people.
+        title: one line for the reader.
         up: the world's axis that points up.
         fps: frames per second.
         frames: number of frames.

@@ -1,1 +1,1 @@
-"""An independent renderer: its own people, filmed by its own cameras, with the true poses."""
+"""An independent renderer, which films simulated people with known poses by simulated cameras."""

@@ -60,7 +60,7 @@ def _clearance(posed: Sequence[Sequence[CameraSpec]], landmarks: Mapping[str, Fl
 def _from_picture(folder: Path, camera: CameraSpec, moves: bool) -> EmptyScene:
     if moves:
         found = f"camera '{camera.name}' moves"
-        raise input_error(f"--background {folder}", found, "cameras that stand still", "leave the option out, or the camera (--cameras)")
+        raise input_error(f"--background {folder}", found, "cameras that do not move", "leave out the option, or the camera (--cameras)")
     path = find_background(folder, camera.name, camera.size_px)
     if is_image(path):
         picture = read_colour(path, camera.size_px).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Filming: for each camera and frame, combine the empty scene, the person's shadow on its floor and the person, and apply the sensor."""
+"""Film a person: for each camera and frame, combine the empty scene, the person's shadow on the floor and the person, and apply the sensor."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -21,7 +21,7 @@ from bayes_body.simulation.sensor import Sensor
 from bayes_body.simulation.video import VideoWriter, write_mask
 
 LIGHT = Light()
-# Share of the floor's light that the person blocks, and width of the shadow's soft edge in pixels, for a picture with 640 columns.
+# Fraction of the floor's light that the person blocks, and width of the shadow's soft edge in pixels, for a picture with 640 columns.
 SHADOW, SHADOW_PX, AT_COLUMNS = 0.42, 6.0, 640
 # Frames of the empty scene: one second, filmed just before the recording.
 EMPTY_FRAMES = 30

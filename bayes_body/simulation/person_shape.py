@@ -110,7 +110,7 @@ THUMB: tuple[Row, ...] = (
 
 
 class Build(NamedTuple):
-    """How a person differs from the tables.
+    """The differences of a person's measurements from the tables.
 
     Attributes:
         height_m: stature; all half widths are proportional to it.

@@ -64,7 +64,7 @@ def rasterise(
         supersample: samples per pixel, in each direction.
 
     Returns:
-        The picture, and the share of each pixel that the mesh covers, 0 to 1; float32.
+        The picture, and the fraction of each pixel that the mesh covers, 0 to 1; float32.
     """
     picture = np.array(picture, np.float32)
     alpha = np.zeros(picture.shape[:2], np.float32)

@@ -32,7 +32,7 @@ def shadow(mesh: Mesh, direction: tuple[float, float, float]) -> Mesh:
 
 
 def shadow_mask(mesh: Mesh, camera: CameraSpec, direction: tuple[float, float, float], blur_px: float = 8.0) -> Float[np.ndarray, "row column"]:
-    """The share of each pixel's floor that is in a mesh's shadow, 0 to 1, float32. It is drawn at a quarter of the resolution, blurred and enlarged.
+    """The fraction of each pixel's floor in a mesh's shadow, 0 to 1, float32. It is drawn at a quarter of the resolution, blurred and enlarged.
 
     Args:
         mesh: the mesh that casts the shadow.

@@ -15,7 +15,7 @@ from bayes_body.simulation.scene_texture import Texture
 CELL_M, SHADE_M = 0.04, 0.18
 # Brightness of the floor next to furniture; brightness below the lamp in the room's middle, and far from it; the lamp's width.
 CONTACT, NEAR_LIGHT, FAR_LIGHT, LAMP_M = 0.45, 1.08, 0.72, 4.0
-# A direction is used only if it is at least so many metres in front of the camera.
+# A direction is used only if it is at least this many metres in front of the camera.
 NEAR_M = 0.05
 # Grey level of pixels whose rays meet nothing.
 NOTHING = 30.0
@@ -148,7 +148,7 @@ def _worn(
 
 
 def _floor_light(room: Room) -> Float[np.ndarray, "row column"]:
-    """The share of light that reaches each cell of the floor past furniture and walls."""
+    """The fraction of light that reaches each cell of the floor past furniture and walls."""
     size = np.ceil((room.high - room.low)[:2] / CELL_M).astype(int)
     x, y = np.meshgrid(*(room.low[axis] + CELL_M * np.arange(size[axis]) for axis in (0, 1)))
     light = np.ones(x.shape, np.float32)

@@ -28,7 +28,7 @@ class Surface(NamedTuple):
         sides: (2, 3), the two sides from the corner.
         texture: the texture on it.
         repeats: how many times the texture fits along each side.
-        light: share of the lamp's light that it receives.
+        light: fraction of the lamp's light that it receives.
         floor: whether it is the floor.
     """
 
@@ -41,7 +41,7 @@ class Surface(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Everything that stands still.
+    """Everything in the scene that does not move.
 
     Attributes:
         low: (3,), corner of the room, metres.

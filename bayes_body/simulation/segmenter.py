@@ -1,6 +1,6 @@
 """Simulated errors of a segmenter's silhouettes.
 
-A good segmenter errs by a pixel or two along the outline. A poor one leaves holes, includes shadows and adds blobs where nothing is.
+A good segmenter errs by a pixel or two along the outline. A poor one leaves holes, includes shadows and adds blobs in empty regions.
 """
 
 from typing import NamedTuple
@@ -48,7 +48,7 @@ def segment(rng: np.random.Generator, quality: Quality, coverage: Levels, shadow
     Args:
         rng: for its errors.
         quality: `good` or `poor`.
-        coverage: share of each pixel that the person covers.
+        coverage: fraction of each pixel that the person covers.
         shadow: darkness of the person's shadow, from 0 to 1.
     """
     faults, scale = FAULTS[quality], coverage.shape[1] / AT_COLUMNS

@@ -46,7 +46,7 @@ def simulate(
         person: the person to be filmed.
         options: clutter, noise, silhouettes.
         folder: the session's folder; created if needed.
-        title: one line for people.
+        title: one line for the reader.
         truth: further arrays for truth.npz, such as a body's angles.
         watch: wraps the iteration over frames, to show progress.
 
@@ -104,7 +104,7 @@ def _film(performance: Performance, filming: Sequence[Camera], rig: Rig, folder:
 
 
 def _taken(pool: ThreadPoolExecutor, performance: Performance, filming: Sequence[Camera]) -> Iterator[list[Future[Picture]]]:
-    """All cameras' pictures of each frame; those of the next frame are computed while one is consumed."""
+    """All cameras' images of each frame. Those of the next frame are computed while one is consumed."""
     ahead: list[Future[Picture]] = []
     for frame in range(len(performance)):
         mesh = performance.mesh(frame)
@@ -143,7 +143,7 @@ def _session(
 
 
 def _keypoints(rig: Rig, markers: Float[np.ndarray, "15 3"], options: Options) -> dict[str, dict[str, tuple[float, float, float]]]:
-    """A detector's keypoints in the first frame: of the cameras that stand still, or of all cameras if none does."""
+    """A detector's keypoints in the first frame, in the cameras that do not move, or in all cameras if all of them move."""
     points = dict(zip(MARKERS, markers, strict=True))
     still = [c for c, path in enumerate(rig.path) if path is None] or range(len(rig.cameras))
     found = {}

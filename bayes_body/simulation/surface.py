@@ -14,7 +14,7 @@ from bayes_body.simulation.person_motion import unit
 
 # Points per ring; the first is towards the person's left, a quarter further is the front.
 ANGLES = 20
-# Largest share of a bone that the blend at one joint may use.
+# Largest fraction of a bone that the blend at one joint may use.
 LONGEST_BLEND = 0.45
 _TURN = 2.0 * np.pi * np.arange(ANGLES) / ANGLES
 COSINES, SINES = np.cos(_TURN).round(12), np.sin(_TURN).round(12)

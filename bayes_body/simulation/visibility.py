@@ -13,7 +13,7 @@ from bayes_body.session.session import CameraSpec
 
 # A marker nearer to the camera than this (metres) is not visible.
 NEAR_M = 0.1
-# A camera sees the person if it sees so many of the 15 markers. It is useful if it does so in this share of the frames.
+# A camera sees the person if it sees this many of the 15 markers. It is useful if it does so in this fraction of the frames.
 SEEN_MARKERS, LEAST_SHARE = 8, 0.1
 # A detector's confidence: for a point without error, its loss per standard deviation of error, and its own standard deviation.
 CONFIDENCE, LOST_A_SD, CONFIDENCE_SD, LEAST_CONFIDENCE = 0.95, 0.06, 0.04, 0.3

@@ -1,4 +1,4 @@
-"""A run's folder while it is made: a file a frame, the settings, and the lock that keeps a second process out."""
+"""A run's folder: one file for each frame, the settings, and a finished run loaded from its folder."""
 
 from bayes_body.storage.frame_files import FrameFiles
 

@@ -1,4 +1,4 @@
-"""Frames on disk, one file each: `000057.npz` is whole or missing, and a stored frame is never computed again.
+"""Frames on disk, one file each: `000057.npz` is complete or missing, and a stored frame is not computed again.
 
 A file has the arrays of a `FrameResult` and no Python objects: `states.NAME`, `log_weights`, `info.FIELD`, `markov.NAME`, `seen`, `seconds`,
 `seconds_ready`.
@@ -19,7 +19,7 @@ from bayes_body.errors import InputError, input_error
 from bayes_body.files.atomic import make_folder, remove_partial, replacing
 from bayes_body.tracking.draws import FrameResult
 
-# Consumers read frame after frame, and look back one frame.
+# Readers go through the frames in order, and look back one frame.
 KEPT_IN_MEMORY = 2
 
 
@@ -27,7 +27,7 @@ class FrameFiles:
     """The frames of a folder, from the first one up to the first that is missing; each is read on demand.
 
     Args:
-        folder: of the files; made when the first frame is stored.
+        folder: the folder of the files; it is made when the first frame is stored.
     """
 
     def __init__(self, folder: Path):
@@ -36,17 +36,17 @@ class FrameFiles:
         self._read = lru_cache(KEPT_IN_MEMORY)(lambda index: load_frame(self.path(index)))
 
     def path(self, index: int) -> Path:
-        """The file of a frame."""
+        """Return the file of a frame."""
         return self.folder / f"{index:06d}.npz"
 
     def __len__(self) -> int:
         return self._count
 
     def __getitem__(self, index: int, /) -> FrameResult:
-        """Frame `index`, from the end if negative.
+        """Return frame `index`, counted from the end if negative.
 
         Raises:
-            IndexError: there is none.
+            IndexError: there is no such frame.
             InputError: its file is damaged.
         """
         if not -self._count <= index < self._count:
@@ -57,10 +57,10 @@ class FrameFiles:
         return (self[index] for index in range(self._count))
 
     def append(self, result: FrameResult, /) -> None:
-        """Store the next frame; when this returns it is on the disk.
+        """Store the next frame. It is on the disk when this function returns.
 
         Raises:
-            InputError: the file system refuses it.
+            InputError: the file system does not accept it.
         """
         if not self._count:
             make_folder(self.folder)
@@ -72,7 +72,7 @@ class FrameFiles:
         """Prepare to continue: remove half-written files, read all frames, and end before the first damaged one.
 
         Returns:
-            The damage in a sentence; empty if all frames are whole. Files behind the damaged one stay until their frames are stored again.
+            A sentence about the damage; empty if all frames are complete. Files after the damaged one stay until their frames are stored again.
         """
         remove_partial(self.folder)
         for index in range(self._count):
@@ -93,10 +93,10 @@ def _count_files(folder: Path) -> int:
 
 
 def save_frame(path: Path, result: FrameResult) -> None:
-    """Write one frame, whole or not at all.
+    """Write one frame, either completely or not at all.
 
     Raises:
-        InputError: the file system refuses it.
+        InputError: the file system does not accept it.
     """
     arrays: dict[str, Any] = {f"states.{name}": values for name, values in result.states.items()}
     arrays |= {f"info.{name}": values for name, values in result.info._asdict().items() if name != "markov"}
@@ -107,17 +107,17 @@ def save_frame(path: Path, result: FrameResult) -> None:
 
 
 def load_frame(path: Path) -> FrameResult:
-    """Read one frame; the checksums of its arrays are tested.
+    """Read one frame, and verify the checksums of its arrays.
 
     Raises:
-        InputError: the file is missing, cut short or damaged.
+        InputError: the file is missing, truncated or damaged.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
             return _frame(dict(file))
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
         found = f"cannot be read ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
-        raise input_error(path, found, "a frame as `bayes-body track` wrote it", "compute it again with --resume") from None
+        raise input_error(path, found, "a frame written by `bayes-body track`", "compute it again with --resume") from None
 
 
 def _frame(arrays: Mapping[str, NDArray[Any]]) -> FrameResult:

@@ -1,4 +1,4 @@
-"""What the files of a run are called, and a folder's name that is still free."""
+"""Names of the files of a run, and names of folders that do not exist yet."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ RUN_FILE, POSTERIOR_FILE, SUMMARY_FILE, FRAMES_FOLDER = "run.toml", "posterior.n
 
 
 def free_folder(wanted: Path) -> Path:
-    """`wanted`, or `wanted_2`, `wanted_3`, ...: the first that does not exist."""
+    """Return the first of `wanted`, `wanted_2`, `wanted_3`, ... that does not exist."""
     number, folder = 1, wanted
     while folder.exists():
         number += 1

@@ -1,6 +1,7 @@
-"""`run.toml`: all that repeating or continuing a run needs: settings, every option of the kernel, versions, and the texts of model and session.
+"""`run.toml`, which has everything that is needed to repeat or continue a run.
 
-The texts of plugins are kept for comparison and for people to read. They are never run from here.
+It contains the settings, every option of the kernel, the versions, and the texts of model and session. The texts of plugins are stored for comparison
+and for people to read. They are never executed from there.
 """
 
 import ast
@@ -23,11 +24,11 @@ from bayes_body.session.read import FILE_NAME
 from bayes_body.storage.names import RUN_FILE
 from bayes_body.toml.read import parse_toml, read_toml
 
-# Whose numbers a run's are: another version of one of them may give others.
+# Packages that determine the numbers of a run: another version of one of them may give other numbers.
 COMPUTING = ("bayes-body", "jax", "jaxlib", "numpyro", "blackjax")
 PACKAGES = (*COMPUTING, "arviz", "opencv-python-headless", "numpy")
 HEADING = "Made by bayes-body track. The same settings with the same versions on the same kind of processor repeat the run."
-# Of a change, the most that one sentence names.
+# Number of changes that one sentence names.
 NAMED = 4
 TABLES = ("run", "kernel", "versions", "definition", "session")
 
@@ -35,19 +36,19 @@ TABLES = ("run", "kernel", "versions", "definition", "session")
 def describe(
     session: Path, model: str, definition: Definition, kind: str, options: Mapping[str, Any], runs: int, seed: int, frames: int | None
 ) -> dict[str, dict[str, Any]]:
-    """The tables of `run.toml`.
+    """Return the tables of `run.toml`.
 
     Args:
         session: folder of the session, or its file.
         model: the definition's name or path.
-        definition: what that is.
+        definition: the definition itself.
         kind: the kernel's name.
         options: all options of the kernel.
-        runs: independent filters.
-        seed: of everything random.
-        frames: how many frames; None for all.
+        runs: number of independent filters.
+        seed: seed of everything random.
+        frames: number of frames; None for all.
     """
-    # A path is kept whole, so that the run can be continued from another folder.
+    # A path is stored as an absolute path, so that the run can be continued from another folder.
     model = model if model in definition_names() else str(Path(model).resolve())
     file = session.resolve() / FILE_NAME if session.is_dir() else session.resolve()
     settings = {"session": str(file.parent), "model": model, "runs": runs, "seed": seed, "frames": frames}
@@ -65,7 +66,7 @@ def describe(
 
 
 def places_of(definition: Definition, kernel: str) -> set[Place]:
-    """The terms that a run with this definition and kernel uses."""
+    """Return the terms that a run with this definition and kernel uses."""
     constraints: list[Place] = [("potential", term.kind) for term in definition.constraints]
     rooms: tuple[Room, ...] = ("likelihood", "observation")
     likelihoods: list[Place] = [(room, term.kind) for term in definition.likelihoods for room in rooms]
@@ -73,15 +74,15 @@ def places_of(definition: Definition, kernel: str) -> set[Place]:
 
 
 def _known(table: Mapping[str, Any]) -> dict[str, Any]:
-    """TOML has no null: what is not set is left out."""
+    """Return the table without values of None, since TOML has no null."""
     return {key: value for key, value in table.items() if value is not None}
 
 
 def write_run_file(folder: Path, record: Mapping[str, Mapping[str, Any]]) -> None:
-    """Write `run.toml`, whole or not at all.
+    """Write `run.toml`, either completely or not at all.
 
     Raises:
-        InputError: the file system refuses it.
+        InputError: the file system does not accept it.
     """
     document = tomlkit.document()
     document.add(tomlkit.comment(HEADING))
@@ -95,30 +96,30 @@ def _is_text(table: str, key: str) -> bool:
 
 
 def read_run_file(folder: Path) -> dict[str, dict[str, Any]]:
-    """The tables of a run's `run.toml`.
+    """Return the tables of a run's `run.toml`.
 
     Raises:
-        InputError: there is none, it is no TOML, a table is missing, or a plugin of the run was not loaded.
+        InputError: the file is missing or not valid TOML, a table is missing, or a plugin of the run was not loaded.
     """
     record = read_toml(folder / RUN_FILE)
     missing = [name for name in TABLES if not isinstance(record.get(name), dict)]
     if missing:
-        raise input_error(folder / RUN_FILE, f"no table [{missing[0]}]", "the settings of a run", "name another folder with --out, and begin anew")
+        raise input_error(folder / RUN_FILE, f"no table [{missing[0]}]", "the settings of a run", "start a new run in another folder with --out")
     check_plugins(folder, kept_plugins(record))
     return record
 
 
 def kept_plugins(record: Mapping[str, Any]) -> dict[str, str]:
-    """The texts of the plugins that a run was made with, by file name; empty if it used none."""
+    """Return the texts of the plugins with which a run was made, by file name; empty if it used none."""
     table = record.get("plugins")
     return {str(name): str(text) for name, text in table.items()} if isinstance(table, dict) else {}
 
 
 def check_plugins(folder: Path, kept: Mapping[str, str]) -> None:
-    """Check that the plugins of a run are loaded; the stored text is never run.
+    """Check that the plugins of a run are loaded; the stored text is never executed.
 
     Raises:
-        InputError: a plugin is not loaded, or it changed since the run was made.
+        InputError: a plugin is not loaded, or it has changed since the run was made.
     """
     now = {plugin.path.name: plugin.text for plugin in loaded()}
     where = f"{folder / RUN_FILE}: plugins"
@@ -126,12 +127,12 @@ def check_plugins(folder: Path, kept: Mapping[str, str]) -> None:
         if name not in now:
             raise input_error(where, f"the run has terms of {name}, which is not loaded", "the run's plugins", f"give that file with --plugin {name}")
         if _meaning(now[name]) != _meaning(text):
-            remedy = f"put it back: its text is in {RUN_FILE}, under [plugins]; or begin anew in another folder"
+            remedy = f"put it back: its text is in {RUN_FILE}, under [plugins]; or start a new run in another folder"
             raise input_error(where, f"{name} changed since the run was made", "the file that the run was made with", remedy)
 
 
 def _meaning(code: str) -> str:
-    """A digest of Python code; comments and layout do not count."""
+    """Return a digest of Python code; comments and layout do not matter."""
     try:
         said = ast.dump(ast.parse(code))
     except (SyntaxError, ValueError):
@@ -140,10 +141,10 @@ def _meaning(code: str) -> str:
 
 
 def refuse_changes(folder: Path, kept: Mapping[str, Mapping[str, Any]], now: Mapping[str, Mapping[str, Any]]) -> None:
-    """Check that a run may be continued: all that its numbers depend on is unchanged. The number of frames may change.
+    """Check that a run can be continued: everything on which its numbers depend must be unchanged. The number of frames may change.
 
     Raises:
-        InputError: something changed; the sentence names it with the old and the new value.
+        InputError: something has changed; the sentence names it with the old and the new value.
     """
     before, after = _comparable(kept), _comparable(now)
     changed = [key for key in dict.fromkeys([*before, *after]) if before.get(key) != after.get(key)]
@@ -151,12 +152,12 @@ def refuse_changes(folder: Path, kept: Mapping[str, Mapping[str, Any]], now: Map
         return
     named = [f"{key} was {_shown(before, key)} and is now {_shown(after, key)}" for key in changed[:NAMED]]
     more = [f"{len(changed) - NAMED} more differ"] if len(changed) > NAMED else []
-    remedy = "put it back, or begin anew in another folder with --out"
-    raise input_error(f"{folder}: cannot be continued", "; ".join([*named, *more]), "what the run began with", remedy)
+    remedy = "change it back, or start a new run in another folder with --out"
+    raise input_error(f"{folder}: cannot be continued", "; ".join([*named, *more]), "the settings with which the run started", remedy)
 
 
 def _comparable(record: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """All values that the numbers depend on, by names that a user knows; comments and layout of the texts do not count."""
+    """Return all values on which the numbers depend, by names that a user knows; comments and layout of the texts do not matter."""
     run, definition = record["run"], record["definition"]
     named = {"--model": Path(str(run.get("model"))).stem, "--runs": run.get("runs"), "--seed": run.get("seed")}
     named |= {f"kernel.{key}": value for key, value in _leaves(record["kernel"])}
@@ -167,7 +168,7 @@ def _comparable(record: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Every number and text of a table, with its place; entries of lists are counted from 1."""
+    """Yield every number and text of a table, with its path; entries of lists are counted from 1."""
     if isinstance(value, Mapping):
         entries = [(str(key), entry) for key, entry in value.items()]
     elif isinstance(value, list | tuple):

@@ -1,7 +1,7 @@
-"""A run read back from its folder: settings, model and session as they were when it was made, and the posterior, opened lazily.
+"""A run loaded from its folder: settings, model and session as they were when it was made, and the posterior, opened lazily.
 
 The model is built from the text in `run.toml`, not from the user's file, which may have changed since. The same holds for the session: its numbers
-are those that the run used, and its images are read from where they were.
+are those that the run used. Its images are read from their original place.
 """
 
 import json
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 GROUPS = ("posterior", "sample_stats", "filter")
-# Poses whose markers are computed at a time.
+# Number of poses whose markers are computed at a time.
 CHUNK = 8192
 AGAIN = "make the run again with `bayes-body track`"
 
@@ -44,12 +44,12 @@ class SavedRun:
     """The files of a run. `with load_run(folder) as run:` closes the posterior's file at the end, and so does `run.close()`.
 
     Attributes:
-        folder: of the run.
-        settings: the table `[run]` of `run.toml`: session, model, runs, seed, and frames where it was given.
+        folder: the run's folder.
+        settings: the table `[run]` of `run.toml`: session, model, runs, seed, and frames if it was given.
         kernel: the kernel's `kind` and every option.
-        versions: of Python and of the packages, by name.
-        texts: of the definition (`title`, `text`, `body_text`) and of the `session`, as far as the run keeps them.
-        tree: `posterior.nc` as `posterior.to_datatree` describes it; arrays are read on demand.
+        versions: versions of Python and of the packages, by name.
+        texts: texts of the definition (`title`, `text`, `body_text`) and of the `session`, if the run stores them.
+        tree: `posterior.nc`, in the form that `posterior.to_datatree` describes; arrays are read on demand.
         summary: the content of `summary.json`; empty if there is none.
         first_pose: the pose and the lengths that were fitted to the session's markers or keypoints; empty if nothing was fitted.
         plugins: the texts of the user's plugins that registered terms of this run, by file name.
@@ -67,10 +67,10 @@ class SavedRun:
 
     @cached_property
     def session(self) -> Session:
-        """The session as the run saw it; a run that kept no text of it takes the `session.toml` that is there now.
+        """The session that the run used; if the run does not store its text, the present `session.toml`.
 
         Raises:
-            InputError: the run kept none and there is none.
+            InputError: the run does not store the text, and there is no `session.toml`.
         """
         folder = Path(self.settings["session"])
         if "session" not in self.texts:
@@ -80,10 +80,10 @@ class SavedRun:
 
     @cached_property
     def model(self) -> Model:
-        """The model of the definition and the session that `run.toml` keeps.
+        """The model of the definition and the session that are stored in `run.toml`.
 
         Raises:
-            InputError: they cannot be used, the posterior is of another body, or a plugin of the run is not loaded.
+            InputError: they cannot be used, the posterior belongs to another body, or a plugin of the run is not loaded.
         """
         check_plugins(self.folder, self.plugins)
         name, where = Path(str(self.settings["model"])).stem, f"{self.folder / RUN_FILE}: the definition's text"
@@ -98,7 +98,7 @@ class SavedRun:
 
     @property
     def mode_seeker(self) -> bool:
-        """Whether the kernel estimates no evidence. Its particles then are no sample of the posterior, and nothing claims an interval from them."""
+        """Whether the kernel estimates no evidence. Its particles are then not a sample of the posterior, and no intervals are computed from them."""
         return is_mode_seeker(self.tree)
 
     @property
@@ -108,7 +108,7 @@ class SavedRun:
 
     @property
     def fps(self) -> float:
-        """Frames a second, of the session."""
+        """The session's frames a second."""
         return self.session.fps
 
     def close(self) -> None:
@@ -116,7 +116,7 @@ class SavedRun:
         self.tree.close()
 
     def __enter__(self) -> Self:
-        """The run itself."""
+        """Return the run itself."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
@@ -125,10 +125,10 @@ class SavedRun:
 
 
 def load_run(folder: Path | str) -> SavedRun:
-    """The run that `bayes-body track` left in a folder.
+    """Return the run that `bayes-body track` wrote into a folder.
 
     Raises:
-        InputError: no such folder, no run in it, a run that stopped half way, or a file in it that cannot be read.
+        InputError: the folder does not exist, it has no run or an unfinished one, or a file in it cannot be read.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -150,7 +150,7 @@ def load_run(folder: Path | str) -> SavedRun:
 def _table(folder: Path, tables: Mapping[str, Any], name: str) -> dict[str, Any]:
     table = tables.get(name)
     if not isinstance(table, dict):
-        raise input_error(f"{folder / RUN_FILE}: {name}", "missing" if table is None else "no table", f"a table [{name}]", AGAIN)
+        raise input_error(f"{folder / RUN_FILE}: {name}", "missing" if table is None else "not a table", f"a table [{name}]", AGAIN)
     return table
 
 
@@ -169,7 +169,7 @@ def _open_posterior(folder: Path, settings: Mapping[str, Any]) -> "xr.DataTree":
         raise _unfinished(folder, settings)
     try:
         tree = xr.open_datatree(path, engine="h5netcdf")
-    # A damaged file is anything to the reader, from OSError to KeyError.
+    # A damaged file can raise any exception in the reader, from OSError to KeyError.
     except Exception as error:
         raise input_error(
             path, f"cannot be read ({str(error).splitlines()[0] if str(error) else type(error).__name__})", "a posterior", AGAIN
@@ -184,8 +184,8 @@ def _open_posterior(folder: Path, settings: Mapping[str, Any]) -> "xr.DataTree":
 def _unfinished(folder: Path, settings: Mapping[str, Any]) -> Exception:
     if any((folder / FRAMES_FOLDER).glob("*.npz")):
         command = f"bayes-body track {settings['session']} --out {folder} --resume"
-        return input_error(folder, f"holds frames but no {POSTERIOR_FILE}", "a run that went on to its end", f"continue it with `{command}`")
-    return input_error(folder, f"holds no {POSTERIOR_FILE}", "a run that went on to its end", AGAIN)
+        return input_error(folder, f"holds frames but no {POSTERIOR_FILE}", "a finished run", f"continue it with `{command}`")
+    return input_error(folder, f"holds no {POSTERIOR_FILE}", "a finished run", AGAIN)
 
 
 def _summary(folder: Path) -> dict[str, Any]:
@@ -202,12 +202,12 @@ def _summary(folder: Path) -> dict[str, Any]:
 
 
 def marker_moments(run: SavedRun, frames: range | None = None, block: int = BLOCK) -> Moments:
-    """Of the virtual markers, (frame, marker, 3), metres, pooled over the runs: each has the same weight.
+    """Return the moments of the virtual markers, (frame, marker, 3), metres, pooled over the runs, which all have the same weight.
 
     Args:
-        run: read back from its folder.
-        frames: which frames; all by default.
-        block: the most frames held in memory at a time.
+        run: the run, loaded from its folder.
+        frames: numbers of the frames; all by default.
+        block: largest number of frames in memory at a time.
 
     Raises:
         InputError: the run's body has no virtual markers.
@@ -218,7 +218,7 @@ def marker_moments(run: SavedRun, frames: range | None = None, block: int = BLOC
     def place(poses: Float[np.ndarray, "frame draw dof"], weights: Float[np.ndarray, "frame draw"]) -> Float[np.ndarray, "frame draw marker 3"]:
         del weights
         flat = poses.reshape(-1, poses.shape[-1])
-        # One shape for all pieces: a shorter last one would be compiled anew.
+        # All pieces have the same shape: a shorter last one would need another compilation.
         chunks = [markers(run.model, _padded(flat[start : start + CHUNK])) for start in range(0, len(flat), CHUNK)]
         return np.concatenate(chunks)[: len(flat)].reshape(*poses.shape[:-1], -1, 3).astype(float)
 
@@ -226,10 +226,10 @@ def marker_moments(run: SavedRun, frames: range | None = None, block: int = BLOC
 
 
 def angle_moments(run: SavedRun, frames: range | None = None, block: int = BLOCK) -> Moments:
-    """Of the dofs, (frame, dof), radians and metres, pooled over the runs: each has the same weight.
+    """Return the moments of the dofs, (frame, dof), radians and metres, pooled over the runs, which all have the same weight.
 
-    An angle without limits, such as the direction a walker faces, is brought within half a turn of its circular mean first; an angle with limits is
-    taken as it is. Arguments as of `marker_moments`.
+    An angle without limits, such as the direction a walker faces, is first brought within half a turn of its circular mean; an angle with limits is
+    not changed. The arguments are those of `marker_moments`.
     """
     skeleton = run.model.body.skeleton
     endless = np.asarray(skeleton.topology.angular) & ~np.isfinite(np.asarray(skeleton.low)) & ~np.isfinite(np.asarray(skeleton.high))
@@ -242,7 +242,7 @@ def angle_moments(run: SavedRun, frames: range | None = None, block: int = BLOCK
 
 
 def _moments(run: SavedRun, frames: range | None, block: int, width: int, of: Callable[..., NDArray[np.floating]]) -> Moments:
-    """Moments of what `of` makes of the poses and weights (frame, draw, ...) of each piece."""
+    """Return the moments of the values that `of` computes from the poses and weights (frame, draw, ...) of each piece."""
     found = []
     for piece in pose_blocks(run.tree, frames, block, width):
         weights = pooled(weights_of_runs(piece.log_weights)) / piece.poses.shape[0]

@@ -1,1 +1,1 @@
-"""TOML files read and checked; what is wrong with them as sentences."""
+"""Read and check TOML files, and report their faults as sentences."""

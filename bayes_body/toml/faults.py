@@ -1,6 +1,6 @@
-"""Pydantic's errors as sentences for the person who wrote the file: `where: key = value; expected ...; remedy.`
+"""Convert Pydantic's errors to sentences for the author of the file: `where: key = value; expected ...; remedy.`
 
-A table of an array is named by its own `name`, as in `camera 'CAM2'.focal_px #1`; entries without a name are counted from one.
+A table of an array is identified by its `name`, as in `camera 'CAM2'.focal_px #1`. Entries without a name are counted from one.
 """
 
 import re
@@ -13,14 +13,14 @@ from pydantic_core import ErrorDetails
 
 from bayes_body.errors import input_error, nearest
 
-# Longer than this a value is cut: the sentence is about the key.
+# Longer values are cut, since the sentence is about the key.
 LONGEST_VALUE = 60
 
 TABLE = ("a table", "write it as a header in brackets, then lines key = value")
 LIST = ("a list", "write its entries in brackets, with commas between")
 NUMBER = ("a number", "write it without quotes, such as 0.5")
 WHOLE = ("a whole number", "write it without quotes, such as 5")
-# By pydantic's type of error: what was expected (where pydantic's own words are not a user's), and the remedy.
+# For each of pydantic's error types: what was expected (empty if pydantic's own words are clear to a user), and the remedy.
 PLAIN_WORDS = {
     "finite_number": ("a finite number", "write a number such as 0.5"),
     "float_type": NUMBER,
@@ -28,7 +28,7 @@ PLAIN_WORDS = {
     "int_type": WHOLE,
     "int_parsing": WHOLE,
     "int_from_float": WHOLE,
-    "string_type": ("a text", "put it in double quotes"),
+    "string_type": ("a string", "put it in double quotes"),
     "bool_type": ("true or false", "write it without quotes"),
     "bool_parsing": ("true or false", "write it without quotes"),
     "greater_than": ("", "write a larger number"),
@@ -41,12 +41,12 @@ PLAIN_WORDS = {
     "tuple_type": LIST,
     "list_type": LIST,
     "too_short": ("", "add what is missing"),
-    "too_long": ("", "remove what is too much"),
+    "too_long": ("", "remove the surplus entries"),
 }
 
 
 class _Fault(NamedTuple):
-    """An error of pydantic with the path of keys that a user wrote, free of pydantic's own labels, and the annotation at its end."""
+    """An error of pydantic, the path of keys as the user wrote them (without pydantic's labels), and the annotation at the end of the path."""
 
     path: tuple[str | int, ...]
     annotation: Any
@@ -55,27 +55,27 @@ class _Fault(NamedTuple):
 
 
 def sentences(schema: type[BaseModel], data: Mapping[str, Any], where: str, errors: Sequence[ErrorDetails]) -> list[str]:
-    """One sentence for each fault that a user sees.
+    """Return one sentence for each fault, as a user would count them.
 
     Args:
-        schema: the model that the data were held against.
+        schema: the model that the data were validated with.
         data: the tables as read.
-        where: the file, as the sentences shall call it.
-        errors: what `ValidationError.errors()` lists.
+        where: the name of the file in the sentences.
+        errors: the result of `ValidationError.errors()`.
     """
     faults: dict[tuple[str | int, ...], list[_Fault]] = {}
     for error in errors:
         if _is_echo(error):
             continue
         fault = _locate(schema, error)
-        # Each missing entry of a tuple is an error of its own to pydantic, and each member of a union too; to the user it is one.
+        # Pydantic reports a separate error for each missing entry of a tuple, and for each member of a union. To the user it is one error.
         path = fault.path[:-1] if _is_short_tuple(fault) else fault.path
         faults.setdefault(path, []).append(fault)
     return list(dict.fromkeys(sentence for path, group in faults.items() for sentence in _describe(where, data, path, group)))
 
 
 def _is_echo(error: ErrorDetails) -> bool:
-    """Whether a list is too short only because pydantic counts its sound entries: the others have faults of their own."""
+    """Whether a list is too short only because pydantic counts its valid entries. The faults of the other entries are reported separately."""
     return error["type"] == "too_short" and len(error["input"]) >= error.get("ctx", {})["min_length"]
 
 
@@ -153,13 +153,13 @@ def _child(data: Any, step: str | int) -> Any:
 
 
 def shown(value: Any) -> str:
-    """A value as the file has it, cut where it is long."""
+    """Return a value as in the file, shortened if it is long."""
     text = f'"{value}"' if isinstance(value, str) else "a table" if isinstance(value, Mapping) else str(value)
     return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."
 
 
 def _locate(schema: type[BaseModel], error: ErrorDetails) -> _Fault:
-    """Follow pydantic's location through the annotations: within a union its next step is a label of the member, which the user never wrote."""
+    """Follow pydantic's location through the annotations. Within a union, its next step is a label of the member, which is not in the user's file."""
     path: list[str | int] = []
     parent, annotation = None, schema
     for step in error["loc"]:
@@ -177,7 +177,7 @@ def _discriminator(error: ErrorDetails) -> str:
 
 
 def _plain(annotation: Any) -> Any:
-    """The annotation without its metadata, names given by `type`, and `| None`."""
+    """Return the annotation without metadata, without `type` aliases, and without `| None`."""
     while True:
         if isinstance(annotation, TypeAliasType):
             annotation = annotation.__value__
@@ -227,4 +227,4 @@ def _kind_of(annotation: Any) -> str:
     annotation = _plain(annotation)
     if get_origin(annotation) in (tuple, list):
         return "a list"
-    return {str: "a text", float: "a number", int: "a whole number", bool: "true or false"}.get(annotation, "a value")
+    return {str: "a string", float: "a number", int: "a whole number", bool: "true or false"}.get(annotation, "a value")

@@ -1,4 +1,4 @@
-"""TOML files that a user writes: read, and held against a pydantic schema; whatever is wrong comes back as one sentence a fault."""
+"""Read TOML files that a user writes, and validate them with a pydantic schema. Each fault is reported in one sentence."""
 
 import re
 import tomllib
@@ -13,10 +13,10 @@ from bayes_body.toml.faults import sentences, shown
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file.
+    """Return the tables of a TOML file.
 
     Raises:
-        InputError: no such file, a folder, unreadable, not UTF-8, or not TOML (line and column are named).
+        InputError: the file does not exist, is a folder, cannot be read, is not UTF-8, or is not TOML (line and column are given).
     """
     if path.is_dir():
         raise input_error(path, "a folder", "a TOML file", "name the file in it")
@@ -27,7 +27,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise input_error(path, f"cannot be read ({error.strerror})", "a TOML file", "check the path and its permissions") from None
     try:
-        # Some editors put a byte order mark first; tomllib would stumble over it.
+        # Some editors write a byte order mark, which tomllib does not accept.
         return parse_toml(content.decode("utf-8-sig"), path)
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
@@ -35,21 +35,21 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def parse_toml(text: str, where: object) -> dict[str, Any]:
-    """The tables of a TOML text.
+    """Return the tables of a TOML text.
 
     Args:
         text: the file's content.
-        where: the file, as the sentence shall call it.
+        where: the name of the file in the sentence.
 
     Raises:
-        InputError: not TOML (line and column are named).
+        InputError: the text is not TOML (line and column are given).
     """
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise _syntax_error(where, text, str(error)) from None
     except (ValueError, RecursionError) as error:
-        # A whole number with thousands of digits; lists in lists in lists.
+        # An integer with thousands of digits, or deeply nested lists.
         raise input_error(where, f"cannot be read ({error})", "TOML, such as key = value or [table]", "restore the file") from None
 
 
@@ -70,25 +70,25 @@ def _syntax_error(where: object, text: str, message: str) -> InputError:
 
 
 def _given_twice(reason: str, line: str) -> tuple[str, str, str] | None:
-    """Finding, expectation and remedy where tomllib's reason is a key or a table that is there already; None for any other reason."""
+    """Return finding, expectation and remedy if tomllib's reason is a repeated key or table, else None."""
     inline = re.match(r"Duplicate inline table key '(.*)'", reason)
     header = re.match(r"\s*\[+([^\]]*)\]", line)
     if not inline and not reason.startswith(("Cannot overwrite a value", "Cannot declare")):
         return None
     if header and not inline:
         expected = "one header for each table"
-        return f"the table [{header[1].strip()}] is given twice", expected, "put its keys under one header, or use [[...]] at all of a list's tables"
+        return f"the table [{header[1].strip()}] is given twice", expected, "put its keys under one header, or write [[...]] for each table of a list"
     key = inline[1] if inline else line.partition("=")[0].strip()
     return f"key '{key}' is given twice", "each key once in its table", "remove one of the two"
 
 
 def validate[Schema: BaseModel](schema: type[Schema], data: Mapping[str, Any], where: str) -> Schema:
-    """The data as an instance of `schema`.
+    """Return the data as an instance of `schema`.
 
     Args:
         schema: a pydantic model.
-        data: tables as `read_toml` gives them.
-        where: the file, as the sentences shall call it.
+        data: tables from `read_toml`.
+        where: the name of the file in the sentences.
 
     Raises:
         FaultyFileError: one sentence for each fault, in the order of the schema.

@@ -1,4 +1,4 @@
-"""What every table of a TOML file has in common: frozen, an unknown key is an error, numbers are numbers (no text, no true) and finite."""
+"""The base class of all tables of a TOML file, and types of numbers. Numbers must be finite numbers, not strings or booleans."""
 
 from typing import Annotated
 

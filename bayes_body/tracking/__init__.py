@@ -1,1 +1,1 @@
-"""A model, a kernel and a session make draws."""
+"""Tracking: a model and a kernel filter a session."""

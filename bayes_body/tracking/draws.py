@@ -15,12 +15,12 @@ from bayes_body.model.build import Model
 
 @dataclass(frozen=True, eq=False)
 class FrameResult:
-    """One frame of all runs.
+    """The results of all runs for one frame.
 
     Attributes:
         states: by variable, (run, particle, ...).
         log_weights: normalised over the particles of a run.
-        info: each field with leading (run,).
+        info: the kernel's diagnostics, each field with a leading axis (run,).
         seen: whether each camera saw the frame.
         seconds: wall-clock time of the frame, all runs together, without `seconds_ready`.
         seconds_ready: time before it until the program was compiled; 0 except for the first frame of a process.
@@ -61,7 +61,7 @@ class FrameStore(Frames, Protocol):
 
 @dataclass(frozen=True)
 class Timing:
-    """Wall-clock seconds in total, and the part of them until the program was ready (traced, and compiled or loaded from the cache)."""
+    """Total wall-clock seconds, and the part of them until the program was ready (traced, and compiled or loaded from the cache)."""
 
     total: float
     compile: float
@@ -72,7 +72,7 @@ class Draws:
     """The draws of a tracked session.
 
     Attributes:
-        model: that tracked it.
+        model: the model that tracked the session.
         frames: the filters' results.
         timing: seconds, over all processes that worked on these frames.
         cameras: the cameras' names.
@@ -95,17 +95,17 @@ class Draws:
 
     @property
     def states(self) -> dict[str, NDArray[Any]]:
-        """By variable, (run, frame, particle, ...): all in memory at once."""
+        """The states by variable, (run, frame, particle, ...), all in memory at once."""
         return {name: np.stack([frame.states[name] for frame in self.frames], axis=1) for name in self.frames[0].states}
 
     @property
     def log_weights(self) -> Float[np.ndarray, "run frame particle"]:
-        """Normalised over the particles: all in memory at once."""
+        """The log-weights, normalised over the particles, all in memory at once."""
         return np.stack([frame.log_weights for frame in self.frames], axis=1)
 
     @property
     def info(self) -> FilterInfo:
-        """Each field with leading (run, frame): all in memory at once."""
+        """The kernel's diagnostics, each field with leading axes (run, frame), all in memory at once."""
         return jax.tree.map(lambda *leaves: np.stack(leaves, axis=1), *[frame.info for frame in self.frames])
 
     @property
@@ -115,7 +115,7 @@ class Draws:
 
     @property
     def frames_unseen(self) -> dict[str, list[int]]:
-        """By camera, the frames that it did not see."""
+        """For each camera, the frames that it did not see."""
         unseen: dict[str, list[int]] = {name: [] for name in self.cameras}
         for index, frame in enumerate(self.frames):
             for name, seen in zip(self.cameras, frame.seen, strict=True):
@@ -125,7 +125,7 @@ class Draws:
 
 
 def timing_of(frames: Frames) -> Timing:
-    """The sum of the frames' seconds."""
+    """Return the sum of the frames' seconds."""
     total = ready = 0.0
     for frame in frames:
         total, ready = total + frame.seconds + frame.seconds_ready, ready + frame.seconds_ready

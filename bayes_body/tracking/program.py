@@ -1,6 +1,6 @@
-"""The program of a frame: compiled once, for arguments of one form, so that it cannot retrace.
+"""The compiled program of a frame. It is compiled once, for arguments of one form, so that it cannot be traced again.
 
-Arguments of another form are an error, not a silent second compilation. A model has its form before its first pose is known: `compiled_ahead`
+Arguments of another form are an error, not a silent second compilation. The form of a model is known before its first pose. So `compiled_ahead`
 compiles in a thread while the pose is fitted, on the core that the fit leaves idle.
 """
 
@@ -36,18 +36,18 @@ class Program(NamedTuple):
     form: Any
 
 
-# The program that is compiled ahead; None if it was given up.
+# The program that is compiled ahead; None if compilation was given up.
 type Ahead = Future[Program | None]
 
 
 def form_of(key: Key, particles: Particles, density: Density) -> Any:
-    """Equal for arguments that one program accepts."""
+    """Return a value that is equal for all arguments that one program accepts."""
     leaves, tree = jax.tree.flatten((key, particles, density))
     return tree, tuple((leaf.shape, leaf.dtype) for leaf in leaves)
 
 
 def traced(kernel: Kernel, key: Key, particles: Particles, density: Density) -> Lowered:
-    """The step of one frame, traced and not yet compiled."""
+    """Return the step of one frame, traced but not yet compiled."""
 
     def frame_of_run(run_key: Key, frame: Array, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
         return kernel(jax.random.fold_in(run_key, frame), particles, density.with_previous(particles))
@@ -57,16 +57,16 @@ def traced(kernel: Kernel, key: Key, particles: Particles, density: Density) -> 
 
 @contextmanager
 def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: int) -> Iterator[Ahead]:
-    """Compile in a thread the program that will track a session. After an error in the block no further stage of the compilation begins.
+    """Compile the program that will track a session, in a thread. After an error in the `with` block, no further stage of the compilation begins.
 
     Args:
         session: the recording.
-        model: of the form of the tracked one; its first pose and lengths may still change.
-        kernel: that will track.
-        particles: of a run.
+        model: a model with the form of the one that will be tracked; its first pose and lengths may still change.
+        kernel: the kernel that will track.
+        particles: number of particles per run.
     """
     given_up = threading.Event()
-    # A setting of the caller's own thread.
+    # This setting belongs to the caller's thread.
     x64 = bool(jax.config.jax_enable_x64)
 
     def work() -> Program | None:
@@ -84,13 +84,13 @@ def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: in
         given_up.set()
         raise
     finally:
-        # Do not wait: XLA cannot be stopped half way.
+        # Do not wait, since XLA cannot be interrupted.
         pool.shutdown(wait=False)
 
 
 def program_from(ahead: Ahead | None, kernel: Kernel, key: Key, particles: Particles, density: Density) -> Step:
-    """The step that was compiled ahead if it accepts these arguments, else a new one."""
-    # An error of the thread occurs again below, where it can be reported.
+    """Return the step that was compiled ahead if it accepts these arguments, else a new one."""
+    # An error in the thread occurs again below, where it can be reported.
     if ahead is not None and ahead.exception() is None:
         ready = ahead.result()
         if ready is not None and ready.form == form_of(key, particles, density):

@@ -1,8 +1,8 @@
-"""A model, a kernel and a session make draws, frame by frame.
+"""Filter a session with a model and a kernel, frame by frame.
 
-All frames and all runs use one compiled program: images, particles and keys are its arguments. While the device works on a frame, the host prepares
+All frames and all runs use one compiled program, whose arguments are images, particles and keys. While the device works on a frame, the host prepares
 the data of the next one. Keys are folded by run and frame, so the randomness of a frame does not depend on how many frames came before it in this
-process: a filter that continues from stored frames ends the same, bit for bit.
+process. A filter that continues from stored frames therefore gives the same results, bit for bit.
 """
 
 import time
@@ -68,14 +68,14 @@ def track(
         session: the recording.
         model: from `initial.load_model`, for this session.
         kernel: such as `kernels.annealed.build_kernel()`.
-        key: of the whole run; each filter and frame folds its own from it.
-        particles: particles a run.
+        key: random key of the whole run; each filter and frame folds its own key from it.
+        particles: number of particles per run.
         runs: independent filters; ArviZ's chains.
-        frames: number of frames from the first on; all by default.
+        frames: number of frames to track, from the first; all by default.
         on_frame: called after each frame is stored.
         into: the store of the frames, such as `storage.FrameFiles`; a list by default. Frames that it already holds are not computed again: the
             filters continue from the last of them.
-        ahead: from `compiled_ahead` of this session and kernel, and of a model of this form.
+        ahead: the result of `compiled_ahead` for this session and kernel, and for a model of the same form.
 
     Raises:
         InputError: no particles, runs or frames; `into` holds other numbers of them; a frame's images cannot be read, or a frame cannot be stored; no
@@ -95,13 +95,13 @@ def track(
 
 
 def _filters_after(store: FrameStore, particles: int, runs: int, count: int) -> list[Particles]:
-    """Each run's particles at the last stored frame."""
+    """Return each run's particles at the last stored frame."""
     last = store[len(store) - 1]
     for name, kept, asked in zip(("runs", "particles"), last.log_weights.shape, (runs, particles), strict=True):
         if kept != asked:
-            raise input_error(name, str(asked), f"the {kept} of the frames that are kept", "give that number, or begin anew")
+            raise input_error(name, str(asked), f"the {kept} of the frames that are kept", "give that number, or start again")
     if len(store) > count:
-        raise input_error("frames", str(count), f"at least the {len(store)} that are kept", "give a larger number, or begin anew")
+        raise input_error("frames", str(count), f"at least the {len(store)} that are kept", "give a larger number, or start again")
     return [Particles({name: values[run] for name, values in last.states.items()}, last.log_weights[run]) for run in range(runs)]
 
 
@@ -123,7 +123,7 @@ def _observations(session: Session, model: Model, frames: range) -> Generator[_O
 
 
 def _follow(store: FrameStore, results: Iterator[FrameResult], count: int, on_frame: Callable[[Progress], None] | None) -> None:
-    """Store each frame when it is computed."""
+    """Store each frame as soon as it is computed."""
     first, seconds = len(store), 0.0
     for done, result in enumerate(results, first + 1):
         store.append(result)
@@ -135,7 +135,7 @@ def _follow(store: FrameStore, results: Iterator[FrameResult], count: int, on_fr
 def _filter(
     model: Model, kernel: Kernel, key: Key, filters: list[Particles], first: int, observations: Iterator[_Observed], ahead: Ahead | None
 ) -> Iterator[FrameResult]:
-    """The results of all runs for each frame from `first` on; only the particles of the last frame stay in memory."""
+    """Yield the results of all runs for each frame from `first` on. Only the particles of the last frame stay in memory."""
     last = time.perf_counter()
     run_keys = [everywhere(jax.random.fold_in(key, run)) for run in range(len(filters))]
     filters = [everywhere(particles) for particles in filters]
@@ -161,7 +161,7 @@ def _filter(
 def _result(outcomes: list[tuple[Particles, FilterInfo]], seen: np.ndarray, seconds: float, ready: float) -> FrameResult:
     particles, info = jax.tree.map(lambda *leaves: np.stack(leaves), *outcomes)
     if not seen.any():
-        # The likelihood was the same for all particles: the kernel cannot distinguish that from a frame that it explains.
+        # No camera saw the frame, so the likelihood was the same for all particles. The kernel cannot distinguish that from a frame that it explains.
         info = info._replace(lost=np.ones_like(info.lost))
     return FrameResult(dict(particles.states), particles.log_weights, info, seen, seconds, ready)
 
@@ -178,7 +178,7 @@ def _progress(result: FrameResult, frame: int, frames: int, seconds: float) -> P
 
 
 def _final(by_layer: Array | np.ndarray) -> np.ndarray:
-    """The last layer that each run reached; a kernel that chooses their number leaves the others NaN."""
+    """Return the value at the last layer of each run. A kernel that chooses the number of layers leaves the others NaN."""
     values = np.asarray(by_layer)
     reached = np.isfinite(values).sum(axis=-1)
     return values[np.arange(len(values)), np.maximum(reached, 1) - 1]

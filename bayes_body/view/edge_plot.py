@@ -1,4 +1,4 @@
-"""A page of learned edge statistics: densities of log amplitude and phase over what was seen (Poon & Fleet 2002, Fig. 3)."""
+"""Plot learned edge statistics: fitted densities of log amplitude and phase over histograms of the data (Poon & Fleet 2002, Fig. 3)."""
 
 import math
 from collections.abc import Sequence
@@ -11,12 +11,12 @@ from bayes_body.evidence.edge_phase import Response
 from bayes_body.files.atomic import replacing
 from bayes_body.likelihood.edge_density import EdgeStatistics, amplitude_log_density, phase_and_log_amplitude, share_of, wrapped_normal
 
-# Amplitudes at which a phase's density is drawn, as shares of their range.
+# Amplitudes at which the phase's density is drawn, as fractions of their range.
 WEAK, STRONG = 0.25, 0.85
 
 
 def draw_edge_statistics(path: Path, scales: Sequence[tuple[float, EdgeStatistics, Response]]) -> None:
-    """A row for each scale (wavelength in pixels, statistics, responses on boundaries), into a .png.
+    """Write a .png with a row of plots for each scale (wavelength in pixels, statistics, responses on boundaries).
 
     Raises:
         InputError: the file cannot be written.
@@ -28,7 +28,7 @@ def draw_edge_statistics(path: Path, scales: Sequence[tuple[float, EdgeStatistic
         phase, rho = (np.asarray(each) for each in phase_and_log_amplitude(jnp.asarray(response.even), jnp.asarray(response.odd)))
         low, high = np.asarray(statistics.log_amplitude)
         grid = np.linspace(low, high, 200)
-        left.hist(rho, bins=np.linspace(low, high, 40), density=True, color="0.8", label="seen")
+        left.hist(rho, bins=np.linspace(low, high, 40), density=True, color="0.8", label="data")
         left.plot(grid, np.exp(amplitude_log_density(share_of(jnp.asarray(grid), statistics), statistics)), label="learned")
         left.set(xlabel="log amplitude, log of grey levels", ylabel="density", title=f"wavelength {wavelength:g} px")
         left.legend()
@@ -38,7 +38,7 @@ def draw_edge_statistics(path: Path, scales: Sequence[tuple[float, EdgeStatistic
             epsilon = statistics.epsilon[0] + (statistics.epsilon[1] - statistics.epsilon[0]) * about
             density = epsilon * np.asarray(wrapped_normal(jnp.asarray(turns))) + (1 - epsilon) / math.pi
             right.plot((turns + math.pi / 2) / math.pi, density * math.pi, color=colour, label=f"{name} responses")
-        right.set(xlabel="phase, shares of π", ylabel="density", title="phase: a step edge has π/2")
+        right.set(xlabel="phase, fraction of π", ylabel="density", title="phase: a step edge has π/2")
         right.legend()
     with replacing(path) as partial:
         figure.savefig(partial, format="png", dpi=120)

@@ -1,11 +1,11 @@
-"""The figures of a run in a few lines for a terminal, with their units."""
+"""The figures of a run as a few lines of text for a terminal, with units."""
 
 from collections.abc import Mapping
 from typing import Any
 
 
 def figures_text(summary: Mapping[str, Any]) -> str:
-    """The figures with their units. A figure that does not exist is a dash; without a truth there is no line on the error.
+    """Return the figures with their units. A figure that does not exist is a dash; without a truth there is no line about the error.
 
     Args:
         summary: the content of `summary.json`.
@@ -18,7 +18,7 @@ def figures_text(summary: Mapping[str, Any]) -> str:
         f"frames      {summary['frames']}, lost {summary['frames_lost']}; {summary['cameras']} cameras, {summary['dof']} dofs",
         f"time        {shown('seconds_per_frame', '.3f', ' s')} a frame; compilation {shown('seconds_compile', '.1f', ' s')}; "
         f"{shown('evaluations_per_second', ',.0f')} evaluations/s; {shown('peak_memory_mb', ',.0f', ' MB')}",
-        f"particles   effective {shown('ess_median', '.0f')} (median), {shown('ess_min', '.0f')} (least) of {summary['particles']}",
+        f"particles   effective {shown('ess_median', '.0f')} (median), {shown('ess_min', '.0f')} (minimum) of {summary['particles']}",
         f"agreement   overlap with the silhouettes (IoU) {shown('iou_median', '.3f')}; R-hat over runs at most {shown('rhat_max', '.2f')}; "
         f"mean markers of the runs {shown('marker_disagreement_mm', '.0f', ' mm')} apart",
     ]
@@ -26,12 +26,12 @@ def figures_text(summary: Mapping[str, Any]) -> str:
 
 
 def warning_line(sentence: str) -> str:
-    """A warning as a line below the figures."""
+    """Return a warning as a line below the figures."""
     return f"warning     {sentence}"
 
 
 def _accuracy(summary: Mapping[str, Any]) -> list[str]:
-    """The line on the truth. A summary that an older version wrote has no such keys."""
+    """Return the line about the truth. A summary from an older version does not have these keys."""
     found = {key: value for key, value in summary.items() if key.startswith(("error_", "coverage_")) and value is not None}
     if "error_mm_mean" not in found:
         return []
@@ -40,11 +40,11 @@ def _accuracy(summary: Mapping[str, Any]) -> list[str]:
         for key, what in (
             ("error_mm_std", "sd over the frames"),
             ("error_mm_optimistic", "best particle"),
-            ("error_mm_relative", "pelvis on pelvis"),
-            ("error_mm_mean_fitted_offset", "skeletons' offset fitted"),
+            ("error_mm_relative", "relative to the pelvis"),
+            ("error_mm_mean_fitted_offset", "with the skeletons' offset fitted"),
         )
         if key in found
     ]
-    held = [f"{100 * found[key]:.0f} % of it inside the {level} % intervals" for level in (50, 90) if (key := f"coverage_{level}") in found]
-    parts = [", ".join([f"{found['error_mm_mean']:.0f} mm from the truth", *errors]), *([", ".join(held)] if held else [])]
+    covered = [f"{100 * found[key]:.0f} % of the truth inside the {level} % intervals" for level in (50, 90) if (key := f"coverage_{level}") in found]
+    parts = [", ".join([f"{found['error_mm_mean']:.0f} mm from the truth", *errors]), *([", ".join(covered)] if covered else [])]
     return [f"accuracy    {'; '.join(parts)}"]

@@ -1,7 +1,7 @@
-"""Pictures of a run: the recording with the posterior drawn over it, all cameras side by side, each cut to the person.
+"""Pictures of a run: the recording with the posterior drawn over it, all cameras side by side, each cropped to the person.
 
-The posterior mean is a translucent body with an outline (left side blue, right side orange, middle green). Draws are thin light outlines over it and
-spread where the posterior is wide.
+The posterior mean is a translucent body with an outline (left side blue, right side orange, middle green). Draws are thin light outlines over it;
+they spread where the posterior is wide.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,9 +24,9 @@ from bayes_body.view.silhouette import Outline, outlines, seen_in
 from bayes_body.view.video import frames_in, h264_video
 from bayes_body.view.windows import EMPTY, TILE_HEIGHT, Window, grid, person_windows
 
-# BGR, as OpenCV has it.
+# BGR, the order of OpenCV.
 LEFT, RIGHT, MIDDLE, INK = (255, 160, 40), (30, 130, 255), (90, 220, 60), (255, 255, 255)
-# Opacity of the mean's inside, of its outline, and of each draw; draws are this much nearer to white.
+# Opacity of the mean's inside, of its outline, and of each draw; and the fraction by which the draws' colours move towards white.
 INSIDE, MEAN, DRAW, LIGHTER = 0.15, 0.75, 0.3, 0.55
 VIDEO = "overlay.mp4"
 FAN = 20
@@ -34,16 +34,16 @@ STILLS = 5
 
 
 def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = unwatched) -> list[Path]:
-    """Write `overlay.mp4` and up to five stills `overlay/frame_NNNNNN.png`, evenly spaced, the first and the last among them.
+    """Write `overlay.mp4` and up to five evenly spaced stills `overlay/frame_NNNNNN.png`, including the first and the last frame.
 
     Args:
         session: the recording.
-        draws: what was tracked.
-        folder: of the run.
-        watch: takes the frames and gives them back, as a bar does.
+        draws: the tracked frames.
+        folder: the run's folder.
+        watch: wraps the frames to show progress.
 
     Raises:
-        InputError: the folder cannot be written, or an image of the session is gone.
+        InputError: the folder cannot be written, or an image of the session is missing.
     """
     frames = len(draws.frames)
     stills = _stills(folder, frames)
@@ -64,7 +64,7 @@ def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = un
 
 
 def is_drawn(folder: Path, frames: int) -> bool:
-    """Whether a folder holds the overlay of a run of so many frames."""
+    """Return whether a folder holds the complete overlay of a run with that number of frames."""
     return all(path.exists() for path in _stills(folder, frames).values()) and frames_in(folder / VIDEO) == frames
 
 
@@ -74,7 +74,7 @@ def _stills(folder: Path, frames: int) -> dict[int, Path]:
 
 
 def _fan(result: FrameResult, index: int) -> Float[np.ndarray, "draw dof"]:
-    """A few draws of a frame, from all runs alike."""
+    """Return a few draws of a frame, the same number from each run."""
     sample = equal_weight_poses(result, index, max(1, FAN // result.log_weights.shape[0]))
     return np.concatenate(list(sample))[:FAN]
 
@@ -82,18 +82,18 @@ def _fan(result: FrameResult, index: int) -> Float[np.ndarray, "draw dof"]:
 def mosaic(
     session: Session, model: Model, index: int, mean: Float[np.ndarray, " dof"], fan: Float[np.ndarray, "draw dof"], windows: Sequence[Window]
 ) -> MatLike:
-    """One frame, all cameras in a grid: the mean body and draws over the person's part of the images.
+    """Return the picture of one frame, all cameras in a grid: the mean body and draws over the person's part of the images.
 
     Args:
         session: the recording.
         model: its body and cameras.
         index: the frame.
-        mean: a pose, radians and metres.
-        fan: draws.
-        windows: one for each camera, of `person_windows`.
+        mean: the mean pose, radians and metres.
+        fan: draws, radians and metres.
+        windows: one for each camera, from `person_windows`.
 
     Raises:
-        InputError: an image of the session is gone.
+        InputError: an image of the session is missing.
     """
     model = seen_in(model, session, index)
     drawn = [outlines(model, pose) for pose in fan]
@@ -107,7 +107,7 @@ def mosaic(
 
 
 def backdrop(session: Session, index: int, view: View) -> tuple[MatLike, str]:
-    """A camera's image of a frame, in colour, and an empty note; without an image, a dark picture of its size, and a note that says so."""
+    """Return a camera's colour image of a frame and an empty note; without an image, a dark picture of its size and a note that says so."""
     image = read_colour(session, index, view)
     if image is not None:
         return image, ""
@@ -116,7 +116,7 @@ def backdrop(session: Session, index: int, view: View) -> tuple[MatLike, str]:
 
 
 def paint(image: MatLike, strong: list[Outline], fan: Sequence[list[Outline]]) -> MatLike:
-    """The image, in colour, with a translucent body under thin outlines: where many of these agree, they add up to a strong line."""
+    """Return the colour image with a translucent body under thin outlines. Where many outlines agree, they add up to a strong line."""
     picture = _blended(image, INSIDE, lambda layer: _fill(layer, strong))
     picture = _blended(picture, MEAN, lambda layer: _draw(layer, strong, 2))
     for each in fan:
@@ -142,17 +142,17 @@ def _draw(picture: MatLike, parts: list[Outline], thickness: int, lighter: float
 
 
 def _fixed(outline: Outline) -> Int[np.ndarray, "corner 2"]:
-    """Corners with four bits of a pixel's fraction."""
+    """Return the corners in fixed-point pixels with four fractional bits."""
     return np.round(outline.polygon * 16).astype(np.int32)
 
 
 def colour(part: str) -> tuple[int, int, int]:
-    """By side, so that a left leg taken for a right one is seen at once."""
+    """Return the colour of a part's side, so that swapped left and right legs are visible at once."""
     return LEFT if part.startswith("l_") else RIGHT if part.startswith("r_") else MIDDLE
 
 
 def fit(picture: MatLike) -> MatLike:
-    """The picture scaled to the height of a tile."""
+    """Return the picture scaled to the height of a tile."""
     height, width = picture.shape[:2]
     if height == TILE_HEIGHT:
         return picture
@@ -160,7 +160,7 @@ def fit(picture: MatLike) -> MatLike:
 
 
 def label(picture: MatLike, text: str) -> MatLike:
-    """The picture with lines of text in its upper left corner."""
+    """Return the picture with lines of text in its upper left corner."""
     for row, line in enumerate(text.splitlines()):
         for thickness, ink in ((4, (0, 0, 0)), (1, INK)):
             cv2.putText(picture, line, (10, 24 + 22 * row), cv2.FONT_HERSHEY_SIMPLEX, 0.6, ink, thickness, cv2.LINE_AA)
@@ -168,6 +168,6 @@ def label(picture: MatLike, text: str) -> MatLike:
 
 
 def _write(path: Path, picture: MatLike) -> None:
-    # Encoded in memory: OpenCV's own files are cut short on a full disk without a word.
+    # Encoded in memory, because OpenCV writes truncated files to a full disk without an error.
     with replacing(path) as partial:
         partial.write_bytes(cv2.imencode(".png", picture)[1].tobytes())

@@ -1,4 +1,4 @@
-"""The bar of a run: frames, seconds a frame, ESS, survival rate, time left."""
+"""The progress bar of a run: frames, seconds per frame, ESS, survival rate, time left."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -14,18 +14,18 @@ type Watch = Callable[[Sequence[int]], Iterable[int]]
 
 
 def unwatched(frames: Sequence[int]) -> Iterable[int]:
-    """The frames, without a bar."""
+    """Return the frames, without a progress bar."""
     return frames
 
 
 def watched(what: str, visible: bool = True) -> Watch:
-    """A bar over the frames that it is given, for work without figures of its own, such as drawing."""
+    """Return a function that shows a progress bar over its frames, for work without further figures, such as drawing."""
     return lambda frames: follow(frames, what, console=Console(stderr=True), disable=not visible, transient=True)
 
 
 @contextmanager
 def waiting(what: str, visible: bool = True) -> Iterator[None]:
-    """A sign that something is at work whose length is not known."""
+    """Show that work of unknown duration is in progress."""
     if not visible:
         yield
         return
@@ -35,11 +35,11 @@ def waiting(what: str, visible: bool = True) -> Iterator[None]:
 
 @contextmanager
 def progress_bar(visible: bool = True, done: int = 0) -> Iterator[Callable[[Progress], None]]:
-    """A function that takes each frame's progress, drawn on standard error; with `visible` false it draws nothing.
+    """Yield a function that takes each frame's progress and draws the bar on standard error.
 
     Args:
-        visible: whether it draws.
-        done: how many frames are there already.
+        visible: whether to draw; if False, the function draws nothing.
+        done: number of frames that are done already.
     """
     columns = (
         TextColumn("frame"),

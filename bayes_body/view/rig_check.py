@@ -1,4 +1,4 @@
-"""One picture that tells whether an import is right: all cameras, the world's axes and floor, and the initial body projected."""
+"""A picture for checking an import: the images of all cameras with the world's axes, the floor and the initial body drawn over them."""
 
 from pathlib import Path
 
@@ -22,23 +22,23 @@ from bayes_body.view.windows import grid
 AXIS_M = 0.5
 # x red, y green, z blue; BGR.
 AXIS_COLOURS = ((40, 40, 255), (40, 220, 40), (255, 90, 40))
-# The floor's tiles are a metre wide; it reaches so far from the origin. Lines are drawn in short pieces: lenses bend them.
+# The floor has tiles of one metre, and extends this far from the origin. Lines are drawn in short pieces, because lens distortion bends them.
 FLOOR_M, PIECE_M = 3, 0.1
 FLOOR_COLOUR = (200, 200, 200)
 
 
 def draw_check(session: Session, model: Model, path: Path) -> Path:
-    """The picture, for the first frame.
+    """Write the picture of the first frame, and return its path.
 
-    Axes of half a metre from the world's origin, the upward one labelled; a grid of one-metre tiles at height 0, which lies on the real floor if the
-    world stands on it; and, where the session has masks, how much of them the body covers.
+    It shows axes of half a metre from the world's origin, with a label at the upward one, and a grid of one-metre tiles at height 0. The grid lies on
+    the real floor if the world's origin is at floor height. If the session has masks, the picture also gives the body's overlap (IoU) with them.
 
     Raises:
         InputError: the picture cannot be written, or an image cannot be read.
     """
     pose = np.asarray(model.initial["pose"])
     bodies, silhouettes = outlines(model, pose), projected_masks(model, pose, session)
-    # A background is not learned for this.
+    # Masks are used only if they exist as files: no background is learned for this picture.
     masks = read_frame(session, 0).masks if all(view.masks for view in session.views) else None
     tiles = []
     for c, view in enumerate(session.views):
@@ -59,7 +59,7 @@ def draw_check(session: Session, model: Model, path: Path) -> Path:
 
 
 def _draw_axes(picture: MatLike, camera: Camera, up: str) -> bool:
-    """Draw the axes from the world's origin; False if the origin is not in the image."""
+    """Draw the axes from the world's origin, and return whether the origin is in the image."""
     points, visible = (np.asarray(out) for out in project(camera, AXIS_M * jnp.concatenate([jnp.zeros((1, 3)), jnp.eye(3)])))
     if not _inside(picture, points, visible)[0]:
         return False
@@ -73,7 +73,7 @@ def _draw_axes(picture: MatLike, camera: Camera, up: str) -> bool:
 
 
 def _draw_floor(picture: MatLike, camera: Camera, up: int) -> MatLike:
-    """The picture with one-metre tiles in the plane through the world's origin, half transparent."""
+    """Return the picture with half-transparent one-metre tiles in the horizontal plane through the world's origin."""
     lines = _floor_lines(up)
     points, visible = (np.asarray(out) for out in project(camera, jnp.asarray(lines.reshape(-1, 3), float)))
     shown = _inside(picture, points, visible).reshape(lines.shape[:2])
@@ -86,7 +86,7 @@ def _draw_floor(picture: MatLike, camera: Camera, up: int) -> MatLike:
 
 
 def _floor_lines(up: int) -> Float[np.ndarray, "line point 3"]:
-    """Lines a metre apart along both horizontal axes, as points in the world."""
+    """Return lines one metre apart along both horizontal axes, as points in the world."""
     along = np.linspace(-FLOOR_M, FLOOR_M, round(2 * FLOOR_M / PIECE_M) + 1)
     first, second = (axis for axis in range(3) if axis != up)
     lines = []
@@ -104,5 +104,5 @@ def _inside(picture: MatLike, points: Float[np.ndarray, "point 2"], visible: Boo
 
 
 def _scale(picture: MatLike) -> float:
-    """Of lines and letters, so that they are alike in tiles of one height."""
+    """Return the scale of lines and letters, so that they have the same size in tiles of the same height."""
     return max(1.0, picture.shape[0] / 480)

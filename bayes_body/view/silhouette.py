@@ -1,6 +1,6 @@
-"""A posed body as a camera sees it: the outline of every part, and the silhouette of the whole.
+"""A posed body in a camera's image: the outline of every part, and the silhouette of the whole body.
 
-A tapered cylinder's outline is the convex hull of its two end sections; a sphere's, of the circle that faces the camera.
+The outline of a tapered cylinder is the convex hull of its two end sections. The outline of a sphere is that of the circle that faces the camera.
 """
 
 from typing import NamedTuple
@@ -30,7 +30,7 @@ class Outline(NamedTuple):
 
 
 def outlines(model: Model, pose: Float[np.ndarray, " dof"]) -> list[list[Outline]]:
-    """For each camera, the outline of every part of which it sees all; pose in radians and metres."""
+    """Return, for each camera, the outline of every part that is entirely in front of it; pose in radians and metres."""
     pixels, visible = (np.asarray(out) for out in _project_rims(model.body, model.rig, jnp.asarray(pose)))
     names = model.body.topology.names
     return [
@@ -40,7 +40,7 @@ def outlines(model: Model, pose: Float[np.ndarray, " dof"]) -> list[list[Outline
 
 
 def seen_in(model: Model, session: Session, index: int) -> Model:
-    """The model with its cameras where they are in a frame.
+    """Return the model with its cameras at their positions in a frame.
 
     Raises:
         InputError: a moving camera's file cannot be read.
@@ -49,21 +49,21 @@ def seen_in(model: Model, session: Session, index: int) -> Model:
 
 
 def projected_masks(model: Model, pose: Float[np.ndarray, " dof"], session: Session) -> list[Bool[np.ndarray, "row column"]]:
-    """The silhouette of a posed body in each camera's image; of moving cameras, as the model has them (`seen_in`)."""
+    """Return the silhouette of a posed body in each camera's image; moving cameras are where the model has them (`seen_in`)."""
     return [fill(polygons, view.camera.size_px) for polygons, view in zip(outlines(model, pose), session.views, strict=True)]
 
 
 def fill(polygons: list[Outline], size_px: tuple[int, int]) -> Bool[np.ndarray, "row column"]:
-    """The union of outlines as a mask of an image of `size_px` (width, height)."""
+    """Return the union of outlines as a mask of an image of `size_px` (width, height)."""
     mask = np.zeros(size_px[::-1], np.uint8)
-    # Four bits of a pixel's fraction, so that small parts do not jump by whole pixels.
+    # Fixed-point pixels with four fractional bits, so that small parts do not jump by whole pixels.
     for outline in polygons:
         cv2.fillConvexPoly(mask, np.round(outline.polygon * 16).astype(np.int32), 1, shift=4)
     return mask.astype(bool)
 
 
 def intersection_over_union(a: Bool[np.ndarray, "row column"], b: Bool[np.ndarray, "row column"]) -> float:
-    """|a ∩ b| / |a ∪ b|; NaN if both are empty."""
+    """Return |a ∩ b| / |a ∪ b|; NaN if both are empty."""
     union = np.count_nonzero(a | b)
     return np.count_nonzero(a & b) / union if union else float("nan")
 

@@ -1,4 +1,4 @@
-"""Errors of two samplers at equal computation: their ratios by dof, and along frames (Poon & Fleet 2002, Fig. 8 and 9)."""
+"""Plot the errors of two samplers at equal computation: their ratio for each dof, and both over the frames (Poon & Fleet 2002, Fig. 8 and 9)."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ from bayes_body.files.atomic import replacing
 
 
 def draw_ratios(path: Path, figures: Mapping[str, Any]) -> None:
-    """The figures of `compare.estimator_variance`, with what they have of `frames`, into a .png: whiskers are 95 % intervals.
+    """Write a .png with the figures of `compare.estimator_variance`, and of its `frames` if they exist. Whiskers are 95 % intervals.
 
     Raises:
         InputError: the file cannot be written.
@@ -28,7 +28,7 @@ def draw_ratios(path: Path, figures: Mapping[str, Any]) -> None:
 
 
 def _ratios_by_dof(axes: Any, ratios: Mapping[str, Mapping[str, tuple[float, float, float]]]) -> None:
-    """A row of points a dof, a colour for what was held equal."""
+    """Draw one row of points for each dof; the colour shows whether evaluations or seconds are equal."""
     dofs = list(ratios["evaluations"])
     places = np.arange(len(dofs))
     for number, (name, of_dofs) in enumerate(ratios.items()):
@@ -41,7 +41,7 @@ def _ratios_by_dof(axes: Any, ratios: Mapping[str, Mapping[str, tuple[float, flo
 
 
 def _errors_by_frame(axes: Any, along: Mapping[str, Any]) -> None:
-    """Error² of each filter with its whiskers, its bias² dotted in the same colour."""
+    """Draw error² of each filter with its whiskers, and its bias² as a dotted line in the same colour."""
     for number, (name, of) in enumerate(along.items()):
         if name == "truth_difference":
             axes.plot(np.arange(1, len(of) + 1), of, color="0.6", label="difference² of the truth's two runs")

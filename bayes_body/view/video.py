@@ -1,4 +1,4 @@
-"""Writing videos that browsers, phones and slides play: H.264 in .mp4, with colours at half resolution."""
+"""Write videos that browsers, phones and slides can play: H.264 in .mp4, with colours at half resolution."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,24 +15,24 @@ from cv2.typing import MatLike
 
 from bayes_body.errors import input_error
 
-# x264's own scales: how much time it takes, and how good it is (lower is better; 18 is as good as the original to the eye).
+# Options of x264: speed of the encoder, and quality (lower is better; at 18 no difference from the original is visible).
 PRESET, QUALITY = "veryfast", 21
 
 
 @contextmanager
 def h264_video(path: Path, fps: float, size_px: tuple[int, int]) -> Iterator[Callable[[MatLike], None]]:
-    """A function that writes the next picture (blue, green, red); the video is whole once the block is through.
+    """Yield a function that writes the next picture (blue, green, red). The video is complete at the end of the block.
 
     Args:
-        path: its file.
+        path: the video's file.
         fps: frames a second.
         size_px: (width, height), both even.
 
     Raises:
-        InputError: it cannot be written.
+        InputError: the video cannot be written.
     """
     try:
-        # The index comes first, so that a browser plays it while it loads.
+        # The index comes first, so that a browser can play the video while it loads.
         with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
             stream = _stream(container, fps, size_px)
 
@@ -43,7 +43,7 @@ def h264_video(path: Path, fps: float, size_px: tuple[int, int]) -> Iterator[Cal
             container.mux(stream.encode())
     except FFmpegError as error:
         found = f"cannot be written as a video ({error.strerror})"
-        raise input_error(path, found, "a folder that can be written, with room", "check its permissions and free space") from None
+        raise input_error(path, found, "a folder that can be written, with enough free space", "check its permissions and free space") from None
 
 
 def _stream(container: OutputContainer, fps: float, size_px: tuple[int, int]) -> VideoStream:
@@ -54,7 +54,7 @@ def _stream(container: OutputContainer, fps: float, size_px: tuple[int, int]) ->
 
 
 def frames_in(path: Path) -> int:
-    """How many frames a video has; 0 where there is none, or it cannot be read."""
+    """Return the number of frames of a video; 0 if it does not exist or cannot be read."""
     if not path.exists():
         return 0
     reader = cv2.VideoCapture(str(path))

@@ -1,7 +1,7 @@
 """The part of each camera's image that shows the person.
 
-All frames of a video have one size, so a window has one size for the whole track. Its centre follows the person, smoothed over time: the picture does
-not shake. All cameras share one shape, so that their tiles stand in a grid without gaps.
+All frames of a video have the same size, so a window keeps its size for the whole track. Its centre follows the person and is smoothed over time, so
+that the picture does not shake. The windows of all cameras have the same shape, so that their tiles form a grid without gaps.
 """
 
 from collections.abc import Sequence
@@ -20,13 +20,14 @@ from bayes_body.view.silhouette import outlines, seen_in
 TILE_HEIGHT = 480
 # Grey level where there is no image.
 EMPTY = 30
-# Room around the person's box, as a share of its longer side: hands and feet reach beyond a body without them.
+# Room around the person's box, as a fraction of its longer side: the hands and feet of the person extend beyond a body without them.
 MARGIN = 0.15
 # Standard deviation of the smoothing of the centre, seconds.
 SMOOTHING_S = 0.3
-# Narrowest and widest shape, width / height; tile pixels per image pixel beyond which a window shows more of the scene instead.
+# Narrowest and widest shape, width / height; and the largest zoom, tile pixels per image pixel. Instead of more zoom, a window shows more of the
+# scene.
 SHAPES, MOST_ZOOM = (0.6, 1.6), 3.0
-# Width / height of what all tiles are shown on.
+# Width / height of the screen on which all tiles are shown.
 SCREEN = 1.6
 
 
@@ -44,7 +45,7 @@ class Window(NamedTuple):
     tile: tuple[int, int]
 
     def cut(self, image: MatLike, frame: int) -> MatLike:
-        """The tile of a frame; what lies outside of the image is dark grey."""
+        """Return the tile of a frame; the area outside of the image is dark grey."""
         pads = [max(0, -(-(size - length) // 2)) for size, length in zip(self.size, image.shape[1::-1], strict=True)]
         padded = cv2.copyMakeBorder(image, pads[1], pads[1], pads[0], pads[0], cv2.BORDER_CONSTANT, value=(EMPTY,) * 3)
         centre = self.centres[frame] + pads
@@ -52,14 +53,14 @@ class Window(NamedTuple):
         return cv2.resize(cv2.getRectSubPix(padded, self.size, centre), self.tile, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
 
     def place(self, points: Float[np.ndarray, "point 2"], frame: int) -> Float[np.ndarray, "point 2"]:
-        """Points of the image, (column, row), in the tile of a frame."""
+        """Return the positions of image points, (column, row), in the tile of a frame."""
         size = np.array(self.size)
-        # Whole numbers are the middles of pixels, in the image and in the tile.
+        # Integer coordinates are the centres of pixels, in the image and in the tile.
         return (points - self.centres[frame] + size / 2) * self.tile / size - 0.5
 
 
 def person_windows(session: Session, model: Model, poses: Float[np.ndarray, "frame dof"]) -> list[Window]:
-    """For each camera, a window that holds the posed body in every frame.
+    """Return, for each camera, a window that contains the posed body in every frame.
 
     Args:
         session: the recording.
@@ -77,7 +78,7 @@ def person_windows(session: Session, model: Model, poses: Float[np.ndarray, "fra
 
 
 def _boxes(session: Session, model: Model, pose: Float[np.ndarray, " dof"]) -> Float[np.ndarray, "camera 2 2"]:
-    """Least and greatest (column, row) of the body inside each image; NaN where no part of it is there."""
+    """Return the smallest and largest (column, row) of the body inside each image; NaN if no part of it is there."""
     boxes = np.full((len(session.views), 2, 2), np.nan)
     for c, parts in enumerate(outlines(model, pose)):
         if parts:
@@ -91,7 +92,7 @@ def _boxes(session: Session, model: Model, pose: Float[np.ndarray, " dof"]) -> F
 def _followed(
     boxes: Float[np.ndarray, "frame 2 2"], image: Float[np.ndarray, " 2"], fps: float
 ) -> tuple[Float[np.ndarray, "frame 2"], Float[np.ndarray, " 2"]]:
-    """Smooth centres, and the (width, height) around them that holds all boxes and the margin; the whole image where there is no box."""
+    """Return smooth centres, and the (width, height) around them that contains all boxes and the margin; the whole image if there is no box."""
     seen = np.flatnonzero(np.isfinite(boxes).all(axis=(1, 2)))
     if not seen.size:
         return np.tile(image / 2, (len(boxes), 1)), image
@@ -104,7 +105,7 @@ def _followed(
 
 
 def _window(centres: Float[np.ndarray, "frame 2"], needed: Float[np.ndarray, " 2"], image: Float[np.ndarray, " 2"], shape: float) -> Window:
-    """The window of that shape around what is needed, inside the image as far as it fits."""
+    """Return the window of that shape that contains the needed area, inside the image if it fits."""
     height = max(needed[1], needed[0] / shape, TILE_HEIGHT / MOST_ZOOM)
     size = np.array([height * shape, height])
     edge = np.minimum(size, image) / 2
@@ -114,12 +115,12 @@ def _window(centres: Float[np.ndarray, "frame 2"], needed: Float[np.ndarray, " 2
 
 
 def columns_of(count: int, width: float, height: int) -> int:
-    """How many tiles of (width, height) stand in a row, so that all of them fit a SCREEN as large as possible; of equals, the fewest."""
+    """Return the number of tiles of (width, height) in a row for which all tiles are largest on SCREEN; the smallest such number."""
     return max(range(1, count + 1), key=lambda columns: min(SCREEN / (columns * width), 1 / (-(-count // columns) * height)))
 
 
 def grid(tiles: Sequence[MatLike]) -> MatLike:
-    """Tiles of one height in rows, even-sized as video codecs want it."""
+    """Return tiles of the same height in rows; the size is even, as video codecs require."""
     height = tiles[0].shape[0]
     columns = columns_of(len(tiles), float(np.mean([tile.shape[1] for tile in tiles])), height)
     rows = [np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)]

@@ -82,5 +82,5 @@ def test_first_states_wander():
 def test_a_likelihood_that_is_no_distribution_is_refused():
     problem = toys.skewed()
     blind = dataclasses.replace(problem, factors=(dataclasses.replace(problem.factors[0], simulate=None),))
-    with pytest.raises(ValueError, match="'y' is no distribution over images"):
+    with pytest.raises(ValueError, match="'y' is not a distribution over images"):
         draw_case(jax.random.key(0), blind, 1)

@@ -77,4 +77,4 @@ def test_a_folder_that_is_taken_is_refused(demonstrated, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["demo", "--quick", "--out", str(demonstrated)])
     assert stopped.value.code == 2
-    assert "holds a demonstration already" in capsys.readouterr().err
+    assert "already holds a demonstration" in capsys.readouterr().err

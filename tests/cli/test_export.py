@@ -20,7 +20,7 @@ def run(walk, tmp_path_factory):
 
 def test_of_a_mode_seeker_means_only_and_why(cli, run, tmp_path):
     outcome = cli("export", run, "--to", "csv", "--out", tmp_path / "walk.csv")
-    said = "Means only: the kernel annealed is a mode seeker, and the spread of its particles is no uncertainty."
+    said = "Means only: the kernel annealed is a mode seeker, and the spread of its particles is not a measure of uncertainty."
     assert outcome.out.splitlines()[1] == said
     columns = (tmp_path / "walk.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
     assert not [name for name in columns if any(moment in name for moment in ("_sd_", "_q05_", "_q95_"))]
@@ -49,7 +49,7 @@ def test_a_name_of_one_s_own_and_overwriting(cli, run, tmp_path, name):
     out = tmp_path / f"walk.{name}"
     assert cli("export", run, "--to", name, "--out", out).status == 0
     assert out.stat().st_size > 0
-    cli("export", run, "--to", name, "--out", out).refuses(str(out), "is there already", "--overwrite")
+    cli("export", run, "--to", name, "--out", out).refuses(str(out), "already exists", "--overwrite")
     assert cli("export", run, "--to", name, "--out", out, "--overwrite").status == 0
 
 

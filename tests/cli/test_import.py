@@ -156,7 +156,7 @@ def test_import_of_opencvs_calibration(cli, laboratory, tmp_path):
     assert picture is not None and picture.std() > 1
     text = (tmp_path / "walk" / "session.toml").read_text()
     assert "height_m = 1.8" in text and f"{laboratory}/left/%03d.png" in text
-    cli("import", "opencv", laboratory, tmp_path / "walk", *SAID).refuses("holds a session.toml already", "--overwrite")
+    cli("import", "opencv", laboratory, tmp_path / "walk", *SAID).refuses("already holds a session.toml", "--overwrite")
 
 
 OPTIONS = {

@@ -75,7 +75,7 @@ def test_a_run_goes_on_with_its_plugin_only(track, run, files, tmp_path):
     (tmp_path / "mine.py").write_text(GOOD.replace("(name, level)", "(name,  level)") + "\n# mine\n", encoding="utf-8")
     outcome = track(run, "--resume", "--plugin", tmp_path / "mine.py", frames=FRAMES + 1)
     assert outcome.status == 0, outcome.err
-    assert f"going on at frame {FRAMES} of {FRAMES + 1}" in outcome.out
+    assert f"continuing at frame {FRAMES} of {FRAMES + 1}" in outcome.out
 
 
 def test_models_check_knows_the_terms(alone, files):

@@ -186,12 +186,12 @@ def test_a_run_that_is_finished_says_so_and_stays(cli, walk, run):
     before = (run / "posterior.nc").read_bytes()
     outcome = cli("track", walk, "--out", run, "--resume")
     assert outcome.status == 0, outcome.err
-    assert f"all {FRAMES} frames are there, nothing is left to track" in outcome.out
+    assert f"all {FRAMES} frames exist, nothing is left to track" in outcome.out
     assert (run / "posterior.nc").read_bytes() == before
 
 
 def test_another_run_is_not_continued(cli, walk, run):
-    said = ["kernel.particles was 100 and is now 101", "--seed was 3 and is now 4", "expected what the run began with", "--out"]
+    said = ["kernel.particles was 100 and is now 101", "--seed was 3 and is now 4", "expected the settings with which the run started", "--out"]
     cli("track", walk, "--out", run, "--resume", "--seed", 4, "--particles", 101).refuses(str(run), "cannot be continued", *said)
     cli("track", walk, "--out", run, "--resume", "--frames", 2).refuses("--frames: 2", "at least the 4 frames that the run has")
 

@@ -180,7 +180,7 @@ def test_a_dropped_jacobian_is_found_out(monkeypatch):
 def test_a_likelihood_without_a_gradient_is_refused_to_hmc():
     density = skewed(PARTICLES).density
     blind = dataclasses.replace(density, factors=tuple(dataclasses.replace(factor, has_gradient=False) for factor in density.factors))
-    with pytest.raises(ValueError, match="'y' has no gradient; expected one for move = \"hmc\""):
+    with pytest.raises(ValueError, match="'y' has no gradient; expected a likelihood with a gradient, for move = \"hmc\""):
         build_kernel()(jax.random.key(0), density.previous, blind)
     jax.jit(build_kernel(move="random_walk"))(jax.random.key(0), density.previous, blind)
 

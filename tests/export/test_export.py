@@ -139,7 +139,7 @@ def test_a_mode_seeker_s_c3d_has_no_residuals(written, sought):
     _, path = written("c3d", run=sought, spread=True)
     c3d = ezc3d.c3d(str(path))
     assert c3d["data"]["points"].shape == (4, 3, 5) and np.abs(c3d["data"]["meta_points"]["residuals"]).max() < 0.01
-    assert "no uncertainty" in c3d["parameters"]["POINT"]["DESCRIPTIONS"]["value"][0]
+    assert "without uncertainty" in c3d["parameters"]["POINT"]["DESCRIPTIONS"]["value"][0]
 
 
 def test_angles_are_degrees(make_run):
@@ -175,7 +175,7 @@ def test_what_is_there_is_not_replaced_unasked(make_run, tmp_path):
     with load_run(make_run()) as run:
         # One of the four files is enough.
         (tmp_path / "arm_sd.trc").write_text("mine")
-        with pytest.raises(InputError, match=r"arm_sd.trc: is there already; .* --overwrite"):
+        with pytest.raises(InputError, match=r"arm_sd.trc: already exists; .* --overwrite"):
             export(run, "trc", out)
         assert not out.exists() and (tmp_path / "arm_sd.trc").read_text() == "mine"
         export(run, "trc", out, overwrite=True)

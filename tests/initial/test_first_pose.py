@@ -196,5 +196,5 @@ def test_unknown_names_are_left_out_and_said(scene, model, walker):
     known = _markers(walker(np.random.default_rng(11))) | {"r_big_toe": (0.0, 0.0, 0.0), "l_sholder": (0.0, 0.0, 0.0)}
     found = first_pose(model, scene(1, initial_markers=known))
     assert found.remarks[0] == "this body has no points r_big_toe; the pose was fitted to the other points"
-    assert "'l_sholder' is no point of this body and was not used; did you mean 'l_shoulder'?" in found.remarks[1]
+    assert "'l_sholder' is not a point of this body and was not used; did you mean 'l_shoulder'?" in found.remarks[1]
     assert "r_big_toe" not in found.marker_residuals_m

@@ -142,7 +142,7 @@ def test_a_camera_that_shows_nobody_is_left_out(scene, recording):
     session = recording([masks[0], nobody, masks[2], None])
     usual = build_model("tempered_smc", session)
     assert trousers(ratios(fit_outline(usual, session), usual))
-    with pytest.raises(InputError, match=r"fit_outline: true, and no camera shows a silhouette in the first frame; expected .*; set it to false"):
+    with pytest.raises(InputError, match=r"fit_outline: true, but no camera shows a silhouette in the first frame; expected .*; set it to false"):
         fit_outline(usual, recording([nobody] * 4))
 
 
@@ -170,8 +170,8 @@ def test_a_pose_elsewhere_is_said_and_changes_nothing(scene, recording):
     usual = build_model("tempered_smc", session)
     found = first_pose(usual, session)
     assert not found.outline_radii_m
-    assert "overlaps with the silhouettes by 0." in found.remarks[0]
-    assert "how thick it looks was not fitted" in found.remarks[0]
+    assert "overlaps the silhouettes with an IoU of 0." in found.remarks[0]
+    assert "the outline was not fitted" in found.remarks[0]
 
 
 def test_what_is_kept_comes_back(model):
@@ -184,7 +184,7 @@ def test_what_is_kept_comes_back(model):
     for radii in ({"l_calf": 0.1}, {"l_calf": [0.1]}, [0.1, 0.1]):
         with pytest.raises(InputError, match="lengths or radii that are not numbers"):
             restored(model, table | {"outline_radii_m": radii}, "run.toml")
-    with pytest.raises(InputError, match="not all of it numbers"):
+    with pytest.raises(InputError, match="some values are not numbers"):
         restored(model, table | {"outline_radii_m": {"l_calf": [0.1, "thick"]}}, "run.toml")
 
 

@@ -115,7 +115,7 @@ def test_a_recording_without_known_silhouettes_is_said(walks, capsys):
     try:
         with pytest.raises(SystemExit) as end:
             main(["learn", "edge-statistics", str(walks / "another")])
-        assert end.value.code == 2 and "no silhouettes that are known" in capsys.readouterr().err
+        assert end.value.code == 2 and "no known silhouettes" in capsys.readouterr().err
     finally:
         for mask in sorted((walks / "another" / "true_masks").rglob("*.kept")):
             mask.rename(mask.with_suffix(".png"))

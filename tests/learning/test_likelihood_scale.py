@@ -119,4 +119,4 @@ def test_a_mode_seeker_is_refused(recording, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["learn", "likelihood-scale", str(recording), "--model", "deutscher_apf", "--particles", "50", "--scales", "1,2", "--frames", "1"])
     assert stopped.value.code == 2
-    assert "a mode seeker; expected one whose particles are draws of the posterior" in capsys.readouterr().err
+    assert "a mode seeker; expected a kernel whose particles are draws from the posterior" in capsys.readouterr().err

@@ -46,7 +46,7 @@ def test_a_stretch_of_frames_is_a_warning_and_a_single_one_is_none(by):
     assert sentence.startswith("from frame 31 the body no longer covers the person")
     assert fit_sentences(fit_figures(_fit(**good), [_fit(**good)] * 5) | {"frames": 5}) == []
     (first,) = fit_sentences(fit_figures(_fit(**bad), [_fit(**good)] * 5) | {"frames": 5})
-    assert first.startswith("frame 0: the body in its first pose does not fit the picture")
+    assert first.startswith("frame 0: the body in its first pose does not fit the image")
 
 
 def test_a_short_recording_needs_no_more_frames_than_it_has():

@@ -36,7 +36,7 @@ def test_the_initial_pose_is_the_sessions_and_the_rest_the_middle(textured_sessi
 @pytest.mark.parametrize(
     ("initial", "said"),
     [
-        ({"elbo": -0.5}, "'elbo' is no dof of the body 'arm_4'; did you mean 'elbow'"),
+        ({"elbo": -0.5}, "'elbo' is not a dof of the body 'arm_4'; did you mean 'elbow'"),
         ({"elbow": 0.5}, "'elbow': 0.5 rad; expected a value between -2.618 and 0 rad"),
     ],
 )
@@ -75,5 +75,5 @@ def test_a_smaller_body_takes_what_it_has_of_a_larger_ones_measures(textured_ses
     assert np.isclose(model.body.lengths[names.index("l_thigh")], 0.46)
     assert np.allclose(model.body.radii[names.index("l_calf")], [0.05, 0.03])
     assert np.isclose(model.initial["pose"][model.body.dof_names.index("l_knee")], -0.3)
-    with pytest.raises(InputError, match="'l_nee' is no dof"):
+    with pytest.raises(InputError, match="'l_nee' is not a dof"):
         build_model("poon_fleet_2002_legs", _with(textured_session, initial={"l_nee": -0.3}))

@@ -121,9 +121,9 @@ FAULTS = {
     "nothing": (("@bb.register", "# @bb.register"), ["registers nothing", "expected at least one term", "@bb.register"]),
     "twice": ((OBSERVATION, LIKELIHOOD), ["line 14", "likelihood 'brightness' is registered twice", "rename yours"]),
     "built-in": ((LIKELIHOOD, '"likelihood", "silhouette_edges"'), ["likelihood 'silhouette_edges' is registered twice"]),
-    "no schema": (("Options, note", "dict(a=1), note"), ["likelihood 'brightness': options: {'a': 1} is no schema", "class Options(Schema)"]),
-    "no model": (("Options(bb.Schema)", "Options"), ["likelihood 'brightness': options: Options is no schema", "derives from Schema"]),
-    "no name": ((LIKELIHOOD, '"likelihood", Options'), ["register: likelihood", "the name <class", "expected a text"]),
+    "no schema": (("Options, note", "dict(a=1), note"), ["likelihood 'brightness': options: {'a': 1} is not a schema", "class Options(Schema)"]),
+    "no model": (("Options(bb.Schema)", "Options"), ["likelihood 'brightness': options: Options is not a schema", "derives from Schema"]),
+    "no name": ((LIKELIHOOD, '"likelihood", Options'), ["register: likelihood", "the name <class", "expected a string"]),
     "no observation": ((OBSERVATION, '"observation", "other"'), ["likelihood 'brightness'", "no observation", 'observation="markers_gaussian"']),
     "unknown observation": (('note="a toy"', 'observation="silhouete"'), ["line 14", "observation 'silhouete' does not exist; did you mean"]),
     "kernel": (("POSE =", KERNEL.format(options="bb.Schema") + "\nPOSE ="), ["kernel 'mine'", "no `particles`", "add `particles: Count"]),
@@ -162,7 +162,7 @@ def test_a_file_that_is_none(tmp_path, kind):
 def test_two_files_of_one_name(write, tmp_path):
     load_plugin(write())
     (tmp_path / "other").mkdir()
-    with pytest.raises(InputError, match="has the same file name; expected one of its own"):
+    with pytest.raises(InputError, match="has the same file name; expected a file name of its own"):
         load_plugin(write(name="other/mine.py"))
 
 

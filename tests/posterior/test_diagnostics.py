@@ -108,7 +108,7 @@ CROSSED = {
         {"log_weight": few(49, [4, 6, 7])},
         {"log_weight": few(51, [4])},
     ),
-    "k": (["frame 8: a few weights carry", "Pareto k", "--particles"], heavy(1.1), heavy(0.3)),
+    "k": (["frame 8: a few weights dominate", "Pareto k", "--particles"], heavy(1.1), heavy(0.3)),
     "ancestors": (["frame 5: all particles descend from 9 of the frame before", "limit 10"], ancestors(9), ancestors(10)),
     "rhat": (["frames 3-5: the runs disagree", "knee at frame", "limit 1.05"], apart(1.0), apart(0.02)),
     "evidence": (["log-evidence: sd 2.1 nats over 3 runs", "most at frame 7", "--particles"], evidence(2.1), evidence(1.9)),
@@ -154,7 +154,7 @@ def test_a_mode_seeker_s_spread_is_no_uncertainty(make_tree):
     nothing = {"log_evidence": np.full((RUNS, FRAMES), np.nan), "log_weight": few(3, [4])}
     told = sentences(diagnose(make_tree(kernel="annealed", **nothing, **apart(1.0))))
     assert len(told) == 2
-    assert "mode seeker" in told[0] and "no uncertainty" in told[0] and "no evidence" in told[0]
+    assert "mode seeker" in told[0] and "not a measure of uncertainty" in told[0] and "no evidence" in told[0]
     assert "disagree" in told[1] and "--layers or --particles" in told[1]
 
 

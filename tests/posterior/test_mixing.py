@@ -90,7 +90,7 @@ def test_a_sound_run_says_nothing(chained):
 APART = {"apart": True}
 CROSSED = {
     "divergences": ({"divergences": 2}, "frame 1: 2% of the trajectories diverged (limit 1%)", "--set step=0.1"),
-    "energy": ({"energy_fraction": 0.1}, "frame 1: momenta move the energy too little to reach the tails, E-BFMI 0.10 (limit 0.3)", "burn_in"),
+    "energy": ({"energy_fraction": 0.1}, "frame 1: momenta change the energy too little to reach the tails, E-BFMI 0.10 (limit 0.3)", "burn_in"),
     "long": (APART, "frame 1: the chains of a frame did not mix, R-hat up to", "raise --leapfrog-steps"),
     "rejected": (
         APART | {"acceptance": 0.2},

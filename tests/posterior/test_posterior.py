@@ -90,7 +90,7 @@ def test_a_file_that_is_none_holds_no_frames(tmp_path):
 
 def test_a_posterior_without_room_is_refused_before_it_is_begun(draws, tmp_path, monkeypatch):
     monkeypatch.setattr(streaming.shutil, "disk_usage", lambda path: type("Usage", (), {"free": 1000})())
-    with pytest.raises(InputError, match=r"posterior\.nc: cannot be written \(0\.0 MB are free\); expected room for 0\.1 MB"):
+    with pytest.raises(InputError, match=r"posterior\.nc: cannot be written \(0\.0 MB are free\); expected 0\.1 MB of free space"):
         stream_posterior(draws, tmp_path / "posterior.nc")
     assert not list(tmp_path.iterdir())
 

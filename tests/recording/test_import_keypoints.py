@@ -109,7 +109,7 @@ def test_what_is_wrong_is_said(lab, tmp_path):
     with pytest.raises(InputError, match="--layout: COCO_17, but there are no keypoints; expected"):
         import_opencv(lab, tmp_path / "s", options(layout="COCO_17"))
     detect(tmp_path / "pose")
-    with pytest.raises(InputError, match="--layout BODY_25: 17 keypoints a person; expected 25"):
+    with pytest.raises(InputError, match="--layout BODY_25: 17 keypoints per person; expected 25"):
         import_opencv(lab, tmp_path / "s", options(keypoints=tmp_path / "pose", layout="BODY_25"))
     (tmp_path / "pose" / "left_json" / "left.0002.json").write_text("{")
     with pytest.raises(InputError, match=r"left.0002.json: not JSON"):

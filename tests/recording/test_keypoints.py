@@ -133,11 +133,11 @@ def test_layouts_that_cannot_be():
     assert choose_layout(points, "BODY_25B").name == "BODY_25B"
     with pytest.raises(InputError, match=r"--layout: 'BODY25': no such order; did you mean 'BODY_25'\?"):
         choose_layout(points, "BODY25")
-    with pytest.raises(InputError, match="--layout COCO_17: 25 keypoints a person; expected 17"):
+    with pytest.raises(InputError, match="--layout COCO_17: 25 keypoints per person; expected 17"):
         choose_layout(points, "COCO_17")
-    with pytest.raises(InputError, match="keypoints: 20 a person"):
+    with pytest.raises(InputError, match="keypoints: 20 per person"):
         choose_layout(points[:, :20])
-    with pytest.raises(InputError, match=r"25 a person, which may be BODY_25 or BODY_25B; .*--layout"):
+    with pytest.raises(InputError, match=r"25 per person, which may be BODY_25 or BODY_25B; .*--layout"):
         choose_layout(np.full((3, 25, 3), 5.0))
 
 

@@ -43,5 +43,5 @@ def test_what_is_no_run_is_a_sentence(report, make_run, tmp_path):
     refused(tmp_path / "empty", "no run.toml", "bayes-body track")
     folder = make_run()
     (folder / "posterior.nc").unlink()
-    refused(folder, "holds no posterior.nc", "went on to its end")
+    refused(folder, "holds no posterior.nc", "expected a finished run")
     assert not (folder / "report.html").exists()

@@ -108,7 +108,7 @@ def test_a_body_off_the_person_is_a_warning(make_run):
     path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | figures), encoding="utf-8")
     with load_run(folder) as run:
         first, later = Inspection(run).warnings[:2]
-    assert first.startswith("frame 0: the body in its first pose does not fit the picture") and "0.31" in first
+    assert first.startswith("frame 0: the body in its first pose does not fit the image") and "0.31" in first
     assert later.startswith("from frame 2 the body no longer covers the person") and "0.12" in later
 
 
@@ -116,9 +116,9 @@ def test_figures_have_their_units_and_what_does_not_exist_is_a_dash(inspect):
     evidence = np.array([[-10.0, -20.0], [-11.0, -21.0]])
     it = inspect(frames=2, log_evidence=evidence)
     cells = dict(re.findall(r'<th scope="row">([^<]*)</th><td>([^<]*)</td>', key_figures(it.run.summary, it.diagnosis)))
-    assert cells["frames"] == "2" and cells["time a frame, all runs"] == "0.25\u00a0s"
+    assert cells["frames"] == "2" and cells["time per frame, all runs"] == "0.25\u00a0s"
     assert cells["overlap with the silhouettes (IoU), median"] == "–"
-    assert cells["effective particles"] == "60 (median), 60 (least) of 60"
+    assert cells["effective particles"] == "60 (median), 60 (minimum) of 60"
     # The runs' evidence is averaged before the logarithm.
     mean, sd = np.log((np.exp(-30) + np.exp(-32)) / 2), np.std([-30, -32], ddof=1)
     assert cells["log-evidence"] == f"{mean:.1f} ± {sd:.1f}\u00a0nats (sd over the runs)"
@@ -157,11 +157,11 @@ def test_a_mode_seeker_has_no_intervals_and_a_sentence_why(inspect, parse):
         angles, runs = parse(band_section(seeker)), parse(run_section(seeker))
         sampler = inspect()
         bands, close = parse(band_section(sampler)), parse(run_section(sampler))
-    assert "no uncertainty" in angles.text and "band" not in alts(angles) and "left hip y over the frames: median" in alts(angles)
-    assert "no uncertainty" in runs.text and "Rank plot" in alts(runs)
+    assert "not a measure of uncertainty" in angles.text and "band" not in alts(angles) and "left hip y over the frames: median" in alts(angles)
+    assert "not a measure of uncertainty" in runs.text and "Rank plot" in alts(runs)
     for shown in ("intervals of", "Distribution of", "Effective sample size"):
         assert shown in alts(close) and shown not in alts(runs)
-    assert "no uncertainty" not in bands.text and "widest 90 % band" in alts(bands)
+    assert "not a measure of uncertainty" not in bands.text and "widest 90 % band" in alts(bands)
 
 
 def test_panels_of_what_a_kernel_has(inspect, parse):
@@ -172,8 +172,8 @@ def test_panels_of_what_a_kernel_has(inspect, parse):
     with style():
         plain = parse(filter_section(inspect(acceptance_rate=np.full((2, 5, 3), np.nan))))
         rich = parse(filter_section(inspect(draws=400, log_weight=weights, survival_rate=by_layer, seen=seen)))
-    assert "Acceptance" not in alts(plain) and "Layers of each" not in alts(plain) and "Pareto" not in alts(plain)
-    assert "Acceptance" in alts(rich) and "Layers of each frame, from 1 to 3" in alts(rich) and "Pareto" in alts(rich)
+    assert "Acceptance" not in alts(plain) and "Number of layers" not in alts(plain) and "Pareto" not in alts(plain)
+    assert "Acceptance" in alts(rich) and "Number of layers in each frame, from 1 to 3" in alts(rich) and "Pareto" in alts(rich)
     assert "left in 100%; right in 80%" in alts(rich)
 
 
@@ -181,7 +181,7 @@ def test_lost_frames_are_shaded_and_said_to_be(inspect, parse):
     lost = np.zeros((2, 5), bool)
     lost[1, 2] = True
     with style():
-        assert "lost are shaded" in parse(band_section(inspect(lost=lost))).text
+        assert "Lost frames are shaded" in parse(band_section(inspect(lost=lost))).text
         assert "shaded" not in parse(band_section(inspect())).text
 
 
@@ -261,5 +261,5 @@ def test_a_long_run_of_a_whole_body_stays_below_the_limit(make_run, draw_picture
         text = page(run)
     assert 1_000_000 < len(text.encode()) < LARGEST == 10_000_000
     found = parse(text)
-    assert "Shown is every 5th frame of 2,000" in found.text
+    assert "The plots show every 5th frame of 2,000" in found.text
     assert alts(found).count("over the frames: median") == len(dofs)

@@ -58,7 +58,7 @@ def test_limbs_and_names():
         "Right arm": [5],
         "Arm": [6],
         "Trunk and head": [4],
-        "Place and direction of the whole body": [0],
+        "Position and orientation of the whole body": [0],
         OTHER: [7],
     }
     assert (spoken("l_hip_y"), spoken("root_x"), limb("l_foot")) == ("left hip y", "root x", "Left leg")

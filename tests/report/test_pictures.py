@@ -46,7 +46,7 @@ def test_an_animation_holds_every_frame_for_its_time():
     ("frames", "fps", "told", "milliseconds"),
     [
         (10, 50.0, "Every frame of 10, slowed 4.2 times", 83),
-        (10, 10.0, "Every frame of 10, in true time", 100),
+        (10, 10.0, "Every frame of 10, in real time", 100),
         (300, 5.0, "One frame in 3 of 300, sped up 3 times", 200),
     ],
 )

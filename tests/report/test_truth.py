@@ -65,9 +65,9 @@ def test_sentences_and_table_say_what_is_so(inspect, parse, arm):
         found = truth_section(it)
     text = parse(found).text
     assert "The mean markers are 30 mm from the true ones (standard deviation over the frames 0 mm)" in text
-    assert "of the best particle of each frame 30 mm" in text and "pelvises" not in text
-    assert re.search(r"The 90 % intervals hold the truth in \d+ % of cases: too narrow\.", text)
-    assert "With the offset between the two skeletons fitted the error is" in text
+    assert "for the best particle of each frame 30 mm" in text and "relative to the pelvis" not in text
+    assert re.search(r"The 90 % intervals contain the truth in \d+ % of cases: too narrow\.", text)
+    assert "With the offset between the two skeletons fitted, the error is" in text
     table = rows(found)
     assert list(table)[1:] == ["left wrist", "left elbow", "left shoulder"], "largest error first"
     head = table["marker"]
@@ -96,7 +96,7 @@ def test_a_mode_seeker_promises_nothing(inspect, parse, arm):
     it = inspect(**ARM, pose=pose, log_evidence=np.full((2, 5), np.nan), truth=truth_of(arm, centres, [0, 0, 0.01]))
     with style():
         found = truth_section(it)
-    assert "a mode seeker's particles is no uncertainty" in parse(found).text and "intervals hold" not in parse(found).text
+    assert "a mode seeker's particles is not a measure of uncertainty" in parse(found).text and "intervals contain" not in parse(found).text
     # Five frames are too few for an offset.
     assert rows(found)["marker"] == ["error, mm"] and len(parse(found).of("img")) == 1 and "90 % interval" not in parse(found).text
 
@@ -119,9 +119,9 @@ def test_a_truth_that_is_gone_or_of_other_markers_is_said(make_run, inspect, par
     folder = make_run(**ARM, pose=pose, truth=truth_of(arm, centres, [0, 0, 0.01]))
     (folder.parent / "session" / "truth.npz").unlink()
     with load_run(folder) as run:
-        assert "cannot be held against the truth any more" in parse(truth_section(Inspection(run))).text
+        assert "can no longer be compared with the truth" in parse(truth_section(Inspection(run))).text
     # The posterior of this one is of another body than its definition says.
     other = parse(truth_section(inspect(truth=truth_of(arm, centres, [0, 0, 0.01])))).text
-    assert "cannot be held against the truth any more" in other and "dofs root_x" in other
+    assert "can no longer be compared with the truth" in other and "dofs root_x" in other
     nothing = parse(truth_section(inspect(**ARM, pose=pose, truth=np.full((5, 15, 3), np.nan)))).text
     assert "None of the body's markers has a true position" in nothing

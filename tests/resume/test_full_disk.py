@@ -64,7 +64,7 @@ def test_what_is_computed_stays(looped, disk, uninterrupted, capfd, room_for, sa
     assert stopped.value.code == 2
     sentences = [line for line in errors.splitlines() if "bayes-body: " in line]
     assert len(sentences) == 1 and said in sentences[0] and "Traceback" not in errors
-    assert "frames are kept; the same command with --resume goes on from there." in shown
+    assert "frames are kept; the same command with --resume continues from there." in shown
     kept = {path: path.stat().st_mtime_ns for path in (out / "frames").iterdir()}
     assert len(kept) >= 2 and not list(out.rglob(".partial-*"))
     disk(100_000_000)

@@ -86,5 +86,5 @@ def test_an_interruption_says_how_to_go_on(looped, tmp_path):
     process.send_signal(signal.SIGINT)
     said, errors = process.communicate()
     assert process.returncode == 130, errors
-    assert "frames are kept; the same command with --resume goes on from there." in said
+    assert "frames are kept; the same command with --resume continues from there." in said
     assert "interrupted" in errors and "Traceback" not in errors

@@ -61,10 +61,10 @@ def test_an_interrupted_run_goes_on_to_the_same_end(looped, tmp_path, uninterrup
     stopping(3, KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
         run(Settings(looped(FRAMES), out, **SMALL), lines.append, bar=False)
-    assert lines[-1] == f"{out}: 3 frames are kept; the same command with --resume goes on from there."
+    assert lines[-1] == f"{out}: 3 frames are kept; the same command with --resume continues from there."
     assert {path.name for path in out.iterdir()} == {"run.toml", "frames", ".lock"}
     summary = run(Settings(looped(FRAMES), out, resume=True, **options), lines.append, bar=False)
-    assert f"{out}: going on at frame 3 of 6" in lines
+    assert f"{out}: continuing at frame 3 of 6" in lines
     assert {path.name for path in out.iterdir()} == LEFT
     assert contents(out / "posterior.nc") == contents(uninterrupted / "posterior.nc")
     assert (out / "posterior.nc").read_bytes() == (uninterrupted / "posterior.nc").read_bytes()
@@ -95,7 +95,7 @@ def test_what_is_missing_of_a_finished_run_is_made_again(looped, tmp_path, unint
     (uninterrupted / missing).unlink()
     lines = []
     run(Settings(looped(FRAMES), uninterrupted, resume=True), lines.append, bar=False)
-    assert f"{uninterrupted}: all 6 frames are there, nothing is left to track" in lines
+    assert f"{uninterrupted}: all 6 frames exist, nothing is left to track" in lines
     assert (uninterrupted / missing).exists()
     if missing == "posterior.nc":
         assert (uninterrupted / missing).read_bytes() == kept
@@ -113,7 +113,7 @@ def test_a_damaged_frame_is_said_and_computed_again(looped, tmp_path, uninterrup
     path.write_bytes(path.read_bytes()[:-100])
     run(Settings(looped(FRAMES), out, resume=True), lines.append, bar=False)
     assert any("000002.npz: cannot be read" in line and line.endswith("It is computed again.") for line in lines)
-    assert f"{out}: going on at frame 2 of 6" in lines
+    assert f"{out}: continuing at frame 2 of 6" in lines
     assert contents(out / "posterior.nc") == contents(uninterrupted / "posterior.nc")
 
 

@@ -72,7 +72,7 @@ def test_a_first_pose_that_fits_raises_no_warning(arm_session, tmp_path):
 
 def test_a_first_pose_that_does_not_fit_is_a_warning_before_the_tracking_and_at_the_end(arm_session, tmp_path):
     summary, lines = _run(arm_session(lambda frame: 50), tmp_path / "run")
-    said = [place for place, line in enumerate(lines) if line.startswith("warning") and "the body in its first pose does not fit the picture" in line]
+    said = [place for place, line in enumerate(lines) if line.startswith("warning") and "the body in its first pose does not fit the image" in line]
     figures = next(place for place, line in enumerate(lines) if line.startswith("frames "))
     assert len(said) == 2 and said[0] < figures < said[1]
     assert f"{summary['fit_first']:.2f} (limit 0.7" in lines[said[0]]

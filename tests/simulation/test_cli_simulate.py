@@ -83,9 +83,9 @@ def test_a_name_is_always_the_same_person():
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--rig", "room_5"), "--rig: 'room_5': neither a rig that ships nor a file; did you mean 'room_4'?"),
+        (("--rig", "room_5"), "--rig: 'room_5' is neither a rig that ships nor a file; did you mean 'room_4'?"),
         (("--cameras", "C1,C7"), "rig room_4: camera 'C7': no such camera"),
-        (("--segmentation", "god"), "--segmentation: 'god': no such segmenter; did you mean 'good'?"),
+        (("--segmentation", "god"), "--segmentation: there is no segmenter 'god'; did you mean 'good'?"),
         (("--frames", "99"), "--frames: 99; expected 1 to 12"),
         (("--first-frame", "12"), "--first-frame: 12; expected 0 to 11"),
         (("--height", "18"), "height: 18 m"),

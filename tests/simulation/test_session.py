@@ -220,7 +220,7 @@ def test_a_users_own_background_is_filmed_before(tmp_path):
     for view in session.views:
         off = np.abs(read_video_frame(session.background_path(view), 0).astype(int) - pictures[view.camera.name])
         assert np.median(off) <= 2
-    with pytest.raises(InputError, match=r"--background .*: camera 'moving' moves; expected cameras that stand still"):
+    with pytest.raises(InputError, match=r"--background .*: camera 'moving' moves; expected cameras that do not move"):
         simulate(motion(2), rig("moving_1", 1), build_person(2), Options(background=tmp_path / "empty"), tmp_path / "t")
     (tmp_path / "empty/C2.png").unlink()
     with pytest.raises(InputError, match="no image or video for camera 'C2'"):

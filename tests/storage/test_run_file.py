@@ -55,7 +55,8 @@ def test_what_changed_is_named(tmp_path, record, change):
     make, said = CHANGES[change]
     now = copy.deepcopy(record)
     make(now)
-    with pytest.raises(InputError, match=f"cannot be continued: .*{said}.*; expected what the run began with; put it back, or begin anew"):
+    remedy = "expected the settings with which the run started; change it back, or start a new run"
+    with pytest.raises(InputError, match=f"cannot be continued: .*{said}.*; {remedy}"):
         refuse_changes(tmp_path, record, now)
 
 

@@ -57,23 +57,23 @@ SOUND = {"title": "t", "joint": [{"name": "hip"}]}
     [
         ({"titel": 1}, "titel: unknown key; did you mean 'title'?"),
         ({"joints": []}, "joints: unknown key; did you mean 'joint'?"),
-        ({"title": 3}, "title = 3; expected a text; put it in double quotes."),
+        ({"title": 3}, "title = 3; expected a string; put it in double quotes."),
         ({"sd_deg": {"hip": math.nan}}, "sd_deg.hip = nan; expected a finite number; write a number such as 0.5."),
         ({"sd_deg": 4}, "sd_deg = 4; expected a table; write it as a header in brackets, then lines key = value."),
         ({"joint": []}, "joint = []; expected at least 1 entries, not 0; add what is missing."),
         ({"joint": [{"nam": "hip", "name": "hip"}]}, "joint 'hip'.nam: unknown key; did you mean 'name'?"),
-        ({"joint": [{}]}, "joint #1.name: missing; expected a text; add it to joint #1."),
+        ({"joint": [{}]}, "joint #1.name: missing; expected a string; add it to joint #1."),
         ({"joint": [{"name": "hip", "offset": {"X": 1}}]}, "joint 'hip'.offset.X: unknown key; known: x"),
         (
             {"joint": [{"name": "hip", "offset": {"x": [1]}}]},
-            "joint 'hip'.offset.x = [1]; expected a number or a text; write it without quotes, such as 0.5.",
+            "joint 'hip'.offset.x = [1]; expected a number or a string; write it without quotes, such as 0.5.",
         ),
         ({"likelihood": [{"kind": "edgse"}]}, "likelihood #1.kind = \"edgse\": no such choice; did you mean 'edges'?"),
         ({"likelihood": [{}]}, "likelihood #1.kind: missing; expected the name of a kind; add it."),
         ({"likelihood": [{"kind": "mask", "wieght": 2.0}]}, "likelihood #1.wieght: unknown key; did you mean 'weight'?"),
         ({"likelihood": [{"kind": "edges", "scales_px": [4, 8.5]}]}, "likelihood #1.scales_px #2 = 8.5; expected a whole number; write it without"),
         ({"pair": ["a"]}, "pair = ['a']; expected 2 entries, not 1; add what is missing."),
-        ({"pair": ["a", 1, 2]}, "pair = ['a', 1, 2]; expected at most 2 entries, not 3; remove what is too much."),
+        ({"pair": ["a", 1, 2]}, "pair = ['a', 1, 2]; expected at most 2 entries, not 3; remove the surplus entries."),
     ],
 )
 def test_a_fault_is_one_sentence(change, sentence):

@@ -15,7 +15,7 @@ def test_figures_have_units_and_what_does_not_exist_is_a_dash():
     frames, time, particles, agreement = figures_text(SUMMARY | dict.fromkeys(NAMES)).splitlines()
     assert frames == "frames      5, lost 1; 2 cameras, 31 dofs"
     assert time == "time        0.250 s a frame; compilation 3.0 s; 10,000 evaluations/s; 900 MB"
-    assert particles == "particles   effective 100 (median), 40 (least) of 500"
+    assert particles == "particles   effective 100 (median), 40 (minimum) of 500"
     assert agreement == "agreement   overlap with the silhouettes (IoU) -; R-hat over runs at most 1.23; mean markers of the runs - apart"
     # As an older version wrote it.
     assert figures_text(SUMMARY).splitlines() == [frames, time, particles, agreement]
@@ -29,7 +29,7 @@ def test_with_a_truth_there_is_a_line_on_it():
     none = SUMMARY | dict.fromkeys(NAMES)
     whole = figures_text(none | ERRORS | {"coverage_50": 0.31, "coverage_90": 0.62}).splitlines()[-1]
     assert whole == (
-        "accuracy    48 mm from the truth, sd over the frames 12 mm, best particle 31 mm, pelvis on pelvis 40 mm, skeletons' offset fitted 36 mm; "
-        "31 % of it inside the 50 % intervals, 62 % of it inside the 90 % intervals"
+        "accuracy    48 mm from the truth, sd over the frames 12 mm, best particle 31 mm, relative to the pelvis 40 mm, "
+        "with the skeletons' offset fitted 36 mm; 31 % of the truth inside the 50 % intervals, 62 % of the truth inside the 90 % intervals"
     )
     assert figures_text(none | {"error_mm_mean": 48.2}).splitlines()[-1] == "accuracy    48 mm from the truth"

@@ -1,1 +1,1 @@
-"""What kernels are built from: resampling, weights, moves, mass matrices, batching."""
+"""The building blocks of kernels: resampling, weights, moves, mass matrices, batching."""

@@ -1,12 +1,12 @@
-r"""Adaptation in burn-in of Hamiltonian Monte Carlo: the step size and, on request, the inverse mass matrix.
+r"""Adaptation of Hamiltonian Monte Carlo in burn-in: the step size and, on request, the inverse mass matrix.
 
-Chains may adapt together. With the covariances $C$ of their draws and $F$ of the scores $\nabla \log p$ at them,
+Chains may adapt together. Let $C$ be the covariance of their draws, and $F$ that of the scores $\nabla \log p$ at these draws. The geometric mean
 
 $$M^{-1} = C \mathbin{\#} F^{-1} = L\, (L^\top F L)^{-1/2} L^\top, \quad C = L L^\top,$$
 
-the geometric mean, minimises the Fisher divergence to a Gaussian (Seyboldt, Carlson & Carpenter 2026). For a Gaussian it equals the covariance as
-soon as there are more draws than dofs, wherever the chains are: a short burn-in is enough. Each quarter of burn-in but the last finds the matrix of
-the next quarter. It is estimated in units of the present matrix and shrunk towards it as if by a few more draws; then the step size is tuned again.
+minimises the Fisher divergence to a Gaussian (Seyboldt, Carlson & Carpenter 2026). For a Gaussian it equals the covariance as soon as there are more
+draws than dofs, wherever the chains are. So a short burn-in is enough. Each quarter of burn-in except the last estimates the matrix for the next
+quarter. The estimate is made in units of the current matrix and shrunk towards it, as if by a few more draws. Then the step size is tuned again.
 """
 
 from collections.abc import Mapping
@@ -19,19 +19,19 @@ from jaxtyping import Array, Bool, Float, Int
 
 from bayes_body.shapes import Scalar
 
-# The unit matrix counts as so many draws, as in Stan.
+# The unit matrix counts as this many draws, as in Stan.
 PRIOR_DRAWS = 5.0
-# Transitions of the shortest burn-in that finds a matrix: two a quarter.
+# Number of transitions in the shortest burn-in that can estimate a matrix: two per quarter.
 FEWEST = 8
 
 
 class Plan(NamedTuple):
-    """What burn-in does.
+    """The settings of burn-in.
 
     Attributes:
-        burn_in: its transitions.
-        target_acceptance: to which the step is tuned; 0: the step stays as it is.
-        adapts_mass: whether the inverse mass matrix is found.
+        burn_in: number of transitions.
+        target_acceptance: acceptance rate to which the step is tuned; with 0 the step is not tuned.
+        adapts_mass: whether the inverse mass matrix is estimated.
         axes: names of the mapped axes along which chains adapt together.
     """
 
@@ -42,7 +42,7 @@ class Plan(NamedTuple):
 
 
 class Metric(NamedTuple):
-    """The inverse mass matrix, and the sums of this quarter of burn-in.
+    """The inverse mass matrix, and the sums over this quarter of burn-in.
 
     Attributes:
         units: Cholesky factor of the matrix.
@@ -56,17 +56,17 @@ class Metric(NamedTuple):
 
     @property
     def inverse_mass(self) -> Float[Array, "dof dof"]:
-        """The matrix itself."""
+        """Return the inverse mass matrix."""
         return self.units @ self.units.T
 
 
 class AdaptationState(NamedTuple):
-    """Results of burn-in so far.
+    """The results of burn-in so far.
 
     Attributes:
-        step: for the next trajectory.
+        step: step size of the next trajectory.
         tuning: blackjax's state of the dual averaging.
-        metric: None if no matrix is adapted.
+        metric: the adapted matrix; None if no matrix is adapted.
     """
 
     step: Scalar
@@ -75,13 +75,13 @@ class AdaptationState(NamedTuple):
 
 
 def init(plan: Plan, step: Scalar, inverse_mass: Float[Array, " dof *dof"], position: Mapping[str, Array]) -> AdaptationState:
-    """Before the first transition.
+    """Return the state before the first transition.
 
     Args:
-        plan: what burn-in does.
-        step: size of a leapfrog step to begin with, in units of the mass matrix.
-        inverse_mass: of this chain, diagonal or dense; chains that adapt together begin with the mean of theirs.
-        position: where this chain starts, coordinates without limits.
+        plan: the settings of burn-in.
+        step: initial size of a leapfrog step, in units of the mass matrix.
+        inverse_mass: the matrix of this chain, diagonal or dense; chains that adapt together begin with the mean of their matrices.
+        position: the start of this chain, in unconstrained coordinates.
     """
     if not plan.adapts_mass:
         return AdaptationState(step, _untuned(plan, step), None)
@@ -92,14 +92,14 @@ def init(plan: Plan, step: Scalar, inverse_mass: Float[Array, " dof *dof"], posi
 
 
 def update(plan: Plan, adapted: AdaptationState, index: Int[Array, ""], state: Any, acceptance: Scalar) -> AdaptationState:
-    """After transition number `index`, counted from 0. Index -1 and transitions after burn-in change nothing.
+    """Return the state after transition number `index`, counted from 0. Index -1 and transitions after burn-in change nothing.
 
     Args:
-        plan: what burn-in does.
-        adapted: before the transition.
+        plan: the settings of burn-in.
+        adapted: the state before the transition.
         index: number of the transition.
-        state: of blackjax, with its gradient.
-        acceptance: probability of acceptance.
+        state: blackjax's state, including the gradient.
+        acceptance: acceptance probability.
     """
     within = (index >= 0) & (index < plan.burn_in)
     if plan.target_acceptance:
@@ -112,7 +112,7 @@ def update(plan: Plan, adapted: AdaptationState, index: Int[Array, ""], state: A
 
 
 def _mean[Tree](values: Tree, axes: tuple[str, ...]) -> Tree:
-    # One axis after the other: JAX does not reduce over an axis of devices and another axis at once.
+    # One axis after the other, since JAX cannot reduce over an axis of devices and another axis at once.
     for axis in axes:
         values = jax.lax.pmean(values, axis)
     return values
@@ -131,46 +131,46 @@ def _dual_averaging(plan: Plan) -> Any:
 
 
 def _untuned(plan: Plan, step: Scalar) -> Any:
-    # blackjax draws the step towards ten times its first value; trajectories with such long steps would be rejected.
+    # blackjax pulls the step towards ten times its first value. Trajectories with such long steps would be rejected.
     return _dual_averaging(plan)[0](step / 10)
 
 
 def _with_step(plan: Plan, adapted: AdaptationState, index: Array, within: Bool[Array, ""], acceptance: Scalar) -> AdaptationState:
-    """With the step size tuned."""
+    """Return the state with the step size tuned."""
     _, update, final = _dual_averaging(plan)
     tuned = update(adapted.tuning, _mean(acceptance, plan.axes))
     tuning = jax.tree.map(lambda new, old: jnp.where(within, new, old).astype(old.dtype), tuned, adapted.tuning)
-    # During burn-in the step follows the last transition; afterwards it is the mean.
+    # During burn-in, the step depends on the last transition. Afterwards it is the average.
     step = jnp.where(index + 1 < plan.burn_in, jnp.exp(tuning.log_step_size), final(tuning))
     return adapted._replace(tuning=tuning, step=jnp.where(index < 0, adapted.step, step).astype(adapted.step.dtype))
 
 
 def _with_draw(metric: Metric, within: Bool[Array, ""], state: Any) -> Metric:
-    """With a draw and its score added."""
+    """Return the metric with a draw and its score added."""
     draw, score = (ravel_pytree(dict(part))[0] for part in (state.position, state.logdensity_grad))
     scaled = jax.scipy.linalg.solve_triangular(metric.units, draw - metric.origin, lower=True)
     row = jnp.concatenate([jnp.ones((1,), scaled.dtype), scaled, metric.units.T @ score])
-    # A draw whose score is not finite does not count.
+    # A draw whose score is not finite is ignored.
     row = jnp.where(within & jnp.all(jnp.isfinite(row)), row, 0.0)
     return metric._replace(moments=metric.moments + row[:, None] * row)
 
 
 def _with_matrix(plan: Plan, adapted: AdaptationState, metric: Metric) -> AdaptationState:
-    """With the matrix of the quarter that ends, if it is positive definite."""
+    """Return the state with the matrix of the quarter that ends here, if that matrix is positive definite."""
     units = _factor(metric.units @ geometric_mean(_sum(metric.moments, plan.axes)) @ metric.units.T, metric.units)
     new = AdaptationState(adapted.step, _untuned(plan, adapted.step), Metric(units, metric.origin, jnp.zeros_like(metric.moments)))
-    # The loop needs the same types in every turn.
+    # The loop needs the same types in every iteration.
     return jax.tree.map(lambda fresh, old: jnp.asarray(fresh, old.dtype), new, adapted)
 
 
 def _factor(matrix: Float[Array, "dof dof"], otherwise: Float[Array, "dof dof"]) -> Float[Array, "dof dof"]:
-    """The Cholesky factor, if the matrix has one in this precision."""
+    """Return the Cholesky factor if the matrix has one at this precision, else `otherwise`."""
     factor = jnp.linalg.cholesky(matrix)
     return jnp.where(jnp.all(jnp.isfinite(factor)), factor, otherwise)
 
 
 def geometric_mean(moments: Float[Array, "moment moment"]) -> Float[Array, "dof dof"]:
-    """C # F⁻¹ (Seyboldt, Carlson & Carpenter 2026, (9)), each covariance with the unit matrix as `PRIOR_DRAWS` draws.
+    """Return C # F⁻¹ (Seyboldt, Carlson & Carpenter 2026, (9)). In each covariance the unit matrix counts as `PRIOR_DRAWS` draws.
 
     Args:
         moments: sum of the outer products of (1, draw, score).

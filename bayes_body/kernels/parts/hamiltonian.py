@@ -1,6 +1,6 @@
 """One chain of Hamiltonian Monte Carlo, by blackjax, without its burn-in.
 
-blackjax declares no types for these functions: they are cast once, here.
+blackjax declares no types for these functions, so they are cast once, here.
 """
 
 from collections.abc import Callable, Mapping
@@ -17,23 +17,23 @@ from bayes_body.shapes import Key, Scalar
 type Position = Mapping[str, Array]
 type Sampler = Literal["hmc", "nuts"]
 
-# A trajectory whose energy error is larger, nats, counts as divergent.
+# A trajectory with a larger energy error, in nats, counts as divergent.
 DIVERGENCE = 1000.0
-# Doublings of a NUTS trajectory, at most.
+# Largest number of doublings of a NUTS trajectory.
 DOUBLINGS = 8
 
 
 class Schedule(NamedTuple):
-    """How a chain runs.
+    """The settings of a chain.
 
     Attributes:
-        draws: of the chain.
-        burn_in: first states, which are dropped.
-        thinning: states a draw.
-        leapfrog_steps: of a trajectory; NUTS chooses its own.
-        jitter: the share by which the number of steps varies between trajectories, evenly, and equally in all chains.
+        draws: number of draws.
+        burn_in: number of first states that are discarded.
+        thinning: number of states per draw.
+        leapfrog_steps: steps of a trajectory; NUTS chooses its own number.
+        jitter: fraction by which the number of steps varies between trajectories, evenly, and equally in all chains.
         sampler: hmc or nuts.
-        target_acceptance: to which burn-in tunes the step; 0: the step stays as it is.
+        target_acceptance: acceptance rate to which burn-in tunes the step; with 0 the step is not tuned.
         adapts_mass: whether burn-in finds the inverse mass matrix (`kernels/parts/adaptation.py`).
     """
 
@@ -48,15 +48,15 @@ class Schedule(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """The draws of a chain, and figures of each transition after burn-in.
+    """The draws of a chain, and figures for each transition after burn-in.
 
     Attributes:
-        positions: draws, with a leading axis.
-        acceptance: probabilities of acceptance.
-        divergent: whether a trajectory diverged.
+        positions: the draws, along a leading axis.
+        acceptance: acceptance probabilities.
+        divergent: whether each trajectory diverged.
         energy: total energy, nats, up to a constant.
         step: the factor of the step size after burn-in.
-        gradients: evaluations of the density with its gradient, burn-in included.
+        gradients: number of evaluations of the density with its gradient, including burn-in.
     """
 
     positions: dict[str, Float[Array, "draw *shape"]]
@@ -76,15 +76,15 @@ def run_chain(
     schedule: Schedule,
     axes: tuple[str, ...] = (),
 ) -> Chain:
-    """One chain.
+    """Run one chain.
 
     Args:
-        key: of the chain.
-        position: where it starts.
+        key: random key.
+        position: the start.
         log_density: the target.
         step: size of a leapfrog step in units of the mass matrix.
         inverse_mass: diagonal or dense, over the position's variables in alphabetical order.
-        schedule: how it runs.
+        schedule: the settings of the chain.
         axes: names of the mapped axes along which chains adapt together in burn-in.
     """
     from blackjax.mcmc import hmc
@@ -94,14 +94,14 @@ def run_chain(
 
     def one(carry: tuple[Any, adaptation.AdaptationState], turn: tuple[Array, Key]) -> tuple[tuple[Any, adaptation.AdaptationState], Any]:
         (state, adapted), (index, move_key) = carry, turn
-        # A matrix that is not carried is factored once, before the loop.
+        # A matrix that does not change is factored once, before the loop.
         mass = inverse_mass if adapted.metric is None else adapted.metric.inverse_mass
         state, info = move(move_key, state, jnp.where(index < 0, 0.0, adapted.step), mass, index)
         adapted = adaptation.update(plan, adapted, index, state, info.acceptance_rate)
         steps = jnp.asarray(info.num_integration_steps, jnp.int32)
         return (state, adapted), (dict(state.position), info.acceptance_rate, info.is_divergent, info.energy, steps)
 
-    # The gradient is most of the program. Evaluated before the first move, it would be compiled a second time. NUTS needs it.
+    # The gradient is most of the program. Evaluating it before the first move would compile it a second time. Only NUTS needs that.
     evaluated = schedule.sampler == "nuts"
     first = cast(Any, hmc.init)(dict(position), log_density) if evaluated else _unevaluated(position)
     numbers = jnp.arange(0 if evaluated else -1, schedule.burn_in + schedule.draws * schedule.thinning)
@@ -114,19 +114,19 @@ def run_chain(
 
 
 def chain_figures(chains: Chain) -> dict[str, Array]:
-    """For each chain (leading axis): mean acceptance, number of divergences, E-BFMI (Betancourt 2016), step."""
+    """Return for each chain (leading axis): mean acceptance, number of divergences, E-BFMI (Betancourt 2016), step."""
     energy = chains.energy
     moved, varies = jnp.sum(jnp.diff(energy, axis=1) ** 2, axis=1), jnp.sum((energy - energy.mean(axis=1, keepdims=True)) ** 2, axis=1)
-    # The potential energy of a chain that stands still is constant; its kinetic energy still varies.
+    # If a chain does not move, its potential energy is constant, but its kinetic energy still varies.
     fraction = jnp.where(varies > 0, moved / jnp.where(varies > 0, varies, 1.0), jnp.nan)
     divergences = jnp.sum(chains.divergent, axis=1, dtype=jnp.int32)
     return {"acceptance": jnp.mean(chains.acceptance, axis=1), "divergences": divergences, "energy_fraction": fraction, "step": chains.step}
 
 
 def effective_draws(draws: Float[Array, "chain draw dof"]) -> Float[Array, " dof"]:
-    """The effective number of draws of all chains together, from each dof's autocorrelation within chains and the spread of the chains' means.
+    """Return the effective number of draws of all chains together, from each dof's autocorrelation and the spread of the chains' means.
 
-    It is between one and the number of draws. Chains of fewer than four draws count as one draw each.
+    The result is between one and the number of draws. A chain with fewer than four draws counts as one draw.
     """
     from blackjax.diagnostics import effective_sample_size
 
@@ -138,18 +138,18 @@ def effective_draws(draws: Float[Array, "chain draw dof"]) -> Float[Array, " dof
 
 
 def leapfrog_steps(schedule: Schedule, index: Int[Array, ""]) -> Int[Array, ""]:
-    """Of trajectory number `index`: a sequence that fills the range evenly, as in Hoffman, Radul & Sountsov (2021).
+    """Return the number of steps of trajectory number `index`, from a sequence that fills the range evenly (Hoffman, Radul & Sountsov 2021).
 
-    Chains that run side by side wait for the longest trajectory, so all of them have the same lengths.
+    Chains that run in parallel wait for the longest trajectory, so all chains use the same lengths.
     """
     least, most = (max(1, round(schedule.leapfrog_steps * share)) for share in (1 - schedule.jitter, 1 + schedule.jitter))
-    # Multiples of the golden ratio, modulo 1, in 32 bits; the first is a half.
+    # Multiples of the golden ratio, modulo 1, in 32 bits; the first value is a half.
     turn = (jnp.asarray(index).astype(jnp.uint32) * jnp.uint32(2654435769) + jnp.uint32(1 << 31)) >> 16
     return least + ((turn * (most - least + 1)) >> 16).astype(jnp.int32)
 
 
 def _unevaluated(position: Position) -> Any:
-    """A state whose density is not known yet: its log is minus infinity, so that the first trajectory, which has step size 0, is accepted."""
+    """Return a state with an unknown density. Its log-density is minus infinity, so that the first trajectory, with step size 0, is accepted."""
     from blackjax.mcmc import hmc
 
     dtype = jax.tree.leaves(dict(position))[0].dtype
@@ -157,7 +157,7 @@ def _unevaluated(position: Position) -> Any:
 
 
 def _transition(log_density: Callable[[Any], Scalar], schedule: Schedule) -> Callable[[Key, Any, Scalar, Array, Int[Array, ""]], tuple[Any, Any]]:
-    """(key, state, step, inverse mass, index) -> the state after transition `index`, and information; that of index -1 has one leapfrog step."""
+    """Return (key, state, step, inverse mass, index) -> the state after transition `index`, and information. Index -1 has one leapfrog step."""
     from blackjax.mcmc import hmc, nuts
 
     if schedule.sampler == "nuts":

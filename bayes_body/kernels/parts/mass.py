@@ -1,16 +1,16 @@
-r"""The inverse mass matrix of Hamiltonian Monte Carlo from curvatures at one state (Poon & Fleet 2002, (18), (22), (23)).
+r"""The inverse mass matrix of Hamiltonian Monte Carlo, from curvatures at one state (Poon & Fleet 2002, (18), (22), (23)).
 
-With the variances $v$ of the process noise, the matrix $C$ of minus the second derivatives of the log-likelihood and the slopes
-$S = \mathrm{diag}(\partial s_k / \partial x_k)$ of the coordinates x that are sampled,
+Let $v$ be the variances of the process noise, $C$ the matrix of minus the second derivatives of the log-likelihood, and
+$S = \mathrm{diag}(\partial s_k / \partial x_k)$ the slopes for the sampled coordinates x. Then
 
 $$M = S\, (\mathrm{diag}(1/v) + C)\, S - \mathrm{diag}\Big(\frac{\partial^2}{\partial x_k^2} \log \Big|\frac{\partial s_k}{\partial x_k}\Big|\Big).$$
 
-The paper takes only the diagonal, $M^{-1} = \mathrm{diag}(\epsilon_k^2)$. Monocular posteriors are narrow along some combinations of dofs and wide
-along others: with the whole matrix the narrowest combination does not limit the steps along the others.
+The paper uses only the diagonal, $M^{-1} = \mathrm{diag}(\epsilon_k^2)$. Monocular posteriors are narrow along some combinations of dofs and wide
+along others. With the whole matrix, the narrowest combination does not limit the steps along the others.
 
-A likelihood may offer its part of C (`Factor.curvature`). For the other likelihoods it comes from finite differences of their gradient, over a tenth
-of the noise's standard deviation. Only positive curvature counts. The matrix depends on the first state of the chain only, so the moves stay
-reversible. With the correlations of the particles of the frame before, the scales ε_k stay as they are.
+A likelihood may supply its part of C (`Factor.curvature`). For the other likelihoods it comes from finite differences of their gradient, over a tenth
+of the noise's standard deviation. Only positive curvature is used. The matrix depends only on the first state of the chain, so the moves stay
+reversible. If the correlations of the previous frame's particles are used, the scales ε_k do not change.
 """
 
 from collections.abc import Mapping
@@ -25,20 +25,20 @@ from bayes_body.density.coordinates import Coordinates
 from bayes_body.density.density import Density, Unconstrained
 from bayes_body.density.factor import State
 
-# Length of a finite difference of the gradient, as a share of the noise's standard deviation.
+# Step of the finite difference of the gradient, as a fraction of the noise's standard deviation.
 DIFFERENCE = 0.1
 # The factor by which the particles' correlations are shrunk.
 SHRINKAGE = 0.9
 
 
 def inverse_mass(target: Unconstrained, position: State, previous: State, whole: bool = False) -> Float[Array, " dof *dof"]:
-    """M⁻¹ at a position (coordinates without limits); the variables follow each other in alphabetical order.
+    """Return M⁻¹ at a position (unconstrained coordinates), with the variables in alphabetical order.
 
     Args:
-        target: the marginal view over coordinates without limits (`Density.unconstrained`).
-        position: where a chain starts.
-        previous: the state of the frame before that it was predicted from.
-        whole: the matrix, rather than the inverse of its diagonal.
+        target: the marginal view in unconstrained coordinates (`Density.unconstrained`).
+        position: the start of a chain.
+        previous: the state of the previous frame from which it was predicted.
+        whole: whether to return the whole matrix rather than the inverse of the diagonal.
     """
     state, density = target.constrain(position), target.density
     variances = ravel_pytree({name: jnp.asarray(distribution.variance) for name, distribution in density.transition.conditional(previous).items()})[0]
@@ -48,7 +48,7 @@ def inverse_mass(target: Unconstrained, position: State, previous: State, whole:
     prior = slope * slope / variances + bend
     if not whole:
         return 1 / (prior + slope * slope * jnp.maximum(jnp.diagonal(curvature), 0.0))
-    # In units of the prior the smallest eigenvalue is 1; negative curvature, which is not that of a peak, is left out.
+    # In units of the prior, the smallest eigenvalue is 1. Negative curvature is left out, since it does not belong to a peak.
     unit = jax.lax.rsqrt(prior)
     scale = unit * slope
     values, vectors = jnp.linalg.eigh(scale[:, None] * curvature * scale)
@@ -60,7 +60,7 @@ def _finite(matrix: Array) -> Array:
 
 
 def _blocks(by_variable: Mapping[str, Array]) -> Float[Array, "dof dof"]:
-    """A block-diagonal matrix of the variables' matrices, in alphabetical order."""
+    """Return the block-diagonal matrix of the variables' matrices, in alphabetical order."""
     return jax.scipy.linalg.block_diag(*(by_variable[name] for name in sorted(by_variable)))
 
 
@@ -70,14 +70,14 @@ def _slopes_and_bends(coordinates: Coordinates, position: State) -> tuple[dict[s
 
 
 def _slope_and_bend(bijection: Transform, x: Array) -> tuple[Array, Array]:
-    """∂s/∂x of a bijection that acts on each entry separately, and minus the second derivative of its logarithm where that is positive."""
+    """Return ∂s/∂x of an entrywise bijection, and minus the second derivative of log |∂s/∂x| where that is positive."""
     ones = jnp.ones_like(x)
 
     def slope(x: Array) -> Array:
         return jax.jvp(bijection, (x,), (ones,))[1]
 
     def log_slope(x: Array) -> Array:
-        # A limit reached to the last bit has no slope left.
+        # If the value equals a limit to the last bit, the slope is 0.
         return jnp.log(jnp.maximum(jnp.abs(slope(x)), jnp.finfo(x.dtype).tiny))
 
     def first(x: Array) -> Array:
@@ -87,7 +87,7 @@ def _slope_and_bend(bijection: Transform, x: Array) -> tuple[Array, Array]:
 
 
 def differenced(density: Density, state: State, previous: State, variances: Float[Array, " dof"]) -> Float[Array, "dof dof"]:
-    """Minus the second derivatives, by all dofs, of the likelihoods that offer none: from gradients on both sides of a state."""
+    """Return minus the second derivatives of the likelihoods without `curvature`, by all dofs, from gradients on both sides of a state."""
     flat, unravel = ravel_pytree(dict(state))
     names = density.without_curvature
     if not names:
@@ -109,12 +109,12 @@ def differenced(density: Density, state: State, previous: State, variances: Floa
 def correlated(
     diagonal: Float[Array, " dof"], particles: Float[Array, "particle dof"], weights: Float[Array, " particle"]
 ) -> Float[Array, "dof dof"]:
-    """A covariance with the scales of the diagonal and the correlations of weighted particles, in coordinates without limits."""
+    """Return a covariance with the scales of the diagonal and the correlations of weighted particles, in unconstrained coordinates."""
     weights = weights / jnp.sum(weights)
     centred = particles - weights @ particles
     covariance = (weights[:, None] * centred).T @ centred
     deviations = jnp.sqrt(jnp.diagonal(covariance))
-    # Particles that are all equal, as at a first frame, have no correlations.
+    # Particles that are all equal, as before the first frame, have no correlations.
     spread = deviations > 1e-6 * jnp.sqrt(diagonal)
     safe = jnp.where(spread, deviations, 1.0)
     correlation = jnp.where(spread[:, None] & spread[None, :], covariance / (safe[:, None] * safe[None, :]), 0.0)

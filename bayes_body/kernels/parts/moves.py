@@ -1,8 +1,8 @@
-"""Markov moves that leave a density invariant, by Hamiltonian Monte Carlo or a random walk; and the chain of moves of one particle.
+"""Markov moves that leave a density invariant, by Hamiltonian Monte Carlo or a random walk, and the chain of moves of one particle.
 
-Moves work in whitened coordinates, in which the target is about N(0, 1). Both evaluate the density in one place of the program, in a loop over the
-points that they visit, the first one included. The likelihood of a whole body takes the compiler seconds wherever it stands: a library's move has it
-once where it starts and once where it goes on, and a caller who needs the likelihood of the end point has it a third time (docs/decisions).
+Moves use whitened coordinates, in which the target is approximately N(0, 1). Both moves evaluate the density at one place in the program, in a loop
+over the points that they visit, including the first. Each occurrence of a whole body's likelihood costs seconds of compilation. A library's move
+contains it twice: at its start and in its steps. A caller who needs the likelihood of the end point would add a third (docs/decisions).
 """
 
 from collections.abc import Callable, Mapping
@@ -22,31 +22,31 @@ from bayes_body.shapes import Index, Key, Scalar
 
 type Position = Mapping[str, Array]
 type MoveName = Literal["hmc", "random_walk"]
-# The log-density, and the log-likelihood that is a part of it.
+# The log-density, and the log-likelihood, which is a part of it.
 type Target = Callable[[Position], tuple[Scalar, Scalar]]
 
-# Trajectories of one constant length would return to where they came from on a near Gaussian target.
+# On a nearly Gaussian target, trajectories of constant length would return to their starts.
 JITTER = (0.6, 1.4)
 
 
 def check_gradients(density: Density, what: str, other: str = "") -> None:
-    """Stop unless every likelihood has a gradient.
+    """Raise an error unless every likelihood has a gradient.
 
     Args:
-        density: of a frame.
-        what: needs the gradient, in a user's words.
-        other: another remedy than a look-up with a gradient.
+        density: the density of a frame.
+        what: what needs the gradient, in the user's terms.
+        other: a further remedy besides a look-up with a gradient.
 
     Raises:
-        InputError: a likelihood has none.
+        InputError: a likelihood has no gradient.
     """
     if density.without_gradient:
         found, remedy = f"'{density.without_gradient[0]}' has no gradient", f'set its lookup = "bilinear"{other}'
-        raise input_error("the likelihood", found, f"one for {what}", remedy)
+        raise input_error("the likelihood", found, f"a likelihood with a gradient, for {what}", remedy)
 
 
 class Moved(NamedTuple):
-    """Where a move ended, the log-likelihood there, and its acceptance rate."""
+    """The end of a move, the log-likelihood there, and the acceptance rate of the move."""
 
     position: Position
     log_likelihood: Scalar
@@ -58,9 +58,9 @@ class Move(NamedTuple):
 
     Attributes:
         step: (key, position, target, step size) -> one move.
-        acceptance_rate: to which the step size is adapted.
-        step_size: the first one, by the number of coordinates.
-        evaluations: of the density, a move.
+        acceptance_rate: the rate to which the step size is adapted.
+        step_size: the first step size, as a function of the number of coordinates.
+        evaluations: number of evaluations of the density per move.
     """
 
     step: Callable[[Key, Position, Target, Scalar], Moved]
@@ -70,7 +70,7 @@ class Move(NamedTuple):
 
 
 class _Point(NamedTuple):
-    """A point of a trajectory: log-density less kinetic energy, and the log-likelihood."""
+    """A point of a trajectory: log-density minus kinetic energy, and the log-likelihood."""
 
     position: Position
     log_density: Scalar
@@ -78,7 +78,7 @@ class _Point(NamedTuple):
 
 
 def hmc(leapfrog_steps: int) -> Move:
-    """Hamiltonian Monte Carlo with unit mass (Neal 2011, 5.2); the step size is jittered by ±40 %."""
+    """Return a move by Hamiltonian Monte Carlo with unit mass (Neal 2011, 5.2). The step size is jittered by ±40 %."""
 
     def step(key: Key, position: Position, target: Target, step_size: Scalar) -> Moved:
         jitter_key, momentum_key, accept_key = jax.random.split(key, 3)
@@ -87,7 +87,7 @@ def hmc(leapfrog_steps: int) -> Move:
         def visit(k: Index, walker: tuple[Position, Position, _Point, _Point]) -> tuple[Position, Position, _Point, _Point]:
             position, momentum, first, _ = walker
             (log_density, log_likelihood), slope = jax.value_and_grad(target, has_aux=True)(position)
-            # Half a kick at both ends, two halves in one between them; the energy is that after the first half.
+            # Half a kick at each end, and whole kicks in between. The energy is computed after the first half of a kick.
             ends = (k == 0) | (k == leapfrog_steps)
             half = _along(momentum, slope, size / 2)
             here = _Point(position, log_density - _kinetic(jax.tree.map(lambda p, h: jnp.where(k == 0, p, h), momentum, half)), log_likelihood)
@@ -105,7 +105,7 @@ def hmc(leapfrog_steps: int) -> Move:
 
 
 def random_walk() -> Move:
-    """Random-walk Metropolis with a Gaussian step; begins at 2.38 / sqrt(d) (Roberts, Gelman & Gilks 1997)."""
+    """Return a move by random-walk Metropolis with a Gaussian step. The first step size is 2.38 / sqrt(d) (Roberts, Gelman & Gilks 1997)."""
 
     def step(key: Key, position: Position, target: Target, step_size: Scalar) -> Moved:
         step_key, accept_key = jax.random.split(key)
@@ -119,7 +119,7 @@ def random_walk() -> Move:
 
 
 def _accept(key: Key, first: _Point, last: _Point) -> Moved:
-    """Metropolis's rule; NaN is refused."""
+    """Accept or reject by the Metropolis rule; NaN is rejected."""
     log_ratio = last.log_density - first.log_density
     rate = jnp.exp(jnp.minimum(jnp.where(jnp.isnan(log_ratio), -jnp.inf, log_ratio), 0.0))
     accepted = jax.random.uniform(key, (), rate.dtype) < rate
@@ -144,7 +144,7 @@ def _kinetic(momentum: Position) -> Scalar:
 
 
 class ExtendedParticle(NamedTuple):
-    """A point of the extended view: its ancestor, its coordinates without limits, and the log-likelihood there."""
+    """A point of the extended view: its ancestor, its unconstrained coordinates, and the log-likelihood there."""
 
     ancestor: Index
     position: dict[str, Array]
@@ -152,7 +152,7 @@ class ExtendedParticle(NamedTuple):
 
 
 class MoveSettings(NamedTuple):
-    """How the particles of one stage move: temperature, step size, and by variable a root of the covariance that whitens it."""
+    """The settings of one stage's moves: temperature, step size, and for each variable a root of the covariance, for whitening."""
 
     inverse_temperature: Scalar
     step_size: Scalar
@@ -162,16 +162,16 @@ class MoveSettings(NamedTuple):
 def walk(
     key: Key, particle: ExtendedParticle, view: Extended, settings: MoveSettings, move: Move, moves: int, candidates: int
 ) -> tuple[ExtendedParticle, Scalar]:
-    """The chain of states that a particle goes through (a leading axis of `moves`), and the mean acceptance rate.
+    """Return the chain of a particle's states (a leading axis of `moves`), and the mean acceptance rate.
 
     Args:
-        key: of the chain.
-        particle: where it starts.
+        key: random key.
+        particle: the start.
         view: the target.
-        settings: of the stage.
+        settings: the settings of the stage.
         move: a Markov kernel.
         moves: the chain's length.
-        candidates: among which the ancestor is redrawn before the first move.
+        candidates: number of candidates among which the ancestor is redrawn before the first move.
     """
     ancestor_key, chain_key = jax.random.split(key)
     ancestor = view.choose_ancestor(ancestor_key, particle.ancestor, particle.position, settings.inverse_temperature, candidates)
@@ -192,9 +192,9 @@ def walk(
 
 
 def whitening(position: Float[Array, "particle dof"], log_weights: LogWeights) -> Float[Array, "dof dof"]:
-    """A root L of the weighted covariance, shrunk a tenth towards its diagonal: L z of a standard normal z spreads as the particles do."""
+    """Return a root L of the weighted covariance, shrunk by a tenth towards its diagonal. If z is standard normal, L z spreads like the particles."""
     weights = jax.nn.softmax(log_weights)[:, None]
-    # A particle of weight zero may be NaN.
+    # A particle with weight zero may be NaN.
     clean = jnp.where(weights > 0, position, 0.0)
     centred = jnp.where(weights > 0, clean - jnp.sum(weights * clean, axis=0), 0.0)
     covariance = (weights * centred).T @ centred

@@ -1,4 +1,4 @@
-"""Resampling schemes, from blackjax. Each draws the ancestors of particles from their weights; all are unbiased, they differ in variance."""
+"""Resampling schemes, from blackjax. Each draws ancestors of particles by weight. All are unbiased; they differ in variance."""
 
 from collections.abc import Callable
 from typing import Literal, Protocol, cast
@@ -12,20 +12,20 @@ type Scheme = Literal["systematic", "stratified", "multinomial", "residual"]
 
 
 class Resample(Protocol):
-    """From log-weights (normalised or not) to as many ancestors, or `count`."""
+    """A function from log-weights (normalised or not) to ancestors: as many as there are weights, or `count`."""
 
     def __call__(self, key: Key, log_weights: Float[Array, " particle"], count: int | None = None) -> Int[Array, " drawn"]: ...  # noqa: D102
 
 
 def resampler(scheme: Scheme) -> Resample:
-    """A scheme by name.
+    """Return a scheme by name.
 
     Args:
-        scheme: `systematic` and `stratified` spread the draws evenly, `residual` keeps the whole parts of N w, `multinomial` draws independently.
+        scheme: `systematic` and `stratified` spread the draws evenly, `residual` keeps the integer parts of N w, `multinomial` draws independently.
     """
     import blackjax.smc.resampling as schemes
 
-    # blackjax declares no types for its resampling functions: cast once, here.
+    # blackjax declares no types for its resampling functions, so they are cast once, here.
     function = cast(Callable[[Key, Array, int], Array], getattr(schemes, scheme))
 
     def resample(key: Key, log_weights: Float[Array, " particle"], count: int | None = None) -> Int[Array, " drawn"]:

@@ -1,6 +1,6 @@
-"""Where the chains of a frame begin: states that are drawn from the prediction and chosen by the likelihood.
+"""The starts of a frame's chains: states drawn from the prediction and selected by the likelihood.
 
-A chain samples its target from any start, but it does not leave the mode that it began in: a mode without a start is not found.
+A chain may start anywhere, but it often does not leave the mode in which it started. So a mode without a start is not found.
 """
 
 from typing import Any, Literal, NamedTuple
@@ -20,20 +20,20 @@ type StartsBy = Literal["importance", "annealing"]
 
 
 class Start(NamedTuple):
-    """Where a chain begins: coordinates without limits, and the ancestor that the state was predicted from."""
+    """The start of a chain: unconstrained coordinates, and the ancestor from which the state was predicted."""
 
     position: dict[str, Array]
     ancestor: Int[Array, ""]
 
 
 class Initialisation(NamedTuple):
-    """The starts of all chains, and figures of the search for them.
+    """The starts of all chains, and figures about the search for them.
 
     Attributes:
-        starts: one a chain, along a leading axis.
+        starts: one per chain, along a leading axis.
         log_evidence: an estimate from draws of the prediction, nats.
-        lost: no draw explained the image.
-        evaluations: of the likelihood.
+        lost: whether no draw explained the image.
+        evaluations: number of evaluations of the likelihood.
     """
 
     starts: Start
@@ -43,16 +43,16 @@ class Initialisation(NamedTuple):
 
 
 def by_importance(key: Key, target: Unconstrained, count: int, chains: int, resample: Resample) -> Initialisation:
-    """Sampling importance resampling of draws of the prediction mixture (Poon & Fleet 2002, 4).
+    """Choose starts by sampling importance resampling of draws from the prediction mixture (Poon & Fleet 2002, 4).
 
-    Where the likelihood is much narrower than the prediction only a few of the draws are chosen, each several times.
+    If the likelihood is much narrower than the prediction, only a few of the draws are chosen, each several times.
 
     Args:
-        key: of all draws.
-        target: the marginal view of the frame's density, after the particles of the frame before.
-        count: draws of the prediction mixture.
-        chains: starts.
-        resample: a scheme.
+        key: random key.
+        target: the marginal view of the frame's density, given the particles of the previous frame.
+        count: number of draws from the prediction mixture.
+        chains: number of starts.
+        resample: a resampling scheme.
     """
     ancestor_key, draw_key, resample_key = jax.random.split(key, 3)
     ancestors = resample(ancestor_key, target.density.previous.log_weights, count)
@@ -64,18 +64,18 @@ def by_importance(key: Key, target: Unconstrained, count: int, chains: int, resa
 
 
 def by_annealing(key: Key, target: Unconstrained, count: int, chains: int, resample: Resample) -> Initialisation:
-    """Particles of the annealed filter (Deutscher & Reid 2005) after the same mixture; the starts are drawn from them by weight.
+    """Choose starts by weight among particles of the annealed filter (Deutscher & Reid 2005), which starts from the same mixture.
 
-    Its layers weight by powers of the likelihood at which half of the particles survive. A mode that is worse by some tens of nats keeps a start, and
-    an image or two later it may prove to be the right one. The annealed filter does not estimate the evidence: that comes from as many draws of the
-    prediction.
+    Its layers weight by powers of the likelihood at which half of the particles survive. So a mode that is worse by some tens of nats keeps a start,
+    and one or two images later it may turn out to be the right one. The annealed filter does not estimate the evidence. The estimate uses another
+    `count` draws from the prediction.
 
     Args:
-        key: of all draws.
-        target: as of `by_importance`.
-        count: particles.
-        chains: starts.
-        resample: a scheme.
+        key: random key.
+        target: as for `by_importance`.
+        count: number of particles.
+        chains: number of starts.
+        resample: a resampling scheme.
     """
     importance_key, parent_key, anneal_key, choose_key = jax.random.split(key, 4)
     by_weight = by_importance(importance_key, target, count, chains, resample)

@@ -1,6 +1,6 @@
 r"""A stage of tempered SMC: its state, the Feynman-Kac step through blackjax, and the next temperature.
 
-blackjax declares no types for these functions: they are cast once, here.
+blackjax declares no types for these functions, so they are cast once, here.
 """
 
 from collections.abc import Callable
@@ -14,30 +14,30 @@ from bayes_body.kernels.parts.resampling import Resample
 from bayes_body.kernels.parts.weights import LogWeights
 from bayes_body.shapes import Index, Key, Keys, Scalar
 
-# The log of a likelihood of zero, as particles store it: finite, so that differences between particles are numbers.
+# The log of a likelihood of zero, as stored for particles. It is finite, so that differences between particles are not NaN.
 LOG_ZERO = -1e30
 
 
 def finite_log(log_likelihood: Array) -> Array:
-    """At least `LOG_ZERO`; NaN counts as a likelihood of zero."""
+    """Return the log-likelihood, but at least `LOG_ZERO`. NaN counts as a likelihood of zero."""
     return jnp.maximum(jnp.where(jnp.isnan(log_likelihood), LOG_ZERO, log_likelihood), LOG_ZERO)
 
 
 class Ladder(NamedTuple):
-    """The temperatures of a run, and how particles moved at each: log of the step size, and the whitening. NaN where there was no stage."""
+    """The temperatures of a run, and the log step size and whitening of the moves at each. Entries of unused stages are NaN."""
 
     inverse_temperatures: Float[Array, " stage"]
     log_step_sizes: Float[Array, " stage"]
     whitening: dict[str, Float[Array, "stage dof dof"]]
 
     def with_moves(self, stage: Index, log_step_size: Scalar, whitening: dict[str, Float[Array, "dof dof"]]) -> "Ladder":
-        """With the moves of a stage entered."""
+        """Return the ladder with the moves of a stage entered."""
         roots = {name: self.whitening[name].at[stage].set(root) for name, root in whitening.items()}
         return self._replace(log_step_sizes=self.log_step_sizes.at[stage].set(log_step_size), whitening=roots)
 
 
 class TemperedState(NamedTuple):
-    """What one stage hands to the next. Rates have one value a stage, as the ladder has."""
+    """The state passed from stage to stage. Rates have one value per stage, like the ladder."""
 
     particles: ExtendedParticle
     log_weights: LogWeights
@@ -52,13 +52,13 @@ class TemperedState(NamedTuple):
 
 
 def init_state(particles: ExtendedParticle, log_weights: LogWeights, stages: int, step_size: Callable[[int], float]) -> TemperedState:
-    """At inverse temperature zero, before any stage.
+    """Return the state at inverse temperature zero, before any stage.
 
     Args:
-        particles: of the prediction.
-        log_weights: of the particles, by their constraints.
-        stages: the largest possible number.
-        step_size: of the first moves, by the number of coordinates.
+        particles: particles of the prediction.
+        log_weights: their log-weights, from the constraints.
+        stages: the largest possible number of stages.
+        step_size: the step size of the first moves, as a function of the number of coordinates.
     """
     dtype = log_weights.dtype
     unknown = jnp.full((stages,), jnp.nan, dtype)
@@ -69,7 +69,7 @@ def init_state(particles: ExtendedParticle, log_weights: LogWeights, stages: int
 
 
 class Reweighted(NamedTuple):
-    """Particles after a step, with normalised log-weights; `log_increment` is the log of the mean weight before that."""
+    """Particles after a step, with normalised log-weights. `log_increment` is the log of the mean weight before normalisation."""
 
     particles: Any
     log_weights: LogWeights
@@ -86,16 +86,16 @@ def feynman_kac_step(
     resample: Resample,
     resampled: int,
 ) -> Reweighted:
-    """Resample, move, reweight (`blackjax.smc.base.step`).
+    """Resample, move and reweight particles (`blackjax.smc.base.step`).
 
     Args:
-        key: of the step.
+        key: random key.
         particles: pytree with a leading particle axis.
-        log_weights: of the particles, normalised or not.
-        move: (keys, resampled particles) -> as many particles as there were, and information.
-        log_potential: the new log-weights of all moved particles.
-        resample: a scheme.
-        resampled: how many are resampled; fewer than the particles where `move` returns several states of each.
+        log_weights: log-weights of the particles, normalised or not.
+        move: (keys, resampled particles) -> as many particles as `particles`, and information.
+        log_potential: computes the new log-weights of all moved particles.
+        resample: a resampling scheme.
+        resampled: number of resampled particles; less than the number of particles if `move` returns several states of each.
     """
     from blackjax.smc import base
 
@@ -108,13 +108,13 @@ def feynman_kac_step(
     def update(keys: Keys, parents: Any, _: Any) -> tuple[Any, Any]:
         return move(keys, parents)
 
-    # blackjax calls its arguments so, whatever it declares.
+    # blackjax calls the functions with these arguments, although it declares others.
     after, info = cast(Any, base.step)(key, state, update, log_potential, ancestors, resampled)
     return Reweighted(after.particles, jnp.log(after.weights), info.log_likelihood_increment, info.update_info)
 
 
 def next_increment(log_likelihoods: LogWeights, target_ess: float, most: Scalar) -> Scalar:
-    """The largest step in inverse temperature, up to `most`, after which equal weights have an ESS of at least `target_ess` of the particles."""
+    """Return the largest step in inverse temperature, up to `most`, after which equal weights have an ESS of at least the fraction `target_ess`."""
     from blackjax.smc import ess, solver
 
     relative = log_likelihoods - jnp.max(log_likelihoods)
@@ -123,5 +123,5 @@ def next_increment(log_likelihoods: LogWeights, target_ess: float, most: Scalar)
 
 
 def _bisect(dichotomy: Callable[..., Any]) -> Callable[..., Array]:
-    # Down to float32's resolution: a sharp likelihood's first step may be 1e-7.
+    # Bisect to the resolution of float32, since the first step of a sharp likelihood may be 1e-7.
     return lambda function, low, high: dichotomy(function, low, high, eps=1e-3, max_iter=60)

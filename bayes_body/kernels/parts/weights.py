@@ -1,4 +1,4 @@
-r"""Weights in the log domain, and draws of the prediction with theirs.
+r"""Log-weights, and weighted draws from the prediction.
 
 ESS $= 1 / \sum_i \pi_i^2$ for normalised $\pi$; survival rate = ESS / N (Deutscher & Reid 2005).
 """
@@ -18,7 +18,7 @@ type LogWeights = Float[Array, " particle"]
 
 
 class Normalised(NamedTuple):
-    """Log-weights whose weights sum to one, the log of their sum before, and whether that sum was zero or not finite."""
+    """Normalised log-weights, the log of the sum of the weights before, and whether that sum was zero or not finite."""
 
     log_weights: LogWeights
     log_sum: Scalar
@@ -26,9 +26,9 @@ class Normalised(NamedTuple):
 
 
 def normalise(log_weights: LogWeights) -> Normalised:
-    """NaN counts as weight zero. If no weight is left, all become equal and `lost` is set: the caller goes on from its prediction."""
+    """Normalise log-weights. NaN counts as zero weight. If all weights are zero, they become equal and `lost` is set; then keep the prediction."""
     clean = jnp.where(jnp.isnan(log_weights), -jnp.inf, log_weights)
-    # Differences first: a log-likelihood of some thousands, as of a whole image, leaves 32 bits no decimals for the sum's logarithm.
+    # Differences first. The log-likelihood of a whole image is some thousands, and 32 bits then have no digits left for the logarithm of the sum.
     peak = jnp.max(clean)
     relative = clean - jnp.where(jnp.isfinite(peak), peak, 0.0)
     log_ratio = jax.nn.logsumexp(relative)
@@ -38,41 +38,41 @@ def normalise(log_weights: LogWeights) -> Normalised:
 
 
 def effective_sample_size(log_weights: LogWeights) -> Scalar:
-    """In particles, of normalised or unnormalised log-weights."""
+    """Return the effective sample size, in particles, of normalised or unnormalised log-weights."""
     weights = jnp.exp(log_weights - jnp.max(log_weights))
     return jnp.sum(weights) ** 2 / jnp.sum(weights * weights)
 
 
 class Weighed(NamedTuple):
-    """Proposed states and the two terms of their log-weights; leaves have a leading particle axis, or none."""
+    """Proposed states and the two terms of their log-weights. Leaves have a leading particle axis, or none."""
 
     states: State
     log_likelihoods: Float[Array, "*particle"]
     log_constraints: Float[Array, "*particle"]
 
     def normalised(self) -> Normalised:
-        """The weights L C of all particles."""
+        """Return the normalised weights L C of all particles."""
         return normalise(self.log_likelihoods + self.log_constraints)
 
     def log_evidence(self) -> Scalar:
-        """Log of the sum of L C over the sum of C: the prediction is what its constraints leave of it."""
+        """Return log(sum of L C / sum of C), the evidence relative to the constrained prediction."""
         return self.normalised().log_sum - normalise(self.log_constraints).log_sum
 
 
 def weigh(state: State, previous: State, density: Density) -> Weighed:
-    """One proposed state, with the terms of its log-weight."""
-    # Without the barrier XLA draws the noise anew wherever the state is read.
+    """Return one proposed state with the terms of its log-weight."""
+    # Without the barrier, XLA repeats the draw of the noise wherever the state is read.
     state = jax.lax.optimization_barrier(state)
     return Weighed(state, density.log_likelihood(state, previous), density.log_constraint(state, previous))
 
 
 def predict(key: Key, ancestors: Int[Array, " particle"], density: Density) -> Weighed:
-    """One draw of the motion prior after each of these ancestors, weighed.
+    """Draw one weighted state from the motion prior for each of these ancestors.
 
     Args:
-        key: of all draws.
-        ancestors: indices among the particles that the density holds as the frame before.
-        density: of the frame.
+        key: random key.
+        ancestors: indices among the previous frame's particles in the density.
+        density: the density of the frame.
     """
     keys = jax.random.split(key, ancestors.shape[0])
     return over_particles(_predict_one, (keys, ancestors), density)

@@ -66,7 +66,7 @@ def to_motion(path: Path, capture: Capture, unit: str | float | None, up: str | 
     turn = to_z_up(capture.up if up is None else up)
     rate = capture.fps if fps is None else fps
     if not 0 < rate <= FASTEST_FPS:
-        raise input_error(f"{path}: frames a second", f"{rate:g}", f"a number above 0, at most {FASTEST_FPS:g}", "give the right rate as fps")
+        raise input_error(f"{path}: frames per second", f"{rate:g}", f"a number above 0, at most {FASTEST_FPS:g}", "give the right rate as fps")
     _check_height(path, capture, metres, turn)
     positions = metres * capture.positions @ turn.T
     farthest = float(np.nanmax(np.abs(positions), initial=0.0))

@@ -17,7 +17,7 @@ from bayes_body.recording.mocap.trc import read_trc
 READERS: dict[str, Callable[[Path], Capture]] = {".amc": read_amc, ".bvh": read_bvh, ".c3d": read_c3d, ".trc": read_trc}
 # Formats that do not state the up axis, and whose files differ in it.
 SILENT = (".bvh", ".trc")
-# Largest share of the other axes in the direction from feet to head.
+# Largest component of the unit vector from feet to head along the other axes.
 CLEARLY = 2.0
 
 

@@ -1,4 +1,4 @@
-"""The report of a run: one HTML file with everything in it, for people who want to look into a posterior without writing code."""
+"""The report of a run: one self-contained HTML file, for people who want to inspect a posterior without writing code."""
 
 from bayes_body.view.report.page import write_report
 

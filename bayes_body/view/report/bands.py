@@ -1,4 +1,4 @@
-"""Every dof over time: median, middle half and 90 % of the weighted draws of all runs together."""
+"""Plots of every dof over time: median, middle half and 90 % of the weighted draws of all runs together."""
 
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 SEEKER = (
     "The line is the median of the particles of all runs together. There are no bands: the kernel is a mode seeker, and the spread of its particles "
-    "is no uncertainty."
+    "is not a measure of uncertainty."
 )
 SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
 # A panel spans at least this much, in degrees and metres, so that noise looks like noise.
@@ -30,10 +30,10 @@ class Bands(NamedTuple):
     """Quantiles of the dofs over the frames.
 
     Attributes:
-        frames: which.
-        dofs: names.
-        units: `°` or `m`, a dof each.
-        quantiles: of SHARES, in those units.
+        frames: the frames.
+        dofs: names of the dofs.
+        units: unit of each dof, `°` or `m`.
+        quantiles: the quantiles at the probabilities SHARES, in those units.
     """
 
     frames: range
@@ -43,12 +43,12 @@ class Bands(NamedTuple):
 
 
 def dof_scale(units: tuple[str, ...]) -> Float[np.ndarray, " dof"]:
-    """What radians and metres are multiplied with."""
+    """Return the factors that convert radians to degrees and leave metres unchanged."""
     return np.where(np.array(units) == "m", 1.0, 180 / np.pi)
 
 
 def bands(it: Inspection) -> Bands:
-    """The bands at no more than MOST_POINTS frames, evenly spaced; each run has the same weight."""
+    """Return the bands at no more than MOST_POINTS evenly spaced frames; each run has the same weight."""
     run, found = it.run, []
     frames, endless = range(0, run.frames, frames_a_point(run.frames)), _endless(run)
     for piece in pose_blocks(run.tree, frames):
@@ -60,7 +60,7 @@ def bands(it: Inspection) -> Bands:
 
 
 def _endless(run: "SavedRun") -> Bool[np.ndarray, " dof"]:
-    """Angles without limits, which may turn on and on; none where the run's body can no longer be built."""
+    """Return a mask of the angles without limits, which can exceed a full turn; all False if the run's body can no longer be built."""
     try:
         skeleton = run.model.body.skeleton
     except InputError:
@@ -69,14 +69,14 @@ def _endless(run: "SavedRun") -> Bool[np.ndarray, " dof"]:
 
 
 def band_section(it: Inspection) -> Markup:
-    """Angles and positions over time, grouped by limb."""
+    """Return the section on angles and positions over time, grouped by limb."""
     found, lost = bands(it), it.lost
     step = found.frames.step
     sparse = sparse_frames(step)
     x_label = frame_label(it.fps, sparse)
     legend = (
-        "The line is the median of all runs together, the strong band the middle half of the posterior (25 to 75 %), the faint band "
-        f"90 % of it (5 to 95 %); draws count by their weights.{_remarks(it, sparse)}"
+        "The line is the median of all runs together. The dark band is the middle half of the posterior (25 to 75 %), and the light band is "
+        f"90 % of it (5 to 95 %). The draws' weights are taken into account.{_remarks(it, sparse)}"
     )
     if it.diagnosis.mode_seeker:
         legend = f"{SEEKER}{_remarks(it, sparse)}"
@@ -84,16 +84,16 @@ def band_section(it: Inspection) -> Markup:
     for limb, places in by_limb(found.dofs).items():
         panels = figures(_panel(found, place, lost, x_label, not it.diagnosis.mode_seeker) for place in places)
         parts.append(details(limb, panels, shown=True))
-    return section("angles", "Joint angles and positions over time", *parts)
+    return section("angles", "Angles and positions", *parts)
 
 
 def _remarks(it: Inspection, sparse: str) -> str:
-    lost = " Frames that were lost are shaded orange." if it.lost.any() else ""
-    return f"{lost}{f' Shown is {sparse} frame of {it.run.frames:,}.' if sparse else ''}"
+    lost = " Lost frames are shaded orange." if it.lost.any() else ""
+    return f"{lost}{f' The plots show {sparse} frame of {it.run.frames:,}.' if sparse else ''}"
 
 
 def sparse_frames(step: int) -> str:
-    """`every 3rd`, as far as frames are left out."""
+    """Return for example `every 3rd`; an empty string if no frames are left out."""
     return f"every {_ordinal(step)}" if step > 1 else ""
 
 
@@ -103,7 +103,7 @@ def _ordinal(number: int) -> str:
 
 
 def _panel(found: Bands, place: int, lost: Bool[np.ndarray, " frame"], x_label: str, intervals: bool) -> Picture:
-    """A dof over the frames: the median, and with `intervals` the two bands."""
+    """Return the plot of a dof over the frames: the median, and with `intervals` the two bands."""
     name, unit = found.dofs[place], found.units[place]
     figure, axes = new_panel(spoken(name), x_label, "angle, degrees" if unit == "°" else "position, m", (3.6, 2.1))
     low, first, middle, third, high = found.quantiles[:, :, place]

@@ -1,4 +1,4 @@
-"""How the Markov chains of each frame mixed, and a chain's path over the image, as Poon & Fleet 2002 show it in Fig. 5."""
+"""The section on the mixing of each frame's Markov chains, with a chain's path over the image as in Poon & Fleet 2002, Fig. 5."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -23,44 +23,44 @@ if TYPE_CHECKING:
     pass
 
 ABOUT = (
-    "Each frame is sampled by a few Markov chains, which start from different predictions. Where they agree (R-hat near 1) they have found the same "
-    "posterior of this frame; whether another filter would have come here, the agreement of the runs tells."
+    "Each frame is sampled by a few Markov chains, which start from different predictions. If they agree (R-hat near 1), they have found the same "
+    "posterior of this frame. The agreement of the runs shows whether another run of the filter finds the same posterior."
 )
 PATH = (
-    "The path of one chain of that frame, from its first state behind burn-in (yellow) to its last (violet): a chain that mixes covers the posterior "
-    "many times over, one that does not creeps from one end to the other."
+    "The path of one chain of that frame, from its first state after burn-in (yellow) to its last (violet). A chain that mixes crosses the posterior "
+    "many times. A chain that does not mix moves slowly from one end to the other."
 )
-# States of a path that are drawn, dofs whose autocorrelation is shown, pixels of a picture's side, and WebP's scale to 100.
+# Number of states drawn on a path, of dofs whose autocorrelation is shown, the longest side of a picture in pixels, and WebP's quality (up to 100).
 STATES, SHOWN, WIDEST, QUALITY = 24, 3, 960, 75
 
 
 def chain_section(it: Inspection) -> Markup:
-    """Figures over the frames, autocorrelations and a path at the frame that mixed worst."""
+    """Return the section: figures over the frames, and autocorrelations and a path at the frame with the worst mixing."""
     mixing = it.diagnosis.mixing
     if mixing is None:
-        return section("chains", "Markov chains", tag("p", "The kernel runs none."))
+        return section("chains", "Markov chains", tag("p", "The kernel runs no Markov chains."))
     frame = worst_mixed(mixing)
     draws = _draws(it, mixing, frame)
     known = bool(np.isfinite(mixing.rhat).any())
     parts = [tag("p", ABOUT), figures(_panels(it, mixing))]
-    parts += [figures([_rhat_map(it, mixing)], "wide")] if known else [tag("p", "A single chain a frame, or too few draws, have no R-hat.")]
-    parts += [tag("h3", f"Frame {frame}, which mixed worst"), figures([_autocorrelations(it, mixing, draws, frame)])]
+    parts += [figures([_rhat_map(it, mixing)], "wide")] if known else [tag("p", "There is no R-hat: each frame has a single chain or too few draws.")]
+    parts += [tag("h3", f"Frame {frame}, with the worst mixing"), figures([_autocorrelations(it, mixing, draws, frame)])]
     try:
         pictures = [_path(it, draws[0], frame)]
     except InputError as error:
-        return section("chains", "Did the chains mix?", *parts, tag("p", f"No path is drawn: {error}"))
-    return section("chains", "Did the chains mix?", *parts, tag("p", PATH), figures(pictures, "stills"))
+        return section("chains", "Markov chains", *parts, tag("p", f"No path is drawn: {error}"))
+    return section("chains", "Markov chains", *parts, tag("p", PATH), figures(pictures, "stills"))
 
 
 def worst_mixed(mixing: Mixing) -> int:
-    """The frame of the largest R-hat; without one that of the fewest effective draws."""
+    """Return the frame with the largest R-hat; if there is no R-hat, the frame with the fewest effective draws."""
     if np.isfinite(mixing.rhat).any():
         return int(np.nan_to_num(mixing.rhat, nan=-np.inf).max(axis=(0, 2)).argmax())
     return int(mixing.ess.min(axis=(0, 2)).argmin())
 
 
 def _draws(it: Inspection, mixing: Mixing, frame: int) -> Float[np.ndarray, "chain step dof"]:
-    """Of the first run, radians and metres."""
+    """Return the draws of the first run, radians and metres."""
     (block,) = pose_blocks(it.run.tree, range(frame, frame + 1))
     return by_chain(block.poses[:1], mixing.length)[0, :, :, 0]
 
@@ -69,8 +69,8 @@ def _panels(it: Inspection, mixing: Mixing) -> Iterator[Picture]:
     chains = mixing.acceptance.shape[-1]
     each = f"mean of {chains} chains" if chains > 1 else "of the chain"
     yield _panel(it, mixing.acceptance.mean(axis=-1), "Acceptance", f"probability, {each}", it.limits.acceptance, (-0.03, 1.03))
-    yield _panel(it, mixing.divergences.sum(axis=-1).astype(float), "Divergences", "trajectories a frame", (), (0.0, None))
-    yield _panel(it, mixing.ess.min(axis=-1), "Effective draws", f"of {it.diagnosis.particles:,}, the least of the dofs", (), (0.0, None))
+    yield _panel(it, mixing.divergences.sum(axis=-1).astype(float), "Divergences", "trajectories per frame", (), (0.0, None))
+    yield _panel(it, mixing.ess.min(axis=-1), "Effective draws", f"of {it.diagnosis.particles:,}, minimum over dofs", (), (0.0, None))
     yield _panel(it, mixing.energy_fraction.mean(axis=-1), "Energy", f"E-BFMI, {each}", (it.limits.energy_fraction,), (0.0, None))
     yield _panel(it, mixing.step.mean(axis=-1), "Step", f"factor, {each}", (), (0.0, None))
 
@@ -98,12 +98,12 @@ def _rhat_map(it: Inspection, mixing: Mixing) -> Picture:
     worst = np.where(np.isneginf(worst), np.nan, worst)
     limit = it.limits.markov_rhat
     alt = f"R-hat over the chains of every dof and frame, at most {np.nanmax(worst):.2f}."
-    return dof_map(it, worst, "R-hat over the chains", limit, alt, f"The colour grows with R-hat; the line on its scale is the limit {limit:g}.")
+    return dof_map(it, worst, "R-hat over the chains", limit, alt, f"Darker is larger. The line on the colour scale is the limit {limit:g}.")
 
 
 def _autocorrelations(it: Inspection, mixing: Mixing, draws: Float[np.ndarray, "chain step dof"], frame: int) -> Picture:
-    """Of the dofs with the fewest effective draws."""
-    figure, axes = new_panel("Autocorrelation", "draws apart", "correlation")
+    """Return the plot of the autocorrelations of the dofs with the fewest effective draws."""
+    figure, axes = new_panel("Autocorrelation", "lag, draws", "correlation")
     order = np.argsort(mixing.ess[0, frame], kind="stable")[:SHOWN].tolist()
     for dof, colour in zip(order, RUNS, strict=False):
         values = autocorrelation(draws[:, :, dof])
@@ -118,7 +118,7 @@ def _autocorrelations(it: Inspection, mixing: Mixing, draws: Float[np.ndarray, "
 
 
 def _path(it: Inspection, chain: Float[np.ndarray, "step dof"], frame: int) -> Picture:
-    """The outlines of evenly spaced states of a chain over the first camera that saw the frame."""
+    """Return the picture of a chain's path: outlines of evenly spaced states over the image of the first camera that saw the frame."""
     session = it.run.session
     model = seen_in(it.run.model, session, frame)
     shown = _camera(it, frame)
@@ -144,7 +144,7 @@ def _camera(it: Inspection, frame: int) -> int:
 
 
 def _about(image: MatLike, polygons: list[Float[np.ndarray, "_ 2"]]) -> MatLike:
-    """The part of an image that the polygons lie in, with a margin, as large as a page takes."""
+    """Return the part of an image that contains the polygons, with a margin, scaled to at most WIDEST pixels."""
     if polygons:
         corners = np.concatenate(polygons)
         size, margin = np.array(image.shape[1::-1]), 0.25 * np.ptp(corners, axis=0).max()

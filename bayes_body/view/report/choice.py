@@ -1,4 +1,4 @@
-"""Which frames and dofs are looked at closely, and draws of equal weight there."""
+"""Choose the frames and dofs that are shown in detail, and draw samples of equal weight there."""
 
 from typing import NamedTuple
 
@@ -17,8 +17,8 @@ class Sample(NamedTuple):
     """Draws of equal weight at one frame.
 
     Attributes:
-        frame: which.
-        poses: degrees and metres.
+        frame: index of the frame.
+        poses: the drawn poses, degrees and metres.
     """
 
     frame: int
@@ -26,30 +26,33 @@ class Sample(NamedTuple):
 
 
 def worst_frame(it: Inspection) -> int:
-    """That of the largest R-hat; without one that of the fewest effective particles."""
+    """Return the frame with the largest R-hat; if there is no R-hat, the frame with the fewest effective particles."""
     if it.agreement_known:
         return int(np.nan_to_num(it.diagnosis.rhat, nan=-np.inf).max(axis=1).argmax())
     return int(it.diagnosis.ess.min(axis=0).argmin())
 
 
 def chosen_frames(it: Inspection) -> list[int]:
-    """The first, the worst and the last, each once."""
+    """Return the first, the worst and the last frame, without repetition."""
     return sorted({0, worst_frame(it), len(it.diagnosis.lost[0]) - 1})
 
 
 def chosen_dofs(it: Inspection) -> list[int]:
-    """Those that disagree most in some frame; with a single run those that spread most in its worst frame, angles before positions."""
+    """Return the dofs with the largest R-hat in some frame.
+
+    If there is no R-hat, return those with the largest spread in the worst frame, in degrees or metres: angles come before positions.
+    """
     if it.agreement_known:
         figures_of = np.nan_to_num(it.diagnosis.rhat, nan=-np.inf).max(axis=0)
     else:
         figures_of = equal_weight_sample(it, worst_frame(it)).poses.std(axis=(0, 1))
     ordered = np.argsort(-figures_of, kind="stable")[:DOFS].tolist()
-    # A dof that never moves has no R-hat and no spread: there is nothing to plot of it.
+    # A dof that never moves has no R-hat and no spread: there is nothing to plot.
     return [dof for dof in ordered if figures_of[dof] > 0]
 
 
 def equal_weight_sample(it: Inspection, frame: int) -> Sample:
-    """Systematic draws in random order, as many as the smallest effective sample size of the runs, within bounds."""
+    """Return systematic draws in random order. Their number is the smallest effective sample size of the runs, within FEWEST_DRAWS and MOST_DRAWS."""
     ess = float(np.nanmin(it.diagnosis.ess[:, frame]))
     count = round(np.clip(ess, FEWEST_DRAWS, MOST_DRAWS))
     (block,) = pose_blocks(it.run.tree, range(frame, frame + 1))

@@ -1,7 +1,7 @@
 """ArviZ's plots of a dof at a frame, and of all angles of a frame.
 
-Nothing in ArviZ knows weights: it is given draws of equal weight, as many a run as the run's effective sample size at that frame, so that their
-number promises no more than the weights hold.
+ArviZ does not use weights. It is given draws of equal weight, as many as the smallest effective sample size of the runs at that frame, so that the
+plots do not look more precise than the weighted draws are.
 """
 
 from collections.abc import Callable, Iterator
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Beyond so many runs a forest shows them together.
+# With more runs than this, a forest plot pools them.
 FOREST_RUNS = 4
-# Effective draws that quantiles need (Vehtari et al. 2021).
+# Number of effective draws that quantiles need (Vehtari et al. 2021).
 ENOUGH = 400
 
 
 @contextmanager
 def arviz_plots() -> Iterator[None]:
-    """ArviZ draws through pyplot: without a window, whatever the caller's backend is."""
+    """Within it, pyplot, which ArviZ uses, draws without a window. The caller's backend is restored at the end."""
     import matplotlib as mpl
 
     before = mpl.get_backend()
@@ -43,7 +43,7 @@ def arviz_plots() -> Iterator[None]:
 
 
 def _taken(draw: Callable[..., Any], size: tuple[float, float], **arguments: Any) -> "Figure":
-    """The figure that a plot of ArviZ makes, taken from pyplot's hands."""
+    """Return the figure that an ArviZ plot makes, and close it in pyplot."""
     import matplotlib.pyplot as plt
 
     collection = draw(backend="matplotlib", figure_kwargs={"figsize": size}, **arguments)
@@ -60,7 +60,7 @@ def _tree(values: Float[np.ndarray, "run draw"]) -> "xr.DataTree":
 
 
 def _named(it: Inspection, sample: Sample, dof: int) -> tuple[str, str]:
-    """Title of a panel, and unit."""
+    """Return the title of a panel and the dof's unit."""
     return f"{spoken(it.dofs[dof])}, frame {sample.frame}", it.units[dof]
 
 
@@ -77,14 +77,14 @@ def _label(figure: "Figure", title: str, x: str, y: str) -> "Axes":
 
 
 def rank_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
-    """Where the draws of each run stand among those of all, as the difference from an even share (Säilynoja, Bürkner & Vehtari 2022)."""
+    """Return the rank plot: the ranks of each run's draws among all draws, as the difference from uniform (Säilynoja, Bürkner & Vehtari 2022)."""
     import arviz as az
 
     title, _ = _named(it, sample, dof)
     values, rhat = sample.poses[..., dof], it.diagnosis.rhat[sample.frame, dof]
     figure = _taken(az.plot_rank, PANEL, dt=_tree(values), visuals={"remove_axis": False})
-    axes = _label(figure, f"{spoken(it.dofs[dof])}: R-hat {rhat:.2f}", f"rank among all draws of frame {sample.frame}", "share above an even one")
-    # A test's p-value and its points: it takes draws for independent, and has no option to be left out.
+    axes = _label(figure, f"{spoken(it.dofs[dof])}: R-hat {rhat:.2f}", f"rank among all draws of frame {sample.frame}", "difference from uniform")
+    # Remove the p-value and the points of ArviZ's test: it assumes independent draws, and no option turns it off.
     for artist in (*axes.texts, *axes.collections):
         artist.remove()
     places = np.linspace(0, 1, 101)
@@ -96,7 +96,7 @@ def rank_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
 
 
 def distribution_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
-    """For each run the share of its draws below each value."""
+    """Return the distribution plot: for each run, the fraction of its draws below each value."""
     import arviz as az
 
     title, unit = _named(it, sample, dof)
@@ -104,14 +104,14 @@ def distribution_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
     hidden = dict.fromkeys(("point_estimate", "point_estimate_text", "credible_interval", "remove_axis"), False)
     by_run = {"sample_dims": ["draw"], "cols": [], "aes": {"color": ["chain"]}}
     figure = _taken(az.plot_dist, PANEL, dt=_tree(values), kind="ecdf", visuals=hidden, **by_run)
-    axes = _label(figure, title, "angle, degrees" if unit == "°" else "position, m", "share of the draws below")
+    axes = _label(figure, title, "angle, degrees" if unit == "°" else "position, m", "fraction of draws below")
     if 1 < it.runs <= LEGEND:
         axes.legend(axes.get_lines()[: it.runs], [f"run {run + 1}" for run in range(it.runs)], loc="best", handlelength=1.2)
     return encoded(figure, f"Distribution of {title}, by run: means {', '.join(f'{mean:.3g} {unit}' for mean in values.mean(axis=1))}.")
 
 
 def growth_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
-    """ArviZ's effective sample size as draws are added."""
+    """Return the plot of ArviZ's effective sample size as draws are added."""
     import arviz as az
 
     title, _ = _named(it, sample, dof)
@@ -124,7 +124,7 @@ def growth_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
 
 
 def forest_plot(it: Inspection, sample: Sample) -> Picture:
-    """Median and intervals of every angle, by run, from the median of all runs."""
+    """Return the plot of the median and intervals of every angle, by run, relative to the median of all runs."""
     import arviz as az
     import xarray as xr
 
@@ -148,7 +148,7 @@ def forest_plot(it: Inspection, sample: Sample) -> Picture:
 
 
 def _set_forest(figure: "Figure", title: str) -> None:
-    """Names left, intervals right, and room for both."""
+    """Put the names on the left and the intervals on the right, with enough room for both."""
     names, intervals = figure.axes
     (width, height), (_, right, bottom, top) = figure.get_size_inches(), MARGINS
     edge, low, high = 1.75 / width, bottom / height, 1 - top / height

@@ -1,4 +1,4 @@
-"""R-hat of every dof and frame as a map: dofs down, frames across."""
+"""R-hat of every dof and frame as a map: one row for each dof, frames from left to right."""
 
 import numpy as np
 from jaxtyping import Float
@@ -10,7 +10,7 @@ from bayes_body.view.report.markup import Picture
 
 
 def dof_map(it: Inspection, rhat: Float[np.ndarray, "frame dof"], title: str, limit: float, alt: str, caption: str) -> Picture:
-    """The map; the limit is a line on the scale of its colours."""
+    """Return the map; a line on the colour scale marks the limit."""
     from matplotlib.ticker import MaxNLocator
 
     frames, count = rhat.shape
@@ -35,7 +35,7 @@ def dof_map(it: Inspection, rhat: Float[np.ndarray, "frame dof"], title: str, li
 
 
 def _binned(values: Float[np.ndarray, "frame dof"]) -> Float[np.ndarray, "bin dof"]:
-    """The largest of each bin of frames: none that disagrees shall fall between two pixels."""
+    """Return the largest value in each bin of frames, so that no single large value is lost between pixels."""
     known = np.nan_to_num(values, nan=-np.inf)
     largest = np.stack([known[piece].max(axis=0) for piece in bins(len(values))])
     return np.where(np.isneginf(largest), np.nan, largest)

@@ -1,7 +1,8 @@
-"""How a plot of the report looks, and how it gets into the page: as SVG, or as PNG where that is smaller.
+"""Style of the report's plots, and their encoding for the page: as SVG, or as PNG where that is smaller.
 
-Plots are small, one panel each, so that they stand side by side on a wide screen and one below the other on a narrow one without shrinking. They are
-drawn in dark ink on nothing: a dark page inverts them. The colours of runs are Okabe's and Ito's, which the colour-blind tell apart.
+Plots are small, with one panel each. They stand side by side on a wide screen and below each other on a narrow one, without shrinking. They are
+drawn in dark ink on a transparent background, and a dark page inverts them. The colours of runs are those of Okabe and Ito, which colour-blind
+people can distinguish.
 """
 
 import base64
@@ -23,11 +24,11 @@ if TYPE_CHECKING:
 RUNS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#000000")
 INK, GREY, LOST = "#1b1f24", "#6b7280", "#D55E00"
 PANEL = (3.6, 2.5)
-# Beyond so many runs a legend would hide what it explains.
+# With more runs than this, a legend would cover the plot.
 LEGEND = 6
-# Inches around the axes, left, right, bottom, top: the same in all panels, so that their axes stand in line.
+# Margins around the axes in inches: left, right, bottom, top. They are the same in all panels, so that the axes are aligned.
 MARGINS = (0.66, 0.14, 0.5, 0.28)
-# Points on a line beyond which several frames share one, and bytes of an SVG beyond which a PNG is tried.
+# With more points on a line than this, several frames share a point; above this number of bytes of an SVG, a PNG is tried.
 MOST_POINTS, LARGE_SVG = 400, 50_000
 STYLE: Any = {
     "axes.axisbelow": True,
@@ -50,7 +51,7 @@ STYLE: Any = {
     "lines.linewidth": 1.3,
     "path.simplify_threshold": 0.5,
     "savefig.transparent": True,
-    # The same run makes the same page.
+    # Makes the page reproducible: the same run gives the same page.
     "svg.hashsalt": "bayes_body",
     "xtick.labelsize": 8.5,
     "ytick.labelsize": 8.5,
@@ -59,7 +60,7 @@ STYLE: Any = {
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Within it, plots are drawn as the report's."""
+    """Within it, plots have the report's style."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
@@ -67,7 +68,7 @@ def style() -> Iterator[None]:
 
 
 def new_panel(title: str, x: str, y: str, size: tuple[float, float] = PANEL) -> "tuple[Figure, Axes]":
-    """An empty panel: a figure that no window and no global state knows of."""
+    """Return an empty panel: a figure without a window and without pyplot's global state."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -80,20 +81,20 @@ def new_panel(title: str, x: str, y: str, size: tuple[float, float] = PANEL) -> 
 
 
 def set_margins(figure: "Figure", left: float = MARGINS[0], right: float = MARGINS[1]) -> None:
-    """Leave room around the axes for what is written there, `left` and `right` in inches."""
+    """Leave room around the axes for their labels, `left` and `right` in inches."""
     (width, height), (_, _, bottom, top) = figure.get_size_inches(), MARGINS
     figure.subplots_adjust(left=left / width, right=1 - right / width, bottom=bottom / height, top=1 - top / height)
 
 
 def log_counts(axes: "Axes", most: int) -> None:
-    """Counts from 1 to `most` on a logarithmic scale, written out."""
+    """Set a logarithmic scale for counts from 1 to `most`, with numbers written out."""
     axes.set_yscale("log")
     axes.set_ylim(0.8, most * 1.3)
     axes.yaxis.set_major_formatter("{x:,.0f}")
 
 
 def log_values(axes: "Axes") -> None:
-    """A logarithmic scale of what is drawn already, written out; where it spans less than a power of ten, between these too."""
+    """Set a logarithmic scale with numbers written out. If the plot spans less than a power of ten, minor ticks have numbers too."""
     from matplotlib.ticker import NullFormatter
 
     axes.set_yscale("log")
@@ -104,7 +105,7 @@ def log_values(axes: "Axes") -> None:
 
 
 def encoded(figure: "Figure", alt: str, caption: str = "") -> Picture:
-    """The figure as a picture of the page."""
+    """Return the figure as a picture for the page."""
     image = io.BytesIO()
     figure.savefig(image, format="svg", metadata={"Date": None})
     kind = "svg+xml"
@@ -117,12 +118,12 @@ def encoded(figure: "Figure", alt: str, caption: str = "") -> Picture:
 
 
 def data_uri(kind: str, content: bytes) -> str:
-    """The content as an address that holds it."""
+    """Return a `data:` URI that contains the content."""
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def draw_runs(axes: "Axes", frames: NDArray[np.integer], values: Float[np.ndarray, "run frame"]) -> None:
-    """A line a run over the frames; where frames outnumber the points, a bin's median, and a band from its least to its most."""
+    """Draw one line for each run over the frames. If frames share points, draw each bin's median, and a band from its minimum to its maximum."""
     binned = bins(len(frames))
     for run, line in enumerate(values):
         colour = RUNS[run % len(RUNS)]
@@ -141,36 +142,36 @@ def _of(piece: Callable[..., np.floating], values: NDArray[np.floating]) -> floa
 
 
 def _mark(frames: int) -> dict[str, Any]:
-    # A line through two or three frames is hard to see without its points, and one frame is no line.
+    # A line through two or three frames is hard to see without markers, and a single frame gives no line.
     return {"marker": "o", "markersize": 3.5} if frames <= 12 else {}
 
 
 def frames_a_point(frames: int) -> int:
-    """How many frames share a point of a line."""
+    """Return the number of frames that share a point of a line."""
     return -(-frames // MOST_POINTS)
 
 
 def bins(frames: int) -> Sequence[slice]:
-    """The frames in at most MOST_POINTS slices of equal length, the last may be shorter."""
+    """Return the frames in at most MOST_POINTS slices of equal length; the last one can be shorter."""
     size = frames_a_point(frames)
     return [slice(start, min(start + size, frames)) for start in range(0, frames, max(size, 1))]
 
 
 def frame_label(fps: float | None, thinned: str = "") -> str:
-    """What stands below an axis of frames: their rate, and how they are thinned."""
-    rate = f" ({fps:g} a second)" if fps else ""
+    """Return the label of an axis of frames: their rate, and how they are thinned."""
+    rate = f" ({fps:g} per second)" if fps else ""
     return f"frame{rate}" + (f"; {thinned}" if thinned else "")
 
 
 def shade_lost(axes: "Axes", lost: Bool[np.ndarray, " frame"]) -> None:
-    """Shade the frames that were lost."""
+    """Shade the lost frames."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
     for start, stop in edges.reshape(-1, 2):
         axes.axvspan(start - 0.5, stop - 0.5, color=LOST, alpha=0.18, linewidth=0)
 
 
 def whole_frames(axes: "Axes", frames: int) -> None:
-    """Ticks at whole frames, and no empty margin."""
+    """Put ticks at whole frames, and leave no empty margin."""
     from matplotlib.ticker import MaxNLocator
 
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True, min_n_ticks=1))

@@ -1,4 +1,4 @@
-"""The filter over the frames: effective particles, weights, layers, evidence, ancestry, and which cameras it saw."""
+"""The section on the filter over the frames: effective particles, weights, ancestors, log-evidence, layers, and the cameras in use."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
 
 def filter_section(it: Inspection) -> Markup:
-    """All panels that the kernel has something to show in."""
+    """Return the section with all panels for which the kernel has data."""
     panels = [panel for part in (_weights, _ancestry, _evidence, _layers, _cameras) for panel in part(it)]
-    colours = "A line is a run." if it.runs > 1 else "There is a single run."
-    lost = " Frames that were lost are shaded orange." if it.lost.any() else ""
-    parts = [tag("p", f"{colours} Dashed lines are limits beyond which the findings speak.{lost}")]
+    colours = "Each line is a run." if it.runs > 1 else "There is a single run."
+    lost = " Lost frames are shaded orange." if it.lost.any() else ""
+    parts = [tag("p", f"{colours} Dashed lines are the limits beyond which there is a warning.{lost}")]
     if it.diagnosis.mode_seeker:
-        parts.append(tag("p", f"The kernel {it.diagnosis.kernel} estimates no evidence: there is no panel of it."))
-    return section("filter", "The filter, frame by frame", *parts, figures(panels))
+        parts.append(tag("p", f"The kernel {it.diagnosis.kernel} estimates no evidence, so there is no panel for it."))
+    return section("filter", "Filter", *parts, figures(panels))
 
 
 def _weights(it: Inspection) -> Iterator[Picture]:
@@ -48,7 +48,7 @@ def _weights(it: Inspection) -> Iterator[Picture]:
         _limit(axes, least)
     _legend(axes, it.runs)
     yield encoded(figure, f"Effective sample size over the frames, median {np.median(diagnosis.ess):.0f} of {count} particles.")
-    # The weights of a mode seeker are no importance weights.
+    # The weights of a mode seeker are not importance weights.
     if np.isfinite(diagnosis.pareto_k).any() and not diagnosis.mode_seeker:
         figure, axes = new_panel("Tail of the weights", it.x_label, "Pareto k")
         _draw(axes, it, np.where(np.isfinite(diagnosis.pareto_k), diagnosis.pareto_k, np.nan))
@@ -68,7 +68,7 @@ def _ancestry(it: Inspection) -> Iterator[Picture]:
         log_counts(axes, diagnosis.particles)
         if lag == 1:
             _limit(axes, it.limits.ancestors)
-        yield encoded(figure, f"How many particles {back} have descendants, at least {np.nanmin(counts):.0f}.")
+        yield encoded(figure, f"Number of particles {back} that have descendants, at least {np.nanmin(counts):.0f}.")
 
 
 def _evidence(it: Inspection) -> Iterator[Picture]:
@@ -77,7 +77,7 @@ def _evidence(it: Inspection) -> Iterator[Picture]:
         return
     figure, axes = new_panel("Log-evidence of a frame", it.x_label, "nats")
     _draw(axes, it, np.where(np.isfinite(diagnosis.log_evidence), diagnosis.log_evidence, np.nan))
-    yield encoded(figure, "Log-evidence of each frame given those before it.")
+    yield encoded(figure, "Log-evidence of each frame given the frames before it.")
     spread = diagnosis.evidence_sd_frames
     if np.isfinite(spread).any():
         figure, axes = new_panel("Spread of the log-evidence", it.x_label, "sd over the runs, nats")
@@ -87,7 +87,7 @@ def _evidence(it: Inspection) -> Iterator[Picture]:
 
 
 def _layers(it: Inspection) -> Iterator[Picture]:
-    """Survival rates, inverse temperatures and acceptance of each layer, the median of the runs; kernels without layers have none."""
+    """Yield plots of survival rates, inverse temperatures and acceptance of each layer, as medians of the runs; none for kernels without layers."""
     from matplotlib.ticker import MaxNLocator
 
     group = it.run.tree["filter"]
@@ -97,15 +97,15 @@ def _layers(it: Inspection) -> Iterator[Picture]:
     if rates.shape[-1] > 1:
         numbers = np.isfinite(rates).sum(axis=-1).astype(float)
         if np.ptp(numbers):
-            figure, axes = new_panel("Layers", it.x_label, "layers a frame")
+            figure, axes = new_panel("Layers", it.x_label, "layers per frame")
             _draw(axes, it, numbers)
             axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
-            yield encoded(figure, f"Layers of each frame, from {numbers.min():.0f} to {numbers.max():.0f}.")
-        yield _by_layer(it, rates, "Survival rate of a layer", "share of particles", False)
+            yield encoded(figure, f"Number of layers in each frame, from {numbers.min():.0f} to {numbers.max():.0f}.")
+        yield _by_layer(it, rates, "Survival rate of a layer", "fraction of particles", False)
         yield _by_layer(it, powers, "Inverse temperature of a layer", "power of the likelihood", True)
-    # Of Markov chains, a section of their own shows it.
+    # The acceptance of Markov chains is shown in their own section.
     if np.isfinite(it.diagnosis.acceptance_rate).any() and it.diagnosis.mixing is None:
-        yield _by_layer(it, it.diagnosis.acceptance_rate, "Acceptance of a layer", "share of moves", False, it.limits.acceptance)
+        yield _by_layer(it, it.diagnosis.acceptance_rate, "Acceptance of a layer", "fraction of moves", False, it.limits.acceptance)
 
 
 def _by_layer(
@@ -153,12 +153,12 @@ def _median(values: Float[np.ndarray, "run some"]) -> float:
 
 
 def _cameras(it: Inspection) -> Iterator[Picture]:
-    """A strip a camera: dark where its picture was of use."""
+    """Yield a plot with one strip for each camera, coloured in the frames in which its image was used."""
     diagnosis = it.diagnosis
     if diagnosis.seen is None:
         return
     count = diagnosis.seen.shape[1]
-    figure, axes = new_panel("Cameras that were seen", frame_label(it.fps), "camera", (3.6, max(1.6, 0.9 + 0.25 * count)))
+    figure, axes = new_panel("Cameras in use", frame_label(it.fps), "camera", (3.6, max(1.6, 0.9 + 0.25 * count)))
     for camera in range(count):
         axes.broken_barh(_stretches(diagnosis.seen[:, camera]), (camera - 0.35, 0.7), color=RUNS[0], linewidth=0)
     axes.set_yticks(range(count), [_short(name) for name in diagnosis.cameras])
@@ -167,11 +167,11 @@ def _cameras(it: Inspection) -> Iterator[Picture]:
     whole_frames(axes, diagnosis.seen.shape[0])
     axes.set_xlim(-0.5, diagnosis.seen.shape[0] - 0.5)
     alone = "; ".join(f"{name} in {share:.0%}" for name, share in zip(diagnosis.cameras, diagnosis.seen.mean(axis=0), strict=True))
-    yield encoded(figure, f"Which cameras were of use, of all frames: {alone}.")
+    yield encoded(figure, f"Fraction of frames in which each camera was used: {alone}.")
 
 
 def _stretches(seen: Bool[np.ndarray, " frame"]) -> list[tuple[float, float]]:
-    """(start, width) of each stretch of frames."""
+    """Return (start, width) of each stretch of frames."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], seen.astype(int), [0]]))).reshape(-1, 2)
     return [(start - 0.5, float(stop - start)) for start, stop in edges.tolist()]
 

@@ -1,4 +1,4 @@
-"""The head of the page: the result in a line, the figures with their units, and the warnings."""
+"""The head of the page: the result in one line, and the key figures with their units; and the section of warnings."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -12,33 +12,33 @@ from bayes_body.view.report.markup import Markup, joined, section, table, tag
 if TYPE_CHECKING:
     from bayes_body.posterior.diagnostics import Diagnosis
 
-# Key of summary.json, what it is, how it is written.
+# Key of summary.json, label, format.
 WHAT = (
     ("frames", "frames", "{:,}"),
-    ("frames_lost", "of them lost", "{:,}"),
+    ("frames_lost", "lost frames", "{:,}"),
     ("cameras", "cameras", "{}"),
     ("dof", "degrees of freedom", "{}"),
     ("runs", "independent runs", "{}"),
-    ("particles", "particles a run", "{:,}"),
-    ("layers", "layers a frame", "{}"),
+    ("particles", "particles per run", "{:,}"),
+    ("layers", "layers per frame", "{}"),
 )
 # Only for a session with a truth.
 TRUTH = (
     ("error_mm_mean", "distance from the true markers", "{:.0f} mm"),
-    ("coverage_90", "share of the truth inside the 90 % intervals", "{:.2f}"),
+    ("coverage_90", "fraction of the truth inside the 90 % intervals", "{:.2f}"),
 )
 QUALITY = (
     ("iou_median", "overlap with the silhouettes (IoU), median", "{:.3f}"),
     ("marker_disagreement_mm", "distance between the runs' mean markers", "{:.1f} mm"),
-    ("seconds_per_frame", "time a frame, all runs", "{:.3g} s"),
+    ("seconds_per_frame", "time per frame, all runs", "{:.3g} s"),
     ("seconds_compile", "compilation", "{:.1f} s"),
-    ("evaluations_per_second", "evaluations of the likelihood", "{:,.0f} a second"),
-    ("peak_memory_mb", "largest memory", "{:,.0f} MB"),
+    ("evaluations_per_second", "evaluations of the likelihood", "{:,.0f} per second"),
+    ("peak_memory_mb", "peak memory", "{:,.0f} MB"),
 )
 
 
 def verdict(summary: Mapping[str, Any], warnings: Sequence[str], agreement_known: bool) -> Markup:
-    """The result in a line, then whether a limit is crossed: the gravest warning and the number of the others."""
+    """Return the result in one line, then whether a limit is crossed: the most serious warning and the number of the others."""
     result = _result(summary)
     if not warnings:
         return joined([*result, "The runs agree; no limit is crossed." if agreement_known else "No limit is crossed."])
@@ -48,7 +48,7 @@ def verdict(summary: Mapping[str, Any], warnings: Sequence[str], agreement_known
 
 
 def _result(summary: Mapping[str, Any]) -> list[str]:
-    """What was found: frames, overlap, and with a truth the error and the coverage; nothing if the run has no summary."""
+    """Return a sentence with the frames and the overlap, and with a truth the error and the coverage; nothing if the run has no summary."""
     if summary.get("frames") is None:
         return []
     figures = (("iou_median", "overlap with the silhouettes {:.2f}"), ("error_mm_mean", "mean markers {:.0f} mm from the truth"))
@@ -60,16 +60,16 @@ def _result(summary: Mapping[str, Any]) -> list[str]:
 
 
 def sentence(text: str, capital: bool = True) -> Markup:
-    """With a capital first, and options of the command line in code."""
+    """Return the sentence with a capital first letter, and with command-line options as code."""
     parts = re.split(r"(--[a-z-]+)", (text[:1].upper() if capital else text[:1]) + text[1:])
     return Markup("".join(tag("code", part) if part.startswith("--") else joined([part]) for part in parts))
 
 
 def key_figures(summary: Mapping[str, Any], diagnosis: "Diagnosis") -> Markup:
-    """The main figures. A figure that does not exist is a dash; figures that need a truth are left out without one."""
+    """Return the main figures. A figure that does not exist is a dash; figures that need a truth are left out without one."""
     known = [row for row in TRUTH if summary.get(row[0]) is not None]
     what, truth, quality = ([(label, written(summary[key], form)) for key, label, form in rows if key in summary] for rows in (WHAT, known, QUALITY))
-    ess = f"{np.median(diagnosis.ess):.0f} (median), {diagnosis.ess.min():.0f} (least) of {diagnosis.particles:,}"
+    ess = f"{np.median(diagnosis.ess):.0f} (median), {diagnosis.ess.min():.0f} (minimum) of {diagnosis.particles:,}"
     rhat = written(_largest(diagnosis.rhat), "{:.2f}")
     mine = [("effective particles", ess), ("R-hat over the runs, at most", rhat), ("log-evidence", _evidence(diagnosis))]
     return tag("div", table((), what), table((), [*truth, *mine, *quality]), class_="pair")
@@ -90,13 +90,13 @@ def _evidence(diagnosis: "Diagnosis") -> str:
 
 
 def written(value: Any, form: str) -> str:
-    """The value in that form, or a dash where there is none."""
+    """Return the value in that format, or a dash if there is none."""
     missing = value is None or (isinstance(value, float) and not np.isfinite(value))
     return "–" if missing else form.format(value) if isinstance(value, int | float) else str(value)
 
 
 def findings(warnings: Sequence[str]) -> Markup:
-    """The warnings, each with its remedy."""
+    """Return the section of warnings, each with its remedy."""
     if not warnings:
-        return section("findings", "Warnings", tag("p", "No limit is crossed."))
-    return section("findings", "Warnings", tag("ol", *(tag("li", sentence(each)) for each in warnings)))
+        return section("warnings", "Warnings", tag("p", "No limit is crossed."))
+    return section("warnings", "Warnings", tag("ol", *(tag("li", sentence(each)) for each in warnings)))

@@ -1,4 +1,4 @@
-"""What all parts of the page share: the run, its diagnosis and its warnings, each computed on first use."""
+"""Data shared by all parts of the page: the run, its diagnosis and its warnings, each computed on first use."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """A run under inspection.
+    """A run that is reported.
 
     Attributes:
-        run: read back from its folder.
-        limits: beyond which a figure becomes a warning.
+        run: the run, loaded from its folder.
+        limits: limits beyond which a figure gives a warning.
     """
 
     run: "SavedRun"
@@ -30,17 +30,17 @@ class Inspection:
 
     @cached_property
     def diagnosis(self) -> Diagnosis:
-        """Its figures, frame by frame."""
+        """The run's diagnostic figures in every frame."""
         return diagnose(self.run)
 
     @cached_property
     def warnings(self) -> list[str]:
-        """A sentence for each limit that is crossed, and for frames in which the body is off the person."""
+        """A sentence for each limit that is crossed, and for frames in which the body is not on the person."""
         return [*fit_sentences(self.run.summary), *sentences(self.diagnosis, self.limits)]
 
     @property
     def runs(self) -> int:
-        """How many independent runs."""
+        """Number of independent runs."""
         return self.diagnosis.ess.shape[0]
 
     @property
@@ -50,12 +50,12 @@ class Inspection:
 
     @property
     def agreement_known(self) -> bool:
-        """Whether there is an R-hat at all."""
+        """Whether any R-hat exists."""
         return bool(np.isfinite(self.diagnosis.rhat).any())
 
     @cached_property
     def fps(self) -> float | None:
-        """Frames a second; None where the session can no longer be read."""
+        """Frames a second; None if the session can no longer be read."""
         try:
             return self.run.fps
         except InputError:
@@ -63,7 +63,7 @@ class Inspection:
 
     @property
     def has_truth(self) -> bool:
-        """Whether the session names true markers; not where it can no longer be read."""
+        """Whether the session names true markers; False if it can no longer be read."""
         try:
             return self.run.session.truth is not None
         except InputError:
@@ -71,9 +71,9 @@ class Inspection:
 
     @property
     def x_label(self) -> str:
-        """What stands below an axis of frames whose points are bins."""
+        """Label of an axis of frames whose points are bins."""
         size = frames_a_point(self.run.frames)
-        return frame_label(self.fps, f"{size} a point" if size > 1 else "")
+        return frame_label(self.fps, f"{size} per point" if size > 1 else "")
 
     @cached_property
     def dofs(self) -> tuple[str, ...]:
@@ -82,5 +82,5 @@ class Inspection:
 
     @cached_property
     def units(self) -> tuple[str, ...]:
-        """`°` or `m`, a dof each."""
+        """Unit of each dof, `°` or `m`."""
         return tuple("m" if unit == "m" else "°" for unit in np.asarray(self.run.tree["posterior"]["unit"]).astype(str))

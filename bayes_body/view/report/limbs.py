@@ -1,21 +1,21 @@
-"""What dofs are called by people, and which limb they belong to."""
+"""Readable names of dofs, and the limbs to which they belong."""
 
 import re
 from collections.abc import Mapping, Sequence
 
 SIDES = {"l": "left", "r": "right"}
-# Words in the names of joints. A body that calls its joints otherwise has them all under OTHER.
+# Words in the names of joints. Joints with other names are grouped under OTHER.
 LIMBS = {
     "leg": ("hip", "thigh", "knee", "shank", "calf", "ankle", "foot", "toe"),
     "arm": ("clavicle", "scapula", "shoulder", "upper_arm", "elbow", "forearm", "wrist", "hand"),
     "Trunk and head": ("pelvis", "spine", "lumbar", "torso", "thorax", "chest", "neck", "head"),
-    "Place and direction of the whole body": ("root",),
+    "Position and orientation of the whole body": ("root",),
 }
 OTHER = "Other joints"
 
 
 def by_limb(dofs: Sequence[str]) -> Mapping[str, list[int]]:
-    """Places of the dofs, grouped by limb; limbs in the order in which a reader looks for them, dofs in that of the body."""
+    """Return the indices of the dofs, grouped by limb. Limbs are in the order in which a reader expects them, dofs in that of the body."""
     groups: dict[str, list[int]] = {}
     for place, dof in enumerate(dofs):
         groups.setdefault(limb(dof), []).append(place)
@@ -24,14 +24,14 @@ def by_limb(dofs: Sequence[str]) -> Mapping[str, list[int]]:
 
 
 def limb(dof: str) -> str:
-    """The limb of a dof, such as `Left leg`."""
+    """Return the limb of a dof, such as `Left leg`."""
     side, joint = _side(dof)
     found = next((name for name, words in LIMBS.items() if any(word in joint for word in words)), OTHER)
     return f"{side} {found}".strip().capitalize() if found in ("leg", "arm") else found
 
 
 def spoken(dof: str) -> str:
-    """`left hip y` of `l_hip_y`."""
+    """Return the readable name of a dof: `left hip y` for `l_hip_y`."""
     side, joint = _side(dof)
     return f"{side} {joint}".strip().replace("_", " ")
 

@@ -1,6 +1,6 @@
-"""HTML from plain texts: whatever comes from a file or a user is escaped where it enters, so that nothing on the page can be markup but our own.
+"""Build HTML from plain text. Text from a file or a user is escaped when it is added, so that all markup on the page comes from this package.
 
-A number and its unit never stand on two lines: the space between them is one that does not break.
+A number and its unit stay on one line: the space between them is a non-breaking space.
 """
 
 import re
@@ -12,18 +12,18 @@ UNITS = re.compile(r"(?<=\d) (?=(?:%|°|mm|m|px|ms|s|kB|MB|nats)(?!\w))")
 
 
 class Markup(str):
-    """Text that is HTML already."""
+    """Text that is already HTML."""
 
 
 class Picture(NamedTuple):
-    """A picture that the page carries in itself.
+    """A picture that is embedded in the page.
 
     Attributes:
-        uri: `data:` and all of it.
-        alt: what it shows, for who cannot see it.
-        caption: what to look for; empty where the picture says it.
-        inverts: whether it is drawn in dark ink on nothing, and so is turned light on a dark page.
-        still: what stands in its place where nothing shall move, or on paper.
+        uri: `data:` URI with the whole content.
+        alt: description for readers who cannot see it.
+        caption: what to look for; empty if the picture is self-explanatory.
+        inverts: whether it is drawn in dark ink on a transparent background, so that a dark page inverts it.
+        still: `data:` URI of the picture shown instead on paper, or if the reader's system asks for less motion.
     """
 
     uri: str
@@ -34,7 +34,7 @@ class Picture(NamedTuple):
 
 
 def tag(name: str, *content: str, **attributes: str) -> Markup:
-    """`<name attributes>content</name>`; what is not `Markup` is escaped. `class_` is `class`."""
+    """Return `<name attributes>content</name>`. Content that is not `Markup` is escaped. The argument `class_` sets `class`."""
     inside = "".join(map(_escaped, content))
     return Markup(f"<{name}{_attributes(attributes)}>{inside}</{name}>")
 
@@ -48,19 +48,19 @@ def _attributes(attributes: dict[str, str]) -> str:
 
 
 def joined(parts: Iterable[str]) -> Markup:
-    """The parts one after the other; what is not `Markup` is escaped."""
+    """Return the parts, one line each; parts that are not `Markup` are escaped."""
     return Markup("\n".join(map(_escaped, parts)))
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Markup:
-    """A table whose first column names its rows; without `head` it has no heading row."""
+    """Return a table whose first column names its rows; without `head` it has no heading row."""
     top = [tag("thead", tag("tr", *(tag("th", cell, scope="col") for cell in head)))] if head else []
     body = [tag("tr", tag("th", first, scope="row"), *(tag("td", cell) for cell in rest)) for first, *rest in rows]
     return tag("div", tag("table", *top, tag("tbody", *body)), class_="scroll")
 
 
 def figure(picture: Picture) -> Markup:
-    """The picture with its caption."""
+    """Return the picture with its caption."""
     image = Markup(f"<img{_attributes({'src': picture.uri, 'alt': picture.alt} | ({'class': 'plot'} if picture.inverts else {}))}>")
     if picture.still:
         quiet = Markup(f"<source{_attributes({'media': '(prefers-reduced-motion: reduce), print', 'srcset': picture.still})}>")
@@ -69,15 +69,15 @@ def figure(picture: Picture) -> Markup:
 
 
 def figures(pictures: Iterable[Picture], kind: str = "panels") -> Markup:
-    """Pictures side by side, as many in a row as fit; `kind` is how wide they are: `panels` or `stills`."""
+    """Return the pictures side by side, as many in a row as fit. `kind` is their CSS class, which sets their width."""
     return tag("div", *(figure(picture) for picture in pictures), class_=kind)
 
 
 def section(name: str, title: str, *content: str) -> Markup:
-    """A section of the page that `#name` leads to."""
+    """Return a section of the page; `#name` links to it."""
     return tag("section", tag("h2", title), *content, id=name)
 
 
 def details(summary: str, *content: str, shown: bool = False) -> Markup:
-    """What is shown when it is asked for, or with `shown` until it is folded away."""
+    """Return content that the reader can fold and unfold; with `shown` it is unfolded at first."""
     return tag("details", tag("summary", summary), *content, **({"open": ""} if shown else {}))

@@ -1,4 +1,4 @@
-"""The page as a whole: sections one after the other, pictures as good as the limit allows."""
+"""The whole page: its sections in order, and pictures in the best quality that the size limit allows."""
 
 from collections.abc import Callable, Sequence
 from importlib.resources import files
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from bayes_body.storage.saved_run import SavedRun
 
 FILE_NAME = "report.html"
-# Bytes; what a mail takes, and a phone opens.
+# Bytes; small enough to be mailed and to be opened on a phone.
 LARGEST = 10_000_000
 SECTIONS: Sequence[tuple[str, str, Callable[[Inspection], Markup]]] = (
-    ("findings", "Warnings", lambda it: findings(it.warnings)),
+    ("warnings", "Warnings", lambda it: findings(it.warnings)),
     ("pictures", "Pictures", lambda it: picture_section(it.run.folder, QUALITIES[0])),
-    ("truth", "Against the truth", truth_section),
+    ("truth", "Comparison with the truth", truth_section),
     ("angles", "Angles and positions", band_section),
     ("filter", "Filter", filter_section),
     ("chains", "Markov chains", chain_section),
@@ -41,15 +41,15 @@ PICTURES = 1
 
 
 def write_report(run: "SavedRun", out: Path | None = None, watch: Watch = unwatched) -> Path:
-    """Write the report of a run: one file that opens without a network.
+    """Write the report of a run: one file that opens without a network. Return its path.
 
     Args:
-        run: read back from its folder.
+        run: the run, loaded from its folder.
         out: the file; `report.html` in the run's folder by default.
-        watch: takes the numbers of the page's parts and gives them back, as a bar does.
+        watch: wraps the indices of the page's sections to show progress.
 
     Raises:
-        InputError: the file cannot be written, or the body has so many dofs that no page of LARGEST bytes holds them.
+        InputError: the file cannot be written, or the body has too many dofs for a page of LARGEST bytes.
     """
     path = out or run.folder / FILE_NAME
     make_folder(path.parent)
@@ -58,7 +58,7 @@ def write_report(run: "SavedRun", out: Path | None = None, watch: Watch = unwatc
 
 
 def page(run: "SavedRun", watch: Watch = unwatched) -> str:
-    """The page's HTML, in less than LARGEST bytes; arguments and errors as of `write_report`."""
+    """Return the page's HTML, in less than LARGEST bytes; for arguments and errors see `write_report`."""
     it = Inspection(run)
     with style():
         made = sections_of(it)
@@ -67,16 +67,16 @@ def page(run: "SavedRun", watch: Watch = unwatched) -> str:
 
 
 def sections_of(it: Inspection) -> Sequence[tuple[str, str, Callable[[Inspection], Markup]]]:
-    """SECTIONS, without the one on the truth where the session names none, and without that on chains where the kernel runs none."""
+    """Return SECTIONS, without the truth if the session names none, and without Markov chains if the kernel runs none."""
     missing = {"truth": not it.has_truth, "chains": it.diagnosis.mixing is None}
     return [each for each in SECTIONS if not missing.get(each[0], False)]
 
 
 def fitted(it: Inspection, sections: Sequence[Markup], largest: int) -> str:
-    """The page of these sections, its pictures as good as they may be in less than `largest` bytes.
+    """Return the page of these sections, with pictures in the best quality for which it has less than `largest` bytes.
 
     Raises:
-        InputError: it does not fit without pictures either.
+        InputError: the page is too large even without pictures.
     """
     text = _filled(it, sections)
     for quality in (*QUALITIES[1:], None):
@@ -86,7 +86,7 @@ def fitted(it: Inspection, sections: Sequence[Markup], largest: int) -> str:
         text = _filled(it, [*sections[:PICTURES], pictures, *sections[PICTURES + 1 :]])
     if len(text.encode()) < largest:
         return text
-    found, remedy = f"{len(text.encode()) / 1e6:.1f} MB without pictures", "this run has more dofs than a page holds: read posterior.nc instead"
+    found, remedy = f"{len(text.encode()) / 1e6:.1f} MB without pictures", "this run has too many dofs for a report: read posterior.nc instead"
     raise input_error("the report", found, f"less than {largest / 1e6:g} MB", remedy)
 
 
@@ -102,6 +102,6 @@ def _filled(it: Inspection, sections: Sequence[Markup]) -> str:
         "contents": joined(tag("li", tag("a", title, href=f"#{name}")) for name, title, _ in sections_of(it)),
         "figures": key_figures(it.run.summary, it.diagnosis),
         "sections": joined(sections),
-        "footer": f"Made by bayes-body report from a run of bayes-body {version}. This file holds all that it shows and needs no network.",
+        "footer": f"Made by bayes-body report from a run of bayes-body {version}. This file is complete in itself and needs no network.",
     }
     return template.substitute({name: joined([value]) for name, value in values.items()})

@@ -1,4 +1,4 @@
-"""Stills and a moving picture of the run's overlay, small enough for a page: an animated WebP needs no controls, and paper gets a still instead."""
+"""Stills and a moving picture of the run's overlay, small enough for a page. An animated WebP needs no controls; on paper a still replaces it."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,12 +13,12 @@ from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
 
 LARGEST_ANIMATION = 4_000_000
 MOST_FRAMES = 100
-# Seconds for which a frame is shown, at least and at most: between them time is true.
+# Shortest and longest time for which a frame is shown, seconds. Between them the animation runs in real time.
 SHOWN = (1 / 12, 1 / 5)
 
 
 class Quality(NamedTuple):
-    """How good pictures are: widths in pixels, and WebP's own scale to 100."""
+    """Quality of the pictures: widths in pixels, and WebP's quality (up to 100)."""
 
     still_width: int
     still: int
@@ -26,16 +26,16 @@ class Quality(NamedTuple):
     moving: int
 
 
-# From what is tried first to what must do; the page takes the first that fits.
+# From best to worst; the page uses the first for which it is small enough.
 QUALITIES = (Quality(1280, 70, 960, 50), Quality(960, 60, 800, 40), Quality(800, 50, 640, 30), Quality(640, 40, 480, 20))
 
 
 def picture_section(folder: Path, quality: Quality | None) -> Markup:
-    """What the overlay shows; a sentence in place of what the run's folder no longer has.
+    """Return the section with the overlay's pictures; a sentence replaces each picture that is missing in the run's folder.
 
     Args:
-        folder: of the run.
-        quality: of the pictures; None leaves them out.
+        folder: the run's folder.
+        quality: quality of the pictures; None leaves them out.
     """
     if quality is None:
         return section("pictures", "Pictures", tag("p", "The pictures are left out: with them the page would be too large."))
@@ -44,7 +44,7 @@ def picture_section(folder: Path, quality: Quality | None) -> Markup:
     parts: list[str] = [
         tag("p", "The mean is a translucent body (left side blue, right side orange, middle green). Draws are thin light outlines over it.")
     ]
-    parts += [figures([video], "moving")] if video else [tag("p", "overlay.mp4 is no longer there or cannot be read: there is no moving picture.")]
+    parts += [figures([video], "moving")] if video else [tag("p", "overlay.mp4 is missing or cannot be read: there is no moving picture.")]
     parts += [figures(stills, "stills")] if stills else [tag("p", "There are no stills in overlay/.")]
     return section("pictures", "Pictures", *(parts if video or stills else parts[1:]))
 
@@ -67,14 +67,14 @@ def _still_uri(image: MatLike, quality: Quality) -> str:
 
 
 def narrowed(image: MatLike, width: int) -> MatLike:
-    """The image, no wider than that."""
+    """Return the image, scaled down to at most that width."""
     if image.shape[1] <= width:
         return image
     return cv2.resize(image, (width, round(image.shape[0] * width / image.shape[1])), interpolation=cv2.INTER_AREA)
 
 
 def _animation(path: Path, quality: Quality) -> Picture | None:
-    """A moving WebP of at most LARGEST_ANIMATION bytes; half the frames are left out until it is that small."""
+    """Return a moving WebP of at most LARGEST_ANIMATION bytes; every other frame is dropped, repeatedly, until it is that small."""
     frames, fps, total = read_video(path, quality.width)
     if len(frames) < 2:
         return None
@@ -86,7 +86,7 @@ def _animation(path: Path, quality: Quality) -> Picture | None:
             break
         frames, step = frames[::2], 2 * step
     pace = _pace(seconds * fps / step)
-    caption = f"{'Every frame' if step == 1 else f'One frame in {step}'} of {total}, {pace}. overlay.mp4 in the folder of the run has them all."
+    caption = f"{'Every frame' if step == 1 else f'One frame in {step}'} of {total}, {pace}. overlay.mp4 in the run's folder has all frames."
     return _picture(
         data_uri("image/webp", content), "The recording with the posterior drawn over it, moving.", caption, _still_uri(frames[0], quality)
     )
@@ -94,19 +94,22 @@ def _animation(path: Path, quality: Quality) -> Picture | None:
 
 def _pace(slower: float) -> str:
     if abs(slower - 1) < 0.05:
-        return "in true time"
+        return "in real time"
     return f"slowed {slower:.2g} times" if slower > 1 else f"sped up {1 / slower:.2g} times"
 
 
 def read_video(path: Path, width: int, most: int = MOST_FRAMES) -> tuple[list[MatLike], float, int]:
-    """At most that many frames, evenly spaced and no wider than that; frames a second; how many the video has. Nothing where it cannot be read."""
+    """Return frames of a video, its frames a second, and its number of frames.
+
+    The frames are evenly spaced, at most `most` of them, and at most `width` pixels wide. If the video cannot be read, there are none.
+    """
     if not path.is_file():
         return [], 0.0, 0
     video = cv2.VideoCapture(str(path))
     try:
         total, fps = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), float(video.get(cv2.CAP_PROP_FPS))
         step, frames, place = max(-(-total // most), 1), [], 0
-        # Seeking in an mp4 lands on key frames only: all are passed, few are unpacked.
+        # Seeking in an mp4 reaches key frames only. Therefore all frames are read, but only few are decoded.
         while fps > 0 and len(frames) < most and video.grab():
             if place % step == 0:
                 done, image = video.retrieve()
@@ -118,7 +121,7 @@ def read_video(path: Path, width: int, most: int = MOST_FRAMES) -> tuple[list[Ma
 
 
 def encode_animation(frames: list[MatLike], seconds: float, quality: int) -> bytes:
-    """A WebP that shows each frame for so many seconds, again and again."""
+    """Return a WebP that shows each frame for that many seconds, in an endless loop."""
     animation = cv2.Animation()
     animation.frames = frames
     animation.durations = [round(1000 * seconds)] * len(frames)

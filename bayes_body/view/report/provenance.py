@@ -1,4 +1,4 @@
-"""How a run was made: the command that repeats it, versions, machine, the recording, and the definition's own text."""
+"""The section on how a run was made: the command that repeats it, versions, machine, the recording, and the definition's text."""
 
 import shlex
 from collections.abc import Mapping
@@ -11,13 +11,13 @@ from bayes_body.view.report.markup import Markup, details, section, table, tag
 if TYPE_CHECKING:
     from bayes_body.storage.saved_run import SavedRun
 
-# Beyond so many characters a text is cut: it is a definition, not a book, and the page has a limit.
+# Texts with more characters than this are cut, because the page has a size limit.
 LONGEST = 200_000
 KERNEL_OPTIONS = ("particles", "layers", "move", "moves", "leapfrog_steps")
 
 
 def command(run: "SavedRun") -> str:
-    """`bayes-body track ...` with the settings that the command line has; what it has no option for is in the definition."""
+    """Return `bayes-body track ...` with the settings that are command-line options; the other settings are in the definition."""
     settings, words = run.settings, ["bayes-body", "track", str(run.settings["session"]), "--out", f"{run.folder.resolve()}_again"]
     options = {"model": settings["model"], "kernel": run.kernel["kind"]}
     options |= {name: run.kernel[name] for name in KERNEL_OPTIONS if name in run.kernel}
@@ -28,9 +28,9 @@ def command(run: "SavedRun") -> str:
 
 
 def provenance_section(run: "SavedRun") -> Markup:
-    """The section; it needs neither the session's folder nor its images."""
+    """Return the section. It needs neither the session's folder nor its images."""
     parts: list[str] = [
-        tag("p", "This repeats it; with the same versions on the same kind of processor bit for bit."),
+        tag("p", "This command repeats the run. With the same versions on the same kind of processor, the result is identical to the last bit."),
         tag("pre", tag("code", command(run))),
         tag("h3", "Kernel"),
         table((), [(key, str(value)) for key, value in run.kernel.items()]),
@@ -54,7 +54,7 @@ def _machine(run: "SavedRun") -> Mapping[str, Any]:
 
 
 def _recording(run: "SavedRun") -> Markup:
-    """What the session says of itself."""
+    """Return a table with the session's title, folder, cameras, frames and subject."""
     try:
         session = run.session
     except InputError as error:
@@ -64,13 +64,13 @@ def _recording(run: "SavedRun") -> Markup:
         ("title", session.title),
         ("folder", str(session.folder)),
         ("cameras", cameras),
-        ("frames", f"{session.frames}, at {session.fps:g} a second"),
+        ("frames", f"{session.frames}, at {session.fps:g} per second"),
     ]
     return table((), [*rows, ("subject", _subject(session.subject.height_m, len(session.subject.lengths_m)))])
 
 
 def _subject(height: float | None, lengths: int) -> str:
-    tall = "stature unknown" if height is None else f"{height:g} m tall"
+    tall = "height unknown" if height is None else f"{height:g} m tall"
     return f"{tall}; {lengths} segment lengths measured"
 
 

@@ -1,6 +1,7 @@
-r"""How far the ranks of runs that agree may lie from even ones: c of $|F(z) - z| \le c \sqrt{z (1 - z)}$, for all runs and all z at once.
+r"""The region for the ranks of runs that agree: c in $|F(z) - z| \le c \sqrt{z (1 - z)}$, simultaneously for all runs and all z.
 
-By simulation: of runs that agree, every order of the draws is as likely as any other. ArviZ's own region holds everything where there are two runs.
+The constant is found by simulation: if runs agree, all orders of the pooled draws are equally likely. ArviZ's own region is not used, because with
+two runs it contains everything.
 """
 
 from functools import cache
@@ -14,12 +15,12 @@ SIMULATIONS = 500
 
 @cache
 def rank_region(runs: int, draws: int, share: float = 0.95) -> float:
-    """The constant c.
+    """Return the constant c.
 
     Args:
-        runs: how many.
-        draws: of each.
-        share: of agreeing sets of runs, those that stay inside.
+        runs: number of runs.
+        draws: number of draws of each run.
+        share: probability that all runs stay inside the region if they agree.
     """
     rng = np.random.default_rng(RESAMPLING_SEED)
     even = np.arange(1, draws) / draws

@@ -1,4 +1,4 @@
-"""Whether the runs agree: R-hat of every dof and frame, and a closer look at a few."""
+"""The section on the agreement of the runs: R-hat of every dof and frame, and plots of the frames and dofs that agree least."""
 
 from collections.abc import Iterator, Sequence
 
@@ -13,37 +13,39 @@ from bayes_body.view.report.limbs import spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
 
 RANKS = (
-    "The draws of all runs are ranked together, and each run's share of the ranks is held against an even share. A line that leaves the grey region "
-    "(where 95 % of agreeing sets of runs stay) is a run that lies elsewhere than the others: high for smaller values, low for larger ones."
+    "The draws of all runs are ranked together. Each line compares the ranks of one run with uniform ranks. If the runs agree, all lines stay inside "
+    "the grey region in 95 of 100 cases. A line that leaves it belongs to a run that differs from the others: the line is high where the run's "
+    "values are smaller, and low where they are larger."
 )
 GROWTH = (
-    "ArviZ's effective sample size of the bulk and the tails as draws are added. It sees how far runs differ, but not that draws of one run share "
-    "ancestors: read it with the effective particles and the ancestors above. It should grow in a straight line; a dashed line is at 400 draws."
+    "ArviZ's effective sample size of the bulk and the tails as draws are added. It should grow in a straight line. A dashed line marks 400 draws. "
+    "The effective sample size depends on how much the runs differ, but not on whether the draws of one run share ancestors: compare it with the "
+    "effective particles and the ancestors above."
 )
 SEEKER = (
-    "The kernel is a mode seeker: the spread of its particles is no uncertainty, so no distributions and no intervals are shown. Runs that lie apart "
-    "make the pose doubtful; runs that agree prove nothing."
+    "The kernel is a mode seeker: the spread of its particles is not a measure of uncertainty, so no distributions and no intervals are shown. If "
+    "the runs differ, the pose is doubtful. If they agree, the pose can still be wrong."
 )
 FOREST = (
-    "Median, middle half (thick) and 90 % (thin) of each run's draws, as their distance from the median of all runs, which stands beside the name: "
-    "short lines are joints that the recording pins down, lines that lie apart are runs that disagree."
+    "Median, middle half (thick) and 90 % interval (thin) of each run's draws, relative to the median of all runs. That median is written beside the "
+    "name. Short lines belong to joints that the recording determines well. If the lines of a joint lie apart, the runs disagree."
 )
 
 
 def run_section(it: Inspection) -> Markup:
-    """R-hat where there are several runs, ArviZ's plots of the first, the worst and the last frame."""
+    """Return the section: R-hat if there are several runs, and ArviZ's plots of the first, the worst and the last frame."""
     frames, dofs = chosen_frames(it), chosen_dofs(it)
     samples = [equal_weight_sample(it, frame) for frame in frames]
     worst = samples[frames.index(worst_frame(it))]
     with arviz_plots():
         parts = [*_agreement(it, samples, dofs)]
         if it.diagnosis.mode_seeker:
-            return section("runs", "Do the runs agree?", tag("p", SEEKER), *parts)
+            return section("runs", "Agreement of the runs", tag("p", SEEKER), *parts)
         parts += _close_ups(it, worst, dofs)
         parts += [tag("h3", "All angles"), tag("p", FOREST), figures(forest_plot(it, sample) for sample in samples)] if "°" in it.units else []
     draws = ", ".join(f"{sample.poses.shape[1]} at frame {sample.frame}" for sample in samples)
-    note = tag("p", f"Made by ArviZ from draws of equal weight, as many a run as the weights are worth: {draws}.", class_="note")
-    return section("runs", "Do the runs agree?", *parts, note)
+    about = f"Made by ArviZ from draws of equal weight. Their number per run follows from the effective sample size: {draws}."
+    return section("runs", "Agreement of the runs", *parts, tag("p", about, class_="note"))
 
 
 def _agreement(it: Inspection, samples: Sequence[Sample], dofs: Sequence[int]) -> Iterator[Markup]:
@@ -60,9 +62,10 @@ def _agreement(it: Inspection, samples: Sequence[Sample], dofs: Sequence[int]) -
 def _close_ups(it: Inspection, worst: Sample, dofs: Sequence[int]) -> Iterator[Markup]:
     if not dofs:
         return
-    which = "that disagree most" if it.agreement_known else "that are widest"
+    which = "on which the runs disagree most" if it.agreement_known else "with the widest distributions"
     yield tag("h3", f"Posterior of frame {worst.frame}")
-    yield tag("p", f"The dofs {which}: for each run, a line, the share of its draws below each value. Lines that lie over one another agree.")
+    about = "Each line is a run, and shows the fraction of its draws below each value. If the runs agree, their lines coincide."
+    yield tag("p", f"The dofs {which}. {about}")
     yield figures(distribution_plot(it, worst, dof) for dof in dofs)
     yield tag("h3", "Growth of the effective sample size")
     yield tag("p", GROWTH)
@@ -74,13 +77,13 @@ def _largest_rhat(it: Inspection) -> str:
     values = np.nan_to_num(it.diagnosis.rhat[worst], nan=-np.inf)
     named = spoken(it.diagnosis.dofs[int(values.argmax())])
     largest = f"The largest is {values.max():.2f}: {named} at frame {worst}."
-    return f"R-hat compares how far the runs lie apart with how wide each is; 1 is agreement. {largest}"
+    return f"R-hat compares the distance between the runs with the width of each run's posterior; 1 means agreement. {largest}"
 
 
 def _no_agreement(it: Inspection) -> str:
     if it.runs > 1:
-        return "No R-hat exists here: there are too few draws, or no dof moves."
-    return "With a single run there is no R-hat and there are no rank plots: nothing tells whether another run would agree. Take --runs 2 or more."
+        return "There is no R-hat: there are too few draws, or no dof moves."
+    return "With a single run there is no R-hat and there are no rank plots: it is unknown whether another run would agree. Use --runs 2 or more."
 
 
 def _rhat_map(it: Inspection) -> Picture:
@@ -90,5 +93,5 @@ def _rhat_map(it: Inspection) -> Picture:
         "R-hat",
         it.limits.rhat,
         f"R-hat of every dof and frame, at most {np.nanmax(it.diagnosis.rhat):.2f}.",
-        f"The colour grows with R-hat; the line on its scale is the limit {it.limits.rhat:g}.",
+        f"Darker is larger. The line on the colour scale is the limit {it.limits.rhat:g}.",
     )

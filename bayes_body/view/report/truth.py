@@ -1,4 +1,4 @@
-"""The run against the true markers: how large the error is, whether the run knew it, and which markers make it."""
+"""The section that compares a run with the true markers: the error, the coverage of the intervals, and the error of each marker."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -20,30 +20,30 @@ from bayes_body.view.report.markup import Markup, Picture, figures, section, tab
 if TYPE_CHECKING:
     from bayes_body.storage.saved_run import SavedRun
 
-ERROR = "A line is a run's error: the distance of its mean markers from the true ones, mean over the markers."
+ERROR = "Each line is the error of a run: the distance of its mean markers from the true ones, averaged over the markers."
 EXPECTED = (
-    "The bands are what the runs themselves expect: how far a draw lies from the mean, the middle half (strong) and 90 % (faint). A run that knows "
-    "what it does not know stays inside the faint band in nine frames of ten."
+    "The bands show the error that the runs expect, which is the distance of a draw from the mean: its middle half (dark) and 90 % of it (light). If "
+    "the posterior is calibrated, the error is inside the light band in nine of ten frames."
 )
-SEEKER = "There are no bands and no coverage: the spread of a mode seeker's particles is no uncertainty."
+SEEKER = "There are no bands and no coverage: the spread of a mode seeker's particles is not a measure of uncertainty."
 CALIBRATION = (
-    "Of intervals that claim a share, the share that holds the truth, over frames, markers and axes. On the dashed line the run keeps its word; "
-    "below it the intervals are too narrow, above it too wide."
+    "Coverage: the fraction of intervals of each nominal level that contain the truth, over frames, markers and axes. On the dashed line the "
+    "intervals are right. Below it they are too narrow, and above it too wide."
 )
 OFFSET = (
-    "The joint centres of two skeletons are never the same. The offset is what differs at a joint in all frames alike; it is fitted on every other "
-    "frame and taken away in those between. Its length is that of all frames together."
+    "The joint centres of two skeletons are never exactly the same. The offset is the part of the difference at a joint that is constant over the "
+    "frames. It is fitted on every other frame and subtracted in the frames between. The table gives its length as fitted on all frames together."
 )
-DETAILS = (("error_mm_relative", "with the pelvises laid on each other"), ("error_mm_optimistic", "of the best particle of each frame"))
+DETAILS = (("error_mm_relative", "relative to the pelvis"), ("error_mm_optimistic", "for the best particle of each frame"))
 
 
 def truth_section(it: Inspection) -> Markup:
-    """Sentences, the error over the frames, coverage, and the markers one by one; a sentence where the truth can no longer be read."""
-    title = "Against the truth"
+    """Return the section: sentences, the error over the frames, coverage, and a table of markers; a sentence if the truth can no longer be read."""
+    title = "Comparison with the truth"
     try:
         found = measured(it.run)
     except InputError as error:
-        return section("truth", title, tag("p", f"The run cannot be held against the truth any more: {error}."))
+        return section("truth", title, tag("p", f"The run can no longer be compared with the truth: {error}."))
     if found is None or not found.plain.known.any():
         return section("truth", title, tag("p", "None of the body's markers has a true position in the frames of this run."))
     seeker, step = it.diagnosis.mode_seeker, frames_a_point(it.run.frames)
@@ -51,7 +51,7 @@ def truth_section(it: Inspection) -> Markup:
     parts = [
         *(tag("p", sentence) for sentence in told(found, seeker)),
         figures(pictures),
-        tag("h3", "Marker by marker"),
+        tag("h3", "Error of each marker"),
         *([tag("p", OFFSET)] if found.fitted else []),
         _by_marker(found, seeker),
         *([tag("p", f"Measured in {sparse_frames(step)} frame of {it.run.frames:,}; summary.json has all.", class_="note")] if step > 1 else []),
@@ -60,7 +60,7 @@ def truth_section(it: Inspection) -> Markup:
 
 
 def measured(run: "SavedRun") -> AgainstTruth | None:
-    """The run against its session's truth, at no more frames than a line has points, evenly spaced; None where there is no truth.
+    """Compare the run with its session's truth, at no more than MOST_POINTS evenly spaced frames; None if there is no truth.
 
     Raises:
         InputError: the truth, the session or the body can no longer be read.
@@ -81,11 +81,11 @@ def _clouds(run: "SavedRun", frames: range) -> Clouds:
 
 
 def told(found: AgainstTruth, mode_seeker: bool) -> list[str]:
-    """The figures in sentences: the error, what the intervals hold, and what an offset of the skeletons explains.
+    """Return the figures in sentences: the error, the coverage, and the error with the skeletons' offset fitted.
 
     Args:
-        found: the run against the truth; some of it is known.
-        mode_seeker: whether the kernel is one.
+        found: the run compared with the truth; at least some of the truth is known.
+        mode_seeker: whether the kernel is a mode seeker.
     """
     it = accuracy_figures(found, mode_seeker)
     details = [f"{what} {it[key]:.0f} mm" for key, what in DETAILS if it[key] is not None]
@@ -96,16 +96,16 @@ def told(found: AgainstTruth, mode_seeker: bool) -> list[str]:
     else:
         half, most = it["coverage_50"], it["coverage_90"]
         sentences.append(
-            f"The 90 % intervals hold the truth in {percent(most)} of cases: {width(most)}. The 50 % intervals hold it in {percent(half)}."
+            f"The 90 % intervals contain the truth in {percent(most)} of cases: {width(most)}. The 50 % intervals contain it in {percent(half)}."
         )
     if it["error_mm_mean_fitted_offset"] is not None:
-        held = "" if mode_seeker else f", and the 90 % intervals hold the truth in {percent(it['coverage_90_fitted_offset'])} of cases"
-        sentences.append(f"With the offset between the two skeletons fitted the error is {it['error_mm_mean_fitted_offset']:.0f} mm{held}.")
+        held = "" if mode_seeker else f", and the 90 % intervals contain the truth in {percent(it['coverage_90_fitted_offset'])} of cases"
+        sentences.append(f"With the offset between the two skeletons fitted, the error is {it['error_mm_mean_fitted_offset']:.0f} mm{held}.")
     return sentences
 
 
 def _error(it: Inspection, found: AgainstTruth) -> Picture:
-    """A line a run over what the runs expect."""
+    """Return the plot of the error: one line for each run, over bands of the error that the runs expect."""
     step = frames_a_point(it.run.frames)
     figure, axes = new_panel("Error", frame_label(it.fps, sparse_frames(step)), "mean over the markers, mm")
     frames, error = np.arange(0, it.run.frames, step), 1000 * found.plain.frame_error.T
@@ -126,21 +126,21 @@ def _error(it: Inspection, found: AgainstTruth) -> Picture:
 
 
 def _calibration(found: AgainstTruth) -> Picture:
-    """Nominal coverage across, what was found upwards."""
-    figure, axes = new_panel("Coverage", "the interval claims, %", "of the truth inside, %")
+    """Return the plot of the measured coverage over the nominal coverage."""
+    figure, axes = new_panel("Coverage", "nominal, %", "measured, %")
     axes.plot([0, 100], [0, 100], color=INK, linestyle="--", linewidth=0.9)
     nominal = 100 * np.array(LEVELS)
-    axes.plot(nominal, 100 * found.plain.coverage, color=RUNS[0], marker="o", markersize=3.5, label="as it is")
+    axes.plot(nominal, 100 * found.plain.coverage, color=RUNS[0], marker="o", markersize=3.5, label="without offset")
     if found.fitted:
         axes.plot(nominal, 100 * found.fitted.coverage, color=RUNS[1], marker="s", markersize=3.5, label="offset fitted")
         axes.legend(loc="upper left")
     axes.set(xlim=(0, 100), ylim=(0, 102))
     pairs = ", ".join(f"{percent(level)}: {percent(share)}" for level, share in zip(LEVELS, found.plain.coverage, strict=True))
-    return encoded(figure, f"Share of the truth inside the intervals of each level: {pairs}.", CALIBRATION)
+    return encoded(figure, f"Fraction of the truth inside the intervals of each level: {pairs}.", CALIBRATION)
 
 
 def _by_marker(found: AgainstTruth, mode_seeker: bool) -> Markup:
-    """Largest error first; what does not exist has no column."""
+    """Return the table of markers, largest error first; figures that do not exist have no column."""
     plain, fitted = found.plain, found.fitted
     columns = [("error, mm", _mm(mean_known(plain.error, (0, 1))))]
     if fitted:
@@ -159,5 +159,5 @@ def _mm(metres: Float[np.ndarray, " marker"]) -> list[str]:
 
 
 def percent(share: float) -> str:
-    """The share in per cent, or a dash where there is none."""
+    """Return the fraction in per cent, or a dash if there is none."""
     return "–" if np.isnan(share) else f"{100 * share:.0f} %"

@@ -145,7 +145,7 @@ BAD_TRC = {
     ),
     "no number": (lambda lines: [*lines[:7], lines[7].replace("0.", "O.", 3), *lines[8:]], r"line 8: '.*O\..*'; expected numbers"),
     "a name twice": (lambda lines: [line.replace("LHip", "RHip") for line in lines], r"line 4: 'RHip' 2 times"),
-    "no rate": (lambda lines: [*lines[:2], lines[2].replace("60.0", "0", 1), *lines[3:]], r"frames a second: 0; expected"),
+    "no rate": (lambda lines: [*lines[:2], lines[2].replace("60.0", "0", 1), *lines[3:]], r"frames per second: 0; expected"),
     "something else": (lambda lines: ["time,x,y"] * 9, r"'time,x,y' and 9 lines; expected a TRC file"),
 }
 
