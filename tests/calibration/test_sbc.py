@@ -109,6 +109,7 @@ def tempered_slowly():
     return tempered_runs(final_stages=0, target_ess=0.8, moves=4)
 
 
+@pytest.mark.slow
 def test_tempered_is_calibrated(tempered):
     assert least_p(tempered()) > LIMIT
 
@@ -131,6 +132,7 @@ def test_a_dropped_jacobian_is_found_out(tempered_slowly):
 # -- and the others ---------------------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_annealed_is_not_calibrated():
     """A mode seeker: truths lie outside of its spread."""
     found = ranks(sbc.replicate(toys.skewed(), kernels.annealed(), 500, bins=BINS))

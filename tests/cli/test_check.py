@@ -71,7 +71,7 @@ def test_an_interrupted_check_goes_on_to_the_same_figures(cli, tmp_path):
     assert {**again, "seconds": 0} == {**figures, "seconds": 0}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("optimised")
 def test_a_mode_seeker_does_not_pass(cli, tmp_path):
     path = tmp_path / "annealed.json"

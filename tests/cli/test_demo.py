@@ -39,7 +39,7 @@ def demonstrated(tmp_path_factory, optimised):
     return folder / "bayes_body_demo"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_its_first_verdict_is_a_result_and_two_runs_made_it(demonstrated):
     lines = (demonstrated.parent / "printed.txt").read_text(encoding="utf-8").splitlines()
     assert [line.split()[0] for line in lines[:3]] == ["filmed", "tracking", "result"]
@@ -49,13 +49,13 @@ def test_its_first_verdict_is_a_result_and_two_runs_made_it(demonstrated):
         assert tree["posterior"]["pose"].sizes["chain"] == 2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_its_body_stays_on_the_person(demonstrated):
     summary = json.loads((demonstrated / "run" / "summary.json").read_text())
     assert summary["fit_first"] > 0.8 and summary["fit_worst"] > 0.75 and summary["frames_off"] == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_leaves_what_it_says(demonstrated):
     for name in ("recording/session.toml", "recording/truth.npz", "run/overlay.mp4", "run/report.html", "run/posterior.nc", "run/summary.json"):
         assert (demonstrated / name).stat().st_size > 0
@@ -63,7 +63,7 @@ def test_it_leaves_what_it_says(demonstrated):
         assert tree["posterior"]["pose"].sizes["frame"] == 12
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_finds_the_person(demonstrated):
     summary = json.loads((demonstrated / "run" / "summary.json").read_text())
     assert summary["frames_lost"] == 0
@@ -72,7 +72,7 @@ def test_it_finds_the_person(demonstrated):
     assert 0 < summary["coverage_90"] <= 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_folder_that_is_taken_is_refused(demonstrated, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["demo", "--quick", "--out", str(demonstrated)])

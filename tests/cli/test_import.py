@@ -114,6 +114,7 @@ def test_images_damaged_after_the_import(damaged, fault):
     damaged(name, damage).refuses(*parts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", LOST)
 def test_images_lost_after_the_import_are_frames_that_a_camera_did_not_see(damaged, tmp_path, fault):
     name, damage = LOST[fault]

@@ -3,11 +3,13 @@
 import json
 import tomllib
 
+import pytest
 import xarray as xr
 
 HMC = ["--model", "poon_fleet_2002_legs", "--particles", 8, "--leapfrog-steps", 2, "--frames", 2, "--set", "chains=2", "--set", "burn_in=2"]
 
 
+@pytest.mark.slow
 def test_the_options_of_hmc_and_what_its_chains_leave(cli, walk, tmp_path):
     outcome = cli("track", walk, "--out", tmp_path / "run", *HMC, "--set", "step=0.1")
     assert outcome.status == 0, outcome.err
@@ -21,6 +23,7 @@ def test_the_options_of_hmc_and_what_its_chains_leave(cli, walk, tmp_path):
     assert "divergences" in json.loads((tmp_path / "run" / "summary.json").read_text())
 
 
+@pytest.mark.slow
 def test_a_step_that_diverges_everywhere_stops_with_a_smaller_one(cli, walk, tmp_path):
     found = ["frame 0: no chain moves", "at a step factor of 50 the acceptance is", "trajectories diverged", "try step=0.2"]
     cli("track", walk, "--out", tmp_path / "run", *HMC, "--set", "step=50").refuses(*found)

@@ -19,13 +19,13 @@ def _made_of(name):
     return sum(len(joint.dofs) for joint in definition.body.joints) < 10, definition.dynamics.kind, terms
 
 
-def _alike_are_slow():
-    """Of definitions that consist of the same terms, all but the first as slow tests."""
+def _small_first():
+    """The arms; as slow tests the larger bodies; as long tests definitions that consist of the same terms as one before."""
     found = []
     for name in definition_names():
         alike = _made_of(name) in found
         found.append(_made_of(name))
-        yield pytest.param(name, marks=pytest.mark.slow if alike else ())
+        yield pytest.param(name, marks=pytest.mark.long if alike else () if name.startswith("arm") else pytest.mark.slow)
 
 
 @pytest.fixture(params=definition_names())
@@ -44,7 +44,7 @@ def test_it_says_what_it_is(model):
     assert len(definition.title) > 20 and len(definition.source) > 20
 
 
-@pytest.mark.parametrize("model", list(_alike_are_slow()), indirect=True)
+@pytest.mark.parametrize("model", list(_small_first()), indirect=True)
 def test_its_density_is_the_sum_of_its_parts_finite_at_first_with_finite_gradients_everywhere_a_particle_may_go(model, density):
     """One program: to compile the gradient takes most of the time."""
     view = density.unconstrained()

@@ -40,6 +40,7 @@ def iterated():
     return lambda power=1.0: replications(run, 0, power)
 
 
+@pytest.mark.slow
 def test_iterated_resampling_keeps_the_posterior(iterated):
     found = iterated()
     assert least_p(found) > LIMIT
@@ -69,6 +70,7 @@ def walk():
     return lambda jacobian=1.0, likelihood=1.0: replications(run, 1, jacobian, likelihood)
 
 
+@pytest.mark.slow
 def test_the_walk_keeps_the_posterior(walk):
     found = walk()
     assert least_p(found) > LIMIT
@@ -109,6 +111,7 @@ def trajectories():
     return lambda jacobian=1.0: replications(run, 3, jacobian)
 
 
+@pytest.mark.slow
 def test_trajectories_on_the_marginal_view_keep_the_posterior(trajectories):
     found = trajectories()
     assert least_p(found) > LIMIT

@@ -61,7 +61,7 @@ def test_evidence_and_mean_are_unbiased(make, options):
     _check(make(PARTICLES), options)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_evidence_of_a_state_space_model_is_unbiased(linear_gaussian, observations):
     """Over three frames, each with the ladder of the pilot's frame."""
     ys = observations[:3]
@@ -84,6 +84,7 @@ def test_evidence_of_a_state_space_model_is_unbiased(linear_gaussian, observatio
     assert abs(ratios.mean() - 1) < 3 * ratios.std(ddof=1) / np.sqrt(RUNS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", EACH_KERNEL)
 def test_at_temperature_zero_it_is_the_prior_in_distribution(options):
     """After three stages of moves at temperature zero the particles still are the prediction under its constraint."""
@@ -131,6 +132,7 @@ def test_ancestors_are_drawn_from_their_posterior(linear_gaussian):
 # -- mutants ----------------------------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_wrong_sign_of_the_weights_is_found_out(monkeypatch):
     target, honest = skewed(PARTICLES), tempered_smc.feynman_kac_step
     kernel = _frozen(target.density, target.density.previous, {})
@@ -143,6 +145,7 @@ def test_a_wrong_sign_of_the_weights_is_found_out(monkeypatch):
         _check(target, {}, kernel)
 
 
+@pytest.mark.slow
 def test_weights_dropped_at_the_last_stage_are_found_out(monkeypatch):
     target = skewed(PARTICLES)
     kernel = _frozen(target.density, target.density.previous, {"final_stages": 0})
@@ -155,6 +158,7 @@ def test_weights_dropped_at_the_last_stage_are_found_out(monkeypatch):
         _check(target, {}, forgetful)
 
 
+@pytest.mark.slow
 def test_a_tempered_constraint_is_found_out(monkeypatch):
     target, honest = skewed(PARTICLES), Extended.log_density
     kernel = _frozen(target.density, target.density.previous, {})
@@ -169,6 +173,7 @@ def test_a_tempered_constraint_is_found_out(monkeypatch):
         _check(target, {}, kernel)
 
 
+@pytest.mark.slow
 def test_a_dropped_jacobian_is_found_out(monkeypatch):
     target = skewed(PARTICLES)
     kernel = _frozen(target.density, target.density.previous, {})

@@ -72,6 +72,7 @@ def _check_refusal(error, blind):
     assert SENTENCE.match(str(error.value)) and f"'{blind}' has no gradient" in str(error.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", ALL, ids=lambda pair: f"{pair.model}-{pair.kernel}")
 def test_every_kernel_is_traced_on_every_definition(frame_densities, pair):
     """All pairs, not compiled: states of the form that went in come out, so that one program serves all frames; or a sentence says why not."""

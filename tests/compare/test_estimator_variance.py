@@ -60,6 +60,7 @@ def test_the_truth_is_the_posteriors_mean(target, monkeypatch):
     assert np.all(truth.error < 16 * 2 * truth.sd**2 / truth.effective)
 
 
+@pytest.mark.slow
 def test_the_truth_by_chains_is_the_same(target):
     density, mean = target
     truth = estimator_truth.true_mean_by_chains(jax.random.key(1), density, 400, chains=16, starts=2000)

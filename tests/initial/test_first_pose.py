@@ -79,6 +79,7 @@ def test_markers_of_another_person_one_of_them_wrong(scene, model, walker, error
         assert "marker l_wrist is" in found.remarks[0]
 
 
+@pytest.mark.slow
 def test_four_cameras_with_a_fifth_of_all_keypoints_wrong(scene, model, walker, seen, errors_m):
     rng = np.random.default_rng(4)
     medians, found_wrong, taken_for_wrong = [], [], []
@@ -122,6 +123,7 @@ def test_one_camera_tells_where_a_person_faces_and_mostly_what_is_nearer(scene, 
     assert np.mean(order) >= 0.6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("up", ["x", "y"])
 def test_a_person_stands_in_a_world_whose_other_axis_is_up(scene, model, walker, seen, errors_m, up):
     rng = np.random.default_rng(6)
@@ -132,6 +134,7 @@ def test_a_person_stands_in_a_world_whose_other_axis_is_up(scene, model, walker,
         assert _median(errors_m(found.pose, person, up)) < 0.04
 
 
+@pytest.mark.slow
 def test_lengths_are_fitted_on_request(scene, model, walker, seen, errors_m):
     rng = np.random.default_rng(7)
     before, after = [], []
@@ -172,6 +175,7 @@ def test_given_angles_draw_the_fit(scene, model, walker):
     assert found.pose[model.body.dof_names.index("l_knee")] == pytest.approx(-1.1, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_body_of_three_markers(scene):
     session = scene(1)
     arm = build_model("arm", session)

@@ -33,6 +33,7 @@ def test_angles_are_taken_as_they_are_and_nothing_is_fitted(scene, reports):
     assert (model.initial["pose"] == build_model("deutscher_apf", session).initial["pose"]).all() and reports == []
 
 
+@pytest.mark.slow
 def test_markers_are_fitted_and_reported(scene, person, reports):
     session = scene(1, initial_markers=_markers(person))
     model, plain = bb.load_model("deutscher_apf", session, reports.append), build_model("deutscher_apf", session)

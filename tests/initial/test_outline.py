@@ -105,6 +105,7 @@ def trousers(thick):
     return knee == pytest.approx(WIDE[0], rel=0.1) and 1.2 < ankle < WIDE[1]
 
 
+@pytest.mark.slow
 def test_trousers_are_found_where_they_are(scene, recording):
     masks = dressed(scene)
     session = recording(masks)
@@ -136,6 +137,7 @@ def test_images_see_the_clothes_and_legs_pass_without_them(scene, recording):
     assert overlap[1] > overlap[0] + 0.03
 
 
+@pytest.mark.slow
 def test_a_camera_that_shows_nobody_is_left_out(scene, recording):
     masks = dressed(scene)
     nobody = np.zeros_like(masks[1])

@@ -54,6 +54,7 @@ def found(pose2sim_beam):
     return result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", [0, 30, 60, 90])
 def test_the_body_is_where_the_man_is(found, frame):
     places, told = found[frame]

@@ -74,6 +74,7 @@ def test_it_is_the_distance_that_opencv_measures(scene, name):
     assert float(term(man.pose)) == pytest.approx(expected, abs=0.02)
 
 
+@pytest.mark.slow
 def test_its_gradient_is_that_of_differences(scene, x64):
     man = scene("person_31")
     term = cover(man, [np.asarray(mask) for mask in man.frame.masks])

@@ -38,6 +38,7 @@ def test_equals_filled_polygons(scene, name, seed):
     np.testing.assert_allclose(projected_area(one.body, one.rig, one.pose, GRID), expected, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_a_finer_grid_is_nearer(x64, scene):
     man = scene("deutscher_31")
     expected = filled(man, man.pose)

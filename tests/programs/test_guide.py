@@ -89,6 +89,7 @@ def test_the_guide_s_commands_are_the_readme_s():
         assert command in README
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(blocks(FIRST_RUN, "python"))))
 def test_python_of_the_guide_runs(walked, monkeypatch, number):
     monkeypatch.chdir(walked)
@@ -103,6 +104,7 @@ def test_python_of_the_readme_runs(walk, monkeypatch, capsys):
     assert "silhouette_edges" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_sampler_of_the_readme_runs(walk, monkeypatch):
     monkeypatch.chdir(walk.parent)
     block = _python_of_the_readme("Your own sampler in 20 lines")

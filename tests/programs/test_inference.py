@@ -16,7 +16,8 @@ PROGRAMS = sorted((ROOT / "inference").glob("*.py"))
 # Filters follow a whole recording; the others have tests of their own below.
 FILTERS = [path for path in PROGRAMS if path.stem != "estimator_variance"]
 # These compile the gradient of an image likelihood.
-QUICKLY = [pytest.param(path, marks=pytest.mark.slow if path.stem in ("hmc_filter", "tempered_smc") else ()) for path in FILTERS]
+TIERS = {"tempered_smc": pytest.mark.slow, "hmc_filter": pytest.mark.long}
+QUICKLY = [pytest.param(path, marks=TIERS.get(path.stem, ())) for path in FILTERS]
 LONGEST = 80
 PUBLIC = {"bayes_body", "bayes_body.errors"}
 

@@ -54,11 +54,13 @@ def test_it_has_fifteen_lines():
     assert len([line for line in PLUGIN.splitlines() if line]) <= 15
 
 
+@pytest.mark.slow
 def test_its_terms_are_the_definition_s(folder):
     (check,) = [command for command in COMMANDS if "models check" in command]
     _give(folder, check)
 
 
+@pytest.mark.slow
 def test_its_program_runs_and_a_wrong_keypoint_moves_the_pose_little(folder, monkeypatch):
     monkeypatch.chdir(folder)
     names = {}

@@ -242,7 +242,7 @@ def test_some_damaged_files(kind, tmp_path):
     assert torture(READERS[kind], tmp_path, QUICK, 1) > QUICK / 10
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("kind", READERS)
 def test_many_damaged_files(kind, tmp_path):

@@ -244,7 +244,7 @@ def test_the_file_is_written_where_it_is_asked_for(make_run, tmp_path, monkeypat
             write_report(run, run.folder)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_long_run_of_a_whole_body_stays_below_the_limit(make_run, draw_pictures, parse):
     frames, runs, layers = 2000, 3, 8
     rng = np.random.default_rng(1)

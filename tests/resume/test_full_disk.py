@@ -73,6 +73,7 @@ def test_what_is_computed_stays(looped, disk, uninterrupted, capfd, room_for, sa
     assert kept == {path: path.stat().st_mtime_ns for path in kept}
 
 
+@pytest.mark.slow
 def test_hdf5_stopped_half_way_is_a_sentence(looped, tmp_path, uninterrupted):
     """Files may not grow beyond the half of the posterior: its room is there, its writing fails."""
     most = (uninterrupted / "posterior.nc").stat().st_size // 2

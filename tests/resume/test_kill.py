@@ -43,6 +43,7 @@ def start(session, out):
     return subprocess.Popen(command(session, out, *OPTIONS, *resume), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
+@pytest.mark.slow
 def test_killed_among_the_frames_twice(looped, tmp_path, uninterrupted):
     out, killed = tmp_path / "run", []
     for frame in (9, 31):
@@ -72,6 +73,7 @@ def test_killed_twenty_times_at_any_moment(looped, tmp_path, uninterrupted):
     assert finish(looped(FRAMES), out) == uninterrupted
 
 
+@pytest.mark.slow
 def test_an_interruption_says_how_to_go_on(looped, tmp_path):
     """Ctrl-C."""
     out = tmp_path / "run"

@@ -36,6 +36,7 @@ def fitted(body, walker):
     return retarget(body, walker, FPS)
 
 
+@pytest.mark.slow
 def test_a_walk_is_fitted_to_millimetres(fitted, walker):
     assert not fitted.exact
     assert fitted.angles.shape == (60, 31)

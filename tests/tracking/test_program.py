@@ -96,6 +96,7 @@ for law in (TruncatedWalk(zero, one, -one, one), JointNoise(zero, 0.1 * one, -on
 """
 
 
+@pytest.mark.slow
 def test_a_program_is_the_same_in_every_process():
     """Or none that is compiled would be found again: numpyro keeps what a law is made of in a set, whose order hangs on a process's hashes."""
     texts = []

@@ -21,7 +21,7 @@ def arm(textured_session):
     return build_model("arm", textured_session)
 
 
-@pytest.mark.parametrize("name", names("kernel"))
+@pytest.mark.parametrize("name", ["sir", *(pytest.param(name, marks=pytest.mark.slow) for name in names("kernel") if name != "sir")])
 def test_a_new_frame_never_retraces(name, textured_session, arm):
     term, traces = find("kernel", name), []
     kernel = term.build(options=term.options())

@@ -164,10 +164,13 @@ def frame_label(fps: float | None, thinned: str = "") -> str:
 
 
 def shade_lost(axes: "Axes", lost: Bool[np.ndarray, " frame"]) -> None:
-    """Shade the lost frames."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
-    for start, stop in edges.reshape(-1, 2):
-        axes.axvspan(start - 0.5, stop - 0.5, color=LOST, alpha=0.18, linewidth=0)
+    """Shade the lost frames over the whole height of the axes."""
+    from matplotlib.collections import PolyCollection
+
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]]))) - 0.5
+    spans = [[(start, 0), (stop, 0), (stop, 1), (start, 1)] for start, stop in edges.reshape(-1, 2)]
+    # One artist for all spans: hundreds of `axvspan` took half of a long report's time.
+    axes.add_collection(PolyCollection(spans, transform=axes.get_xaxis_transform(), color=LOST, alpha=0.18, linewidth=0), autolim=False)
 
 
 def whole_frames(axes: "Axes", frames: int) -> None:
