@@ -23,7 +23,6 @@ _HOME = {
     "stream_posterior": "posterior",
     "FrameFiles": "storage",
     "load_run": "storage.saved_run",
-    "with_first_pose": "initial",
     "summarise": "metrics",
     "draw_overlay": "view.overlay",
     "Factor": "density.factor",

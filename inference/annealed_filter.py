@@ -48,15 +48,15 @@ def main() -> None:
 
     pose, weights = posterior["posterior"]["pose"], np.exp(posterior["sample_stats"]["log_weight"])
     last = pose.weighted(weights).mean("draw").isel(frame=-1)  # (chain, dof): the pose that each run found
-    spread = pose.weighted(weights).std("draw").mean("chain").isel(frame=-1)
-    print(f"{'dof':<16}{'mean':>8} ± spread   range of runs, in frame {frames - 1}, {arguments.runs} runs")
+    print(f"{'dof':<16}{'mean':>8}{'range':>9}    of {arguments.runs} runs, in frame {frames - 1}")
     for dof in last.dof.values:
         scale, unit = (1000, "mm") if last.sel(dof=dof).unit == "m" else (np.degrees(1), "deg")
         each = last.sel(dof=dof) * scale
-        print(f"{dof:<16}{float(each.mean()):8.1f} ± {float(spread.sel(dof=dof)) * scale:<8.1f}{float(each.max() - each.min()):9.1f}    {unit}")
+        print(f"{dof:<16}{float(each.mean()):8.1f}{float(each.max() - each.min()):9.1f}    {unit}")
     print(f"effective particles: {float(posterior['filter']['ess'].min()):.0f} at least, of {particles}; every layer keeps about half")
     print(f"frames lost: {len(draws.frames_lost)}; seconds: {draws.timing.total:.1f}, {draws.timing.compile:.1f} of them compilation")
-    print("This filter is a mode seeker: the spread is no uncertainty. If runs disagree, the pose is doubtful. Agreement proves nothing.")
+    print("This filter is a mode seeker: its particles are not a sample of the posterior, so no interval is printed.")
+    print("If runs disagree, the pose is doubtful. Agreement proves nothing.")
 
 
 if __name__ == "__main__":

@@ -147,7 +147,7 @@ def _power_for_survival(log_likelihood: LogWeights, log_constraint: LogWeights, 
     return jnp.exp(jax.lax.fori_loop(0, BISECTIONS, halve, ends)[0])
 
 
-NOTE = "a mode seeker: it finds the pose, but the spread of its particles is no uncertainty; coverage and evidence are left out."
+NOTE = "a mode seeker: it finds the pose, but the spread of its particles does not measure uncertainty; coverage and evidence are left out."
 
 
 @register("kernel", "annealed", Options, NOTE)

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.body.solids import Body, PartTopology
+from bayes_body.density.sharding import varying_like
 from bayes_body.geometry.camera import Camera, Pixels
 from bayes_body.likelihood.patch_pixels import corner_pixels, rig_patches
 from bayes_body.shapes import Pose
@@ -107,10 +108,9 @@ def _search(is_sphere: tuple[bool, ...], forms: Forms, columns: Array, rows: Arr
             inside = jnp.minimum(inside, other)
         return (jnp.maximum(best, inside), jnp.where(inside > best, parts * side + number, which)), None
 
-    # Inside shard_map, the loop's state varies over devices where the forms do, so the initial state must vary too.
-    nothing = jnp.broadcast_to(0 * forms[0, 0, 0], jnp.broadcast_shapes(columns.shape, rows.shape))
     # A loop, because compiling unrolled code takes ten times as long.
-    start = nothing - jnp.inf, nothing.astype(jnp.int32)
+    shape = jnp.broadcast_shapes(columns.shape, rows.shape)
+    start = varying_like((jnp.full(shape, -jnp.inf, forms.dtype), jnp.zeros(shape, jnp.int32)), forms)
     (best, which), _ = jax.lax.scan(farthest, start, (jnp.asarray(cylinders, jnp.int32), jnp.moveaxis(forms[:3, :, cylinders], 2, 0)))
     for part in np.flatnonzero(is_sphere):
         f = forms[:, 0, part]

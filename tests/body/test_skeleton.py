@@ -114,6 +114,7 @@ def body_markers(body: Body, pose: dict[str, float]) -> dict[str, np.ndarray]:
     return dict(zip(body.markers.names, np.asarray(marker_positions(body.skeleton, body.markers, values)), strict=True))
 
 
+@pytest.mark.slow
 def test_a_joint_that_shifts_after_it_turned(x64):
     table = document("arm_4")
     # It turns, slides along where it then points, and turns again about where it then is.

@@ -114,6 +114,7 @@ def test_tempered_is_calibrated(tempered):
     assert least_p(tempered()) > LIMIT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", [{"sign": -1.0}, {"forgets": True}], ids=["sign", "weights forgotten"])
 def test_a_faulty_tempered_is_found_out(tempered, fault):
     assert least_p(tempered(**fault)) < 0.001

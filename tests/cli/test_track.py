@@ -215,7 +215,7 @@ SESSIONS = {
     "unknown key": (("fps = 60.0", "fps = 60.0\ntitel = 1"), ["titel", "unknown key", "did you mean 'title'?"]),
     "NaN": (("fps = 60.0", "fps = nan"), ["fps = nan", "expected a"]),
     "millimetres": (("torso = 0.578571268", "torso = 578.5"), ["torso", "578.5", "millimetres", "divide by 1000"]),
-    "no such dof": (("[initial.angles_deg]\n", "[initial.angles_deg]\nl_kneee = 1.0\n"), ["'l_kneee'", "no dof", "did you mean 'l_knee'?"]),
+    "no such dof": (("[initial.angles_deg]\n", "[initial.angles_deg]\nl_kneee = 1.0\n"), ["'l_kneee'", "not a dof", "did you mean 'l_knee'?"]),
     "outside the limits": (("l_knee = ", "l_knee = 200.0 # "), ["'l_knee'", "expected a value between", "limits"]),
 }
 

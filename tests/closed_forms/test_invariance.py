@@ -47,6 +47,7 @@ def test_iterated_resampling_keeps_the_posterior(iterated):
     assert found.moved.mean() > 0.9 and not found.refused.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("power", [-1.0, 0.5, 0.0], ids=["sign", "root of the weights", "weights forgotten"])
 def test_a_faulty_resampling_is_found_out(iterated, power):
     assert least_p(iterated(power)) < 0.001
@@ -77,6 +78,7 @@ def test_the_walk_keeps_the_posterior(walk):
     assert found.moved.mean() > 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", [{"jacobian": 0.0}, {"likelihood": -1.0}, {"likelihood": 0.5}], ids=["Jacobian dropped", "sign", "half tempered"])
 def test_a_faulty_walk_is_found_out(walk, fault):
     assert least_p(walk(**fault)) < 0.001
@@ -118,6 +120,7 @@ def test_trajectories_on_the_marginal_view_keep_the_posterior(trajectories):
     assert found.moved.mean() > 0.9
 
 
+@pytest.mark.slow
 def test_trajectories_without_the_log_determinant_are_found_out(trajectories):
     assert least_p(trajectories(jacobian=0.0)) < 0.001
 

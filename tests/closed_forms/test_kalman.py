@@ -40,7 +40,9 @@ def _check_against_kalman(model, ys, kernel):
         assert distance.max() < 4, f"{name}: {distance.max():.1f} MCSE from the Kalman filter"
 
 
-@pytest.mark.parametrize("scheme", ["systematic", "stratified", "multinomial", "residual"])
+@pytest.mark.parametrize(
+    "scheme", ["systematic", *(pytest.param(scheme, marks=pytest.mark.slow) for scheme in ("stratified", "multinomial", "residual"))]
+)
 def test_sir_equals_the_kalman_filter(linear_gaussian, observations, scheme):
     _check_against_kalman(linear_gaussian, observations, build_kernel(scheme))
 

@@ -59,7 +59,7 @@ def truth(densities):
     return path.true_path(jax.random.key(0), densities, _mixture(), draws=1600, starts=2000)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_truth_is_kalmans(truth):
     mean, variance = _kalman(1.0)
     # Of 1600 draws a run, every third state of 16 chains, 400 are the least.
@@ -68,7 +68,7 @@ def test_the_truth_is_kalmans(truth):
     assert np.all(truth.error < 16 * 2 * variance / 400)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_bias_and_variance_are_the_error(densities, truth):
     runs = path.follow(jax.random.key(1), densities, _mixture(), sir(), 50, 40)
     assert runs.means.shape == (40, 4, 2) and runs.evaluations == 50 and runs.seconds > 0
@@ -78,7 +78,7 @@ def test_bias_and_variance_are_the_error(densities, truth):
     assert 1 / 50 < np.median(found.variance) < 1 / 5 and np.median(found.bias) < 0.3 * np.median(found.variance)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_means_of_one_chain_forget_the_posteriors_spread(densities):
     exact, forgetful = _kalman(1.0), _kalman(0.0)
     truth = path.TruePath(*exact, np.zeros((4, 2)))
@@ -93,7 +93,7 @@ def test_means_of_one_chain_forget_the_posteriors_spread(densities):
     assert bias["means"][-1, 0] > 5 * bias["draws"][-1, 0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_figures_sentences_and_a_plot(densities, truth, tmp_path, monkeypatch):
     monkeypatch.setattr(path, "true_path", lambda *_, **__: truth)
     filters = {"hmc, draws": (hmc(**SMALL, chains=4), 80), "sir": (sir(), 80)}

@@ -145,7 +145,7 @@ def test_a_body_of_two_roots(body, tmp_path):
     topology = body.skeleton.topology
     loose = dataclasses.replace(topology, parents=(-1, -1, *topology.parents[2:]))
     loose = dataclasses.replace(body, skeleton=dataclasses.replace(body.skeleton, topology=loose))
-    with pytest.raises(InputError, match=r"--to bvh: the body '.*_31' has 2 roots; expected one"):
+    with pytest.raises(InputError, match=r"--to bvh: the body '.*_31' has 2 roots; expected exactly one root"):
         write_bvh(motion_of(loose, walk(body)), tmp_path / "walk.bvh")
     assert not (tmp_path / "walk.bvh").exists()
 

@@ -42,6 +42,7 @@ def test_markers_are_fitted_and_reported(scene, person, reports):
     assert np.abs(np.asarray(model.initial["pose"] - plain.initial["pose"])).max() > 0.1
 
 
+@pytest.mark.slow
 def test_the_keypoints_of_frame_0_are_a_first_pose_where_there_is_no_other(scene, person, seen, tmp_path, reports):
     session = scene(2)
     keypoints, _ = seen(session, person, np.random.default_rng(4))

@@ -121,6 +121,7 @@ def test_trousers_are_found_where_they_are(scene, recording):
         assert thick[part] == pytest.approx(1, abs=1e-6), part
 
 
+@pytest.mark.slow
 def test_images_see_the_clothes_and_legs_pass_without_them(scene, recording):
     masks = dressed(scene)
     session = recording(masks)

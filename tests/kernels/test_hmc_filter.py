@@ -131,6 +131,7 @@ def test_the_next_frame_starts_from_the_chains_means():
     assert np.isclose(jax.nn.logsumexp(means.log_weights), 0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_ancestors_are_draws_or_the_first_of_a_chain():
     density = conjugate(32).density
     spread = density.previous._replace(states={"x": density.previous.states["x"] + jnp.linspace(-1, 1, 32)[:, None]})

@@ -54,6 +54,7 @@ def test_in_the_images_corner_and_outside(scene):
         assert np.all(projected_area(man.body, man.rig, man.pose.at[axis].add(-60), GRID) < 1e-3)
 
 
+@pytest.mark.slow
 def test_gradient_is_that_of_the_area(x64, scene):
     man, step = scene("deutscher_31"), 1e-6
 

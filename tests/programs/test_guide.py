@@ -96,6 +96,7 @@ def test_python_of_the_guide_runs(walked, monkeypatch, number):
     exec(compile(blocks(FIRST_RUN, "python")[number], f"first_run.md #{number}", "exec"), {})
 
 
+@pytest.mark.slow
 def test_python_of_the_readme_runs(walk, monkeypatch, capsys):
     monkeypatch.chdir(walk.parent)
     block = _python_of_the_readme("A whole recording in a script")
@@ -126,6 +127,7 @@ def _python_of_the_readme(heading: str) -> str:
     return block
 
 
+@pytest.mark.slow
 def test_every_key_of_the_summary_is_explained(walked):
     summary = json.loads((walked / "walk_run" / "summary.json").read_text())
     assert keys(sections(FIRST_RUN)["What is in the run's folder"]) == set(summary)

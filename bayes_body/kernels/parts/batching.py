@@ -49,22 +49,6 @@ def over_particles(
     return jax.tree.map(lambda leaf: leaf[:count], results)
 
 
-def varying_like[Tree](tree: Tree, reference: Any) -> Tree:
-    """Return the tree with its arrays marked as varying over devices if the arrays of the reference vary.
-
-    A loop within `over_particles` needs this if its initial value is a constant: the initial value must have the same type as later ones.
-    """
-    axes = frozenset().union(*(jax.typeof(leaf).mat.varying for leaf in jax.tree.leaves(reference)))
-
-    def marked(leaf: Any) -> jax.Array:
-        # The state of a library may contain plain numbers.
-        leaf = jnp.asarray(leaf)
-        missing = tuple(sorted(axes - jax.typeof(leaf).mat.varying))
-        return jax.lax.pcast(leaf, missing, to="varying") if missing else leaf
-
-    return jax.tree.map(marked, tree)
-
-
 def axes_of(count: int, batch: int, axis: str) -> tuple[str, ...]:
     """Return the axis names with which a collective within `over_particles` covers all `count` particles, if each device has one batch."""
     spread = jax.default_backend() == "cpu" and len(_devices(count, batch)) > 1

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from bayes_body.density.sharding import varying_like
 from bayes_body.kernels.parts import adaptation
-from bayes_body.kernels.parts.batching import varying_like
 from bayes_body.shapes import Key, Scalar
 
 type Position = Mapping[str, Array]
