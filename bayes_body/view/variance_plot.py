@@ -1,6 +1,6 @@
 """Plot the errors of two samplers at equal computation: their ratio for each dof, and both over the frames (Poon & Fleet 2002, Fig. 8 and 9)."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ def draw_ratios(path: Path, figures: Mapping[str, Any]) -> None:
         figure.savefig(partial, format="png", dpi=120)
 
 
-def _ratios_by_dof(axes: Any, ratios: Mapping[str, Mapping[str, tuple[float, float, float]]]) -> None:
+def _ratios_by_dof(axes: Any, ratios: Mapping[str, Mapping[str, Sequence[float]]]) -> None:
     """Draw one row of points for each dof; the colour shows whether evaluations or seconds are equal."""
     dofs = list(ratios["evaluations"])
     places = np.arange(len(dofs))

@@ -6,6 +6,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import jax.numpy as jnp
 import matplotlib
 import numpy as np
 import pytest
@@ -50,7 +51,7 @@ def test_both_samplers_find_the_same_posterior(names):
 @pytest.mark.long
 def test_the_pictures_bring_the_pose_nearer_to_the_truth(names):
     def error(poses):
-        joints = np.stack([names["model"].markers(pose) for pose in poses.reshape(-1, len(names["dofs"]))[::20]])
+        joints = np.stack([names["model"].markers(jnp.asarray(pose)) for pose in poses.reshape(-1, len(names["dofs"]))[::20]])
         return np.linalg.norm(joints.mean(axis=0) - names["true_joints"], axis=-1).mean()
 
     assert error(names["poses"]) < 0.05
