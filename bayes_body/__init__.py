@@ -1,4 +1,4 @@
-"""Bayesian 3D human pose and motion from calibrated video, with calibrated uncertainty.
+"""Bayesian 3D human pose and motion from calibrated video, with honest uncertainty.
 
 Every public name is imported at its first use (PEP 562): `import bayes_body` costs nothing and does not configure JAX. Call `configure()` before the
 first computation.

@@ -195,12 +195,19 @@ def _import(importer: "Importer", source: Path, folder: Path, options: "Options"
     session, remarks = importer(source, folder, options)
     for remark in remarks:
         typer.echo(f"note: {remark}")
-    picture = _draw(session, model, folder / "check.png")
-    typer.echo(f"{len(session.views)} cameras, {session.frames} frames at {session.fps:g} frames a second: {folder / FILE_NAME}")
+    picture = draw_first_frame(session, model, folder / "check.png")
+    typer.echo(f"{size_of(session)}: {folder / FILE_NAME}")
     typer.echo(f"Look at {picture}: the body should cover the person in every view, and the axes should stand where the world's origin is.")
 
 
-def _draw(session: "Session", name: str, path: Path) -> Path:
+def size_of(session: "Session") -> str:
+    """Return the size of a recording in words."""
+    cameras = len(session.views)
+    return f"{cameras} camera{'s' if cameras > 1 else ''}, {session.frames} frames at {session.fps:g} frames a second"
+
+
+def draw_first_frame(session: "Session", name: str, path: Path) -> Path:
+    """Draw a body in its first pose into the first picture of every camera, and print the remarks of the fit."""
     from bayes_body.config import configure
 
     configure()

@@ -22,56 +22,69 @@ WALK = "walk"
 # Duration of the walk that ships, if no number of frames is given.
 WALK_S = 2.0
 
+Mocap = Annotated[str, typer.Argument(help="Motion capture: .amc, .bvh, .c3d, .trc; or `walk`, a walking cycle that ships.", show_default=False)]
+Out = Annotated[Path, typer.Option("--out", help="Folder to write the session into.", show_default=False)]
+RigName = Annotated[str, typer.Option("--rig", help="humaneva_7, room_4, side_1, moving_1, or a .toml: a rig, a session, Pose2Sim's.")]
+Cameras = Annotated[str | None, typer.Option("--cameras", help="Only these cameras of the rig, such as C1,C2,C3.")]
+Skeleton = Annotated[Path | None, typer.Option("--skeleton", help="The .asf of an .amc, if it is not beside it.", rich_help_panel=MOTION)]
+Unit = Annotated[str | None, typer.Option("--unit", help="Unit of the motion's lengths, if its file does not state it.", rich_help_panel=MOTION)]
+Up = Annotated[str | None, typer.Option("--up", help="Axis that points up, if it is not the usual one of its format.", rich_help_panel=MOTION)]
+Frames = Annotated[int | None, typer.Option("--frames", help="Number of frames, at the rig's rate; all by default.", rich_help_panel=MOTION)]
+FirstFrame = Annotated[int, typer.Option("--first-frame", help="First frame of the motion, at the rig's rate.", rich_help_panel=MOTION)]
+Centre = Annotated[bool, typer.Option("--centre/--no-centre", help="Move the motion to where the cameras look.", rich_help_panel=MOTION)]
+SubjectName = Annotated[
+    str, typer.Option("--subject", help="The simulated person: a number or a name; each gives a different person.", rich_help_panel=PERSON)
+]
+Height = Annotated[
+    float | None,
+    typer.Option("--height", help="The person's height, metres; the motion is scaled with it. By default the motion's own.", rich_help_panel=PERSON),
+]
+Body = Annotated[
+    str | None,
+    typer.Option("--body", help="A body whose joint angles are fitted to the motion and stored with the truth.", rich_help_panel=PERSON),
+]
+Clutter = Annotated[float, typer.Option("--clutter", help="Amount of furniture and textures: 0 none, 1 usual.", rich_help_panel=PICTURE)]
+Noise = Annotated[
+    float, typer.Option("--noise", help="Amount of sensor noise, exposure drift and gain differences: 0 none, 1 usual.", rich_help_panel=PICTURE)
+]
+Segmentation = Annotated[
+    str | None,
+    typer.Option(
+        "--segmentation",
+        help="Silhouettes of a `good` or `poor` segmenter, instead of an empty scene.",
+        rich_help_panel=PICTURE,
+    ),
+]
+TrueMasks = Annotated[bool, typer.Option("--masks", help="Also write the true silhouettes, into true_masks.", rich_help_panel=PICTURE)]
+Background = Annotated[
+    Path | None, typer.Option("--background", help="Folder with CAMERA.png, .mp4 ... of your own empty scene.", rich_help_panel=PICTURE)
+]
+Seed = Annotated[int, typer.Option("--seed", help="Seed of the room, noise and keypoints.", rich_help_panel=PICTURE)]
+
 
 def simulate(
-    mocap: Annotated[str, typer.Argument(help="Motion capture: .amc, .bvh, .c3d, .trc; or `walk`, a walking cycle that ships.", show_default=False)],
-    out: Annotated[Path, typer.Option("--out", help="Folder to write the session into.", show_default=False)],
-    rig: Annotated[str, typer.Option("--rig", help="humaneva_7, room_4, side_1, moving_1, or a .toml: a rig, a session, Pose2Sim's.")] = "room_4",
-    cameras: Annotated[str | None, typer.Option("--cameras", help="Only these cameras of the rig, such as C1,C2,C3.")] = None,
-    skeleton: Annotated[Path | None, typer.Option("--skeleton", help="The .asf of an .amc, if it is not beside it.", rich_help_panel=MOTION)] = None,
-    unit: Annotated[
-        str | None, typer.Option("--unit", help="Unit of the motion's lengths, if its file does not state it.", rich_help_panel=MOTION)
-    ] = None,
-    up: Annotated[
-        str | None, typer.Option("--up", help="Axis that points up, if it is not the usual one of its format.", rich_help_panel=MOTION)
-    ] = None,
-    frames: Annotated[
-        int | None, typer.Option("--frames", help="Number of frames, at the rig's rate; all by default.", rich_help_panel=MOTION)
-    ] = None,
-    first_frame: Annotated[int, typer.Option("--first-frame", help="First frame of the motion, at the rig's rate.", rich_help_panel=MOTION)] = 0,
-    centre: Annotated[bool, typer.Option("--centre/--no-centre", help="Move the motion to where the cameras look.", rich_help_panel=MOTION)] = True,
-    subject: Annotated[
-        str, typer.Option("--subject", help="The simulated person: a number or a name; each gives a different person.", rich_help_panel=PERSON)
-    ] = "0",
-    height: Annotated[
-        float | None,
-        typer.Option(
-            "--height", help="The person's height, metres; the motion is scaled with it. By default the motion's own.", rich_help_panel=PERSON
-        ),
-    ] = None,
-    body: Annotated[
-        str | None,
-        typer.Option("--body", help="A body whose joint angles are fitted to the motion and stored with the truth.", rich_help_panel=PERSON),
-    ] = None,
-    clutter: Annotated[float, typer.Option("--clutter", help="Amount of furniture and textures: 0 none, 1 usual.", rich_help_panel=PICTURE)] = 1.0,
-    noise: Annotated[
-        float, typer.Option("--noise", help="Amount of sensor noise, exposure drift and gain differences: 0 none, 1 usual.", rich_help_panel=PICTURE)
-    ] = 1.0,
-    segmentation: Annotated[
-        str | None,
-        typer.Option(
-            "--segmentation",
-            help="Silhouettes of a `good` or `poor` segmenter, instead of an empty scene.",
-            rich_help_panel=PICTURE,
-        ),
-    ] = None,
-    masks: Annotated[bool, typer.Option("--masks", help="Also write the true silhouettes, into true_masks.", rich_help_panel=PICTURE)] = False,
-    background: Annotated[
-        Path | None, typer.Option("--background", help="Folder with CAMERA.png, .mp4 ... of your own empty scene.", rich_help_panel=PICTURE)
-    ] = None,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of the room, noise and keypoints.", rich_help_panel=PICTURE)] = 0,
+    mocap: Mocap,
+    out: Out,
+    rig: RigName = "room_4",
+    cameras: Cameras = None,
+    skeleton: Skeleton = None,
+    unit: Unit = None,
+    up: Up = None,
+    frames: Frames = None,
+    first_frame: FirstFrame = 0,
+    centre: Centre = True,
+    subject: SubjectName = "0",
+    height: Height = None,
+    body: Body = None,
+    clutter: Clutter = 1.0,
+    noise: Noise = 1.0,
+    segmentation: Segmentation = None,
+    masks: TrueMasks = False,
+    background: Background = None,
+    seed: Seed = 0,
 ) -> None:
     """Film a motion with simulated cameras: videos, empty scenes, calibration, first keypoints and the truth, as a session."""
+    from bayes_body.cli.import_ import size_of
     from bayes_body.simulation.options import Options
     from bayes_body.simulation.person import build_person
     from bayes_body.simulation.session import check_folder
@@ -97,8 +110,7 @@ def simulate(
     for remark in remarks:
         typer.echo(f"note: {remark}")
     _draw(session, out)
-    size = f"{len(session.views)} cameras, {session.frames} frames at {session.fps:g} frames a second, a person of {person.build.height_m:.2f} m"
-    typer.echo(f"{size}: {out / 'session.toml'}")
+    typer.echo(f"{size_of(session)}, a person of {person.build.height_m:.2f} m: {out / 'session.toml'}")
 
 
 def _quality(text: str | None) -> Literal["good", "poor"] | None:
@@ -169,8 +181,7 @@ def _angles(name: str, landmarks: "Landmarks", fps: float) -> dict[str, "np.ndar
 
 
 def _draw(session: "Session", folder: Path) -> None:
-    from bayes_body.cli.import_ import DEFAULT_MODEL
-    from bayes_body.cli.import_ import _draw as draw
+    from bayes_body.cli.import_ import DEFAULT_MODEL, draw_first_frame
 
-    picture = draw(session, DEFAULT_MODEL, folder / "check.png")
+    picture = draw_first_frame(session, DEFAULT_MODEL, folder / "check.png")
     typer.echo(f"Look at {picture}: the fitted body should cover the person in every view.")

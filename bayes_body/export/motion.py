@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float
 
 from bayes_body.body.solids import Body
 from bayes_body.posterior.moments import Moments
-from bayes_body.storage.saved_run import SavedRun, angle_moments, marker_moments
+from bayes_body.storage.saved_moments import angle_moments, marker_moments
+from bayes_body.storage.saved_run import SavedRun
 
 type Axis = Literal["x", "y", "z"]
 AXES: tuple[Axis, ...] = ("x", "y", "z")

@@ -3,9 +3,6 @@ r"""A walking cycle: a walker's mean stride and the main modes of variation betw
 Strides are those of `bayes_body.learning.gait`. Modes are the first singular vectors of the centred strides, enough to explain 95 % of the variance.
 """
 
-import io
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +14,7 @@ from bayes_body.errors import input_error
 from bayes_body.files.atomic import replacing
 from bayes_body.learning.gait import NEEDED, TERMS, Points, Stride, height, is_run, points_of, segments, speed, strides
 from bayes_body.model.definition import definitions_folder
+from bayes_body.recording.arrays_file import read_arrays
 
 NAME = "walking_cycle"
 EXPLAINED = 0.95
@@ -136,19 +134,14 @@ def load_cycle(path: Path | None = None) -> WalkingCycle:
     """
     path = definitions_folder() / "learned" / f"{NAME}.npz" if path is None else path
     kind, remedy = "a walking cycle", "make one with `bayes-body learn walking-cycle`"
+    arrays = read_arrays(path, ARRAYS, kind, remedy)
     try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise input_error(path, f"cannot be read ({error.strerror})", kind, remedy) from None
-    try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as file:
-            arrays = {key: file[key] for key in ARRAYS}
         return _checked(arrays)
-    except (ValueError, TypeError, KeyError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise input_error(path, f"not such an archive, or damaged ({type(error).__name__})", kind, remedy) from None
+    except (ValueError, KeyError) as error:
+        raise input_error(path, f"other arrays ({type(error).__name__})", kind, remedy) from None
 
 
-def _checked(arrays: dict[str, np.ndarray]) -> WalkingCycle:
+def _checked(arrays: Mapping[str, np.ndarray]) -> WalkingCycle:
     names = tuple(str(name) for name in arrays["names"])
     numbers = {key: arrays[key].astype(float) for key in ARRAYS[1:]}
     columns, count = 3 * len(names) + 3, len(numbers["modes"])

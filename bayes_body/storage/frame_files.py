@@ -4,8 +4,6 @@ A file has the arrays of a `FrameResult` and no Python objects: `states.NAME`, `
 `seconds_ready`.
 """
 
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -115,7 +113,8 @@ def load_frame(path: Path) -> FrameResult:
     try:
         with np.load(path, allow_pickle=False) as file:
             return _frame(dict(file))
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+    except Exception as error:
+        # A damaged archive can raise anything: zlib.error, struct.error, KeyError, NotImplementedError, ...
         found = f"cannot be read ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
         raise input_error(path, found, "a frame written by `bayes-body track`", "compute it again with --resume") from None
 

@@ -14,8 +14,9 @@ def figures_text(summary: Mapping[str, Any]) -> str:
     def shown(key: str, form: str, unit: str = "") -> str:
         return "-" if summary[key] is None else f"{summary[key]:{form}}{unit}"
 
+    cameras = summary["cameras"]
     lines = [
-        f"frames      {summary['frames']}, lost {summary['frames_lost']}; {summary['cameras']} cameras, {summary['dof']} dofs",
+        f"frames      {summary['frames']}, lost {summary['frames_lost']}; {cameras} camera{'s' if cameras > 1 else ''}, {summary['dof']} dofs",
         f"time        {shown('seconds_per_frame', '.3f', ' s')} a frame; compilation {shown('seconds_compile', '.1f', ' s')}; "
         f"{shown('evaluations_per_second', ',.0f')} evaluations/s; {shown('peak_memory_mb', ',.0f', ' MB')}",
         f"particles   effective {shown('ess_median', '.0f')} (median), {shown('ess_min', '.0f')} (minimum) of {summary['particles']}",

@@ -6,7 +6,8 @@ import pytest
 
 from bayes_body.runs.run import run as run_session
 from bayes_body.runs.settings import Settings
-from bayes_body.storage.saved_run import load_run, marker_moments
+from bayes_body.storage.saved_moments import marker_moments
+from bayes_body.storage.saved_run import load_run
 
 
 @pytest.fixture(scope="module")

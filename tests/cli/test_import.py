@@ -151,7 +151,7 @@ SAID = ("--unit", "mm", "--up", "z", "--fps", "30")
 def test_import_of_opencvs_calibration(cli, laboratory, tmp_path):
     outcome = cli("import", "opencv", laboratory, tmp_path / "walk", *SAID, "--height", "1.8", "--offset", "left=1")
     assert outcome.status == 0, outcome.err
-    assert "1 cameras, 2 frames at 30 frames a second" in outcome.out
+    assert "1 camera, 2 frames at 30 frames a second" in outcome.out
     assert "note: There are no masks" in outcome.out
     picture = cv2.imread(str(tmp_path / "walk" / "check.png"))
     assert picture is not None and picture.std() > 1

@@ -156,7 +156,7 @@ def test_a_damaged_cycle_is_a_sentence(tmp_path, content):
     path.write_bytes(content)
     with pytest.raises(InputError, match="learn walking-cycle"):
         load_cycle(path)
-    with pytest.raises(InputError, match="No such file"):
+    with pytest.raises(InputError, match="no such file"):
         load_cycle(tmp_path / "none.npz")
 
 
@@ -166,7 +166,7 @@ def test_a_cycle_of_other_shapes_is_a_sentence(tmp_path, cycle):
     with np.load(path) as file:
         arrays = dict(file)
     np.savez(path, **arrays | {"segments": arrays["segments"][:-1]})
-    with pytest.raises(InputError, match="damaged"):
+    with pytest.raises(InputError, match="other arrays"):
         load_cycle(path)
 
 

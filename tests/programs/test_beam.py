@@ -13,7 +13,8 @@ from bayes_body.recording.keypoint_layouts import LAYOUTS
 from bayes_body.recording.keypoints import read_people
 from bayes_body.recording.person import choose_person
 from bayes_body.recording.triangulate import triangulate
-from bayes_body.storage.saved_run import load_run, marker_moments
+from bayes_body.storage.saved_moments import marker_moments
+from bayes_body.storage.saved_run import load_run
 
 pytestmark = [pytest.mark.long, pytest.mark.usefixtures("optimised")]
 

@@ -87,7 +87,8 @@ def test_its_program_runs_and_a_wrong_keypoint_moves_the_pose_little(folder, mon
 def test_the_man_on_the_beam_is_tracked_with_it(folder, pose2sim_beam):
     from programs.test_beam import triangulated
 
-    from bayes_body.storage.saved_run import load_run, marker_moments
+    from bayes_body.storage.saved_moments import marker_moments
+    from bayes_body.storage.saved_run import load_run
 
     (track,) = [command for command in COMMANDS if "bayes-body track" in command]
     (report,) = [command for command in COMMANDS if "bayes-body report" in command]

@@ -11,7 +11,8 @@ from bayes_body.model.definition import definitions_folder, load_definition, par
 from bayes_body.posterior import markers
 from bayes_body.session.read import load_session
 from bayes_body.storage.names import free_folder
-from bayes_body.storage.saved_run import angle_moments, load_run, marker_moments
+from bayes_body.storage.saved_moments import angle_moments, marker_moments
+from bayes_body.storage.saved_run import load_run
 
 
 def test_what_was_written_is_read_back(make_run):

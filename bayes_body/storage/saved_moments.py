@@ -1,0 +1,69 @@
+"""Mean, standard deviation and quantiles of a saved run's markers and joint angles, read from its posterior a block of frames at a time."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from bayes_body.errors import input_error
+from bayes_body.posterior.blocks import BLOCK, pooled, pose_blocks, weights_of_runs
+from bayes_body.posterior.moments import Moments, unwrapped, weighted_moments
+from bayes_body.posterior.weighted import markers
+from bayes_body.storage.saved_run import SavedRun
+
+# Number of poses whose markers are computed at a time.
+CHUNK = 8192
+
+
+def marker_moments(run: SavedRun, frames: range | None = None, block: int = BLOCK) -> Moments:
+    """Return the moments of the virtual markers, (frame, marker, 3), metres, pooled over the runs, which all have the same weight.
+
+    Args:
+        run: the run, loaded from its folder.
+        frames: numbers of the frames; all by default.
+        block: largest number of frames in memory at a time.
+
+    Raises:
+        InputError: the run's body has no virtual markers.
+    """
+    if not run.model.body.markers.names:
+        raise input_error(f"the body '{run.model.body.name}'", "no virtual markers", "at least one", "give the body file a table [markers]")
+
+    def place(poses: Float[np.ndarray, "frame draw dof"], weights: Float[np.ndarray, "frame draw"]) -> Float[np.ndarray, "frame draw marker 3"]:
+        del weights
+        flat = poses.reshape(-1, poses.shape[-1])
+        # All pieces have the same shape: a shorter last one would need another compilation.
+        chunks = [markers(run.model, _padded(flat[start : start + CHUNK])) for start in range(0, len(flat), CHUNK)]
+        return np.concatenate(chunks)[: len(flat)].reshape(*poses.shape[:-1], -1, 3).astype(float)
+
+    return _moments(run, frames, block, 3 * len(run.model.body.markers.names), place)
+
+
+def angle_moments(run: SavedRun, frames: range | None = None, block: int = BLOCK) -> Moments:
+    """Return the moments of the dofs, (frame, dof), radians and metres, pooled over the runs, which all have the same weight.
+
+    An angle without limits, such as the direction a walker faces, is first brought within half a turn of its circular mean; an angle with limits is
+    not changed. The arguments are those of `marker_moments`.
+    """
+    skeleton = run.model.body.skeleton
+    endless = np.asarray(skeleton.topology.angular) & ~np.isfinite(np.asarray(skeleton.low)) & ~np.isfinite(np.asarray(skeleton.high))
+
+    def unwind(poses: Float[np.ndarray, "frame draw dof"], weights: Float[np.ndarray, "frame draw"]) -> Float[np.ndarray, "frame draw dof"]:
+        poses[..., endless] = unwrapped(poses[..., endless], weights)
+        return poses
+
+    return _moments(run, frames, block, len(endless), unwind)
+
+
+def _moments(run: SavedRun, frames: range | None, block: int, width: int, of: Callable[..., NDArray[np.floating]]) -> Moments:
+    """Return the moments of the values that `of` computes from the poses and weights (frame, draw, ...) of each piece."""
+    found = []
+    for piece in pose_blocks(run.tree, frames, block, width):
+        weights = pooled(weights_of_runs(piece.log_weights)) / piece.poses.shape[0]
+        found.append(weighted_moments(of(pooled(piece.poses), weights), weights))
+    return Moments(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+def _padded(poses: Float[np.ndarray, "draw dof"]) -> Float[np.ndarray, "chunk dof"]:
+    return np.concatenate([poses, np.broadcast_to(poses[-1:], (CHUNK - len(poses), poses.shape[1]))])
