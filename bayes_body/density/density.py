@@ -84,7 +84,7 @@ class Density:
             InputError: a likelihood is not generative.
         """
         if self.not_generative:
-            expected = "a model whose likelihoods are all distributions over images"
+            expected = "a model whose likelihoods are all distributions over a frame's data"
             raise input_error(
                 "the likelihood", f"'{self.not_generative[0]}' is not a distribution over images", expected, "take markers_gaussian, for one"
             )

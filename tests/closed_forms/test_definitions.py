@@ -20,12 +20,12 @@ def _made_of(name):
 
 
 def _small_first():
-    """The arms; as slow tests the larger bodies; as long tests definitions that consist of the same terms as one before."""
+    """The arms by default, but `arm_edges`, which compiles long; the others slow; long if a definition before consists of the same terms."""
     found = []
     for name in definition_names():
         alike = _made_of(name) in found
         found.append(_made_of(name))
-        yield pytest.param(name, marks=pytest.mark.long if alike else () if name.startswith("arm") else pytest.mark.slow)
+        yield pytest.param(name, marks=pytest.mark.long if alike else () if name.startswith("arm") and name != "arm_edges" else pytest.mark.slow)
 
 
 @pytest.fixture(params=definition_names())

@@ -54,8 +54,9 @@ def _check(target, options, kernel=None):
 EACH_KERNEL = [pytest.param(options, id=name, marks=[] if name == "hmc" else pytest.mark.slow) for name, options in KERNELS.items()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", EACH_KERNEL)
-@pytest.mark.parametrize("make", [pytest.param(conjugate, id="conjugate", marks=pytest.mark.slow), pytest.param(skewed, id="skewed")])
+@pytest.mark.parametrize("make", [conjugate, skewed])
 def test_evidence_and_mean_are_unbiased(make, options):
     _check(make(PARTICLES), options)
 

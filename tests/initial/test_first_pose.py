@@ -53,6 +53,7 @@ def _recovered(model, session, pose):
     return max(found.marker_residuals_m.values())
 
 
+@pytest.mark.slow
 def test_markers_of_the_very_body_are_met(scene, model):
     worst = [_recovered(model, scene(1), pose) for pose in _random_poses(model.body.skeleton, np.random.default_rng(1), 3)]
     assert np.median(worst) < 0.003

@@ -38,6 +38,7 @@ def test_pixels_and_visibility(scene, name):
     assert visible.all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["arm_4", "deutscher_31"])
 def test_derivative(scene, name):
     body, rig, _, pose = scene(name)

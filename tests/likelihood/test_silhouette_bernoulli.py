@@ -144,6 +144,7 @@ def test_what_is_drawn_has_the_probabilities(scene):
     assert abs((z**2).mean() - 1) < 5 * np.sqrt(2 / z.size)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["arm_4", "deutscher_31"])
 def test_the_gradient_is_the_densitys(x64, scene, name):
     scene = scene(name)
@@ -167,6 +168,7 @@ def test_it_is_greatest_near_the_pose_that_it_was_drawn_at(x64, scene):
         assert np.argmax(values) == 1, scene.body.dof_names[k]
 
 
+@pytest.mark.slow
 def test_a_body_that_no_camera_sees(scene):
     scene = scene("arm_4")
     turn = jnp.diag(jnp.array([-1.0, 1.0, -1.0]))
