@@ -213,8 +213,8 @@ class Unconstrained(NamedTuple):
         return self.density.marginal(self.constrain(position), predictions=self.predictions) + self.coordinates.log_determinant(position)
 
     def constrain(self, position: State) -> dict[str, Array]:
-        """Return the sampled variables of the state at a position."""
-        return self.coordinates.constrain(position)
+        """Return the sampled variables of the state at a position, and those that follow from them."""
+        return self.density.transition.with_derived(self.coordinates.constrain(position))
 
     def unconstrain(self, state: State) -> dict[str, Array]:
         """Return the position of a state: the inverse of `constrain`."""

@@ -33,7 +33,7 @@ class Extended(NamedTuple):
 
     def state(self, ancestor: Index, position: State) -> State:
         """Return the whole state at a position, with the variables that it takes from its ancestor."""
-        return self.density.transition.carry(self.density.ancestor(ancestor), self.coordinates.constrain(position))
+        return self.density.transition.state(self.density.ancestor(ancestor), self.coordinates.constrain(position))
 
     def log_likelihood(self, ancestor: Index, position: State) -> Scalar:
         """Return the log-likelihood."""

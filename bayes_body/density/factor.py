@@ -78,10 +78,16 @@ class Factor:
         return any(variable.offset < 0 for variable in self.scope)
 
 
-def sampled_only(previous: State, sampled: State) -> State:
-    """Return the sampled variables: the default `carry`, for a state that is sampled as a whole."""
+def nothing_derived(sampled: State) -> State:
+    """Return no variables: the default `derive`, for a state that is sampled as a whole."""
+    del sampled
+    return {}
+
+
+def nothing_carried(previous: State, known: State) -> State:
+    """Return the known variables: the default `carry`, for a prior without memory."""
     del previous
-    return sampled
+    return known
 
 
 def nothing_before(first: State) -> State:
@@ -89,7 +95,7 @@ def nothing_before(first: State) -> State:
     return first
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=["name"], data_fields=["conditional", "perturbation", "carry", "begin"])
+@partial(jax.tree_util.register_dataclass, meta_fields=["name"], data_fields=["conditional", "perturbation", "carry", "begin", "derive"])
 @dataclass(frozen=True)
 class Transition:
     """A motion prior.
@@ -100,24 +106,35 @@ class Transition:
             distribution has a scalar log_prob.
         perturbation: (state, scale) -> distributions of the noise, centred on the state, with the standard deviation multiplied by `scale`. It is a
             proposal of annealing kernels and is not part of the density.
-        carry: (previous, sampled) -> the whole state, including variables that are remembered but not random (such as the previous pose of a
-            second-order prior).
-        begin: the sampled variables of a first state -> the whole state.
+        carry: (previous, sampled and derived variables) -> the whole state, including variables that are remembered but not random (such as the
+            previous pose of a second-order prior).
+        begin: a first pose -> the whole state.
+        derive: sampled variables -> the variables that follow from them alone, such as the pose at a phase of a walking cycle. Factors read
+            these like any others, and derivatives go through this function.
     """
 
     name: str
     conditional: Callable[[State], Mapping[str, Distribution]]
     perturbation: Callable[[State, Scalar], Mapping[str, Distribution]]
-    carry: Callable[[State, State], State] = jax.tree_util.Partial(sampled_only)
+    carry: Callable[[State, State], State] = jax.tree_util.Partial(nothing_carried)
     begin: Callable[[State], State] = jax.tree_util.Partial(nothing_before)
+    derive: Callable[[State], State] = jax.tree_util.Partial(nothing_derived)
+
+    def with_derived(self, sampled: State) -> dict[str, Array]:
+        """Return the sampled variables, and those that follow from them."""
+        return {**sampled, **self.derive(sampled)}
+
+    def state(self, previous: State, sampled: State) -> State:
+        """Return the whole state of sampled variables: with those that follow from them and those that come from the previous state."""
+        return self.carry(previous, self.with_derived(sampled))
 
     def sample(self, key: Key, previous: State) -> State:
         """Draw a state of the next frame."""
-        return self.carry(previous, draw(key, self.conditional(previous)))
+        return self.state(previous, draw(key, self.conditional(previous)))
 
     def perturb(self, key: Key, state: State, previous: State, scale: Scalar) -> State:
         """Return the state with noise added."""
-        return self.carry(previous, draw(key, self.perturbation(state, scale)))
+        return self.state(previous, draw(key, self.perturbation(state, scale)))
 
     def log_density(self, state: State, previous: State) -> Scalar:
         """Return log p(state | previous), normalised over the support."""

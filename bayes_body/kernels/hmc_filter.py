@@ -23,7 +23,7 @@ from jaxtyping import Array, Float, Int
 from pydantic import Field, model_validator
 
 from bayes_body.density.density import Density, Unconstrained
-from bayes_body.density.factor import Particles, State
+from bayes_body.density.factor import Particles, State, Transition
 from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.kernels.parts.adaptation import FEWEST
 from bayes_body.kernels.parts.batching import axes_of, over_particles
@@ -112,7 +112,7 @@ class _Filter:
         if self.options.carry == "draws":
             return self.sample(key, density.with_previous(particles), count)
         length = self._length(count)
-        after, info = self.sample(key, density.with_previous(_chain_means(particles, length)), count)
+        after, info = self.sample(key, density.with_previous(_chain_means(particles, length, density.transition)), count)
         # The first draw of a chain represents its mean.
         return after, info._replace(ancestors=info.ancestors * length)
 
@@ -138,8 +138,7 @@ class _Filter:
         ran: Chain = over_particles(self._chain(length, together), (keys, begin.starts), target, batch, checked, CHAINS)
         draws = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], ran.positions)
         states, ancestors = self._states(ancestor_key, draws, target)
-        by_chain = jax.vmap(jax.vmap(lambda position: ravel_pytree(position)[0]))(ran.positions)
-        by_dof = effective_draws(by_chain)
+        by_dof = effective_draws(jax.vmap(jax.vmap(lambda position: _reported(target, position)))(ran.positions))
         ess = jnp.min(by_dof)
         info = FilterInfo(
             ancestors=ancestors,
@@ -191,15 +190,26 @@ class _Filter:
         return over_particles(complete, (keys, draws), target)
 
 
-def _chain_means(particles: Particles, length: int) -> Particles:
-    """Return the mean state of each chain of `length` draws, with equal weights. Angles are averaged as plain numbers, including full turns."""
+def _reported(target: Unconstrained, position: State) -> Float[Array, " entry"]:
+    """Return what effective draws are reported of: the variables that follow from the sampled ones if there are any, else the coordinates."""
+    derived = target.density.transition.derive(target.coordinates.constrain(position))
+    return ravel_pytree(dict(derived) or dict(position))[0]
+
+
+def _chain_means(particles: Particles, length: int, transition: Transition) -> Particles:
+    """Return the mean state of each chain of `length` draws, with equal weights. Angles are averaged as plain numbers, including full turns.
+
+    What follows from sampled variables follows from their means: the mean of derived poses need not be the pose of any state.
+    """
     count = particles.log_weights.shape[0]
 
     def means(leaf: Array) -> Array:
         return jnp.stack([jnp.mean(leaf[first : first + length], axis=0) for first in range(0, count, length)])
 
     chains = -(-count // length)
-    return Particles(jax.tree.map(means, dict(particles.states)), jnp.full((chains,), -jnp.log(chains), particles.log_weights.dtype))
+    states = jax.tree.map(means, dict(particles.states))
+    states |= jax.vmap(transition.derive)(states)
+    return Particles(states, jnp.full((chains,), -jnp.log(chains), particles.log_weights.dtype))
 
 
 def _coordinates(target: Unconstrained) -> tuple[Float[Array, "particle dof"], Float[Array, " particle"]]:

@@ -103,7 +103,9 @@ def build_model(name: str | Path | Definition, session: Session) -> Model:
     transition = find("dynamics", dynamics.kind).build(
         options=dynamics.options, body=body, fps=session.fps, subject_sd=_motion_sd(session.subject, definition)
     )
-    return Model(definition, body, rig, transition, tuple(factors), transition.begin({"pose": _initial_pose(session, body, definition)}), observers)
+    initial = transition.begin({"pose": _initial_pose(session, body, definition)})
+    _check_derived(transition, initial)
+    return Model(definition, body, rig, transition, tuple(factors), initial, observers)
 
 
 def _likelihoods(definition: Definition, body: Body, rig: Camera) -> tuple[list[Factor], dict[str, Callable[[Any], Any]]]:
@@ -113,6 +115,14 @@ def _likelihoods(definition: Definition, body: Body, rig: Camera) -> tuple[list[
         factors.append(find("likelihood", term.kind).build(name=name, options=term.options, body=body, rig=rig))
         observers[name] = find("observation", term.kind).build(options=term.observation, likelihood=term.options)
     return factors, observers
+
+
+def _check_derived(transition: Transition, initial: State) -> None:
+    """Check that no variable is both sampled and derived."""
+    both = sorted(set(transition.conditional(initial)) & set(transition.derive(initial)))
+    if both:
+        found, expected = f"the variable '{both[0]}' is sampled, and it is derived too", "each variable in one of the two"
+        raise input_error(f"dynamics '{transition.name}'", found, expected, "leave it out of `derive`, or out of `conditional`")
 
 
 def _shape(subject: Subject, definition: Definition) -> Shape:

@@ -126,7 +126,7 @@ def test_overdispersed_starts_reach_the_same_posterior(target, monkeypatch):
 def test_the_next_frame_starts_from_the_chains_means():
     density = conjugate(CHAINS * 2).density
     states = {"x": jnp.arange(CHAINS * 2 * 3, dtype=jnp.float32).reshape(-1, 3)}
-    means = hmc_filter._chain_means(density.previous._replace(states=states), 2)
+    means = hmc_filter._chain_means(density.previous._replace(states=states), 2, density.transition)
     assert np.allclose(means.states["x"][0], states["x"][:2].mean(axis=0)) and means.states["x"].shape == (CHAINS, 3)
     assert np.isclose(jax.nn.logsumexp(means.log_weights), 0, atol=1e-6)
 

@@ -5,9 +5,12 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
+from own_terms import plugins_of_this_test
 
+from bayes_body import registry
 from bayes_body.errors import InputError
 from bayes_body.model.build import build_model
+from bayes_body.model.definition import load_definition
 from bayes_body.session.session import Subject
 
 
@@ -77,3 +80,18 @@ def test_a_smaller_body_takes_what_it_has_of_a_larger_ones_measures(textured_ses
     assert np.isclose(model.initial["pose"][model.body.dof_names.index("l_knee")], -0.3)
     with pytest.raises(InputError, match="'l_nee' is not a dof"):
         build_model("poon_fleet_2002_legs", _with(textured_session, initial={"l_nee": -0.3}))
+
+
+def test_a_variable_is_sampled_or_derived_but_not_both(textured_session):
+    with plugins_of_this_test():
+        plain = registry.find("dynamics", "diffusion")
+
+        @registry.register("dynamics", "twice", plain.options)
+        def build(**arguments):
+            walk = plain.build(**arguments)
+            return dataclasses.replace(walk, derive=jax.tree_util.Partial(lambda sampled: {"pose": 2 * sampled["pose"]}))
+
+        definition = load_definition("arm_silhouette")
+        twice = dataclasses.replace(definition, dynamics=dataclasses.replace(definition.dynamics, kind="twice"))
+        with pytest.raises(InputError, match=r"dynamics 'diffusion': the variable 'pose' is sampled, and it is derived too; expected"):
+            build_model(twice, textured_session)

@@ -8,12 +8,12 @@ $$M = S\, (\mathrm{diag}(1/v) + C)\, S - \mathrm{diag}\Big(\frac{\partial^2}{\pa
 The paper uses only the diagonal, $M^{-1} = \mathrm{diag}(\epsilon_k^2)$. Monocular posteriors are narrow along some combinations of dofs and wide
 along others. With the whole matrix, the narrowest combination does not limit the steps along the others.
 
-A likelihood may supply its part of C (`Factor.curvature`). For the other likelihoods it comes from finite differences of their gradient, over a tenth
-of the noise's standard deviation. Only positive curvature is used. The matrix depends only on the first state of the chain, so the moves stay
-reversible. If the correlations of the previous frame's particles are used, the scales ε_k do not change.
+A likelihood may supply its part of C (`Factor.curvature`), for the variables that it reads. If those follow from the sampled variables
+(`Transition.derive`), it is pulled back: $J^\top C J$, with the Jacobian J of what follows. For the other likelihoods it comes from finite
+differences of their gradient by the sampled variables, over a tenth of the noise's standard deviation. Only positive curvature is used. The matrix
+depends only on the first state of the chain, so the moves stay reversible. If the correlations of the previous frame's particles are used, the
+scales ε_k do not change.
 """
-
-from collections.abc import Mapping
 
 import jax
 import jax.numpy as jnp
@@ -40,10 +40,9 @@ def inverse_mass(target: Unconstrained, position: State, previous: State, whole:
         previous: the state of the previous frame from which it was predicted.
         whole: whether to return the whole matrix rather than the inverse of the diagonal.
     """
-    state, density = target.constrain(position), target.density
+    sampled, density = target.coordinates.constrain(position), target.density
     variances = ravel_pytree({name: jnp.asarray(distribution.variance) for name, distribution in density.transition.conditional(previous).items()})[0]
-    offered = _blocks(density.curvature(state, previous))
-    curvature = _finite(offered) + _finite(differenced(density, state, previous, variances))
+    curvature = _finite(offered(density, sampled, previous)) + _finite(differenced(density, sampled, previous, variances))
     slope, bend = (ravel_pytree(parts)[0] for parts in _slopes_and_bends(target.coordinates, position))
     prior = slope * slope / variances + bend
     if not whole:
@@ -59,9 +58,16 @@ def _finite(matrix: Array) -> Array:
     return jnp.where(jnp.isfinite(matrix), matrix, 0.0)
 
 
-def _blocks(by_variable: Mapping[str, Array]) -> Float[Array, "dof dof"]:
-    """Return the block-diagonal matrix of the variables' matrices, in alphabetical order."""
-    return jax.scipy.linalg.block_diag(*(by_variable[name] for name in sorted(by_variable)))
+def offered(density: Density, sampled: State, previous: State) -> Float[Array, "dof dof"]:
+    """Return the curvature that likelihoods supply, by the sampled variables in alphabetical order."""
+    transition = density.transition
+    by_variable = density.curvature(transition.state(previous, sampled), previous)
+    total = jax.scipy.linalg.block_diag(*(by_variable[name] for name in sorted(sampled)))
+    flat, unravel = ravel_pytree(dict(sampled))
+    for name, value in transition.derive(sampled).items():
+        jacobian = jax.jacfwd(lambda x, name=name: jnp.ravel(transition.derive(unravel(x))[name]))(flat)
+        total += jacobian.T @ by_variable[name].reshape(value.size, value.size) @ jacobian
+    return total
 
 
 def _slopes_and_bends(coordinates: Coordinates, position: State) -> tuple[dict[str, Array], dict[str, Array]]:
@@ -86,16 +92,16 @@ def _slope_and_bend(bijection: Transform, x: Array) -> tuple[Array, Array]:
     return slope(x), jnp.maximum(-jax.jvp(first, (x,), (ones,))[1], 0.0)
 
 
-def differenced(density: Density, state: State, previous: State, variances: Float[Array, " dof"]) -> Float[Array, "dof dof"]:
-    """Return minus the second derivatives of the likelihoods without `curvature`, by all dofs, from gradients on both sides of a state."""
-    flat, unravel = ravel_pytree(dict(state))
+def differenced(density: Density, sampled: State, previous: State, variances: Float[Array, " dof"]) -> Float[Array, "dof dof"]:
+    """Return minus the second derivatives of the likelihoods without `curvature`, by the sampled variables, from gradients on both sides."""
+    flat, unravel = ravel_pytree(dict(sampled))
     names = density.without_curvature
     if not names:
         return jnp.zeros((flat.size, flat.size), flat.dtype)
     reach = DIFFERENCE * jnp.sqrt(variances)
 
     def gradient(values: Array) -> Array:
-        return jax.grad(lambda v: density.log_likelihood_of(names, {**previous, **unravel(v)}, previous))(values)
+        return jax.grad(lambda v: density.log_likelihood_of(names, density.transition.state(previous, unravel(v)), previous))(values)
 
     def along(number: Array) -> Array:
         step = jnp.zeros_like(flat).at[number].set(reach[number])
