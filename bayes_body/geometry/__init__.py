@@ -1,1 +1,1 @@
-"""Rigid transforms and cameras."""
+"""Rotations, rigid transforms and cameras."""

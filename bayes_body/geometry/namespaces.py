@@ -1,0 +1,12 @@
+"""The array library of an argument: one formula serves JAX, in single precision and inside traces, and NumPy, in double precision on the host."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+
+def namespace(*arrays: Any) -> Any:
+    """Return `jax.numpy` if one of the arrays is JAX's (traced or not), else `numpy`."""
+    return jnp if any(isinstance(array, jax.Array) for array in arrays) else np
