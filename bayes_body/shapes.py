@@ -9,4 +9,6 @@ type Flag = Bool[Array, ""]
 type Vector3 = Float[Array, "3"]
 type Rotation = Float[Array, "3 3"]
 type Pose = Float[Array, " dof"]
+# What places a body: a pose (dof,), or the transforms of its parts (part, 7); see body/placement.py.
+type Configuration = Float[Array, "*entries"]
 type Index = Int[Array, ""]

@@ -22,11 +22,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body.body.kinematics import forward_kinematics
+from bayes_body.body.placement import ByAngles, Placement, joint_transforms
 from bayes_body.body.skeleton import Markers, Skeleton
 from bayes_body.geometry import transforms
 from bayes_body.geometry.transforms import Transform
-from bayes_body.shapes import Pose, Vector3
+from bayes_body.shapes import Configuration, Vector3
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class PartTopology:
 @partial(
     jax.tree_util.register_dataclass,
     meta_fields=["name", "topology"],
-    data_fields=["skeleton", "markers", "presets", "offsets", "lengths", "radii", "outline_radii", "sections"],
+    data_fields=["skeleton", "markers", "presets", "offsets", "lengths", "radii", "outline_radii", "sections", "placement"],
 )
 @dataclass(frozen=True)
 class Body:
@@ -67,25 +67,36 @@ class Body:
     radii: Float[Array, "part 2"]
     outline_radii: Float[Array, "part 2"]
     sections: Float[Array, "part 2"]
+    placement: Placement = ByAngles()
 
     @property
     def dof_names(self) -> tuple[str, ...]:
         """Names of the entries of a pose."""
         return self.skeleton.topology.dof_names
 
+    @property
+    def variable(self) -> str:
+        """The name of the variable that places the body: `pose`, or `parts`."""
+        return self.placement.variable
 
-def part_transforms(body: Body, pose: Pose) -> Transform:
+    @property
+    def by_angles(self) -> "Body":
+        """The same body, placed by joint angles."""
+        return replace(self, placement=ByAngles())
+
+
+def part_transforms(body: Body, configuration: Configuration) -> Transform:
     """`T_world_part` of every part, stacked: rotations (part, 3, 3) and origins (part, 3), metres."""
-    joints = transforms.pick(forward_kinematics(body.skeleton, pose), np.array(body.topology.joints, int))
+    joints = transforms.pick(joint_transforms(body, configuration), np.array(body.topology.joints, int))
     return transforms.compose(joints, Transform(body.presets, body.offsets))
 
 
-def widened(body: Body, pose: Pose) -> Body:
-    """The body with its radii changed by the dofs of axis `width`."""
+def widened(body: Body, configuration: Configuration) -> Body:
+    """The body with its radii changed by the dofs of axis `width`, which only a pose has."""
     if not body.topology.widths:
         return body
     parts, ends, dofs = (np.array(column) for column in zip(*body.topology.widths, strict=True))
-    wider = jnp.zeros_like(body.radii).at[parts, ends].add(pose[dofs].astype(body.radii.dtype))
+    wider = jnp.zeros_like(body.radii).at[parts, ends].add(configuration[dofs].astype(body.radii.dtype))
     return replace(body, radii=body.radii + wider, outline_radii=body.outline_radii + wider)
 
 

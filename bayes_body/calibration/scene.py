@@ -36,7 +36,7 @@ def model_in_a_room(definition: Definition, rig: Path | None = None) -> Model:
     there = build_model(definition, _session(found.fps, found.cameras))
     if rig is not None:
         return there
-    markers = np.asarray(there.markers(there.initial["pose"]), float)
+    markers = np.asarray(there.markers(there.initial[there.body.variable]), float)
     centre = (markers.min(axis=0) + markers.max(axis=0)) / 2
     reach = REACH * float(np.linalg.norm(markers - centre, axis=1).max())
     return build_model(definition, _session(found.fps, tuple(_moved(camera, centre, reach) for camera in found.cameras)))

@@ -16,6 +16,7 @@ from jax.scipy.special import log_ndtr
 from jaxtyping import Array, Bool, Float
 from numpyro.distributions import Distribution, constraints
 
+from bayes_body.body.placement import POSE, require
 from bayes_body.body.solids import Body
 from bayes_body.density.factor import State, Transition
 from bayes_body.dynamics.deviations import standard_deviations
@@ -99,6 +100,7 @@ def build(options: Options, body: Body, fps: float, subject_sd: Mapping[str, flo
     Raises:
         InputError: a dof has no standard deviation, or a key of the options matches no dof.
     """
+    require(body, POSE, "dynamics 'diffusion'", 'kind = "rigid_walk"')
     topology = body.skeleton.topology
     factor = math.sqrt(options.at_fps / fps)
     by_name = {name: sd * factor for name, sd in standard_deviations(options.sd_deg, options.sd_m, topology).items()}

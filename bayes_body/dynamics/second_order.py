@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool
 from numpyro.distributions import Distribution
 from pydantic import model_validator
 
+from bayes_body.body.placement import POSE, require
 from bayes_body.body.solids import Body
 from bayes_body.density.factor import State, Transition
 from bayes_body.dynamics.deviations import standard_deviations
@@ -90,6 +91,7 @@ def build(options: Options, body: Body, fps: float, **_: Any) -> Transition:
     Raises:
         InputError: a dof has no standard deviation or too large a one, or a key of the options matches no dof.
     """
+    require(body, POSE, "dynamics 'second_order'", 'kind = "rigid_walk"')
     topology, skeleton = body.skeleton.topology, body.skeleton
     time = options.at_fps / fps
     position, velocity = (options.alpha_1 - options.alpha_2) ** time, options.alpha_2**time

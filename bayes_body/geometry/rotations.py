@@ -1,6 +1,6 @@
 r"""Rotations as unit quaternions (w, x, y, z), batched over leading axes, for JAX and NumPy arrays.
 
-`q` and `-q` are the same rotation. Gradients are finite everywhere, also at the zero angle, where the formulas are Taylor series in the squared angle.
+`q` and `-q` are the same rotation. Gradients are finite everywhere, also at the zero angle, where the formulas are Taylor series in the square.
 The group's measure (Haar) is that which equals Lebesgue measure dw of the rotation vector w at the identity. All rotations together then have the
 measure $8 \pi^2$.
 

@@ -146,8 +146,8 @@ def first_pose(model: Model, session: Session) -> FirstPose:
 
 def _posed(model: Model, session: Session) -> FirstPose:
     if not session.initial_markers and not session.initial_keypoints:
-        return FirstPose(model.initial["pose"])
-    points = body_points(model.body)
+        return FirstPose(model.first_pose)
+    points = body_points(model.body.by_angles)
     measurements = read_measurements(session, points)
     problem = build_problem(model, session, points, measurements)
     best, gain = fit(problem, "xyz".index(session.up))

@@ -79,7 +79,7 @@ def fit_outline(model: Model, session: Session) -> Outline:
     cameras, seen = _silhouettes(session)
     rig = jax.tree.map(lambda leaf: leaf[np.array(cameras)], placed.rig)
     groups = jnp.asarray(_groups(model.body), model.body.lengths.dtype)
-    logs, before, after = _fit(model.body, rig, model.initial["pose"], groups, seen)
+    logs, before, after = _fit(model.body.by_angles, rig, model.first_pose, groups, seen)
     if float(before) < LEAST_OVERLAP:
         return Outline({}, float(before), float(before))
     radii = np.asarray(_thick(model.body, groups, logs).outline_radii, float)

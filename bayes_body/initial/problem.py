@@ -24,7 +24,7 @@ LOOSER = 8.0
 
 def build_problem(model: Model, session: Session, points: Points, measurements: Measurements) -> Problem:
     """Return the problem of a session's first pose, in the model's dtype. The prior's mean is the resting pose, or the session's value of a dof."""
-    body, dtype = model.body, model.body.lengths.dtype
+    body, dtype = model.body.by_angles, model.body.lengths.dtype
     marker_weights, pixel_weights = measurements.marker_weights * points.weight, measurements.pixel_weights * points.weight
     weighted = measurements._replace(marker_weights=marker_weights, pixel_weights=pixel_weights)
     problem = Problem(

@@ -14,23 +14,23 @@ from jaxtyping import Array, Float
 from bayes_body.body.solids import Body, Samples
 from bayes_body.geometry.camera import Camera, Pixels
 from bayes_body.likelihood.patch_pixels import rig_pixels
-from bayes_body.shapes import Pose, Scalar
+from bayes_body.shapes import Configuration, Scalar
 
 
-def projected_area(body: Body, rig: Camera, pose: Pose, grid: tuple[int, int]) -> Float[Array, " camera"]:
+def projected_area(body: Body, rig: Camera, configuration: Configuration, grid: tuple[int, int]) -> Float[Array, " camera"]:
     """Return the covered fraction of each camera's image, in [0, 1]. A part with a corner that is not visible covers nothing.
 
     Args:
         body: the body.
         rig: cameras.
-        pose: radians and metres.
+        configuration: what places the body.
         grid: columns and rows of the grid over each image.
     """
     # Corners of each part's patch. A disc's square is shrunk to the disc's area.
     shrink = np.where(np.array(body.topology.is_sphere), math.sqrt(math.pi) / 2, 1.0)[:, None]
     t = 0.5 + shrink * np.array([[-0.5, 0.5, 0.5, -0.5]])
     s = shrink * np.array([[-1.0, -1.0, 1.0, 1.0]])
-    corners = rig_pixels(body, rig, Samples(jnp.asarray(t, pose.dtype), jnp.asarray(s, pose.dtype)), pose)
+    corners = rig_pixels(body, rig, Samples(jnp.asarray(t, configuration.dtype), jnp.asarray(s, configuration.dtype)), configuration)
     return jax.vmap(lambda c, size: _covered(c, size, *grid))(corners, rig.size)
 
 

@@ -32,7 +32,6 @@ from bayes_body.registry import register
 from bayes_body.shapes import Scalar
 from bayes_body.toml.schema import Count, Finite, Positive, Schema, Share
 
-POSE = Variable("pose")
 AboveOne = Annotated[float, Field(strict=True, gt=1, allow_inf_nan=False)]
 
 
@@ -91,12 +90,12 @@ class EdgePhase:
     frequencies: Float[Array, " scale"]
 
     def __call__(self, values: Variables, maps: PhaseMaps) -> Scalar:
-        """log p(z | pose), up to a constant."""
-        pose = values[POSE]
-        edges = boundaries(self.body, self.rig, self.contour, rig_patches(self.body, self.rig, pose), self.visibility)
+        """log p(z | configuration), up to a constant."""
+        configuration = values[Variable(self.body.variable)]
+        edges = boundaries(self.body, self.rig, self.contour, rig_patches(self.body, self.rig, configuration), self.visibility)
         total = jnp.sum(self.sample_log_densities(maps, edges))
-        # Clipping coordinates would hide an invalid pose.
-        return jnp.where(jnp.isfinite(jnp.sum(pose)), self.weight * total, jnp.nan)
+        # Clipping coordinates would hide an invalid configuration.
+        return jnp.where(jnp.isfinite(jnp.sum(configuration)), self.weight * total, jnp.nan)
 
     def sample_log_densities(self, maps: PhaseMaps, edges: Boundaries) -> Float[Array, "camera part sample"]:
         """log L_ij."""
@@ -115,13 +114,13 @@ class EdgePhase:
 
         The sum is over all visible samples. The paper uses the middle of each side, and its formula is the diagonal.
         """
-        pose = values[POSE]
+        pose = values[Variable("pose")]
         edges = boundaries(self.body, self.rig, self.contour, rig_patches(self.body, self.rig, pose), self.visibility)
         along_u, along_v = sample_slopes(self.body, self.rig, self.contour.samples, pose)
         visible = edges.visible * jnp.asarray(maps.seen, pose.dtype)[:, None, None]
         across = (jnp.sqrt(visible) * (along_u * edges.normals[0] + along_v * edges.normals[1])).reshape(len(pose), -1)
         phase = jnp.sum(self.frequencies**2) / PHASE_SD**2
-        return {POSE.name: self.weight * phase * (across @ across.T)}
+        return {"pose": self.weight * phase * (across @ across.T)}
 
 
 def _curvature(potential: EdgePhase, values: Variables, maps: PhaseMaps) -> dict[str, Float[Array, "dof dof"]]:
@@ -147,5 +146,6 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
     weight = options.precision / (2 * options.samples if options.normalise_by_samples else 1)
     frequencies = jnp.asarray([2 * math.pi / scale.wavelength_px for scale in scales], dtype)
     potential = EdgePhase(options.visibility, body, rig, contour(body, options.samples), statistics, jnp.asarray(weight, dtype), frequencies)
-    curvature = jax.tree_util.Partial(_curvature, potential)
-    return Factor(name=name, side="likelihood", scope=(POSE,), log_potential=potential, curvature=curvature)
+    # By parts, the kernels take differences of gradients instead.
+    curvature = jax.tree_util.Partial(_curvature, potential) if body.variable == "pose" else None
+    return Factor(name=name, side="likelihood", scope=(Variable(body.variable),), log_potential=potential, curvature=curvature)

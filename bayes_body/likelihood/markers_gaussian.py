@@ -22,17 +22,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 from pydantic import Field
 
-from bayes_body.body.kinematics import marker_positions
+from bayes_body.body.placement import placed_markers
 from bayes_body.body.solids import Body
 from bayes_body.density.factor import Factor, Variable, Variables
 from bayes_body.errors import input_error
 from bayes_body.evidence.markers import MARKERS, MarkerEvidence
 from bayes_body.geometry.camera import Camera, project
 from bayes_body.registry import register
-from bayes_body.shapes import Key, Pose, Scalar
+from bayes_body.shapes import Configuration, Key, Scalar
 from bayes_body.toml.schema import NonNegative, Positive, Schema, Share
 
-POSE = Variable("pose")
 # Where a marker behind the camera is expected: its distance from the image's centre, in diagonals of the image.
 BEHIND = 2.0
 Rare = Annotated[float, Field(strict=True, ge=0, lt=1)]
@@ -85,19 +84,19 @@ class MarkersGaussian:
     least_confidence: Scalar
 
     def __call__(self, values: Variables, evidence: MarkerEvidence) -> Scalar:
-        """log p(z | pose), normalised."""
-        pose = values[POSE]
+        """log p(z | configuration), normalised."""
+        configuration = values[Variable(self.body.variable)]
         pixels, confidence = (jnp.asarray(each)[:, list(self.places)] for each in evidence)
         present = confidence > self.least_confidence
         # Absent data may be NaN. Without this, a `where` around the density would still let NaN into the gradient.
         pixels, confidence = jnp.where(present[..., None], pixels, 0.0), jnp.where(present, confidence, 1.0)
-        densities = self._log_density(pixels, confidence, self.expected(pose))
-        # If a marker is behind a camera, its expected place does not depend on the pose, which would hide a NaN.
-        return jnp.where(jnp.isfinite(jnp.sum(pose)), jnp.sum(jnp.where(present, densities, 0.0)), jnp.nan)
+        densities = self._log_density(pixels, confidence, self.expected(configuration))
+        # If a marker is behind a camera, its expected place does not depend on the configuration, which would hide a NaN.
+        return jnp.where(jnp.isfinite(jnp.sum(configuration)), jnp.sum(jnp.where(present, densities, 0.0)), jnp.nan)
 
-    def expected(self, pose: Pose) -> Float[Array, "camera present 2"]:
+    def expected(self, configuration: Configuration) -> Float[Array, "camera present 2"]:
         """The expected pixels of the body's markers in each camera."""
-        points = marker_positions(self.body.skeleton, self.body.markers, pose)[list(self.markers), :]
+        points = placed_markers(self.body, configuration)[list(self.markers), :]
 
         def of(camera: Camera) -> Float[Array, "present 2"]:
             pixels, visible = project(camera, points)
@@ -125,10 +124,10 @@ class MarkersGaussian:
         # The first pixel's centre is (0, 0), so an image begins half a pixel before it.
         return jnp.all((pixels >= -0.5) & (pixels <= self.rig.size[:, None] - 0.5), axis=-1)
 
-    def draw(self, key: Key, pose: Pose) -> Float[Array, "camera present 2"]:
+    def draw(self, key: Key, configuration: Configuration) -> Float[Array, "camera present 2"]:
         """Draw pixels of the body's markers, all with confidence 1."""
         noise, spread, choice, place = jax.random.split(key, 4)
-        expected = self.expected(pose)
+        expected = self.expected(configuration)
         shape, dtype = expected.shape[:2], expected.dtype
         off = self.sd_px[:, None, None] * jax.random.normal(noise, expected.shape, dtype)
         if self.noise == "student":
@@ -140,9 +139,9 @@ class MarkersGaussian:
 
 
 def simulate(potential: MarkersGaussian, missing: Scalar, key: Key, values: Variables) -> MarkerEvidence:
-    """Draw a frame's markers from the likelihood at a pose. Each is missing in a camera with a probability that does not depend on the pose."""
+    """Draw a frame's markers at a configuration. Each is missing in a camera with the same probability, whatever the configuration."""
     draws, losses = jax.random.split(key)
-    pixels = potential.draw(draws, values[POSE])
+    pixels = potential.draw(draws, values[Variable(potential.body.variable)])
     present = jax.random.bernoulli(losses, 1 - missing, pixels.shape[:2])
     everywhere = jnp.zeros((pixels.shape[0], len(MARKERS), 2), pixels.dtype)
     places = jnp.array(potential.places)
@@ -178,4 +177,4 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
         least_confidence=jnp.asarray(options.least_confidence, dtype),
     )
     drawn = jax.tree_util.Partial(simulate, potential, jnp.asarray(options.missing, dtype))
-    return Factor(name=name, side="likelihood", scope=(POSE,), log_potential=potential, simulate=drawn)
+    return Factor(name=name, side="likelihood", scope=(Variable(body.variable),), log_potential=potential, simulate=drawn)

@@ -17,7 +17,7 @@ from bayes_body.body.solids import Body, PartTopology
 from bayes_body.density.sharding import varying_like
 from bayes_body.geometry.camera import Camera, Pixels
 from bayes_body.likelihood.patch_pixels import corner_pixels, rig_patches
-from bayes_body.shapes import Pose
+from bayes_body.shapes import Configuration
 
 # The distance, in pixels, to a part that is not completely in front of the camera.
 FAR_PX = 1e6
@@ -31,9 +31,9 @@ type Grid = Float[Array, "row column"]
 type Reached = tuple[Array, Array]
 
 
-def outline_forms(body: Body, rig: Camera, pose: Pose) -> Float[Array, "camera coefficient 4 part"]:
+def outline_forms(body: Body, rig: Camera, configuration: Configuration) -> Float[Array, "camera coefficient 4 part"]:
     """The forms of every part's outline in each camera: four for a cylinder, one (repeated) for a sphere. Relative to the image's centre, pixels."""
-    return forms_of(body.topology, rig, rig_patches(body, rig, pose))
+    return forms_of(body.topology, rig, rig_patches(body, rig, configuration))
 
 
 def forms_of(topology: PartTopology, rig: Camera, in_camera: Float[Array, "camera 4 part 3"]) -> Float[Array, "camera coefficient 4 part"]:

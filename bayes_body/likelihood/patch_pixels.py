@@ -13,20 +13,20 @@ from bayes_body.body.solids import Body, Patches, Samples, part_transforms, patc
 from bayes_body.geometry import camera as cameras
 from bayes_body.geometry.camera import Camera, Pixels
 from bayes_body.geometry.transforms import Transform
-from bayes_body.shapes import Pose
+from bayes_body.shapes import Configuration, Pose
 
 type CameraPatches = Float[Array, "4 part 3"]
 
 
-def rig_pixels(body: Body, rig: Camera, samples: Samples, pose: Pose) -> Pixels[Float[Array, "camera part sample"]]:
+def rig_pixels(body: Body, rig: Camera, samples: Samples, configuration: Configuration) -> Pixels[Float[Array, "camera part sample"]]:
     """The pixels of each sample of each part of a posed body, in each camera of a rig."""
-    return sample_pixels(rig, rig_patches(body, rig, pose), samples)
+    return sample_pixels(rig, rig_patches(body, rig, configuration), samples)
 
 
-def rig_patches(body: Body, rig: Camera, pose: Pose) -> Float[Array, "camera 4 part 3"]:
+def rig_patches(body: Body, rig: Camera, configuration: Configuration) -> Float[Array, "camera 4 part 3"]:
     """The parts' patches in each camera's frame: start, along, across and taper."""
-    T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, pose))))
-    shaped = widened(body, pose)
+    T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, configuration))))
+    shaped = widened(body, configuration)
     in_camera = jax.vmap(lambda camera: _camera_patches(shaped, T_world_part, camera))(rig)
     # The barrier keeps XLA from recomputing the patches for every sample.
     return jax.lax.optimization_barrier(in_camera)

@@ -25,10 +25,9 @@ from bayes_body.evidence.silhouettes import GRID, SilhouetteEvidence
 from bayes_body.geometry.camera import Camera
 from bayes_body.likelihood.outlines import Forms, outline_forms, signed_distance
 from bayes_body.registry import register
-from bayes_body.shapes import Key, Pose, Scalar
+from bayes_body.shapes import Configuration, Key, Scalar
 from bayes_body.toml.schema import Count, Positive, Schema
 
-POSE = Variable("pose")
 Unlikely = Annotated[float, Field(strict=True, gt=0, lt=0.5)]
 
 
@@ -63,7 +62,7 @@ class SilhouetteBernoulli:
     soft_px: Scalar
 
     def __call__(self, values: Variables, evidence: SilhouetteEvidence) -> Scalar:
-        """log p(z | pose), normalised.
+        """log p(z | configuration), normalised.
 
         Raises:
             InputError: the data have another grid.
@@ -74,13 +73,13 @@ class SilhouetteBernoulli:
             raise input_error(
                 "silhouette_bernoulli", found, f"{self.grid[0]} x {self.grid[1]}, the likelihood's", "observe the frame with the same grid"
             )
-        pose = values[POSE]
-        p = self.foreground(pose)
+        configuration = values[Variable(self.body.variable)]
+        p = self.foreground(configuration)
         terms = jnp.sum(jnp.log(jnp.where(evidence.foreground, p, 1 - p)), axis=(1, 2))
         # A part that no camera sees would hide a NaN.
-        return jnp.where(jnp.isfinite(jnp.sum(pose)), jnp.sum(jnp.where(evidence.seen, terms, 0.0)), jnp.nan)
+        return jnp.where(jnp.isfinite(jnp.sum(configuration)), jnp.sum(jnp.where(evidence.seen, terms, 0.0)), jnp.nan)
 
-    def foreground(self, pose: Pose) -> Float[Array, "camera row column"]:
+    def foreground(self, configuration: Configuration) -> Float[Array, "camera row column"]:
         """The probability of foreground at each grid point."""
         columns, rows = self.grid
 
@@ -89,12 +88,12 @@ class SilhouetteBernoulli:
             return jax.nn.sigmoid(signed_distance(self.body.topology, forms, u, v) / self.soft_px)
 
         # `forms` is an argument of the map: as a closure it would be recomputed for every point.
-        forms = jax.lax.optimization_barrier(outline_forms(self.body, self.rig, pose))
+        forms = jax.lax.optimization_barrier(outline_forms(self.body, self.rig, configuration))
         return self.false_alarm + (1 - self.false_alarm - self.miss) * jax.vmap(of)(self.rig.size, forms)
 
-    def draw(self, key: Key, pose: Pose) -> Bool[Array, "camera row column"]:
-        """Draw silhouettes at a pose."""
-        return jax.random.bernoulli(key, self.foreground(pose))
+    def draw(self, key: Key, configuration: Configuration) -> Bool[Array, "camera row column"]:
+        """Draw silhouettes at a configuration."""
+        return jax.random.bernoulli(key, self.foreground(configuration))
 
 
 def _centres(count: int, extent: Scalar) -> Float[Array, " point"]:
@@ -103,8 +102,8 @@ def _centres(count: int, extent: Scalar) -> Float[Array, " point"]:
 
 
 def simulate(potential: SilhouetteBernoulli, key: Key, values: Variables) -> SilhouetteEvidence:
-    """Draw a frame's silhouettes from the likelihood at a pose; every camera sees it."""
-    foreground = potential.draw(key, values[POSE])
+    """Draw a frame's silhouettes from the likelihood at a configuration; every camera sees it."""
+    foreground = potential.draw(key, values[Variable(potential.body.variable)])
     return SilhouetteEvidence(foreground, jnp.ones(foreground.shape[0], bool))
 
 
@@ -113,4 +112,6 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
     """Build the factor for one rig and body."""
     rates = (jnp.asarray(value, body.lengths.dtype) for value in (options.false_alarm, options.miss, options.soft_px))
     potential = SilhouetteBernoulli(options.grid, body, rig, *rates)
-    return Factor(name=name, side="likelihood", scope=(POSE,), log_potential=potential, simulate=jax.tree_util.Partial(simulate, potential))
+    return Factor(
+        name=name, side="likelihood", scope=(Variable(body.variable),), log_potential=potential, simulate=jax.tree_util.Partial(simulate, potential)
+    )

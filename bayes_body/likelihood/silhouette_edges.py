@@ -34,10 +34,8 @@ from bayes_body.likelihood.coverage import projected_area
 from bayes_body.likelihood.outlines import forms_of, point_distance
 from bayes_body.likelihood.patch_pixels import rig_patches, sample_pixels
 from bayes_body.registry import register
-from bayes_body.shapes import Pose, Scalar
+from bayes_body.shapes import Configuration, Scalar
 from bayes_body.toml.schema import Count, NonNegative, Positive, Schema
-
-POSE = Variable("pose")
 
 
 class Options(Schema):
@@ -91,20 +89,20 @@ class SilhouetteEdges:
     soft_px: Scalar
 
     def __call__(self, values: Variables, maps: SilhouetteEdgeMaps) -> Scalar:
-        """log p(z | pose), up to a constant."""
-        pose = values[POSE]
-        in_camera = rig_patches(self.body, self.rig, pose)
+        """log p(z | configuration), up to a constant."""
+        configuration = values[Variable(self.body.variable)]
+        in_camera = rig_patches(self.body, self.rig, configuration)
         pixels = sample_pixels(self.rig, in_camera, self.samples)
         errors = look_up(maps.errors, self.map_index, self.lookup, self.rig, pixels)
         if self.gamma == 0:
             error = jnp.sum(errors * (self.weights[SILHOUETTE] + self.weights[EDGES]))
         else:
             silhouette, edges = (jnp.sum(errors * weight, axis=(1, 2)) for weight in self.weights)
-            error = jnp.sum(silhouette / self._area_agreement(maps, pose) + edges)
+            error = jnp.sum(silhouette / self._area_agreement(maps, configuration) + edges)
         if self.covers:
             error = error + self._uncovered(maps, in_camera)
         # A nearest look-up would turn NaN into pixel 0 and hide it.
-        return jnp.where(jnp.isfinite(jnp.sum(pose)), -self.precision * error, jnp.nan)
+        return jnp.where(jnp.isfinite(jnp.sum(configuration)), -self.precision * error, jnp.nan)
 
     def _uncovered(self, maps: SilhouetteEdgeMaps, in_camera: Float[Array, "camera 4 part 3"]) -> Scalar:
         """The term "cover", summed over the cameras that saw the frame."""
@@ -116,9 +114,9 @@ class SilhouetteEdges:
         errors = jnp.mean(jnp.square(1 - jnp.exp(-0.5 * outside * outside)), axis=1)
         return jnp.sum(jnp.where(maps.foreground > 0, errors, 0.0))
 
-    def _area_agreement(self, maps: SilhouetteEdgeMaps, pose: Pose) -> Float[Array, " camera"]:
+    def _area_agreement(self, maps: SilhouetteEdgeMaps, configuration: Configuration) -> Float[Array, " camera"]:
         """W of (9), at least 1e-3, since a body that a camera does not see would divide by zero; 1 if the camera did not see the frame."""
-        share = projected_area(self.body, self.rig, pose, self.area_grid)
+        share = projected_area(self.body, self.rig, configuration, self.area_grid)
         seen, projected = (jnp.clip(s, 1e-6, 1 - 1e-6) / (1 - jnp.clip(s, 1e-6, 1 - 1e-6)) for s in (maps.foreground, share))
         agreement = 1 - jnp.abs(seen - projected) / jnp.maximum(seen, projected)
         return jnp.where(maps.foreground >= 0, jnp.maximum(agreement**self.gamma, 1e-3), 1.0)
@@ -146,4 +144,4 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
         precision=jnp.asarray(options.precision, body.lengths.dtype),
         soft_px=jnp.asarray(options.cover_soft_px, body.lengths.dtype),
     )
-    return Factor(name=name, side="likelihood", scope=(POSE,), log_potential=potential, has_gradient=options.lookup != "nearest")
+    return Factor(name=name, side="likelihood", scope=(Variable(body.variable),), log_potential=potential, has_gradient=options.lookup != "nearest")

@@ -104,7 +104,7 @@ def _projected(rig: Camera, places: Float[Array, "run marker 3"]) -> tuple[Float
 
 def first_fit(session: Session, model: Model) -> dict[str, Any]:
     """Return the fit of the model's first pose to frame 0, as the keys `fit_by` and `fit_first` of `summary.json`."""
-    found = frame_fit(session, model, np.asarray(model.initial["pose"], float)[None], 0)
+    found = frame_fit(session, model, np.asarray(model.initial[model.body.variable], float)[None], 0)
     return _first(found, np.isfinite(found.distance).any())
 
 

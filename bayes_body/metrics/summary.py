@@ -71,7 +71,7 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
     mode_seeker = all(np.isnan(each.log_evidence).all() for each in found)
     ess, fits = np.array([each.ess for each in found]), [each.fit for each in found]
     overlap = np.array([fit.overlap for fit in fits])
-    first = frame_fit(session, draws.model, np.asarray(draws.model.initial["pose"], float)[None], 0)
+    first = frame_fit(session, draws.model, np.asarray(draws.model.initial[draws.model.body.variable], float)[None], 0)
     figures = {
         "frames": frames,
         "frames_lost": sum(each.lost for each in found),

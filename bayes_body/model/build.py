@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.body.build import Shape, build_body
-from bayes_body.body.kinematics import marker_positions
+from bayes_body.body.placement import PARTS, loosened, placed_markers
 from bayes_body.body.solids import Body
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Data, Factor, Particles, State, Transition
@@ -21,7 +21,7 @@ from bayes_body.geometry.camera import Camera, stack, turning_radius
 from bayes_body.model.definition import Definition, load_body, load_definition
 from bayes_body.registry import find
 from bayes_body.session.session import CameraSpec, Session, Subject
-from bayes_body.shapes import Pose
+from bayes_body.shapes import Configuration, Pose
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,8 @@ class Model:
         rig: the session's cameras, stacked.
         transition: the motion prior at the session's frame rate.
         factors: all other terms.
-        initial: the state of frame 0, from the session.
+        first_pose: the joint angles before the first frame, from the session.
+        initial: the state that begins there.
         observers: for each factor that uses images, a function from a frame's images to the factor's arrays (on the host).
     """
 
@@ -43,6 +44,7 @@ class Model:
     rig: Camera
     transition: Transition
     factors: tuple[Factor, ...]
+    first_pose: Pose
     initial: State
     observers: Mapping[str, Callable[[Any], Any]]
 
@@ -72,16 +74,17 @@ class Model:
 
     def beginning_at(self, pose: Pose) -> "Model":
         """Return the same model with another first pose."""
-        return replace(self, initial=self.transition.begin({"pose": jnp.asarray(pose, self.body.lengths.dtype)}))
+        first = jnp.asarray(pose, self.body.lengths.dtype)
+        return replace(self, first_pose=first, initial=self.transition.begin({"pose": first}))
 
     def start(self, count: int) -> Particles:
         """Return `count` equal particles at the initial state. The first frame's transition spreads them."""
         states = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *leaf.shape)), dict(self.initial))
         return Particles(states, jnp.full((count,), -math.log(count), self.body.lengths.dtype))
 
-    def markers(self, pose: Pose) -> Float[Array, "marker 3"]:
-        """Return the world positions of the body's virtual markers, metres."""
-        return marker_positions(self.body.skeleton, self.body.markers, pose)
+    def markers(self, configuration: Configuration) -> Float[Array, "marker 3"]:
+        """Return the world positions of the body's virtual markers, metres. `configuration` is a state's variable `body.variable`, such as `pose`."""
+        return placed_markers(self.body, configuration)
 
 
 def build_model(name: str | Path | Definition, session: Session) -> Model:
@@ -94,6 +97,7 @@ def build_model(name: str | Path | Definition, session: Session) -> Model:
     """
     definition = name if isinstance(name, Definition) else load_definition(name)
     body = build_body(definition.body_name, definition.body, _shape(session.subject, definition))
+    body = loosened(body) if definition.placement == PARTS else body
     rig = stack([_camera(view.camera) for view in session.views])
     factors, observers = _likelihoods(definition, body, rig)
     for index, term in enumerate(definition.constraints):
@@ -103,9 +107,10 @@ def build_model(name: str | Path | Definition, session: Session) -> Model:
     transition = find("dynamics", dynamics.kind).build(
         options=dynamics.options, body=body, fps=session.fps, subject_sd=_motion_sd(session.subject, definition)
     )
-    initial = transition.begin({"pose": _initial_pose(session, body, definition)})
+    first_pose = _initial_pose(session, body, definition)
+    initial = transition.begin({"pose": first_pose})
     _check_derived(transition, initial)
-    return Model(definition, body, rig, transition, tuple(factors), initial, observers)
+    return Model(definition, body, rig, transition, tuple(factors), first_pose, initial, observers)
 
 
 def _likelihoods(definition: Definition, body: Body, rig: Camera) -> tuple[list[Factor], dict[str, Callable[[Any], Any]]]:

@@ -16,6 +16,9 @@ from bayes_body.registry import Room, find, names
 from bayes_body.toml.read import parse_toml, read_toml, validate
 from bayes_body.toml.schema import Schema
 
+# How a state places the body: by joint angles, or by one rigid transform for each part.
+PLACEMENTS = ("angles", "parts")
+
 
 class TermTable(BaseModel):
     """A table with the `kind` of a term; its other keys are the term's options."""
@@ -38,6 +41,7 @@ class _File(Schema):
     dynamics: TermTable
     likelihoods: tuple[TermTable, ...] = Field(alias="likelihood", min_length=1)
     constraints: tuple[TermTable, ...] = Field(alias="constraint", default=())
+    potentials: tuple[TermTable, ...] = Field(alias="potential", default=())
     kernel: TermTable
 
 
@@ -58,7 +62,10 @@ class LikelihoodDefinition(TermDefinition):
 
 @dataclass(frozen=True)
 class Definition:
-    """A model definition: the text of its file, its title and source, a body, and terms with validated options."""
+    """A model definition: the text of its file, its title and source, a body, and terms with validated options.
+
+    `placement` is `angles`, or `parts` for a loose-limbed body (body/placement.py).
+    """
 
     name: str
     text: str
@@ -66,6 +73,7 @@ class Definition:
     source: str
     body_name: str
     body_text: str
+    placement: str
     body: BodySchema
     dynamics: TermDefinition
     likelihoods: tuple[LikelihoodDefinition, ...]
@@ -123,13 +131,17 @@ def parse_definition(name: str, text: str, body_text: str | None, where: str = "
 def _read(name: str, text: str, data: Mapping[str, Any], collect: "_Collector") -> Definition:
     file = collect.attempt(lambda: validate(_File, data, collect.where))
     # Read directly from the tables, so that a fault in one place does not hide those in another.
-    body_name, body_text, body = collect.body(data.get("body"))
+    placement, table = collect.placement(data.get("body"))
+    body_name, body_text, body = collect.body(table)
     likelihoods = tuple(collect.likelihood(index, table) for index, table in _tables(data.get("likelihood")))
-    constraints = tuple(collect.term("potential", f"constraint #{index + 1}", table) for index, table in _tables(data.get("constraint")))
+    # Both keys name terms of the room "potential"; which side a term is on, it says itself.
+    constraints = tuple(
+        collect.term("potential", f"{key} #{index + 1}", table) for key in ("constraint", "potential") for index, table in _tables(data.get(key))
+    )
     (dynamics, kernel) = (next((collect.term(room, room, table) for _, table in _tables([data.get(room)])), None) for room in ("dynamics", "kernel"))
     if collect.sentences or file is None or dynamics is None or kernel is None or body is None:
         raise FaultyFileError(collect.sentences)
-    return Definition(name, text, file.title, file.source, body_name, body_text, body, dynamics, likelihoods, constraints, kernel)
+    return Definition(name, text, file.title, file.source, body_name, body_text, placement, body, dynamics, likelihoods, constraints, kernel)
 
 
 def _tables(value: Any) -> Iterator[tuple[int, TermTable]]:
@@ -164,6 +176,17 @@ class _Collector:
     def __init__(self, where: str, folder: Path, body_text: str | None = None):
         self.where, self.folder, self.body_text = where, folder, body_text
         self.sentences: list[str] = []
+
+    def placement(self, table: Any) -> tuple[str, Any]:
+        """Return how a state places the body, and the body's table without this key."""
+        if not isinstance(table, dict) or "placement" not in table:
+            return PLACEMENTS[0], table
+        rest = {key: value for key, value in table.items() if key != "placement"}
+        if table["placement"] not in PLACEMENTS:
+            what, expected = f"{self.where}: body.placement", " or ".join(f'"{each}"' for each in PLACEMENTS)
+            remedy = nearest(str(table["placement"]), PLACEMENTS)
+            self.sentences.append(str(input_error(what, repr(table["placement"]), expected, remedy)))
+        return str(table["placement"]), rest
 
     def body(self, table: Any) -> tuple[str, str, BodySchema | None]:
         """Return the body's name, the text of its file, and the body. A body that is written out in the model has no separate text."""

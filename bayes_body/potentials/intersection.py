@@ -19,10 +19,8 @@ from bayes_body.body.solids import Body, part_transforms, penetration_depths, wi
 from bayes_body.density.factor import Factor, Variable, Variables
 from bayes_body.geometry.transforms import Transform
 from bayes_body.registry import register
-from bayes_body.shapes import Pose, Scalar
+from bayes_body.shapes import Configuration, Scalar
 from bayes_body.toml.schema import NonNegative, Positive, Schema
-
-POSE = Variable("pose")
 
 
 class Options(Schema):
@@ -33,20 +31,20 @@ class Options(Schema):
     soft_sd_m: Positive = 0.01
 
 
-def _depths(body: Body, yield_m: Scalar, pose: Pose) -> jax.Array:
-    T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, pose))))
-    return penetration_depths(widened(body, pose), T_world_part) - yield_m
+def _depths(body: Body, yield_m: Scalar, configuration: Configuration) -> jax.Array:
+    T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, configuration))))
+    return penetration_depths(widened(body, configuration), T_world_part) - yield_m
 
 
 def _hard(body: Body, yield_m: Scalar, soft_sd: Scalar, values: Variables, data: None) -> Scalar:
     del soft_sd, data
     # A step has no gradient, so do not trace one.
-    return jnp.where(jnp.any(_depths(body, yield_m, jax.lax.stop_gradient(values[POSE])) > 0), -jnp.inf, 0.0)
+    return jnp.where(jnp.any(_depths(body, yield_m, jax.lax.stop_gradient(values[Variable(body.variable)])) > 0), -jnp.inf, 0.0)
 
 
 def _soft(body: Body, yield_m: Scalar, soft_sd: Scalar, values: Variables, data: None) -> Scalar:
     del data
-    return -0.5 * jnp.sum((jnp.maximum(_depths(body, yield_m, values[POSE]), 0.0) / soft_sd) ** 2)
+    return -0.5 * jnp.sum((jnp.maximum(_depths(body, yield_m, values[Variable(body.variable)]), 0.0) / soft_sd) ** 2)
 
 
 @register("potential", "intersection", Options)
@@ -55,4 +53,4 @@ def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
     dtype = body.lengths.dtype
     arrays = (body, jnp.asarray(options.yield_m, dtype), jnp.asarray(options.soft_sd_m, dtype))
     potential = jax.tree_util.Partial(_hard if options.mode == "hard" else _soft, *arrays)
-    return Factor(name=name, side="constraint", scope=(POSE,), log_potential=potential)
+    return Factor(name=name, side="constraint", scope=(Variable(body.variable),), log_potential=potential)

@@ -36,7 +36,7 @@ def draw_check(session: Session, model: Model, path: Path) -> Path:
     Raises:
         InputError: the picture cannot be written, or an image cannot be read.
     """
-    pose = np.asarray(model.initial["pose"])
+    pose = np.asarray(model.initial[model.body.variable])
     bodies, silhouettes = outlines(model, pose), projected_masks(model, pose, session)
     # Masks are used only if they exist as files: no background is learned for this picture.
     masks = read_frame(session, 0).masks if all(view.masks for view in session.views) else None
