@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from bayes_body.density.density import Density
+from bayes_body.density.density import Density, LogTerms
 from bayes_body.density.extended import Extended, extended
 from bayes_body.density.factor import Particles, State
 from bayes_body.kernels.parts.hamiltonian import Schedule, run_chain
@@ -66,8 +66,7 @@ def iterated_sir(particles: int = PARTICLES) -> MarkovMove:
         density = density.with_previous(previous)
         drawn = predict(sample_key, rivals, density)
         before = density.ancestor(ancestor)
-        weight = density.log_likelihood(state, before) + density.log_constraint(state, before)
-        weights = jnp.concatenate([weight[None], drawn.log_likelihoods + drawn.log_constraints])
+        weights = jnp.concatenate([density.log_weight(state, before)[None], drawn.log_weights])
         chosen = jax.random.categorical(choice_key, jnp.where(jnp.isnan(weights), -jnp.inf, weights))
         joined = jax.tree.map(lambda one, more: jnp.concatenate([jnp.asarray(one)[None], more])[chosen], dict(state), dict(drawn.states))
         return joined, jnp.concatenate([ancestor[None], rivals])[chosen]
@@ -87,11 +86,12 @@ def tempered_walk(move: Move, moves: int, candidates: int, repeated: int = REPEA
         def again(particle: ExtendedParticle, turn_key: Key) -> tuple[ExtendedParticle, None]:
             size_key, move_key = jax.random.split(turn_key)
             size = largest * jnp.exp(jax.random.uniform(size_key, (), minval=jnp.log(SCALES[0]), maxval=jnp.log(SCALES[1])))
-            chain, _ = walk(move_key, particle, view, MoveSettings(jnp.ones_like(size), size, roots), move, moves, candidates)
+            settings = MoveSettings(LogTerms(jnp.ones_like(size), jnp.ones_like(size)), size, roots)
+            chain, _ = walk(move_key, particle, view, settings, move, moves, candidates)
             return jax.tree.map(lambda leaf, before: leaf[-1].astype(before.dtype), chain, particle), None
 
         position = view.coordinates.unconstrain(state)
-        start = ExtendedParticle(ancestor, position, view.log_likelihood(ancestor, position))
+        start = ExtendedParticle(ancestor, position, view.terms(ancestor, position))
         last, _ = jax.lax.scan(again, start, jax.random.split(walk_key, repeated))
         return view.state(last.ancestor, last.position), last.ancestor
 

@@ -143,7 +143,7 @@ def _attempt(key: Key, problem: Problem, previous: Particles, frames: int) -> Pa
 
     def step(before: State, step_key: Key) -> tuple[State, tuple[State, State, Scalar]]:
         state = dict(problem.transition.sample(step_key, before))
-        return state, (state, before, density.log_constraint(state, before))
+        return state, (state, before, density.log_constraint(state, before) + density.log_potential(state, before))
 
     first = jax.tree.map(lambda leaf: leaf[start], dict(previous.states))
     _, (states, before, constraints) = jax.lax.scan(step, first, jax.random.split(path_key, frames))

@@ -2,7 +2,9 @@ r"""The posterior density of a frame, and its marginal view.
 
 Given the weighted particles $(w_i, s^i_{t-1})$ of the previous frame, the posterior of a frame is
 
-$$\ell(i, s_t) = \log w_i + \log p(s_t \mid s^i_{t-1}) + \beta \log L(s_t; z_t, s^i_{t-1}, z_{t-1}) + \log C(s_t).$$
+$$\ell(i, s_t) = \log w_i + \log p(s_t \mid s^i_{t-1}) + \alpha \log \psi(s_t) + \beta \log L(s_t; z_t, s^i_{t-1}, z_{t-1}) + \log C(s_t),$$
+
+with the potentials ψ of the prior's side, such as the joints of a loose-limbed body, and the constraints C, which are never tempered.
 
 The *marginal* view sums over the ancestor $i$: $\log \sum_i \exp \ell(i, s_t)$, the target of Poon & Fleet's HMC (14). The *extended* view
 (density/extended.py) keeps the ancestor as a variable, for particle filters and tempered SMC. Both call the same factors, use the same coordinates
@@ -19,13 +21,21 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpyro.distributions import Distribution
 
-from bayes_body.density.coordinates import Coordinates, coordinates_of
+from bayes_body.density.chart import Chart
+from bayes_body.density.coordinates import coordinates_of
 from bayes_body.density.factor import Data, Factor, Particles, Side, State, Transition, Variable, variables
 from bayes_body.errors import input_error
 from bayes_body.shapes import Index, Key, Scalar
 
 # For each variable, a batch of distributions: one for each particle of the previous frame.
 type Predictions = Mapping[str, Distribution]
+
+
+class LogTerms(NamedTuple):
+    """The terms that a kernel may temper: log L, and log ψ of the prior's potentials."""
+
+    likelihood: Scalar
+    potential: Scalar
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=[], data_fields=["transition", "factors", "data", "previous"])
@@ -105,18 +115,31 @@ class Density:
         return self.side("likelihood", state, previous)
 
     def log_constraint(self, state: State, previous: State) -> Scalar:
-        """Return the sum of the constraints and of the prior's factors other than the transition. These terms are never tempered."""
-        return self.side("constraint", state, previous) + self.side("prior", state, previous)
+        """Return the sum of the constraints, which are never tempered."""
+        return self.side("constraint", state, previous)
+
+    def log_potential(self, state: State, previous: State) -> Scalar:
+        """Return the sum of the prior's factors other than the transition."""
+        return self.side("prior", state, previous)
+
+    @property
+    def has_potentials(self) -> bool:
+        """Whether the prior has factors other than the transition."""
+        return any(factor.side == "prior" for factor in self.factors)
 
     def log_weight(self, state: State, previous: State) -> Scalar:
         """Return all terms but the transition: the log-weight of a particle drawn from the transition."""
         return self._sum(self.factors, state, previous)
 
-    def log_joint(self, state: State, previous: State, inverse_temperature: float | Scalar = 1.0) -> tuple[Scalar, Scalar]:
-        r"""Return log p(s | previous) + log C + β log L with β = `inverse_temperature`, and log L alone."""
-        log_likelihood = self.log_likelihood(state, previous)
+    def log_joint(
+        self, state: State, previous: State, inverse_temperature: float | Scalar = 1.0, potential_power: float | Scalar = 1.0
+    ) -> tuple[Scalar, LogTerms]:
+        r"""Return log p(s | previous) + log C + α log ψ + β log L with β = `inverse_temperature` and α = `potential_power`, and both terms alone."""
+        terms = LogTerms(self.log_likelihood(state, previous), self.log_potential(state, previous))
         prior = self.transition.log_density(state, previous) + self.log_constraint(state, previous)
-        return prior + tempered(inverse_temperature, log_likelihood), log_likelihood
+        # Without potentials the power is not even traced.
+        potentials = potential_power * terms.potential if self.has_potentials else 0.0
+        return prior + potentials + tempered(inverse_temperature, terms.likelihood), terms
 
     def curvature(self, state: State, previous: State) -> dict[str, Array]:
         """Return approximately minus the second derivatives of the likelihoods that have a curvature, by variable: (entry, entry)."""
@@ -181,9 +204,10 @@ class Density:
         """Return the factors whose scope contains a variable: those that a belief-propagation node multiplies."""
         return tuple(factor for factor in self.factors if variable in factor.scope)
 
-    def coordinates(self) -> Coordinates:
-        """Return unconstrained coordinates for the sampled variables. The supports are the same for every ancestor."""
-        return coordinates_of(self.transition.conditional(self.ancestor(0)))
+    def coordinates(self) -> Chart:
+        """Return unconstrained coordinates for the sampled variables, the same for every ancestor."""
+        first, chart = self.ancestor(0), self.transition.chart
+        return coordinates_of(self.transition.conditional(first)) if chart is None else chart(first)
 
     def unconstrained(self) -> "Unconstrained":
         """Return the marginal view in unconstrained coordinates, for gradient-based samplers."""
@@ -205,7 +229,7 @@ class Unconstrained(NamedTuple):
     """
 
     density: Density
-    coordinates: Coordinates
+    coordinates: Chart
     predictions: Predictions
 
     def __call__(self, position: State) -> Scalar:

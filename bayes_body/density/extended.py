@@ -1,6 +1,7 @@
 r"""The extended view of a frame's posterior: the ancestor is a variable too, and states are in unconstrained coordinates.
 
-$$\log \pi_\beta(i, x) = \log w_i + \log p(s(x) \mid s^i_{t-1}) + \log C + \beta \log L + \log |\det \partial s / \partial x|.$$
+$$\log \pi_{\alpha\beta}(i, x) = \log w_i + \log p(s(x) \mid s^i_{t-1}) + \log C + \alpha \log \psi + \beta \log L
+  + \log |\det \partial s / \partial x|.$$
 
 Particle methods use it. Given one ancestor, a density costs one transition, while the marginal view (`Density.unconstrained`) costs one for each
 particle of the previous frame. A Gibbs step redraws the ancestor.
@@ -12,8 +13,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from bayes_body.density.coordinates import Coordinates
-from bayes_body.density.density import Density
+from bayes_body.density.chart import Chart
+from bayes_body.density.density import Density, LogTerms
 from bayes_body.density.factor import State
 from bayes_body.shapes import Index, Key, Scalar
 
@@ -28,23 +29,35 @@ class Extended(NamedTuple):
     """
 
     density: Density
-    coordinates: Coordinates
+    coordinates: Chart
     cumulative_weights: Float[Array, " particle"]
 
     def state(self, ancestor: Index, position: State) -> State:
         """Return the whole state at a position, with the variables that it takes from its ancestor."""
         return self.density.transition.state(self.density.ancestor(ancestor), self.coordinates.constrain(position))
 
-    def log_likelihood(self, ancestor: Index, position: State) -> Scalar:
-        """Return the log-likelihood."""
-        return self.density.log_likelihood(self.state(ancestor, position), self.density.ancestor(ancestor))
+    def terms(self, ancestor: Index, position: State) -> LogTerms:
+        """Return the log-likelihood, and the log-potential of the prior."""
+        state, previous = self.state(ancestor, position), self.density.ancestor(ancestor)
+        return LogTerms(self.density.log_likelihood(state, previous), self.density.log_potential(state, previous))
 
-    def log_density(self, ancestor: Index, position: State, inverse_temperature: float | Scalar = 1.0) -> tuple[Scalar, Scalar]:
-        """Return log π_β(i, x) - log w_i, and the log-likelihood. log w_i is constant as long as the ancestor does not change."""
-        log_joint, log_likelihood = self.density.log_joint(self.state(ancestor, position), self.density.ancestor(ancestor), inverse_temperature)
-        return log_joint + self.coordinates.log_determinant(position), log_likelihood
+    def log_density(
+        self, ancestor: Index, position: State, inverse_temperature: float | Scalar = 1.0, potential_power: float | Scalar = 1.0
+    ) -> tuple[Scalar, LogTerms]:
+        """Return log π_αβ(i, x) - log w_i, and both tempered terms. log w_i is constant as long as the ancestor does not change."""
+        state, previous = self.state(ancestor, position), self.density.ancestor(ancestor)
+        log_joint, terms = self.density.log_joint(state, previous, inverse_temperature, potential_power)
+        return log_joint + self.coordinates.log_determinant(position), terms
 
-    def choose_ancestor(self, key: Key, ancestor: Index, position: State, inverse_temperature: float | Scalar, candidates: int) -> Index:
+    def choose_ancestor(
+        self,
+        key: Key,
+        ancestor: Index,
+        position: State,
+        inverse_temperature: float | Scalar,
+        candidates: int,
+        potential_power: float | Scalar = 1.0,
+    ) -> Index:
         """Redraw the ancestor by iterated sampling importance resampling (Andrieu, Lee & Vihola 2018), which leaves p(i | x) exactly invariant.
 
         The current ancestor competes with `candidates` - 1 others, which are drawn by weight. One is chosen in proportion to the density of the state
@@ -56,6 +69,7 @@ class Extended(NamedTuple):
             position: the position of the state.
             inverse_temperature: β of the target.
             candidates: the number of competing ancestors, including the current one.
+            potential_power: α of the target.
         """
         count = self.cumulative_weights.shape[0]
         if candidates == 1 or count == 1:
@@ -64,14 +78,14 @@ class Extended(NamedTuple):
         levels = self.cumulative_weights[-1] * jax.random.uniform(draw_key, (candidates - 1,), self.cumulative_weights.dtype)
         others = jnp.minimum(jnp.searchsorted(self.cumulative_weights, levels, side="right"), count - 1)
         competing = jnp.concatenate([ancestor[None], others.astype(ancestor.dtype)])
-        log_probs = jax.vmap(lambda one: self._given_ancestor(one, position, inverse_temperature))(competing)
+        log_probs = jax.vmap(lambda one: self._given_ancestor(one, position, inverse_temperature, potential_power))(competing)
         # NaN marks an ancestor from which the state cannot come.
         return competing[jax.random.categorical(choose_key, jnp.where(jnp.isnan(log_probs), -jnp.inf, log_probs))]
 
-    def _given_ancestor(self, ancestor: Index, position: State, inverse_temperature: float | Scalar) -> Scalar:
-        """Return the terms of log π_β(i, x) - log w_i that depend on the ancestor: all if a factor reads the previous frame, else the transition."""
+    def _given_ancestor(self, ancestor: Index, position: State, inverse_temperature: float | Scalar, potential_power: float | Scalar) -> Scalar:
+        """Return the terms of log π_αβ(i, x) - log w_i that depend on the ancestor: all if a factor reads the previous frame, else the transition."""
         if self.density.reads_previous:
-            return self.log_density(ancestor, position, inverse_temperature)[0]
+            return self.log_density(ancestor, position, inverse_temperature, potential_power)[0]
         return self.density.transition.log_density(self.state(ancestor, position), self.density.ancestor(ancestor))
 
 

@@ -95,7 +95,7 @@ def nothing_before(first: State) -> State:
     return first
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=["name"], data_fields=["conditional", "perturbation", "carry", "begin", "derive"])
+@partial(jax.tree_util.register_dataclass, meta_fields=["name"], data_fields=["conditional", "perturbation", "carry", "begin", "derive", "chart"])
 @dataclass(frozen=True)
 class Transition:
     """A motion prior.
@@ -111,6 +111,8 @@ class Transition:
         begin: a first pose -> the whole state.
         derive: sampled variables -> the variables that follow from them alone, such as the pose at a phase of a walking cycle. Factors read
             these like any others, and derivatives go through this function.
+        chart: previous state -> coordinates without limits for the sampled variables (density/chart.py), the same for every previous state of a
+            frame; None: one bijection for each variable, onto the support of its distribution.
     """
 
     name: str
@@ -119,6 +121,7 @@ class Transition:
     carry: Callable[[State, State], State] = jax.tree_util.Partial(nothing_carried)
     begin: Callable[[State], State] = jax.tree_util.Partial(nothing_before)
     derive: Callable[[State], State] = jax.tree_util.Partial(nothing_derived)
+    chart: Callable[[State], Any] | None = None
 
     def with_derived(self, sampled: State) -> dict[str, Array]:
         """Return the sampled variables, and those that follow from them."""

@@ -1,4 +1,4 @@
-"""Standard deviations per frame, as a definition gives them: by dof names or patterns, at one frame rate."""
+"""Standard deviations per frame, as a definition gives them: by names of dofs or parts, or patterns, at one frame rate."""
 
 import math
 from collections.abc import Mapping
@@ -6,6 +6,24 @@ from fnmatch import fnmatchcase
 
 from bayes_body.body.skeleton import Topology
 from bayes_body.errors import InputError, nearest
+
+
+def by_part(table: Mapping[str, float], names: tuple[str, ...], field: str) -> list[float]:
+    """The number of every part, from names or patterns. An exact name wins, else the first pattern that matches.
+
+    Raises:
+        InputError: a part has none, or a key matches no part.
+    """
+    for key in table:
+        if not any(fnmatchcase(name, key) for name in names):
+            raise InputError(f"{field}.{key}: matches no part of the body; {nearest(key, names)}")
+    found = []
+    for name in names:
+        key = name if name in table else next((pattern for pattern in table if fnmatchcase(name, pattern)), None)
+        if key is None:
+            raise InputError(f"{field}: none for the part '{name}'; expected one for every part; add '{name}' or a pattern.")
+        found.append(table[key])
+    return found
 
 
 def standard_deviations(sd_deg: Mapping[str, float], sd_m: Mapping[str, float], topology: Topology) -> dict[str, float]:

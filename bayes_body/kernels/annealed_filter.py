@@ -82,8 +82,10 @@ def build_kernel(layers: int = 5, survival_rate: float = 0.5, crossover_rate: fl
             previous = jax.tree.map(lambda leaf: leaf[ancestors], particles.states)
             keys = jax.random.split(move_key, count)
             moved: Weighed = over_particles(_move_and_weigh, (keys, parents, previous), (density, index, scale))
-            beta = _power_for_survival(moved.log_likelihoods, moved.log_constraints, survival_rate)
-            weights = normalise(beta * moved.log_likelihoods + moved.log_constraints)
+            # A prior's potentials are annealed like the likelihood: at full power few particles would survive the first layer.
+            annealed = moved.log_likelihoods + moved.log_potentials
+            beta = _power_for_survival(annealed, moved.log_constraints, survival_rate)
+            weights = normalise(beta * annealed + moved.log_constraints)
             rate_reached = effective_sample_size(weights.log_weights) / count
             return _Layer(moved.states, weights.log_weights, ancestors, before.lost | weights.lost), (beta, rate_reached)
 

@@ -31,7 +31,7 @@ from bayes_body.kernels.parts.hamiltonian import Chain, Sampler, Schedule, chain
 from bayes_body.kernels.parts.mass import correlated, inverse_mass
 from bayes_body.kernels.parts.moves import check_gradients
 from bayes_body.kernels.parts.resampling import Scheme, resampler
-from bayes_body.kernels.parts.starts import Initialisation, Start, StartsBy, by_annealing, by_importance
+from bayes_body.kernels.parts.starts import Initialisation, Start, StartsBy, by_annealing, by_importance, by_tempering
 from bayes_body.registry import register
 from bayes_body.shapes import Index, Key
 from bayes_body.toml.read import validate
@@ -49,7 +49,8 @@ class Options(Schema):
     `particles` is the number of draws of all `chains` together: every `thinning`-th state after `burn_in`. `step` is the paper's factor of the step
     size. `jitter` is the fraction by which a trajectory's number of steps varies. With a `target_acceptance`, burn-in tunes the step. With
     `mass = "adapted"`, burn-in estimates the mass matrix, beginning with that of the curvature, and all chains adapt together. The starts of the
-    chains are chosen among `starts` draws of the prediction, by weight (`starts_by = "importance"`) or by annealing.
+    chains are chosen among `starts` draws of the prediction, by weight (`starts_by = "importance"`) or by annealing. If the prior has potentials,
+    like the joints of a loose-limbed body, they are chosen among as many particles of `tempered`.
     """
 
     particles: Count = 400
@@ -155,6 +156,7 @@ class _Filter:
 
     def _initialise(self, key: Key, target: Unconstrained, chains: int) -> Initialisation:
         initialise = by_annealing if self.options.starts_by == "annealing" else by_importance
+        initialise = by_tempering if target.density.has_potentials else initialise
         return initialise(key, target, max(self.options.starts, chains), chains, self.resample)
 
     def _chain(self, length: int, axes: tuple[str, ...]) -> Callable[[tuple[Key, Start], Unconstrained], Chain]:

@@ -6,7 +6,9 @@ prediction to the posterior of the frame:
 $$\pi_\beta(i, s_t) \propto w_i\, p(s_t \mid s^i_{t-1})\, C(s_t)\, L(s_t; z_t)^\beta, \qquad
 \hat p(z_t \mid z_{1:t-1}) = \prod_k \frac{1}{N} \sum_n L(s^n)^{\beta_k - \beta_{k-1}}.$$
 
-Only the likelihood is tempered. Constraints apply at full power in all stages. A stage resamples, moves each particle by a Markov kernel that leaves
+Constraints apply at full power in all stages. If the prior has potentials ψ, such as the joints of a loose-limbed body, a first ladder leads from
+$\alpha = 0$ to 1 in $\psi^\alpha$, with $\beta = 0$; without it, few independent draws would survive. The evidence is that of the second ladder,
+$\log Z(1, 1) - \log Z(1, 0)$. A stage resamples, moves each particle by a Markov kernel that leaves
 $\pi_\beta$ invariant, and reweights to the next temperature. That is the highest β at which the effective sample size is at least the fraction
 `target_ess` of the particles. A move redraws the ancestor, and then the state by HMC or a random walk. The state moves in unconstrained coordinates,
 whitened for each variable by the covariance of the weighted particles. The step size is adapted from stage to stage by the acceptance rate.
@@ -23,7 +25,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 from pydantic import Field
 
-from bayes_body.density.density import Density
+from bayes_body.density.density import Density, LogTerms
 from bayes_body.density.extended import Extended, extended
 from bayes_body.density.factor import Particles
 from bayes_body.density.kernel import FilterInfo, Kernel
@@ -112,7 +114,7 @@ class _Sampler:
         def unfinished(state: TemperedState) -> Array:
             if self.frozen is not None:
                 return (state.stage < self.stages) & ~lost
-            return ((state.inverse_temperature < 1) | (state.stages_at_top < self.options.final_stages)) & ~lost
+            return (~_at_top(state) | (state.stages_at_top < self.options.final_stages)) & ~lost
 
         last = jax.lax.while_loop(unfinished, lambda state: self._stage(jax.random.fold_in(stages_key, state.stage), state, view), first)
         after, info = self._result(view, last, predicted, lost)
@@ -126,8 +128,9 @@ class _Sampler:
         ancestors = self.resample(ancestor_key, view.density.previous.log_weights)
         drawn = predict(draw_key, ancestors, view.density)
         constrained = normalise(drawn.log_constraints).log_weights
-        particles = ExtendedParticle(ancestors, jax.vmap(view.coordinates.unconstrain)(drawn.states), finite_log(drawn.log_likelihoods))
-        start = init_state(particles, constrained, self.stages, self.move.step_size)
+        terms = LogTerms(finite_log(drawn.log_likelihoods), finite_log(drawn.log_potentials))
+        particles = ExtendedParticle(ancestors, jax.vmap(view.coordinates.unconstrain)(drawn.states), terms)
+        start = init_state(particles, constrained, self.stages, self.move.step_size, 0.0 if view.density.has_potentials else 1.0)
         first = self._step(resample_key, start, lambda keys, parents: (parents, jnp.nan), ancestors.shape[0])
         predicted = Particles(drawn.states, jnp.full_like(constrained, -jnp.log(constrained.shape[0])))
         return first, predicted, drawn.normalised().lost
@@ -147,7 +150,7 @@ class _Sampler:
         return self._step(key, state, move, state.log_weights.shape[0] // states_a_chain)
 
     def _step(self, key: Key, state: TemperedState, move: Callable[..., tuple[ExtendedParticle, Any]], resampled: int) -> TemperedState:
-        count, stage, at_top = state.log_weights.shape[0], state.stage, state.inverse_temperature >= 1
+        count, stage, at_top = state.log_weights.shape[0], state.stage, _at_top(state)
         # At β = 1 there is nothing to reweight: the particles keep their weights, unless there are fewer chains than particles.
         keeps_weights = at_top & (resampled == count)
 
@@ -156,34 +159,41 @@ class _Sampler:
             return jnp.where(keeps_weights, jnp.arange(resampled), drawn)
 
         def log_potential(particles: ExtendedParticle) -> LogWeights:
-            increments = self._increment(particles.log_likelihood, state) * particles.log_likelihood
+            step = self._increment(particles.terms, state)
+            increments = step.likelihood * particles.terms.likelihood + step.potential * particles.terms.potential
             return jnp.where(keeps_weights, state.log_weights, increments)
 
         after = feynman_kac_step(key, state.particles, state.log_weights, move, log_potential, resample, resampled)
-        reached = state.inverse_temperature + self._increment(after.particles.log_likelihood, state)
+        reached = jax.tree.map(jnp.add, state.powers, self._increment(after.particles.terms, state))
         # If rounding in float32 left the sum just below 1, that would cost one more stage.
-        reached = jnp.where(reached > 1 - 1e-6, 1.0, reached)
+        reached = jax.tree.map(lambda power: jnp.where(power > 1 - 1e-6, 1.0, power), reached)
+        counts = (state.powers.potential >= 1) & ~at_top
         acceptance = jnp.asarray(after.info, state.log_step_size.dtype)
         excess = jnp.where(jnp.isnan(acceptance), 0.0, GAIN * (acceptance - self.move.acceptance_rate))
         return TemperedState(
             particles=after.particles,
             log_weights=after.log_weights,
-            inverse_temperature=reached,
+            powers=reached,
             stage=stage + 1,
             stages_at_top=state.stages_at_top + at_top,
-            log_evidence=state.log_evidence + jnp.where(at_top, 0.0, after.log_increment),
+            log_evidence=state.log_evidence + jnp.where(counts, after.log_increment, 0.0),
             log_step_size=state.log_step_size + excess,
-            ladder=state.ladder._replace(inverse_temperatures=state.ladder.inverse_temperatures.at[stage].set(reached)),
+            ladder=state.ladder.with_powers(stage, reached),
             survival_rates=state.survival_rates.at[stage].set(effective_sample_size(after.log_weights) / count),
             acceptance_rates=state.acceptance_rates.at[stage].set(acceptance),
         )
 
-    def _increment(self, log_likelihoods: LogWeights, state: TemperedState) -> Scalar:
-        remaining = 1 - state.inverse_temperature
+    def _increment(self, terms: LogTerms, state: TemperedState) -> LogTerms:
+        """Return the step of both powers: of the potentials' until it is 1, then of the likelihood's. The last stage goes to 1 in both."""
+        likelihood, potential = state.powers
         if self.frozen is not None:
-            return self.frozen.inverse_temperatures[state.stage] - state.inverse_temperature
-        last = state.stage == self.options.most_stages - 1
-        return jnp.where(last, remaining, next_increment(log_likelihoods, self.options.target_ess, remaining))
+            return LogTerms(self.frozen.inverse_temperatures[state.stage] - likelihood, self.frozen.potential_powers[state.stage] - potential)
+        last, first_rung = state.stage == self.options.most_stages - 1, potential < 1
+        heated, remaining = jnp.where(first_rung, terms.potential, terms.likelihood), 1 - jnp.where(first_rung, potential, likelihood)
+        step = next_increment(heated, self.options.target_ess, remaining)
+        return LogTerms(
+            jnp.where(last, 1 - likelihood, jnp.where(first_rung, 0.0, step)), jnp.where(last, 1 - potential, jnp.where(first_rung, step, 0.0))
+        )
 
     # -- moves --------------------------------------------------------------------------------------------------------------------------
 
@@ -197,7 +207,7 @@ class _Sampler:
             roots = {name: whitening(position, state.log_weights) for name, position in state.particles.position.items()}
             log_step_size = state.log_step_size
         ladder = state.ladder.with_moves(reached, log_step_size, roots)
-        return state._replace(ladder=ladder), MoveSettings(state.inverse_temperature, jnp.exp(log_step_size), roots)
+        return state._replace(ladder=ladder), MoveSettings(state.powers, jnp.exp(log_step_size), roots)
 
     def _walk(
         self, keys: Keys, particles: ExtendedParticle, view: Extended, settings: MoveSettings
@@ -208,7 +218,7 @@ class _Sampler:
         def one(particle: tuple[Key, ExtendedParticle], shared: tuple[Extended, MoveSettings]) -> tuple[ExtendedParticle, Scalar]:
             chain, rate = walk(*particle, *shared, self.move, options.moves, options.candidates)
             moved = chain if options.waste_free else jax.tree.map(lambda leaf: leaf[-1], chain)
-            return moved._replace(log_likelihood=finite_log(moved.log_likelihood)), rate
+            return moved._replace(terms=jax.tree.map(finite_log, moved.terms)), rate
 
         return over_particles(one, (keys, particles), (view, settings))
 
@@ -235,6 +245,10 @@ class _Sampler:
         count, options = last.log_weights.shape[0], self.options
         moved = count // (options.moves + 1) if options.waste_free else count
         return count + (last.stage - 1) * moved * options.moves * self.move.evaluations
+
+
+def _at_top(state: TemperedState) -> Flag:
+    return (state.powers.likelihood >= 1) & (state.powers.potential >= 1)
 
 
 @register("kernel", "tempered", Options)

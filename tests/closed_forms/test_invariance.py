@@ -60,8 +60,8 @@ def walk():
 
     @jax.jit
     def run(keys, jacobian, likelihood):
-        def log_density(self, ancestor, position, inverse_temperature):
-            return honest(self, ancestor, position, likelihood * inverse_temperature)
+        def log_density(self, ancestor, position, inverse_temperature, potential_power):
+            return honest(self, ancestor, position, likelihood * inverse_temperature, potential_power)
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(Extended, "log_density", log_density)

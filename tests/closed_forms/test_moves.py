@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from bayes_body.density.density import LogTerms
 from bayes_body.kernels.parts.moves import hmc, random_walk
 
 MOVES = {"hmc": hmc(6), "random_walk": random_walk()}
@@ -14,7 +15,7 @@ START = {"a": jnp.array([0.5, -0.2]), "b": jnp.array([1.0])}
 def target(position):
     """A skewed likelihood and a normal prior."""
     likelihood = -jnp.exp(position["a"][0]) + position["a"][1] * position["b"][0]
-    return likelihood - 0.5 * sum(jnp.sum(x * x) for x in position.values()), likelihood
+    return likelihood - 0.5 * sum(jnp.sum(x * x) for x in position.values()), LogTerms(likelihood, jnp.zeros(()))
 
 
 def walled(position):
@@ -37,8 +38,8 @@ def test_the_likelihood_is_that_of_where_it_ended(name):
     found = moved(name, target, 0.7)
     stayed = np.asarray(found.position["b"][:, 0]) == 1
     assert 0 < stayed.mean() < 1
-    expected = jax.jit(jax.vmap(lambda p: target(p)[1]))(found.position)
-    np.testing.assert_allclose(np.asarray(found.log_likelihood), np.asarray(expected), rtol=1e-5, atol=1e-5)
+    expected = jax.jit(jax.vmap(lambda p: target(p)[1].likelihood))(found.position)
+    np.testing.assert_allclose(np.asarray(found.terms.likelihood), np.asarray(expected), rtol=1e-5, atol=1e-5)
     assert stayed.mean() == pytest.approx(1 - float(jnp.mean(found.acceptance_rate)), abs=0.08)
 
 
@@ -54,7 +55,7 @@ def test_what_is_not_a_number_is_refused(name):
     found = moved(name, broken, 0.7)
     assert (np.asarray(found.acceptance_rate) == 0).all()
     assert all((np.asarray(found.position[key]) == np.asarray(START[key])).all() for key in START)
-    np.testing.assert_allclose(found.log_likelihood, target(START)[1], rtol=1e-6)
+    np.testing.assert_allclose(found.terms.likelihood, target(START)[1].likelihood, rtol=1e-6)
 
 
 def test_the_error_of_a_trajectory_falls_with_the_square_of_its_step():

@@ -163,9 +163,9 @@ def test_a_tempered_constraint_is_found_out(monkeypatch):
     target, honest = skewed(PARTICLES), Extended.log_density
     kernel = _frozen(target.density, target.density.previous, {})
 
-    def tempered_wall(self, ancestor, position, inverse_temperature):
+    def tempered_wall(self, ancestor, position, inverse_temperature, potential_power):
         wall = self.density.log_constraint(self.state(ancestor, position), self.density.ancestor(ancestor))
-        log_density, log_likelihood = honest(self, ancestor, position, inverse_temperature)
+        log_density, log_likelihood = honest(self, ancestor, position, inverse_temperature, potential_power)
         return log_density + (inverse_temperature - 1) * wall, log_likelihood
 
     monkeypatch.setattr(Extended, "log_density", tempered_wall)

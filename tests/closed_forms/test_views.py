@@ -169,11 +169,11 @@ def test_unconstrained_round_trip(density):
 def test_the_extended_view_is_the_log_density_after_an_ancestor_with_the_jacobian(density, beta):
     view, state = extended(density), jax.tree.map(lambda leaf: leaf[3], _states())
     position, ancestor = view.coordinates.unconstrain(state), jnp.array(2)
-    log_density, log_likelihood = view.log_density(ancestor, position, beta)
+    log_density, (log_likelihood, _) = view.log_density(ancestor, position, beta)
     expected = _joint(density, 2, state, beta) - density.previous.log_weights[2] + density.unconstrained().coordinates.log_determinant(position)
     assert jnp.isclose(log_density, expected, rtol=1e-6)
     assert jnp.isclose(log_likelihood, density.log_likelihood(state, density.ancestor(2)), rtol=1e-6)
-    assert jnp.isclose(view.log_likelihood(ancestor, position), log_likelihood, rtol=1e-6)
+    assert jnp.isclose(view.terms(ancestor, position).likelihood, log_likelihood, rtol=1e-6)
     assert jnp.allclose(view.state(ancestor, position)["pose"], state["pose"], atol=1e-6)
 
 

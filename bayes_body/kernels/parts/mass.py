@@ -13,7 +13,12 @@ A likelihood may supply its part of C (`Factor.curvature`), for the variables th
 differences of their gradient by the sampled variables, over a tenth of the noise's standard deviation. Only positive curvature is used. The matrix
 depends only on the first state of the chain, so the moves stay reversible. If the correlations of the previous frame's particles are used, the
 scales ε_k do not change.
+
+In coordinates that are not entrywise (density/chart.py), S is no diagonal. There the curvature of the whole log-density given the ancestor is
+differenced in the coordinates, with the prior's potentials in it; directions in which it is smaller than a tenth of the noise's keep that tenth.
 """
+
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +34,8 @@ from bayes_body.density.factor import State
 DIFFERENCE = 0.1
 # The factor by which the particles' correlations are shrunk.
 SHRINKAGE = 0.9
+# The smallest curvature in coordinates that are not entrywise, in units of the noise's.
+LEAST = 0.1
 
 
 def inverse_mass(target: Unconstrained, position: State, previous: State, whole: bool = False) -> Float[Array, " dof *dof"]:
@@ -42,6 +49,8 @@ def inverse_mass(target: Unconstrained, position: State, previous: State, whole:
     """
     sampled, density = target.coordinates.constrain(position), target.density
     variances = ravel_pytree({name: jnp.asarray(distribution.variance) for name, distribution in density.transition.conditional(previous).items()})[0]
+    if not isinstance(target.coordinates, Coordinates):
+        return _of_target(target, position, previous, variances, whole)
     curvature = _finite(offered(density, sampled, previous)) + _finite(differenced(density, sampled, previous, variances))
     slope, bend = (ravel_pytree(parts)[0] for parts in _slopes_and_bends(target.coordinates, position))
     prior = slope * slope / variances + bend
@@ -52,6 +61,35 @@ def inverse_mass(target: Unconstrained, position: State, previous: State, whole:
     scale = unit * slope
     values, vectors = jnp.linalg.eigh(scale[:, None] * curvature * scale)
     return unit[:, None] * ((vectors / (1 + jnp.maximum(values, 0.0))) @ vectors.T) * unit
+
+
+def _of_target(target: Unconstrained, position: State, previous: State, variances: Float[Array, " dof"], whole: bool) -> Float[Array, " dof *dof"]:
+    """Return M⁻¹ from differences of the gradient of the log-density given one ancestor, in coordinates that are not entrywise."""
+    flat, unravel = ravel_pytree(dict(position))
+    density = target.density
+
+    def log_density(x: Array) -> Array:
+        sampled = target.coordinates.constrain(unravel(x))
+        return density.log_joint(density.transition.state(previous, sampled), previous)[0] + target.coordinates.log_determinant(unravel(x))
+
+    unit = jnp.sqrt(variances)
+    relative = unit[:, None] * _finite(_hessian(jax.grad(log_density), flat, DIFFERENCE * unit)) * unit
+    if not whole:
+        return variances / jnp.maximum(jnp.diagonal(relative), LEAST)
+    values, vectors = jnp.linalg.eigh(relative)
+    return unit[:, None] * ((vectors / jnp.maximum(values, LEAST)) @ vectors.T) * unit
+
+
+def _hessian(gradient: Callable[[Array], Array], at: Float[Array, " dof"], reach: Float[Array, " dof"]) -> Float[Array, "dof dof"]:
+    """Return minus the derivatives of a gradient, from its differences on both sides, made symmetric."""
+
+    def along(number: Array) -> Array:
+        step = jnp.zeros_like(at).at[number].set(reach[number])
+        ahead, behind = jax.lax.map(gradient, jnp.stack([at + step, at - step]))
+        return -(ahead - behind) / (2 * reach[number])
+
+    rows = jax.lax.map(along, jnp.arange(at.shape[0]))
+    return (rows + rows.T) / 2
 
 
 def _finite(matrix: Array) -> Array:
@@ -98,18 +136,11 @@ def differenced(density: Density, sampled: State, previous: State, variances: Fl
     names = density.without_curvature
     if not names:
         return jnp.zeros((flat.size, flat.size), flat.dtype)
-    reach = DIFFERENCE * jnp.sqrt(variances)
 
     def gradient(values: Array) -> Array:
         return jax.grad(lambda v: density.log_likelihood_of(names, density.transition.state(previous, unravel(v)), previous))(values)
 
-    def along(number: Array) -> Array:
-        step = jnp.zeros_like(flat).at[number].set(reach[number])
-        ahead, behind = jax.lax.map(gradient, jnp.stack([flat + step, flat - step]))
-        return -(ahead - behind) / (2 * reach[number])
-
-    rows = jax.lax.map(along, jnp.arange(flat.shape[0]))
-    return (rows + rows.T) / 2
+    return _hessian(gradient, flat, DIFFERENCE * jnp.sqrt(variances))
 
 
 def correlated(

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from bayes_body.density.density import Density
+from bayes_body.density.density import Density, LogTerms
 from bayes_body.density.extended import Extended
 from bayes_body.density.factor import State
 from bayes_body.density.sharding import varying_like
@@ -22,8 +22,8 @@ from bayes_body.shapes import Index, Key, Scalar
 
 type Position = Mapping[str, Array]
 type MoveName = Literal["hmc", "random_walk"]
-# The log-density, and the log-likelihood, which is a part of it.
-type Target = Callable[[Position], tuple[Scalar, Scalar]]
+# The log-density, and those of its terms that are tempered.
+type Target = Callable[[Position], tuple[Scalar, LogTerms]]
 
 # On a nearly Gaussian target, trajectories of constant length would return to their starts.
 JITTER = (0.6, 1.4)
@@ -46,10 +46,10 @@ def check_gradients(density: Density, what: str, other: str = "") -> None:
 
 
 class Moved(NamedTuple):
-    """The end of a move, the log-likelihood there, and the acceptance rate of the move."""
+    """The end of a move, the tempered terms there, and the acceptance rate of the move."""
 
     position: Position
-    log_likelihood: Scalar
+    terms: LogTerms
     acceptance_rate: Scalar
 
 
@@ -70,11 +70,11 @@ class Move(NamedTuple):
 
 
 class _Point(NamedTuple):
-    """A point of a trajectory: log-density minus kinetic energy, and the log-likelihood."""
+    """A point of a trajectory: log-density minus kinetic energy, and the tempered terms."""
 
     position: Position
     log_density: Scalar
-    log_likelihood: Scalar
+    terms: LogTerms
 
 
 def hmc(leapfrog_steps: int) -> Move:
@@ -86,17 +86,17 @@ def hmc(leapfrog_steps: int) -> Move:
 
         def visit(k: Index, walker: tuple[Position, Position, _Point, _Point]) -> tuple[Position, Position, _Point, _Point]:
             position, momentum, first, _ = walker
-            (log_density, log_likelihood), slope = jax.value_and_grad(target, has_aux=True)(position)
+            (log_density, terms), slope = jax.value_and_grad(target, has_aux=True)(position)
             # Half a kick at each end, and whole kicks in between. The energy is computed after the first half of a kick.
             ends = (k == 0) | (k == leapfrog_steps)
             half = _along(momentum, slope, size / 2)
-            here = _Point(position, log_density - _kinetic(jax.tree.map(lambda p, h: jnp.where(k == 0, p, h), momentum, half)), log_likelihood)
+            here = _Point(position, log_density - _kinetic(jax.tree.map(lambda p, h: jnp.where(k == 0, p, h), momentum, half)), terms)
             kicked = jax.tree.map(lambda h, g: jnp.where(ends, h, h + size / 2 * g), half, slope)
             onward = _along(position, kicked, jnp.where(k == leapfrog_steps, 0.0, size))
             return onward, kicked, jax.tree.map(lambda new, old: jnp.where(k == 0, new, old), here, first), here
 
         unknown = varying_like(jnp.full_like(_kinetic(position), jnp.nan), position)
-        unvisited = _Point(position, unknown, unknown)
+        unvisited = _Point(position, unknown, LogTerms(unknown, unknown))
         start = position, _normal(momentum_key, position), unvisited, unvisited
         *_, first, last = jax.lax.fori_loop(0, leapfrog_steps + 1, visit, start)
         return _accept(accept_key, first, last)
@@ -124,7 +124,7 @@ def _accept(key: Key, first: _Point, last: _Point) -> Moved:
     rate = jnp.exp(jnp.minimum(jnp.where(jnp.isnan(log_ratio), -jnp.inf, log_ratio), 0.0))
     accepted = jax.random.uniform(key, (), rate.dtype) < rate
     end = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), last, first)
-    return Moved(end.position, end.log_likelihood, rate)
+    return Moved(end.position, end.terms, rate)
 
 
 def _normal(key: Key, like: Position) -> dict[str, Array]:
@@ -144,17 +144,17 @@ def _kinetic(momentum: Position) -> Scalar:
 
 
 class ExtendedParticle(NamedTuple):
-    """A point of the extended view: its ancestor, its unconstrained coordinates, and the log-likelihood there."""
+    """A point of the extended view: its ancestor, its unconstrained coordinates, and the tempered terms there."""
 
     ancestor: Index
     position: dict[str, Array]
-    log_likelihood: Scalar
+    terms: LogTerms
 
 
 class MoveSettings(NamedTuple):
-    """The settings of one stage's moves: temperature, step size, and for each variable a root of the covariance, for whitening."""
+    """The settings of one stage's moves: the powers, step size, and for each variable a root of the covariance, for whitening."""
 
-    inverse_temperature: Scalar
+    powers: LogTerms
     step_size: Scalar
     whitening: dict[str, Float[Array, "dof dof"]]
 
@@ -174,21 +174,24 @@ def walk(
         candidates: number of candidates among which the ancestor is redrawn before the first move.
     """
     ancestor_key, chain_key = jax.random.split(key)
-    ancestor = view.choose_ancestor(ancestor_key, particle.ancestor, particle.position, settings.inverse_temperature, candidates)
+    likelihood, potential = settings.powers
+    ancestor = view.choose_ancestor(ancestor_key, particle.ancestor, particle.position, likelihood, candidates, potential)
 
     def coordinates(whitened: State) -> dict[str, Array]:
         return {name: jnp.sum(settings.whitening[name] * value, axis=-1) for name, value in whitened.items()}
 
-    def target(whitened: State) -> tuple[Scalar, Scalar]:
-        return view.log_density(ancestor, coordinates(whitened), settings.inverse_temperature)
+    def target(whitened: State) -> tuple[Scalar, LogTerms]:
+        log_density, terms = view.log_density(ancestor, coordinates(whitened), likelihood, potential)
+        # Without potentials their sum is a constant, but in a loop over devices it must have the type of the likelihood.
+        return log_density, varying_like(terms, log_density)
 
-    def one(whitened: State, move_key: Key) -> tuple[State, tuple[dict[str, Array], Scalar, Scalar]]:
+    def one(whitened: State, move_key: Key) -> tuple[State, tuple[dict[str, Array], LogTerms, Scalar]]:
         after = move.step(move_key, whitened, target, settings.step_size)
-        return after.position, (coordinates(after.position), after.log_likelihood, after.acceptance_rate)
+        return after.position, (coordinates(after.position), after.terms, after.acceptance_rate)
 
     start = {name: jax.scipy.linalg.solve_triangular(settings.whitening[name], x, lower=True) for name, x in sorted(particle.position.items())}
-    _, (chain, log_likelihoods, rates) = jax.lax.scan(one, start, jax.random.split(chain_key, moves))
-    return ExtendedParticle(jnp.broadcast_to(ancestor, (moves,)), chain, log_likelihoods), jnp.mean(rates)
+    _, (chain, terms, rates) = jax.lax.scan(one, start, jax.random.split(chain_key, moves))
+    return ExtendedParticle(jnp.broadcast_to(ancestor, (moves,)), chain, terms), jnp.mean(rates)
 
 
 def whitening(position: Float[Array, "particle dof"], log_weights: LogWeights) -> Float[Array, "dof dof"]:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Int
 
 from bayes_body.density.density import Unconstrained
 from bayes_body.density.factor import Particles
-from bayes_body.kernels import annealed_filter
+from bayes_body.kernels import annealed_filter, tempered_smc
 from bayes_body.kernels.parts.resampling import Resample
 from bayes_body.kernels.parts.weights import predict
 from bayes_body.shapes import Flag, Key, Scalar
@@ -59,7 +59,7 @@ def by_importance(key: Key, target: Unconstrained, count: int, chains: int, resa
     drawn = predict(draw_key, ancestors, target.density)
     weights = drawn.normalised()
     chosen = resample(resample_key, weights.log_weights, chains)
-    position = target.unconstrain(jax.tree.map(lambda leaf: leaf[chosen], drawn.states))
+    position = jax.vmap(target.unconstrain)(jax.tree.map(lambda leaf: leaf[chosen], dict(drawn.states)))
     return Initialisation(Start(position, ancestors[chosen]), drawn.log_evidence(), weights.lost, count)
 
 
@@ -85,6 +85,27 @@ def by_annealing(key: Key, target: Unconstrained, count: int, chains: int, resam
     before = Particles(jax.tree.map(lambda leaf: leaf[parents], dict(previous.states)), equal)
     after, info = annealed_filter.build_kernel()(anneal_key, before, target.density)
     chosen = resample(choose_key, after.log_weights, chains)
-    position = target.unconstrain(jax.tree.map(lambda leaf: leaf[chosen], dict(after.states)))
+    position = jax.vmap(target.unconstrain)(jax.tree.map(lambda leaf: leaf[chosen], dict(after.states)))
     starts = Start(position, parents[info.ancestors[chosen]])
     return by_weight._replace(starts=starts, lost=by_weight.lost | info.lost, evaluations=by_weight.evaluations + info.evaluations)
+
+
+def by_tempering(key: Key, target: Unconstrained, count: int, chains: int, resample: Resample) -> Initialisation:
+    """Choose starts among particles of tempered SMC, for a prior with potentials: of independent draws, a single one would have all the weight.
+
+    Args:
+        key: random key.
+        target: as for `by_importance`.
+        count: number of particles.
+        chains: number of starts.
+        resample: a resampling scheme.
+    """
+    parent_key, temper_key, choose_key = jax.random.split(key, 3)
+    previous = target.density.previous
+    parents = resample(parent_key, previous.log_weights, count)
+    equal = jnp.full((count,), -jnp.log(count), previous.log_weights.dtype)
+    before = Particles(jax.tree.map(lambda leaf: leaf[parents], dict(previous.states)), equal)
+    after, info = tempered_smc.build_kernel()(temper_key, before, target.density)
+    chosen = resample(choose_key, after.log_weights, chains)
+    position = jax.vmap(target.unconstrain)(jax.tree.map(lambda leaf: leaf[chosen], dict(after.states)))
+    return Initialisation(Start(position, parents[info.ancestors[chosen]]), info.log_evidence, info.lost, info.evaluations)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, cast
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from bayes_body.density.density import LogTerms
 from bayes_body.kernels.parts.moves import ExtendedParticle
 from bayes_body.kernels.parts.resampling import Resample
 from bayes_body.kernels.parts.weights import LogWeights
@@ -24,11 +25,22 @@ def finite_log(log_likelihood: Array) -> Array:
 
 
 class Ladder(NamedTuple):
-    """The temperatures of a run, and the log step size and whitening of the moves at each. Entries of unused stages are NaN."""
+    """The powers of a run, and the log step size and whitening of the moves at each. Entries of unused stages are NaN.
+
+    The powers are those of the likelihood (`inverse_temperatures`) and of the prior's potentials, which reach 1 first.
+    """
 
     inverse_temperatures: Float[Array, " stage"]
+    potential_powers: Float[Array, " stage"]
     log_step_sizes: Float[Array, " stage"]
     whitening: dict[str, Float[Array, "stage dof dof"]]
+
+    def with_powers(self, stage: Index, powers: LogTerms) -> "Ladder":
+        """Return the ladder with the powers that a stage reached entered."""
+        return self._replace(
+            inverse_temperatures=self.inverse_temperatures.at[stage].set(powers.likelihood),
+            potential_powers=self.potential_powers.at[stage].set(powers.potential),
+        )
 
     def with_moves(self, stage: Index, log_step_size: Scalar, whitening: dict[str, Float[Array, "dof dof"]]) -> "Ladder":
         """Return the ladder with the moves of a stage entered."""
@@ -41,7 +53,7 @@ class TemperedState(NamedTuple):
 
     particles: ExtendedParticle
     log_weights: LogWeights
-    inverse_temperature: Scalar
+    powers: LogTerms
     stage: Int[Array, ""]
     stages_at_top: Int[Array, ""]
     log_evidence: Scalar
@@ -51,7 +63,9 @@ class TemperedState(NamedTuple):
     acceptance_rates: Float[Array, " stage"]
 
 
-def init_state(particles: ExtendedParticle, log_weights: LogWeights, stages: int, step_size: Callable[[int], float]) -> TemperedState:
+def init_state(
+    particles: ExtendedParticle, log_weights: LogWeights, stages: int, step_size: Callable[[int], float], potential_power: float
+) -> TemperedState:
     """Return the state at inverse temperature zero, before any stage.
 
     Args:
@@ -59,13 +73,15 @@ def init_state(particles: ExtendedParticle, log_weights: LogWeights, stages: int
         log_weights: their log-weights, from the constraints.
         stages: the largest possible number of stages.
         step_size: the step size of the first moves, as a function of the number of coordinates.
+        potential_power: the power of the prior's potentials: 0 if there are any, else 1.
     """
     dtype = log_weights.dtype
     unknown = jnp.full((stages,), jnp.nan, dtype)
     roots = {name: jnp.full((stages, x.shape[1], x.shape[1]), jnp.nan, dtype) for name, x in particles.position.items()}
     log_step_size = jnp.log(jnp.asarray(step_size(sum(x.shape[1] for x in particles.position.values())), dtype))
     zero, none = jnp.zeros((), dtype), jnp.zeros((), int)
-    return TemperedState(particles, log_weights, zero, none, none, zero, log_step_size, Ladder(unknown, unknown, roots), unknown, unknown)
+    powers, ladder = LogTerms(zero, jnp.full((), potential_power, dtype)), Ladder(unknown, unknown, unknown, roots)
+    return TemperedState(particles, log_weights, powers, none, none, zero, log_step_size, ladder, unknown, unknown)
 
 
 class Reweighted(NamedTuple):
@@ -114,7 +130,7 @@ def feynman_kac_step(
 
 
 def next_increment(log_likelihoods: LogWeights, target_ess: float, most: Scalar) -> Scalar:
-    """Return the largest step in inverse temperature, up to `most`, after which equal weights have an ESS of at least the fraction `target_ess`."""
+    """Return the largest step of a term's power, up to `most`, after which equal weights have an ESS of at least the fraction `target_ess`."""
     from blackjax.smc import ess, solver
 
     relative = log_likelihoods - jnp.max(log_likelihoods)

@@ -44,26 +44,33 @@ def effective_sample_size(log_weights: LogWeights) -> Scalar:
 
 
 class Weighed(NamedTuple):
-    """Proposed states and the two terms of their log-weights. Leaves have a leading particle axis, or none."""
+    """Proposed states and the terms of their log-weights. Leaves have a leading particle axis, or none."""
 
     states: State
     log_likelihoods: Float[Array, "*particle"]
     log_constraints: Float[Array, "*particle"]
+    log_potentials: Float[Array, "*particle"]
+
+    @property
+    def log_weights(self) -> Float[Array, "*particle"]:
+        """The log-weights L C ψ."""
+        return self.log_likelihoods + self.log_constraints + self.log_potentials
 
     def normalised(self) -> Normalised:
-        """Return the normalised weights L C of all particles."""
-        return normalise(self.log_likelihoods + self.log_constraints)
+        """Return the normalised weights of all particles."""
+        return normalise(self.log_weights)
 
     def log_evidence(self) -> Scalar:
-        """Return log(sum of L C / sum of C), the evidence relative to the constrained prediction."""
-        return self.normalised().log_sum - normalise(self.log_constraints).log_sum
+        """Return log(sum of L C ψ / sum of C ψ), the evidence relative to the constrained prediction."""
+        return self.normalised().log_sum - normalise(self.log_constraints + self.log_potentials).log_sum
 
 
 def weigh(state: State, previous: State, density: Density) -> Weighed:
     """Return one proposed state with the terms of its log-weight."""
     # Without the barrier, XLA repeats the draw of the noise wherever the state is read.
     state = jax.lax.optimization_barrier(state)
-    return Weighed(state, density.log_likelihood(state, previous), density.log_constraint(state, previous))
+    constraint, potential = density.log_constraint(state, previous), density.log_potential(state, previous)
+    return Weighed(state, density.log_likelihood(state, previous), constraint, potential)
 
 
 def predict(key: Key, ancestors: Int[Array, " particle"], density: Density) -> Weighed:

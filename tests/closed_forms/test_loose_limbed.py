@@ -1,0 +1,184 @@
+"""The prior of a loose-limbed body: one density for both directions of a joint, its draws, its coordinates, and the ladder that samplers need."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import norm
+
+from bayes_body.body.build import build_body
+from bayes_body.body.placement import loosened, placed_markers
+from bayes_body.density.factor import Variable
+from bayes_body.dynamics import rigid_walk
+from bayes_body.errors import InputError
+from bayes_body.geometry import rigid, rotations
+from bayes_body.kernels.parts.hamiltonian import Schedule, run_chain
+from bayes_body.model.definition import load_body
+from bayes_body.potentials import intersection, kinematic, penetration
+from bayes_body.toml.read import validate
+
+PARTS = Variable("parts")
+WIDE = {"component": [{"sd_m": {"*": [0.02, 0.03, 0.05]}, "sd_deg": {"*": [20.0, 55.0, 35.0]}, "mean_deg": {"l_knee": -40.0}}]}
+TWO = {"component": [WIDE["component"][0], {"weight": 3.0, "sd_m": {"*": 0.04}, "sd_deg": {"*": 25.0}, "mean_deg": {"l_elbow": -90.0}}]}
+
+
+@pytest.fixture(scope="module")
+def body():
+    return loosened(build_body("person_31", load_body("person_31")))
+
+
+def _kinematic(body, options):
+    return kinematic.build("kinematic", validate(kinematic.Options, options, "test"), body)
+
+
+def _pose(body, seed=0):
+    """A pose of the parts' joints; the joints that the parts hold stay at 0."""
+    values = np.random.default_rng(seed).normal(size=len(body.dof_names)) * 0.4
+    held = [name.startswith("thorax") or "clavicle" in name for name in body.dof_names]
+    return jnp.asarray(np.where(held, 0.0, values), jnp.float32)
+
+
+def _edge(factor, row):
+    return jax.tree.map(lambda leaf: leaf[row], factor.log_potential.parameters)
+
+
+def _random_rigid(rng, count, shift_m):
+    quaternions = Rotation.random(count, rng=rng).as_quat(scalar_first=True)
+    return jnp.asarray(np.concatenate([rng.normal(size=(count, 3)) * shift_m, quaternions], axis=1), jnp.float32)
+
+
+def test_parts_place_a_body_as_the_angles_do(body):
+    pose = _pose(body)
+    parts = body.placement.configuration(body.skeleton, pose)
+    assert parts.shape == (10, 7)
+    np.testing.assert_allclose(placed_markers(body, parts), placed_markers(body.by_angles, pose), atol=2e-6)
+
+
+@pytest.mark.parametrize("options", [WIDE, TWO], ids=["one component", "two"])
+@pytest.mark.parametrize("given", ["parent", "child"])
+def test_an_edge_is_normalised_in_both_directions(body, options, given):
+    """The other part's rotation is uniform over all rotations, and its position normal where the joint is, given the rotation."""
+    edge, rng, count, sd = _edge(_kinematic(body, options), 3), np.random.default_rng(1), 2**20, 0.05
+    fixed, turns = _random_rigid(rng, 1, 1.0)[0], _random_rigid(rng, count, 0.0)[:, 3:]
+    off = jnp.asarray(rng.normal(size=(count, 3)) * sd, jnp.float32)
+    joint = edge["mean"][0, :3] + off
+    places = rigid.apply(fixed, joint) if given == "parent" else fixed[:3] - rotations.rotate(turns, joint)
+    other = rigid.rigid(places, turns)
+
+    def value(x):
+        return kinematic.log_density(edge, fixed, x) if given == "parent" else kinematic.log_density(edge, x, fixed)
+
+    log_proposal = norm.logpdf(np.asarray(off, float), scale=sd).sum(axis=1) - np.log(8 * np.pi**2)
+    weights = np.exp(np.asarray(jax.jit(jax.vmap(value))(other), float) - log_proposal)
+    error = weights.std() / np.sqrt(count)
+    assert abs(np.log(weights.mean())) < 4 * error
+    assert error < 0.01
+
+
+def test_ancestral_draws_have_the_density(body):
+    """E[p/q] under draws of one prior is 1 only if draws and both densities agree: the other prior is narrower within its support."""
+    wide = _kinematic(body, WIDE)
+    narrow = _kinematic(body, {"component": [WIDE["component"][0] | {"sd_deg": {"*": [18.0, 50.0, 32.0]}, "sd_m": {"*": [0.018, 0.027, 0.045]}}]})
+    root = _random_rigid(np.random.default_rng(2), 1, 1.0)[0]
+    draws = jax.jit(jax.vmap(lambda key: kinematic.draw_tree(key, wide, root)))(jax.random.split(jax.random.key(0), 40_000))
+    ratio = jax.jit(jax.vmap(lambda x: narrow({PARTS: x}, {}) - wide({PARTS: x}, {})))(draws)
+    weights = np.exp(np.asarray(ratio, float))
+    log_normaliser = np.log(weights.mean())
+    assert abs(log_normaliser) < 4 * weights.std() / weights.mean() / np.sqrt(len(weights))
+    assert weights.std() / weights.mean() / np.sqrt(len(weights)) < 0.01
+
+
+def test_the_prior_moves_with_the_world_and_does_not_see_a_quaternions_sign(body):
+    factor = _kinematic(body, TWO)
+    parts = body.placement.configuration(body.skeleton, _pose(body, 3))
+    moved = rigid.compose(_random_rigid(np.random.default_rng(4), 1, 2.0), parts)
+    flipped = parts.at[2, 3:].multiply(-1)
+    value = float(factor({PARTS: parts}, {}))
+    assert float(factor({PARTS: moved}, {})) == pytest.approx(value, abs=2e-2)
+    assert float(factor({PARTS: flipped}, {})) == pytest.approx(value, abs=1e-4)
+
+
+def test_the_coordinates_are_those_of_the_tree_and_their_volume_is_right(body):
+    with jax.enable_x64(True):
+        loose = loosened(build_body("person_31", load_body("person_31")))
+        walk = rigid_walk.build(rigid_walk.Options(sd_deg={"*": 20.0}), loose, 60.0)
+        before = {"parts": loose.placement.configuration(loose.skeleton, jnp.asarray(_pose(body, 5), float))}
+        state = walk.sample(jax.random.key(0), before)
+        chart = walk.chart(before)
+        position = chart.unconstrain(state)
+        np.testing.assert_allclose(chart.constrain(position)["parts"], state["parts"], atol=1e-12)
+
+        def tangent(x):
+            """The state near `state`, in its own tangent spaces: the Haar measure there is Lebesgue's."""
+            steps = rigid.relative(state["parts"], chart.constrain({"parts": x})["parts"])
+            return jnp.concatenate([steps[:, :3], rotations.logarithm(steps[:, 3:])], axis=1).ravel()
+
+        volume = np.linalg.slogdet(jax.jacfwd(tangent)(position["parts"]))[1]
+        assert float(chart.log_determinant(position)) == pytest.approx(volume, abs=1e-9)
+
+
+def test_the_walk_is_normalised(body):
+    """Its log-density under its own draws has the mean of a normal's, minus the mean log-Jacobian of the exponential map."""
+    walk = rigid_walk.build(rigid_walk.Options(sd_deg={"*": 28.0}), body, 60.0)
+    before = {"parts": body.placement.configuration(body.skeleton, _pose(body))}
+    broad = rigid_walk.build(rigid_walk.Options(sd_deg={"*": 29.0}, sd_m={"*": 0.031}), body, 60.0)
+    draws = jax.vmap(lambda key: broad.sample(key, before))(jax.random.split(jax.random.key(1), 50_000))
+    weights = np.exp(np.asarray(jax.jit(jax.vmap(lambda s: walk.log_density(s, before) - broad.log_density(s, before)))(draws), float))
+    assert abs(weights.mean() - 1) < 4 * weights.std() / np.sqrt(len(weights))
+
+
+def test_a_rotation_on_its_own_keeps_a_known_distribution():
+    """Uniform rotations, as HMC sees them in the tangent space: the angle's density is (1 - cos)/π."""
+
+    def target(position):
+        w = position["w"]
+        inside = jnp.sum(w * w) < np.pi**2
+        return jnp.where(inside, rotations.log_jacobian(w), -jnp.inf)
+
+    schedule = Schedule(draws=4000, burn_in=50, thinning=2, leapfrog_steps=6, jitter=0.5, sampler="hmc", target_acceptance=0.0)
+    chain = jax.jit(lambda key: run_chain(key, {"w": jnp.full(3, 0.5)}, target, jnp.asarray(0.35), jnp.ones(3), schedule))(jax.random.key(0))
+    angles = np.linalg.norm(np.asarray(chain.positions["w"], float), axis=1)
+    # E[angle] = π/2 + 2/π, Var = π²/12 + 2 - 4/π² ... compared in standard errors of autocorrelated draws, from means of batches.
+    batches = angles.reshape(40, -1).mean(axis=1)
+    assert abs(angles.mean() - (np.pi / 2 + 2 / np.pi)) < 4 * batches.std() / np.sqrt(40)
+
+
+@pytest.mark.parametrize(
+    ("term", "options", "said"),
+    [
+        (kinematic, {"component": [{"sd_deg": {"l_thihg": 3.0, "*": 4.0}}]}, r"sd_deg\.l_thihg: matches no part of the body; did you mean 'l_thigh'"),
+        (kinematic, {"component": [{"mean_deg": {"l_kne": 3.0}}]}, r"mean_deg\.l_kne: no dof .*did you mean 'l_knee'"),
+        (
+            kinematic,
+            {"component": [{"relative": {"l_thigh": [0.0, 0.1, 0.0, 1.0, 1.0, 0.0, 0.0]}}]},
+            r"a quaternion of length 1\.414; expected length 1",
+        ),
+        (kinematic, {"component": [{"relative": {"l_hoof": [0.0, 0.1, 0.0, 1.0, 0.0, 0.0, 0.0]}}]}, r"relative\.l_hoof: no part"),
+        (penetration, {"pairs": [["l_calf", "r_clf"]]}, r"'r_clf' is no part of the body 'person_31'; did you mean 'r_calf'"),
+    ],
+)
+def test_a_potential_on_what_the_body_lacks(body, term, options, said):
+    with pytest.raises(InputError, match=said):
+        term.build("term", validate(term.Options, options, "test"), body)
+
+
+def test_potentials_of_parts_need_parts(body):
+    with pytest.raises(InputError, match=r'potential \'kinematic\': \[body\] placement = "angles"; expected placement = "parts"'):
+        kinematic.build("kinematic", kinematic.Options(), body.by_angles)
+
+
+def test_penetration_is_that_of_the_whole_body(body):
+    """Crossed legs: the deepest pairs agree with the constraint on the body by angles."""
+    pose = jnp.zeros(len(body.dof_names)).at[body.dof_names.index("l_hip_x")].set(-0.25).at[body.dof_names.index("r_hip_x")].set(0.25)
+    parts = body.placement.configuration(body.skeleton, pose)
+    pairs = tuple(pair for pair in body.topology.penetration)
+    names = body.topology.names
+    legs = [[names[a], names[b]] for a, b in pairs if {names[a][2:], names[b][2:]} <= {"thigh", "calf"}]
+    soft = penetration.build("penetration", validate(penetration.Options, {"pairs": legs}, "test"), body)
+    whole = intersection.build("intersection", intersection.Options(mode="soft"), body)
+    hard = penetration.build("penetration", validate(penetration.Options, {"pairs": legs, "mode": "hard"}, "test"), body)
+    assert float(whole({PARTS: parts}, {})) < -1
+    # The calf of the plate has the foot with it, so it may go deeper, but never less deep.
+    assert float(soft({PARTS: parts}, {})) <= float(whole({PARTS: parts}, {})) + 1e-3
+    assert float(hard({PARTS: parts}, {})) == -np.inf
