@@ -10,3 +10,10 @@ import numpy as np
 def namespace(*arrays: Any) -> Any:
     """Return `jax.numpy` if one of the arrays is JAX's (traced or not), else `numpy`."""
     return jnp if any(isinstance(array, jax.Array) for array in arrays) else np
+
+
+def joined(*arrays: Any) -> Any:
+    """Return the arrays joined along the last axis; their leading axes are broadcast."""
+    xp = namespace(*arrays)
+    batch = xp.broadcast_shapes(*(array.shape[:-1] for array in arrays))
+    return xp.concatenate([xp.broadcast_to(array, (*batch, array.shape[-1])) for array in arrays], axis=-1)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.geometry import rotations
-from bayes_body.geometry.namespaces import namespace
+from bayes_body.geometry.namespaces import joined
 from bayes_body.geometry.rotations import Quaternion, Vector
 from bayes_body.geometry.transforms import Transform
 
@@ -27,7 +27,7 @@ def identity(dtype: Any = float) -> Float[np.ndarray, "7"]:
 
 def rigid(translation: Vector, quaternion: Quaternion) -> Rigid:
     """Return the 7-vector of a translation (b's origin in frame a, metres) and a unit quaternion `q_a_b`."""
-    return namespace(translation, quaternion).concatenate([translation, quaternion], axis=-1)
+    return joined(translation, quaternion)
 
 
 def translation(X: Rigid) -> Vector:

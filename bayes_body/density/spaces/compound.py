@@ -1,0 +1,166 @@
+"""Spaces made of others: a vector of consecutive pieces, and a plate of several equal ones."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from bayes_body.density.spaces.flat import length
+from bayes_body.density.spaces.space import Axis, Numbers, Points, Space, Vectors, Weights
+from bayes_body.geometry.namespaces import joined
+
+
+@dataclass(frozen=True)
+class Product:
+    """A vector that consists of pieces, each in a space of its own, one after the other.
+
+    Attributes:
+        names: names of the pieces, which precede the labels of their entries; an empty name leaves them as they are.
+        pieces: the spaces of the pieces, whose points are vectors.
+        axis: name of the axis of a point where it is stored; empty: it is named after the variable.
+    """
+
+    names: tuple[str, ...]
+    pieces: tuple[Space, ...]
+    axis: str = ""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of a point."""
+        return (sum(piece.shape[0] for piece in self.pieces),)
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """One axis, the entries of all pieces."""
+        own = [piece.axes[0] for piece in self.pieces]
+        return (Axis(self.axis, _named(self.names, [axis.labels for axis in own]), tuple(unit for axis in own for unit in axis.units)),)
+
+    @property
+    def dimension(self) -> int:
+        """The number of entries of a tangent vector."""
+        return sum(piece.dimension for piece in self.pieces)
+
+    @property
+    def tangent_labels(self) -> tuple[str, ...]:
+        """Those of the pieces."""
+        return _named(self.names, [piece.tangent_labels for piece in self.pieces])
+
+    @property
+    def tangent_units(self) -> tuple[str, ...]:
+        """Those of the pieces."""
+        return tuple(unit for piece in self.pieces for unit in piece.tangent_units)
+
+    @property
+    def blocks(self) -> tuple[int, ...]:
+        """Those of the pieces."""
+        found: list[int] = []
+        for piece in self.pieces:
+            first = max(found, default=-1) + 1
+            found += [first + block for block in piece.blocks]
+        return tuple(found)
+
+    def local(self, x: Points, y: Points) -> Vectors:
+        """Return the tangent vectors of the pieces."""
+        return self._each(lambda piece, own: piece.local(x[..., own], y[..., own]))
+
+    def retract(self, x: Points, v: Vectors) -> Points:
+        """Return the point to which a tangent vector leads."""
+        tangents = iter(_slices([piece.dimension for piece in self.pieces]))
+        return self._each(lambda piece, own: piece.retract(x[..., own], v[..., next(tangents)]))
+
+    def coordinates(self, centre: Points, y: Points) -> Vectors:
+        """Return the coordinates of the pieces."""
+        return self._each(lambda piece, own: piece.coordinates(centre[..., own], y[..., own]))
+
+    def mean(self, weights: Weights, points: Points) -> Points:
+        """Return the means of the pieces."""
+        return self._each(lambda piece, own: piece.mean(weights, points[..., own]))
+
+    def distance(self, x: Points, y: Points) -> Numbers:
+        """Return the root of the sum of the squared distances of the pieces."""
+        return length(self.local(x, y))
+
+    def _each(self, of: Callable[[Space, slice], Any]) -> Any:
+        return joined(*(of(piece, own) for piece, own in zip(self.pieces, _slices([p.shape[0] for p in self.pieces]), strict=True)))
+
+
+@dataclass(frozen=True)
+class Plate:
+    """Several points of one space along a leading axis, such as the placements of a body's parts, (part, 7).
+
+    Attributes:
+        names: names of the points, which precede the labels of tangent vectors.
+        space: the space of each.
+        axis: name of the leading axis where points are stored; empty: it is named after the variable.
+    """
+
+    names: tuple[str, ...]
+    space: Space
+    axis: str = ""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of all points together."""
+        return (len(self.names), *self.space.shape)
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """The leading axis, and those of a point."""
+        return (Axis(self.axis, self.names), *self.space.axes)
+
+    @property
+    def dimension(self) -> int:
+        """The number of entries of a tangent vector."""
+        return len(self.names) * self.space.dimension
+
+    @property
+    def tangent_labels(self) -> tuple[str, ...]:
+        """Such as `torso_x`, `torso_rx`."""
+        return _named(self.names, [self.space.tangent_labels] * len(self.names))
+
+    @property
+    def tangent_units(self) -> tuple[str, ...]:
+        """Those of the space, for each point."""
+        return self.space.tangent_units * len(self.names)
+
+    @property
+    def blocks(self) -> tuple[int, ...]:
+        """Each point is a block."""
+        size = len(self.space.blocks)
+        return tuple(point for point in range(len(self.names)) for _ in range(size))
+
+    def local(self, x: Points, y: Points) -> Vectors:
+        """Return the tangent vectors of all points, one after the other."""
+        return _flat(self.space.local(x, y))
+
+    def retract(self, x: Points, v: Vectors) -> Points:
+        """Return the points to which a tangent vector leads."""
+        return self.space.retract(x, v.reshape(*v.shape[:-1], len(self.names), self.space.dimension))
+
+    def coordinates(self, centre: Points, y: Points) -> Vectors:
+        """Return the coordinates of all points, one after the other."""
+        return _flat(self.space.coordinates(centre, y))
+
+    def mean(self, weights: Weights, points: Points) -> Points:
+        """Return the mean of each point."""
+        draws = points.ndim - len(self.shape) - 1
+        order = (*range(draws), draws + 1, draws, *range(draws + 2, points.ndim))
+        return self.space.mean(weights[..., None, :], points.transpose(order))
+
+    def distance(self, x: Points, y: Points) -> Numbers:
+        """Return the root of the sum of the squared distances of the points."""
+        return length(self.local(x, y))
+
+
+def _flat(vectors: Any) -> Any:
+    return vectors.reshape(*vectors.shape[:-2], -1)
+
+
+def _named(names: tuple[str, ...], labels: list[tuple[str, ...]]) -> tuple[str, ...]:
+    return tuple(f"{name}_{label}" if name else label for name, own in zip(names, labels, strict=True) for label in own)
+
+
+def _slices(sizes: list[int]) -> Iterator[slice]:
+    start = 0
+    for size in sizes:
+        yield slice(start, start + size)
+        start += size
