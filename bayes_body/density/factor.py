@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpyro.distributions import Distribution
 
+from bayes_body.density.spaces import Space, numbered
 from bayes_body.shapes import Key, Scalar
 
 type State = Mapping[str, Array]
@@ -95,7 +96,11 @@ def nothing_before(first: State) -> State:
     return first
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=["name"], data_fields=["conditional", "perturbation", "carry", "begin", "derive", "chart"])
+@partial(
+    jax.tree_util.register_dataclass,
+    meta_fields=["name", "spaces"],
+    data_fields=["conditional", "perturbation", "carry", "begin", "derive", "chart"],
+)
 @dataclass(frozen=True)
 class Transition:
     """A motion prior.
@@ -113,6 +118,7 @@ class Transition:
             these like any others, and derivatives go through this function.
         chart: previous state -> coordinates without limits for the sampled variables (density/chart.py), the same for every previous state of a
             frame; None: one bijection for each variable, onto the support of its distribution.
+        spaces: where variables live, as pairs of a name and a space. A variable that is not among them is an array of plain numbers.
     """
 
     name: str
@@ -122,6 +128,11 @@ class Transition:
     begin: Callable[[State], State] = jax.tree_util.Partial(nothing_before)
     derive: Callable[[State], State] = jax.tree_util.Partial(nothing_derived)
     chart: Callable[[State], Any] | None = None
+    spaces: tuple[tuple[str, Space], ...] = ()
+
+    def space(self, name: str, shape: tuple[int, ...]) -> Space:
+        """Return where a variable of this shape lives."""
+        return dict(self.spaces).get(name) or numbered(name, shape)
 
     def with_derived(self, sampled: State) -> dict[str, Array]:
         """Return the sampled variables, and those that follow from them."""

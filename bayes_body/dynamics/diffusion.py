@@ -18,6 +18,7 @@ from numpyro.distributions import Distribution, constraints
 
 from bayes_body.body.placement import POSE, require
 from bayes_body.body.solids import Body
+from bayes_body.body.space import pose_space
 from bayes_body.density.factor import State, Transition
 from bayes_body.dynamics.deviations import standard_deviations
 from bayes_body.dynamics.limits import InBox
@@ -108,4 +109,5 @@ def build(options: Options, body: Body, fps: float, subject_sd: Mapping[str, flo
         by_name |= {name: sd for name, sd in subject_sd.items() if name in by_name}
     sd = jnp.asarray([by_name[name] for name in topology.dof_names], body.lengths.dtype)
     arguments = (sd, body.skeleton.low, body.skeleton.high)
-    return Transition("diffusion", jax.tree_util.Partial(_walk, *arguments), jax.tree_util.Partial(_noise, *arguments))
+    walk, noise = jax.tree_util.Partial(_walk, *arguments), jax.tree_util.Partial(_noise, *arguments)
+    return Transition("diffusion", walk, noise, spaces=((POSE, pose_space(body)),))

@@ -20,6 +20,7 @@ from pydantic import model_validator
 
 from bayes_body.body.placement import POSE, require
 from bayes_body.body.solids import Body
+from bayes_body.body.space import pose_space
 from bayes_body.density.factor import State, Transition
 from bayes_body.dynamics.deviations import standard_deviations
 from bayes_body.dynamics.joint_noise import JointNoise
@@ -113,6 +114,7 @@ def build(options: Options, body: Body, fps: float, **_: Any) -> Transition:
         jax.tree_util.Partial(_perturbation, arguments),
         jax.tree_util.Partial(_carry),
         jax.tree_util.Partial(_begin),
+        spaces=((POSE, pose_space(body)), (BEFORE, pose_space(body))),
     )
 
 

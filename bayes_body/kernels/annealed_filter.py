@@ -7,17 +7,19 @@ A frame has layers $r = R \ldots 1$. At each layer, particles are resampled, cro
 multiplied by $\tau^{R-r}$ (Darby et al. 2008, (10)), and weighted by $w^{\beta_r}$. Bisection finds the $\beta_r$ at which the survival rate
 $1 / (N \sum_n \pi_n^2)$ is $\tau$. The noise of the layers is a proposal that no weight corrects. This makes the filter a mode seeker.
 
-Crossover: a particle takes an interval of its parameters (a piece of a chain of joints) from a second parent, which is drawn by weight.
+Crossover: a particle takes an interval of its parameters (a piece of a chain of joints, or of the list of parts) from a second parent, which is drawn
+by weight.
 """
 
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Int
 
 from bayes_body.density.density import Density
-from bayes_body.density.factor import Particles, State
+from bayes_body.density.factor import Particles, State, Transition
 from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.kernels.parts.resampling import Resample, Scheme, resampler
@@ -77,7 +79,7 @@ def build_kernel(layers: int = 5, survival_rate: float = 0.5, crossover_rate: fl
             chosen = resample(select_key, before.log_weights)
             parents = jax.tree.map(lambda leaf: leaf[chosen], before.states)
             rate = jnp.where(index > 0, crossover_rate, 0.0)
-            parents = _cross_over(cross_key, parents, before, resample, rate)
+            parents = _cross_over(cross_key, parents, before, resample, rate, density.transition)
             ancestors = before.ancestors[chosen]
             previous = jax.tree.map(lambda leaf: leaf[ancestors], particles.states)
             keys = jax.random.split(move_key, count)
@@ -116,20 +118,21 @@ def _move_and_weigh(particle: tuple[Key, State, State], shared: tuple[Density, I
     return weigh(state, previous, density)
 
 
-def _cross_over(key: Key, parents: State, before: _Layer, resample: Resample, rate: Scalar) -> State:
+def _cross_over(key: Key, parents: State, before: _Layer, resample: Resample, rate: Scalar, transition: Transition) -> State:
     second_key, shuffle_key, interval_key, share_key = jax.random.split(key, 4)
     # Systematic draws come in the order of the particles. Without the shuffle, a particle would be crossed with itself.
     second = jax.random.permutation(shuffle_key, resample(second_key, before.log_weights))
     takes_part = jax.random.uniform(share_key, second.shape) < rate
 
-    def cross(name_key: Key, first: Array, other: Array) -> Array:
-        ends = jnp.sort(jax.random.randint(name_key, (first.shape[0], 2), 0, first.shape[1] + 1), axis=1)
-        place = jnp.arange(first.shape[1])
-        swapped = (place >= ends[:, :1]) & (place < ends[:, 1:]) & takes_part[:, None]
-        return jnp.where(swapped, other, first)
+    def cross(name: str, first: Array, other: Array) -> Array:
+        # The interval is one of blocks, so that a rotation is taken as a whole.
+        blocks = np.asarray(transition.space(name, first.shape[1:]).blocks)
+        ends = jnp.sort(jax.random.randint(keys[name], (first.shape[0], 2), 0, blocks.max() + 2), axis=1)
+        swapped = (blocks >= ends[:, :1]) & (blocks < ends[:, 1:]) & takes_part[:, None]
+        return jnp.where(swapped.reshape(first.shape), other, first)
 
     keys = dict(zip(sorted(parents), jax.random.split(interval_key, len(parents)), strict=True))
-    return {name: cross(keys[name], leaf, before.states[name][second]) for name, leaf in parents.items()}
+    return {name: cross(name, leaf, before.states[name][second]) for name, leaf in parents.items()}
 
 
 def _power_for_survival(log_likelihood: LogWeights, log_constraint: LogWeights, survival_rate: float) -> Scalar:

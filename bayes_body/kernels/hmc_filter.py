@@ -25,6 +25,7 @@ from pydantic import Field, model_validator
 from bayes_body.density.density import Density, Unconstrained
 from bayes_body.density.factor import Particles, State, Transition
 from bayes_body.density.kernel import FilterInfo, Kernel
+from bayes_body.density.spaces import Flat
 from bayes_body.kernels.parts.adaptation import FEWEST
 from bayes_body.kernels.parts.batching import axes_of, over_particles
 from bayes_body.kernels.parts.hamiltonian import Chain, Sampler, Schedule, chain_figures, effective_draws, run_chain
@@ -139,7 +140,7 @@ class _Filter:
         ran: Chain = over_particles(self._chain(length, together), (keys, begin.starts), target, batch, checked, CHAINS)
         draws = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], ran.positions)
         states, ancestors = self._states(ancestor_key, draws, target)
-        by_dof = effective_draws(jax.vmap(jax.vmap(lambda position: _reported(target, position)))(ran.positions))
+        by_dof = effective_draws(_reported(target, ran.positions))
         ess = jnp.min(by_dof)
         info = FilterInfo(
             ancestors=ancestors,
@@ -192,24 +193,42 @@ class _Filter:
         return over_particles(complete, (keys, draws), target)
 
 
-def _reported(target: Unconstrained, position: State) -> Float[Array, " entry"]:
+def _reported(target: Unconstrained, positions: State) -> Float[Array, "chain draw entry"]:
     """Return what effective draws are reported of: the variables that follow from the sampled ones if there are any, else the coordinates."""
-    derived = target.density.transition.derive(target.coordinates.constrain(position))
-    return ravel_pytree(dict(derived) or dict(position))[0]
+    transition, (chains, length) = target.density.transition, jax.tree.leaves(dict(positions))[0].shape[:2]
+    flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), dict(positions))
+    derived = jax.vmap(lambda position: transition.derive(target.coordinates.constrain(position)))(flat)
+    values = _on_one_turn(dict(derived) or flat, jnp.full((chains * length,), 1 / (chains * length)), transition)
+    return jax.vmap(lambda draw: ravel_pytree(draw)[0])(values).reshape(chains, length, -1)
+
+
+def _on_one_turn(states: State, weights: Float[Array, " particle"], transition: Transition) -> dict[str, Array]:
+    """Return the states, or their unconstrained coordinates, with their angles on the circle within half a turn of the mean.
+
+    Full turns between draws would count as spread. Angles on the circle are their own unconstrained coordinates.
+    """
+
+    def unwound(name: str, leaf: Array) -> Array:
+        space = transition.space(name, leaf.shape[1:])
+        if not isinstance(space, Flat):
+            return leaf
+        return jnp.asarray(space.coordinates(space.mean(weights, leaf), leaf)).reshape(leaf.shape)
+
+    return {name: unwound(name, leaf) for name, leaf in states.items()}
 
 
 def _chain_means(particles: Particles, length: int, transition: Transition) -> Particles:
-    """Return the mean state of each chain of `length` draws, with equal weights. Angles are averaged as plain numbers, including full turns.
+    """Return the mean state of each chain of `length` draws, with equal weights, by the intrinsic mean of each variable's space.
 
     What follows from sampled variables follows from their means: the mean of derived poses need not be the pose of any state.
     """
     count = particles.log_weights.shape[0]
 
-    def means(leaf: Array) -> Array:
-        return jnp.stack([jnp.mean(leaf[first : first + length], axis=0) for first in range(0, count, length)])
+    def mean(name: str, draws: Array) -> Array:
+        return jnp.asarray(transition.space(name, draws.shape[1:]).mean(jnp.full((len(draws),), 1 / len(draws), draws.dtype), draws))
 
-    chains = -(-count // length)
-    states = jax.tree.map(means, dict(particles.states))
+    starts, chains = range(0, count, length), -(-count // length)
+    states = {name: jnp.stack([mean(name, leaf[first : first + length]) for first in starts]) for name, leaf in particles.states.items()}
     states |= jax.vmap(transition.derive)(states)
     return Particles(states, jnp.full((chains,), -jnp.log(chains), particles.log_weights.dtype))
 
@@ -217,8 +236,9 @@ def _chain_means(particles: Particles, length: int, transition: Transition) -> P
 def _coordinates(target: Unconstrained) -> tuple[Float[Array, "particle dof"], Float[Array, " particle"]]:
     """Return the particles of the previous frame in unconstrained coordinates, and their weights."""
     previous = target.density.previous
-    flat = jax.vmap(lambda state: ravel_pytree(target.unconstrain(state))[0])(dict(previous.states))
-    return flat, jax.nn.softmax(previous.log_weights)
+    weights = jax.nn.softmax(previous.log_weights)
+    states = _on_one_turn(previous.states, weights, target.density.transition)
+    return jax.vmap(lambda state: ravel_pytree(target.unconstrain(state))[0])(states), weights
 
 
 @register("kernel", "hmc", Options)

@@ -49,7 +49,7 @@ class Fit(NamedTuple):
 def silhouette_overlap(session: Session, draws: Draws, watch: Watch = unwatched) -> Float[np.ndarray, "run frame camera"]:
     """Return the overlap (IoU) of the projected mean body of each run with the silhouettes; NaN where the session has none."""
     frames = watch(range(len(draws.frames)))
-    return np.stack([frame_fit(session, draws.model, mean_pose(draws.frames[index]), index).overlap for index in frames], axis=1)
+    return np.stack([frame_fit(session, draws.model, mean_pose(draws.frames[index], draws.model), index).overlap for index in frames], axis=1)
 
 
 def frame_fit(session: Session, model: Model, poses: Float[np.ndarray, "run dof"], index: int) -> Fit:

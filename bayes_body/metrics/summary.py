@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_body.body.space import configuration_space
 from bayes_body.metrics.figures import accuracy_figures
 from bayes_body.metrics.fit import Fit, fit_figures, frame_fit
 from bayes_body.metrics.truth import draws_against_truth
@@ -28,7 +29,7 @@ def marker_disagreement(draws: Draws) -> float:
 
 
 def _disagreement(model: Model, frame: FrameResult) -> float:
-    positions = markers(model, mean_pose(frame))
+    positions = markers(model, mean_pose(frame, model))
     pairs = [np.linalg.norm(a - b, axis=-1).mean() for a, b in combinations(positions, 2)]
     return float(np.mean(pairs)) if pairs else float("nan")
 
@@ -52,9 +53,9 @@ class _Figures(NamedTuple):
 
 
 def _figures(session: Session, model: Model, frame: FrameResult, index: int) -> _Figures:
-    info, fit = frame.info, frame_fit(session, model, mean_pose(frame), index)
+    info, fit = frame.info, frame_fit(session, model, mean_pose(frame, model), index)
     evidence, evaluations = np.asarray(info.log_evidence, float), int(np.sum(info.evaluations))
-    worst = _largest(frame_rhat(frame, index))
+    worst = _largest(frame_rhat(frame, index, model.body.variable, configuration_space(model.body)))
     # A kernel that chooses its number of layers fills the unused layers with NaN.
     layers = np.isfinite(info.inverse_temperatures).sum(axis=-1)
     return _Figures(np.asarray(info.ess), layers, evidence, evaluations, frame.lost, worst, fit, _disagreement(model, frame))

@@ -1,11 +1,14 @@
 """Read a posterior a few frames at a time, so that memory is bounded for a recording of any length."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
+
+from bayes_body.density.spaces import Space
+from bayes_body.posterior.stored_spaces import stored_spaces
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -19,30 +22,62 @@ class Block(NamedTuple):
 
     Attributes:
         frames: numbers of the frames.
-        poses: radians and metres, float64.
+        poses: values of one variable, such as poses in radians and metres, or coordinates of several; float64.
         log_weights: log-weights, normalised over the draws of a run and frame.
     """
 
     frames: range
-    poses: Float[np.ndarray, "run draw frame dof"]
+    poses: Float[np.ndarray, "run draw frame *dof"]
     log_weights: Float[np.ndarray, "run draw frame"]
 
 
-def pose_blocks(tree: "xr.DataTree", frames: range | None = None, block: int = BLOCK, width: int | None = None) -> Iterator[Block]:
+def pose_blocks(
+    tree: "xr.DataTree", frames: range | None = None, block: int = BLOCK, width: int | None = None, variable: str = "pose"
+) -> Iterator[Block]:
     """Yield poses and weights, block by block.
 
     Args:
         tree: a tree made by `to_datatree`, in memory or opened lazily.
         frames: numbers of the frames to read; all by default.
         block: largest number of frames at a time; fewer are read if their arrays would be too large.
-        width: how many numbers the caller computes from one draw of one frame; the number of dofs by default.
+        width: how many numbers the caller computes from one draw of one frame; the size of a pose by default.
+        variable: another variable that is read instead of the poses.
     """
-    pose, log_weight = tree["posterior"]["pose"], tree["sample_stats"]["log_weight"]
+    pose, log_weight = tree["posterior"][variable], tree["sample_stats"]["log_weight"]
     frames = range(pose.sizes["frame"]) if frames is None else frames
     draws = pose.sizes["chain"] * pose.sizes["draw"]
-    for piece in pieces(frames, min(block, LARGEST // (draws * (width or pose.sizes["dof"])))):
+    size = width or pose.size // (draws * pose.sizes["frame"])
+    for piece in pieces(frames, min(block, LARGEST // (draws * size))):
         places = _slice(piece)
         yield Block(piece, np.asarray(pose.isel(frame=places), float), np.asarray(log_weight.isel(frame=places), float))
+
+
+def coordinate_blocks(
+    tree: "xr.DataTree", frames: range | None = None, block: int = BLOCK, spaces: Mapping[str, Space] | None = None
+) -> Iterator[Block]:
+    """Yield coordinates and weights, block by block: those of `Space.coordinates` around the pooled mean of each frame, all variables side by side.
+
+    For a pose they are its entries, with angles on the circle on the turn nearest to their mean.
+
+    Args:
+        tree: a tree made by `to_datatree`.
+        frames: as for `pose_blocks`.
+        block: as for `pose_blocks`.
+        spaces: the variables and their spaces; by default `stored_spaces(tree)`.
+    """
+    spaces = stored_spaces(tree) if spaces is None else spaces
+    width = sum(space.dimension for space in spaces.values())
+    for each in zip(*(pose_blocks(tree, frames, block, width, name) for name in spaces), strict=True):
+        around = [around_mean(space, piece.poses, piece.log_weights) for space, piece in zip(spaces.values(), each, strict=True)]
+        yield Block(each[0].frames, np.concatenate(around, axis=-1), each[0].log_weights)
+
+
+def around_mean(
+    space: Space, points: Float[np.ndarray, "run draw frame *shape"], log_weights: Float[np.ndarray, "run draw frame"]
+) -> Float[np.ndarray, "run draw frame dimension"]:
+    """Return the coordinates of the points around the mean of each frame over all runs, which have the same weight."""
+    weights = pooled(weights_of_runs(log_weights)) / len(points)
+    return np.asarray(space.coordinates(np.asarray(space.mean(weights, pooled(points))), points))
 
 
 def pieces(frames: range, block: int) -> Iterator[range]:

@@ -52,7 +52,7 @@ class Diagnosis:
     Attributes:
         kernel: the kernel's name; empty if the tree does not have it.
         particles: number of particles of a run.
-        dofs: names of the dofs.
+        dofs: names of the dofs; if there is no pose, those of the coordinates of the state's variables, such as `torso_x` and `torso_rx`.
         ess: effective sample size of the weights, particles. For Markov chains it is computed from their autocorrelation, as the minimum over dofs.
         pareto_k: tail shape of the weights; -∞ where the largest weights are all the same.
         ancestors: for each lag, the number of particles `lag` frames before that have descendants.

@@ -7,12 +7,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bayes_body.posterior.agreement import independent_draws, rhat_of_block
-from bayes_body.posterior.blocks import BLOCK, pose_blocks, weights_of_runs
+from bayes_body.posterior.blocks import BLOCK, coordinate_blocks, weights_of_runs
 from bayes_body.posterior.diagnosis import LAGS, Diagnosis, Thresholds
 from bayes_body.posterior.genealogy import unique_ancestors
 from bayes_body.posterior.mixing import mixing_of
 from bayes_body.posterior.pareto import pareto_shape
 from bayes_body.posterior.sentences import frame_ranges, sentences
+from bayes_body.posterior.stored_spaces import stored_spaces
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -39,18 +40,18 @@ def diagnose(run: "HasTree | xr.DataTree", block: int = BLOCK) -> Diagnosis:
     import xarray as xr
 
     tree = run if isinstance(run, xr.DataTree) else run.tree
-    pose = tree["posterior"]["pose"]
+    spaces = stored_spaces(tree)
     pieces = [
         (effective_sample_sizes(b.log_weights), pareto_shape(b.log_weights.transpose(0, 2, 1)), rhat_of_block(b), independent_draws(b))
-        for b in pose_blocks(tree, block=block)
+        for b in coordinate_blocks(tree, block=block, spaces=spaces)
     ]
     ess, shapes, rhats, independent = zip(*pieces, strict=True)
     (cameras, seen), mixing = _seen(tree), mixing_of(tree, block)
     by_weights = np.concatenate(ess, axis=1)
     return Diagnosis(
         kernel=str(tree.attrs.get("kernel", "")),
-        particles=pose.sizes["draw"],
-        dofs=tuple(np.asarray(pose["dof"]).astype(str).tolist()),
+        particles=tree["posterior"].sizes["draw"],
+        dofs=tuple(label for space in spaces.values() for label in space.tangent_labels),
         ess=by_weights if mixing is None else np.minimum(by_weights, mixing.ess.min(axis=-1)),
         pareto_k=np.concatenate(shapes, axis=1),
         ancestors=unique_ancestors(tree, LAGS),

@@ -4,17 +4,16 @@ A chain is an independent run of the filter, a draw is a particle. Both the tree
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_body.density.spaces import Axis, Space, space_to_text
 from bayes_body.posterior.mixing import PREFIX
+from bayes_body.posterior.stored_spaces import SPACE
 from bayes_body.tracking.draws import Draws, FrameResult
-
-# Dimensions of those figures of Markov chains that do not have one value for each chain.
-MARKOV_DIMS: Mapping[str, tuple[str, ...]] = {"ess": ("dof",), "length": ()}
 
 
 @dataclass(frozen=True)
@@ -26,12 +25,14 @@ class Variable:
         name: its name in the group.
         dims: its dimensions, including `frame`.
         of: function that takes its values from a frame's result; they have all dimensions except `frame`.
+        attributes: what is stored beside it, such as the space of a state's variable.
     """
 
     group: str
     name: str
     dims: tuple[str, ...]
     of: Callable[[FrameResult], Any]
+    attributes: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def frame_axis(self) -> int:
@@ -46,22 +47,41 @@ class Variable:
 def variables(draws: Draws) -> list[Variable]:
     """Return all arrays of the tree."""
     by_draw, by_frame, markov = ("chain", "draw", "frame"), ("chain", "frame"), draws.frames[0].info.markov
+    spaces = _spaces(draws)
     info = {"ess": "ess", "log_evidence": "log_evidence", "lost": "lost", "evaluations": "evaluations"}
     layers = {"survival_rate": "survival_rate", "inverse_temperature": "inverse_temperatures", "acceptance_rate": "acceptance_rate"}
     return [
-        *(Variable("posterior", name, (*by_draw, *_dims(name, values)), _state(name)) for name, values in draws.frames[0].states.items()),
+        *(
+            Variable("posterior", name, (*by_draw, *_dims(name, space)), _state(name), {SPACE: space_to_text(space)})
+            for name, space in spaces.items()
+        ),
         Variable("sample_stats", "log_weight", by_draw, lambda frame: frame.log_weights),
         Variable("sample_stats", "ancestor", by_draw, lambda frame: frame.info.ancestors),
         *(Variable("filter", name, by_frame, _info(field)) for name, field in info.items()),
         *(Variable("filter", name, (*by_frame, "layer"), _info(field)) for name, field in layers.items()),
-        *(Variable("filter", PREFIX + name, (*by_frame, *MARKOV_DIMS.get(name, ("markov_chain",))), _markov(name)) for name in markov),
+        *(
+            Variable("filter", PREFIX + name, (*by_frame, *_markov_dims(name, np.shape(values), spaces)), _markov(name))
+            for name, values in markov.items()
+        ),
         Variable("filter", "seen", ("frame", "camera"), lambda frame: frame.seen),
     ]
 
 
-def _dims(name: str, values: NDArray[Any]) -> tuple[str, ...]:
+def _spaces(draws: Draws) -> dict[str, Space]:
+    """Return where each variable of a state lives."""
+    return {name: draws.model.transition.space(name, values.shape[2:]) for name, values in draws.frames[0].states.items()}
+
+
+def _dims(name: str, space: Space) -> tuple[str, ...]:
     """Return the dimensions of one draw of a state's variable."""
-    return ("dof",) if name == "pose" else tuple(f"{name}_dim_{axis}" for axis in range(values.ndim - 2))
+    return tuple(axis.name or f"{name}_dim_{place}" for place, axis in enumerate(space.axes))
+
+
+def _markov_dims(name: str, shape: tuple[int, ...], spaces: Mapping[str, Space]) -> tuple[str, ...]:
+    """Return the dimensions of a figure of Markov chains. Effective draws are those of the pose, or of sampled entries that have no names."""
+    if name == "ess":
+        return ("dof",) if "pose" in spaces and spaces["pose"].shape == shape[1:] else ("sampled",)
+    return () if name == "length" else ("markov_chain",)
 
 
 def _state(name: str) -> Callable[[FrameResult], Any]:
@@ -86,11 +106,30 @@ def sizes(draws: Draws) -> dict[str, int]:
 
 
 def coordinates(draws: Draws, dims: Sequence[str]) -> dict[str, tuple[str, NDArray[Any] | list[str]]]:
-    """Return the coordinates by name, each as (dimension, values); `unit` is the unit of each dof."""
-    topology, lengths = draws.model.body.skeleton.topology, sizes(draws)
-    labels: Mapping[str, list[str]] = {"dof": list(topology.dof_names), "camera": list(draws.cameras)}
+    """Return the coordinates by name, each as (dimension, values); those of `unit_name` are the units of a dimension's entries."""
+    lengths, axes = sizes(draws), _axes(draws)
+    labels = {dim: list(axis.labels) for dim, axis in axes.items() if axis.labels} | {"camera": list(draws.cameras)}
     found: dict[str, tuple[str, NDArray[Any] | list[str]]] = {dim: (dim, labels.get(dim, np.arange(lengths[dim]))) for dim in dims}
-    return found | ({"unit": ("dof", list(topology.dof_units))} if "dof" in dims else {})
+    return found | {unit_name(dim): (dim, list(axes[dim].units)) for dim in dims if dim in axes and any(axes[dim].units)}
+
+
+def unit_name(dim: str) -> str:
+    """Return the name of the coordinate with the units of a dimension's entries."""
+    return "unit" if dim == "dof" else f"{dim}_unit"
+
+
+def _axes(draws: Draws) -> dict[str, Axis]:
+    """Return the axes of the state's variables by dimension.
+
+    Raises:
+        ValueError: two variables name the same dimension and label it differently.
+    """
+    found: dict[str, Axis] = {}
+    for name, space in _spaces(draws).items():
+        for dim, axis in zip(_dims(name, space), space.axes, strict=True):
+            if found.setdefault(dim, axis) != axis:
+                raise ValueError(f"the axis '{dim}' of the variable '{name}' has other labels than that of another variable")
+    return found
 
 
 def groups(draws: Draws) -> dict[str, list[Variable]]:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayes_body.posterior.agreement import FEWEST_DRAWS, split_rhat
-from bayes_body.posterior.blocks import BLOCK, pose_blocks
+from bayes_body.posterior.blocks import BLOCK, coordinate_blocks
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -51,7 +51,7 @@ def mixing_of(tree: "xr.DataTree", block: int = BLOCK) -> Mixing | None:
         return None
     length = int(np.asarray(group[f"{PREFIX}length"]).max())
     acceptance, energy, step, ess = (np.asarray(group[PREFIX + name], float) for name in ("acceptance", "energy_fraction", "step", "ess"))
-    rhat = np.concatenate([_rhat(by_chain(piece.poses, length)) for piece in pose_blocks(tree, block=block)], axis=1)
+    rhat = np.concatenate([_rhat(by_chain(piece.poses, length)) for piece in coordinate_blocks(tree, block=block)], axis=1)
     return Mixing(length, acceptance, np.asarray(group[f"{PREFIX}divergences"], int), energy, step, ess, rhat)
 
 

@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from bayes_body.density.spaces import Space
+
 # A cumulative sum of weights can miss a probability by rounding errors: without this, 19 of 20 equal weights might not reach 0.95.
 ROUNDING = 1e-12
 
@@ -43,6 +45,22 @@ def weighted_moments(values: Float[np.ndarray, "frame draw *of"], weights: Float
     return Moments(*(moment.reshape(values.shape[0], *values.shape[2:]) for moment in moments))
 
 
+def moments_in(space: Space, points: Float[np.ndarray, "frame draw *shape"], weights: Float[np.ndarray, "frame draw"]) -> Moments:
+    """Return the moments of a variable over the draws of each frame, in its space's coordinates around the mean: (frame, dimension).
+
+    For numbers they are those of the numbers. Angles on the circle are first brought within half a turn of their mean, on the turn nearest to the
+    arithmetic mean: full turns in single draws do not change the moments, and an angle that keeps turning from frame to frame keeps its turns. A
+    rotation has a rotation vector relative to its mean, so the mean's own entries are 0.
+
+    Args:
+        space: where the variable lives.
+        points: one point for each draw.
+        weights: as for `weighted_moments`.
+    """
+    mean = np.asarray(space.mean(weights, points))
+    return weighted_moments(np.asarray(space.coordinates(mean[:, None], points)), weights)
+
+
 def weighted_quantiles(
     values: Float[np.ndarray, "frame draw k"], weights: Float[np.ndarray, "frame draw"], shares: tuple[float, ...]
 ) -> Float[np.ndarray, "share frame k"]:
@@ -55,17 +73,3 @@ def weighted_quantiles(
     # Frame by frame: one-dimensional weights apply to all columns, and only one frame is sorted at a time.
     each = [np.quantile(frame, at, axis=0, weights=own, method="inverted_cdf") for frame, own in zip(values, weights, strict=True)]
     return np.stack(each, axis=1)
-
-
-def unwrapped(angles: Float[np.ndarray, "frame draw k"], weights: Float[np.ndarray, "frame draw"]) -> Float[np.ndarray, "frame draw k"]:
-    """Return angles (radians) shifted by full turns to within half a turn of their weighted circular mean.
-
-    Full turns in single draws then do not change the moments. The circular mean is taken on the turn nearest to the arithmetic mean, so an angle that
-    keeps turning from frame to frame keeps its turns.
-    """
-    direction = np.einsum("fs,fsk->fk", weights, np.exp(1j * angles))
-    centre = np.angle(direction)
-    plain = np.einsum("fs,fsk->fk", weights, angles)
-    centre += 2 * np.pi * np.round((plain - centre) / (2 * np.pi))
-    difference = angles - centre[:, None]
-    return centre[:, None] + difference - 2 * np.pi * np.round(difference / (2 * np.pi))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bayes_body.errors import input_error
 from bayes_body.files.atomic import make_folder, replacing
 from bayes_body.files.error_deferring import ErrorDeferringFile
-from bayes_body.posterior.layout import Variable, attributes_of, coordinates, dims_of, groups, sizes
+from bayes_body.posterior.layout import Variable, attributes_of, coordinates, dims_of, groups, sizes, unit_name
 from bayes_body.tracking.draws import Draws, FrameResult
 
 if TYPE_CHECKING:
@@ -87,7 +87,9 @@ def _make_group(file: "h5netcdf.File", name: str, members: Sequence[Variable], d
         array = group.create_variable(variable.name, variable.dims, np.dtype("i1") if boolean else dtype, chunks=chunks)
         # Follow xarray's conventions: booleans are stored as bytes, and coordinates that are not an index are named in an attribute.
         array.attrs.update({"dtype": "bool"} if boolean else {})
-        array.attrs.update({"coordinates": "unit"} if "dof" in variable.dims else {})
+        units = [unit_name(dim) for dim in variable.dims if unit_name(dim) in labels]
+        array.attrs.update({"coordinates": " ".join(units)} if units else {})
+        array.attrs.update(variable.attributes)
         yield variable, array
 
 

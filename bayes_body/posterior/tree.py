@@ -15,18 +15,19 @@ if TYPE_CHECKING:
 def to_datatree(draws: Draws, attributes: Mapping[str, Any] | None = None) -> "xr.DataTree":
     """Return the draws in ArviZ's form, all in memory.
 
-    Groups: `posterior` (chain, draw, frame, dof), radians and metres as given by the `unit` coordinate; `sample_stats` with `log_weight` and
-    `ancestor` (chain, draw, frame); `filter` with `ess`, `log_evidence`, `lost` and `evaluations` (chain, frame), with `survival_rate`,
-    `inverse_temperature` and `acceptance_rate` (chain, frame, layer), and with `seen` (frame, camera). If the kernel runs Markov chains, `filter`
-    also has `markov_acceptance`, `markov_divergences`, `markov_energy_fraction` and `markov_step` (chain, frame, markov_chain), `markov_ess`
-    (chain, frame, dof) and `markov_length` (chain, frame); their draws are stored one chain after the other.
+    Groups: `posterior` with the state's variables: `pose` (chain, draw, frame, dof), radians and metres as given by the `unit` coordinate, `parts`
+    (chain, draw, frame, part, coordinate), others with the axes of their spaces; the attribute `space` says where a variable lives. `sample_stats`
+    with `log_weight` and `ancestor` (chain, draw, frame); `filter` with `ess`, `log_evidence`, `lost` and `evaluations` (chain, frame), with
+    `survival_rate`, `inverse_temperature` and `acceptance_rate` (chain, frame, layer), and with `seen` (frame, camera). If the kernel runs Markov
+    chains, `filter` also has `markov_acceptance`, `markov_divergences`, `markov_energy_fraction` and `markov_step` (chain, frame, markov_chain),
+    `markov_ess` (chain, frame, dof) and `markov_length` (chain, frame); their draws are stored one chain after the other.
     """
     import xarray as xr
 
     frames = list(draws.frames)
     datasets = {}
     for group, members in groups(draws).items():
-        arrays = {variable.name: (variable.dims, variable.stack(frames)) for variable in members}
+        arrays = {variable.name: (variable.dims, variable.stack(frames), variable.attributes) for variable in members}
         datasets[group] = xr.Dataset(arrays, coordinates(draws, dims_of(members)))
     tree = xr.DataTree.from_dict(datasets)
     tree.attrs.update(attributes_of(draws, attributes))

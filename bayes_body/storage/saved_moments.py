@@ -4,11 +4,11 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
+from bayes_body.body.space import configuration_space
 from bayes_body.errors import input_error
 from bayes_body.posterior.blocks import BLOCK, pooled, pose_blocks, weights_of_runs
-from bayes_body.posterior.moments import Moments, unwrapped, weighted_moments
+from bayes_body.posterior.moments import Moments, moments_in, weighted_moments
 from bayes_body.posterior.weighted import markers
 from bayes_body.storage.saved_run import SavedRun
 
@@ -30,12 +30,11 @@ def marker_moments(run: SavedRun, frames: range | None = None, block: int = BLOC
     if not run.model.body.markers.names:
         raise input_error(f"the body '{run.model.body.name}'", "no virtual markers", "at least one", "give the body file a table [markers]")
 
-    def place(poses: Float[np.ndarray, "frame draw dof"], weights: Float[np.ndarray, "frame draw"]) -> Float[np.ndarray, "frame draw marker 3"]:
-        del weights
-        flat = poses.reshape(-1, poses.shape[-1])
+    def place(poses: Float[np.ndarray, "frame draw *shape"], weights: Float[np.ndarray, "frame draw"]) -> Moments:
+        flat = poses.reshape(-1, *poses.shape[2:])
         # All pieces have the same shape: a shorter last one would need another compilation.
         chunks = [markers(run.model, _padded(flat[start : start + CHUNK])) for start in range(0, len(flat), CHUNK)]
-        return np.concatenate(chunks)[: len(flat)].reshape(*poses.shape[:-1], -1, 3).astype(float)
+        return weighted_moments(np.concatenate(chunks)[: len(flat)].reshape(*poses.shape[:2], -1, 3).astype(float), weights)
 
     return _moments(run, frames, block, 3 * len(run.model.body.markers.names), place)
 
@@ -44,26 +43,20 @@ def angle_moments(run: SavedRun, frames: range | None = None, block: int = BLOCK
     """Return the moments of the dofs, (frame, dof), radians and metres, pooled over the runs, which all have the same weight.
 
     An angle without limits, such as the direction a walker faces, is first brought within half a turn of its circular mean; an angle with limits is
-    not changed. The arguments are those of `marker_moments`.
+    not changed (`posterior.moments.moments_in`). For a body that is placed by its parts, they are the moments of the parts' coordinates. The
+    arguments are those of `marker_moments`.
     """
-    skeleton = run.model.body.skeleton
-    endless = np.asarray(skeleton.topology.angular) & ~np.isfinite(np.asarray(skeleton.low)) & ~np.isfinite(np.asarray(skeleton.high))
-
-    def unwind(poses: Float[np.ndarray, "frame draw dof"], weights: Float[np.ndarray, "frame draw"]) -> Float[np.ndarray, "frame draw dof"]:
-        poses[..., endless] = unwrapped(poses[..., endless], weights)
-        return poses
-
-    return _moments(run, frames, block, len(endless), unwind)
+    space = configuration_space(run.model.body)
+    return _moments(run, frames, block, space.dimension, lambda points, weights: moments_in(space, points, weights))
 
 
-def _moments(run: SavedRun, frames: range | None, block: int, width: int, of: Callable[..., NDArray[np.floating]]) -> Moments:
-    """Return the moments of the values that `of` computes from the poses and weights (frame, draw, ...) of each piece."""
+def _moments(run: SavedRun, frames: range | None, block: int, width: int, of: Callable[..., Moments]) -> Moments:
+    """Return the moments that `of` computes from the configurations and weights (frame, draw, ...) of each piece."""
     found = []
-    for piece in pose_blocks(run.tree, frames, block, width):
-        weights = pooled(weights_of_runs(piece.log_weights)) / piece.poses.shape[0]
-        found.append(weighted_moments(of(pooled(piece.poses), weights), weights))
+    for piece in pose_blocks(run.tree, frames, block, width, run.model.body.variable):
+        found.append(of(pooled(piece.poses), pooled(weights_of_runs(piece.log_weights)) / piece.poses.shape[0]))
     return Moments(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
-def _padded(poses: Float[np.ndarray, "draw dof"]) -> Float[np.ndarray, "chunk dof"]:
-    return np.concatenate([poses, np.broadcast_to(poses[-1:], (CHUNK - len(poses), poses.shape[1]))])
+def _padded(poses: Float[np.ndarray, "draw *shape"]) -> Float[np.ndarray, "chunk *shape"]:
+    return np.concatenate([poses, np.broadcast_to(poses[-1:], (CHUNK - len(poses), *poses.shape[1:]))])

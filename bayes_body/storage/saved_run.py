@@ -6,6 +6,7 @@ are those that the run used. Its images are read from their original place.
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -14,11 +15,14 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from bayes_body.errors import input_error
+from bayes_body.body.space import configuration_space, pose_space
+from bayes_body.density.spaces import Space
+from bayes_body.errors import InputError, input_error
 from bayes_body.initial import apply_first_pose, restored
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import parse_definition
 from bayes_body.posterior.diagnosis import is_mode_seeker
+from bayes_body.posterior.stored_spaces import SPACE, stored_spaces
 from bayes_body.session.read import load_session, parse_session
 from bayes_body.session.session import Session
 from bayes_body.storage.names import FRAMES_FOLDER, POSTERIOR_FILE, RUN_FILE, SUMMARY_FILE
@@ -81,13 +85,30 @@ class SavedRun:
         check_plugins(self.folder, self.plugins)
         name, where = Path(str(self.settings["model"])).stem, f"{self.folder / RUN_FILE}: the definition's text"
         model = build_model(parse_definition(name, self.texts["text"], self.texts.get("body_text"), where), self.session)
-        dofs = np.asarray(self.tree["posterior"]["dof"]).astype(str).tolist()
-        if dofs != list(model.body.dof_names):
-            found = f"dofs {', '.join(dofs)}"
-            raise input_error(self.folder / POSTERIOR_FILE, found, f"those of {RUN_FILE}: {', '.join(model.body.dof_names)}", AGAIN)
+        first = configuration_space(model.body).axes[0]
+        posterior = self.tree["posterior"].to_dataset()
+        stored = np.asarray(posterior[first.name]).astype(str).tolist() if first.name in posterior.coords else []
+        if stored != list(first.labels):
+            raise input_error(
+                self.folder / POSTERIOR_FILE, f"{first.name}s {', '.join(stored)}", f"those of {RUN_FILE}: {', '.join(first.labels)}", AGAIN
+            )
         if not self.first_pose:
             return model
         return apply_first_pose(model, self.session, restored(model, self.first_pose, f"{self.folder / RUN_FILE}: first_pose"))
+
+    @cached_property
+    def spaces(self) -> dict[str, Space]:
+        """Where the variables of the posterior live (`stored_spaces`). For a run of an older version, the pose's space is that of the run's body.
+
+        Raises:
+            InputError: a space cannot be read.
+        """
+        found = stored_spaces(self.tree)
+        if "pose" in found and SPACE not in self.tree["posterior"]["pose"].attrs:
+            # If the body can no longer be built, a pose has plain numbers.
+            with suppress(InputError):
+                found["pose"] = pose_space(self.model.body)
+        return found
 
     @property
     def mode_seeker(self) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 from cv2.typing import MatLike
 from jaxtyping import Float, Int
 
+from bayes_body.body.space import configuration_space
 from bayes_body.files.atomic import make_folder, replacing
 from bayes_body.model.build import Model
 from bayes_body.observation.pictures import read_colour
@@ -48,12 +49,13 @@ def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = un
     frames = len(draws.frames)
     stills = _stills(folder, frames)
     make_folder(folder / "overlay")
-    means = np.stack([mean_pose(result).mean(axis=0) for result in draws.frames])
+    space, runs = configuration_space(draws.model.body), np.full(draws.runs, 1 / draws.runs)
+    means = np.stack([np.asarray(space.mean(runs, mean_pose(result, draws.model))) for result in draws.frames])
     windows = person_windows(session, draws.model, means)
     with replacing(folder / VIDEO) as partial, ExitStack() as video:
         write = None
         for index in watch(range(frames)):
-            picture = mosaic(session, draws.model, index, means[index], _fan(draws.frames[index], index), windows)
+            picture = mosaic(session, draws.model, index, means[index], _fan(draws.frames[index], index, draws.model.body.variable), windows)
             write = write or video.enter_context(h264_video(partial, session.fps, (picture.shape[1], picture.shape[0])))
             write(picture)
             if index in stills:
@@ -73,9 +75,9 @@ def _stills(folder: Path, frames: int) -> dict[int, Path]:
     return {int(index): folder / "overlay" / f"frame_{index:06d}.png" for index in chosen}
 
 
-def _fan(result: FrameResult, index: int) -> Float[np.ndarray, "draw dof"]:
+def _fan(result: FrameResult, index: int, variable: str) -> Float[np.ndarray, "draw *shape"]:
     """Return a few draws of a frame, the same number from each run."""
-    sample = equal_weight_poses(result, index, max(1, FAN // result.log_weights.shape[0]))
+    sample = equal_weight_poses(result, index, max(1, FAN // result.log_weights.shape[0]), variable=variable)
     return np.concatenate(list(sample))[:FAN]
 
 

@@ -23,6 +23,9 @@ def _noise(state, scale):
     return {"x": dist.Normal(state["x"], scale).to_event(1)}
 
 
+WALK = Transition("walk", jax.tree_util.Partial(_walk), jax.tree_util.Partial(_noise))
+
+
 def _two_peaks(values, data):
     """A broad low peak at 0, where the particles start, and a narrow high one at (2, 2, 2)."""
     x = values[X]
@@ -84,7 +87,7 @@ def test_crossover_takes_one_interval_of_a_second_parent():
     count = 400
     states = {"x": jnp.broadcast_to(jnp.arange(count, dtype=float)[:, None], (count, 7))}
     before = _Layer(states, jnp.full(count, -jnp.log(count)), jnp.arange(count), jnp.array(False))
-    child = np.asarray(_cross_over(jax.random.key(0), states, before, resampler("systematic"), jnp.array(1.0))["x"])
+    child = np.asarray(_cross_over(jax.random.key(0), states, before, resampler("systematic"), jnp.array(1.0), WALK)["x"])
     own = child == np.arange(count)[:, None]
     # What is foreign comes from one parent and is contiguous.
     for row, mine in zip(child, own, strict=True):
@@ -93,7 +96,7 @@ def test_crossover_takes_one_interval_of_a_second_parent():
             assert np.unique(row[foreign]).size == 1
             assert (np.diff(foreign) == 1).all()
     assert 0.3 < (~own).any(axis=1).mean() < 1.0
-    untouched = _cross_over(jax.random.key(0), states, before, resampler("systematic"), jnp.array(0.0))["x"]
+    untouched = _cross_over(jax.random.key(0), states, before, resampler("systematic"), jnp.array(0.0), WALK)["x"]
     assert (untouched == states["x"]).all()
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from bayes_body.density.spaces import numbered
 from bayes_body.posterior import frame_rhat
 from bayes_body.posterior.agreement import independent_draws, rhat_of_block
 from bayes_body.posterior.blocks import Block
@@ -84,4 +85,4 @@ def test_r_hat_is_that_of_the_run_s_own_summary():
     for frame in range(4):
         # R-hat reads neither figures nor times.
         result = FrameResult({"pose": poses[:, :, frame]}, log_weights[:, :, frame], None, np.ones(1, bool), 0.0)
-        assert np.allclose(frame_rhat(result, frame), found[frame])
+        assert np.allclose(frame_rhat(result, frame, "pose", numbered("pose", (5,))), found[frame])

@@ -1,21 +1,17 @@
 """Plots of every dof over time: median, middle half and 90 % of the weighted draws of all runs together."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 
-from bayes_body.errors import InputError
-from bayes_body.posterior.blocks import pooled, pose_blocks, weights_of_runs
-from bayes_body.posterior.moments import unwrapped, weighted_quantiles
+from bayes_body.posterior.blocks import coordinate_blocks, pooled, weights_of_runs
+from bayes_body.posterior.moments import weighted_quantiles
 from bayes_body.view.report.figures import RUNS, encoded, frame_label, frames_a_point, new_panel, shade_lost, whole_frames
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import by_limb, spoken
 from bayes_body.view.report.markup import Markup, Picture, details, figures, section, tag
-
-if TYPE_CHECKING:
-    from bayes_body.storage.saved_run import SavedRun
 
 SEEKER = (
     "The line is the median of the particles of all runs together. There are no bands: the kernel is a mode seeker, and the spread of its particles "
@@ -50,22 +46,11 @@ def dof_scale(units: tuple[str, ...]) -> Float[np.ndarray, " dof"]:
 def bands(it: Inspection) -> Bands:
     """Return the bands at no more than MOST_POINTS evenly spaced frames; each run has the same weight."""
     run, found = it.run, []
-    frames, endless = range(0, run.frames, frames_a_point(run.frames)), _endless(run)
-    for piece in pose_blocks(run.tree, frames):
+    frames = range(0, run.frames, frames_a_point(run.frames))
+    for piece in coordinate_blocks(run.tree, frames, spaces=run.spaces):
         weights = pooled(weights_of_runs(piece.log_weights)) / piece.poses.shape[0]
-        poses = pooled(piece.poses)
-        poses[..., endless] = unwrapped(poses[..., endless], weights)
-        found.append(weighted_quantiles(poses, weights, SHARES))
+        found.append(weighted_quantiles(pooled(piece.poses), weights, SHARES))
     return Bands(frames, it.dofs, it.units, np.concatenate(found, axis=1) * dof_scale(it.units))
-
-
-def _endless(run: "SavedRun") -> Bool[np.ndarray, " dof"]:
-    """Return a mask of the angles without limits, which can exceed a full turn; all False if the run's body can no longer be built."""
-    try:
-        skeleton = run.model.body.skeleton
-    except InputError:
-        return np.zeros(run.tree["posterior"].sizes["dof"], bool)
-    return np.asarray(skeleton.topology.angular) & ~np.isfinite(np.asarray(skeleton.low)) & ~np.isfinite(np.asarray(skeleton.high))
 
 
 def band_section(it: Inspection) -> Markup:

@@ -9,7 +9,7 @@ from cv2.typing import MatLike
 from jaxtyping import Float
 
 from bayes_body.errors import InputError
-from bayes_body.posterior.blocks import pose_blocks
+from bayes_body.posterior.blocks import coordinate_blocks
 from bayes_body.posterior.mixing import Mixing, autocorrelation, by_chain
 from bayes_body.view.overlay import backdrop
 from bayes_body.view.report.dof_map import dof_map
@@ -61,7 +61,7 @@ def worst_mixed(mixing: Mixing) -> int:
 
 def _draws(it: Inspection, mixing: Mixing, frame: int) -> Float[np.ndarray, "chain step dof"]:
     """Return the draws of the first run, radians and metres."""
-    (block,) = pose_blocks(it.run.tree, range(frame, frame + 1))
+    (block,) = coordinate_blocks(it.run.tree, range(frame, frame + 1), spaces=it.run.spaces)
     return by_chain(block.poses[:1], mixing.length)[0, :, :, 0]
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.posterior.blocks import pose_blocks, weights_of_runs
+from bayes_body.posterior.blocks import coordinate_blocks, weights_of_runs
 from bayes_body.posterior.resampling import RESAMPLING_SEED
 from bayes_body.view.report.bands import dof_scale
 from bayes_body.view.report.inspection import Inspection
@@ -55,7 +55,7 @@ def equal_weight_sample(it: Inspection, frame: int) -> Sample:
     """Return systematic draws in random order. Their number is the smallest effective sample size of the runs, within FEWEST_DRAWS and MOST_DRAWS."""
     ess = float(np.nanmin(it.diagnosis.ess[:, frame]))
     count = round(np.clip(ess, FEWEST_DRAWS, MOST_DRAWS))
-    (block,) = pose_blocks(it.run.tree, range(frame, frame + 1))
+    (block,) = coordinate_blocks(it.run.tree, range(frame, frame + 1), spaces=it.run.spaces)
     rng = np.random.default_rng([RESAMPLING_SEED, frame])
     out = []
     for weights, poses in zip(weights_of_runs(block.log_weights)[..., 0], block.poses[:, :, 0], strict=True):

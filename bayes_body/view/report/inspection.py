@@ -83,4 +83,4 @@ class Inspection:
     @cached_property
     def units(self) -> tuple[str, ...]:
         """Unit of each dof, `°` or `m`."""
-        return tuple("m" if unit == "m" else "°" for unit in np.asarray(self.run.tree["posterior"]["unit"]).astype(str))
+        return tuple("m" if unit == "m" else "°" for space in self.run.spaces.values() for unit in space.tangent_units)
