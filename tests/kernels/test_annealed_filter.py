@@ -1,5 +1,7 @@
 """The annealed particle filter: the survival rate is met, modes are found, parameters cross over; and it does not pretend to be a sampler."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
+from bayes_body.density.spaces import SE3, Plate
 from bayes_body.kernels.annealed_filter import _cross_over, _Layer, _power_for_survival, build_kernel
 from bayes_body.kernels.parts.resampling import resampler
 from bayes_body.kernels.parts.weights import effective_sample_size
@@ -98,6 +101,18 @@ def test_crossover_takes_one_interval_of_a_second_parent():
     assert 0.3 < (~own).any(axis=1).mean() < 1.0
     untouched = _cross_over(jax.random.key(0), states, before, resampler("systematic"), jnp.array(0.0), WALK)["x"]
     assert (untouched == states["x"]).all()
+
+
+def test_crossover_takes_whole_parts():
+    count = 400
+    states = {"parts": jnp.broadcast_to(jnp.arange(count, dtype=float)[:, None, None], (count, 5, 7))}
+    before = _Layer(states, jnp.full(count, -jnp.log(count)), jnp.arange(count), jnp.array(False))
+    transition = replace(WALK, spaces=(("parts", Plate(tuple("abcde"), SE3())),))
+    child = np.asarray(_cross_over(jax.random.key(0), states, before, resampler("systematic"), jnp.array(1.0), transition)["parts"])
+    assert (child == child[:, :, :1]).all()
+    own = child[:, :, 0] == np.arange(count)[:, None]
+    assert all((np.diff(np.flatnonzero(~mine)) == 1).all() for mine in own)
+    assert 0.3 < (~own).any(axis=1).mean() < 1.0 and own.any(axis=1).mean() > 0.5
 
 
 def test_ancestors_lead_back_to_the_frame_before():

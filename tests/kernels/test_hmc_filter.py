@@ -13,6 +13,7 @@ from closed_forms.targets import conjugate, skewed
 
 from bayes_body.density.coordinates import Coordinates
 from bayes_body.density.factor import Factor, Variable
+from bayes_body.density.spaces import SO3, circle
 from bayes_body.errors import InputError
 from bayes_body.kernels import hmc_filter
 from bayes_body.kernels.hmc_filter import build_kernel
@@ -129,6 +130,27 @@ def test_the_next_frame_starts_from_the_chains_means():
     means = hmc_filter._chain_means(density.previous._replace(states=states), 2, density.transition)
     assert np.allclose(means.states["x"][0], states["x"][:2].mean(axis=0)) and means.states["x"].shape == (CHAINS, 3)
     assert np.isclose(jax.nn.logsumexp(means.log_weights), 0, atol=1e-6)
+
+
+def test_the_means_of_chains_are_those_of_their_spaces():
+    """Angles on both sides of the half turn, with a full turn more, and rotations with either sign."""
+    density = conjugate(4).density
+    transition = replace(density.transition, spaces=(("x", circle(("yaw",))), ("q", SO3())))
+    q = jnp.array([[0.8, 0.6, 0, 0], [-0.8, 0.6, 0, 0], [1, 0, 0, 0], [-1, 0, 0, 0]])
+    states = {"x": jnp.radians(jnp.array([[179.0], [-179.0], [3.0], [365.0]])), "q": q}
+    means = hmc_filter._chain_means(density.previous._replace(states=states), 2, transition).states
+    assert np.allclose(np.cos(means["x"][:, 0]), np.cos(np.radians([180.0, 4.0])), atol=1e-6)
+    # The first two are turned the same angle forwards and backwards, up to the sign; the others are the identity.
+    assert np.allclose(np.abs(means["q"][:, 0]), 1, atol=1e-6)
+
+
+def test_full_turns_between_draws_are_no_spread():
+    transition = replace(conjugate(4).density.transition, spaces=(("x", circle(("yaw", "roll"))),))
+    near = np.random.default_rng(0).normal(3.1, 0.2, size=(100, 2))
+    turned = near + 2 * np.pi * np.random.default_rng(1).integers(-1, 2, size=(100, 2))
+    found = hmc_filter._on_one_turn({"x": jnp.asarray(turned), "other": jnp.asarray(turned)}, jnp.full(100, 0.01), transition)
+    assert np.allclose(found["x"] - found["x"].mean(axis=0), near - near.mean(axis=0), atol=1e-5)
+    assert (np.asarray(found["other"]) == jnp.asarray(turned)).all()
 
 
 @pytest.mark.slow

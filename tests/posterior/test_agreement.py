@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from bayes_body.density.spaces import numbered
+from bayes_body.density.spaces import SE3, Plate, circle, numbered, space_to_text
 from bayes_body.posterior import frame_rhat
 from bayes_body.posterior.agreement import independent_draws, rhat_of_block
-from bayes_body.posterior.blocks import Block
+from bayes_body.posterior.blocks import Block, coordinate_blocks
+from bayes_body.posterior.diagnostics import diagnose, sentences
 from bayes_body.tracking.draws import FrameResult
 
 
@@ -86,3 +87,51 @@ def test_r_hat_is_that_of_the_run_s_own_summary():
         # R-hat reads neither figures nor times.
         result = FrameResult({"pose": poses[:, :, frame]}, log_weights[:, :, frame], None, np.ones(1, bool), 0.0)
         assert np.allclose(frame_rhat(result, frame, "pose", numbered("pose", (5,))), found[frame])
+
+
+def yaw_tree(make_tree, angles, space=None):
+    """A tree of one angle, whose runs are given in degrees: (run, draw, frame)."""
+    runs, draws, frames = angles.shape
+    tree = make_tree(runs=runs, draws=draws, frames=frames, dofs=("yaw",), pose=np.radians(angles)[..., None])
+    if space is not None:
+        tree["posterior"]["pose"].attrs["space"] = space_to_text(space)
+    return tree
+
+
+def test_runs_on_both_sides_of_the_half_turn_agree(make_tree):
+    rng = np.random.default_rng(7)
+    around = 180 + rng.normal(0.0, 3.0, size=(2, 400, 1))
+    # The first run counts the other way round, and half of the second has a turn more.
+    angles = around - 360.0 * np.array([1, 0])[:, None, None] + 360.0 * (np.arange(400) % 2)[:, None] * np.array([0, 1])[:, None, None]
+    tree = yaw_tree(make_tree, angles, circle(("yaw",), "dof"))
+    found = diagnose(tree)
+    assert found.dofs == ("yaw",) and found.rhat.max() < 1.02 and found.independent_draws[0] > 5
+    assert not any("disagree" in sentence for sentence in sentences(found))
+    (block,) = coordinate_blocks(tree)
+    assert abs(np.cos(block.poses.mean()) + 1) < 1e-3 and np.degrees(block.poses.std()) == pytest.approx(3.0, abs=0.3)
+    # As plain numbers, which a posterior without a space has, they are far apart.
+    plain = diagnose(yaw_tree(make_tree, angles))
+    assert plain.rhat.max() > 1.3 and plain.independent_draws[0] < 2
+
+
+def test_runs_that_stand_apart_on_the_circle_are_seen(make_tree):
+    angles = np.random.default_rng(8).normal(0.0, 3.0, size=(2, 400, 1)) + np.array([170.0, -170.0])[:, None, None]
+    assert diagnose(yaw_tree(make_tree, angles, circle(("yaw",), "dof"))).rhat.max() > 1.3
+
+
+def test_a_body_of_parts_has_an_r_hat_for_each_coordinate(make_tree):
+    rng, space = np.random.default_rng(9), Plate(("torso", "head"), SE3("coordinate"), "part")
+    centre = np.tile([0.0, 0, 1, 0, 0, 0, 1], (2, 1))
+    tangents = rng.normal(0.0, 0.1, size=(3, 400, 2, 12))
+    tangents[0, :, :, space.tangent_labels.index("head_rz")] += 0.3
+    points = space.retract(centre, tangents)
+    points[..., 3:] *= rng.choice([-1.0, 1.0], size=(*points.shape[:-1], 1))
+    tree = make_tree(frames=2)
+    arrays = tree["posterior"].to_dataset().drop_vars(["pose", "dof"])
+    arrays["parts"] = (("chain", "draw", "frame", "part", "coordinate"), points, {"space": space_to_text(space)})
+    arrays["parts_before"] = arrays["parts"] * 0
+    tree["posterior"] = tree["posterior"].from_dict({"/": arrays})
+    found = diagnose(tree)
+    assert found.dofs == space.tangent_labels and found.rhat.shape == (2, 12)
+    apart = found.rhat > 1.1
+    assert apart[:, space.tangent_labels.index("head_rz")].all() and apart.sum() == 2

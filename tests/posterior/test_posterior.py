@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from bayes_body.density.spaces import SE3, Plate, euclidean, space_from_text
 from bayes_body.errors import InputError
 from bayes_body.kernels.particle_filter import build_kernel
 from bayes_body.model.build import build_model
@@ -80,6 +81,29 @@ def test_a_second_variable_is_kept_with_dimensions_of_its_own(draws, tmp_path):
     stored = xr.open_datatree(tmp_path / "posterior.nc")
     assert stored.identical(to_datatree(more))
     assert stored["posterior"]["velocity"].dims == ("chain", "draw", "frame", "velocity_dim_0")
+
+
+def test_parts_are_kept_with_their_names_and_units(draws, tmp_path):
+    space = Plate(("torso", "head"), SE3("coordinate"), "part")
+    points = np.random.default_rng(0).normal(size=(FRAMES, RUNS, PARTICLES, 2, 7)).astype(np.float32)
+    frames = [dataclasses.replace(frame, states={"parts": own}) for frame, own in zip(draws.frames, points, strict=True)]
+    transition = dataclasses.replace(draws.model.transition, spaces=(("parts", space),))
+    loose = dataclasses.replace(draws, frames=frames, model=dataclasses.replace(draws.model, transition=transition))
+    stream_posterior(loose, tmp_path / "posterior.nc")
+    stored = xr.open_datatree(tmp_path / "posterior.nc")
+    assert stored.identical(to_datatree(loose))
+    parts = stored["posterior"]["parts"]
+    assert parts.dims == ("chain", "draw", "frame", "part", "coordinate") and space_from_text(parts.attrs["space"]) == space
+    assert (parts.sel(part="head", coordinate="qx", frame=3, chain=1) == points[3, 1, :, 1, 4]).all()
+    assert list(parts.sel(coordinate=["x", "qw"]).coordinate_unit.values) == ["m", "1"]
+
+
+def test_the_same_axis_has_the_same_labels(draws):
+    both = (("pose", euclidean(("a",) * 4, ("m",) * 4, "dof")), ("other", euclidean(("b",) * 4, ("m",) * 4, "dof")))
+    frames = [dataclasses.replace(frame, states=frame.states | {"other": frame.states["pose"]}) for frame in draws.frames]
+    transition = dataclasses.replace(draws.model.transition, spaces=both)
+    with pytest.raises(ValueError, match="the axis 'dof' of the variable 'other' has other labels"):
+        to_datatree(dataclasses.replace(draws, frames=frames, model=dataclasses.replace(draws.model, transition=transition)))
 
 
 def test_a_file_that_is_none_holds_no_frames(tmp_path):

@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
+from bayes_body.body.space import pose_space
 from bayes_body.errors import InputError
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import definitions_folder, load_definition, parse_definition
@@ -187,6 +188,22 @@ def test_only_an_angle_without_limits_winds(make_run, tmp_path):
     with load_run(make_run(model=tmp_path / "mine.toml", pose=pose, log_weight=np.zeros((2, 30, 5)))) as run:
         sd = angle_moments(run).sd
     assert (sd[:, 2] < 0.15).all() and (sd[:, 1] > 1.0).all()
+
+
+def test_a_run_without_spaces_has_those_of_its_body(make_run):
+    with load_run(make_run()) as run:
+        assert run.spaces == {"pose": pose_space(run.model.body)}
+    folder = make_run("damaged")
+    _edit("run.toml", 'name = \\"elbow\\"', 'name = \\"elbwo\\"')(folder)
+    with load_run(folder) as run:
+        assert run.spaces["pose"].tangent_labels == ("shoulder_x", "shoulder_y", "shoulder_z", "elbow")
+
+
+def test_a_space_that_cannot_be_read_is_a_sentence(make_run):
+    with load_run(make_run()) as run:
+        run.tree["posterior"]["pose"].attrs["space"] = '{"kind": "SO4"}'
+        with pytest.raises(InputError, match=r"the posterior's variable 'pose': not a space: .*SO4"):
+            assert run.spaces
 
 
 def test_a_mode_seeker_is_known_by_the_evidence_that_it_lacks(make_run):
