@@ -18,6 +18,7 @@ from pydantic import Field
 
 from bayes_body.body.placement import PARTS, ByParts, require
 from bayes_body.body.solids import Body
+from bayes_body.body.space import configuration_space
 from bayes_body.density.chart import ChartAround
 from bayes_body.density.factor import State, Transition
 from bayes_body.dynamics.deviations import by_part
@@ -111,4 +112,5 @@ def build(options: Options, body: Body, fps: float, **_: Any) -> Transition:
         jax.tree_util.Partial(_noise, *arguments),
         begin=jax.tree_util.Partial(_begin, body),
         chart=ChartAround(PARTS, body.placement.parents),
+        spaces=((PARTS, configuration_space(body)),),
     )
