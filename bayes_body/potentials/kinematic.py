@@ -116,7 +116,8 @@ def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
     rows = tuple((parent, child) for child, parent in enumerate(placement.parents) if parent >= 0)
     children = [child for _, child in rows]
     means = np.stack([_means(name, component, body)[children] for component in options.component], axis=1)
-    widths = [widths_by_part(name, placement.names, component.sd_m, component.sd_deg)[children] for component in options.component]
+    names = tuple(placement.names[child] for child in children)
+    widths = [widths_by_part(name, names, component.sd_m, component.sd_deg) for component in options.component]
     sd, weights = np.stack(widths, axis=1), np.array([component.weight for component in options.component])
     weights = np.broadcast_to(weights / weights.sum(), sd.shape[:2])
     constants = np.log(weights) - np.log(sd).sum(axis=2) - 3 * math.log(2 * math.pi) - np.log(within_half_turn(sd[..., 3:]))
