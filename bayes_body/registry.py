@@ -46,6 +46,7 @@ _BUILT_IN: dict[Place, str] = {
     ("observation", "silhouette_bernoulli"): "bayes_body.observation.silhouette_bernoulli",
     ("dynamics", "diffusion"): "bayes_body.dynamics.diffusion",
     ("dynamics", "second_order"): "bayes_body.dynamics.second_order",
+    ("dynamics", "constant_velocity"): "bayes_body.dynamics.constant_velocity",
     ("dynamics", "rigid_walk"): "bayes_body.dynamics.rigid_walk",
     ("potential", "intersection"): "bayes_body.potentials.intersection",
     ("potential", "kinematic"): "bayes_body.potentials.kinematic",

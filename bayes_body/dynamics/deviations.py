@@ -26,11 +26,31 @@ def by_part(table: Mapping[str, float], names: tuple[str, ...], field: str) -> l
     return found
 
 
-def standard_deviations(sd_deg: Mapping[str, float], sd_m: Mapping[str, float], topology: Topology) -> dict[str, float]:
+def standard_deviations(sd_deg: Mapping[str, float], sd_m: Mapping[str, float], topology: Topology, prefix: str = "") -> dict[str, float]:
     """The standard deviation of every dof, radians or metres. An exact name wins, else the first pattern that matches.
+
+    Args:
+        sd_deg: those of angles, degrees.
+        sd_m: those of shifts, metres.
+        topology: the body's dofs.
+        prefix: what the names of the two tables begin with in the definition, such as "velocity_".
 
     Raises:
         InputError: a dof has none, or a key matches no dof.
+    """
+    found = known_deviations(sd_deg, sd_m, topology, f"dynamics.{prefix}")
+    for name, unit in zip(topology.dof_names, topology.dof_units, strict=True):
+        if name not in found:
+            field = f"dynamics.{prefix}{'sd_deg' if unit == 'rad' else 'sd_m'}"
+            raise InputError(f"{field}: no standard deviation for the dof '{name}'; expected one for every dof; add '{name}' or a pattern.")
+    return found
+
+
+def known_deviations(sd_deg: Mapping[str, float], sd_m: Mapping[str, float], topology: Topology, place: str) -> dict[str, float]:
+    """The standard deviations of those dofs that have one, radians or metres.
+
+    Raises:
+        InputError: a key matches no dof.
     """
     deviations: dict[str, float] = {}
     for unit, field, table, si in (("rad", "sd_deg", sd_deg, math.pi / 180), ("m", "sd_m", sd_m, 1.0)):
@@ -38,12 +58,9 @@ def standard_deviations(sd_deg: Mapping[str, float], sd_m: Mapping[str, float], 
         for key in table:
             if not any(fnmatchcase(name, key) for name in dofs):
                 measure = "degrees" if unit == "rad" else "metres"
-                raise InputError(f"dynamics.{field}.{key}: matches no dof of the body in {measure}; {nearest(key, dofs)}")
+                raise InputError(f"{place}{field}.{key}: matches no dof of the body in {measure}; {nearest(key, dofs)}")
         for name in dofs:
             key = name if name in table else next((pattern for pattern in table if fnmatchcase(name, pattern)), None)
-            if key is None:
-                raise InputError(
-                    f"dynamics.{field}: no standard deviation for the dof '{name}'; expected one for every dof; add '{name}' or a pattern."
-                )
-            deviations[name] = table[key] * si
+            if key is not None:
+                deviations[name] = table[key] * si
     return deviations

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,10 @@ from bayes_body.density.factor import Data, Factor, Particles, State, Transition
 from bayes_body.errors import InputError, input_error, nearest
 from bayes_body.geometry.camera import Camera, stack, turning_radius
 from bayes_body.model.definition import Definition, load_body, load_definition
+from bayes_body.model.first import First, first_of
 from bayes_body.registry import find
 from bayes_body.session.session import CameraSpec, Session, Subject
-from bayes_body.shapes import Configuration, Pose
+from bayes_body.shapes import Configuration, Key, Pose
 
 
 @dataclass(frozen=True)
@@ -34,8 +36,7 @@ class Model:
         rig: the session's cameras, stacked.
         transition: the motion prior at the session's frame rate.
         factors: all other terms.
-        first_pose: the joint angles before the first frame, from the session.
-        initial: the state that begins there.
+        first: the distribution of the state before the first frame.
         observers: for each factor that uses images, a function from a frame's images to the factor's arrays (on the host).
     """
 
@@ -44,8 +45,7 @@ class Model:
     rig: Camera
     transition: Transition
     factors: tuple[Factor, ...]
-    first_pose: Pose
-    initial: State
+    first: First
     observers: Mapping[str, Callable[[Any], Any]]
 
     def observe(self, frame: Any) -> Data:
@@ -74,12 +74,26 @@ class Model:
 
     def beginning_at(self, pose: Pose) -> "Model":
         """Return the same model with another first pose."""
-        first = jnp.asarray(pose, self.body.lengths.dtype)
-        return replace(self, first_pose=first, initial=self.transition.begin({"pose": first}))
+        return replace(self, first=self.first._replace(pose=jnp.asarray(pose, self.body.lengths.dtype)))
 
-    def start(self, count: int) -> Particles:
-        """Return `count` equal particles at the initial state. The first frame's transition spreads them."""
-        states = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *leaf.shape)), dict(self.initial))
+    @property
+    def first_pose(self) -> Pose:
+        """The most likely joint angles before the first frame, radians and metres."""
+        return self.first.pose
+
+    @cached_property
+    def initial(self) -> State:
+        """The state of the most likely first pose."""
+        return self.first.mode
+
+    def start(self, count: int, key: Key | None = None) -> Particles:
+        """Return `count` equal particles of the state before the first frame, whose transition spreads them further.
+
+        Args:
+            count: number of particles.
+            key: random key, needed only if the first pose is uncertain (`Model.first`); by default that of seed 0.
+        """
+        states = self.first.start(jax.random.key(0) if key is None else key, count)
         return Particles(states, jnp.full((count,), -math.log(count), self.body.lengths.dtype))
 
     def markers(self, configuration: Configuration) -> Float[Array, "marker 3"]:
@@ -107,10 +121,9 @@ def build_model(name: str | Path | Definition, session: Session) -> Model:
     transition = find("dynamics", dynamics.kind).build(
         options=dynamics.options, body=body, fps=session.fps, subject_sd=_motion_sd(session.subject, definition)
     )
-    first_pose = _initial_pose(session, body, definition)
-    initial = transition.begin({"pose": first_pose})
-    _check_derived(transition, initial)
-    return Model(definition, body, rig, transition, tuple(factors), first_pose, initial, observers)
+    first = first_of(definition.first, body, _initial_pose(session, body, definition), transition)
+    _check_derived(transition, first.mode)
+    return Model(definition, body, rig, transition, tuple(factors), first, observers)
 
 
 def _likelihoods(definition: Definition, body: Body, rig: Camera) -> tuple[list[Factor], dict[str, Callable[[Any], Any]]]:

@@ -14,7 +14,7 @@ from bayes_body.body.schema import BodySchema
 from bayes_body.errors import FaultyFileError, InputError, input_error, nearest
 from bayes_body.registry import Room, find, names
 from bayes_body.toml.read import parse_toml, read_toml, validate
-from bayes_body.toml.schema import Schema
+from bayes_body.toml.schema import Positive, Schema
 
 # How a state places the body: by joint angles, or by one rigid transform for each part.
 PLACEMENTS = ("angles", "parts")
@@ -32,6 +32,13 @@ class TermTable(BaseModel):
         return dict(self.model_extra or {})
 
 
+class FirstTable(Schema):
+    """The table `[first]`: standard deviations of the first pose, by names of dofs or patterns. Dofs without one are certain."""
+
+    sd_deg: Mapping[str, Positive] = {}
+    sd_m: Mapping[str, Positive] = {}
+
+
 class _File(Schema):
     """The schema of a definition file whose terms are not validated yet."""
 
@@ -43,6 +50,7 @@ class _File(Schema):
     constraints: tuple[TermTable, ...] = Field(alias="constraint", default=())
     potentials: tuple[TermTable, ...] = Field(alias="potential", default=())
     kernel: TermTable
+    first: FirstTable = FirstTable()
 
 
 @dataclass(frozen=True)
@@ -64,7 +72,7 @@ class LikelihoodDefinition(TermDefinition):
 class Definition:
     """A model definition: the text of its file, its title and source, a body, and terms with validated options.
 
-    `placement` is `angles`, or `parts` for a loose-limbed body (body/placement.py).
+    `placement` is `angles`, or `parts` for a loose-limbed body (body/placement.py). `first` says how uncertain the first pose is.
     """
 
     name: str
@@ -79,6 +87,7 @@ class Definition:
     likelihoods: tuple[LikelihoodDefinition, ...]
     constraints: tuple[TermDefinition, ...]
     kernel: TermDefinition
+    first: FirstTable = FirstTable()
 
     def takes_measures_of(self, body: str | None) -> bool:
         """Whether lengths and a first pose with the names of `body` (None: unknown) can be used for this definition's body."""
@@ -141,7 +150,9 @@ def _read(name: str, text: str, data: Mapping[str, Any], collect: "_Collector") 
     (dynamics, kernel) = (next((collect.term(room, room, table) for _, table in _tables([data.get(room)])), None) for room in ("dynamics", "kernel"))
     if collect.sentences or file is None or dynamics is None or kernel is None or body is None:
         raise FaultyFileError(collect.sentences)
-    return Definition(name, text, file.title, file.source, body_name, body_text, placement, body, dynamics, likelihoods, constraints, kernel)
+    return Definition(
+        name, text, file.title, file.source, body_name, body_text, placement, body, dynamics, likelihoods, constraints, kernel, file.first
+    )
 
 
 def _tables(value: Any) -> Iterator[tuple[int, TermTable]]:

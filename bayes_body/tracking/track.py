@@ -29,6 +29,9 @@ from bayes_body.tracking.draws import Draws, FrameResult, FrameStore, timing_of
 from bayes_body.tracking.program import Ahead, program_from
 from bayes_body.tracking.rejected_chains import raise_if_all_rejected
 
+# In place of a frame's number in the keys of the states before the first frame.
+BEFORE = 2**32 - 1
+
 
 class Progress(NamedTuple):
     """The figures of a progress bar after a frame.
@@ -87,11 +90,16 @@ def track(
             raise input_error(name, str(value), f"a whole number from 1{f' to {most}' if most else ' up'}", "give another number")
     store: FrameStore = [] if into is None else into
     done = len(store)
-    filters = _filters_after(store, particles, runs, count) if done else [model.start(particles)] * runs
+    filters = _filters_after(store, particles, runs, count) if done else _first_filters(model, key, particles, runs)
     if done < count:
         with closing(_observations(session, model, range(done, count))) as observations:
             _follow(store, _filter(model, kernel, key, filters, done, observations, ahead), count, on_frame)
     return Draws(model, store, timing_of(store), tuple(view.camera.name for view in session.views))
+
+
+def _first_filters(model: Model, key: Key, particles: int, runs: int) -> list[Particles]:
+    """Return each run's particles before the first frame."""
+    return [model.start(particles, jax.random.fold_in(jax.random.fold_in(key, run), BEFORE)) for run in range(runs)]
 
 
 def _filters_after(store: FrameStore, particles: int, runs: int, count: int) -> list[Particles]:

@@ -6,11 +6,12 @@ import jax
 import numpy as np
 import pytest
 from own_terms import plugins_of_this_test
+from scipy.stats import kstest, truncnorm
 
 from bayes_body import registry
 from bayes_body.errors import InputError
 from bayes_body.model.build import build_model
-from bayes_body.model.definition import load_definition
+from bayes_body.model.definition import FirstTable, load_definition
 from bayes_body.session.session import Subject
 
 
@@ -53,6 +54,21 @@ def test_start_is_the_initial_state_over_and_over(textured_session):
     particles = model.start(7)
     assert (particles.states["pose"] == model.initial["pose"]).all()
     assert np.isclose(np.exp(particles.log_weights).sum(), 1)
+
+
+def test_an_uncertain_first_pose_spreads_the_start_within_the_limits(textured_session):
+    definition = load_definition("arm_silhouette")
+    model = build_model(dataclasses.replace(definition, first=FirstTable(sd_deg={"elbow": 20.0})), textured_session)
+    states = np.asarray(model.start(4000, jax.random.key(1)).states["pose"])
+    elbow = model.body.dof_names.index("elbow")
+    low, high = (float(side[elbow]) for side in (model.body.skeleton.low, model.body.skeleton.high))
+    others = np.delete(states, elbow, axis=1)
+    assert (others == np.delete(np.asarray(model.initial["pose"]), elbow)).all()
+    centre, sd = float(model.initial["pose"][elbow]), np.radians(20.0)
+    exact = truncnorm((low - centre) / sd, (high - centre) / sd, centre, sd)
+    assert kstest(states[:, elbow], exact.cdf).pvalue > 1e-3
+    with pytest.raises(InputError, match=r"first\.sd_deg\.elbwo: matches no dof .*did you mean 'elbow'"):
+        build_model(dataclasses.replace(definition, first=FirstTable(sd_deg={"elbwo": 20.0})), textured_session)
 
 
 def test_a_model_of_another_subject_of_the_same_body_compiles_nothing_anew(textured_session):

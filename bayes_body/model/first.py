@@ -1,0 +1,71 @@
+r"""The distribution of the state before the first frame: a first pose, which may be uncertain.
+
+$$s \sim \mathcal N(s_0, \sigma_0^2)\ \text{truncated to the joint limits}, \qquad \text{state} = \mathrm{begin}(s).$$
+
+The standard deviations are those of the definition's table `[first]`. Dofs without one are certain: only the first transition spreads them.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bayes_body.body.solids import Body
+from bayes_body.density.factor import State, Transition
+from bayes_body.dynamics.deviations import known_deviations
+from bayes_body.dynamics.diffusion import TruncatedWalk
+from bayes_body.model.definition import FirstTable
+from bayes_body.shapes import Key, Pose
+
+
+class First(NamedTuple):
+    """The distribution of the state before the first frame.
+
+    Attributes:
+        pose: the most likely pose, radians and metres.
+        sd: its standard deviations; 0 where the pose is certain.
+        low: limits of each dof, or -∞.
+        high: limits of each dof, or ∞.
+        transition: the motion prior, whose `begin` makes a state of a pose.
+    """
+
+    pose: Pose
+    sd: Pose
+    low: Pose
+    high: Pose
+    transition: Transition
+
+    @property
+    def is_point(self) -> bool:
+        """Whether the first pose is certain."""
+        return not bool(np.asarray(self.sd > 0).any())
+
+    @property
+    def mode(self) -> State:
+        """The state of the most likely pose."""
+        return self.transition.begin({"pose": self.pose})
+
+    def sample(self, key: Key) -> State:
+        """Draw a state."""
+        uncertain = self.sd > 0
+        drawn = TruncatedWalk(self.pose, jnp.where(uncertain, self.sd, 1.0), self.low, self.high).sample(key)
+        return self.transition.begin({"pose": jnp.where(uncertain, drawn, self.pose)})
+
+    def start(self, key: Key, count: int) -> State:
+        """Draw `count` states, with a leading particle axis. A certain first pose needs no random numbers."""
+        if self.is_point:
+            return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *leaf.shape)), dict(self.mode))
+        return jax.jit(jax.vmap(self.sample))(jax.random.split(key, count))
+
+
+def first_of(table: FirstTable, body: Body, pose: Pose, transition: Transition) -> First:
+    """Return the distribution around a pose.
+
+    Raises:
+        InputError: a key of the table matches no dof.
+    """
+    topology = body.skeleton.topology
+    known = known_deviations(table.sd_deg, table.sd_m, topology, "first.")
+    sd = jnp.asarray([known.get(name, 0.0) for name in topology.dof_names], body.lengths.dtype)
+    return First(pose, sd, body.skeleton.low, body.skeleton.high, transition)
