@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bayes_body.errors import input_error
+from bayes_body.files.shipped import definitions_folder
 from bayes_body.initial import Show
 from bayes_body.learning.walking_cycle import load_cycle, walk
 from bayes_body.metrics.figures import width
-from bayes_body.model.definition import definitions_folder
 from bayes_body.recording.rig import read_rig
 from bayes_body.runs.run import run
 from bayes_body.runs.settings import Settings

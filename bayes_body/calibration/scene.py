@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from bayes_body.files.shipped import definitions_folder
 from bayes_body.model.build import Model, build_model
-from bayes_body.model.definition import Definition, definitions_folder
+from bayes_body.model.definition import Definition
 from bayes_body.recording.rig import read_rig
 from bayes_body.session.session import CameraSpec, Session, View
 

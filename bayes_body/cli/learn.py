@@ -1,14 +1,14 @@
 """`bayes-body learn`: learn small arrays from captured motion, with a record of their source and command; learn constants of likelihoods."""
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 from bayes_body.cli.edge_statistics import edge_statistics
+from bayes_body.cli.learned_files import check_out, motion_files, portable
 from bayes_body.cli.likelihood_scale import likelihood_scale
-from bayes_body.errors import input_error
+from bayes_body.cli.walking_angles import walking_angles
 
 if TYPE_CHECKING:
     from bayes_body.learning.cycle import Learned
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Learn from captured motion, or from recordings with their truth.", no_args_is_help=True)
 app.command("likelihood-scale")(likelihood_scale)
 app.command("edge-statistics")(edge_statistics)
-ENDINGS = (".amc", ".bvh", ".c3d", ".trc")
+app.command("walking-angles")(walking_angles)
 
 
 @app.command("walking-cycle")
@@ -34,43 +34,18 @@ def walking_cycle(
     from bayes_body.recording.mocap import landmarks, read_motion
 
     table = out.with_suffix(".toml")
-    _check(out, table, overwrite)
-    files = [file for path in walks for file in _files(path)]
+    check_out(out, table, overwrite)
+    files = [file for path in walks for file in motion_files(path)]
     motions = [(file.stem, read_motion(file)) for file in files]
     found = learn([(name, landmarks(motion), motion.fps) for name, motion in motions])
     for sentence in found.left_out:
         typer.echo(sentence)
     save_cycle(found.cycle, out)
     used = [file.stem for file in files if not any(sentence.startswith(f"{file.stem}:") for sentence in found.left_out)]
-    write_text(table, _told(found, source, used, [*map(_named, walks), "--out", _named(out)]))
+    write_text(table, _told(found, source, used, [*map(portable, walks), "--out", portable(out)]))
     typer.echo(
         f"{out}: {found.strides} strides of {', '.join(used)}, {len(found.cycle.modes)} modes explain {100 * found.explained:.0f} % of the variance."
     )
-
-
-def _check(out: Path, table: Path, overwrite: bool) -> None:
-    if out.suffix != ".npz":
-        raise input_error("--out", str(out), "a file that ends in .npz", "give such a name")
-    for path in (out, table):
-        if path.exists() and not overwrite:
-            raise input_error(path, "already exists", "a file that does not exist yet", "name another, or give --overwrite")
-
-
-def _files(path: Path) -> list[Path]:
-    if not path.is_dir():
-        return [path]
-    found = sorted(file for file in path.iterdir() if file.suffix.lower() in ENDINGS)
-    if not found:
-        raise input_error(path, "no captured motion in it", f"files that end in {', '.join(ENDINGS)}", "name another folder")
-    return found
-
-
-def _named(path: Path) -> str:
-    """Return the path without the part that is specific to this machine."""
-    root = os.environ.get("BAYES_BODY_DATA")
-    if root and path.resolve().is_relative_to(Path(root).resolve()):
-        return f"$BAYES_BODY_DATA/{path.resolve().relative_to(Path(root).resolve())}"
-    return path.name
 
 
 def _told(found: "Learned", source: str, used: list[str], words: list[str]) -> str:

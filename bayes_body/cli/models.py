@@ -29,7 +29,8 @@ app = typer.Typer(cls=_ListByDefault, help="List the model definitions (the defa
 @app.command("list")
 def list_models() -> None:
     """List the definitions that ship, one line each."""
-    from bayes_body.model.definition import definition_names, definitions_folder, load_definition
+    from bayes_body.files.shipped import definitions_folder
+    from bayes_body.model.definition import definition_names, load_definition
 
     table = Table("model", "dofs", "kernel", "what it is", box=None, pad_edge=False)
     for name in definition_names():

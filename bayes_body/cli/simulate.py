@@ -120,7 +120,8 @@ def _quality(text: str | None) -> Literal["good", "poor"] | None:
 
 
 def _rig(name: str, cameras: str | None) -> "Rig":
-    from bayes_body.model.definition import definition_names, definitions_folder
+    from bayes_body.files.shipped import definitions_folder
+    from bayes_body.model.definition import definition_names
     from bayes_body.recording.rig import read_rig
 
     shipped = definition_names("rigs")

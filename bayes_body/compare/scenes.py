@@ -20,10 +20,11 @@ from bayes_body.calibration.scene import model_in_a_room
 from bayes_body.errors import InputError, input_error
 from bayes_body.evidence.markers import MARKERS
 from bayes_body.files.atomic import make_folder, replacing
+from bayes_body.files.shipped import definitions_folder
 from bayes_body.geometry.camera import Camera
 from bayes_body.initial import with_first_pose
 from bayes_body.model.build import Model, build_model
-from bayes_body.model.definition import Definition, definitions_folder
+from bayes_body.model.definition import Definition
 from bayes_body.observation.frames import read_frame
 from bayes_body.recording.rig import read_rig
 from bayes_body.session.read import load_session

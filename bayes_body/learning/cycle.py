@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.errors import input_error
+from bayes_body.files.arrays_file import read_arrays
 from bayes_body.files.atomic import replacing
+from bayes_body.files.shipped import definitions_folder
 from bayes_body.learning.gait import NEEDED, TERMS, Points, Stride, height, is_run, points_of, segments, speed, strides
-from bayes_body.model.definition import definitions_folder
-from bayes_body.recording.arrays_file import read_arrays
 
 NAME = "walking_cycle"
 EXPLAINED = 0.95

@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.signal import find_peaks
 
 HARMONICS = 8
@@ -83,9 +83,20 @@ def speed(landmarks: Points, fps: float) -> float:
 
 def is_run(landmarks: Points, fps: float) -> bool:
     """Whether people of this build run at this speed."""
+    return bool(speed(landmarks, fps) ** 2 > RUN * GRAVITY * leg_length(landmarks))
+
+
+def leg_length(landmarks: Points) -> float:
+    """The length of thigh and shank together, metres; mean of both legs."""
     names = points_of(landmarks)
     length = dict(zip(names, segments(landmarks, names), strict=True))
-    return bool(speed(landmarks, fps) ** 2 > RUN * GRAVITY * (length["l_knee"] + length["l_ankle"]))
+    return float(length["l_knee"] + length["l_ankle"])
+
+
+def heel_strikes(landmarks: Points, fps: float, height_m: float, side: str = "l") -> Int[np.ndarray, " strike"]:
+    """The frames in which the heel of one side strikes the floor in a straight walk."""
+    before = (_ahead(landmarks)[f"{side}_ankle"] - _ahead(landmarks)["pelvis"])[:, 0] / height_m
+    return find_peaks(before, distance=max(int(SHORTEST_S * fps), 1), prominence=PROMINENCE)[0]
 
 
 def strides(landmarks: Points, names: tuple[str, ...], fps: float, height_m: float) -> list[Stride]:
@@ -101,6 +112,14 @@ def terms(phase: Float[np.ndarray, " sample"]) -> Float[np.ndarray, "sample term
     return np.concatenate([np.ones((len(phase), 1)), np.cos(angles), np.sin(angles)], axis=1)
 
 
+def series_of(columns: Float[np.ndarray, "frame column"]) -> Float[np.ndarray, "term column"]:
+    """The Fourier terms of one stride, from a heel strike to the next, both included."""
+    phase = np.arange(len(columns)) / (len(columns) - 1)
+    # The series is periodic, so the difference between the stride's ends is spread over it.
+    closed = columns - np.outer(phase - 0.5, columns[-1] - columns[0])
+    return np.linalg.lstsq(terms(phase[:-1]), closed[:-1], rcond=None)[0]
+
+
 def _ahead(landmarks: Points) -> dict[str, Float[np.ndarray, "frame 3"]]:
     """The walk rotated so that it goes along x."""
     way = landmarks["pelvis"][-1, :2] - landmarks["pelvis"][0, :2]
@@ -110,9 +129,7 @@ def _ahead(landmarks: Points) -> dict[str, Float[np.ndarray, "frame 3"]]:
 
 
 def _of_left(ahead: Points, names: tuple[str, ...], fps: float, height_m: float) -> list[Stride]:
-    before = (ahead["l_ankle"] - ahead["pelvis"])[:, 0] / height_m
-    strikes, _ = find_peaks(before, distance=max(int(SHORTEST_S * fps), 1), prominence=PROMINENCE)
-    return [_stride(ahead, names, fps, height_m, a, b) for a, b in pairwise(strikes.tolist())]
+    return [_stride(ahead, names, fps, height_m, a, b) for a, b in pairwise(heel_strikes(ahead, fps, height_m).tolist())]
 
 
 def _stride(ahead: Points, names: tuple[str, ...], fps: float, height_m: float, first: int, last: int) -> Stride:
@@ -122,10 +139,7 @@ def _stride(ahead: Points, names: tuple[str, ...], fps: float, height_m: float, 
     steady = np.outer(phase, pelvis[-1] - pelvis[0]) * (1, 1, 0)
     moved = pelvis - steady - (pelvis - steady).mean(axis=0) * (1, 1, 0)
     columns = np.concatenate([*(ahead[name][frames] / height_m - pelvis for name in names), moved], axis=1)
-    # The series is periodic, so the difference between the stride's ends is spread over it.
-    closed = columns - np.outer(phase - 0.5, columns[-1] - columns[0])
-    series = np.linalg.lstsq(terms(phase[:-1]), closed[:-1], rcond=None)[0]
-    return Stride(series, np.log([(last - first) / fps, np.linalg.norm(pelvis[-1, :2] - pelvis[0, :2])]))
+    return Stride(series_of(columns), np.log([(last - first) / fps, np.linalg.norm(pelvis[-1, :2] - pelvis[0, :2])]))
 
 
 def _mirrored(name: str) -> str:

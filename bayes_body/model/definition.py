@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from bayes_body.body.schema import BodySchema
 from bayes_body.errors import FaultyFileError, InputError, input_error, nearest
+from bayes_body.files.shipped import definitions_folder
 from bayes_body.registry import Room, find, names
 from bayes_body.toml.read import parse_toml, read_toml, validate
 from bayes_body.toml.schema import Positive, Schema
@@ -92,13 +93,6 @@ class Definition:
     def takes_measures_of(self, body: str | None) -> bool:
         """Whether lengths and a first pose with the names of `body` (None: unknown) can be used for this definition's body."""
         return body in (None, self.body_name, self.body.measured_as)
-
-
-def definitions_folder() -> Path:
-    """Return the folder of the shipped definitions: inside the package in a wheel, beside it in a checkout."""
-    package = Path(__file__).parents[1]
-    inside = package / "_models"
-    return inside if inside.is_dir() else package.parent / "models"
 
 
 def definition_names(folder: str = "") -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.errors import input_error
-from bayes_body.recording.arrays_file import read_arrays
+from bayes_body.files.arrays_file import read_arrays
 from bayes_body.session.schema import FARTHEST_M, rotation_fault
 from bayes_body.session.session import CameraSpec, Session
 

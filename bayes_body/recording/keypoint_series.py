@@ -14,8 +14,8 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from bayes_body.errors import input_error
+from bayes_body.files.arrays_file import read_arrays
 from bayes_body.files.atomic import make_folder, replacing
-from bayes_body.recording.arrays_file import read_arrays
 from bayes_body.recording.keypoints import FARTHEST_PX
 
 KIND = "an .npz with `keypoints` (frame, keypoint, 3), pixels and confidence, and `names` of the keypoints"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bayes_body.errors import input_error
 from bayes_body.evidence.markers import MARKERS
-from bayes_body.recording.arrays_file import read_arrays
+from bayes_body.files.arrays_file import read_arrays
 
 KIND = "an .npz with `markers` (frame, 15, 3), metres, and `names`, the 15 markers' names"
 REMEDY = "write it with numpy.savez(path, markers=..., names=...)"

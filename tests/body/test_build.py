@@ -11,7 +11,8 @@ from bayes_body.body.kinematics import marker_positions
 from bayes_body.body.schema import BodySchema
 from bayes_body.body.solids import Body
 from bayes_body.errors import InputError
-from bayes_body.model.definition import definitions_folder, load_body
+from bayes_body.files.shipped import definitions_folder
+from bayes_body.model.definition import load_body
 
 NAME = "deutscher_31"
 

@@ -16,8 +16,8 @@ from bayes_body.body.kinematics import forward_kinematics, marker_positions
 from bayes_body.body.schema import BodySchema
 from bayes_body.body.skeleton import preset_rotation
 from bayes_body.body.solids import Body
+from bayes_body.files.shipped import definitions_folder
 from bayes_body.geometry import transforms
-from bayes_body.model.definition import definitions_folder
 
 BODIES = ["arm_4", "deutscher_31", "person_31"]
 

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from bayes_body.errors import InputError
-from bayes_body.model import definition
-from bayes_body.model.definition import definition_names, definitions_folder, load_body, load_definition
+from bayes_body.files import shipped
+from bayes_body.files.shipped import definitions_folder
+from bayes_body.model.definition import definition_names, load_body, load_definition
 from bayes_body.registry import names
 
 ROOT = Path(__file__).parents[2]
@@ -119,7 +120,7 @@ def wheel(monkeypatch, tmp_path) -> Path:
     """The package's folder as a wheel installs it: definitions inside."""
     package = tmp_path / "site-packages" / "bayes_body"
     shutil.copytree(ROOT / "models", package / "_models")
-    monkeypatch.setattr(definition, "__file__", str(package / "model" / "definition.py"))
+    monkeypatch.setattr(shipped, "__file__", str(package / "files" / "shipped.py"))
     return package
 
 
@@ -134,7 +135,7 @@ def test_definitions_of_a_wheel_are_found(wheel):
 def test_definitions_of_a_checkout_are_found(monkeypatch, tmp_path):
     (tmp_path / "bayes_body").mkdir()
     (tmp_path / "models").mkdir()
-    monkeypatch.setattr(definition, "__file__", str(tmp_path / "bayes_body" / "model" / "definition.py"))
+    monkeypatch.setattr(shipped, "__file__", str(tmp_path / "bayes_body" / "files" / "shipped.py"))
     assert definitions_folder() == tmp_path / "models"
     assert definition_names() == ()
 

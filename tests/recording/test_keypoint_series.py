@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayes_body.errors import InputError
-from bayes_body.recording import arrays_file
+from bayes_body.files import arrays_file
 from bayes_body.recording.keypoint_layouts import LAYOUTS
 from bayes_body.recording.keypoint_series import KeypointSeries, read_series, write_series
 from bayes_body.recording.keypoint_subject import follow_person

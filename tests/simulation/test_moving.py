@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from simulation.walker import walker
 
+from bayes_body.files.shipped import definitions_folder
 from bayes_body.geometry.camera import project
 from bayes_body.model.build import build_model
-from bayes_body.model.definition import definitions_folder
 from bayes_body.observation.frames import read_frame
 from bayes_body.recording.camera_path import cameras_at
 from bayes_body.recording.check import check_session

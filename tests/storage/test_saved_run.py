@@ -7,8 +7,9 @@ import pytest
 
 from bayes_body.body.space import pose_space
 from bayes_body.errors import InputError
+from bayes_body.files.shipped import definitions_folder
 from bayes_body.model.build import build_model
-from bayes_body.model.definition import definitions_folder, load_definition, parse_definition
+from bayes_body.model.definition import load_definition, parse_definition
 from bayes_body.posterior import markers
 from bayes_body.session.read import load_session
 from bayes_body.storage.names import free_folder

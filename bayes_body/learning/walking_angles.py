@@ -1,0 +1,249 @@
+r"""Learn a walking cycle in joint angles (Sidenbladh, Black & Fleet 2000, 5) from captured walks of several people.
+
+Each walk is retargeted to a body and cut into strides, from one strike of the left heel to the next. A stride is the Fourier series of every joint
+angle, the logarithm of its duration and that of its length (`bayes_body.dynamics.angle_cycle`). The modes are the singular vectors of the centred
+strides, enough to explain 95 % of the variance. Distances between strides are root mean squares of angles over the stride, in radians, and of the two
+logarithms. All strides of one person together have the same weight as those of any other.
+
+Mirrored strides are not used: they explain the walks of other people no better.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from bayes_body.body.branches import TURN, nearest_branch
+from bayes_body.body.build import build_body
+from bayes_body.body.schema import BodySchema
+from bayes_body.body.settled import settled
+from bayes_body.body.skeleton import Topology
+from bayes_body.body.solids import Body
+from bayes_body.dynamics.angle_cycle import AngleCycle
+from bayes_body.errors import input_error
+from bayes_body.learning.gait import GRAVITY, NEEDED, TERMS, heel_strikes, height, is_run, leg_length, points_of, series_of, speed, terms
+from bayes_body.recording.mocap import landmarks, resample
+from bayes_body.recording.mocap.motion import Motion
+from bayes_body.retarget import retarget
+from bayes_body.retarget.fit import filled
+
+EXPLAINED = 0.95
+# Frames a second of the angles. Eight harmonics of the fastest stride (0.6 s) need 27.
+FPS = 60.0
+ROOT = 6
+# For a reconstruction: candidates for a change of phase, cycles, and how often phase and coefficients are fitted in turn.
+NEARBY, ROUNDS = np.linspace(-0.04, 0.04, 17), 6
+
+
+class AngleWalk(NamedTuple):
+    """A captured walk: its name, the person, the joint angles without the root's (radians), its landmarks (metres, z up), frames per second."""
+
+    name: str
+    subject: str
+    angles: Float[np.ndarray, "frame dof"]
+    points: Mapping[str, np.ndarray]
+    fps: float
+
+
+class AngleStride(NamedTuple):
+    """One stride: the person, and its row (Fourier terms of each dof, then the two logarithms of the pace)."""
+
+    subject: str
+    row: Float[np.ndarray, " entry"]
+
+
+@dataclass(frozen=True)
+class LearnedAngles:
+    """A cycle, its number of strides, and the walks that they are from."""
+
+    cycle: AngleCycle
+    strides: int
+    walks: tuple[str, ...]
+
+
+def unusable(name: str, motion: Motion) -> str | None:
+    """Return why strides cannot be learned from a motion, or None. This is known before the motion is retargeted, which takes long."""
+    points = landmarks(motion)
+    if not set(NEEDED) <= set(points_of(points)):
+        return f"{name}: points unknown in some frames: left out"
+    if is_run(points, motion.fps):
+        return f"{name}: {speed(points, motion.fps):.1f} m/s is a run: left out"
+    if len(_strikes(points, motion.fps)) < 2:
+        return f"{name}: no whole stride: left out"
+    return None
+
+
+def angles_of_walk(name: str, subject: str, motion: Motion, body: str, schema: BodySchema) -> AngleWalk:
+    """Retarget a captured walk to a body. Angles that its points leave open are those nearest to rest.
+
+    Raises:
+        InputError: the motion lacks points of the body, or the body's first joint has not six dofs.
+    """
+    start = build_body(body, schema)
+    if len(start.skeleton.topology.motions[0]) != ROOT:
+        found = f"{len(start.skeleton.topology.motions[0])} dofs of its first joint"
+        raise input_error(f"body '{body}'", found, "6: position and orientation in the world", "name another body")
+    motion = resample(motion, FPS)
+    found = retarget(start, motion, schema=schema)
+    return AngleWalk(name, subject, _settled(found.body, found.angles)[:, ROOT:], landmarks(motion), FPS)
+
+
+def _settled(body: Body, angles: Float[np.ndarray, "frame dof"]) -> Float[np.ndarray, "frame dof"]:
+    # Padded, so that walks of similar length share a compiled program.
+    frames = jnp.asarray(filled(angles, 0.0), body.lengths.dtype)
+    return np.asarray(_all_settled(body, frames), float)[: len(angles)]
+
+
+@jax.jit
+def _all_settled(body: Body, frames: Float[Array, "frame dof"]) -> Float[Array, "frame dof"]:
+    return jax.lax.map(lambda pose: settled(body, pose), frames, batch_size=60)
+
+
+def learn_angles(walks: Sequence[AngleWalk], body: str, schema: BodySchema) -> LearnedAngles:
+    """Learn the cycle from walks of one or more people.
+
+    Raises:
+        InputError: fewer than two strides.
+    """
+    skeleton = build_body(body, schema).skeleton
+    limits = tuple(np.asarray(side, float)[ROOT:] for side in (skeleton.low, skeleton.high))
+    walks = _alike(walks, skeleton.topology, *limits)
+    strides = [AngleStride(walk.subject, row) for walk in walks for row in _rows(walk)]
+    if len(strides) < 2:
+        raise input_error("the walks", f"{len(strides)} strides", "at least 2 whole strides", "give straight walks of at least two steps each")
+    rows, weights = np.stack([stride.row for stride in strides]), _weights([stride.subject for stride in strides])
+    mean, modes, shares = _components(rows, weights)
+    count = int(np.searchsorted(shares, EXPLAINED)) + 1
+    names = skeleton.topology.dof_names[ROOT:]
+    shape = (TERMS, len(names))
+    cycle = AngleCycle(
+        body,
+        names,
+        mean[:-2].reshape(shape),
+        modes[:count, :-2].reshape(count, *shape),
+        mean[-2:],
+        modes[:count, -2:],
+        _left_for_others(strides, count, shape),
+        float(shares[count - 1]),
+    )
+    return LearnedAngles(cycle, len(strides), tuple(walk.name for walk in walks))
+
+
+def aligned(walk: AngleWalk, cycle: AngleCycle, topology: Topology) -> AngleWalk:
+    """Return the walk with the solutions and turns of its angles that are nearest to the cycle's."""
+    return walk._replace(angles=_near(topology, walk.angles, cycle.mean[0]))
+
+
+def _near(topology: Topology, angles: Float[np.ndarray, "frame dof"], reference: Float[np.ndarray, " dof"]) -> np.ndarray:
+    root = np.zeros(ROOT)
+    whole = np.concatenate([np.zeros((len(angles), ROOT)), angles], axis=1)
+    branch = nearest_branch(topology, jnp.asarray(whole.mean(axis=0)), jnp.asarray(np.concatenate([root, reference])))
+    return np.asarray(branch.sign * whole + np.asarray(branch.offset), float)[:, ROOT:]
+
+
+def _alike(walks: Sequence[AngleWalk], topology: Topology, low: np.ndarray, high: np.ndarray) -> list[AngleWalk]:
+    """Return the walks with the solutions and turns of the first, then with full turns common to all that bring them to the middle of the limits."""
+    near = [_near(topology, walk.angles, walks[0].angles.mean(axis=0)) for walk in walks]
+    extremes = np.min([each.min(axis=0) for each in near], axis=0) + np.max([each.max(axis=0) for each in near], axis=0)
+    middle = np.where(np.isfinite(low + high), (low + high) / 2, 0.0)
+    turns = TURN * np.round((extremes / 2 - middle) / TURN)
+    return [walk._replace(angles=each - turns) for walk, each in zip(walks, near, strict=True)]
+
+
+def _strikes(points: Mapping[str, np.ndarray], fps: float, side: str = "l") -> Int[np.ndarray, " strike"]:
+    return heel_strikes(points, fps, height(points, points_of(points)), side)
+
+
+def _rows(walk: AngleWalk) -> list[Float[np.ndarray, " entry"]]:
+    leg, pelvis = leg_length(walk.points), walk.points["pelvis"][:, :2]
+    rows = []
+    for first, last in pairwise(_strikes(walk.points, walk.fps).tolist()):
+        duration = (last - first) / walk.fps / np.sqrt(leg / GRAVITY)
+        length = np.linalg.norm(pelvis[last] - pelvis[first]) / leg
+        rows.append(np.concatenate([series_of(walk.angles[first : last + 1]).ravel(), np.log([duration, length])]))
+    return rows
+
+
+def _weights(subjects: Sequence[str]) -> Float[np.ndarray, " stride"]:
+    """Return weights that sum to 1, with an equal sum for each person."""
+    counts = np.array([subjects.count(subject) for subject in subjects])
+    return 1 / (counts * len(set(subjects)))
+
+
+def _components(rows: Float[np.ndarray, "stride entry"], weights: Float[np.ndarray, " stride"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the mean row, the modes (for one standard deviation), and the share of the variance that the first modes explain."""
+    # The mean square of a harmonic over a cycle is half that of its amplitude.
+    dofs = (rows.shape[1] - 2) // TERMS
+    metric = np.concatenate([np.repeat(np.where(np.arange(TERMS) == 0, 1.0, np.sqrt(0.5)), dofs), [1.0, 1.0]])
+    mean = weights @ rows
+    _, sizes, directions = np.linalg.svd(np.sqrt(weights)[:, None] * (rows - mean) * metric, full_matrices=False)
+    # A mode and its negative are equivalent: choose the one that lengthens the stride.
+    signs = np.where(directions[:, -1] < 0, -1.0, 1.0)
+    return mean, (signs * sizes)[:, None] * directions / metric, np.cumsum(sizes**2) / max(float((sizes**2).sum()), 1e-12)
+
+
+def _left_for_others(strides: Sequence[AngleStride], count: int, shape: tuple[int, int]) -> Float[np.ndarray, " dof"]:
+    """Return the root mean square of each dof that `count` modes of the other people leave of a person's strides; with one person, of their own."""
+    people = sorted({stride.subject for stride in strides})
+    squares = []
+    for person in people:
+        own = [stride for stride in strides if stride.subject == person]
+        others = [stride for stride in strides if stride.subject != person] or own
+        mean, modes, _ = _components(np.stack([s.row for s in others]), _weights([s.subject for s in others]))
+        T = terms(np.linspace(0, 1, 100, endpoint=False))
+        basis = np.stack([(T @ mode[:-2].reshape(shape)).ravel() for mode in modes[:count]], axis=1)
+        rest = np.stack([(T @ (stride.row - mean)[:-2].reshape(shape)).ravel() for stride in own], axis=1)
+        # A coefficient of an unlikely size is no explanation: ridge regression with the variance that a typical residual has.
+        left = rest - basis @ np.linalg.solve(basis.T @ basis + np.eye(len(basis.T)) * rest.var(), basis.T @ rest)
+        squares.append((left.reshape(len(T), shape[1], -1) ** 2).mean(axis=(0, 2)))
+    return np.sqrt(np.mean(squares, axis=0))
+
+
+class Reconstruction(NamedTuple):
+    """A walk by a cycle: the root mean square over all joint angles and frames, degrees; coefficients; the phase of each frame, cycles."""
+
+    error_deg: float
+    coefficients: Float[np.ndarray, " mode"]
+    phase: Float[np.ndarray, " frame"]
+
+
+def reconstruct(cycle: AngleCycle, walk: AngleWalk, components: int) -> Reconstruction:
+    """Fit a walk by the first modes of a cycle: least squares of coefficients that all frames share, and of the phase of each frame.
+
+    Args:
+        cycle: the walking cycle.
+        walk: the walk, `aligned` with the cycle.
+        components: number of modes.
+    """
+    modes, phase = cycle.modes[:components], _phase(walk)
+    coefficients, own = np.zeros(len(modes)), cycle.mean
+    for _ in range(ROUNDS):
+        T = terms(phase)
+        coefficients = np.linalg.lstsq(np.stack([(T @ mode).ravel() for mode in modes], axis=1), (walk.angles - T @ cycle.mean).ravel(), rcond=None)[
+            0
+        ]
+        own = cycle.mean + np.tensordot(coefficients, modes, 1)
+        candidates = phase[:, None] + NEARBY
+        poses = (terms(candidates.ravel()) @ own).reshape(*candidates.shape, -1)
+        nearest = ((poses - walk.angles[:, None]) ** 2).sum(axis=-1).argmin(axis=1)
+        phase = candidates[np.arange(len(phase)), nearest]
+    error = np.sqrt(np.mean((walk.angles - terms(phase) @ own) ** 2))
+    return Reconstruction(float(np.degrees(error)), coefficients, phase)
+
+
+def _phase(walk: AngleWalk) -> Float[np.ndarray, " frame"]:
+    """Return a first guess of the phase: half a cycle from each heel strike to the other heel's, and at the same rate before and after."""
+    frames = [(int(frame), shift) for side, shift in (("l", 0.0), ("r", 0.5)) for frame in _strikes(walk.points, walk.fps, side)]
+    if len(frames) < 2:
+        raise input_error(walk.name, f"{len(frames)} heel strikes", "at least 2", "give a walk of two steps or more")
+    strikes = np.array(sorted(frames))
+    phase = strikes[0, 1] + 0.5 * np.arange(len(strikes))
+    rate = (phase[-1] - phase[0]) / (strikes[-1, 0] - strikes[0, 0])
+    at = np.arange(len(walk.angles))
+    inside = np.interp(at, strikes[:, 0], phase)
+    return inside + rate * (np.minimum(at - strikes[0, 0], 0) + np.maximum(at - strikes[-1, 0], 0))
