@@ -43,6 +43,8 @@ LEG = ("l_hip", "l_knee", "l_ankle")
 PHASES = 128
 # No residual is more certain than this. The twist of the head, for one, is 0 in all learned walks, because no marker shows it.
 LEAST_RESIDUAL = math.radians(1.0)
+# Standard deviation of the error of a first pose, whose angles are fitted to a few points.
+FIRST_SD = math.radians(10.0)
 
 
 class Options(Schema):
@@ -119,18 +121,19 @@ def _normal(centre: Array, sd: Array) -> Distribution:
 
 
 def _begin(walk: _Walk, body: Body, first: State) -> dict[str, Array]:
-    """Return the state whose pose is nearest to a first pose: ridge regression of the coefficients at each of many phases."""
-    pose = settled(body, jnp.asarray(first["pose"], walk.mean.dtype))
-    reference = jnp.concatenate([pose[: len(ROOT)], walk.mean[0]])
-    joints = nearest_branch(body.skeleton.topology, pose, reference)(pose)[len(ROOT) :]
+    """Return the most likely state given a first pose with errors: ridge regression of the coefficients at each of many phases."""
+    given = jnp.asarray(first["pose"], walk.mean.dtype)
+    branch = nearest_branch(body.skeleton.topology, given, jnp.concatenate([given[: len(ROOT)], walk.mean[0]]))
+    pose = settled(body, branch(given))
+    variance = walk.residual**2 + FIRST_SD**2
 
     def at(phase: Scalar) -> tuple[Scalar, Array, Array]:
         T = _terms(phase, len(walk.mean))
-        away = joints - T @ walk.mean
-        A = (jnp.tensordot(walk.modes, T, ((1,), (0,))) / walk.residual).T
-        coefficients = jnp.linalg.solve(A.T @ A + jnp.eye(A.shape[1], dtype=A.dtype), A.T @ (away / walk.residual))
-        left = away - walk.residual * (A @ coefficients)
-        return jnp.sum((left / walk.residual) ** 2) + jnp.sum(coefficients**2), coefficients, left
+        away = pose[len(ROOT) :] - T @ walk.mean
+        basis = jnp.tensordot(walk.modes, T, ((1,), (0,)))
+        coefficients = jnp.linalg.solve((basis / variance) @ basis.T + jnp.eye(len(basis), dtype=basis.dtype), (basis / variance) @ away)
+        left = away - coefficients @ basis
+        return jnp.sum(left**2 / variance) + jnp.sum(coefficients**2), coefficients, left * walk.residual**2 / variance
 
     phases = jnp.arange(PHASES, dtype=walk.mean.dtype) / PHASES
     costs, coefficients, left = jax.vmap(at)(phases)

@@ -36,8 +36,6 @@ EXPLAINED = 0.95
 # Frames a second of the angles. Eight harmonics of the fastest stride (0.6 s) need 27.
 FPS = 60.0
 ROOT = 6
-# For a reconstruction: candidates for a change of phase, cycles, and how often phase and coefficients are fitted in turn.
-NEARBY, ROUNDS = np.linspace(-0.04, 0.04, 17), 6
 
 
 class AngleWalk(NamedTuple):
@@ -73,7 +71,7 @@ def unusable(name: str, motion: Motion) -> str | None:
         return f"{name}: points unknown in some frames: left out"
     if is_run(points, motion.fps):
         return f"{name}: {speed(points, motion.fps):.1f} m/s is a run: left out"
-    if len(_strikes(points, motion.fps)) < 2:
+    if len(strikes_of(points, motion.fps)) < 2:
         return f"{name}: no whole stride: left out"
     return None
 
@@ -134,12 +132,8 @@ def learn_angles(walks: Sequence[AngleWalk], body: str, schema: BodySchema) -> L
     return LearnedAngles(cycle, len(strides), tuple(walk.name for walk in walks))
 
 
-def aligned(walk: AngleWalk, cycle: AngleCycle, topology: Topology) -> AngleWalk:
-    """Return the walk with the solutions and turns of its angles that are nearest to the cycle's."""
-    return walk._replace(angles=_near(topology, walk.angles, cycle.mean[0]))
-
-
-def _near(topology: Topology, angles: Float[np.ndarray, "frame dof"], reference: Float[np.ndarray, " dof"]) -> np.ndarray:
+def near_reference(topology: Topology, angles: Float[np.ndarray, "frame dof"], reference: Float[np.ndarray, " dof"]) -> np.ndarray:
+    """Return the angles of a walk (without the root's) by the solutions and turns that are nearest to a reference."""
     root = np.zeros(ROOT)
     whole = np.concatenate([np.zeros((len(angles), ROOT)), angles], axis=1)
     branch = nearest_branch(topology, jnp.asarray(whole.mean(axis=0)), jnp.asarray(np.concatenate([root, reference])))
@@ -148,21 +142,22 @@ def _near(topology: Topology, angles: Float[np.ndarray, "frame dof"], reference:
 
 def _alike(walks: Sequence[AngleWalk], topology: Topology, low: np.ndarray, high: np.ndarray) -> list[AngleWalk]:
     """Return the walks with the solutions and turns of the first, then with full turns common to all that bring them to the middle of the limits."""
-    near = [_near(topology, walk.angles, walks[0].angles.mean(axis=0)) for walk in walks]
+    near = [near_reference(topology, walk.angles, walks[0].angles.mean(axis=0)) for walk in walks]
     extremes = np.min([each.min(axis=0) for each in near], axis=0) + np.max([each.max(axis=0) for each in near], axis=0)
     middle = np.where(np.isfinite(low + high), (low + high) / 2, 0.0)
     turns = TURN * np.round((extremes / 2 - middle) / TURN)
     return [walk._replace(angles=each - turns) for walk, each in zip(walks, near, strict=True)]
 
 
-def _strikes(points: Mapping[str, np.ndarray], fps: float, side: str = "l") -> Int[np.ndarray, " strike"]:
+def strikes_of(points: Mapping[str, np.ndarray], fps: float, side: str = "l") -> Int[np.ndarray, " strike"]:
+    """Return the frames in which the heel of one side strikes the floor."""
     return heel_strikes(points, fps, height(points, points_of(points)), side)
 
 
 def _rows(walk: AngleWalk) -> list[Float[np.ndarray, " entry"]]:
     leg, pelvis = leg_length(walk.points), walk.points["pelvis"][:, :2]
     rows = []
-    for first, last in pairwise(_strikes(walk.points, walk.fps).tolist()):
+    for first, last in pairwise(strikes_of(walk.points, walk.fps).tolist()):
         duration = (last - first) / walk.fps / np.sqrt(leg / GRAVITY)
         length = np.linalg.norm(pelvis[last] - pelvis[first]) / leg
         rows.append(np.concatenate([series_of(walk.angles[first : last + 1]).ravel(), np.log([duration, length])]))
@@ -202,48 +197,3 @@ def _left_for_others(strides: Sequence[AngleStride], count: int, shape: tuple[in
         left = rest - basis @ np.linalg.solve(basis.T @ basis + np.eye(len(basis.T)) * rest.var(), basis.T @ rest)
         squares.append((left.reshape(len(T), shape[1], -1) ** 2).mean(axis=(0, 2)))
     return np.sqrt(np.mean(squares, axis=0))
-
-
-class Reconstruction(NamedTuple):
-    """A walk by a cycle: the root mean square over all joint angles and frames, degrees; coefficients; the phase of each frame, cycles."""
-
-    error_deg: float
-    coefficients: Float[np.ndarray, " mode"]
-    phase: Float[np.ndarray, " frame"]
-
-
-def reconstruct(cycle: AngleCycle, walk: AngleWalk, components: int) -> Reconstruction:
-    """Fit a walk by the first modes of a cycle: least squares of coefficients that all frames share, and of the phase of each frame.
-
-    Args:
-        cycle: the walking cycle.
-        walk: the walk, `aligned` with the cycle.
-        components: number of modes.
-    """
-    modes, phase = cycle.modes[:components], _phase(walk)
-    coefficients, own = np.zeros(len(modes)), cycle.mean
-    for _ in range(ROUNDS):
-        T = terms(phase)
-        coefficients = np.linalg.lstsq(np.stack([(T @ mode).ravel() for mode in modes], axis=1), (walk.angles - T @ cycle.mean).ravel(), rcond=None)[
-            0
-        ]
-        own = cycle.mean + np.tensordot(coefficients, modes, 1)
-        candidates = phase[:, None] + NEARBY
-        poses = (terms(candidates.ravel()) @ own).reshape(*candidates.shape, -1)
-        nearest = ((poses - walk.angles[:, None]) ** 2).sum(axis=-1).argmin(axis=1)
-        phase = candidates[np.arange(len(phase)), nearest]
-    error = np.sqrt(np.mean((walk.angles - terms(phase) @ own) ** 2))
-    return Reconstruction(float(np.degrees(error)), coefficients, phase)
-
-
-def _phase(walk: AngleWalk) -> Float[np.ndarray, " frame"]:
-    """Return a first guess of the phase: half a cycle from each heel strike to the other heel's, and at the same rate before and after."""
-    frames = [(int(frame), shift) for side, shift in (("l", 0.0), ("r", 0.5)) for frame in _strikes(walk.points, walk.fps, side)]
-    if len(frames) < 2:
-        raise input_error(walk.name, f"{len(frames)} heel strikes", "at least 2", "give a walk of two steps or more")
-    strikes = np.array(sorted(frames))
-    phase = strikes[0, 1] + 0.5 * np.arange(len(strikes))
-    rate = (phase[-1] - phase[0]) / (strikes[-1, 0] - strikes[0, 0])
-    at = np.arange(len(walk.angles))
-    inside = np.interp(at, strikes[:, 0], phase)
-    return inside + rate * (np.minimum(at - strikes[0, 0], 0) + np.maximum(at - strikes[-1, 0], 0))

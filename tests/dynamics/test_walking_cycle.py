@@ -1,0 +1,232 @@
+"""The walking prior: its pose is mean and modes at a phase, its noise is normal, and it says which body it needs."""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_body.body.build import Shape, build_body
+from bayes_body.body.kinematics import marker_positions
+from bayes_body.density.coordinates import coordinates_of
+from bayes_body.dynamics.angle_cycle import load_angle_cycle, save_angle_cycle
+from bayes_body.dynamics.walking_cycle import Options, build
+from bayes_body.errors import InputError
+from bayes_body.model.definition import load_body, load_definition
+
+FPS = 60.0
+
+
+@pytest.fixture(autouse=True)
+def double_precision():
+    with jax.enable_x64(True):
+        yield
+
+
+@pytest.fixture(scope="module")
+def cycle():
+    return load_angle_cycle()
+
+
+def _body(height=1.75, name="person_31"):
+    return build_body(name, load_body(name), Shape(height))
+
+
+def _prior(height=1.75, fps=FPS, **options):
+    return build(Options(**options), _body(height), fps)
+
+
+def _state(prior, cycle, seed=0, **changes):
+    rng = np.random.default_rng(seed)
+    sampled = {
+        "coefficients": rng.normal(size=len(cycle.modes)),
+        "phase": rng.uniform(size=1),
+        "position": np.array([0.3, -0.2, 0.9]),
+        "orientation": np.array([0.4, 0.05, -0.03]),
+        "residual": 0.05 * rng.normal(size=len(cycle.names)),
+    }
+    state = {name: jnp.asarray(value) for name, value in (sampled | changes).items()}
+    return {name: state[name] for name in prior.perturbation(state, jnp.asarray(1.0))}
+
+
+def _series(terms, phase):
+    """The Fourier series, written out."""
+    harmonics = (len(terms) - 1) // 2
+    value = terms[0].copy()
+    for k in range(1, harmonics + 1):
+        value += terms[k] * math.cos(2 * math.pi * k * phase) + terms[harmonics + k] * math.sin(2 * math.pi * k * phase)
+    return value
+
+
+@pytest.mark.parametrize("residual", [True, False])
+def test_the_pose_is_mean_and_modes_at_the_phase(cycle, residual):
+    prior = _prior(residual=residual)
+    state = _state(prior, cycle)
+    expected = _series(cycle.mean, float(state["phase"][0]))
+    for c, mode in zip(np.asarray(state["coefficients"]), cycle.modes, strict=True):
+        expected = expected + c * _series(mode, float(state["phase"][0]))
+    expected = expected + np.asarray(state.get("residual", 0.0))
+    pose = np.asarray(prior.derive(state)["pose"])
+    assert ("residual" in state) == residual
+    assert np.allclose(pose[:3], state["position"]) and np.allclose(pose[3:6], state["orientation"])
+    assert np.allclose(pose[6:], expected, atol=1e-5)
+
+
+def test_a_whole_cycle_later_the_pose_is_the_same(cycle):
+    prior = _prior()
+    state = _state(prior, cycle)
+    later = state | {"phase": state["phase"] + 3}
+    assert np.allclose(prior.derive(state)["pose"], prior.derive(later)["pose"], atol=1e-9)
+    half = state | {"phase": state["phase"] + 0.5}
+    assert np.abs(prior.derive(state)["pose"] - prior.derive(half)["pose"]).max() > 0.3
+
+
+def test_no_pose_leaves_the_limits(cycle):
+    prior, body = _prior(), _body()
+    pose = prior.derive(_state(prior, cycle, coefficients=np.full(len(cycle.modes), 30.0)))["pose"]
+    assert bool(jnp.all((pose >= body.skeleton.low) & (pose <= body.skeleton.high)))
+    assert bool(jnp.any(pose == body.skeleton.low)) or bool(jnp.any(pose == body.skeleton.high))
+
+
+def test_the_mean_walk_is_a_walk(cycle):
+    """The left knee bends by 50 to 75 degrees, feet are under the body, left and right alternate, and a standing person's speed is that of people."""
+    prior, body = _prior(), _body()
+    rest = _state(prior, cycle, coefficients=np.zeros(len(cycle.modes)), residual=np.zeros(len(cycle.names)), orientation=np.zeros(3))
+    phases = jnp.linspace(0, 1, 50, endpoint=False)
+    poses = jax.vmap(lambda phase: prior.derive(rest | {"phase": phase[None]})["pose"])(phases)
+    names = list(body.dof_names)
+    bend, swing = (np.degrees(np.ptp(np.asarray(poses[:, names.index(name)]))) for name in ("l_knee", "l_hip_y"))
+    assert 50 < bend < 75 and 30 < swing < 60
+    places = np.asarray(jax.vmap(lambda pose: marker_positions(body.skeleton, body.markers, pose))(poses))
+    left, right = (places[:, body.markers.names.index(f"{side}_ankle"), 0] for side in "lr")
+    # At phase 0 the left heel strikes, in front of the body; half a cycle later the right one does.
+    assert left[0] - right[0] > 0.4 and right[25] - left[25] > 0.4
+    moved = prior.conditional(rest)
+    speed, rate = ((moved[name].mean - rest[name])[0] * FPS for name in ("position", "phase"))
+    assert 1.0 < float(speed) < 1.7 and 0.7 < float(rate) < 1.1
+
+
+def test_a_longer_leg_has_slower_and_longer_strides(cycle):
+    priors = [_prior(height) for height in (1.5, 1.5 * 1.44)]
+    rate, speed = np.array(
+        [
+            [float((prior.conditional(state)[name].mean - state[name])[0]) for name in ("phase", "position")]
+            for prior in priors
+            for state in [_state(prior, cycle, orientation=np.zeros(3))]
+        ]
+    ).T
+    assert rate[0] / rate[1] == pytest.approx(1.2, rel=1e-5)
+    assert speed[1] / speed[0] == pytest.approx(1.2, rel=1e-5)
+
+
+def test_the_step_goes_where_the_body_faces(cycle):
+    prior = _prior()
+    state = _state(prior, cycle, orientation=np.array([2.0, 0.0, 0.0]))
+    step = np.asarray(prior.conditional(state)["position"].mean - state["position"])
+    assert math.atan2(step[1], step[0]) == pytest.approx(2.0) and step[2] == 0
+
+
+def test_the_printed_form_does_not_drift(cycle):
+    printed = _prior(drift=False, stationary=False, residual=False)
+    state = _state(printed, cycle)
+    centres = {name: each.mean for name, each in printed.conditional(state).items()}
+    assert np.array_equal(centres["phase"], state["phase"]) and np.array_equal(centres["coefficients"], state["coefficients"])
+
+
+@pytest.mark.parametrize("fps", [30.0, 60.0, 120.0])
+def test_the_noise_of_a_second_is_the_same_at_every_rate(cycle, fps):
+    """Variances after one second, by the recursion of each variable; coefficients tend to standard normal."""
+    prior = _prior(fps=fps)
+    noise = {name: float(np.asarray(each.variance)[0]) for name, each in prior.conditional(_state(prior, cycle)).items()}
+    assert noise["phase"] * fps == pytest.approx(60 * 0.006**2)
+    assert noise["position"] * fps == pytest.approx(60 * 0.008**2)
+    kept = 1 - noise["coefficients"]
+    assert kept**fps == pytest.approx((1 - 0.1**2) ** 60, rel=1e-4)
+    spread = cycle.residual[0] ** 2
+    assert (1 - noise["residual"] / spread) ** fps == pytest.approx(math.exp(-2 / 0.5), rel=1e-4)
+
+
+def test_log_density_is_that_of_its_draws(cycle):
+    """The mean of -log p over draws is the entropy of the normal distributions, which needs the right normalisers."""
+    prior = _prior()
+    state = _state(prior, cycle)
+    draws = jax.vmap(lambda key: prior.sample(key, state))(jax.random.split(jax.random.key(3), 4000))
+    values = -np.asarray(jax.vmap(prior.log_density, (0, None))(draws, state))
+    variances = np.concatenate([np.ravel(each.variance) for each in prior.conditional(state).values()])
+    entropy = 0.5 * np.sum(np.log(2 * np.pi * np.e * variances))
+    assert abs(values.mean() - entropy) < 4 * values.std() / np.sqrt(len(values))
+    assert np.allclose(draws["pose"], jax.vmap(prior.derive)(draws)["pose"])
+
+
+def test_gradients_reach_every_sampled_variable(cycle):
+    prior, body = _prior(), _body()
+    state = _state(prior, cycle)
+    coordinates = coordinates_of(prior.conditional(state))
+    position = coordinates.unconstrain(state)
+
+    def height_of_wrist(position):
+        pose = prior.with_derived(coordinates.constrain(position))["pose"]
+        return jnp.sum(marker_positions(body.skeleton, body.markers, pose)[body.markers.names.index("l_wrist")])
+
+    gradient = jax.grad(height_of_wrist)(position)
+    step = 1e-6
+    for name, values in gradient.items():
+        assert np.abs(values).max() > 0
+        at = int(np.abs(values).argmax())
+        plus, minus = (position | {name: position[name].at[at].add(sign * step)} for sign in (1, -1))
+        assert float(values[at]) == pytest.approx(float(height_of_wrist(plus) - height_of_wrist(minus)) / (2 * step), rel=1e-5)
+
+
+@pytest.mark.parametrize("phase", [0.1, 0.4, 0.8])
+def test_the_first_state_is_near_the_first_pose(cycle, phase):
+    """A pose of the mean cycle is found again, also by the second solution of a shoulder; of an odd pose, coefficients take what is likely."""
+    prior, body = _prior(), _body()
+    zeros = {"coefficients": np.zeros(len(cycle.modes)), "residual": np.zeros(len(cycle.names))}
+    state = _state(prior, cycle, phase=np.array([phase]), **zeros)
+    pose = prior.derive(state)["pose"]
+    at = np.array([body.dof_names.index(f"l_shoulder_{axis}") for axis in "yxz"])
+    other = pose.at[at].set(jnp.array([1.0, -1.0, 1.0]) * pose[at] + np.pi)
+    markers = np.asarray(marker_positions(body.skeleton, body.markers, pose))
+    for first in (pose, other):
+        begun = prior.begin({"pose": first})
+        assert abs(float(begun["phase"][0]) - phase) < 0.02
+        assert np.abs(marker_positions(body.skeleton, body.markers, begun["pose"]) - markers).max() < 0.02
+    odd = pose + jnp.asarray(0.3 * np.random.default_rng(1).normal(size=pose.shape)).at[:6].set(0.0)
+    begun = prior.begin({"pose": odd})
+    assert np.abs(begun["coefficients"]).max() < 3
+
+
+def test_another_body_is_a_sentence(tmp_path, cycle):
+    for name in ("poon_fleet_23", "arm_4"):
+        with pytest.raises(InputError, match=f"the first joint of the body '{name}' is"):
+            build(Options(), _body(name=name), FPS)
+    mine = tmp_path / "mine.npz"
+    save_angle_cycle(dataclasses.replace(cycle, body="mine", names=("x", *cycle.names[1:])), mine)
+    with pytest.raises(InputError, match="learned on the body 'mine', and the model's body 'person_31' has other dofs"):
+        build(Options(cycle=str(mine)), _body(), FPS)
+
+
+def test_the_model_that_ships_uses_it():
+    definition = load_definition("walker")
+    assert definition.dynamics.kind == "walking_cycle" and definition.kernel.kind == "tempered"
+    # What the file says is what the options are without it.
+    assert definition.dynamics.options == Options()
+
+
+@pytest.mark.parametrize("change", [{"residual": np.zeros(3)}, {"mean": np.zeros((4, 25))}, {"modes": np.zeros((0, 17, 25))}])
+def test_a_malformed_cycle_is_a_sentence(tmp_path, cycle, change):
+    path = tmp_path / "cycle.npz"
+    save_angle_cycle(cycle, path)
+    assert np.allclose(load_angle_cycle(path).mean, cycle.mean)
+    with np.load(path) as file:
+        arrays = dict(file)
+    np.savez(path, **arrays | change)
+    with pytest.raises(InputError, match="learn walking-angles"):
+        load_angle_cycle(path)
+    path.write_bytes(b"PK\x03\x04")
+    with pytest.raises(InputError, match="a walking cycle in joint angles"):
+        load_angle_cycle(path)
+    with pytest.raises(InputError, match="no such file"):
+        load_angle_cycle(tmp_path / "none.npz")
