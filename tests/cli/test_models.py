@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from bayes_body.model import definition
+from bayes_body.files import shipped
 
 MODELS = Path(__file__).parents[2] / "models"
 
@@ -21,7 +21,7 @@ def test_the_list_names_every_definition(cli):
 def test_definitions_inside_the_package_are_found_first(cli, monkeypatch, tmp_path):
     shutil.copytree(MODELS, tmp_path / "bayes_body" / "_models")
     (tmp_path / "bayes_body" / "_models" / "deutscher_apf.toml").unlink()
-    monkeypatch.setattr(definition, "__file__", str(tmp_path / "bayes_body" / "model" / "definition.py"))
+    monkeypatch.setattr(shipped, "__file__", str(tmp_path / "bayes_body" / "files" / "shipped.py"))
     outcome = cli("models")
     assert str(tmp_path / "bayes_body" / "_models") in outcome.out.replace("\n", "")
     assert "deutscher_apf" not in outcome.out
