@@ -26,9 +26,12 @@ from numpyro.distributions import Distribution, Normal
 
 from bayes_body.body.branches import nearest_branch
 from bayes_body.body.kinematics import marker_positions
+from bayes_body.body.placement import POSE, require
 from bayes_body.body.settled import settled
 from bayes_body.body.solids import Body
+from bayes_body.body.space import pose_space
 from bayes_body.density.factor import State, Transition
+from bayes_body.density.spaces import Space, circle, euclidean
 from bayes_body.dynamics.angle_cycle import NAME, AngleCycle, load_angle_cycle
 from bayes_body.errors import input_error
 from bayes_body.registry import register
@@ -149,14 +152,33 @@ def build(options: Options, body: Body, fps: float, **_: Any) -> Transition:
     """Build the prior for one body and frame rate. It ignores the session's standard deviations of changes between frames, which are not its noise.
 
     Raises:
-        InputError: the cycle cannot be read or is of another body, or the body's first joint does not place it in the world.
+        InputError: the cycle cannot be read or is of another body, the body is not placed by angles, or its first joint does not place it.
     """
+    require(body, POSE, "dynamics 'walking_cycle'", 'kind = "rigid_walk"')
     cycle = load_angle_cycle(options.cycle)
     _check(cycle, body)
     walk = _arrays(options, cycle, body, fps)
     partial = jax.tree_util.Partial
     return Transition(
-        "walking_cycle", partial(_conditional, walk), partial(_perturbation, walk), begin=partial(_begin, walk, body), derive=partial(_derive, walk)
+        "walking_cycle",
+        partial(_conditional, walk),
+        partial(_perturbation, walk),
+        begin=partial(_begin, walk, body),
+        derive=partial(_derive, walk),
+        spaces=_spaces(cycle, body),
+    )
+
+
+def _spaces(cycle: AngleCycle, body: Body) -> tuple[tuple[str, Space], ...]:
+    names, modes = body.dof_names, tuple(f"mode_{k + 1}" for k in range(len(cycle.modes)))
+    return (
+        (POSE, pose_space(body)),
+        ("coefficients", euclidean(modes, ("sd",) * len(modes), "mode")),
+        # Cycles are counted, so that the phase is no angle.
+        ("phase", euclidean(("phase",), ("cycles",), "phase_entry")),
+        ("position", euclidean(names[:3], ("m",) * 3, "shift")),
+        ("orientation", circle(names[3 : len(ROOT)], "turn")),
+        ("residual", euclidean(tuple(f"residual_{name}" for name in cycle.names), ("rad",) * len(cycle.names), "joint_dof")),
     )
 
 
