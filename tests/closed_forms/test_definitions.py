@@ -107,7 +107,9 @@ def _own(distribution, pose, k):
 
 
 def test_particles_of_the_transition_stay_inside_the_limits(model):
-    states = jax.jit(jax.vmap(lambda key: model.transition.sample(key, model.initial)))(jax.random.split(jax.random.key(1), 500))
+    # Outside the traced functions: it is computed once and kept.
+    initial = model.initial
+    states = jax.jit(jax.vmap(lambda key: model.transition.sample(key, initial)))(jax.random.split(jax.random.key(1), 500))
     skeleton = model.body.skeleton
     assert (states["pose"] >= skeleton.low).all() and (states["pose"] <= skeleton.high).all()
-    assert np.isfinite(jax.jit(jax.vmap(lambda s: model.transition.log_density(s, model.initial)))(states)).all()
+    assert np.isfinite(jax.jit(jax.vmap(lambda s: model.transition.log_density(s, initial)))(states)).all()
