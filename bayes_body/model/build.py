@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -74,14 +73,14 @@ class Model:
 
     def beginning_at(self, pose: Pose) -> "Model":
         """Return the same model with another first pose."""
-        return replace(self, first=self.first._replace(pose=jnp.asarray(pose, self.body.lengths.dtype)))
+        return replace(self, first=self.first.around(jnp.asarray(pose, self.body.lengths.dtype)))
 
     @property
     def first_pose(self) -> Pose:
         """The most likely joint angles before the first frame, radians and metres."""
         return self.first.pose
 
-    @cached_property
+    @property
     def initial(self) -> State:
         """The state of the most likely first pose."""
         return self.first.mode

@@ -28,6 +28,7 @@ class First(NamedTuple):
         low: limits of each dof, or -∞.
         high: limits of each dof, or ∞.
         transition: the motion prior, whose `begin` makes a state of a pose.
+        mode: the state of the most likely pose.
     """
 
     pose: Pose
@@ -35,16 +36,16 @@ class First(NamedTuple):
     low: Pose
     high: Pose
     transition: Transition
+    mode: State
 
     @property
     def is_point(self) -> bool:
         """Whether the first pose is certain."""
         return not bool(np.asarray(self.sd > 0).any())
 
-    @property
-    def mode(self) -> State:
-        """The state of the most likely pose."""
-        return self.transition.begin({"pose": self.pose})
+    def around(self, pose: Pose) -> "First":
+        """Return the distribution around another pose."""
+        return self._replace(pose=pose, mode=self.transition.begin({"pose": pose}))
 
     def sample(self, key: Key) -> State:
         """Draw a state."""
@@ -68,4 +69,4 @@ def first_of(table: FirstTable, body: Body, pose: Pose, transition: Transition) 
     topology = body.skeleton.topology
     known = known_deviations(table.sd_deg, table.sd_m, topology, "first.")
     sd = jnp.asarray([known.get(name, 0.0) for name in topology.dof_names], body.lengths.dtype)
-    return First(pose, sd, body.skeleton.low, body.skeleton.high, transition)
+    return First(pose, sd, body.skeleton.low, body.skeleton.high, transition, transition.begin({"pose": pose}))

@@ -14,8 +14,8 @@ differences of their gradient by the sampled variables, over a tenth of the nois
 depends only on the first state of the chain, so the moves stay reversible. If the correlations of the previous frame's particles are used, the
 scales ε_k do not change.
 
-In coordinates that are not entrywise (density/chart.py), S is no diagonal. There the curvature of the whole log-density given the ancestor is
-differenced in the coordinates, with the prior's potentials in it; directions in which it is smaller than a tenth of the noise's keep that tenth.
+If the prior has potentials, or in coordinates that are not entrywise (density/chart.py), where S is no diagonal, the curvature of the whole
+log-density given the ancestor is differenced in the coordinates. Directions in which it is smaller than a tenth of the noise's keep that tenth.
 """
 
 from collections.abc import Callable
@@ -34,7 +34,7 @@ from bayes_body.density.factor import State
 DIFFERENCE = 0.1
 # The factor by which the particles' correlations are shrunk.
 SHRINKAGE = 0.9
-# The smallest curvature in coordinates that are not entrywise, in units of the noise's.
+# The smallest curvature of a whole log-density, in units of the noise's.
 LEAST = 0.1
 
 
@@ -49,7 +49,7 @@ def inverse_mass(target: Unconstrained, position: State, previous: State, whole:
     """
     sampled, density = target.coordinates.constrain(position), target.density
     variances = ravel_pytree({name: jnp.asarray(distribution.variance) for name, distribution in density.transition.conditional(previous).items()})[0]
-    if not isinstance(target.coordinates, Coordinates):
+    if density.has_potentials or not isinstance(target.coordinates, Coordinates):
         return _of_target(target, position, previous, variances, whole)
     curvature = _finite(offered(density, sampled, previous)) + _finite(differenced(density, sampled, previous, variances))
     slope, bend = (ravel_pytree(parts)[0] for parts in _slopes_and_bends(target.coordinates, position))
@@ -64,7 +64,7 @@ def inverse_mass(target: Unconstrained, position: State, previous: State, whole:
 
 
 def _of_target(target: Unconstrained, position: State, previous: State, variances: Float[Array, " dof"], whole: bool) -> Float[Array, " dof *dof"]:
-    """Return M⁻¹ from differences of the gradient of the log-density given one ancestor, in coordinates that are not entrywise."""
+    """Return M⁻¹ from differences of the gradient of the whole log-density given one ancestor."""
     flat, unravel = ravel_pytree(dict(position))
     density = target.density
 
