@@ -27,6 +27,7 @@ import beartype
 import cv2
 import hypothesis
 import jax
+import jax.numpy as jnp
 import jaxtyping
 import numpy as np
 from beartype.roar import BeartypeDecorHintException
@@ -52,8 +53,12 @@ _checks.check = _check_shapes
 sys.modules[_checks.__name__] = _checks
 jaxtyping.install_import_hook("bayes_body", f"{_checks.__name__}.check")
 
+from bayes_body.body.space import configuration_space  # noqa: E402
+from bayes_body.density.spaces import space_to_text  # noqa: E402
 from bayes_body.evidence.markers import MARKERS  # noqa: E402
-from bayes_body.model.definition import load_definition  # noqa: E402
+from bayes_body.model.build import build_model  # noqa: E402
+from bayes_body.model.definition import load_definition, parse_definition  # noqa: E402
+from bayes_body.posterior.stored_spaces import SPACE  # noqa: E402
 from bayes_body.recording.keypoint_series import KeypointSeries, write_series  # noqa: E402
 from bayes_body.session.read import save_session  # noqa: E402
 from bayes_body.session.session import CameraSpec, Session, Subject, View  # noqa: E402
@@ -250,15 +255,39 @@ def keypoint_session(textured_session):
     return dataclasses.replace(textured_session, views=tuple(views))
 
 
+def loose_limbed(text: str) -> str:
+    """The text of a model of the arm, with a body that is placed by its parts."""
+    by_angles = 'kind = "diffusion"\nat_fps = 60\n\n[dynamics.sd_deg]\n"shoulder_*" = 3.0\nelbow = 4.0\n'
+    body = 'name = "arm_4"\n'
+    assert text.count(by_angles) == text.count(body) == 1
+    return text.replace(by_angles, 'kind = "rigid_walk"\n').replace(body, f'{body}placement = "parts"\n')
+
+
 # Of the model `arm`.
 ARM_DOFS = ("shoulder_x", "shoulder_y", "shoulder_z", "elbow")
 
 
+def _parts(body, pose):
+    """The posterior of a body that is placed by its parts, from poses."""
+    space = configuration_space(body)
+    parts = jax.vmap(lambda one: body.placement.configuration(body.skeleton, one))(jnp.asarray(pose.reshape(-1, pose.shape[-1])))
+    names, entries = space.axes
+    values = (
+        ("chain", "draw", "frame", names.name, entries.name),
+        np.asarray(parts).reshape(*pose.shape[:-1], *space.shape),
+        {SPACE: space_to_text(space)},
+    )
+    return xr.Dataset({"parts": values}, {names.name: list(names.labels), entries.name: list(entries.labels)})
+
+
 @pytest.fixture
 def make_run(textured_session, tmp_path):
-    """`make_run(frames=5, pose=..., log_weight=..., lost=...)`: the folder of a run of the model `arm`, arrays as (chain, draw, frame, ...)."""
+    """`make_run(frames=5, pose=..., log_weight=..., lost=...)`: the folder of a run of the model `arm`, arrays as (chain, draw, frame, ...).
 
-    def call(name="run", model="arm", up="z", runs=2, draws=30, frames=5, **arrays) -> Path:
+    With `parts=True` the body is placed by its parts, which are where the poses place them.
+    """
+
+    def call(name="run", model="arm", up="z", runs=2, draws=30, frames=5, parts=False, **arrays) -> Path:
         session = dataclasses.replace(textured_session, folder=tmp_path / "session", up=up)
         save_session(session)
         rng = np.random.default_rng(1)
@@ -266,9 +295,14 @@ def make_run(textured_session, tmp_path):
         log_weight = arrays.get("log_weight", rng.normal(size=(runs, draws, frames)))
         lost = arrays.get("lost", np.zeros((runs, frames), bool))
         log_evidence = arrays.get("log_evidence", np.zeros((runs, frames)))
+        definition = load_definition(model)
+        posterior = xr.Dataset({"pose": (("chain", "draw", "frame", "dof"), pose)}, {"dof": list(ARM_DOFS), "unit": ("dof", ["rad"] * 4)})
+        if parts:
+            definition = parse_definition(model, loose_limbed(definition.text), definition.body_text)
+            posterior = _parts(build_model(definition, session).body, pose)
         tree = xr.DataTree.from_dict(
             {
-                "posterior": xr.Dataset({"pose": (("chain", "draw", "frame", "dof"), pose)}, {"dof": list(ARM_DOFS), "unit": ("dof", ["rad"] * 4)}),
+                "posterior": posterior,
                 "sample_stats": xr.Dataset({"log_weight": (("chain", "draw", "frame"), log_weight)}),
                 "filter": xr.Dataset({"lost": (("chain", "frame"), lost), "log_evidence": (("chain", "frame"), log_evidence)}),
             }
@@ -276,7 +310,6 @@ def make_run(textured_session, tmp_path):
         folder = tmp_path / name
         folder.mkdir()
         tree.to_netcdf(folder / "posterior.nc", engine="h5netcdf")
-        definition = load_definition(model)
         document = {
             "run": {"session": str(session.folder), "model": str(model), "runs": runs, "seed": 0},
             "kernel": {"kind": "sir", "particles": draws},

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.body.kinematics import marker_positions
+from bayes_body.body.placement import POSE, require
 from bayes_body.body.solids import Body
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, State, Transition
@@ -75,7 +76,12 @@ class Case(NamedTuple):
 
 
 def problem_of(model: Model, wandering: int = 10) -> Problem:
-    """The problem of a model: the dofs and the coordinates of the markers are ranked."""
+    """The problem of a model: the dofs and the coordinates of the markers are ranked.
+
+    Raises:
+        InputError: the body is placed by its parts.
+    """
+    require(model.body, POSE, "a calibration of joint angles", "a model of a body that is placed by angles")
     names = (*model.body.dof_names, *(f"{marker} {axis}" for marker in model.body.markers.names for axis in AXES))
     of = jax.tree_util.Partial(_pose_and_markers, model.body)
     return Problem(model.transition, model.factors, model.initial, Quantities(names, of), wandering)

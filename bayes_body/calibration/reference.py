@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from bayes_body.body.placement import POSE, require
 from bayes_body.calibration.quadrature import MOST_DOFS, Quadrature, integrate
 from bayes_body.calibration.verdict import Verdict
 from bayes_body.density.density import Density
@@ -83,8 +84,9 @@ def check_reference(plan: Any, model: Model, names: Sequence[str], show: Callabl
         show: receives lines for the user.
 
     Raises:
-        InputError: there is no image to use, or the body has too many dofs for a grid.
+        InputError: there is no image to use, or the body is placed by its parts or has too many dofs for a grid.
     """
+    require(model.body, POSE, "a quadrature over joint angles", "a model of a body that is placed by angles")
     subject = f"the likelihood '{names[0]}'"
     found = "it is not a distribution over images, so nothing can be simulated from it and there are no ranks"
     dofs = len(model.body.dof_names)

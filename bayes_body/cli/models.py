@@ -29,14 +29,15 @@ app = typer.Typer(cls=_ListByDefault, help="List the model definitions (the defa
 @app.command("list")
 def list_models() -> None:
     """List the definitions that ship, one line each."""
+    from bayes_body.body.space import configuration_space
     from bayes_body.files.shipped import definitions_folder
+    from bayes_body.model.build import body_of
     from bayes_body.model.definition import definition_names, load_definition
 
     table = Table("model", "dofs", "kernel", "what it is", box=None, pad_edge=False)
     for name in definition_names():
         definition = load_definition(name)
-        dofs = sum(not dof.is_fixed for joint in definition.body.joints for dof in joint.dofs)
-        table.add_row(name, str(dofs), definition.kernel.kind, definition.title)
+        table.add_row(name, str(configuration_space(body_of(definition)).dimension), definition.kernel.kind, definition.title)
     # Console() alone would wrap piped output to 80 columns.
     console = Console() if Console().is_terminal else Console(width=160)
     console.print(table)
@@ -58,14 +59,14 @@ def checked_definition(name: str) -> "Definition":
     Raises:
         InputError: something in the file is wrong; each sentence names one fault.
     """
-    from bayes_body.body.build import build_body
     from bayes_body.errors import InputError
+    from bayes_body.model.build import body_of
     from bayes_body.model.definition import load_definition
     from bayes_body.registry import find
 
     definition = load_definition(name)
     try:
-        body = build_body(definition.body_name, definition.body)
+        body = body_of(definition)
         find("dynamics", definition.dynamics.kind).build(options=definition.dynamics.options, body=body, fps=SOME_FPS, subject_sd={})
         for term in definition.constraints:
             find("potential", term.kind).build(name=term.kind, options=term.options, body=body)

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_body.body.placement import POSE, require
 from bayes_body.compare.estimator_truth import LARGEST_DIFFERENCE, LARGEST_RHAT, Sampler, Truth, best_truth, sir_sampler
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
@@ -58,7 +59,12 @@ class Equal(NamedTuple):
 
 
 def mixture_after(key: Key, draws: Draws, components: int) -> Particles:
-    """Equally weighted particles of the first run's last frame: a prediction mixture (14) for both samplers."""
+    """Equally weighted particles of the first run's last frame: a prediction mixture (14) for both samplers.
+
+    Raises:
+        InputError: the body is placed by its parts; means of joint angles are compared.
+    """
+    require(draws.model.body, POSE, "a comparison of mean joint angles", "a model of a body that is placed by angles")
     last = draws.frames[-1]
     particles = Particles({name: jnp.asarray(values[0]) for name, values in last.states.items()}, jnp.asarray(last.log_weights[0]))
     chosen = resampler("systematic")(key, particles.log_weights, components)

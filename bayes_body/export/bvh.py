@@ -2,7 +2,8 @@ r"""BVH, the skeleton format of animation programs: the hierarchy of the body's 
 
 At rest (all rotations zero) the skeleton is in the body's zero pose, and the joints' axes are parallel to those of the world. With $R_j$ a joint's
 rotation and $R^0_j$ its rotation in the zero pose, the file contains $W_j = R_j {R^0_j}^T$, relative to the parent's. The mean pose is the mean of
-the joint angles, from which the joints' positions follow. So bones keep their lengths, unlike in a mean of positions. The format cannot store
+the joint angles, from which the joints' positions follow. So bones keep their lengths, unlike in a mean of positions. Of a loose-limbed body it is
+the mean transform of each part: the joint of a part has six channels, so that the gaps between the parts are kept. The format cannot store
 uncertainty.
 """
 
@@ -17,11 +18,10 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
-from bayes_body.body.kinematics import forward_kinematics
-from bayes_body.body.skeleton import Skeleton
+from bayes_body.body.placement import ByParts, joint_transforms
 from bayes_body.body.solids import Body
 from bayes_body.errors import input_error
-from bayes_body.export.motion import Motion
+from bayes_body.export.motion import Motion, turned
 from bayes_body.files.atomic import replacing
 from bayes_body.geometry.transforms import Transform
 
@@ -40,7 +40,7 @@ class Joints(NamedTuple):
     Attributes:
         names: names of the joints.
         parents: index of each joint's parent; -1 for the root.
-        moving: which joints shift relative to their parent, including the root.
+        moving: which joints shift relative to their parent, including the root; of a loose-limbed body the joints of all parts.
         offsets: (joint, 3), from the parent at rest, metres; 0 for the root.
         ends: (joint, 3), from a last joint to the end of its bone, at rest, metres; NaN for other joints.
         positions: (frame, joint, 3), from the parent, in the parent's axes, metres.
@@ -78,25 +78,24 @@ def joints_of(motion: Motion) -> Joints:
     Raises:
         InputError: the body does not have exactly one root.
     """
-    body, turn = motion.body, np.eye(3)[list(motion.order)]
+    body = motion.body
     order = _depth_first(body)
-    topology = body.skeleton.topology
+    topology, placement = body.skeleton.topology, body.placement
     names, above = tuple(topology.joint_names[j] for j in order), [topology.parents[j] for j in order]
     parents = tuple(order.index(parent) if parent >= 0 else -1 for parent in above)
-    units = np.where(np.array(motion.dof_units) == "deg", np.pi / 180, 1.0)
-    # The zero pose is appended, so that one compiled program computes all poses.
-    rotations, origins = _placed(body.skeleton, np.vstack([motion.dofs.mean * units, np.zeros(len(units))]))
-    R, p, R_rest, p_rest = rotations[:-1, order], origins[:-1, order], rotations[-1, order], origins[-1, order]
-    moving = tuple(parent < 0 or any(dof.is_shift for dof in topology.motions[j]) for j, parent in zip(order, parents, strict=True))
-    W = turn @ R @ np.swapaxes(R_rest, -1, -2) @ turn.T
-    origins, rest = p @ turn.T, p_rest @ turn.T
+    rotations, places = _placed(motion)
+    R, origins, R_rest, rest = rotations[:-1, order], places[:-1, order], rotations[-1, order], places[-1, order]
+    shifting = {j for j, motions in enumerate(topology.motions) if any(dof.is_shift for dof in motions)}
+    free = placement.joints_of_parts if isinstance(placement, ByParts) else shifting
+    moving = tuple(parent < 0 or j in free for j, parent in zip(order, parents, strict=True))
+    W = R @ np.swapaxes(R_rest, -1, -2)
     local, positions, offsets = W.copy(), origins.copy(), np.zeros_like(rest)
     for j, parent in enumerate(parents):
         if parent >= 0:
             back = np.swapaxes(W[:, parent], -1, -2)
             local[:, j], offsets[j] = back @ W[:, j], rest[j] - rest[parent]
             positions[:, j] = (back @ (origins[:, j] - origins[:, parent])[..., None])[..., 0]
-    return Joints(names, parents, moving, offsets, _ends(body, order, R_rest) @ turn.T, positions, _euler(local))
+    return Joints(names, parents, moving, offsets, _ends(body, order, R_rest), positions, _euler(local))
 
 
 def _depth_first(body: Body) -> list[int]:
@@ -112,17 +111,21 @@ def _depth_first(body: Body) -> list[int]:
     return order
 
 
-def _placed(
-    skeleton: Skeleton, poses: Float[np.ndarray, "frame dof"]
-) -> tuple[Float[np.ndarray, "frame joint 3 3"], Float[np.ndarray, "frame joint 3"]]:
-    """Return the world rotations and origins of the joints; poses in radians and metres."""
-    rotations, origins = _transforms(skeleton, jnp.asarray(poses))
-    return np.asarray(rotations, float), np.asarray(origins, float)
+def _placed(motion: Motion) -> tuple[Float[np.ndarray, "pose joint 3 3"], Float[np.ndarray, "pose joint 3"]]:
+    """Return the rotations and origins of the joints in the file's axes: in every frame, and last in the zero pose."""
+    body, zero = motion.body, np.zeros(len(motion.body.dof_names))
+    if motion.parts is not None:
+        rest = np.asarray(body.placement.configuration(body.skeleton, jnp.asarray(zero)))
+        rotations, origins = _transforms(body, jnp.asarray(np.concatenate([motion.parts.mean, turned(rest, motion.order)[None]])))
+        return np.asarray(rotations, float), np.asarray(origins, float)
+    units, turn = np.where(np.array(motion.dof_units) == "deg", np.pi / 180, 1.0), np.eye(3)[list(motion.order)]
+    rotations, origins = _transforms(body, jnp.asarray(np.vstack([motion.dofs.mean * units, zero])))
+    return turn @ np.asarray(rotations, float), np.asarray(origins, float) @ turn.T
 
 
 @jax.jit
-def _transforms(skeleton: Skeleton, poses: Float[Array, "frame dof"]) -> Transform:
-    return jax.vmap(forward_kinematics, (None, 0))(skeleton, poses)
+def _transforms(body: Body, configurations: Float[Array, "pose *shape"]) -> Transform:
+    return jax.vmap(joint_transforms, (None, 0))(body, configurations)
 
 
 def _ends(body: Body, order: list[int], R_rest: Float[np.ndarray, "joint 3 3"]) -> Float[np.ndarray, "joint 3"]:

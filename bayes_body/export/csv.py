@@ -1,17 +1,20 @@
 """CSV: one row for each frame; the columns' names end in their units."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.export.motion import AXES, Motion
+from bayes_body.export.motion import AXES, Motion, Parts
 from bayes_body.files.atomic import replacing
+from bayes_body.geometry import rigid
 
 
 def write_csv(motion: Motion, path: Path) -> None:
-    """Write the file: `frame` (from 0), `time_s`, `lost` (0 or 1), then the moments of each marker's axes and of each dof; six decimals.
+    """Write the file: `frame` (from 0), `time_s`, `lost` (0 or 1), then the moments of each marker's axes and of each dof or part; six decimals.
+
+    A part of a loose-limbed body has its origin, the mean unit quaternion (unit 1), and the spread of the rotation about the part's own axes.
 
     Raises:
         InputError: the file system does not accept the file.
@@ -31,3 +34,18 @@ def _columns(motion: Motion) -> Iterator[tuple[str, Float[np.ndarray, " frame"]]
     for d, (dof, unit) in enumerate(zip(motion.dof_names, motion.dof_units, strict=True)):
         for name in motion.moments:
             yield f"{dof}_{name}_{unit}", getattr(motion.dofs, name)[:, d]
+    if motion.parts is not None:
+        yield from _part_columns(motion.parts, motion.moments)
+
+
+def _part_columns(parts: Parts, moments: Sequence[str]) -> Iterator[tuple[str, Float[np.ndarray, " frame"]]]:
+    # The prefix keeps the part `head` apart from the marker `head`.
+    for p, part in enumerate(parts.names):
+        for a, axis in enumerate(AXES):
+            for name in moments:
+                yield f"part_{part}_{axis}_{name}_m", getattr(parts.origins, name)[:, p, a]
+        for k, entry in enumerate(rigid.NAMES[3:]):
+            yield f"part_{part}_{entry}_mean_1", parts.mean[:, p, 3 + k]
+        for a, axis in enumerate(AXES):
+            for name in moments[1:]:
+                yield f"part_{part}_r{axis}_{name}_deg", getattr(parts.turns, name)[:, p, a]

@@ -1,22 +1,40 @@
-"""The exported data of a run: markers and dofs in every frame, with standard deviation and 5 % and 95 % quantiles of the posterior.
+"""The exported data of a run: markers, and dofs or parts, in every frame, with standard deviation and 5 % and 95 % quantiles of the posterior.
 
 The particles of a mode seeker are not a sample of the posterior. Of such a run only the means are exported.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from bayes_body.body.placement import ByParts
 from bayes_body.body.solids import Body
+from bayes_body.geometry import rigid, rotations
 from bayes_body.posterior.moments import Moments
-from bayes_body.storage.saved_moments import angle_moments, marker_moments
+from bayes_body.storage.saved_moments import angle_moments, marker_moments, mean_configurations
 from bayes_body.storage.saved_run import SavedRun
 
 type Axis = Literal["x", "y", "z"]
 AXES: tuple[Axis, ...] = ("x", "y", "z")
 MODE_SEEKER_MOMENTS = ("mean",)
+
+
+class Parts(NamedTuple):
+    """The parts of a loose-limbed body, each with its own rigid transform.
+
+    Attributes:
+        names: names of the parts.
+        mean: mean transforms (frame, part, 7), metres and unit quaternions; the sign of a quaternion does not jump from frame to frame.
+        origins: (frame, part, 3), metres.
+        turns: rotation vectors from the mean quaternion, about the part's own axes (frame, part, 3), degrees; their mean is 0.
+    """
+
+    names: tuple[str, ...]
+    mean: Float[np.ndarray, "frame part 7"]
+    origins: Moments
+    turns: Moments
 
 
 @dataclass(frozen=True)
@@ -29,13 +47,14 @@ class Motion:
         up: the axis that points up.
         marker_names: names of the virtual markers.
         markers: (frame, marker, 3), metres.
-        dof_names: names of the body's dofs.
+        dof_names: names of the body's dofs; none if the body is placed by its parts.
         dof_units: unit of each dof, `deg` or `m`.
         dofs: (frame, dof), degrees and metres.
         lost: frames that were lost in at least one run: no particle of it explained them, and their values are predictions.
         body: the run's body, to compute joints from the dofs.
         order: the session's axes that are x, y and z here.
         moments: the fields of `Moments` that are written; only the mean for a mode seeker.
+        parts: the parts of a loose-limbed body, in the axes of this motion; None if the body is placed by joint angles.
     """
 
     title: str
@@ -50,6 +69,7 @@ class Motion:
     body: Body
     order: tuple[int, int, int]
     moments: tuple[str, ...] = Moments._fields
+    parts: Parts | None = None
 
     @property
     def has_intervals(self) -> bool:
@@ -78,23 +98,56 @@ def read_motion(run: SavedRun, fps: float | None = None, up: Axis | None = None)
     Raises:
         InputError: a file of the run cannot be used.
     """
-    angular = np.array(run.model.body.skeleton.topology.angular)
-    dofs = Moments(*(np.where(angular, np.degrees(values), values) for values in angle_moments(run)))
     order = _order(run.session.up, up or run.session.up)
+    parts = _parts(run, order)
+    names, units, dofs = _dofs(run) if parts is None else ((), (), Moments(*np.zeros((4, run.frames, 0))))
     return Motion(
         title=run.session.title,
         fps=run.fps if fps is None else fps,
         up=up or run.session.up,
         marker_names=run.model.body.markers.names,
         markers=Moments(*(values[..., list(order)] for values in marker_moments(run))),
-        dof_names=run.model.body.dof_names,
-        dof_units=tuple("deg" if angle else "m" for angle in angular),
+        dof_names=names,
+        dof_units=units,
         dofs=dofs,
         lost=np.asarray(run.tree["filter"]["lost"], bool).any(axis=0),
         body=run.model.body,
         order=order,
         moments=MODE_SEEKER_MOMENTS if run.mode_seeker else Moments._fields,
+        parts=parts,
     )
+
+
+def _dofs(run: SavedRun) -> tuple[tuple[str, ...], tuple[str, ...], Moments]:
+    """Return the names, units and moments of the dofs."""
+    angular = np.array(run.model.body.skeleton.topology.angular)
+    units = tuple("deg" if angle else "m" for angle in angular)
+    return run.model.body.dof_names, units, Moments(*(np.where(angular, np.degrees(values), values) for values in angle_moments(run)))
+
+
+def _parts(run: SavedRun, order: tuple[int, int, int]) -> Parts | None:
+    """Return the parts of a loose-limbed body, in other axes."""
+    placement = run.model.body.placement
+    if not isinstance(placement, ByParts):
+        return None
+    coordinates = [values.reshape(run.frames, len(placement.names), 6) for values in angle_moments(run)]
+    origins = Moments(*(values[..., list(order)] for values in coordinates))
+    # Rotation vectors are about the part's own axes, which do not change with those of the world.
+    turns = Moments(*(np.degrees(values[..., 3:]) for values in coordinates))
+    return Parts(placement.names, _continued(turned(mean_configurations(run), order)), origins, turns)
+
+
+def turned(parts: Float[np.ndarray, "*batch 7"], order: tuple[int, int, int]) -> Float[np.ndarray, "*batch 7"]:
+    """Return rigid transforms in a world whose axes x, y and z are these of the given world."""
+    turn = rotations.from_matrix(np.eye(3)[list(order)])
+    return np.asarray(rigid.compose(rigid.rigid(np.zeros(3), turn), parts))
+
+
+def _continued(parts: Float[np.ndarray, "frame part 7"]) -> Float[np.ndarray, "frame part 7"]:
+    """Return the transforms with each quaternion of the sign that is nearer to the frame before."""
+    q = parts[..., 3:]
+    signs = np.where(np.sum(q[1:] * q[:-1], axis=-1) < 0, -1.0, 1.0).cumprod(axis=0)
+    return np.concatenate([parts[..., :3], q * np.concatenate([np.ones_like(q[:1, :, 0]), signs])[..., None]], axis=-1)
 
 
 def _order(given: Axis, wanted: Axis) -> tuple[int, int, int]:

@@ -52,7 +52,7 @@ def silhouette_overlap(session: Session, draws: Draws, watch: Watch = unwatched)
     return np.stack([frame_fit(session, draws.model, mean_pose(draws.frames[index], draws.model), index).overlap for index in frames], axis=1)
 
 
-def frame_fit(session: Session, model: Model, poses: Float[np.ndarray, "run dof"], index: int) -> Fit:
+def frame_fit(session: Session, model: Model, poses: Float[np.ndarray, "run *shape"], index: int) -> Fit:
     """Return the fit of poses (radians and metres) to frame `index`."""
     frame, model = read_frame(session, index), seen_in(model, session, index)
     shape = (len(poses), len(session.views))
@@ -74,7 +74,7 @@ def cover_of(body: Bool[np.ndarray, "row column"], person: Bool[np.ndarray, "row
     return np.count_nonzero(body & person) / min(areas) if areas[0] else 0.0
 
 
-def _distances(model: Model, poses: Float[np.ndarray, "run dof"], frame: Frame) -> Float[np.ndarray, "run camera"]:
+def _distances(model: Model, poses: Float[np.ndarray, "run *shape"], frame: Frame) -> Float[np.ndarray, "run camera"]:
     """Return the median distance of the markers from the keypoints, as a fraction of the person's size in the image."""
     names = model.body.markers.names
     found = np.full((len(poses), len(frame.seen)), np.nan)

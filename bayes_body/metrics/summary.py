@@ -77,7 +77,7 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
         "frames": frames,
         "frames_lost": sum(each.lost for each in found),
         "cameras": len(session.views),
-        "dof": len(draws.model.body.dof_names),
+        "dof": configuration_space(draws.model.body).dimension,
         "particles": draws.particles,
         "layers": round(float(np.median([each.layers for each in found]))),
         "runs": draws.runs,

@@ -11,7 +11,6 @@ it contributed.
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -20,15 +19,17 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
-from bayes_body.body.kinematics import forward_kinematics
-from bayes_body.body.skeleton import Markers, Skeleton
+from bayes_body.body.placement import joint_transforms
+from bayes_body.body.skeleton import Markers
+from bayes_body.body.solids import Body
+from bayes_body.body.space import configuration_space
 from bayes_body.evidence.markers import MARKERS
 from bayes_body.metrics.accuracy import FrameAccuracy, frame_accuracy
 from bayes_body.model.build import Model
 from bayes_body.posterior import markers
 from bayes_body.recording.truth import read_truth
 from bayes_body.session.session import Session
-from bayes_body.shapes import Pose
+from bayes_body.shapes import Configuration
 from bayes_body.tracking.draws import Draws
 from bayes_body.view.progress import Watch, unwatched
 
@@ -37,9 +38,9 @@ FEWEST = 10
 
 
 class Cloud(NamedTuple):
-    """The particles of one frame: poses in radians and metres, and their log-weights."""
+    """The particles of one frame: poses in radians and metres, or values of another variable that places the body, and their log-weights."""
 
-    poses: Float[np.ndarray, "run particle dof"]
+    poses: Float[np.ndarray, "run particle *shape"]
     log_weights: Float[np.ndarray, "run particle"]
 
 
@@ -128,7 +129,7 @@ def draws_against_truth(session: Session, draws: Draws, watch: Watch = unwatched
 
 def _cloud(draws: Draws, index: int) -> Cloud:
     frame = draws.frames[index]
-    return Cloud(frame.states["pose"], frame.log_weights)
+    return Cloud(frame.states[draws.model.body.variable], frame.log_weights)
 
 
 def against_truth(model: Model, clouds: Clouds, truth: Float[np.ndarray, "frame 15 3"]) -> AgainstTruth | None:
@@ -187,14 +188,15 @@ def _moved(common: Markers, offset: Float[np.ndarray, "marker 3"]) -> Markers:
 
 def _of_run(
     model: Model,
-    poses: Float[np.ndarray, "particle dof"],
+    poses: Float[np.ndarray, "particle *shape"],
     log_weights: Float[np.ndarray, " particle"],
     truth: Float[np.ndarray, "marker 3"],
 ) -> tuple[FrameAccuracy, Float[np.ndarray, "marker 3"]]:
     weights = np.exp(log_weights.astype(float) - log_weights.max())
     weights /= weights.sum()
     positions, on = markers(model, poses), model.body.markers
-    turned = np.asarray(_orientations(model.body.skeleton, on.joints, jnp.asarray(weights @ poses, model.body.lengths.dtype)), float)
+    mean = configuration_space(model.body).mean(weights, poses)
+    turned = np.asarray(_orientations(model.body, jnp.asarray(mean, model.body.lengths.dtype)), float)
     found = frame_accuracy(positions, weights, truth, on.names)
     return found, np.einsum("mki,mk->mi", turned, found.off)
 
@@ -206,10 +208,10 @@ def _stacked(runs: Sequence[tuple[FrameAccuracy, NDArray[np.floating]]]) -> tupl
     return error, relative, optimistic, np.mean([each.expected for each in of], axis=0), np.mean([residual for _, residual in runs], axis=0)
 
 
-@partial(jax.jit, static_argnums=1)
-def _orientations(skeleton: Skeleton, joints: tuple[int, ...], pose: Pose) -> Float[Array, "marker 3 3"]:
+@jax.jit
+def _orientations(body: Body, configuration: Configuration) -> Float[Array, "marker 3 3"]:
     """Return `R_world_joint` of each marker's joint."""
-    return forward_kinematics(skeleton, pose).rotation[np.array(joints, int)]
+    return joint_transforms(body, configuration).rotation[np.array(body.markers.joints, int)]
 
 
 def mean_known(values: NDArray[np.floating], axis: int | tuple[int, ...]) -> NDArray[np.floating]:

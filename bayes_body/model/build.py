@@ -109,8 +109,7 @@ def build_model(name: str | Path | Definition, session: Session) -> Model:
         InputError: the definition or the session's subject cannot be used.
     """
     definition = name if isinstance(name, Definition) else load_definition(name)
-    body = build_body(definition.body_name, definition.body, _shape(session.subject, definition))
-    body = loosened(body) if definition.placement == PARTS else body
+    body = body_of(definition, _shape(session.subject, definition))
     rig = stack([_camera(view.camera) for view in session.views])
     factors, observers = _likelihoods(definition, body, rig)
     for index, term in enumerate(definition.constraints):
@@ -123,6 +122,16 @@ def build_model(name: str | Path | Definition, session: Session) -> Model:
     first = first_of(definition.first, body, _initial_pose(session, body, definition), transition)
     _check_derived(transition, first.mode)
     return Model(definition, body, rig, transition, tuple(factors), first, observers)
+
+
+def body_of(definition: Definition, shape: Shape = Shape()) -> Body:
+    """Return the body of a definition for a subject's shape, placed as the definition says.
+
+    Raises:
+        InputError: the shape or the placement does not fit the body.
+    """
+    body = build_body(definition.body_name, definition.body, shape)
+    return loosened(body) if definition.placement == PARTS else body
 
 
 def _likelihoods(definition: Definition, body: Body, rig: Camera) -> tuple[list[Factor], dict[str, Callable[[Any], Any]]]:

@@ -55,7 +55,7 @@ def mixing_of(tree: "xr.DataTree", block: int = BLOCK) -> Mixing | None:
     return Mixing(length, acceptance, np.asarray(group[f"{PREFIX}divergences"], int), energy, step, ess, rhat)
 
 
-def by_chain(poses: Float[np.ndarray, "run draw frame dof"], length: int) -> Float[np.ndarray, "run chain step frame dof"]:
+def by_chain(poses: Float[np.ndarray, "run draw frame *shape"], length: int) -> Float[np.ndarray, "run chain step frame *shape"]:
     """Return the draws by chain; an incomplete last chain is dropped, unless it is the only one."""
     runs, draws, *rest = poses.shape
     chains = max(draws // length, 1)

@@ -63,9 +63,13 @@ def equal_weight_poses(
     return out
 
 
-def equal_weight_draws(draws: Draws, count: int | None = None, seed: int = RESAMPLING_SEED) -> Float[np.ndarray, "run frame draw dof"]:
-    """Return poses of equal weight of all frames, in memory at once; in each frame `count`, or by default as many as there are particles."""
-    return np.stack([equal_weight_poses(frame, index, count, seed) for index, frame in enumerate(draws.frames)], axis=1)
+def equal_weight_draws(draws: Draws, count: int | None = None, seed: int = RESAMPLING_SEED) -> Float[np.ndarray, "run frame draw *shape"]:
+    """Return poses of equal weight of all frames, in memory at once; in each frame `count`, or by default as many as there are particles.
+
+    Of a body that is placed by its parts, they are values of that variable.
+    """
+    variable = draws.model.body.variable
+    return np.stack([equal_weight_poses(frame, index, count, seed, variable) for index, frame in enumerate(draws.frames)], axis=1)
 
 
 def frame_rhat(frame: FrameResult, index: int, variable: str, space: Space) -> Float[np.ndarray, " dimension"]:

@@ -1,6 +1,6 @@
 """Mean, standard deviation and quantiles of a saved run's markers and joint angles, read from its posterior a block of frames at a time."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from jaxtyping import Float
@@ -50,12 +50,26 @@ def angle_moments(run: SavedRun, frames: range | None = None, block: int = BLOCK
     return _moments(run, frames, block, space.dimension, lambda points, weights: moments_in(space, points, weights))
 
 
+def mean_configurations(run: SavedRun, frames: range | None = None, block: int = BLOCK) -> Float[np.ndarray, "frame *shape"]:
+    """Return the mean of the variable that places the body, in its space: poses (frame, dof), or the transforms of the parts (frame, part, 7).
+
+    The moments of `angle_moments` are those of the coordinates around it. The arguments are those of `marker_moments`.
+    """
+    space = configuration_space(run.model.body)
+    return np.concatenate([np.asarray(space.mean(weights, points)) for points, weights in _pieces(run, frames, block, space.dimension)])
+
+
 def _moments(run: SavedRun, frames: range | None, block: int, width: int, of: Callable[..., Moments]) -> Moments:
     """Return the moments that `of` computes from the configurations and weights (frame, draw, ...) of each piece."""
-    found = []
-    for piece in pose_blocks(run.tree, frames, block, width, run.model.body.variable):
-        found.append(of(pooled(piece.poses), pooled(weights_of_runs(piece.log_weights)) / piece.poses.shape[0]))
+    found = [of(points, weights) for points, weights in _pieces(run, frames, block, width)]
     return Moments(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+def _pieces(
+    run: SavedRun, frames: range | None, block: int, width: int
+) -> Iterator[tuple[Float[np.ndarray, "frame draw *shape"], Float[np.ndarray, "frame draw"]]]:
+    for piece in pose_blocks(run.tree, frames, block, width, run.model.body.variable):
+        yield pooled(piece.poses), pooled(weights_of_runs(piece.log_weights)) / piece.poses.shape[0]
 
 
 def _padded(poses: Float[np.ndarray, "draw *shape"]) -> Float[np.ndarray, "chunk *shape"]:

@@ -82,7 +82,7 @@ def _fan(result: FrameResult, index: int, variable: str) -> Float[np.ndarray, "d
 
 
 def mosaic(
-    session: Session, model: Model, index: int, mean: Float[np.ndarray, " dof"], fan: Float[np.ndarray, "draw dof"], windows: Sequence[Window]
+    session: Session, model: Model, index: int, mean: Float[np.ndarray, "*shape"], fan: Float[np.ndarray, "draw *shape"], windows: Sequence[Window]
 ) -> MatLike:
     """Return the picture of one frame, all cameras in a grid: the mean body and draws over the person's part of the images.
 

@@ -17,7 +17,7 @@ from bayes_body.geometry.camera import Camera, project
 from bayes_body.model.build import Model
 from bayes_body.recording.camera_path import cameras_at
 from bayes_body.session.session import Session
-from bayes_body.shapes import Pose
+from bayes_body.shapes import Configuration
 
 POINTS = 24
 
@@ -29,7 +29,7 @@ class Outline(NamedTuple):
     polygon: Float[np.ndarray, "corner 2"]
 
 
-def outlines(model: Model, pose: Float[np.ndarray, " dof"]) -> list[list[Outline]]:
+def outlines(model: Model, pose: Float[np.ndarray, "*shape"]) -> list[list[Outline]]:
     """Return, for each camera, the outline of every part that is entirely in front of it; pose in radians and metres."""
     pixels, visible = (np.asarray(out) for out in _project_rims(model.body, model.rig, jnp.asarray(pose)))
     names = model.body.topology.names
@@ -48,7 +48,7 @@ def seen_in(model: Model, session: Session, index: int) -> Model:
     return model.at(cameras_at(session, index)) if session.moves else model
 
 
-def projected_masks(model: Model, pose: Float[np.ndarray, " dof"], session: Session) -> list[Bool[np.ndarray, "row column"]]:
+def projected_masks(model: Model, pose: Float[np.ndarray, "*shape"], session: Session) -> list[Bool[np.ndarray, "row column"]]:
     """Return the silhouette of a posed body in each camera's image; moving cameras are where the model has them (`seen_in`)."""
     return [fill(polygons, view.camera.size_px) for polygons, view in zip(outlines(model, pose), session.views, strict=True)]
 
@@ -69,7 +69,7 @@ def intersection_over_union(a: Bool[np.ndarray, "row column"], b: Bool[np.ndarra
 
 
 @jax.jit
-def _project_rims(body: Body, rig: Camera, pose: Pose) -> tuple[Array, Array]:
+def _project_rims(body: Body, rig: Camera, pose: Configuration) -> tuple[Array, Array]:
     T_world_part, shaped = part_transforms(body, pose), widened(body, pose)
     return jax.vmap(lambda camera: project(camera, _rims(shaped, T_world_part, camera)))(rig)
 

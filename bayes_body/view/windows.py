@@ -59,7 +59,7 @@ class Window(NamedTuple):
         return (points - self.centres[frame] + size / 2) * self.tile / size - 0.5
 
 
-def person_windows(session: Session, model: Model, poses: Float[np.ndarray, "frame dof"]) -> list[Window]:
+def person_windows(session: Session, model: Model, poses: Float[np.ndarray, "frame *shape"]) -> list[Window]:
     """Return, for each camera, a window that contains the posed body in every frame.
 
     Args:
@@ -77,7 +77,7 @@ def person_windows(session: Session, model: Model, poses: Float[np.ndarray, "fra
     return [_window(centres, needed, size, shape) for (centres, needed), size in zip(found, sizes, strict=True)]
 
 
-def _boxes(session: Session, model: Model, pose: Float[np.ndarray, " dof"]) -> Float[np.ndarray, "camera 2 2"]:
+def _boxes(session: Session, model: Model, pose: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "camera 2 2"]:
     """Return the smallest and largest (column, row) of the body inside each image; NaN if no part of it is there."""
     boxes = np.full((len(session.views), 2, 2), np.nan)
     for c, parts in enumerate(outlines(model, pose)):

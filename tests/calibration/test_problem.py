@@ -9,8 +9,13 @@ import pytest
 from calibration import toys
 from scipy import stats
 
-from bayes_body.calibration.problem import MOST_PATHS, check_cases, draw_case, draw_path, point_mass
+from bayes_body.body.placement import loosened
+from bayes_body.calibration.problem import MOST_PATHS, check_cases, draw_case, draw_path, point_mass, problem_of
+from bayes_body.compare.estimator_variance import mixture_after
 from bayes_body.density.factor import Factor
+from bayes_body.errors import InputError
+from bayes_body.model.build import build_model
+from bayes_body.tracking.draws import Draws, Timing
 
 
 def _always(level, values, data):
@@ -84,3 +89,12 @@ def test_a_likelihood_that_is_no_distribution_is_refused():
     blind = dataclasses.replace(problem, factors=(dataclasses.replace(problem.factors[0], simulate=None),))
     with pytest.raises(ValueError, match="'y' is not a distribution over images"):
         draw_case(jax.random.key(0), blind, 1)
+
+
+def test_what_needs_joint_angles_refuses_a_loose_limbed_body(textured_session):
+    model = build_model("arm", textured_session)
+    model = dataclasses.replace(model, body=loosened(model.body))
+    with pytest.raises(InputError, match=r'calibration of joint angles: \[body\] placement = "parts"; expected placement = "angles"'):
+        problem_of(model)
+    with pytest.raises(InputError, match=r'comparison of mean joint angles: \[body\] placement = "parts"; expected placement = "angles"'):
+        mixture_after(jax.random.key(0), Draws(model, (), Timing(0.0, 0.0), ("a",)), 2)

@@ -46,6 +46,15 @@ def test_a_file_that_does_not_exist(cli, tmp_path):
 FAULTS = {
     "syntax": (("precision = 1.0", "precision = = 1"), ["line ", "column ", "precision = = 1", "expected TOML"]),
     "unknown key": (("edge_threshold", "edge_treshold"), ["likelihood #1.observation: edge_treshold", "unknown key", "'edge_threshold'"]),
+    "unknown placement": (('"deutscher_31"', '"deutscher_31"\nplacement = "loose"'), ["body.placement: 'loose'", 'expected "angles" or "parts"']),
+    "angles walk, parts placed": (
+        ('[body]\nname = "deutscher_31"', '[body]\nplacement = "parts"\nname = "person_31"'),
+        ["dynamics 'diffusion'", 'placement = "parts"', 'expected placement = "angles"', 'kind = "rigid_walk"'],
+    ),
+    "joints of parts, angles placed": (
+        ("[kernel]", '[[potential]]\nkind = "kinematic"\n\n[kernel]'),
+        ["potential 'kinematic'", 'placement = "angles"', 'expected placement = "parts"'],
+    ),
     "unknown kernel": (('kind = "annealed"', 'kind = "aneealed"'), ["kernel.kind", "'aneealed'", "did you mean 'annealed'?"]),
     "unknown body": (('"deutscher_31"', '"deutscher_13"'), ["body.name", "'deutscher_13'", "did you mean 'deutscher_31'?"]),
     "NaN": (("precision = 1.0", "precision = nan"), ["likelihood #1", "precision = nan", "expected a finite number"]),

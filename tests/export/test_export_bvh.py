@@ -10,11 +10,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bayes_body.body.build import build_body
-from bayes_body.body.kinematics import forward_kinematics, marker_positions
+from bayes_body.body.placement import joint_transforms, loosened, placed_markers
 from bayes_body.errors import InputError
 from bayes_body.export.bvh import write_bvh
 from bayes_body.export.formats import export
-from bayes_body.export.motion import Motion
+from bayes_body.export.motion import Motion, Parts
 from bayes_body.model.definition import load_body
 from bayes_body.posterior.moments import Moments
 from bayes_body.recording.mocap import landmarks, read_motion
@@ -22,12 +22,15 @@ from bayes_body.storage.saved_run import load_run
 
 # Six decimals of a centimetre and of a degree, over a chain of a metre; and what 32 bits hold of two metres.
 PRINTED_M = 5e-7
-TRANSFORMS = jax.jit(jax.vmap(forward_kinematics, (None, 0)))
+TRANSFORMS = jax.jit(jax.vmap(joint_transforms, (None, 0)))
+CONFIGURATIONS = jax.jit(jax.vmap(lambda body, pose: body.placement.configuration(body.skeleton, pose), (None, 0)))
 
 
-@pytest.fixture(scope="module", params=["deutscher_31", "person_31"])
+@pytest.fixture(scope="module", params=["deutscher_31", "person_31", "loose_limbed"])
 def body(request):
-    """The bodies with 31 dofs; one has joints without any."""
+    """The bodies with 31 dofs, of which one has joints without any, and that one placed by its parts."""
+    if request.param == "loose_limbed":
+        return loosened(build_body("person_31", load_body("person_31")))
     return build_body(request.param, load_body(request.param))
 
 
@@ -40,12 +43,37 @@ def walk(body, frames=9):
     return poses
 
 
-def motion_of(body, poses, order=(0, 1, 2), up="z"):
+def placed(body, poses):
+    """What places the body: the poses, or the parts with gaps of centimetres between them."""
+    if body.variable == "pose":
+        return np.asarray(poses)
+    parts = np.array(CONFIGURATIONS(body, jnp.asarray(poses)), float)
+    parts[..., :3] += np.random.default_rng(5).normal(0, 0.02, parts[..., :3].shape)
+    return parts
+
+
+def motion_of(body, configurations, order=(0, 1, 2), up="z"):
+    if body.variable == "parts":
+        return loose_motion_of(body, configurations, order, up)
+    poses = configurations
     units = tuple("deg" if angular else "m" for angular in body.skeleton.topology.angular)
     mean = np.where(np.array(units) == "deg", np.degrees(poses), poses)
     none = np.zeros((len(poses), 0, 3))
     markers, dofs = Moments(none, none, none, none), Moments(mean, 0 * mean, mean, mean)
     return Motion("walk", 59.94, up, (), markers, body.dof_names, units, dofs, np.zeros(len(poses), bool), body, order)
+
+
+def loose_motion_of(body, parts, order, up):
+    none, empty = np.zeros((len(parts), 0, 3)), np.zeros((len(parts), 0))
+    markers, dofs, names = Moments(none, none, none, none), Moments(empty, empty, empty, empty), body.placement.names
+    # The world's axes are permuted as SciPy does it.
+    mean = np.array(parts)
+    turn = Rotation.from_matrix(np.eye(3)[list(order)])
+    mean[..., :3] = parts[..., list(order)]
+    mean[..., 3:] = np.stack([(turn * Rotation.from_quat(each, scalar_first=True)).as_quat(scalar_first=True) for each in parts[..., 3:]])
+    spread = Moments(*np.zeros((4, *parts.shape[:2], 3)))
+    given = Parts(names, mean, spread, spread)
+    return Motion("walk", 59.94, up, (), markers, (), (), dofs, np.zeros(len(parts), bool), body, order, parts=given)
 
 
 def by_the_rules(path):
@@ -79,11 +107,11 @@ def by_the_rules(path):
 
 @pytest.mark.parametrize(("up", "order"), [("z", (0, 1, 2)), ("y", (1, 2, 0)), ("x", (2, 0, 1))])
 def test_the_mean_pose_comes_back(body, tmp_path, up, order):
-    poses, path = walk(body), tmp_path / "walk.bvh"
+    poses, path = placed(body, walk(body)), tmp_path / "walk.bvh"
     write_bvh(motion_of(body, poses, order, up), path)
     back = read_motion(path, up=up)
     assert np.isclose(back.fps, 59.94, rtol=1e-9) and len(back.positions_m) == len(poses)
-    transforms = TRANSFORMS(body.skeleton, jnp.asarray(poses))
+    transforms = TRANSFORMS(body, jnp.asarray(poses))
     for j, name in enumerate(body.skeleton.topology.joint_names):
         assert np.abs(back.positions_m[:, back.joints.index(name)] - transforms.origin[:, j]).max() < 4 * PRINTED_M, name
     rules = by_the_rules(path)
@@ -94,21 +122,24 @@ def test_the_mean_pose_comes_back(body, tmp_path, up, order):
 
 
 def test_limbs_end_where_markers_are(body, tmp_path):
-    poses, path = walk(body), tmp_path / "walk.bvh"
+    poses, path = placed(body, walk(body)), tmp_path / "walk.bvh"
     write_bvh(motion_of(body, poses, (1, 2, 0), "y"), path)
     places = landmarks(read_motion(path, up="y"))
-    markers = np.asarray(jax.jit(jax.vmap(partial(marker_positions, body.skeleton, body.markers)))(jnp.asarray(poses)))
+    markers = np.asarray(jax.jit(jax.vmap(partial(placed_markers, body)))(jnp.asarray(poses)))
     for name in ("l_wrist", "r_elbow", "l_ankle", "r_knee", "r_hip", "l_shoulder", "head"):
         assert np.abs(places[name] - markers[:, body.markers.names.index(name)]).max() < 5 * PRINTED_M, name
 
 
 def test_at_rest_it_stands_in_the_zero_pose(body, tmp_path):
-    """All channels but the root's positions are zero, and the offsets are the body's own."""
-    path = tmp_path / "rest.bvh"
-    write_bvh(motion_of(body, np.zeros((9, len(body.dof_names))), (1, 2, 0), "y"), path)
+    """All channels but the positions are zero, and the offsets are the body's own."""
+    path, zero = tmp_path / "rest.bvh", np.zeros((9, len(body.dof_names)))
+    write_bvh(motion_of(body, np.array(CONFIGURATIONS(body, jnp.asarray(zero)), float), (1, 2, 0), "y"), path)
     assert "-0.000000" not in path.read_text()
     values = np.array([[float(word) for word in line.split()] for line in path.read_text().splitlines()[-9:]])
-    assert values.shape == (9, 3 + 3 * len(body.skeleton.topology.joint_names)) and np.abs(values).max() < 1e-4
+    free = len(body.placement.names) if body.variable == "parts" else 1
+    assert values.shape == (9, 3 * free + 3 * len(body.skeleton.topology.joint_names))
+    if free == 1:
+        assert np.abs(values).max() < 1e-4
     back = read_motion(path, up="y")
     assert np.allclose(back.rotations[:, 0], [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-6)
     # It stands upright: the head above the hips, these above the ankles, by the body's lengths.
@@ -121,7 +152,7 @@ def test_angles_go_on_over_a_turn(body, tmp_path):
     path = tmp_path / "turning.bvh"
     poses = np.zeros((9, len(body.dof_names)))
     poses[:, body.dof_names.index("root_yaw")] = np.linspace(0, 4 * np.pi, 9)
-    write_bvh(motion_of(body, poses), path)
+    write_bvh(motion_of(body, np.array(CONFIGURATIONS(body, jnp.asarray(poses)), float)), path)
     values = np.array([[float(word) for word in line.split()] for line in path.read_text().splitlines()[-9:]])
     assert np.abs(np.diff(values[:, 3:6], axis=0)).max() < 91 and np.ptp(values[:, 3:6], axis=0).max() > 700
 
@@ -146,10 +177,10 @@ def test_a_body_of_two_roots(body, tmp_path):
     loose = dataclasses.replace(topology, parents=(-1, -1, *topology.parents[2:]))
     loose = dataclasses.replace(body, skeleton=dataclasses.replace(body.skeleton, topology=loose))
     with pytest.raises(InputError, match=r"--to bvh: the body '.*_31' has 2 roots; expected exactly one root"):
-        write_bvh(motion_of(loose, walk(body)), tmp_path / "walk.bvh")
+        write_bvh(motion_of(loose, placed(body, walk(body))), tmp_path / "walk.bvh")
     assert not (tmp_path / "walk.bvh").exists()
 
 
 def test_a_file_that_cannot_be_written_is_a_sentence(body, tmp_path):
     with pytest.raises(InputError, match=r"cannot be written"):
-        write_bvh(motion_of(body, walk(body)), tmp_path / "none" / "walk.bvh")
+        write_bvh(motion_of(body, placed(body, walk(body))), tmp_path / "none" / "walk.bvh")

@@ -3,10 +3,12 @@
 import dataclasses
 from itertools import product
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from bayes_body.body.placement import loosened
 from bayes_body.metrics import accuracy_figures, against_truth
 from bayes_body.metrics.accuracy import LEVELS
 from bayes_body.metrics.figures import NAMES, width
@@ -53,6 +55,28 @@ def test_every_figure_is_what_it_says(arm, clouds_of, all_markers):
     assert 0.1 < figures["coverage_50"] < figures["coverage_90"] < 1 and len(inside[0.9]) == (5 * 3 - 1) * 3 * 2
     # The arm has no pelvis, and five frames are too few for an offset.
     assert [name for name in NAMES if figures[name] is None] == ["error_mm_relative", "error_mm_mean_fitted_offset", "coverage_90_fitted_offset"]
+
+
+def test_parts_made_from_poses_have_the_figures_of_the_poses(whole, clouds_of, all_markers):
+    """Error and coverage depend on the markers only. The fitted offsets are in the frames of mean parts, which are not those of mean angles."""
+    rng, frames, names = np.random.default_rng(11), FEWEST, whole.body.markers.names
+    poses, log_weights = poses_of(whole, (frames, 2, 20), 0.05), rng.normal(size=(frames, 2, 20))
+    loose = dataclasses.replace(whole, body=loosened(whole.body))
+    # The torso holds the joints without a part of their own, such as the collar-bones, at the angle 0.
+    held = set(range(len(loose.body.placement.owners))) - set(loose.body.placement.joints_of_parts)
+    poses[..., [motion.dof for joint in held for motion in whole.body.skeleton.topology.motions[joint]]] = 0
+    truth = markers(whole, poses[:, 0, 0].astype(np.float32)) + rng.normal(0, 0.02, (frames, 15, 3))
+    place = jax.jit(jax.vmap(lambda pose: loose.body.placement.configuration(loose.body.skeleton, pose)))
+    parts = np.asarray(place(jnp.asarray(poses.reshape(-1, poses.shape[-1]), jnp.float32))).reshape(frames, 2, 20, -1, 7)
+    by_angles = accuracy_figures(against_truth(whole, clouds_of(poses, log_weights), all_markers(names, truth)), mode_seeker=False)
+    by_parts = accuracy_figures(against_truth(loose, clouds_of(parts, log_weights), all_markers(names, truth)), mode_seeker=False)
+    for name in ("error_mm_mean", "error_mm_std", "error_mm_relative", "error_mm_optimistic"):
+        assert by_parts[name] == pytest.approx(by_angles[name], rel=1e-3), name
+    assert by_parts["error_mm_by_marker"] == pytest.approx(by_angles["error_mm_by_marker"], rel=1e-3)
+    # One of the 900 intervals may end within rounding of the truth.
+    for name in ("coverage_50", "coverage_90"):
+        assert by_parts[name] == pytest.approx(by_angles[name], abs=2 / 900), name
+    assert by_parts["error_mm_mean_fitted_offset"] == pytest.approx(by_angles["error_mm_mean_fitted_offset"], rel=0.02)
 
 
 def test_markers_are_found_by_name(arm, clouds_of, all_markers):

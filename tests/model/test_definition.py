@@ -153,6 +153,10 @@ FAULTS = {
     "no kernel": (('[kernel]\nkind = "sir"\nparticles = 12\n', ""), "kernel: missing"),
     "no kind": (('kind = "sir"\n', ""), "kernel.kind: missing; expected a string; add it to kernel"),
     "key beside a body's name": (('name = "arm_4"', 'name = "arm_4"\nheight_m = 2.0'), "body.height_m: unknown key beside a body's name"),
+    "placement": (
+        ('name = "arm_4"', 'name = "arm_4"\nplacement = "loose"'),
+        'body.placement: \'loose\'; expected "angles" or "parts"',
+    ),
     "body's name a number": (('"arm_4"', "4"), "body.name: 4; expected a string"),
     "second likelihood": (('["edges"]', '["edge"]'), "likelihood #2: terms #1 = \"edge\": no such choice; did you mean 'edges'?"),
     "no terms": (('["edges"]', "[]"), "likelihood #2: terms = []; expected at least 1 entries"),

@@ -9,7 +9,7 @@ from cv2.typing import MatLike
 from jaxtyping import Float
 
 from bayes_body.errors import InputError
-from bayes_body.posterior.blocks import coordinate_blocks
+from bayes_body.posterior.blocks import coordinate_blocks, pose_blocks
 from bayes_body.posterior.mixing import Mixing, autocorrelation, by_chain
 from bayes_body.view.overlay import backdrop
 from bayes_body.view.report.dof_map import dof_map
@@ -46,7 +46,7 @@ def chain_section(it: Inspection) -> Markup:
     parts += [figures([_rhat_map(it, mixing)], "wide")] if known else [tag("p", "There is no R-hat: each frame has a single chain or too few draws.")]
     parts += [tag("h3", f"Frame {frame}, with the worst mixing"), figures([_autocorrelations(it, mixing, draws, frame)])]
     try:
-        pictures = [_path(it, draws[0], frame)]
+        pictures = [_path(it, mixing, frame)]
     except InputError as error:
         return section("chains", "Markov chains", *parts, tag("p", f"No path is drawn: {error}"))
     return section("chains", "Markov chains", *parts, tag("p", PATH), figures(pictures, "stills"))
@@ -117,10 +117,12 @@ def _autocorrelations(it: Inspection, mixing: Mixing, draws: Float[np.ndarray, "
     return encoded(figure, f"Autocorrelation within the chains of frame {frame}; effective draws of the slowest dofs: {named}.")
 
 
-def _path(it: Inspection, chain: Float[np.ndarray, "step dof"], frame: int) -> Picture:
+def _path(it: Inspection, mixing: Mixing, frame: int) -> Picture:
     """Return the picture of a chain's path: outlines of evenly spaced states over the image of the first camera that saw the frame."""
     session = it.run.session
     model = seen_in(it.run.model, session, frame)
+    (block,) = pose_blocks(it.run.tree, range(frame, frame + 1), variable=model.body.variable)
+    chain = by_chain(block.poses[:1], mixing.length)[0, 0, :, 0]
     shown = _camera(it, frame)
     image = backdrop(session, frame, session.views[shown])[0]
     chosen = np.unique(np.linspace(0, len(chain) - 1, STATES).round().astype(int))

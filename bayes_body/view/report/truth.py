@@ -74,7 +74,7 @@ def measured(run: "SavedRun") -> AgainstTruth | None:
 
 def _clouds(run: "SavedRun", frames: range) -> Clouds:
     def call() -> Iterator[Cloud]:
-        for piece in pose_blocks(run.tree, frames):
+        for piece in pose_blocks(run.tree, frames, variable=run.model.body.variable):
             yield from (Cloud(piece.poses[:, :, place], piece.log_weights[:, :, place]) for place in range(len(piece.frames)))
 
     return call

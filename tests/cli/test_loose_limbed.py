@@ -1,0 +1,54 @@
+"""A whole run of a loose-limbed body at the command line: tracked, continued, reported and exported."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+from conftest import loose_limbed
+
+from bayes_body.model.definition import load_definition
+from bayes_body.session.read import save_session
+from bayes_body.storage.saved_run import load_run
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    """The arm and its markers, with an upper arm and a forearm that the elbow keeps together."""
+    path = tmp_path_factory.mktemp("model") / "loose_arm.toml"
+    text = loose_limbed(load_definition("arm_markers").text)
+    text = text.replace("[[likelihood]]", '[[potential]]\nkind = "kinematic"\n\n[[likelihood]]', 1).replace('kind = "sir"', 'kind = "tempered"')
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.slow
+def test_from_track_to_export(cli, model, keypoint_session, tmp_path):
+    save_session(keypoint_session)
+    run, whole = tmp_path / "run", tmp_path / "whole"
+    assert cli("models", "check", model).status == 0
+    options = ("track", keypoint_session.folder, "--model", model, "--particles", "40", "--runs", "2", "--seed", "3")
+    for out, frames in ((run, "2"), (whole, "3")):
+        outcome = cli(*options, "--frames", frames, "--out", out)
+        assert outcome.status == 0, outcome.err
+    outcome = cli("track", keypoint_session.folder, "--frames", "3", "--out", run, "--resume")
+    assert outcome.status == 0, outcome.err
+    with xr.open_datatree(run / "posterior.nc", engine="h5netcdf") as own, xr.open_datatree(whole / "posterior.nc", engine="h5netcdf") as other:
+        assert own["posterior"]["parts"].dims == ("chain", "draw", "frame", "part", "coordinate")
+        assert np.array_equal(own["posterior"]["parts"], other["posterior"]["parts"])
+        quaternions = np.asarray(own["posterior"]["parts"])[..., 3:]
+    assert np.abs(np.linalg.norm(quaternions, axis=-1) - 1).max() < 1e-4
+    summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))
+    assert (summary["frames"], summary["dof"]) == (3, 12) and summary["rhat_max"] > 0 and summary["marker_disagreement_mm"] > 0
+
+    assert cli("report", run).status == 0
+    page = (run / "report.html").read_text(encoding="utf-8")
+    assert "forearm ry" in page and "upper arm x" in page
+    for name in ("trc", "c3d", "csv", "bvh", "npz"):
+        outcome = cli("export", run, "--to", name)
+        assert outcome.status == 0, outcome.err
+        assert (run / f"motion.{name}").stat().st_size > 0
+    with load_run(run) as saved, np.load(run / "motion.npz") as arrays:
+        assert saved.model.body.variable == "parts" and arrays["marker_mean_m"].shape == (3, 3, 3)
+        elbow = np.abs(arrays["marker_mean_m"][:, 1] - arrays["part_mean_m"][:, 1]).max()
+    assert elbow < 1e-5
