@@ -47,6 +47,10 @@ class First(NamedTuple):
         """Return the distribution around another pose."""
         return self._replace(pose=pose, mode=self.transition.begin({"pose": pose}))
 
+    def known(self, state: State) -> "First":
+        """Return the distribution of one certain state."""
+        return self._replace(pose=state.get("pose", self.pose), sd=jnp.zeros_like(self.sd), mode=state)
+
     def sample(self, key: Key) -> State:
         """Draw a state."""
         uncertain = self.sd > 0
