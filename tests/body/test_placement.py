@@ -1,0 +1,40 @@
+"""Whole-body likelihoods do not know which placement a body has: their values and their gradients by a movement of the whole body are the same."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_body.dynamics import rigid_walk
+from bayes_body.geometry import rigid
+from bayes_body.model.build import build_model
+from bayes_body.model.definition import TermDefinition, load_definition
+from bayes_body.observation.frames import read_frame
+
+
+@pytest.mark.parametrize("name", ["arm", "arm_silhouette", "arm_markers", pytest.param("arm_edges", marks=pytest.mark.slow)])
+def test_a_likelihood_is_the_same_for_both(name, keypoint_session):
+    definition = load_definition(name)
+    walk = TermDefinition("rigid_walk", rigid_walk.Options())
+    angles, parts = (build_model(each, keypoint_session) for each in (definition, dataclasses.replace(definition, placement="parts", dynamics=walk)))
+    assert (angles.body.variable, parts.body.variable) == ("pose", "parts")
+    data = angles.observe(read_frame(keypoint_session, 1))
+    pose = jnp.asarray([-0.4, -0.7, 0.2, -0.9], jnp.float32)
+
+    def by_angles(pose, shift):
+        moved = dataclasses.replace(angles.body.skeleton, offsets=angles.body.skeleton.offsets.at[0].add(shift))
+        factors = jax.tree.map(
+            lambda node: moved if isinstance(node, type(moved)) else node, angles.factors, is_leaf=lambda n: isinstance(n, type(moved))
+        )
+        return dataclasses.replace(angles.density(data), factors=factors).log_likelihood({"pose": pose}, angles.initial)
+
+    def by_parts(pose, shift):
+        configuration = parts.body.placement.configuration(parts.body.skeleton, pose)
+        X = jnp.concatenate([shift, jnp.asarray([1.0, 0, 0, 0])])
+        return parts.density(data).log_likelihood({"parts": rigid.compose(X[None], configuration)}, parts.initial)
+
+    (one, slope), (other, other_slope) = (jax.jit(jax.value_and_grad(each, argnums=1))(pose, jnp.zeros(3)) for each in (by_angles, by_parts))
+    assert np.isfinite(one) and float(one) == pytest.approx(float(other), rel=1e-4)
+    np.testing.assert_allclose(slope, other_slope, rtol=2e-3, atol=1e-3 * np.abs(slope).max())
