@@ -132,14 +132,16 @@ def test_a_kernel_follows_a_scene_of_a_definition(scenes, pair, monkeypatch):
 
 
 def _check_draws(scene, draws):
-    count, dofs = draws.particles, len(scene.model.body.dof_names)
+    count, body = draws.particles, scene.model.body
     for frame in draws.frames:
-        assert frame.states["pose"].shape == (1, count, dofs) and np.isfinite(frame.states["pose"]).all()
+        placing = frame.states[body.variable]
+        assert placing.shape == (1, count, *scene.model.initial[body.variable].shape) and np.isfinite(placing).all()
         assert np.isclose(np.exp(np.asarray(frame.log_weights, float)).sum(), 1, atol=1e-4)
         assert frame.info.ancestors.shape == (1, count) and not frame.lost
         assert 1 - 1e-4 <= frame.info.ess.item() <= count + 1e-3
-        low, high = np.asarray(scene.model.body.skeleton.low), np.asarray(scene.model.body.skeleton.high)
-        assert (frame.states["pose"] >= low - 1e-5).all() and (frame.states["pose"] <= high + 1e-5).all()
+        if body.variable == "pose":
+            low, high = np.asarray(body.skeleton.low), np.asarray(body.skeleton.high)
+            assert (placing >= low - 1e-5).all() and (placing <= high + 1e-5).all()
 
 
 def test_pairs_are_all_of_them():

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from simulation.walker import FPS, walker
@@ -45,7 +46,7 @@ def test_a_model_at_the_true_angles_is_not_the_rendered_person(model, person, tm
     assert 0.75 <= np.median(overlap) <= 0.92
     assert overlap.max() < 0.95
     # As thick as somebody looks in the first frame, in the others: nearer, and never the same.
-    outline = fit_outline(body.beginning_at(poses[0]), session)
+    outline = fit_outline(body.beginning_at(jnp.asarray(poses[0])), session)
     dressed = build_model(definition, replace(session, subject=replace(subject, outline_radii_m=outline.radii_m), initial={}))
     nearer = overlaps(dressed, poses[1:], session)
     # Picture by picture: some are seen worse than others, whatever somebody wears.
