@@ -164,10 +164,10 @@ class _Sampler:
             return jnp.where(keeps_weights, state.log_weights, increments)
 
         after = feynman_kac_step(key, state.particles, state.log_weights, move, log_potential, resample, resampled)
-        reached = jax.tree.map(jnp.add, state.powers, self._increment(after.particles.terms, state))
+        step = self._increment(after.particles.terms, state)
+        reached = jax.tree.map(jnp.add, state.powers, step)
         # If rounding in float32 left the sum just below 1, that would cost one more stage.
         reached = jax.tree.map(lambda power: jnp.where(power > 1 - 1e-6, 1.0, power), reached)
-        counts = (state.powers.potential >= 1) & ~at_top
         acceptance = jnp.asarray(after.info, state.log_step_size.dtype)
         excess = jnp.where(jnp.isnan(acceptance), 0.0, GAIN * (acceptance - self.move.acceptance_rate))
         return TemperedState(
@@ -176,7 +176,7 @@ class _Sampler:
             powers=reached,
             stage=stage + 1,
             stages_at_top=state.stages_at_top + at_top,
-            log_evidence=state.log_evidence + jnp.where(counts, after.log_increment, 0.0),
+            log_evidence=state.log_evidence + jnp.where(at_top, 0.0, after.log_increment - _of_potentials(step, after.particles.terms)),
             log_step_size=state.log_step_size + excess,
             ladder=state.ladder.with_powers(stage, reached),
             survival_rates=state.survival_rates.at[stage].set(effective_sample_size(after.log_weights) / count),
@@ -245,6 +245,15 @@ class _Sampler:
         count, options = last.log_weights.shape[0], self.options
         moved = count // (options.moves + 1) if options.waste_free else count
         return count + (last.stage - 1) * moved * options.moves * self.move.evaluations
+
+
+def _of_potentials(step: LogTerms, terms: LogTerms) -> Scalar:
+    """Return the share of a stage's evidence that belongs to the potentials: all of it on the first rung, none on the second.
+
+    If too few stages are left, the last one climbs the rest of both rungs at once, and only the likelihood's share is evidence.
+    """
+    share = normalise(step.potential * terms.potential).log_sum - jnp.log(terms.potential.shape[0])
+    return jnp.where(step.potential > 0, share, 0.0)
 
 
 def _at_top(state: TemperedState) -> Flag:

@@ -11,10 +11,11 @@ from jaxtyping import Array, Int
 
 from bayes_body.density.density import Unconstrained
 from bayes_body.density.factor import Particles
+from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.kernels import annealed_filter, tempered_smc
 from bayes_body.kernels.parts.resampling import Resample
 from bayes_body.kernels.parts.weights import predict
-from bayes_body.shapes import Flag, Key, Scalar
+from bayes_body.shapes import Flag, Key, Keys, Scalar
 
 type StartsBy = Literal["importance", "annealing"]
 
@@ -77,16 +78,9 @@ def by_annealing(key: Key, target: Unconstrained, count: int, chains: int, resam
         chains: number of starts.
         resample: a resampling scheme.
     """
-    importance_key, parent_key, anneal_key, choose_key = jax.random.split(key, 4)
-    by_weight = by_importance(importance_key, target, count, chains, resample)
-    previous = target.density.previous
-    parents = resample(parent_key, previous.log_weights, count)
-    equal = jnp.full((count,), -jnp.log(count), previous.log_weights.dtype)
-    before = Particles(jax.tree.map(lambda leaf: leaf[parents], dict(previous.states)), equal)
-    after, info = annealed_filter.build_kernel()(anneal_key, before, target.density)
-    chosen = resample(choose_key, after.log_weights, chains)
-    position = jax.vmap(target.unconstrain)(jax.tree.map(lambda leaf: leaf[chosen], dict(after.states)))
-    starts = Start(position, parents[info.ancestors[chosen]])
+    keys = jax.random.split(key, 4)
+    by_weight = by_importance(keys[0], target, count, chains, resample)
+    starts, info = _among_particles(keys[1:], annealed_filter.build_kernel(), target, count, chains, resample)
     return by_weight._replace(starts=starts, lost=by_weight.lost | info.lost, evaluations=by_weight.evaluations + info.evaluations)
 
 
@@ -100,12 +94,18 @@ def by_tempering(key: Key, target: Unconstrained, count: int, chains: int, resam
         chains: number of starts.
         resample: a resampling scheme.
     """
-    parent_key, temper_key, choose_key = jax.random.split(key, 3)
+    starts, info = _among_particles(jax.random.split(key, 3), tempered_smc.build_kernel(), target, count, chains, resample)
+    return Initialisation(starts, info.log_evidence, info.lost, info.evaluations)
+
+
+def _among_particles(keys: Keys, kernel: Kernel, target: Unconstrained, count: int, chains: int, resample: Resample) -> tuple[Start, FilterInfo]:
+    """Run a kernel on `count` particles of the previous frame, and choose starts by weight among its particles."""
+    parent_key, kernel_key, choose_key = keys
     previous = target.density.previous
     parents = resample(parent_key, previous.log_weights, count)
     equal = jnp.full((count,), -jnp.log(count), previous.log_weights.dtype)
     before = Particles(jax.tree.map(lambda leaf: leaf[parents], dict(previous.states)), equal)
-    after, info = tempered_smc.build_kernel()(temper_key, before, target.density)
+    after, info = kernel(kernel_key, before, target.density)
     chosen = resample(choose_key, after.log_weights, chains)
     position = jax.vmap(target.unconstrain)(jax.tree.map(lambda leaf: leaf[chosen], dict(after.states)))
-    return Initialisation(Start(position, parents[info.ancestors[chosen]]), info.log_evidence, info.lost, info.evaluations)
+    return Start(position, parents[info.ancestors[chosen]]), info
