@@ -21,9 +21,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from bayes_body.density.density import Density, LogTerms
+from bayes_body.density.density import Density
 from bayes_body.density.extended import Extended, extended
 from bayes_body.density.factor import Particles, State
+from bayes_body.density.tempering import LogTerms
 from bayes_body.kernels.parts.hamiltonian import Schedule, run_chain
 from bayes_body.kernels.parts.mass import inverse_mass
 from bayes_body.kernels.parts.moves import ExtendedParticle, Move, MoveSettings, hmc, random_walk, walk, whitening

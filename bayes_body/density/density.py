@@ -8,7 +8,7 @@ with the potentials ψ of the prior's side, such as the joints of a loose-limbed
 
 The *marginal* view sums over the ancestor $i$: $\log \sum_i \exp \ell(i, s_t)$, the target of Poon & Fleet's HMC (14). The *extended* view
 (density/extended.py) keeps the ancestor as a variable, for particle filters and tempered SMC. Both call the same factors, use the same coordinates
-(density/coordinates.py) and temper by the same rule (`tempered`). Belief propagation reads single variables of the same factors (`reading`).
+(density/coordinates.py) and temper by the same rule (density/tempering.py). Belief propagation reads single variables of these factors (`reading`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,18 +24,12 @@ from numpyro.distributions import Distribution
 from bayes_body.density.chart import Chart
 from bayes_body.density.coordinates import coordinates_of
 from bayes_body.density.factor import Data, Factor, Particles, Side, State, Transition, Variable, variables
+from bayes_body.density.tempering import LogTerms, tempered
 from bayes_body.errors import input_error
 from bayes_body.shapes import Index, Key, Scalar
 
 # For each variable, a batch of distributions: one for each particle of the previous frame.
 type Predictions = Mapping[str, Distribution]
-
-
-class LogTerms(NamedTuple):
-    """The terms that a kernel may temper: log L, and log ψ of the prior's potentials."""
-
-    likelihood: Scalar
-    potential: Scalar
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=[], data_fields=["transition", "factors", "data", "previous"])
@@ -249,12 +243,6 @@ class Unconstrained(NamedTuple):
         sampled = self.constrain(position)
         ancestor = jax.random.categorical(key, self.density.ancestor_log_probs(sampled, self.predictions))
         return self.density.transition.carry(self.density.ancestor(ancestor), sampled), ancestor
-
-
-def tempered(inverse_temperature: float | Scalar, log_likelihood: Scalar) -> Scalar:
-    """Return β log L, but 0 at β = 0 for every likelihood, since 0 · (-inf) would be NaN."""
-    hot = jnp.asarray(inverse_temperature) == 0
-    return jnp.where(hot, 0.0, inverse_temperature * jnp.where(hot, 0.0, log_likelihood))
 
 
 def _log_prob_each(distributions: Distribution, value: Array) -> Float[Array, " particle"]:

@@ -14,8 +14,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bayes_body.density.chart import Chart
-from bayes_body.density.density import Density, LogTerms
+from bayes_body.density.density import Density
 from bayes_body.density.factor import State
+from bayes_body.density.tempering import LogTerms
 from bayes_body.shapes import Index, Key, Scalar
 
 

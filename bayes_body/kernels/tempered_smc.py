@@ -25,15 +25,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 from pydantic import Field
 
-from bayes_body.density.density import Density, LogTerms
+from bayes_body.density.density import Density
 from bayes_body.density.extended import Extended, extended
 from bayes_body.density.factor import Particles
 from bayes_body.density.kernel import FilterInfo, Kernel
+from bayes_body.density.tempering import LogTerms
 from bayes_body.errors import input_error
 from bayes_body.kernels.parts.batching import over_particles
+from bayes_body.kernels.parts.ladder import Ladder, increment, is_at_top, potentials_share
 from bayes_body.kernels.parts.moves import ExtendedParticle, Move, MoveName, MoveSettings, check_gradients, hmc, random_walk, walk, whitening
 from bayes_body.kernels.parts.resampling import Resample, Scheme, resampler
-from bayes_body.kernels.parts.tempering import Ladder, TemperedState, feynman_kac_step, finite_log, init_state, next_increment
+from bayes_body.kernels.parts.tempering import TemperedState, feynman_kac_step, finite_log, init_state
 from bayes_body.kernels.parts.weights import LogWeights, effective_sample_size, normalise, predict
 from bayes_body.registry import register
 from bayes_body.shapes import Flag, Key, Keys, Scalar
@@ -114,7 +116,7 @@ class _Sampler:
         def unfinished(state: TemperedState) -> Array:
             if self.frozen is not None:
                 return (state.stage < self.stages) & ~lost
-            return (~_at_top(state) | (state.stages_at_top < self.options.final_stages)) & ~lost
+            return (~is_at_top(state.powers) | (state.stages_at_top < self.options.final_stages)) & ~lost
 
         last = jax.lax.while_loop(unfinished, lambda state: self._stage(jax.random.fold_in(stages_key, state.stage), state, view), first)
         after, info = self._result(view, last, predicted, lost)
@@ -150,7 +152,7 @@ class _Sampler:
         return self._step(key, state, move, state.log_weights.shape[0] // states_a_chain)
 
     def _step(self, key: Key, state: TemperedState, move: Callable[..., tuple[ExtendedParticle, Any]], resampled: int) -> TemperedState:
-        count, stage, at_top = state.log_weights.shape[0], state.stage, _at_top(state)
+        count, stage, at_top = state.log_weights.shape[0], state.stage, is_at_top(state.powers)
         # At β = 1 there is nothing to reweight: the particles keep their weights, unless there are fewer chains than particles.
         keeps_weights = at_top & (resampled == count)
 
@@ -176,7 +178,7 @@ class _Sampler:
             powers=reached,
             stage=stage + 1,
             stages_at_top=state.stages_at_top + at_top,
-            log_evidence=state.log_evidence + jnp.where(at_top, 0.0, after.log_increment - _of_potentials(step, after.particles.terms)),
+            log_evidence=state.log_evidence + jnp.where(at_top, 0.0, after.log_increment - potentials_share(step, after.particles.terms)),
             log_step_size=state.log_step_size + excess,
             ladder=state.ladder.with_powers(stage, reached),
             survival_rates=state.survival_rates.at[stage].set(effective_sample_size(after.log_weights) / count),
@@ -184,16 +186,9 @@ class _Sampler:
         )
 
     def _increment(self, terms: LogTerms, state: TemperedState) -> LogTerms:
-        """Return the step of both powers: of the potentials' until it is 1, then of the likelihood's. The last stage goes to 1 in both."""
-        likelihood, potential = state.powers
         if self.frozen is not None:
-            return LogTerms(self.frozen.inverse_temperatures[state.stage] - likelihood, self.frozen.potential_powers[state.stage] - potential)
-        last, first_rung = state.stage == self.options.most_stages - 1, potential < 1
-        heated, remaining = jnp.where(first_rung, terms.potential, terms.likelihood), 1 - jnp.where(first_rung, potential, likelihood)
-        step = next_increment(heated, self.options.target_ess, remaining)
-        return LogTerms(
-            jnp.where(last, 1 - likelihood, jnp.where(first_rung, 0.0, step)), jnp.where(last, 1 - potential, jnp.where(first_rung, step, 0.0))
-        )
+            return self.frozen.increment(state.powers, state.stage)
+        return increment(terms, state.powers, self.options.target_ess, state.stage == self.options.most_stages - 1)
 
     # -- moves --------------------------------------------------------------------------------------------------------------------------
 
@@ -245,19 +240,6 @@ class _Sampler:
         count, options = last.log_weights.shape[0], self.options
         moved = count // (options.moves + 1) if options.waste_free else count
         return count + (last.stage - 1) * moved * options.moves * self.move.evaluations
-
-
-def _of_potentials(step: LogTerms, terms: LogTerms) -> Scalar:
-    """Return the share of a stage's evidence that belongs to the potentials: all of it on the first rung, none on the second.
-
-    If too few stages are left, the last one climbs the rest of both rungs at once, and only the likelihood's share is evidence.
-    """
-    share = normalise(step.potential * terms.potential).log_sum - jnp.log(terms.potential.shape[0])
-    return jnp.where(step.potential > 0, share, 0.0)
-
-
-def _at_top(state: TemperedState) -> Flag:
-    return (state.powers.likelihood >= 1) & (state.powers.potential >= 1)
 
 
 @register("kernel", "tempered", Options)

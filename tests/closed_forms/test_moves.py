@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.density.density import LogTerms
+from bayes_body.density.tempering import LogTerms
 from bayes_body.kernels.parts.moves import hmc, random_walk
 
 MOVES = {"hmc": hmc(6), "random_walk": random_walk()}

@@ -12,10 +12,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from bayes_body.density.density import Density, LogTerms
+from bayes_body.density.density import Density
 from bayes_body.density.extended import Extended
 from bayes_body.density.factor import State
 from bayes_body.density.sharding import varying_like
+from bayes_body.density.tempering import LogTerms
 from bayes_body.errors import input_error
 from bayes_body.kernels.parts.weights import LogWeights
 from bayes_body.shapes import Index, Key, Scalar

@@ -1,4 +1,4 @@
-r"""A stage of tempered SMC: its state, the Feynman-Kac step through blackjax, and the next temperature.
+r"""A stage of tempered SMC: its state, and the Feynman-Kac step through blackjax.
 
 blackjax declares no types for these functions, so they are cast once, here.
 """
@@ -9,11 +9,12 @@ from typing import Any, NamedTuple, cast
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from bayes_body.density.density import LogTerms
+from bayes_body.density.tempering import LogTerms
+from bayes_body.kernels.parts.ladder import Ladder
 from bayes_body.kernels.parts.moves import ExtendedParticle
 from bayes_body.kernels.parts.resampling import Resample
 from bayes_body.kernels.parts.weights import LogWeights
-from bayes_body.shapes import Index, Key, Keys, Scalar
+from bayes_body.shapes import Key, Keys, Scalar
 
 # The log of a likelihood of zero, as stored for particles. It is finite, so that differences between particles are not NaN.
 LOG_ZERO = -1e30
@@ -22,30 +23,6 @@ LOG_ZERO = -1e30
 def finite_log(log_likelihood: Array) -> Array:
     """Return the log-likelihood, but at least `LOG_ZERO`. NaN counts as a likelihood of zero."""
     return jnp.maximum(jnp.where(jnp.isnan(log_likelihood), LOG_ZERO, log_likelihood), LOG_ZERO)
-
-
-class Ladder(NamedTuple):
-    """The powers of a run, and the log step size and whitening of the moves at each. Entries of unused stages are NaN.
-
-    The powers are those of the likelihood (`inverse_temperatures`) and of the prior's potentials, which reach 1 first.
-    """
-
-    inverse_temperatures: Float[Array, " stage"]
-    potential_powers: Float[Array, " stage"]
-    log_step_sizes: Float[Array, " stage"]
-    whitening: dict[str, Float[Array, "stage dof dof"]]
-
-    def with_powers(self, stage: Index, powers: LogTerms) -> "Ladder":
-        """Return the ladder with the powers that a stage reached entered."""
-        return self._replace(
-            inverse_temperatures=self.inverse_temperatures.at[stage].set(powers.likelihood),
-            potential_powers=self.potential_powers.at[stage].set(powers.potential),
-        )
-
-    def with_moves(self, stage: Index, log_step_size: Scalar, whitening: dict[str, Float[Array, "dof dof"]]) -> "Ladder":
-        """Return the ladder with the moves of a stage entered."""
-        roots = {name: self.whitening[name].at[stage].set(root) for name, root in whitening.items()}
-        return self._replace(log_step_sizes=self.log_step_sizes.at[stage].set(log_step_size), whitening=roots)
 
 
 class TemperedState(NamedTuple):
@@ -127,17 +104,3 @@ def feynman_kac_step(
     # blackjax calls the functions with these arguments, although it declares others.
     after, info = cast(Any, base.step)(key, state, update, log_potential, ancestors, resampled)
     return Reweighted(after.particles, jnp.log(after.weights), info.log_likelihood_increment, info.update_info)
-
-
-def next_increment(log_likelihoods: LogWeights, target_ess: float, most: Scalar) -> Scalar:
-    """Return the largest step of a term's power, up to `most`, after which equal weights have an ESS of at least the fraction `target_ess`."""
-    from blackjax.smc import ess, solver
-
-    relative = log_likelihoods - jnp.max(log_likelihoods)
-    increment = ess.ess_solver(lambda log_likelihood: log_likelihood, relative, target_ess, most, _bisect(solver.dichotomy))
-    return jnp.clip(jnp.asarray(increment, relative.dtype), 0.0, most)
-
-
-def _bisect(dichotomy: Callable[..., Any]) -> Callable[..., Array]:
-    # Bisect to the resolution of float32, since the first step of a sharp likelihood may be 1e-7.
-    return lambda function, low, high: dichotomy(function, low, high, eps=1e-3, max_iter=60)
