@@ -74,8 +74,8 @@ def log_density(edge: Mapping[str, Array], parent: Float[Array, "7"], child: Flo
     return each[0] if each.shape == (1,) else jax.nn.logsumexp(each)
 
 
-def draw(key: Key, edge: Mapping[str, Array], parent: Float[Array, "7"]) -> Float[Array, "7"]:
-    """Draw a child given its parent, from g. Rotations beyond a half turn are drawn again."""
+def draw(key: Key, edge: Mapping[str, Array], known: Float[Array, "7"], reverse: bool = False) -> Float[Array, "7"]:
+    """Draw a child given its parent, or with `reverse` a parent given its child, from g. Rotations beyond a half turn are drawn again."""
     choice_key, step_key = jax.random.split(key)
     # The weights without the constants of the Gaussians.
     component = jax.random.categorical(choice_key, jnp.log(edge["weight"]))
@@ -89,8 +89,8 @@ def draw(key: Key, edge: Mapping[str, Array], parent: Float[Array, "7"]) -> Floa
         return next_key, sd * jax.random.normal(use, (6,), sd.dtype)
 
     _, step = jax.lax.while_loop(too_far, again, (step_key, jnp.full((6,), jnp.inf, sd.dtype)))
-    own = rigid.rigid(step[:3], rotations.exponential(step[3:]))
-    return jnp.asarray(rigid.compose(parent, rigid.compose(edge["mean"][component], own)))
+    relative = rigid.compose(edge["mean"][component], rigid.rigid(step[:3], rotations.exponential(step[3:])))
+    return jnp.asarray(rigid.compose(known, rigid.inverse(relative) if reverse else relative))
 
 
 def draw_tree(key: Key, factor: Factor, root: Float[Array, "7"]) -> Float[Array, "part 7"]:
@@ -123,7 +123,9 @@ def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
     constants = np.log(weights) - np.log(sd).sum(axis=2) - 3 * math.log(2 * math.pi) - np.log(within_half_turn(sd[..., 3:]))
     dtype = body.lengths.dtype
     arrays = {"mean": means, "sd": sd, "weight": weights, "log_weight": constants}
-    return plate_factor(name, "prior", Plate(PARTS, rows, log_density, {key: jnp.asarray(value, dtype) for key, value in arrays.items()}))
+    parameters = {key: jnp.asarray(value, dtype) for key, value in arrays.items()}
+    plate = Plate(PARTS, rows, jax.tree_util.Partial(log_density), parameters, draw=jax.tree_util.Partial(draw))
+    return plate_factor(name, "prior", plate)
 
 
 def _means(name: str, component: Component, body: Body) -> Float[np.ndarray, "part 7"]:

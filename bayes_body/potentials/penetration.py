@@ -11,6 +11,7 @@ needs. It is a constraint, so it applies at full power at every temperature.
 from collections.abc import Mapping
 from typing import Any, Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -71,7 +72,8 @@ def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
         "yields": jnp.full(len(rows), options.yield_m, dtype),
         "soft_sd": jnp.full(len(rows), options.soft_sd_m, dtype),
     }
-    return plate_factor(name, "constraint", Plate(PARTS, rows, _hard if options.mode == "hard" else _soft, parameters))
+    log_potential = jax.tree_util.Partial(_hard if options.mode == "hard" else _soft)
+    return plate_factor(name, "constraint", Plate(PARTS, rows, log_potential, parameters))
 
 
 def _rows(name: str, options: Options, body: Body) -> tuple[tuple[int, ...], ...]:
