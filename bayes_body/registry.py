@@ -55,6 +55,7 @@ _BUILT_IN: dict[Place, str] = {
     ("kernel", "sir"): "bayes_body.kernels.particle_filter",
     ("kernel", "hmc"): "bayes_body.kernels.hmc_filter",
     ("kernel", "annealed"): "bayes_body.kernels.annealed_filter",
+    ("kernel", "particle_bp"): "bayes_body.kernels.particle_bp",
     ("kernel", "tempered"): "bayes_body.kernels.tempered_smc",
 }
 _terms: dict[Place, Term] = {}

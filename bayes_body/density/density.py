@@ -240,7 +240,10 @@ class Unconstrained(NamedTuple):
 
     def complete(self, key: Key, position: State) -> tuple[State, Index]:
         """Return the whole state at a position, and its ancestor, drawn from p(i | s). The variables that are not sampled come from the ancestor."""
-        sampled = self.constrain(position)
+        return self.completed(key, self.constrain(position))
+
+    def completed(self, key: Key, sampled: State) -> tuple[State, Index]:
+        """Return the whole state of sampled variables, and its ancestor, as `complete` does."""
         ancestor = jax.random.categorical(key, self.density.ancestor_log_probs(sampled, self.predictions))
         return self.density.transition.carry(self.density.ancestor(ancestor), sampled), ancestor
 

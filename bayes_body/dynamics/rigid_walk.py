@@ -41,7 +41,10 @@ class Options(Schema):
 
 
 class RigidWalk(Distribution):
-    """Independent steps of rigid parts, around `loc` (part, 7), with standard deviations `sd_m` and `sd_rad` (part,); scalar log_prob."""
+    """Independent steps of rigid parts, around `loc` (part, 7), with standard deviations `sd_m` and `sd_rad` (part,); scalar log_prob.
+
+    It is also the distribution of one part, (7,), as which message passing takes it (`entries`).
+    """
 
     arg_constraints = {"loc": constraints.real_matrix, "sd_m": constraints.real_vector, "sd_rad": constraints.real_vector}
     support = constraints.real_matrix  # pyright: ignore[reportAssignmentType, reportIncompatibleMethodOverride]
@@ -62,13 +65,17 @@ class RigidWalk(Distribution):
         """The variance of every part's step (v, ω), m² and rad²."""
         return jnp.stack([self.sd_m**2] * 3 + [self.sd_rad**2] * 3, axis=-1)
 
-    def sample(self, key: Key, sample_shape: tuple[int, ...] = ()) -> Float[Array, "*sample part 7"]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def entries(self) -> "RigidWalk":
+        """Return the distributions of the parts, stacked: arrays with a leading axis of parts."""
+        return self
+
+    def sample(self, key: Key, sample_shape: tuple[int, ...] = ()) -> Float[Array, "*sample 7"]:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Draw a step of every part."""
         steps = jnp.sqrt(self.variance) * jax.random.normal(key, (*sample_shape, *self.loc.shape[:-1], 6), self.loc.dtype)
         turned = rotations.multiply(self.loc[..., 3:], rotations.exponential(steps[..., 3:]))
         return jnp.asarray(rigid.rigid(self.loc[..., :3] + steps[..., :3], rotations.normalised(turned)))
 
-    def log_prob(self, value: Float[Array, "part 7"], intermediates: Any = None) -> Scalar:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def log_prob(self, value: Float[Array, "*part 7"], intermediates: Any = None) -> Scalar:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The log-density with respect to the Haar measure."""
         del intermediates
         w = rotations.logarithm(rotations.multiply(rotations.conjugate(self.loc[..., 3:]), value[..., 3:]))

@@ -2,7 +2,8 @@
 
 from bayes_body.kernels.annealed_filter import build_kernel as annealed
 from bayes_body.kernels.hmc_filter import build_kernel as hmc
+from bayes_body.kernels.particle_bp import build_kernel as particle_bp
 from bayes_body.kernels.particle_filter import build_kernel as sir
 from bayes_body.kernels.tempered_smc import build_kernel as tempered
 
-__all__ = ["annealed", "hmc", "sir", "tempered"]
+__all__ = ["annealed", "hmc", "particle_bp", "sir", "tempered"]

@@ -6,7 +6,7 @@ from typing import Any
 
 from bayes_body.density.spaces.flat import length
 from bayes_body.density.spaces.space import Axis, Numbers, Points, Space, Vectors, Weights
-from bayes_body.geometry.namespaces import joined
+from bayes_body.geometry.namespaces import joined, namespace
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,23 @@ class Product:
         """Return the root of the sum of the squared distances of the pieces."""
         return length(self.local(x, y))
 
+    def log_measure(self, v: Vectors) -> Numbers:
+        """Return the sum of the pieces'."""
+        return sum((piece.log_measure(v[..., own]) for piece, own in self._tangents()), 0.0 * v[..., 0])
+
+    def images(self, v: Vectors) -> Vectors:
+        """Return v, and the images of one piece at a time."""
+        found = [v[..., None, :]]
+        for piece, own in self._tangents():
+            others = piece.images(v[..., own])[..., 1:, :]
+            before, after = v[..., None, : own.start], v[..., None, own.stop :]
+            same = 0 * others[..., :1]
+            found.append(joined(before + same, others, after + same))
+        return namespace(v).concatenate(found, axis=-2)
+
+    def _tangents(self) -> Iterator[tuple[Space, slice]]:
+        return zip(self.pieces, _slices([piece.dimension for piece in self.pieces]), strict=True)
+
     def _each(self, of: Callable[[Space, slice], Any]) -> Any:
         return joined(*(of(piece, own) for piece, own in zip(self.pieces, _slices([p.shape[0] for p in self.pieces]), strict=True)))
 
@@ -134,7 +151,7 @@ class Plate:
 
     def retract(self, x: Points, v: Vectors) -> Points:
         """Return the points to which a tangent vector leads."""
-        return self.space.retract(x, v.reshape(*v.shape[:-1], len(self.names), self.space.dimension))
+        return self.space.retract(x, self._each(v))
 
     def coordinates(self, centre: Points, y: Points) -> Vectors:
         """Return the coordinates of all points, one after the other."""
@@ -149,6 +166,17 @@ class Plate:
     def distance(self, x: Points, y: Points) -> Numbers:
         """Return the root of the sum of the squared distances of the points."""
         return length(self.local(x, y))
+
+    def log_measure(self, v: Vectors) -> Numbers:
+        """Return the sum of the points'."""
+        return self.space.log_measure(self._each(v)).sum(axis=-1)
+
+    def images(self, v: Vectors) -> Vectors:
+        """Return v, and the images of one point at a time."""
+        return Product(("",) * len(self.names), (self.space,) * len(self.names)).images(v)
+
+    def _each(self, v: Vectors) -> Vectors:
+        return v.reshape(*v.shape[:-1], len(self.names), self.space.dimension)
 
 
 def _flat(vectors: Any) -> Any:

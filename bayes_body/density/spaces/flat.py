@@ -98,6 +98,15 @@ class Flat:
         """Return the Euclidean length of the difference."""
         return length(self.local(x, y))
 
+    def log_measure(self, v: Vectors) -> Numbers:
+        """Return zero: the reference measure is Lebesgue measure."""
+        return 0.0 * v[..., 0]
+
+    def images(self, v: Vectors) -> Vectors:
+        """Return v, and v with a turn more or less of one angle at a time."""
+        turns = TURN * np.eye(self.dimension)[self.turns]
+        return v[..., None, :] + np.concatenate([np.zeros((1, self.dimension)), turns, -turns]).astype(v.dtype)
+
     @property
     def turns(self) -> Bool[np.ndarray, " entry"]:
         """The mask of the entries on the circle."""

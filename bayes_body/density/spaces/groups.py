@@ -6,13 +6,15 @@ the torso's own long axis. Neither distances nor volumes change if frame a moves
 
 from dataclasses import dataclass
 
-from bayes_body.density.spaces.flat import length
+from bayes_body.density.spaces.flat import TURN, length
 from bayes_body.density.spaces.space import Axis, Numbers, Points, Vectors, Weights
 from bayes_body.geometry import rigid, rotations
 from bayes_body.geometry.namespaces import joined, namespace
 
 # Steps towards the intrinsic mean of rotations: from the extrinsic mean, each step leaves about the square of the spread of the error before.
 MEAN_STEPS = 5
+# Radians: below it, the tangent vector the other way round is not needed.
+SMALLEST_TURN = 0.01
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,19 @@ class SO3:
         """Return the angle between the rotations, radians."""
         return rotations.angle(rotations.multiply(rotations.conjugate(x), y))
 
+    def log_measure(self, v: Vectors) -> Numbers:
+        """Return the log-Jacobian of the exponential map."""
+        return rotations.log_jacobian(v)
+
+    def images(self, v: Vectors) -> Vectors:
+        """Return v, and the rotation the other way round. At the zero vector, where that has no axis, it is far away."""
+        xp = namespace(v)
+        angle = length(v)[..., None]
+        # Close to zero the other way round has a density of almost nothing, and no finite Jacobian.
+        turned = angle > SMALLEST_TURN
+        other = xp.where(turned, v * (1 - TURN / xp.where(turned, angle, 1.0)), 1.5 * TURN)
+        return xp.stack([v, other], axis=-2)
+
 
 @dataclass(frozen=True)
 class SE3:
@@ -103,3 +118,12 @@ class SE3:
     def distance(self, x: Points, y: Points) -> Numbers:
         """Return the root of metres² + radians²."""
         return length(self.local(x, y))
+
+    def log_measure(self, v: Vectors) -> Numbers:
+        """Return the log-Jacobian of the rotation's exponential map."""
+        return rotations.log_jacobian(v[..., 3:])
+
+    def images(self, v: Vectors) -> Vectors:
+        """Return v, and the same with the rotation the other way round."""
+        turned = SO3().images(v[..., 3:])
+        return joined(v[..., None, :3] + 0 * turned, turned)

@@ -86,3 +86,11 @@ class Space(Protocol):
     def distance(self, x: Points, y: Points) -> Numbers:
         """Return the length of `local(x, y)`, where a metre counts as much as a radian."""
         ...
+
+    def log_measure(self, v: Vectors) -> Numbers:
+        """Return the logarithm of the reference measure at the point `retract(x, v)` relative to Lebesgue measure dv; it does not depend on x."""
+        ...
+
+    def images(self, v: Vectors) -> Vectors:
+        """Return v and the next tangent vectors that lead to the same point, (..., image, dimension): such as a full turn more or less."""
+        ...

@@ -1,0 +1,171 @@
+r"""A pairwise graph: nodes are the entries of one plated variable, such as the parts of a body; factors read one node or two.
+
+$$\log p(x_1 \ldots x_V) = \sum_i \log \phi_i(x_i) + \sum_{(i, j)} \log \psi_{ij}(x_i, x_j).$$
+
+Message passing reads it. It knows no bodies: `graph` makes one from plain functions and distributions, and density/parts_graph.py makes one from the
+density of a frame. Proposals of nodes, such as detections, are no terms of the density. They only say where to look.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from bayes_body.density.plate import Plate
+from bayes_body.density.spaces import Space
+from bayes_body.errors import input_error
+from bayes_body.shapes import Key, Scalar
+
+
+@partial(jax.tree_util.register_dataclass, meta_fields=["name", "tempered"], data_fields=["plate", "data"])
+@dataclass(frozen=True)
+class Term:
+    """Factors of one form, over rows of one node or of two.
+
+    Attributes:
+        name: their name in messages.
+        tempered: whether they are likelihoods, which annealing tempers.
+        plate: the factors.
+        data: the frame's data that they read, or None.
+    """
+
+    name: str
+    tempered: bool
+    plate: Plate
+    data: Any = None
+
+    @property
+    def rows(self) -> Int[np.ndarray, "row arity"]:
+        """The nodes that each factor reads."""
+        return np.array(self.plate.rows, np.int32)
+
+    def log_potential(self, parameters: Any, *entries: Array) -> Scalar:
+        """Return the log-potential of one row, given its parameters."""
+        return self.plate.log_potential(parameters, *entries, **({} if self.data is None else {"data": self.data}))
+
+    def pairwise(self, parameters: Any, first: Array, second: Array) -> Float[Array, "first second"]:
+        """Return the log-potential of one row of two for all pairs of values of its nodes."""
+        if self.plate.pairwise is not None:
+            return self.plate.pairwise(parameters, first, second)
+        return jax.vmap(lambda x: jax.vmap(lambda y: self.log_potential(parameters, x, y))(second))(first)
+
+
+class Mixture(NamedTuple):
+    """For every node, a mixture of distributions of its value.
+
+    Attributes:
+        components: a distribution with leading axes (node, component): a pytree with `sample(key)` and `log_prob(value)` for one of them.
+        log_weights: normalised for every node. A node without a proposal has -inf everywhere.
+    """
+
+    components: Any
+    log_weights: Float[Array, "node component"]
+
+    @property
+    def exists(self) -> Array:
+        """For every node, whether it has a proposal."""
+        return jnp.max(self.log_weights, axis=1) > -jnp.inf
+
+    def sample(self, key: Key, count: int) -> Float[Array, "node draw *entry"]:
+        """Draw `count` values of every node."""
+        choice, draw = jax.random.split(key)
+        nodes = self.log_weights.shape[0]
+        index = jax.random.categorical(choice, self.log_weights[:, None], axis=-1, shape=(nodes, count))
+        chosen = jax.tree.map(lambda leaf: jax.vmap(lambda own, i: own[i])(leaf, index), self.components)
+        return jax.vmap(jax.vmap(lambda key, one: jnp.asarray(one.sample(key))))(jax.random.split(draw, (nodes, count)), chosen)
+
+    def log_prob(self, values: Float[Array, "node draw *entry"]) -> Float[Array, "node draw"]:
+        """Return the log-density of the values of every node; -inf for a node without a proposal."""
+
+        def of_node(components: Any, log_weights: Array, points: Array) -> Array:
+            each = jax.vmap(lambda x: jax.vmap(lambda one: jnp.asarray(one.log_prob(x)))(components))(points)
+            return jax.nn.logsumexp(jnp.where(log_weights > -jnp.inf, each + log_weights, -jnp.inf), axis=1)
+
+        return jax.vmap(of_node)(self.components, self.log_weights, values)
+
+
+@partial(
+    jax.tree_util.register_dataclass, meta_fields=["variable", "names", "space"], data_fields=["unaries", "pairs", "prior", "proposals", "target"]
+)
+@dataclass(frozen=True)
+class Graph:
+    """The graph.
+
+    Attributes:
+        variable: the name of the plated variable.
+        names: the names of the nodes.
+        space: where the value of one node lives.
+        unaries: factors of one node.
+        pairs: factors of two nodes.
+        prior: a mixture that is a factor of every node, from which its values can be drawn, or None.
+        proposals: where to look for the nodes. They are no factors.
+        target: value of the variable -> log-density, if that is more than the sum of the factors: a term that is not pairwise is left to weights.
+    """
+
+    variable: str
+    names: tuple[str, ...]
+    space: Space
+    unaries: tuple[Term, ...]
+    pairs: tuple[Term, ...]
+    prior: Mixture | None = None
+    proposals: tuple[Mixture, ...] = ()
+    target: Any = None
+
+    @property
+    def count(self) -> int:
+        """The number of nodes."""
+        return len(self.names)
+
+    def log_density(self, value: Float[Array, "node *entry"]) -> Scalar:
+        """Return the log-density of the values of all nodes, up to a constant."""
+        return self.factor_sum(value) if self.target is None else self.target(value)
+
+    def factor_sum(self, value: Float[Array, "node *entry"]) -> Scalar:
+        """Return the sum of all factors."""
+        terms = [jnp.sum(term.plate.each(value, term.data)) for term in (*self.unaries, *self.pairs)]
+        prior = jnp.zeros(()) if self.prior is None else jnp.sum(self.prior.log_prob(value[:, None]))
+        return sum(terms, prior)
+
+    def without_likelihood(self) -> "Graph":
+        """Return the graph of the prior: without tempered terms and without what else the target holds."""
+        unaries, pairs = (tuple(term for term in terms if not term.tempered) for terms in (self.unaries, self.pairs))
+        return replace(self, unaries=unaries, pairs=pairs, proposals=(), target=None)
+
+    def forest(self) -> tuple[tuple[int, int], ...]:
+        """Return edges without a loop, as (term, row) of `pairs`, such that no further edge could be added. Earlier terms come first."""
+        group, found = list(range(self.count)), []
+
+        def root(node: int) -> int:
+            while group[node] != node:
+                node = group[node]
+            return node
+
+        for number, term in enumerate(self.pairs):
+            for row, (first, second) in enumerate(term.plate.rows):
+                a, b = root(first), root(second)
+                if a != b:
+                    group[a] = b
+                    found.append((number, row))
+        return tuple(found)
+
+
+def check_rows(name: str, rows: Sequence[Sequence[int]], names: Sequence[str]) -> None:
+    """Check the rows of a factor.
+
+    Raises:
+        InputError: a row has more than two nodes, reads a node twice, or reads one that does not exist.
+    """
+    for row in rows:
+        if not 1 <= len(row) <= 2:
+            found, remedy = f"reads {len(row)} nodes at once", "split it, or leave it to the weights of the joint draws (`target`)"
+            raise input_error(f"factor '{name}'", found, "one node or two", remedy)
+        outside = [node for node in row if not 0 <= node < len(names)]
+        if outside:
+            raise input_error(f"factor '{name}'", f"reads the node {outside[0]}", f"0 to {len(names) - 1}", "correct its rows")
+        if len(set(row)) < len(row):
+            raise input_error(f"factor '{name}'", f"has an edge from '{names[row[0]]}' to itself", "two nodes", "make it a factor of one node")

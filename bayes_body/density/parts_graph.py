@@ -1,0 +1,83 @@
+r"""The density of a frame as a graph: its plated variable is the nodes, its plates are the edges.
+
+The prediction is a mixture over ancestors of products over nodes, $\sum_a w_a \prod_i p(x_i \mid x^a_{t-1})$, which is no product. In the graph, each
+node has the mixture of its own, $\sum_a w_a\, p(x_i \mid x^a_{t-1})$. The weights of the joint draws correct it, as they do for every term of the
+density that is not a plate.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayes_body.density.density import Density, Predictions
+from bayes_body.density.graph import Graph, Mixture, Term, check_rows
+from bayes_body.density.plate import Plate
+from bayes_body.density.spaces import Plate as PlateSpace
+from bayes_body.errors import input_error
+from bayes_body.shapes import Scalar
+
+
+@partial(jax.tree_util.register_dataclass, meta_fields=["variable"], data_fields=["density", "predictions"])
+@dataclass(frozen=True)
+class Target:
+    """The log-density of a frame as a function of its plated variable alone."""
+
+    variable: str
+    density: Density
+    predictions: Predictions
+
+    def __call__(self, value: Float[Array, "node *entry"]) -> Scalar:
+        """Return the log-posterior in the marginal view."""
+        return self.density.marginal(self.density.transition.with_derived({self.variable: value}), predictions=self.predictions)
+
+
+def parts_graph(density: Density, user: str = "the kernel 'particle_bp'") -> Graph:
+    """Return the graph of a frame's density.
+
+    Args:
+        density: the density.
+        user: who needs it, for messages.
+
+    Raises:
+        InputError: the state is not one plated variable, the prediction does not say how each entry moves, or a factor reads more than two entries.
+    """
+    first = density.ancestor(0)
+    conditional = density.transition.conditional(first)
+    remedy = 'give the body the placement "parts": [body] placement = "parts"'
+    spaces = {name: density.transition.space(name, first[name].shape) for name in conditional}
+    name, space = next(iter(spaces.items()))
+    if len(spaces) > 1 or not isinstance(space, PlateSpace):
+        raise input_error(user, f"the state is {', '.join(conditional)}", "one variable of several entries, such as the parts of a body", remedy)
+    if not hasattr(conditional[name], "entries"):
+        found = f"the distribution of '{name}' does not say how each entry moves"
+        raise input_error(f"dynamics '{density.transition.name}'", found, "a method `entries()`", "take rigid_walk")
+    unaries, pairs = [], []
+    for factor in density.factors:
+        plate = factor.log_potential
+        if not isinstance(plate, Plate):
+            # A whole-body term enters by the weights of the joint draws.
+            continue
+        check_rows(factor.name, plate.rows, space.names)
+        term = Term(factor.name, factor.side == "likelihood", plate, density.data.get(factor.name))
+        (unaries if len(plate.rows[0]) == 1 else pairs).append(term)
+    predictions = density.predictions()
+    return Graph(
+        variable=name,
+        names=space.names,
+        space=space.space,
+        unaries=tuple(unaries),
+        pairs=tuple(pairs),
+        prior=_by_node(predictions[name], density.previous.log_weights),
+        target=Target(name, density, predictions),
+    )
+
+
+def _by_node(predictions: object, log_weights: Float[Array, " particle"]) -> Mixture:
+    """Return for every node the mixture of its predictions from all ancestors."""
+    entries = jax.vmap(lambda one: one.entries())(predictions)
+    turned = jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), entries)
+    nodes = jax.tree.leaves(turned)[0].shape[0]
+    return Mixture(turned, jnp.broadcast_to(log_weights, (nodes, *log_weights.shape)))

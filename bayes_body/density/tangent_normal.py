@@ -1,0 +1,81 @@
+r"""A normal distribution around a point of any space: a tangent vector is drawn, and the space leads to where it points.
+
+With $v \sim \mathcal N(0, \Sigma)$ at the mean $\mu$, the density at x with respect to the space's reference measure is a sum over the tangent
+vectors $v_k$ that lead from μ to x, $\sum_k \mathcal N(v_k; 0, \Sigma) / J(v_k)$. For an angle or a rotation they are turns of the same point, so the
+density is that of a wrapped normal, and no draw is thrown away. Of the turns, only the nearest are summed (`Space.images`).
+"""
+
+import math
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayes_body.density.spaces import Space
+from bayes_body.shapes import Key, Scalar
+
+# Standard deviation, radians, above which a fit does not go: the turns that are not summed would matter.
+WIDEST_RAD = 1.2
+# A fit is at least this share of the points' own spread, whatever their weights, so that one heavy point does not end the search.
+NARROWEST = 0.02
+# Added to every standard deviation: points may all be equal.
+TINY = 1e-6
+
+
+@partial(jax.tree_util.register_dataclass, meta_fields=["space"], data_fields=["mean", "root", "inverse"])
+@dataclass(frozen=True)
+class TangentNormal:
+    """The distribution.
+
+    Attributes:
+        space: the space.
+        mean: the mean, a point.
+        root: lower triangular root of the covariance of the tangent vectors.
+        inverse: its inverse.
+    """
+
+    space: Space
+    mean: Array
+    root: Float[Array, "dimension dimension"]
+    inverse: Float[Array, "dimension dimension"]
+
+    def sample(self, key: Key) -> Array:
+        """Draw a point."""
+        return jnp.asarray(self.space.retract(self.mean, self.root @ jax.random.normal(key, self.root.shape[:1], self.root.dtype)))
+
+    def log_prob(self, x: Array) -> Scalar:
+        """Return the log-density at a point, with respect to the space's reference measure."""
+        v = jnp.asarray(self.space.images(self.space.local(self.mean, x)))
+        normal = -0.5 * jnp.sum((v @ self.inverse.T) ** 2, axis=1) + jnp.sum(jnp.log(jnp.diagonal(self.inverse)))
+        each = normal - jnp.asarray(self.space.log_measure(v)) - 0.5 * v.shape[-1] * math.log(2 * math.pi)
+        return each[0] if each.shape == (1,) else jax.nn.logsumexp(each)
+
+
+def tangent_normal(space: Space, mean: Array, covariance: Float[Array, "dimension dimension"]) -> TangentNormal:
+    """Return the distribution with this mean and covariance of tangent vectors."""
+    root = jnp.linalg.cholesky(covariance)
+    return TangentNormal(space, mean, root, jax.scipy.linalg.solve_triangular(root, jnp.eye(len(root), dtype=root.dtype), lower=True))
+
+
+def fit(space: Space, weights: Float[Array, " point"], points: Array, inflation: float = 1.0, floors: Array | float = 0.0) -> TangentNormal:
+    """Return the normal distribution with the weighted mean and covariance of points.
+
+    Args:
+        space: the space of a point.
+        weights: weights, normalised.
+        points: points, with a leading axis.
+        inflation: factor of the covariance.
+        floors: smallest standard deviation of each tangent coordinate.
+    """
+    mean = jnp.asarray(space.mean(weights, points))
+    v = jnp.asarray(space.local(mean[None], points))
+    covariance = inflation * (v * weights[:, None]).T @ v
+    least = jnp.maximum(jnp.asarray(floors, v.dtype), NARROWEST * jnp.std(v, axis=0) + TINY)
+    covariance = covariance + jnp.diag(least**2)
+    # Angles: a wider normal would wind around the circle.
+    angles = jnp.asarray([unit == "rad" for unit in space.tangent_units])
+    sd = jnp.sqrt(jnp.diagonal(covariance))
+    shrink = jnp.where(angles, jnp.minimum(1.0, WIDEST_RAD / sd), 1.0)
+    return tangent_normal(space, mean, covariance * shrink[:, None] * shrink[None])

@@ -1,0 +1,272 @@
+r"""Particle belief propagation on a pairwise graph: loose-limbed bodies (Sigal et al. 2011), or any other (Ihler & McAllester 2009).
+
+A round draws particles of its nodes from their proposals (kernels/parts/node_proposals.py) and evaluates the messages into them
+(kernels/parts/messages.py). After the last round, all nodes are redrawn at once, and joint draws are taken from the exact sum over a forest of the
+graph's edges (kernels/parts/joint_particles.py). Their weights correct whatever the graph left out, so they are a weighted sample of the posterior.
+
+On a graph with loops, messages need not converge, and beliefs are not the true marginals. The joint draws still are a valid importance sample. If
+few of them carry the weight, `joint_ess` says so.
+"""
+
+from typing import Annotated, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+from pydantic import Field
+
+from bayes_body.density.density import Density, Unconstrained
+from bayes_body.density.factor import Particles, State
+from bayes_body.density.graph import Graph, Term
+from bayes_body.density.kernel import FilterInfo, Kernel
+from bayes_body.density.parts_graph import parts_graph
+from bayes_body.kernels.parts.batching import over_particles
+from bayes_body.kernels.parts.joint_particles import JointParticles, joint_particles
+from bayes_body.kernels.parts.messages import Beliefs, Directed, NodeValues, cavities, entered, log_messages, normalised, unary_values
+from bayes_body.kernels.parts.messages import log_beliefs as log_beliefs_of
+from bayes_body.kernels.parts.node_proposals import FLOORS, Proposals, Shares, draw, log_density, proposals
+from bayes_body.kernels.parts.resampling import resampler
+from bayes_body.kernels.parts.schedules import Round, Schedule, schedule
+from bayes_body.kernels.parts.weights import effective_sample_size, normalise, predict
+from bayes_body.registry import register
+from bayes_body.shapes import Index, Key, Scalar
+from bayes_body.toml.read import validate
+from bayes_body.toml.schema import Count, NonNegative, Positive, ProperShare, Schema
+
+# Iterations for the normaliser of the prior, whose beliefs are near its prediction.
+PRIOR_ITERATIONS = 3
+
+
+class Options(Schema):
+    """Options of `[kernel] kind = "particle_bp"`.
+
+    `particles` is the number of joint draws, `samples` that of the particles of each node. In iteration m of M the likelihood has the power
+    `annealing`^(M - m). `shares` are those of a node's proposal: messages, prior, detections, and a normal fit to the last belief, whose covariance
+    is multiplied by `fit_inflation`. Of the particles of the previous frame, `ancestors` are kept.
+    """
+
+    particles: Count = 500
+    samples: Count = 500
+    iterations: Count = 6
+    schedule: Schedule = "flooding"
+    annealing: ProperShare = 1.0
+    shares: tuple[NonNegative, NonNegative, NonNegative, NonNegative] = (0.4, 0.1, 0.2, 0.4)
+    fit_inflation: Positive = 1.5
+    ancestors: Annotated[int, Field(strict=True, ge=1)] = 100
+
+
+class Summary(NamedTuple):
+    """What every iteration leaves behind, with a leading axis of rounds.
+
+    Attributes:
+        means: mean of every node's belief, a point.
+        sds: standard deviations of the tangent vectors around it.
+        belief_ess: effective sample size of every belief.
+        message_ess: the smallest effective sample size of the weights of a message's source.
+    """
+
+    means: Float[Array, "node *entry"]
+    sds: Float[Array, "node dimension"]
+    belief_ess: Float[Array, " node"]
+    message_ess: Scalar
+
+
+class Passed(NamedTuple):
+    """The result of message passing.
+
+    Attributes:
+        points: particles of every node.
+        log_beliefs: log-weights of the particles in the belief of their node. On a tree beliefs are the marginals; on loops they are the estimate of
+            loopy belief propagation.
+        beliefs: the messages.
+        rounds: summaries of the beliefs by round.
+        joint: joint draws of all nodes.
+    """
+
+    points: Float[Array, "node sample *entry"]
+    log_beliefs: NodeValues
+    beliefs: Beliefs
+    rounds: Summary
+    joint: JointParticles
+
+
+def pass_messages(key: Key, graph: Graph, options: Options, rounds: Round) -> Passed:
+    """Pass messages through the rounds of a schedule, and take joint draws.
+
+    Args:
+        key: random key.
+        graph: the graph.
+        options: the options.
+        rounds: the schedule (`kernels.parts.schedules.schedule`).
+    """
+    first_key, round_key, redraw_key, joint_key = jax.random.split(key, 4)
+    passing = _Passing(graph, options)
+    begin = passing.begin(first_key)
+    keys = jax.random.split(round_key, rounds.power.shape[0])
+    beliefs, summaries = jax.lax.scan(lambda beliefs, one: passing.round(beliefs, *one), begin, (keys, rounds))
+    log_beliefs = normalised(log_beliefs_of(graph, beliefs))
+    points, unary, log_q = passing.redraw(redraw_key, beliefs)
+    joint = joint_particles(joint_key, graph, points, unary, log_q, options.particles)
+    return Passed(beliefs.points, log_beliefs, beliefs, summaries, joint)
+
+
+class _Passing:
+    """The computations of a round, for one graph and one choice of options."""
+
+    def __init__(self, graph: Graph, options: Options):
+        self.graph, self.options = graph, options
+        self.floors = jnp.array([FLOORS.get(unit, 0.0) for unit in graph.space.tangent_units])
+
+    def begin(self, key: Key) -> Beliefs:
+        """Return particles of every node that has a proposal of its own."""
+        graph, samples = self.graph, self.options.samples
+        mixtures = [mixture for mixture in (graph.prior, *graph.proposals) if mixture is not None]
+        shapes = [mixture.sample(jax.random.fold_in(key, number), samples) for number, mixture in enumerate(mixtures)]
+        zero = jnp.zeros((graph.count, samples), shapes[0].dtype)
+        points, log_q, ready = shapes[0], zero - jnp.inf, jnp.zeros(graph.count, zero.dtype)
+        log_share = -jnp.log(len(mixtures))
+        for mixture, drawn in zip(mixtures, shapes, strict=True):
+            new = mixture.exists & (ready == 0)
+            points = jnp.where(new.reshape(-1, *[1] * (points.ndim - 1)), drawn, points)
+            ready = jnp.where(mixture.exists, 1.0, ready)
+        for mixture in mixtures:
+            log_q = jnp.logaddexp(log_q, mixture.log_prob(points) + log_share)
+        log_q = jnp.where(ready[:, None] > 0, log_q, 0.0)
+        likelihood, rest = unary_values(graph, points)
+        edges = [jnp.zeros((len(term.plate.rows), samples), zero.dtype) for term in graph.pairs]
+        return Beliefs(points, log_q, likelihood, rest, tuple(Directed(edge, edge) for edge in edges), ready)
+
+    def proposals(self, beliefs: Beliefs, power: float | Scalar) -> tuple[Proposals, Summary]:
+        weights, cavity = normalised(log_beliefs_of(self.graph, beliefs, power)), cavities(self.graph, beliefs, power)
+        own = proposals(self.graph, beliefs, weights, cavity, Shares(*self.options.shares), self.options.fit_inflation, self.floors)
+        of_messages = [jax.vmap(effective_sample_size)(each) for both in cavity for each in both]
+        least = jnp.min(jnp.concatenate(of_messages)) if of_messages else jnp.asarray(float(self.options.samples))
+        sds = jnp.sqrt(jnp.maximum(jnp.sum(own.fits.root**2, axis=2) / self.options.fit_inflation, 1e-12))
+        return own, Summary(own.fits.mean, sds, jax.vmap(effective_sample_size)(weights), least)
+
+    def round(self, beliefs: Beliefs, key: Key, now: Round) -> tuple[Beliefs, Summary]:
+        """Redraw the nodes of a round and evaluate the messages into them."""
+        graph = self.graph
+        own, summary = self.proposals(beliefs, now.power)
+        fresh = draw(key, graph, own, self.options.samples)
+        redrawn = jnp.zeros(graph.count, bool).at[now.nodes].set(True, mode="drop")
+        points = jnp.where(redrawn.reshape(-1, *[1] * (fresh.ndim - 1)), fresh, beliefs.points)
+        messages = tuple(
+            entered(old, log_messages(term, cavity, beliefs.points, points, beliefs.ready, rows), rows)
+            for term, cavity, old, rows in zip(graph.pairs, own.cavities, beliefs.messages, now.pairs, strict=True)
+        )
+        likelihood, rest = unary_values(graph, points, now.unary)
+        prior = None if graph.prior is None else graph.prior.log_prob(points)
+        log_q = log_density(graph, own, points, messages, prior)
+        chosen = redrawn[:, None]
+        ready = jnp.where(redrawn & (jnp.max(own.shares, axis=1) > -jnp.inf), 1.0, beliefs.ready)
+        return Beliefs(
+            points,
+            jnp.where(chosen, log_q, beliefs.log_q),
+            jnp.where(chosen, likelihood, beliefs.likelihood),
+            jnp.where(chosen, rest, beliefs.rest),
+            messages,
+            ready,
+        ), summary
+
+    def redraw(
+        self, key: Key, beliefs: Beliefs
+    ) -> tuple[Float[Array, "node sample *entry"], Float[Array, "node sample"], Float[Array, "node sample"]]:
+        """Return new particles of all nodes from fixed proposals, the log of their factors of one node, and of their proposal."""
+        own, _ = self.proposals(beliefs, 1.0)
+
+        def rows(term: Term) -> tuple[Array, Array]:
+            every = jnp.arange(len(term.plate.rows))
+            return every, every
+
+        points = draw(key, self.graph, own, self.options.samples)
+        messages = tuple(
+            log_messages(term, cavity, beliefs.points, points, beliefs.ready, rows(term))
+            if term.plate.draw is not None and term.plate.log_draw is None
+            else old
+            for term, cavity, old in zip(self.graph.pairs, own.cavities, beliefs.messages, strict=True)
+        )
+        likelihood, rest = unary_values(self.graph, points)
+        prior = None if self.graph.prior is None else self.graph.prior.log_prob(points)
+        return points, likelihood + rest, log_density(self.graph, own, points, messages, prior)
+
+
+class ParticleBP:
+    """The sampler, for one choice of options. Called as a kernel, it samples a frame of a model of parts; `on` takes any pairwise graph."""
+
+    def __init__(self, options: Options):
+        self.options = options
+        self.resample = resampler("systematic")
+
+    def on(self, key: Key, graph: Graph) -> Passed:
+        """Pass messages on a graph and take `particles` joint draws of its nodes. Compile it with `jax.jit` once for all graphs of one form.
+
+        Args:
+            key: random key.
+            graph: the graph, from `bayes_body.graph`.
+        """
+        options = self.options
+        return pass_messages(key, graph, options, schedule(graph, options.schedule, options.iterations, options.annealing))
+
+    def __call__(self, key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
+        """Sample one frame, as every kernel does. It returns as many particles as it is given."""
+        thin_key, pass_key, prior_key, ancestor_key, predict_key = jax.random.split(key, 5)
+        count = particles.log_weights.shape[0]
+        options = self.options.model_copy(update={"particles": count})
+        kept, density = self._thinned(thin_key, density.with_previous(particles))
+        graph = parts_graph(density)
+        passed = pass_messages(pass_key, graph, options, schedule(graph, options.schedule, options.iterations, options.annealing))
+        log_evidence = passed.joint.log_evidence
+        if density.has_potentials:
+            # The potentials are not normalised given the previous frame: the evidence is the ratio of both normalisers, as in `tempered`.
+            prior = graph.without_likelihood()
+            log_evidence -= pass_messages(prior_key, prior, options, schedule(prior, options.schedule, PRIOR_ITERATIONS)).joint.log_evidence
+        found = normalise(passed.joint.log_weights)
+        unconstrained = density.unconstrained()
+
+        def complete(key_and_value: tuple[Key, Array], unconstrained: Unconstrained) -> tuple[State, Index]:
+            key, value = key_and_value
+            return unconstrained.completed(key, {graph.variable: value})
+
+        states, ancestors = over_particles(complete, (jax.random.split(ancestor_key, count), passed.joint.values), unconstrained)
+        predicted = predict(predict_key, self.resample(predict_key, density.previous.log_weights, count), density).states
+        states = jax.tree.map(lambda own, other: jnp.where(found.lost, other, own), states, predicted)
+        ess = effective_sample_size(found.log_weights)
+        evaluations = self.options.samples * (self.options.iterations + 2) + count
+        info = FilterInfo(
+            ancestors=kept[ancestors],
+            ess=ess,
+            survival_rate=(ess / count)[None],
+            inverse_temperatures=jnp.ones((1,), ess.dtype),
+            log_evidence=jnp.where(found.lost, -jnp.inf, log_evidence),
+            lost=found.lost,
+            acceptance_rate=jnp.full((1,), jnp.nan, ess.dtype),
+            evaluations=jnp.asarray(evaluations),
+        )
+        return Particles(states, found.log_weights), info
+
+    def _thinned(self, key: Key, density: Density) -> tuple[Int[Array, " ancestor"], Density]:
+        """Return some of the previous frame's particles with equal weights, and the density given these."""
+        before = density.previous
+        count = min(self.options.ancestors, before.log_weights.shape[0])
+        kept = self.resample(key, before.log_weights, count)
+        states = jax.tree.map(lambda leaf: leaf[kept], before.states)
+        return kept, density.with_previous(Particles(states, jnp.full((count,), -jnp.log(count), before.log_weights.dtype)))
+
+
+def build_kernel(**options: Any) -> ParticleBP:
+    """Return the sampler.
+
+    Args:
+        options: those of `Options`. As a kernel it returns as many particles as it is given, whatever `particles` is.
+
+    Raises:
+        InputError: an argument that does not exist or is outside its range.
+    """
+    return ParticleBP(validate(Options, options, "particle_bp()"))
+
+
+@register("kernel", "particle_bp", Options)
+def build(options: Options, **_: Any) -> Kernel:
+    """Build the kernel from a definition's options."""
+    return ParticleBP(options)

@@ -1,0 +1,164 @@
+r"""Messages and beliefs of particle belief propagation (Ihler & McAllester 2009).
+
+A message is weighted particles behind a factor, never a kernel density:
+
+$$m_{ij}(x) = \sum_n w^{(n)}_{ij}\, \psi_{ij}(x_i^{(n)}, x), \qquad
+w^{(n)}_{ij} \propto \frac{\phi_i(x_i^{(n)}) \prod_{k \ne j} m_{ki}(x_i^{(n)})}{q_i(x_i^{(n)})},$$
+
+with particles $x_i^{(n)}$ drawn from a proposal $q_i$ whose density is known exactly. Particles belong to nodes. Every message from a node weighs the
+same particles, without the factor that came from its target (the cavity). A belief is $\phi_i \prod_k m_{ki}$ at the particles of its node.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from bayes_body.density.graph import Graph, Term
+from bayes_body.shapes import Scalar
+
+type NodeValues = Float[Array, "node sample"]
+type EdgeValues = Float[Array, "edge sample"]
+
+
+class Directed(NamedTuple):
+    """An array for each edge of one term and each direction: towards the second node of a row, and towards the first."""
+
+    forward: EdgeValues
+    backward: EdgeValues
+
+
+class Beliefs(NamedTuple):
+    """The particles of all nodes, and what is known of them.
+
+    Attributes:
+        points: particles of each node.
+        log_q: log-density of the proposal that they were drawn from.
+        likelihood: log of their tempered factors.
+        rest: log of their other factors.
+        messages: for each term of two nodes, log of the incoming messages at the particles of the target.
+        ready: whether the node has particles yet.
+    """
+
+    points: Float[Array, "node sample *entry"]
+    log_q: NodeValues
+    likelihood: NodeValues
+    rest: NodeValues
+    messages: tuple[Directed, ...]
+    ready: Float[Array, " node"]
+
+
+def ends(term: Term) -> tuple[Int[Array, " edge"], Int[Array, " edge"]]:
+    """Return the first and the second node of every row."""
+    rows = jnp.asarray(term.rows)
+    return rows[:, 0], rows[:, 1]
+
+
+def normalised(log_weights: Float[Array, "*batch sample"]) -> Float[Array, "*batch sample"]:
+    """Normalise log-weights over the last axis. NaN counts as zero; if all are zero, they become equal."""
+    clean = jnp.where(jnp.isnan(log_weights), -jnp.inf, log_weights)
+    peak = jnp.max(clean, axis=-1, keepdims=True)
+    lost = ~jnp.isfinite(peak)
+    relative = jnp.where(lost, 0.0, clean - jnp.where(lost, 0.0, peak))
+    return relative - jax.nn.logsumexp(relative, axis=-1, keepdims=True)
+
+
+def log_beliefs(graph: Graph, beliefs: Beliefs, power: float | Scalar = 1.0) -> NodeValues:
+    """Return the log-weight of every particle in its node's belief, not normalised. `power` is that of the likelihood."""
+    total = beliefs.rest + power * beliefs.likelihood - beliefs.log_q
+    for term, messages in zip(graph.pairs, beliefs.messages, strict=True):
+        first, second = ends(term)
+        total = total.at[second].add(messages.forward).at[first].add(messages.backward)
+    return total
+
+
+def cavities(graph: Graph, beliefs: Beliefs, power: float | Scalar = 1.0) -> tuple[Directed, ...]:
+    """Return the normalised log-weights of the source's particles for every message: the belief without what came from the target."""
+    total = log_beliefs(graph, beliefs, power)
+
+    def of(term: Term, messages: Directed) -> Directed:
+        first, second = ends(term)
+        # A message of zero was counted in the total as minus infinity.
+        return Directed(normalised(_without(total[first], messages.backward)), normalised(_without(total[second], messages.forward)))
+
+    return tuple(of(term, messages) for term, messages in zip(graph.pairs, beliefs.messages, strict=True))
+
+
+def _without(total: EdgeValues, message: EdgeValues) -> EdgeValues:
+    finite = message > -jnp.inf
+    return jnp.where(finite, total - jnp.where(finite, message, 0.0), -jnp.inf)
+
+
+def log_messages(
+    term: Term,
+    cavity: Directed,
+    sources: Float[Array, "node sample *entry"],
+    targets: Float[Array, "node target *entry"],
+    ready: Float[Array, " node"],
+    rows: tuple[Int[Array, " into_second"], Int[Array, " into_first"]],
+) -> Directed:
+    """Return the log of some of a term's messages at the particles of their targets; 0 from a node that has no particles yet.
+
+    Args:
+        term: the term.
+        cavity: the weights of the sources' particles.
+        sources: particles of all nodes, from which the messages come.
+        targets: particles of all nodes, at which they are evaluated.
+        ready: which nodes have particles.
+        rows: the rows whose message goes to the second node, and those to the first.
+    """
+    first, second = ends(term)
+    parameters = term.plate.parameters
+
+    def forward(row: Int[Array, ""]) -> Array:
+        own = jax.tree.map(lambda leaf: leaf[row], parameters)
+        pairs = term.pairwise(own, sources[first[row]], targets[second[row]])
+        found = jax.nn.logsumexp(without_nan(pairs) + cavity.forward[row][:, None], axis=0)
+        return jnp.where(ready[first[row]] > 0, found, 0.0)
+
+    def backward(row: Int[Array, ""]) -> Array:
+        own = jax.tree.map(lambda leaf: leaf[row], parameters)
+        pairs = term.pairwise(own, targets[first[row]], sources[second[row]])
+        found = jax.nn.logsumexp(without_nan(pairs) + cavity.backward[row][None], axis=1)
+        return jnp.where(ready[second[row]] > 0, found, 0.0)
+
+    last = len(term.plate.rows) - 1
+    return Directed(jax.vmap(forward)(jnp.minimum(rows[0], last)), jax.vmap(backward)(jnp.minimum(rows[1], last)))
+
+
+def without_nan(pairs: Array) -> Array:
+    """Return log-potentials with zero potential in place of NaN."""
+    return jnp.where(jnp.isnan(pairs), -jnp.inf, pairs)
+
+
+def entered(old: Directed, new: Directed, rows: tuple[Array, Array]) -> Directed:
+    """Return the messages with those of some rows replaced. Rows beyond the last one are padding."""
+    return Directed(old.forward.at[rows[0]].set(new.forward, mode="drop"), old.backward.at[rows[1]].set(new.backward, mode="drop"))
+
+
+def unary_values(
+    graph: Graph, points: Float[Array, "node sample *entry"], rows: tuple[Int[Array, " some"], ...] | None = None
+) -> tuple[NodeValues, NodeValues]:
+    """Return the log of the tempered factors of one node, and of the others, at the particles of every node.
+
+    Args:
+        graph: the graph.
+        points: particles of all nodes.
+        rows: for each term, the rows that are evaluated; beyond the last one is padding. None: all.
+    """
+    nothing = jnp.zeros(points.shape[:2], points.dtype)
+    likelihood, rest = nothing, nothing
+    for number, term in enumerate(graph.unaries):
+        nodes = jnp.asarray(term.rows[:, 0])
+        some = jnp.arange(len(nodes)) if rows is None else rows[number]
+        chosen = jnp.minimum(some, len(nodes) - 1)
+        parameters = jax.tree.map(lambda leaf, chosen=chosen: leaf[chosen], term.plate.parameters)
+        of_row = jax.vmap(lambda own, xs, term=term: jax.vmap(lambda x: term.log_potential(own, x))(xs))
+        values = of_row(parameters, points[nodes[chosen]])
+        targets = jnp.where(some < len(nodes), nodes[chosen], graph.count)
+        if term.tempered:
+            likelihood = likelihood.at[targets].add(values, mode="drop")
+        else:
+            rest = rest.at[targets].add(values, mode="drop")
+    return likelihood, rest if graph.prior is None else rest + graph.prior.log_prob(points)
