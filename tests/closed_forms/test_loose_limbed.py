@@ -33,11 +33,11 @@ def body():
 
 @pytest.fixture(scope="module")
 def joints(body):
-    """Two components for each joint with full blocks: axes at random, standard deviations as wide as in `WIDE`, means far apart."""
+    """Two components for each joint with full blocks: axes at random, means far apart. A tenth of each Gaussian is beyond a half turn."""
     placement, rng = body.placement, np.random.default_rng(11)
     count = len(placement.names) - 1
     axes = Rotation.random(count * 4, rng=rng).as_matrix().reshape(count, 2, 2, 3, 3)
-    sd = np.array([[0.02, 0.03, 0.05], np.radians([20.0, 55.0, 35.0])])
+    sd = np.array([[0.02, 0.03, 0.05], np.radians([25.0, 100.0, 50.0])])
     turns = Rotation.from_rotvec(rng.normal(size=(count * 2, 3))).as_quat(canonical=True, scalar_first=True)
     mean = np.concatenate([0.01 * rng.normal(size=(count, 2, 3)), turns.reshape(count, 2, 4)], axis=-1)
     covariance = np.einsum("jmbik,bk,jmblk->jmbil", axes, sd**2, axes)
