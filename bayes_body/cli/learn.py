@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from bayes_body.cli.edge_statistics import edge_statistics
+from bayes_body.cli.kinematic_potentials import kinematic_potentials
 from bayes_body.cli.learned_files import check_out, motion_files, portable
 from bayes_body.cli.likelihood_scale import likelihood_scale
 from bayes_body.cli.walking_angles import walking_angles
@@ -17,6 +18,7 @@ app = typer.Typer(help="Learn from captured motion, or from recordings with thei
 app.command("likelihood-scale")(likelihood_scale)
 app.command("edge-statistics")(edge_statistics)
 app.command("walking-angles")(walking_angles)
+app.command("kinematic-potentials")(kinematic_potentials)
 
 
 @app.command("walking-cycle")

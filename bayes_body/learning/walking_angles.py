@@ -88,10 +88,11 @@ def angles_of_walk(name: str, subject: str, motion: Motion, body: str, schema: B
         raise input_error(f"body '{body}'", found, "6: position and orientation in the world", "name another body")
     motion = resample(motion, FPS)
     found = retarget(start, motion, schema=schema)
-    return AngleWalk(name, subject, _settled(found.body, found.angles)[:, ROOT:], landmarks(motion), FPS)
+    return AngleWalk(name, subject, settled_frames(found.body, found.angles)[:, ROOT:], landmarks(motion), FPS)
 
 
-def _settled(body: Body, angles: Float[np.ndarray, "frame dof"]) -> Float[np.ndarray, "frame dof"]:
+def settled_frames(body: Body, angles: Float[np.ndarray, "frame dof"]) -> Float[np.ndarray, "frame dof"]:
+    """Return for each frame the angles nearest to rest that place the body's markers alike, radians and metres."""
     # Padded, so that walks of similar length share a compiled program.
     frames = jnp.asarray(filled(angles, 0.0), body.lengths.dtype)
     return np.asarray(_all_settled(body, frames), float)[: len(angles)]

@@ -1,25 +1,21 @@
 r"""The joints of a loose-limbed body: a density of each part's pose relative to its parent's (Sigal et al. 2011, (3), (5), (6)).
 
-$$\psi(X_i, X_j) = g(X_i^{-1} X_j), \qquad
-g(Y) = \sum_m \delta_m\, \frac{\mathcal N(\xi_m; 0, \Sigma_m)}{P_m\, J(\omega_m)}, \qquad
-\xi_m = (v_m, \omega_m) = \mathrm{Exp}^{-1}(\bar Y_m^{-1} Y),$$
+$$\psi(X_i, X_j) = g(X_i^{-1} X_j),$$
 
-a Gaussian mixture in the tangent space at mean relative poses $\bar Y_m$. $J = 2 (1 - \cos|\omega|) / |\omega|^2$ is the Jacobian of the exponential
-map, and $P_m$ the mass of the Gaussian within a half turn, so g is normalised with respect to the Haar measure $dt\,dR$. SE(3) is unimodular: the
-same function is the conditional density of a child given its parent and of a parent given its child, and a tree of edges is a normalised prior given
-its root. The paper learns two functions for the two directions. g does not change under q → −q.
+with a Gaussian mixture g in the tangent spaces at mean relative poses (`potentials.joint_mixture`), normalised with respect to the Haar measure
+$dt\,dR$. SE(3) is unimodular: the same function is the conditional density of a child given its parent and of a parent given its child, and a tree of
+edges is a normalised prior given its root. The paper learns two functions for the two directions.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from pydantic import Field
-from scipy.stats import norm, qmc
+from pydantic import Field, model_validator
 
 from bayes_body.body.placement import PARTS, ByParts, require
 from bayes_body.body.solids import Body
@@ -28,14 +24,14 @@ from bayes_body.density.factor import Factor
 from bayes_body.density.plate import Plate, plate_factor
 from bayes_body.errors import InputError, input_error, nearest
 from bayes_body.geometry import rigid, rotations
+from bayes_body.potentials.joint_file import load_joint_mixtures
+from bayes_body.potentials.joint_mixture import log_of_components, mixture, times
 from bayes_body.potentials.widths import widths_by_part
 from bayes_body.registry import register
 from bayes_body.shapes import Key, Scalar
 from bayes_body.toml.schema import Finite, Positive, Schema
 
 type Width = Positive | tuple[Positive, Positive, Positive]
-# Points of the quasi-random sum for the mass within a half turn: its error is below 1e-5.
-POINTS = 2**15
 
 
 class Component(Schema):
@@ -54,23 +50,27 @@ class Component(Schema):
 
 
 class Options(Schema):
-    """Options of `[[potential]] kind = "kinematic"`: the components of the mixture, with equal weights at every joint."""
+    """Options of `[[potential]] kind = "kinematic"`: components with equal weights at every joint, or a learned file's name or path."""
 
     component: Annotated[tuple[Component, ...], Field(min_length=1)] = (Component(),)
+    learned: str | None = None
+
+    @model_validator(mode="after")
+    def _check_only_one(self) -> "Options":
+        if self.learned is not None and "component" in self.model_fields_set:
+            raise ValueError("both `learned` and `component`; expected one of the two; remove the other.")
+        return self
 
 
 def log_density(edge: Mapping[str, Array], parent: Float[Array, "7"], child: Float[Array, "7"]) -> Scalar:
     """Return log g of one edge.
 
     Args:
-        edge: `mean` (component, 7), `sd` (component, 6), `log_weight` (component,), which includes the normalisers.
+        edge: the arrays of a mixture.
         parent: the pose of the parent.
         child: the pose of the child.
     """
-    steps = rigid.relative(edge["mean"], rigid.relative(parent, child)[None])
-    w = rotations.logarithm(steps[:, 3:])
-    xi = jnp.concatenate([steps[:, :3], w], axis=1) / edge["sd"]
-    each = edge["log_weight"] - 0.5 * jnp.sum(xi * xi, axis=1) - rotations.log_jacobian(w)
+    each = jnp.asarray(log_of_components(edge, rigid.relative(parent, child)))
     return each[0] if each.shape == (1,) else jax.nn.logsumexp(each)
 
 
@@ -79,17 +79,17 @@ def draw(key: Key, edge: Mapping[str, Array], known: Float[Array, "7"], reverse:
     choice_key, step_key = jax.random.split(key)
     # The weights without the constants of the Gaussians.
     component = jax.random.categorical(choice_key, jnp.log(edge["weight"]))
-    sd = edge["sd"][component]
+    root = edge["root"][component]
 
     def too_far(state: tuple[Key, Array]) -> Array:
-        return jnp.sum(state[1][3:] ** 2) >= math.pi**2
+        return jnp.sum(state[1][1] ** 2) >= math.pi**2
 
     def again(state: tuple[Key, Array]) -> tuple[Key, Array]:
         next_key, use = jax.random.split(state[0])
-        return next_key, sd * jax.random.normal(use, (6,), sd.dtype)
+        return next_key, jnp.asarray(times(root, jax.random.normal(use, (2, 3), root.dtype)))
 
-    _, step = jax.lax.while_loop(too_far, again, (step_key, jnp.full((6,), jnp.inf, sd.dtype)))
-    relative = rigid.compose(edge["mean"][component], rigid.rigid(step[:3], rotations.exponential(step[3:])))
+    _, step = jax.lax.while_loop(too_far, again, (step_key, jnp.full((2, 3), jnp.inf, root.dtype)))
+    relative = rigid.compose(edge["mean"][component], rigid.rigid(step[0], rotations.exponential(step[1])))
     return jnp.asarray(rigid.compose(known, rigid.inverse(relative) if reverse else relative))
 
 
@@ -108,24 +108,49 @@ def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
     """Build the plate of all joints of a loose-limbed body.
 
     Raises:
-        InputError: the body is placed by angles; a name of a dof or part does not exist; a quaternion is not of length one.
+        InputError: the body is placed by angles; a name of a dof or part does not exist; a quaternion is not of length one; the learned file is
+            malformed, or its joints are not those of the body.
     """
     require(body, PARTS, "potential 'kinematic'", "dynamics and limits of joint angles")
     placement = body.placement
     assert isinstance(placement, ByParts)
     rows = tuple((parent, child) for child, parent in enumerate(placement.parents) if parent >= 0)
     children = [child for _, child in rows]
-    means = np.stack([_means(name, component, body)[children] for component in options.component], axis=1)
-    names = tuple(placement.names[child] for child in children)
-    widths = [widths_by_part(name, names, component.sd_m, component.sd_deg) for component in options.component]
-    sd, weights = np.stack(widths, axis=1), np.array([component.weight for component in options.component])
-    weights = np.broadcast_to(weights / weights.sum(), sd.shape[:2])
-    constants = np.log(weights) - np.log(sd).sum(axis=2) - 3 * math.log(2 * math.pi) - np.log(within_half_turn(sd[..., 3:]))
-    dtype = body.lengths.dtype
-    arrays = {"mean": means, "sd": sd, "weight": weights, "log_weight": constants}
-    parameters = {key: jnp.asarray(value, dtype) for key, value in arrays.items()}
+    found = _given(name, options.component, body, children) if options.learned is None else _learned(name, options.learned, body, children)
+    parameters = {key: jnp.asarray(value, body.lengths.dtype) for key, value in found.items()}
     plate = Plate(PARTS, rows, jax.tree_util.Partial(log_density), parameters, draw=jax.tree_util.Partial(draw))
     return plate_factor(name, "prior", plate)
+
+
+def _given(name: str, components: Sequence[Component], body: Body, children: list[int]) -> dict[str, np.ndarray]:
+    """Return the mixtures of the children's joints that the definition gives."""
+    placement = body.placement
+    assert isinstance(placement, ByParts)
+    names = tuple(placement.names[child] for child in children)
+    means = np.stack([_means(name, component, body)[children] for component in components], axis=1)
+    widths = np.stack([widths_by_part(name, names, component.sd_m, component.sd_deg) for component in components], axis=1)
+    covariances = widths.reshape(*widths.shape[:2], 2, 3, 1) ** 2 * np.eye(3)
+    weights = np.broadcast_to([component.weight for component in components], widths.shape[:2])
+    return mixture(means, covariances, weights)
+
+
+def _learned(name: str, file: str, body: Body, children: list[int]) -> dict[str, np.ndarray]:
+    """Return the mixtures of the children's joints from a learned file."""
+    placement = body.placement
+    assert isinstance(placement, ByParts)
+    joints = load_joint_mixtures(file)
+    own = [(placement.names[child], placement.names[placement.parents[child]]) for child in children]
+    learned = list(zip(joints.parts, joints.parents, strict=True))
+    for part, parent in (*sorted(set(learned) - set(own)), *sorted(set(own) - set(learned))):
+        without = f"the body '{body.name}' has" if (part, parent) in learned else "the file has"
+        found = f"learned on the body '{joints.body}', and {without} no joint of '{part}' with '{parent}'"
+        remedy = "learn one with `bayes-body learn kinematic-potentials --body`"
+        raise input_error(f"{name}: learned: {file}", found, f"the joints of the body '{body.name}'", remedy)
+    order = [learned.index(joint) for joint in own]
+    means = joints.mean[order]
+    means[..., :3] += _means(name, Component(), body)[children, None, :3]
+    means[..., 3:] = rotations.normalised(means[..., 3:])
+    return mixture(means, joints.covariance[order], joints.weight[order])
 
 
 def _means(name: str, component: Component, body: Body) -> Float[np.ndarray, "part 7"]:
@@ -146,9 +171,3 @@ def _means(name: str, component: Component, body: Body) -> Float[np.ndarray, "pa
             raise input_error(f"{name}: relative.{part}", found, "length 1, or it is no rotation", remedy)
         relative[placement.names.index(part)] = (*given[:3], *(each / length for each in given[3:]))
     return relative
-
-
-def within_half_turn(sd: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
-    """Return the probability that a normal rotation vector with these standard deviations, radians, is shorter than π."""
-    z = norm.ppf(qmc.Sobol(3, scramble=True, rng=0).random(POINTS))
-    return np.mean(np.sum((sd[..., None, :] * z) ** 2, axis=-1) < math.pi**2, axis=-1)

@@ -1,5 +1,7 @@
 """The prior of a loose-limbed body: one density for both directions of a joint, its draws, its coordinates, and the ladder that samplers need."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
-from bayes_body.body.build import build_body
+from bayes_body.body.build import Shape, build_body
 from bayes_body.body.placement import loosened, placed_markers
 from bayes_body.density.factor import Variable
 from bayes_body.dynamics import rigid_walk
@@ -16,6 +18,7 @@ from bayes_body.geometry import rigid, rotations
 from bayes_body.kernels.parts.hamiltonian import Schedule, run_chain
 from bayes_body.model.definition import load_body
 from bayes_body.potentials import intersection, kinematic, penetration
+from bayes_body.potentials.joint_file import JointMixtures, save_joint_mixtures
 from bayes_body.toml.read import validate
 
 PARTS = Variable("parts")
@@ -26,6 +29,31 @@ TWO = {"component": [WIDE["component"][0], {"weight": 3.0, "sd_m": {"*": 0.04}, 
 @pytest.fixture(scope="module")
 def body():
     return loosened(build_body("person_31", load_body("person_31")))
+
+
+@pytest.fixture(scope="module")
+def joints(body):
+    """Two components for each joint with full blocks: axes at random, means far apart. A tenth of each Gaussian is beyond a half turn."""
+    placement, rng = body.placement, np.random.default_rng(11)
+    count = len(placement.names) - 1
+    axes = Rotation.random(count * 4, rng=rng).as_matrix().reshape(count, 2, 2, 3, 3)
+    sd = np.array([[0.02, 0.03, 0.05], np.radians([25.0, 100.0, 50.0])])
+    turns = Rotation.from_rotvec(rng.normal(size=(count * 2, 3))).as_quat(canonical=True, scalar_first=True)
+    mean = np.concatenate([0.01 * rng.normal(size=(count, 2, 3)), turns.reshape(count, 2, 4)], axis=-1)
+    covariance = np.einsum("jmbik,bk,jmblk->jmbil", axes, sd**2, axes)
+    parents = tuple(placement.names[parent] for parent in placement.parents[1:])
+    return JointMixtures(body.name, placement.names[1:], parents, mean, covariance, np.tile([0.3, 0.7], (count, 1)))
+
+
+@pytest.fixture
+def learned(tmp_path):
+    """`learned(joints)`: the options of the potential with this file."""
+
+    def call(joints):
+        save_joint_mixtures(joints, tmp_path / "joints.npz")
+        return {"learned": str(tmp_path / "joints.npz")}
+
+    return call
 
 
 def _kinematic(body, options):
@@ -55,10 +83,11 @@ def test_parts_place_a_body_as_the_angles_do(body):
     np.testing.assert_allclose(placed_markers(body, parts), placed_markers(body.by_angles, pose), atol=2e-6)
 
 
-@pytest.mark.parametrize("options", [WIDE, TWO], ids=["one component", "two"])
+@pytest.mark.parametrize("options", [WIDE, TWO, None], ids=["one component", "two", "full blocks"])
 @pytest.mark.parametrize("given", ["parent", "child"])
-def test_an_edge_is_normalised_in_both_directions(body, options, given):
+def test_an_edge_is_normalised_in_both_directions(body, options, given, joints, learned):
     """The other part's rotation is uniform over all rotations, and its position normal where the joint is, given the rotation."""
+    options = options or learned(joints)
     edge, rng, count, sd = _edge(_kinematic(body, options), 3), np.random.default_rng(1), 2**20, 0.05
     fixed, turns = _random_rigid(rng, 1, 1.0)[0], _random_rigid(rng, count, 0.0)[:, 3:]
     off = jnp.asarray(rng.normal(size=(count, 3)) * sd, jnp.float32)
@@ -76,10 +105,14 @@ def test_an_edge_is_normalised_in_both_directions(body, options, given):
     assert error < 0.01
 
 
-def test_ancestral_draws_have_the_density(body):
+@pytest.mark.parametrize("blocks", ["diagonal", "full"])
+def test_ancestral_draws_have_the_density(body, blocks, joints, learned):
     """E[p/q] under draws of one prior is 1 only if draws and both densities agree: the other prior is narrower within its support."""
-    wide = _kinematic(body, WIDE)
-    narrow = _kinematic(body, {"component": [WIDE["component"][0] | {"sd_deg": {"*": [18.0, 50.0, 32.0]}, "sd_m": {"*": [0.018, 0.027, 0.045]}}]})
+    if blocks == "full":
+        wide, narrow = (_kinematic(body, learned(replace(joints, covariance=share * joints.covariance))) for share in (1.0, 0.85))
+    else:
+        wide = _kinematic(body, WIDE)
+        narrow = _kinematic(body, {"component": [WIDE["component"][0] | {"sd_deg": {"*": [18.0, 50.0, 32.0]}, "sd_m": {"*": [0.018, 0.027, 0.045]}}]})
     root = _random_rigid(np.random.default_rng(2), 1, 1.0)[0]
     draws = jax.jit(jax.vmap(lambda key: kinematic.draw_tree(key, wide, root)))(jax.random.split(jax.random.key(0), 40_000))
     ratio = jax.jit(jax.vmap(lambda x: narrow({PARTS: x}, {}) - wide({PARTS: x}, {})))(draws)
@@ -161,6 +194,63 @@ def test_a_rotation_on_its_own_keeps_a_known_distribution():
 def test_a_potential_on_what_the_body_lacks(body, term, options, said):
     with pytest.raises(InputError, match=said):
         term.build("term", validate(term.Options, options, "test"), body)
+
+
+def test_a_learned_joint_is_where_the_body_has_it(body, joints, learned):
+    """A taller person's joints are further apart, by the proportions of the body, and the displacements are the same."""
+    still = replace(joints, mean=joints.mean * np.array([0, 0, 0, 1, 1, 1, 1]))
+    tall = loosened(build_body("person_31", load_body("person_31"), Shape(2.0)))
+    row = joints.parts.index("l_calf")
+    found = [np.asarray(_kinematic(each, learned(still)).log_potential.parameters["mean"][row]) for each in (body, tall)]
+    np.testing.assert_allclose(found[1][:, :3], found[0][:, :3] * 2.0 / 1.75, atol=1e-6)
+    np.testing.assert_allclose(found[0][:, 3:], joints.mean[row, :, 3:], atol=1e-6)
+    moved = np.asarray(_kinematic(tall, learned(joints)).log_potential.parameters["mean"][row])
+    np.testing.assert_allclose(moved[:, :3] - found[1][:, :3], joints.mean[row, :, :3], atol=1e-6)
+
+
+def _renamed(joints, old, new):
+    parts, parents = (tuple(new if name == old else name for name in names) for names in (joints.parts, joints.parents))
+    return replace(joints, parts=parts, parents=parents)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            lambda j: _renamed(j, "head", "hoof"),
+            r"learned on the body 'person_31', and the body 'person_31' has no joint of 'hoof' with 'torso'; exp",
+        ),
+        (lambda j: _renamed(j, "l_thigh", "l_leg"), r"has no joint of 'l_calf' with 'l_leg'; expected the joints of the body 'person_31'; learn one"),
+        (
+            lambda j: replace(j, parts=j.parts[:-1], parents=j.parents[:-1], **_without_last(j)),
+            r"and the file has no joint of 'r_forearm' with 'r_upp",
+        ),
+        (lambda j: replace(j, mean=1.5 * j.mean), r"\w+, component 1: a quaternion of length 1\.5; expected length 1, or it is no rotation"),
+        (lambda j: replace(j, covariance=-j.covariance), r"\w+, component 1: a matrix that is no covariance; expected symmetric and positive"),
+        (lambda j: replace(j, weight=-j.weight), r"\w+, component 1: the weight -0\.3; expected a finite number above 0"),
+        (
+            lambda j: replace(j, weight=j.weight[:3]),
+            r"other arrays \(\w+\); expected a file of kinematic potentials; make one with `bayes-body learn",
+        ),
+    ],
+)
+def test_a_learned_file_that_does_not_fit(body, joints, learned, change, said):
+    with pytest.raises(InputError, match=said):
+        _kinematic(body, learned(change(joints)))
+
+
+def _without_last(joints):
+    return {name: getattr(joints, name)[:-1] for name in ("mean", "covariance", "weight")}
+
+
+def test_a_learned_file_that_is_none(body, tmp_path):
+    (tmp_path / "joints.npz").write_bytes(b"no archive")
+    with pytest.raises(InputError, match=r"not such an archive, or damaged .*; expected a file of kinematic potentials"):
+        _kinematic(body, {"learned": str(tmp_path / "joints.npz")})
+    with pytest.raises(InputError, match=r"knimeatic_10: no such file; expected a file of kinematic potentials; check the path"):
+        _kinematic(body, {"learned": "knimeatic_10"})
+    with pytest.raises(InputError, match="both `learned` and `component`; expected one of the two; remove the other"):
+        _kinematic(body, {"learned": "kinematic_10", "component": [{}]})
 
 
 def test_potentials_of_parts_need_parts(body):

@@ -1,0 +1,119 @@
+"""`bayes-body learn kinematic-potentials`: learn densities of the joints of a loose-limbed body, for the potential `kinematic`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from bayes_body.cli.learned_files import check_out, motion_files, portable
+
+if TYPE_CHECKING:
+    from bayes_body.body.schema import BodySchema
+    from bayes_body.learning.kinematic_potentials import HeldOut, JointPoses
+    from bayes_body.potentials.joint_file import JointMixtures
+
+
+def kinematic_potentials(
+    motions: list[Path] = typer.Argument(help="Captured motions, or folders of them, one folder a person."),
+    out: Path = typer.Option(..., "--out", help="The .npz to write; a .toml beside it records its source."),
+    body: str = typer.Option("person_31", "--body", help="The body whose joints are learned: its name or the path of your own .toml file."),
+    components: int = typer.Option(4, "--components", min=1, help="Components of the mixture of each joint."),
+    floor_mm: float = typer.Option(10.0, "--floor-mm", help="Smallest standard deviation of a joint's position, millimetres."),
+    floor_deg: float = typer.Option(2.0, "--floor-deg", help="Smallest standard deviation of a joint's rotation, degrees."),
+    frames: int = typer.Option(60, "--frames", min=2, help="Frames that are used of each motion."),
+    test: list[Path] = typer.Option([], "--held-out", help="Motions of other people, or a folder of them, for the table; may be repeated."),
+    source: str = typer.Option("", "--source", help="The source of the data, for the .toml."),
+    overwrite: bool = typer.Option(False, "--overwrite", help="Replace existing files."),
+) -> None:
+    """Learn a Gaussian mixture of the pose of each part relative to its parent, and compare it with one Gaussian."""
+    import math
+
+    from bayes_body.config import configure
+    from bayes_body.errors import input_error
+
+    table = out.with_suffix(".toml")
+    check_out(out, table, overwrite)
+    for option, value in (("--floor-mm", floor_mm), ("--floor-deg", floor_deg)):
+        if not (math.isfinite(value) and value > 0):
+            raise input_error(option, f"{value:g}", "a finite number above 0", "correct it")
+    configure()
+    from bayes_body.files.atomic import write_text
+    from bayes_body.learning.joint_mixtures import Floors
+    from bayes_body.learning.kinematic_potentials import held_out, joints_of, learn_joints
+    from bayes_body.model.definition import load_body
+    from bayes_body.potentials.joint_file import save_joint_mixtures
+
+    schema = load_body(body)
+    joints_of(body, schema)
+    floors = Floors(floor_mm / 1000, math.radians(floor_deg))
+    train = _poses(motions, body, schema, frames)
+    joints, single = (learn_joints(train, body, schema, count, floors) for count in (components, 1))
+    save_joint_mixtures(joints, out)
+    compared = _poses(test, body, schema, frames) if test else train
+    results = held_out(joints, compared), held_out(single, compared)
+    options = {"--body": (body, "person_31"), "--components": (components, 4), "--floor-mm": (floor_mm, 10.0), "--floor-deg": (floor_deg, 2.0)}
+    own = [word for option, (value, default) in (options | {"--frames": (frames, 60)}).items() if value != default for word in (option, f"{value}")]
+    words = [*map(portable, motions), *own, *(word for path in test for word in ("--held-out", portable(path))), "--out", portable(out)]
+    write_text(table, _told(joints, source, words, train, compared if test else [], results))
+    _show(joints, f"{len(compared)} motions" + (" held out" if test else ", the same that were learned from"), *results)
+    typer.echo(f"{out}: {len(joints.parts)} joints, {components} components each, from {len(train)} motions of {_people(train)} people.")
+
+
+def _poses(paths: Sequence[Path], body: str, schema: "BodySchema", frames: int) -> "list[JointPoses]":
+    from bayes_body.learning.kinematic_potentials import joint_poses
+    from bayes_body.recording.mocap import read_motion
+    from bayes_body.view.progress import watched
+
+    files = [file for path in paths for file in motion_files(path)]
+    motions = [read_motion(file) for file in files]
+    each = watched("retargeting")(range(len(files)))
+    return [joint_poses(files[k].stem, files[k].resolve().parent.name, motions[k], body, schema, frames) for k in each]
+
+
+def _people(motions: "Sequence[JointPoses]") -> int:
+    return len({motion.subject for motion in motions})
+
+
+def _show(joints: "JointMixtures", what: str, mixture: "HeldOut", single: "HeldOut") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console() if Console().is_terminal else Console(width=160)
+    console.print(f"log-density of {what}, nats a frame, mean of {len(mixture.subjects)} people", highlight=False)
+    table = Table("joint", "mixture", "one Gaussian", "difference", "by person", box=None, pad_edge=False)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    rows = [(part, mixture.values[:, j], single.values[:, j]) for j, part in enumerate(joints.parts)]
+    for part, ours, other in [*rows, ("all", mixture.values.sum(axis=1), single.values.sum(axis=1))]:
+        gain = ours - other
+        table.add_row(part, f"{ours.mean():.2f}", f"{other.mean():.2f}", f"{gain.mean():.2f}", f"{gain.min():.2f} to {gain.max():.2f}")
+    console.print(table)
+
+
+def _told(
+    joints: "JointMixtures",
+    source: str,
+    words: list[str],
+    train: "Sequence[JointPoses]",
+    test: "Sequence[JointPoses]",
+    results: "tuple[HeldOut, HeldOut]",
+) -> str:
+    """Return the text of the file beside the arrays, with their source and the command that makes them."""
+    import tomlkit
+
+    document = tomlkit.document()
+    document.add(tomlkit.comment("Arrays: for each joint the means, covariances and weights of a Gaussian mixture of relative poses."))
+    document["title"] = "Poses of the parts of a loose-limbed body relative to their parents"
+    document["source"] = source
+    document["body"] = joints.body
+    document["parts"] = list(joints.parts)
+    document["motions"] = [motion.name for motion in train]
+    document["command"] = " ".join(["bayes-body learn kinematic-potentials", *words])
+    document["frames"] = sum(len(motion.poses) for motion in train)
+    document["components"] = joints.weight.shape[1]
+    if test:
+        document["held_out"] = [motion.name for motion in test]
+        document["held_out_nats"] = round(float(results[0].values.sum(axis=1).mean()), 2)
+        document["held_out_nats_of_one_gaussian"] = round(float(results[1].values.sum(axis=1).mean()), 2)
+    return tomlkit.dumps(document)
