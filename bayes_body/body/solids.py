@@ -20,7 +20,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from bayes_body.body.placement import ByAngles, Placement, joint_transforms
 from bayes_body.body.skeleton import Markers, Skeleton
@@ -80,6 +80,12 @@ class Body:
         return self.placement.variable
 
     @property
+    def seen(self) -> "Shapes":
+        """What cameras see of its parts."""
+        is_sphere = jnp.array(self.topology.is_sphere) if any(self.topology.is_sphere) else None
+        return Shapes(self.lengths, self.outline_radii, self.sections, is_sphere)
+
+    @property
     def by_angles(self) -> "Body":
         """The same body, placed by joint angles."""
         return replace(self, placement=ByAngles())
@@ -100,6 +106,18 @@ def widened(body: Body, configuration: Configuration) -> Body:
     return replace(body, radii=body.radii + wider, outline_radii=body.outline_radii + wider)
 
 
+class Shapes(NamedTuple):
+    """What cameras see of solids: lengths and radii (base, tip; clothes included), metres, scale factors of the sections, and which are spheres.
+
+    `is_sphere` is None if none is.
+    """
+
+    lengths: Float[Array, " part"]
+    radii: Float[Array, "part 2"]
+    sections: Float[Array, "part 2"]
+    is_sphere: Bool[Array, " part"] | None
+
+
 class Patches(NamedTuple):
     """The four vectors V0..V3 of every part for one viewpoint, metres: `V0 + t V1 + s V2 + t s V3` is a point on the patch that faces it."""
 
@@ -111,30 +129,35 @@ class Patches(NamedTuple):
 
 def patches(body: Body, T_world_part: Transform, viewpoint: Vector3) -> Patches:
     """The visible patch of every part, for a `viewpoint` (metres, world)."""
+    return shape_patches(body.seen, T_world_part, viewpoint)
+
+
+def shape_patches(shapes: Shapes, T_world_part: Transform, viewpoint: Vector3) -> Patches:
+    """The same for solids that are placed one by one."""
     base = T_world_part.origin
     # Base and tip differ along the axis only, so the direction to the contour is the same at both ends.
-    side = _side(body, T_world_part, base - viewpoint)
-    near, far = body.outline_radii[:, :1], body.outline_radii[:, 1:]
-    cylinders = Patches(base, body.lengths[:, None] * T_world_part.z, side * near, side * (far - near))
-    if not any(body.topology.is_sphere):
+    side = _side(shapes, T_world_part, base - viewpoint)
+    near, far = shapes.radii[:, :1], shapes.radii[:, 1:]
+    cylinders = Patches(base, shapes.lengths[:, None] * T_world_part.z, side * near, side * (far - near))
+    if shapes.is_sphere is None:
         return cylinders
-    discs = _discs(body, T_world_part, viewpoint)
-    is_sphere = jnp.array(body.topology.is_sphere)[:, None]
+    discs = _discs(shapes, T_world_part, viewpoint)
+    is_sphere = shapes.is_sphere[:, None]
     return Patches(*(jnp.where(is_sphere, disc, cylinder) for disc, cylinder in zip(discs, cylinders, strict=True)))
 
 
-def _side(body: Body, T_world_part: Transform, view: Float[Array, "part 3"]) -> Float[Array, "part 3"]:
+def _side(shapes: Shapes, T_world_part: Transform, view: Float[Array, "part 3"]) -> Float[Array, "part 3"]:
     """From the axis to the occluding contour, for a section of radius one (formula of the module)."""
-    sx, sy = body.sections[:, 0], body.sections[:, 1]
+    sx, sy = shapes.sections[:, 0], shapes.sections[:, 1]
     nx, ny = transforms.dot(view, T_world_part.y) / sy, -transforms.dot(view, T_world_part.x) / sx
     # For a view exactly end-on the contour is undefined. The clamp keeps it finite; such a part has no visible side anyway.
     scale = jax.lax.rsqrt(jnp.maximum(nx * nx + ny * ny, 1e-12))
     return (nx * scale * sx)[:, None] * T_world_part.x + (ny * scale * sy)[:, None] * T_world_part.y
 
 
-def _discs(body: Body, T_world_part: Transform, viewpoint: Vector3) -> Patches:
-    disc = facing_discs(body, T_world_part, viewpoint)
-    radius = body.outline_radii[:, :1]
+def _discs(shapes: Shapes, T_world_part: Transform, viewpoint: Vector3) -> Patches:
+    disc = facing_discs(shapes, T_world_part, viewpoint)
+    radius = shapes.radii[:, :1]
     # t runs over a diameter: V0 + t V1 goes from -r to r, and the samples' s is reduced to the circle.
     return Patches(disc.centre - radius * disc.up, 2 * radius * disc.up, radius * disc.right, jnp.zeros_like(disc.centre))
 
@@ -147,9 +170,9 @@ class Discs(NamedTuple):
     up: Float[Array, "part 3"]
 
 
-def facing_discs(body: Body, T_world_part: Transform, viewpoint: Vector3) -> Discs:
+def facing_discs(shapes: Body | Shapes, T_world_part: Transform, viewpoint: Vector3) -> Discs:
     """The discs through the middle of every part, perpendicular to the view from `viewpoint`."""
-    centre = T_world_part.origin + 0.5 * body.lengths[:, None] * T_world_part.z
+    centre = T_world_part.origin + 0.5 * shapes.lengths[:, None] * T_world_part.z
     view = transforms.unit(centre - viewpoint)
     # For a view along the part's z, the disc is spanned from its x: the vectors change, the disc does not.
     along = (jnp.abs(transforms.dot(view, T_world_part.z)) > 0.9)[:, None]

@@ -9,6 +9,7 @@ from bayes_body.cli.edge_statistics import edge_statistics
 from bayes_body.cli.kinematic_potentials import kinematic_potentials
 from bayes_body.cli.learned_files import check_out, motion_files, portable
 from bayes_body.cli.likelihood_scale import likelihood_scale
+from bayes_body.cli.regions import regions
 from bayes_body.cli.walking_angles import walking_angles
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Learn from captured motion, or from recordings with their truth.", no_args_is_help=True)
 app.command("likelihood-scale")(likelihood_scale)
 app.command("edge-statistics")(edge_statistics)
+app.command("regions")(regions)
 app.command("walking-angles")(walking_angles)
 app.command("kinematic-potentials")(kinematic_potentials)
 

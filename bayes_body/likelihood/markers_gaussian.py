@@ -1,39 +1,37 @@
-r"""Markers seen by cameras, as a distribution over their pixels: with the projection $\pi_c(m(s))$ of marker m in camera c,
+r"""Markers seen by cameras, as a distribution over their pixels.
 
-$$p(z \mid s) = \prod_{c, m \,\text{present}} \Big[ (1 - \epsilon)\, f\big(\|z_{cm} - \pi_c(m(s))\|; \sigma_{cm}\big)
-  + \frac{\epsilon}{W_c H_c} \Big],$$
+$p(z \mid s) = p(z \mid x(s))$ with the positions x of the body's markers, and the distribution of detections in likelihood/detections.py. Which
+markers are present, and their confidence, is given.
 
-where f is Gaussian, $\frac{1}{2\pi\sigma^2} e^{-r^2/2\sigma^2}$, or Student's t in two dimensions (Lange et al. 1989), which has the same constant,
-$\frac{1}{2\pi\sigma^2} (1 + r^2/\nu\sigma^2)^{-(\nu+2)/2}$; $\epsilon$ is the fraction of outliers, uniform over the image, and
-$\sigma_{cm} = \sigma_c / q_{cm}^a$ with the confidence q. Which markers are present, and their confidence, is given. A marker behind a camera is
-expected at a fixed place far outside the image: this is unlikely but finite, and the density is still normalised.
+The markers of a body that is placed by its parts are a plate over the parts that hold them, which message passing reads part by part.
 
 Errors of keypoint networks are correlated between frames and cameras (a hip is always found outside and above the joint's centre). Here they are
 independent, so on real keypoints the posterior is too narrow, and more so at higher frame rates.
 """
 
-import math
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 from pydantic import Field
 
-from bayes_body.body.placement import placed_markers
+from bayes_body.body.placement import PARTS, ByParts, placed_markers
 from bayes_body.body.solids import Body
 from bayes_body.density.factor import Factor, Variable, Variables
+from bayes_body.density.plate import Plate, plate_factor
 from bayes_body.errors import input_error
 from bayes_body.evidence.markers import MARKERS, MarkerEvidence
-from bayes_body.geometry.camera import Camera, project
+from bayes_body.geometry import rigid, transforms
+from bayes_body.geometry.camera import Camera
+from bayes_body.likelihood.detections import Detections
 from bayes_body.registry import register
 from bayes_body.shapes import Configuration, Key, Scalar
 from bayes_body.toml.schema import NonNegative, Positive, Schema, Share
 
-# Where a marker behind the camera is expected: its distance from the image's centre, in diagonals of the image.
-BEHIND = 2.0
 Rare = Annotated[float, Field(strict=True, ge=0, lt=1)]
 
 
@@ -50,92 +48,72 @@ class Options(Schema):
     missing: Rare = 0.0
 
 
-@partial(
-    jax.tree_util.register_dataclass,
-    meta_fields=["noise", "markers", "places", "outliers", "by_confidence"],
-    data_fields=["body", "rig", "sd_px", "degrees_of_freedom", "least_confidence"],
-)
+@partial(jax.tree_util.register_dataclass, meta_fields=["markers", "places"], data_fields=["body", "detections"])
 @dataclass(frozen=True)
 class MarkersGaussian:
-    """The log-potential as a pytree, and the distribution with that density.
+    """The log-potential of a whole body as a pytree, and the distribution with that density.
 
     Attributes:
-        noise: gaussian or student.
         markers: indices of the visible markers in the body.
         places: their indices in `MARKERS`.
-        outliers: fraction of the markers that are outliers, uniform over the image.
-        by_confidence: the power a of the confidence.
         body: the body.
-        rig: the cameras.
-        sd_px: standard deviation in each camera; the scale for Student's t.
-        degrees_of_freedom: of Student's t.
-        least_confidence: a marker with at most this confidence counts as not present.
+        detections: the density of each marker.
     """
 
-    noise: Literal["gaussian", "student"]
     markers: tuple[int, ...]
     places: tuple[int, ...]
-    outliers: float
-    by_confidence: float
     body: Body
-    rig: Camera
-    sd_px: Float[Array, " camera"]
-    degrees_of_freedom: Scalar
-    least_confidence: Scalar
+    detections: Detections
 
     def __call__(self, values: Variables, evidence: MarkerEvidence) -> Scalar:
         """log p(z | configuration), normalised."""
         configuration = values[Variable(self.body.variable)]
         pixels, confidence = (jnp.asarray(each)[:, list(self.places)] for each in evidence)
-        present = confidence > self.least_confidence
-        # Absent data may be NaN. Without this, a `where` around the density would still let NaN into the gradient.
-        pixels, confidence = jnp.where(present[..., None], pixels, 0.0), jnp.where(present, confidence, 1.0)
-        densities = self._log_density(pixels, confidence, self.expected(configuration))
         # If a marker is behind a camera, its expected place does not depend on the configuration, which would hide a NaN.
-        return jnp.where(jnp.isfinite(jnp.sum(configuration)), jnp.sum(jnp.where(present, densities, 0.0)), jnp.nan)
+        return _nan_with(configuration, self.detections.log_density(self._points(configuration), pixels, confidence))
 
-    def expected(self, configuration: Configuration) -> Float[Array, "camera present 2"]:
-        """The expected pixels of the body's markers in each camera."""
-        points = placed_markers(self.body, configuration)[list(self.markers), :]
-
-        def of(camera: Camera) -> Float[Array, "present 2"]:
-            pixels, visible = project(camera, points)
-            return jnp.where(visible[:, None], pixels, camera.size / 2 - BEHIND * jnp.sqrt(jnp.sum(camera.size**2)))
-
-        return jax.vmap(of)(self.rig)
-
-    def _log_density(
-        self, pixels: Float[Array, "camera present 2"], confidence: Float[Array, "camera present"], expected: Float[Array, "camera present 2"]
-    ) -> Float[Array, "camera present"]:
-        variance = self._sd(confidence) ** 2
-        squares = jnp.sum((pixels - expected) ** 2, axis=-1) / variance
-        nu = self.degrees_of_freedom
-        fall = 0.5 * squares if self.noise == "gaussian" else 0.5 * (nu + 2) * jnp.log1p(squares / nu)
-        inlier = -fall - jnp.log(2 * math.pi * variance)
-        if self.outliers == 0:
-            return inlier
-        anywhere = jnp.where(self._inside(pixels), math.log(self.outliers) - jnp.log(jnp.prod(self.rig.size, axis=1))[:, None], -jnp.inf)
-        return jnp.logaddexp(math.log1p(-self.outliers) + inlier, anywhere)
-
-    def _sd(self, confidence: Float[Array, "camera present"]) -> Float[Array, "camera present"]:
-        return self.sd_px[:, None] / confidence**self.by_confidence
-
-    def _inside(self, pixels: Float[Array, "camera present 2"]) -> Bool[Array, "camera present"]:
-        # The first pixel's centre is (0, 0), so an image begins half a pixel before it.
-        return jnp.all((pixels >= -0.5) & (pixels <= self.rig.size[:, None] - 0.5), axis=-1)
+    def _points(self, configuration: Configuration) -> Float[Array, "present 3"]:
+        return placed_markers(self.body, configuration)[list(self.markers), :]
 
     def draw(self, key: Key, configuration: Configuration) -> Float[Array, "camera present 2"]:
         """Draw pixels of the body's markers, all with confidence 1."""
-        noise, spread, choice, place = jax.random.split(key, 4)
-        expected = self.expected(configuration)
-        shape, dtype = expected.shape[:2], expected.dtype
-        off = self.sd_px[:, None, None] * jax.random.normal(noise, expected.shape, dtype)
-        if self.noise == "student":
-            # z / sqrt(chi2 / nu), chi2 = 2 Gamma(nu / 2).
-            gamma = jax.random.gamma(spread, self.degrees_of_freedom / 2, shape, dtype)
-            off *= jnp.sqrt(self.degrees_of_freedom / (2 * gamma))[..., None]
-        anywhere = jax.random.uniform(place, expected.shape, dtype) * self.rig.size[:, None] - 0.5
-        return jnp.where(jax.random.bernoulli(choice, self.outliers, shape)[..., None], anywhere, expected + off)
+        return self.detections.draw(key, self._points(configuration))
+
+    def by_parts(self) -> Plate:
+        """The same log-potential as a plate over the parts that hold visible markers; for a body that is placed by parts."""
+        placement = self.body.placement
+        assert isinstance(placement, ByParts)
+        markers = np.array(self.markers)
+        joints = np.array(self.body.markers.joints)[markers]
+        in_part = transforms.apply(transforms.pick(placement.held, joints), self.body.markers.offsets[markers])
+        owners = np.array(placement.owners)[joints]
+        parts = sorted(set(owners.tolist()))
+        most = int(np.bincount(owners).max())
+        # Shorter lists of markers repeat their first one, which is then not counted.
+        lists = [np.flatnonzero(owners == part) for part in parts]
+        chosen = np.stack([np.concatenate([each, np.repeat(each[:1], most - len(each))]) for each in lists])
+        counted = np.stack([np.arange(most) < len(each) for each in lists])
+        parameters = PartMarkers(in_part[chosen], jnp.asarray(np.array(self.places)[chosen]), jnp.asarray(counted))
+        return Plate(PARTS, tuple((part,) for part in parts), jax.tree_util.Partial(_of_part, self.detections), parameters)
+
+
+class PartMarkers(NamedTuple):
+    """The markers that a part holds: positions in its frame, metres, indices in `MARKERS`, and whether each counts."""
+
+    offsets: Float[Array, "*part marker 3"]
+    places: Int[Array, "*part marker"]
+    counted: Bool[Array, "*part marker"]
+
+
+def _of_part(detections: Detections, markers: PartMarkers, frame: Float[Array, "7"], *, data: MarkerEvidence) -> Scalar:
+    """The log-potential of one part, placed at `frame`."""
+    points = jnp.asarray(rigid.apply(frame[None], markers.offsets))
+    pixels, confidence = (jnp.asarray(each)[:, markers.places] for each in data)
+    return _nan_with(frame, detections.log_density(points, pixels, jnp.where(markers.counted, confidence, -jnp.inf)))
+
+
+def _nan_with(configuration: Configuration, value: Scalar) -> Scalar:
+    return jnp.where(jnp.isfinite(jnp.sum(configuration)), value, jnp.nan)
 
 
 def simulate(potential: MarkersGaussian, missing: Scalar, key: Key, values: Variables) -> MarkerEvidence:
@@ -164,17 +142,17 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
     dtype = body.lengths.dtype
     diagonal = jnp.sqrt(jnp.sum(rig.size**2, axis=1))
     sd_px = options.sd_px * (diagonal / options.at_diagonal_px if options.at_diagonal_px else jnp.ones_like(diagonal))
-    potential = MarkersGaussian(
+    detections = Detections(
         noise=options.noise,
-        markers=tuple(number for number, _ in known),
-        places=tuple(place for _, place in known),
         outliers=options.outliers,
         by_confidence=options.by_confidence,
-        body=body,
         rig=rig,
         sd_px=jnp.asarray(sd_px, dtype),
         degrees_of_freedom=jnp.asarray(options.degrees_of_freedom, dtype),
         least_confidence=jnp.asarray(options.least_confidence, dtype),
     )
-    drawn = jax.tree_util.Partial(simulate, potential, jnp.asarray(options.missing, dtype))
-    return Factor(name=name, side="likelihood", scope=(Variable(body.variable),), log_potential=potential, simulate=drawn)
+    whole = MarkersGaussian(tuple(number for number, _ in known), tuple(place for _, place in known), body, detections)
+    drawn = jax.tree_util.Partial(simulate, whole, jnp.asarray(options.missing, dtype))
+    if body.variable == PARTS:
+        return plate_factor(name, "likelihood", whole.by_parts(), simulate=drawn)
+    return Factor(name=name, side="likelihood", scope=(Variable(body.variable),), log_potential=whole, simulate=drawn)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body.body.solids import Body, Patches, Samples, part_transforms, patches, widened
+from bayes_body.body.solids import Body, Patches, Samples, Shapes, part_transforms, shape_patches, widened
 from bayes_body.geometry import camera as cameras
 from bayes_body.geometry.camera import Camera, Pixels
 from bayes_body.geometry.transforms import Transform
@@ -26,8 +26,12 @@ def rig_pixels(body: Body, rig: Camera, samples: Samples, configuration: Configu
 def rig_patches(body: Body, rig: Camera, configuration: Configuration) -> Float[Array, "camera 4 part 3"]:
     """The parts' patches in each camera's frame: start, along, across and taper."""
     T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, configuration))))
-    shaped = widened(body, configuration)
-    in_camera = jax.vmap(lambda camera: _camera_patches(shaped, T_world_part, camera))(rig)
+    return solid_patches(widened(body, configuration).seen, rig, T_world_part)
+
+
+def solid_patches(shapes: Shapes, rig: Camera, T_world_part: Transform) -> Float[Array, "camera 4 part 3"]:
+    """The same of solids that are placed one by one."""
+    in_camera = jax.vmap(lambda camera: _camera_patches(shapes, T_world_part, camera))(rig)
     # The barrier keeps XLA from recomputing the patches for every sample.
     return jax.lax.optimization_barrier(in_camera)
 
@@ -72,8 +76,8 @@ def by_component(in_camera: CameraPatches) -> list[Patches]:
     return [Patches(*component) for component in jnp.moveaxis(in_camera, -1, 0)[..., None]]
 
 
-def _camera_patches(body: Body, T_world_part: Transform, camera: Camera) -> CameraPatches:
-    world = patches(body, T_world_part, camera.viewpoint)
+def _camera_patches(shapes: Shapes, T_world_part: Transform, camera: Camera) -> CameraPatches:
+    world = shape_patches(shapes, T_world_part, camera.viewpoint)
     start, *directions = cameras.to_camera(camera, jnp.stack(world))
     return jnp.stack([start + camera.translation, *directions])
 

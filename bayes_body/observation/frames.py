@@ -8,6 +8,7 @@ from typing import NamedTuple, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_body.errors import input_error
 from bayes_body.observation.pictures import check_index, read_colour, read_greys
 from bayes_body.observation.segmentation import EVEN
 from bayes_body.observation.silhouettes import has_silhouettes, silhouette_levels
@@ -45,6 +46,19 @@ class Frame(NamedTuple):
         """(rows, columns) that hold an image of any camera: the same in every frame, whichever cameras see it."""
         sizes = self.sizes_px or [image.shape[::-1] for image in self.images if image is not None]
         return max(rows for _, rows in sizes), max(columns for columns, _ in sizes)
+
+
+def masks_of(frame: Frame) -> Sequence[NDArray[np.bool_] | None]:
+    """Return the masks of a frame.
+
+    Raises:
+        InputError: its session can have none.
+    """
+    if frame.masks is None:
+        remedy = "give each [[camera]] its `masks`, or an image of the empty scene as `background`"
+        found = "its cameras have no masks, and there are too few frames to learn the background"
+        raise input_error("session.toml", found, "a silhouette for every image", remedy)
+    return frame.masks
 
 
 def read_frame(session: Session, index: int) -> Frame:

@@ -7,9 +7,8 @@ import numpy as np
 from jaxtyping import Bool
 from numpy.typing import NDArray
 
-from bayes_body.errors import input_error
 from bayes_body.evidence.silhouettes import GRID, SilhouetteEvidence
-from bayes_body.observation.frames import Frame
+from bayes_body.observation.frames import Frame, masks_of
 from bayes_body.registry import register
 from bayes_body.toml.schema import Schema
 
@@ -34,11 +33,7 @@ def build(likelihood: Any = None, **_: Any) -> Callable[[Frame], SilhouetteEvide
     columns, rows = getattr(likelihood, "grid", GRID)
 
     def observe(frame: Frame) -> SilhouetteEvidence:
-        if frame.masks is None:
-            expected = "a silhouette for every image"
-            remedy = "give each [[camera]] its `masks`, or an image of the empty scene as `background`"
-            raise input_error("session.toml", "its cameras have no masks, and there are too few frames to learn the background", expected, remedy)
-        masks = list(frame.masks)
+        masks = list(masks_of(frame))
         nothing = np.zeros((rows, columns), bool)
         grids = [nothing if mask is None else sample_mask(mask, columns, rows) for mask in masks]
         return SilhouetteEvidence(np.stack(grids), np.array([mask is not None for mask in masks]))

@@ -13,9 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_body.errors import input_error
 from bayes_body.evidence.silhouette_edges import UNSEEN_SHARE, SilhouetteEdgeMaps, pack
-from bayes_body.observation.frames import Frame
+from bayes_body.observation.frames import Frame, masks_of
 from bayes_body.observation.thickness import spread_points
 from bayes_body.registry import register
 from bayes_body.toml.schema import NonNegative, Positive, Schema, Share
@@ -98,13 +97,9 @@ def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame
         return np.stack([pack((1 - value) ** 2, options.unseen_error, shape) for value in values_of(image, mask)])
 
     def observe(frame: Frame) -> SilhouetteEdgeMaps:
-        if frame.masks is None:
-            expected = "a silhouette for every image"
-            remedy = "give each [[camera]] its `masks`, or an image of the empty scene as `background`"
-            raise input_error("session.toml", "its cameras have no masks, and there are too few frames to learn the background", expected, remedy)
         unseen = pack(np.empty((0, 0), np.float32), options.unseen_error, frame.largest)
         stacks, shares, points = [], [], []
-        for image, mask in zip(frame.images, frame.masks, strict=True):
+        for image, mask in zip(frame.images, masks_of(frame), strict=True):
             if image is None or mask is None:
                 stacks.append(np.stack([unseen, unseen]))
                 shares.append(UNSEEN_SHARE)

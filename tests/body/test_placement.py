@@ -10,8 +10,9 @@ import pytest
 from bayes_body.dynamics import rigid_walk
 from bayes_body.geometry import rigid
 from bayes_body.model.build import build_model
-from bayes_body.model.definition import TermDefinition, load_definition
+from bayes_body.model.definition import LikelihoodDefinition, TermDefinition, load_definition
 from bayes_body.observation.frames import read_frame
+from bayes_body.registry import find
 
 
 @pytest.mark.parametrize("name", ["arm", "arm_silhouette", "arm_markers", pytest.param("arm_edges", marks=pytest.mark.slow)])
@@ -38,3 +39,24 @@ def test_a_likelihood_is_the_same_for_both(name, keypoint_session):
     (one, slope), (other, other_slope) = (jax.jit(jax.value_and_grad(each, argnums=1))(pose, jnp.zeros(3)) for each in (by_angles, by_parts))
     assert np.isfinite(one) and float(one) == pytest.approx(float(other), rel=1e-4)
     np.testing.assert_allclose(slope, other_slope, rtol=2e-3, atol=1e-3 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize("kind", ["markers_gaussian", "regions"])
+def test_the_cameras_of_a_plate_move(kind, keypoint_session):
+    """`Model.at` reaches the cameras of a plate's rows: seen from elsewhere, the value is that of a model of a session with cameras there."""
+    definition = load_definition("arm_markers")
+    term = find("likelihood", kind)
+    likelihood = LikelihoodDefinition(kind, term.options(), find("observation", kind).options())
+    walk = TermDefinition("rigid_walk", rigid_walk.Options())
+    loose = dataclasses.replace(definition, placement="parts", dynamics=walk, likelihoods=(likelihood,))
+    model = build_model(loose, keypoint_session)
+    lower = [
+        dataclasses.replace(view, camera=dataclasses.replace(view.camera, translation_m=view.camera.translation_m + np.array([0.1, -0.2, 0.3])))
+        for view in keypoint_session.views
+    ]
+    there = build_model(loose, dataclasses.replace(keypoint_session, views=tuple(lower)))
+    data, state = model.observe(read_frame(keypoint_session, 1)), dict(model.initial)
+    before, moved, expected = (
+        float(each.density(data).log_likelihood(state, state)) for each in (model, model.at([view.camera for view in lower]), there)
+    )
+    assert moved == pytest.approx(expected, rel=1e-6) and abs(moved - before) > 1e-3 * abs(before)

@@ -10,12 +10,13 @@ import pytest
 from scipy.stats import kstest
 
 from bayes_body.body.kinematics import marker_positions
+from bayes_body.body.placement import loosened, placed_markers
 from bayes_body.density.factor import Factor, Variable
 from bayes_body.errors import InputError
 from bayes_body.evidence.markers import MARKERS, MarkerEvidence
 from bayes_body.registry import find
 
-POSE = Variable("pose")
+POSE, PARTS = Variable("pose"), Variable("parts")
 NOISES = {
     "gaussian": {"noise": "gaussian"},
     "student": {"noise": "student", "degrees_of_freedom": 3.0},
@@ -191,3 +192,39 @@ def test_a_body_without_such_markers(scene):
         InputError, match=r"markers: the body 'arm_4' has the markers a, b, c; expected some of pelvis, .*; use these names in the body's"
     ):
         factor(scene._replace(body=body))
+
+
+@pytest.mark.parametrize("body", ["arm_4", "person_31"])
+@pytest.mark.parametrize("noise", NOISES)
+def test_a_body_placed_by_parts_is_a_plate_of_the_same_density(x64, scene, body, noise):
+    scene = scene(body)
+    loose = loosened(scene.body)
+    parts, seen = loose.placement.configuration(loose.skeleton, scene.pose), seen_near(scene)
+    parts = jnp.asarray(parts + 0.01 * np.random.default_rng(0).normal(size=parts.shape))
+    f = factor(scene._replace(body=loose), by_confidence=0.5, least_confidence=0.2, **NOISES[noise])
+    plate = f.log_potential
+    owners = [loose.placement.owners[joint] for joint in loose.markers.joints]
+    assert plate.rows == tuple((part,) for part in sorted(set(owners)))
+
+    def whole(parts):
+        """The text of the whole body, at the markers of the placed parts."""
+        detections, places = plate.log_potential.args[0], [MARKERS.index(name) for name in loose.markers.names]
+        return detections.log_density(placed_markers(loose, parts), seen.pixels[:, places], seen.confidence[:, places])
+
+    (one, slope), (other, other_slope) = (jax.jit(jax.value_and_grad(each))(parts) for each in (lambda x: f({PARTS: x}, {"markers": seen}), whole))
+    assert float(one) == pytest.approx(float(other), rel=1e-9) and np.isfinite(one)
+    np.testing.assert_allclose(slope, other_slope, rtol=1e-6, atol=1e-9 * np.abs(other_slope).max())
+    rows = np.asarray(plate.each(parts, seen))
+    moved = np.asarray(plate.each(parts.at[plate.rows[1][0], 1].add(0.05), seen))
+    assert np.flatnonzero(rows != moved).tolist() == [1]
+    assert np.isnan(f({PARTS: parts.at[0, 4].set(jnp.nan)}, {"markers": seen}))
+
+
+def test_both_placements_draw_the_same_frames(scene):
+    scene = scene("arm_4")
+    loose = loosened(scene.body)
+    key, parts = jax.random.key(2), loose.placement.configuration(loose.skeleton, scene.pose)
+    by_angles = factor(scene, missing=0.2).simulate(key, {POSE: scene.pose})
+    by_parts = factor(scene._replace(body=loose), missing=0.2).simulate(key, {PARTS: parts})
+    np.testing.assert_allclose(by_angles.pixels, by_parts.pixels, atol=1e-3)
+    np.testing.assert_array_equal(by_angles.confidence, by_parts.confidence)

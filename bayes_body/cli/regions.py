@@ -1,0 +1,31 @@
+"""`bayes-body learn regions`: options of the likelihood `regions`, from recordings with known truth."""
+
+from pathlib import Path
+
+import typer
+
+from bayes_body.cli.track import check_range
+
+
+def regions(
+    sessions: list[Path] = typer.Argument(help="Folders of recordings with their truth, such as those made by `bayes-body simulate`."),
+    model: str = typer.Option(..., "--model", help="A definition's name or the path of your own, with the likelihood `regions`."),
+    frames: int = typer.Option(5, "--frames", help="Number of evenly spaced frames of each recording."),
+) -> None:
+    """Learn `inside`, `band` and `edge_elsewhere` of the likelihood `regions`, and print them."""
+    from bayes_body.config import configure
+
+    configure()
+    from bayes_body.cli.models import checked_definition
+    from bayes_body.learning.regions import region_statistics, region_sums
+    from bayes_body.session.read import load_session
+
+    check_range("--frames", frames, 1)
+    definition, everything = checked_definition(model), []
+    for path in sessions:
+        sums = list(region_sums(load_session(path), definition, frames))
+        found = region_statistics(sums)
+        everything += sums
+        typer.echo(f"# {path.name}: inside {found.inside:.3f}, band {found.band:.3f}, E² on sides {found.on_sides:.2f}, nearby {found.nearby:.2f}")
+    found = region_statistics(everything)
+    typer.echo(f"[likelihood.observation]\ninside = {found.inside:.2f}\nband = {found.band:.2f}\nedge_elsewhere = {found.edge_elsewhere:.2f}")
