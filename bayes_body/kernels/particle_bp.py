@@ -50,7 +50,7 @@ class Options(Schema):
     iterations: Count = 6
     schedule: Schedule = "flooding"
     annealing: ProperShare = 1.0
-    shares: tuple[NonNegative, NonNegative, NonNegative, NonNegative] = (0.4, 0.1, 0.2, 0.4)
+    shares: tuple[NonNegative, NonNegative, NonNegative, NonNegative] = (0.3, 0.05, 0.2, 0.65)
     fit_inflation: Positive = 1.5
     ancestors: Annotated[int, Field(strict=True, ge=1)] = 100
 

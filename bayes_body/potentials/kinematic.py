@@ -26,6 +26,7 @@ from bayes_body.errors import InputError, input_error, nearest
 from bayes_body.geometry import rigid, rotations
 from bayes_body.potentials.joint_file import load_joint_mixtures
 from bayes_body.potentials.joint_mixture import log_of_components, mixture, times
+from bayes_body.potentials.joint_pairs import log_pairs
 from bayes_body.potentials.widths import widths_by_part
 from bayes_body.registry import register
 from bayes_body.shapes import Key, Scalar
@@ -118,7 +119,8 @@ def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
     children = [child for _, child in rows]
     found = _given(name, options.component, body, children) if options.learned is None else _learned(name, options.learned, body, children)
     parameters = {key: jnp.asarray(value, body.lengths.dtype) for key, value in found.items()}
-    plate = Plate(PARTS, rows, jax.tree_util.Partial(log_density), parameters, draw=jax.tree_util.Partial(draw))
+    functions = {"draw": jax.tree_util.Partial(draw), "pairwise": jax.tree_util.Partial(log_pairs)}
+    plate = Plate(PARTS, rows, jax.tree_util.Partial(log_density), parameters, **functions)
     return plate_factor(name, "prior", plate)
 
 
