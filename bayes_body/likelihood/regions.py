@@ -37,9 +37,9 @@ from bayes_body.toml.schema import Count, NonNegative, Positive, Schema, Share
 class Options(Schema):
     """Options of `[[likelihood]] kind = "regions"`."""
 
-    # With `learn likelihood-scale` on two simulated walks in four views (train_05 and train_08 of observation/regions.py), 6 frames of each, 200
-    # particles, the joints of loose_limbed_10: 90 % intervals contain 87 % of the true coordinates at 0.003, 79 % at 0.01. A rough choice.
-    precision: Positive = 0.003
+    # From `learn likelihood-scale` on two simulated walks in four views (train_05 and train_08 of observation/regions.py), 6 frames of each, 200
+    # particles, the joints of loose_limbed_10: 90 % intervals contain 91, 92, 87 and 79 % of the true coordinates at 0.001, 0.002, 0.003 and 0.01.
+    precision: Positive = 0.0024
     edge_share: Share = 0.1
     band: tuple[NonNegative, Positive] = (0.1, 0.5)
     samples: tuple[Count, Count, Count] = (8, 3, 1)
