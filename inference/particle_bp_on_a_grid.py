@@ -47,7 +47,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Particle belief propagation on a grid of noisy numbers.")
     parser.add_argument("--out", type=Path, required=True, help="folder for the picture")
     parser.add_argument("--samples", type=bb.whole_number(10), default=100, help="particles of each node (%(default)s)")
-    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="random seed (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="two iterations: a trial")
     arguments = parser.parse_args()
     seen = 2 * jax.random.normal(jax.random.key(4), (SIDE**2,))
@@ -58,7 +57,7 @@ def main() -> None:
         bb.proposal("near", lambda one: dist.Normal(one, 4.0).expand([1]).to_event(1), parameters=seen),
     )
     sampler = bb.kernels.particle_bp(samples=arguments.samples, iterations=2 if arguments.quick else 10)
-    found = jax.jit(sampler.on)(jax.random.key(arguments.seed), graph)
+    found = jax.jit(sampler.on)(jax.random.key(0), graph)
 
     exact, weights = on_values(seen), jnp.exp(found.log_beliefs)
     mean, true = jnp.sum(weights * found.points[..., 0], axis=1), exact @ VALUES

@@ -3,8 +3,7 @@
     python inference/sensor_localisation.py --out RUN
 
 Some sensors know where they are. The others only measure distances to those near them. A distance says "on a ring", so beliefs are rings, arcs, and
-pairs of places that mirror each other. The draws are of all sensors together: mirrored places come with those of their neighbours. Copy this file and
-put in your own graph.
+pairs of places that mirror each other. Copy this file and put in your own graph.
 """
 
 import argparse
@@ -26,8 +25,8 @@ def log_range(distance, first, second):
 
 
 def draw_on_ring(key, distance, known, reverse):
-    noise, angle = SD * jax.random.normal(key), jax.random.uniform(jax.random.fold_in(key, 1), maxval=2 * jnp.pi)
-    return known + jnp.abs(distance + noise) * jnp.array([jnp.cos(angle), jnp.sin(angle)])
+    noise, angle = jax.random.normal(key), jax.random.uniform(jax.random.fold_in(key, 1), maxval=2 * jnp.pi)
+    return known + jnp.abs(distance + SD * noise) * jnp.array([jnp.cos(angle), jnp.sin(angle)])
 
 
 def log_on_ring(distance, known, other, reverse):
@@ -36,7 +35,6 @@ def log_on_ring(distance, known, other, reverse):
 
 
 def scene(seed: int):
-    """Places, pairs of neighbours, and measured distances."""
     rng = np.random.default_rng(seed)
     places = rng.uniform(size=(SENSORS, 2))
     places[:ANCHORS] = [[0.1, 0.1], [0.9, 0.15], [0.15, 0.9], [0.85, 0.85]]
@@ -61,21 +59,19 @@ def main() -> None:
     )
     sampler = bb.kernels.particle_bp(samples=arguments.samples, iterations=2 if arguments.quick else 10, shares=(0.7, 0.1, 0.1, 0.2))
     found = jax.jit(sampler.on)(jax.random.key(arguments.seed), graph)
-
     weights = jnp.exp(found.log_beliefs)[..., None]
     mean = jnp.sum(weights * found.points, axis=1)
-    sd = jnp.sqrt(jnp.sum(weights * jnp.sum((found.points - mean[:, None]) ** 2, axis=2, keepdims=True), axis=(1, 2)))
+    sd = jnp.sqrt(jnp.sum(weights * (found.points - mean[:, None]) ** 2, axis=(1, 2)))
+    figure, axis = plt.subplots(figsize=(7, 7), layout="constrained")
     print("sensor     error      sd  (of a field of side 1)")
     for node in range(ANCHORS, SENSORS):
         print(f"{node:6}{float(np.linalg.norm(mean[node] - places[node])):10.3f}{float(sd[node]):8.3f}")
-    figure, axis = plt.subplots(figsize=(7, 7), layout="constrained")
-    for node in range(ANCHORS, SENSORS):
         shown = jax.random.categorical(jax.random.key(node), found.log_beliefs[node], shape=(200,))
         axis.scatter(*found.points[node, shown].T, s=4, alpha=0.3, color=f"C{node % 10}", lw=0)
     axis.scatter(*places[ANCHORS:].T, marker="x", color="black", label="true place")
     axis.scatter(*places[:ANCHORS].T, marker="s", color="black", label="known place")
     axis.set(aspect="equal", xlim=(-0.1, 1.1), ylim=(-0.1, 1.1), title="200 draws of each sensor's belief, in its colour")
-    axis.legend(loc="upper right")
+    axis.legend()
     arguments.out.mkdir(parents=True, exist_ok=True)
     figure.savefig(arguments.out / "sensors.png", dpi=120)
 

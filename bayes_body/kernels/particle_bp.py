@@ -56,7 +56,7 @@ class Options(Schema):
 
 
 class Summary(NamedTuple):
-    """What every iteration leaves behind, with a leading axis of rounds.
+    """The beliefs after a round; with a leading axis of rounds in `Passed`.
 
     Attributes:
         means: mean of every node's belief, a point.
@@ -103,10 +103,12 @@ def pass_messages(key: Key, graph: Graph, options: Options, rounds: Round) -> Pa
     passing = _Passing(graph, options)
     begin = passing.begin(first_key)
     keys = jax.random.split(round_key, rounds.power.shape[0])
-    beliefs, summaries = jax.lax.scan(lambda beliefs, one: passing.round(beliefs, *one), begin, (keys, rounds))
+    beliefs, before = jax.lax.scan(lambda beliefs, one: passing.round(beliefs, *one), begin, (keys, rounds))
     log_beliefs = normalised(log_beliefs_of(graph, beliefs))
-    points, unary, log_q = passing.redraw(redraw_key, beliefs)
-    joint = joint_particles(joint_key, graph, points, unary, log_q, options.particles)
+    own, last = passing.proposals(beliefs, 1.0)
+    joint = joint_particles(joint_key, graph, *passing.redraw(redraw_key, beliefs, own), options.particles)
+    # A round summarises the beliefs that it begins with.
+    summaries = jax.tree.map(lambda early, late: jnp.concatenate([early[1:], late[None]]), before, last)
     return Passed(beliefs.points, log_beliefs, beliefs, summaries, joint)
 
 
@@ -118,23 +120,14 @@ class _Passing:
         self.floors = jnp.array([FLOORS.get(unit, 0.0) for unit in graph.space.tangent_units])
 
     def begin(self, key: Key) -> Beliefs:
-        """Return particles of every node that has a proposal of its own."""
+        """Return nodes that are not ready: messages from them say nothing yet, and their first round draws them from prior and proposals."""
         graph, samples = self.graph, self.options.samples
         mixtures = [mixture for mixture in (graph.prior, *graph.proposals) if mixture is not None]
-        shapes = [mixture.sample(jax.random.fold_in(key, number), samples) for number, mixture in enumerate(mixtures)]
-        zero = jnp.zeros((graph.count, samples), shapes[0].dtype)
-        points, log_q, ready = shapes[0], zero - jnp.inf, jnp.zeros(graph.count, zero.dtype)
-        log_share = -jnp.log(len(mixtures))
-        for mixture, drawn in zip(mixtures, shapes, strict=True):
-            new = mixture.exists & (ready == 0)
-            points = jnp.where(new.reshape(-1, *[1] * (points.ndim - 1)), drawn, points)
-            ready = jnp.where(mixture.exists, 1.0, ready)
-        for mixture in mixtures:
-            log_q = jnp.logaddexp(log_q, mixture.log_prob(points) + log_share)
-        log_q = jnp.where(ready[:, None] > 0, log_q, 0.0)
-        likelihood, rest = unary_values(graph, points)
+        # Only points of the space, so that nothing computed from them is NaN.
+        points = mixtures[0].sample(key, samples)
+        zero = jnp.zeros((graph.count, samples), points.dtype)
         edges = [jnp.zeros((len(term.plate.rows), samples), zero.dtype) for term in graph.pairs]
-        return Beliefs(points, log_q, likelihood, rest, tuple(Directed(edge, edge) for edge in edges), ready)
+        return Beliefs(points, zero, zero, zero, tuple(Directed(edge, edge) for edge in edges), zero[:, 0])
 
     def proposals(self, beliefs: Beliefs, power: float | Scalar) -> tuple[Proposals, Summary]:
         weights, cavity = normalised(log_beliefs_of(self.graph, beliefs, power)), cavities(self.graph, beliefs, power)
@@ -158,8 +151,8 @@ class _Passing:
         likelihood, rest = unary_values(graph, points, now.unary)
         prior = None if graph.prior is None else graph.prior.log_prob(points)
         log_q = log_density(graph, own, points, messages, prior)
-        chosen = redrawn[:, None]
         ready = jnp.where(redrawn & (jnp.max(own.shares, axis=1) > -jnp.inf), 1.0, beliefs.ready)
+        chosen = redrawn[:, None] & (ready[:, None] > 0)
         return Beliefs(
             points,
             jnp.where(chosen, log_q, beliefs.log_q),
@@ -169,11 +162,8 @@ class _Passing:
             ready,
         ), summary
 
-    def redraw(
-        self, key: Key, beliefs: Beliefs
-    ) -> tuple[Float[Array, "node sample *entry"], Float[Array, "node sample"], Float[Array, "node sample"]]:
+    def redraw(self, key: Key, beliefs: Beliefs, own: Proposals) -> tuple[Float[Array, "node sample *entry"], NodeValues, NodeValues]:
         """Return new particles of all nodes from fixed proposals, the log of their factors of one node, and of their proposal."""
-        own, _ = self.proposals(beliefs, 1.0)
 
         def rows(term: Term) -> tuple[Array, Array]:
             every = jnp.arange(len(term.plate.rows))

@@ -13,8 +13,9 @@ import xarray as xr
 
 ROOT = Path(__file__).parents[2]
 PROGRAMS = sorted((ROOT / "inference").glob("*.py"))
+GRAPHS = {"particle_bp_on_a_grid": "beliefs.png", "sensor_localisation": "sensors.png"}
 # Filters follow a whole recording; the others have tests of their own below.
-FILTERS = [path for path in PROGRAMS if path.stem != "estimator_variance"]
+FILTERS = [path for path in PROGRAMS if path.stem not in {"estimator_variance", *GRAPHS}]
 # These compile the gradient of an image likelihood.
 TIERS = {"tempered_smc": pytest.mark.slow, "hmc_filter": pytest.mark.long}
 QUICKLY = [pytest.param(path, marks=TIERS.get(path.stem, ())) for path in FILTERS]
@@ -62,6 +63,15 @@ def test_quick(run, filtering, walk, tmp_path):
         dofs = 14 if filtering.stem == "hmc_filter" else 31
         assert dict(tree["posterior"]["pose"].sizes) == {"chain": 2, "draw": 64, "frame": 2, "dof": dofs}
     assert cv2.VideoCapture(str(tmp_path / "run" / "overlay.mp4")).get(cv2.CAP_PROP_FRAME_COUNT) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", GRAPHS)
+def test_a_graph_without_a_body(run, name, tmp_path):
+    done = run(ROOT / "inference" / f"{name}.py", "--out", tmp_path, "--quick", "--samples", 50)
+    assert (done.status, done.err) == (0, "")
+    assert re.search(r"standard deviations are \d\.\d\d to|^ +19 +\d\.\d{3} +\d\.\d{3}$", done.out, re.MULTILINE)
+    assert cv2.imread(str(tmp_path / GRAPHS[name])).std() > 10
 
 
 WRONG = {

@@ -96,7 +96,7 @@ def log_messages(
     sources: Float[Array, "node sample *entry"],
     targets: Float[Array, "node target *entry"],
     ready: Float[Array, " node"],
-    rows: tuple[Int[Array, " into_second"], Int[Array, " into_first"]],
+    rows: tuple[Int[Array, "_"], Int[Array, "_"]],
 ) -> Directed:
     """Return the log of some of a term's messages at the particles of their targets; 0 from a node that has no particles yet.
 
@@ -138,7 +138,7 @@ def entered(old: Directed, new: Directed, rows: tuple[Array, Array]) -> Directed
 
 
 def unary_values(
-    graph: Graph, points: Float[Array, "node sample *entry"], rows: tuple[Int[Array, " some"], ...] | None = None
+    graph: Graph, points: Float[Array, "node sample *entry"], rows: tuple[Int[Array, "_"], ...] | None = None
 ) -> tuple[NodeValues, NodeValues]:
     """Return the log of the tempered factors of one node, and of the others, at the particles of every node.
 

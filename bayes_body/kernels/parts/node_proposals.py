@@ -84,7 +84,13 @@ def proposals(
     own = [shares.prior, *[shares.detections / max(len(graph.proposals), 1)] * len(graph.proposals)]
     parts = [shares.messages * (degree > 0), *(share * there for share, there in zip(own, mixtures, strict=True)), shares.fit * beliefs.ready]
     table = jnp.stack([jnp.asarray(part, none.dtype) for part in parts], axis=1)
-    return Proposals(beliefs.points, cavities, fits, jnp.log(table / jnp.sum(table, axis=1, keepdims=True)), tuple(map(probability, graph.pairs)))
+    return Proposals(
+        beliefs.points,
+        cavities,
+        fits,
+        jnp.log(table / jnp.maximum(jnp.sum(table, axis=1, keepdims=True), 1e-30)),
+        tuple(map(probability, graph.pairs)),
+    )
 
 
 def draw(key: Key, graph: Graph, own: Proposals, count: int) -> Float[Array, "node draw *entry"]:

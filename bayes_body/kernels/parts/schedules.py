@@ -25,9 +25,9 @@ class Round(NamedTuple):
         power: the power of the likelihood.
     """
 
-    nodes: Int[Array, " some"]
-    unary: tuple[Int[Array, " some"], ...]
-    pairs: tuple[tuple[Int[Array, " some"], Int[Array, " some"]], ...]
+    nodes: Int[Array, "_"]
+    unary: tuple[Int[Array, "_"], ...]
+    pairs: tuple[tuple[Int[Array, "_"], Int[Array, "_"]], ...]
     power: Float[Array, ""]
 
 
