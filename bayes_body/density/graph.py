@@ -44,7 +44,7 @@ class Term:
         """The nodes that each factor reads."""
         return np.array(self.plate.rows, np.int32)
 
-    def log_potential(self, parameters: Any, *entries: Array) -> Scalar:
+    def log_potential(self, parameters: Any, *entries: Array) -> Array:
         """Return the log-potential of one row, given its parameters."""
         return self.plate.log_potential(parameters, *entries, **({} if self.data is None else {"data": self.data}))
 

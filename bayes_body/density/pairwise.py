@@ -8,12 +8,14 @@ bb.edge_factor("range", log_range, edges, parameters=ranges, draw=draw_range, lo
 """
 
 import inspect
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 from numpyro.distributions import Distribution
 
@@ -24,6 +26,8 @@ from bayes_body.errors import input_error
 from bayes_body.shapes import Key, Scalar
 
 type Node = int | str
+# Values of each node at which factors are checked.
+TRIALS = 8
 
 
 class Part(NamedTuple):
@@ -95,8 +99,11 @@ def graph(variables: Mapping[str, tuple[int, ...]], *parts: Part, space: Space |
         space: where the value of a node lives; by default plain numbers.
 
     Raises:
-        InputError: values of different shapes, an unknown node, an edge from a node to itself, a factor of more than two nodes, or a node for which
-            nothing proposes a value.
+        InputError: values of different shapes, an unknown node, an edge from a node to itself, a factor of more than two nodes, a node for which
+            nothing proposes a value, or a log-potential that is NaN or no number where nodes are proposed.
+
+    Warns:
+        UserWarning: the graph falls into pieces that share no edge. They are sampled independently.
     """
     shapes = {shape[1:] for shape in variables.values()}
     if len(shapes) != 1:
@@ -116,6 +123,8 @@ def graph(variables: Mapping[str, tuple[int, ...]], *parts: Part, space: Space |
             (unaries if len(rows[0]) == 1 else pairs).append(Term(part.name, len(rows[0]) == 1, plate))
     built = Graph("value", names, space or numbered("value", next(iter(shapes))), tuple(unaries), tuple(pairs), proposals=tuple(proposals))
     _check_reached(built)
+    _check_values(built)
+    _warn_of_pieces(built)
     return built
 
 
@@ -127,7 +136,7 @@ def _given(factor: Callable[..., Scalar], parameters: Any) -> jax.tree_util.Part
     return jax.tree_util.Partial(factor) if parameters is not None else jax.tree_util.Partial(_without_parameters, jax.tree_util.Partial(factor))
 
 
-def _without_parameters(factor: Callable[..., Scalar], parameters: None, *values: Array) -> Scalar:
+def _without_parameters(factor: Callable[..., Array], parameters: None, *values: Array) -> Array:
     del parameters
     return factor(*values)
 
@@ -186,3 +195,27 @@ def _check_reached(built: Graph) -> None:
     if lost:
         remedy = "add a proposal, a distribution as its factor, or an edge with `draw` from a node that has one"
         raise input_error("graph", f"nothing proposes values for the node '{lost[0]}'", "a proposal for every node", remedy)
+
+
+def _check_values(built: Graph) -> None:
+    """Check every factor at some values that the proposals offer."""
+    offered = jnp.stack([mixture.sample(jax.random.key(0), TRIALS) for mixture in built.proposals])
+    first = np.argmax([np.asarray(mixture.exists) for mixture in built.proposals], axis=0)
+    values = offered[first, np.arange(built.count)]
+    for term in (*built.unaries, *built.pairs):
+        nodes = [values[jnp.asarray(column)] for column in term.rows.T]
+        of_row = jax.vmap(term.log_potential, in_axes=(None, *[0] * len(nodes)))
+        found = jax.jit(jax.vmap(of_row))(term.plate.parameters, *nodes)
+        if found.shape != (len(term.plate.rows), TRIALS):
+            raise input_error(f"factor '{term.name}'", f"returns an array of shape {found.shape[2:]}", "one number", "return the sum of its terms")
+        bad = np.flatnonzero(np.isnan(np.asarray(found)).any(axis=1))
+        if len(bad):
+            where = " and ".join(f"'{built.names[node]}'" for node in term.plate.rows[bad[0]])
+            remedy = "look for 0 / 0, the logarithm of a negative number, or missing data"
+            raise input_error(f"factor '{term.name}'", f"its log-potential at {where} is NaN", "a number, or minus infinity", remedy)
+
+
+def _warn_of_pieces(built: Graph) -> None:
+    pieces = built.count - len(built.forest())
+    if pieces > 1 and built.pairs:
+        warnings.warn(f"graph: it falls into {pieces} pieces without an edge between them; they are sampled independently", UserWarning, stacklevel=3)
