@@ -17,6 +17,10 @@ SEEKER = (
     "The line is the median of the particles of all runs together. There are no bands: the kernel is a mode seeker, and the spread of its particles "
     "is not a measure of uncertainty."
 )
+ROTATIONS = (
+    " The rotation of a part (rx, ry, rz, about its own axes) is measured from its mean in the same frame: the bands show how uncertain it is, and "
+    "not how it changes over time."
+)
 SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
 # A panel spans at least this much, in degrees and metres, so that noise looks like noise.
 LEAST_SPAN = {"°": 5.0, "m": 0.02}
@@ -74,7 +78,8 @@ def band_section(it: Inspection) -> Markup:
 
 def _remarks(it: Inspection, sparse: str) -> str:
     lost = " Lost frames are shaded orange." if it.lost.any() else ""
-    return f"{lost}{f' The plots show {sparse} frame of {it.run.frames:,}.' if sparse else ''}"
+    turned = ROTATIONS if any(dof.endswith("_rx") for dof in it.dofs) else ""
+    return f"{lost}{turned}{f' The plots show {sparse} frame of {it.run.frames:,}.' if sparse else ''}"
 
 
 def sparse_frames(step: int) -> str:
