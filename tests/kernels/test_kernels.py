@@ -1,6 +1,8 @@
 """What every kernel of the registry keeps to: one signature, finite output, one trace for all frames, and a way out of hopeless frames."""
 
 import math
+from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +29,25 @@ class _Walk(dist.Independent):
         return jax.vmap(lambda loc, scale: dist.Normal(loc, scale).to_event(1))(self.base_dist.loc, self.base_dist.scale)
 
 
+@partial(jax.tree_util.register_dataclass, meta_fields=[], data_fields=[])
+@dataclass(frozen=True)
+class _Flat:
+    """The entries one after the other, as samplers of vectors need them."""
+
+    def constrain(self, position):
+        return {"x": position["x"].reshape(1, 2)}
+
+    def unconstrain(self, state):
+        return {"x": state["x"].ravel()}
+
+    def log_determinant(self, position):
+        return 0.0 * jnp.sum(position["x"])
+
+
+def _flat(state):
+    return _Flat()
+
+
 def _walk(previous):
     return {"x": _Walk(dist.Normal(previous["x"], jnp.full((1, 2), 0.5)), 2)}
 
@@ -49,7 +70,12 @@ def density(y=(0.5, -0.5), floor=-jnp.inf, wall=jnp.inf):
     """One density for all tests, of data that differ: each kernel is compiled once."""
     factors = Factor("y", "likelihood", (X,), jax.tree_util.Partial(_skewed)), Factor("wall", "constraint", (X,), jax.tree_util.Partial(_wall))
     data = {"y": (jnp.array(y), jnp.array(floor)), "wall": jnp.array(wall)}
-    return Density(Transition("walk", jax.tree_util.Partial(_walk), jax.tree_util.Partial(_noise), spaces=(("x", SPACE),)), factors, data, start())
+    return Density(
+        Transition("walk", jax.tree_util.Partial(_walk), jax.tree_util.Partial(_noise), chart=jax.tree_util.Partial(_flat), spaces=(("x", SPACE),)),
+        factors,
+        data,
+        start(),
+    )
 
 
 def start():
