@@ -21,7 +21,7 @@ from bayes_body.observation.frames import read_frame
 
 TINY = Settings(frames=2, most_particles=12)
 # One sentence: found, expected, remedy.
-NO_NODES = r"^the kernel 'particle_bp': [^\n]+; expected [^\n]+; give the body the placement \"parts\"[^\n]+\.$"
+NO_NODES = r"^the kernel 'particle_bp': [^\n]+; expected [^\n]+; give the body the placement \"parts\"[^\n]+\."
 SENTENCE = re.compile(r"^[^\n]+; expected [^\n]+; [^\n]+\.$")
 
 
