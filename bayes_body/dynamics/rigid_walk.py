@@ -61,7 +61,7 @@ class RigidWalk(Distribution):
         return tuple(sorted(super().gather_pytree_data_fields()))
 
     @property
-    def variance(self) -> Float[Array, "part 6"]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def variance(self) -> Float[Array, "*part 6"]:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The variance of every part's step (v, ω), m² and rad²."""
         return jnp.stack([self.sd_m**2] * 3 + [self.sd_rad**2] * 3, axis=-1)
 

@@ -31,7 +31,7 @@ from bayes_body.kernels.parts.weights import effective_sample_size, normalise, p
 from bayes_body.registry import register
 from bayes_body.shapes import Index, Key, Scalar
 from bayes_body.toml.read import validate
-from bayes_body.toml.schema import Count, NonNegative, Positive, ProperShare, Schema
+from bayes_body.toml.schema import Count, NonNegative, Positive, Schema
 
 # Iterations for the normaliser of the prior, whose beliefs are near its prediction.
 PRIOR_ITERATIONS = 3
@@ -49,7 +49,7 @@ class Options(Schema):
     samples: Count = 500
     iterations: Count = 6
     schedule: Schedule = "flooding"
-    annealing: ProperShare = 1.0
+    annealing: Annotated[float, Field(strict=True, gt=0, le=1)] = 1.0
     shares: tuple[NonNegative, NonNegative, NonNegative, NonNegative] = (0.3, 0.05, 0.2, 0.65)
     fit_inflation: Positive = 1.5
     ancestors: Annotated[int, Field(strict=True, ge=1)] = 100

@@ -1,4 +1,4 @@
-"""The body with hands and feet: in all else it is `deutscher_31`, and a person who stands stands on the soles."""
+"""The bodies with hands and feet: in all else they are `deutscher_31`, and a person who stands stands on the soles."""
 
 import dataclasses
 
@@ -8,12 +8,16 @@ import pytest
 
 from bayes_body.body.build import Shape, build_body
 from bayes_body.body.kinematics import marker_positions
+from bayes_body.body.placement import loosened
 from bayes_body.body.solids import part_transforms
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_body
 from bayes_body.session.session import Subject
 
 HEIGHT = 1.8
+# The dofs of ankle and wrist, and the parts of a limb with the one that each hangs on.
+BENDS = ("ankle_y", "ankle_z", "wrist_y", "wrist_x")
+LIMBS = {"calf": "thigh", "foot": "calf", "forearm": "upper_arm", "hand": "forearm"}
 
 
 @pytest.fixture(scope="module")
@@ -31,14 +35,53 @@ def test_dofs_limits_and_markers_are_those_of_the_body_without(pair):
         assert np.allclose(here, there, atol=1e-6)
 
 
+@pytest.fixture(scope="module")
+def fifteen():
+    return build_body("person_40", load_body("person_40"), Shape(HEIGHT))
+
+
+def test_fifteen_parts_move_as_those_of_the_body_with_stiff_hands_and_feet(pair, fifteen):
+    """With the nine new angles at 0; the ends of hands and feet are markers of their own."""
+    _, person = pair
+    assert set(fifteen.dof_names) - set(person.dof_names) == {"thorax_x", *(f"{s}_{dof}" for s in "lr" for dof in BENDS)}
+    assert fifteen.markers.names[:15] == person.markers.names
+    for angles in np.random.default_rng(0).uniform(-0.5, 0.5, (20, len(person.dof_names))):
+        named = dict(zip(person.dof_names, angles, strict=True))
+        here, there = _markers(person, **named), _markers(fifteen, **named)
+        assert np.allclose(here, there[:15], atol=1e-6)
+
+
+def test_fifteen_parts_are_joined_as_in_the_paper(fifteen):
+    """Sigal et al. 2011, Fig. 1: fourteen joints and thirteen pairs that must not penetrate."""
+    placement = loosened(fifteen).placement
+    parents = {name: placement.names[parent] for name, parent in zip(placement.names, placement.parents, strict=True) if parent >= 0}
+    limbs = {f"{s}_{part}": f"{s}_{on}" for s in "lr" for part, on in LIMBS.items()}
+    trunk = {"torso": "pelvis", "head": "torso", "l_thigh": "pelvis", "r_thigh": "pelvis", "l_upper_arm": "torso", "r_upper_arm": "torso"}
+    assert parents == limbs | trunk and len(fifteen.topology.penetration) == 13
+
+
+@pytest.mark.parametrize(("angle", "marker", "direction"), [("l_ankle_y", "l_toe", (0, 0, -1)), ("thorax_x", "head", (0, 1, 0))])
+def test_where_new_joints_bend(fifteen, angle, marker, direction):
+    """A negative angle of the ankle points the toes down, and a positive one of the spine bends it to the left."""
+    sign = -1 if angle.startswith("l_ankle") else 1
+    moved = _markers(fifteen, **{angle: 0.3 * sign}) - _markers(fifteen)
+    step = moved[fifteen.markers.names.index(marker)]
+    assert step @ np.array(direction) > 0.9 * np.linalg.norm(step) > 0.04
+
+
+def _markers(body, **angles):
+    return np.asarray(marker_positions(body.skeleton, body.markers, _pose(body, **({"root_z": 0.0} | angles))))
+
+
 def _pose(body, **angles):
     # Hips at 0.530 of the height, Winter's figure.
     values = {"root_z": 0.53 * HEIGHT, **angles}
     return jnp.asarray([values.get(name, 0.0) for name in body.dof_names])
 
 
-def test_who_stands_stands_on_flat_soles(pair):
-    _, person = pair
+@pytest.mark.parametrize("name", ["person_31", "person_40"])
+def test_who_stands_stands_on_flat_soles(pair, fifteen, name):
+    person = pair[1] if name == "person_31" else fifteen
     frames = part_transforms(person, _pose(person))
     for side in "lr":
         foot = person.topology.names.index(f"{side}_foot")

@@ -19,7 +19,7 @@ from bayes_body.body.solids import Body
 from bayes_body.files.shipped import definitions_folder
 from bayes_body.geometry import transforms
 
-BODIES = ["arm_4", "deutscher_31", "person_31"]
+BODIES = ["arm_4", "deutscher_31", "person_31", "person_40"]
 
 
 def document(name: str) -> dict:

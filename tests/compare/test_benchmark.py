@@ -21,6 +21,7 @@ from bayes_body.observation.frames import read_frame
 
 TINY = Settings(frames=2, most_particles=12)
 # One sentence: found, expected, remedy.
+NO_NODES = r"^the kernel 'particle_bp': [^\n]+; expected [^\n]+; give the body the placement \"parts\"[^\n]+\."
 SENTENCE = re.compile(r"^[^\n]+; expected [^\n]+; [^\n]+\.$")
 
 
@@ -39,6 +40,11 @@ class TinyScenes(Scenes):
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory, keypoint_session):
     return TinyScenes(tmp_path_factory.mktemp("scenes"), keypoint_session)
+
+
+def _lacks_nodes(pair, model) -> bool:
+    """Whether message passing finds no graph: the body is not placed by its parts."""
+    return pair.kernel == "particle_bp" and model.body.variable != "parts"
 
 
 def _follows_gradients(pair, options) -> bool:
@@ -85,6 +91,10 @@ def test_every_kernel_is_traced_on_every_definition(frame_densities, pair):
             jax.eval_shape(kernel, jax.random.key(0), start, density)
         _check_refusal(error, blind[0])
         return
+    if _lacks_nodes(pair, model):
+        with pytest.raises(InputError, match=NO_NODES):
+            jax.eval_shape(kernel, jax.random.key(0), start, density)
+        return
     particles, info = jax.eval_shape(kernel, jax.random.key(0), start, density)
     assert _form(particles) == _form(start)
     assert info.ancestors.shape == (TINY.most_particles,) and info.ess.shape == info.log_evidence.shape == info.lost.shape == ()
@@ -118,6 +128,10 @@ def test_a_kernel_follows_a_scene_of_a_definition(scenes, pair, monkeypatch):
         with pytest.raises(InputError) as error:
             followed(scenes, definition, pair.kernel, options, TINY)
         _check_refusal(error, blind[0])
+        return
+    if _lacks_nodes(pair, scenes.of(definition).model):
+        with pytest.raises(InputError, match=NO_NODES):
+            followed(scenes, definition, pair.kernel, options, TINY)
         return
     scene, draws = followed(scenes, definition, pair.kernel, options, TINY)
     assert len(traces) == 1

@@ -5,6 +5,7 @@ import pytest
 from bayes_body.errors import InputError
 from bayes_body.model.definition import load_definition
 from bayes_body.model.kernel_options import kernel_options
+from bayes_body.registry import names
 
 
 def test_the_definition_s_kernel_has_the_definition_s_options():
@@ -15,6 +16,12 @@ def test_the_definition_s_kernel_has_the_definition_s_options():
 def test_another_kernel_has_its_own_defaults():
     kind, options = kernel_options(load_definition("tempered_smc"), "sir")
     assert kind == "sir" and options == type(options)()
+
+
+@pytest.mark.parametrize("kernel", names("kernel"))
+def test_the_defaults_can_be_given(kernel):
+    _, options = kernel_options(load_definition("arm"), kernel)
+    assert kernel_options(load_definition("arm"), kernel, options.model_dump())[1] == options
 
 
 def test_a_run_that_is_continued_keeps_its_options_and_given_ones_go_first():
