@@ -32,8 +32,8 @@ class MessagePassing(NamedTuple):
     """The figures in every frame.
 
     Attributes:
-        nodes: names of the nodes.
-        units: units of the tangent coordinates.
+        nodes: names of the nodes, or numbers if they have none.
+        units: units of the tangent coordinates; empty if they are unknown.
         samples: number of particles of a node.
         belief_ess: effective sample size of every belief after the last iteration.
         message_ess: the smallest of all messages, after the last iteration.
@@ -68,9 +68,10 @@ def message_passing_of(tree: "xr.DataTree") -> MessagePassing | None:
         return None
     own = {name: np.asarray(group[name], float) for name in DIMS}
     node = group["belief_ess"].dims[-1]
+    nodes = group[node] if node in group.coords else np.arange(own["belief_ess"].shape[-1])
     units = tuple(np.asarray(group["tangent_unit"]).astype(str).tolist()) if "tangent_unit" in group.coords else ()
     return MessagePassing(
-        nodes=tuple(np.asarray(group[node]).astype(str).tolist()),
+        nodes=tuple(np.asarray(nodes).astype(str).tolist()),
         units=units or ("",) * own["belief_sd"].shape[-1],
         samples=int(own["samples"].max()),
         belief_ess=own["belief_ess"],

@@ -31,7 +31,7 @@ def _joint(figures: MessagePassing, draws: int, thresholds: Thresholds) -> Itera
     if crossed.any():
         figure = f"{worst.min():.1f} effective joint draws of {draws}{at_worst(crossed, int(worst.argmin()))} (limit {thresholds.joint_ess:g})"
         reason = "the messages leave out too much of the model, such as factors that close loops or read the whole body"
-        yield f"{frames_where(crossed)}: {figure}: {reason}; {_more(figures)} and --particles, or use --kernel tempered."
+        yield f"{frames_where(crossed)}: {figure}: {reason}; {_more(figures)}, raise --particles, or use --kernel tempered."
 
 
 def _beliefs(figures: MessagePassing, thresholds: Thresholds) -> Iterator[str]:
@@ -61,7 +61,7 @@ def _oscillation(figures: MessagePassing, thresholds: Thresholds) -> Iterator[st
     if crossed.any():
         frame, name = _place(figures, by_node)
         figure = f"the belief of {name} jumps back and forth by {worst.max():.1f} sd{at_worst(crossed, frame)} (limit {thresholds.oscillation:g})"
-        remedy = f'try --set schedule="tree", in which neighbours do not move at once, or {_more(figures)}'
+        remedy = f"try --set 'schedule=\"tree\"', in which neighbours do not move at once, or {_more(figures)}"
         yield f"{frames_where(crossed)}: {figure}: messages around a loop do not converge; {remedy}."
 
 
@@ -82,7 +82,7 @@ def _change(figures: MessagePassing, thresholds: Thresholds) -> Iterator[str]:
 
 
 def _more(figures: MessagePassing) -> str:
-    return f"raise the particles of a part, --set samples={2 * figures.samples}"
+    return f"raise the particles of each part, --set samples={2 * figures.samples}"
 
 
 def _largest_of_runs(values: Float[np.ndarray, "run frame node"]) -> Float[np.ndarray, "frame node"]:
