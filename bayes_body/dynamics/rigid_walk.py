@@ -61,8 +61,8 @@ class RigidWalk(Distribution):
         return tuple(sorted(super().gather_pytree_data_fields()))
 
     @property
-    def variance(self) -> Float[Array, "part 6"]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """The variance of every part's step (v, ω), m² and rad²."""
+    def variance(self) -> Float[Array, "*part 6"]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """The variance of every part's step (v, ω), m² and rad²; without the axis of parts for one of `entries`."""
         return jnp.stack([self.sd_m**2] * 3 + [self.sd_rad**2] * 3, axis=-1)
 
     def entries(self) -> "RigidWalk":
