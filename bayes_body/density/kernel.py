@@ -24,6 +24,16 @@ class FilterInfo(NamedTuple):
         evaluations: number of likelihoods of a whole pose computed for the frame; a likelihood with its gradient counts as one.
         markov: figures of each chain from a kernel that runs Markov chains, (chain,): `acceptance`, `divergences`, `energy_fraction`, `step`; also
             `ess` of each entry of a state, and `length`, the number of draws of a chain. Empty from other kernels.
+        messages: figures of a kernel that passes messages on a graph (formulas: kernels/parts/message_diagnostics.py). Empty from other kernels.
+            `samples`: number of particles of a node.
+            `belief_ess` (node,): effective sample size, 1 / sum of w², of every belief after the last iteration.
+            `message_ess`: the smallest of all messages then.
+            `message_change` (iteration, node): how far a belief's mean moved, in its standard deviations, root mean square over the tangent
+            coordinates; NaN in the first iteration.
+            `belief_sd` (iteration, node, tangent coordinate): these standard deviations.
+            `oscillation` (node,): how far the mean jumped back in the last iteration, likewise; NaN with fewer than three iterations.
+            `joint_ess`: effective sample size of the joint draws.
+            `proposal_shares` (node, 4): shares of messages, prior, detections and normal fit in the weight of a node's particles.
     """
 
     ancestors: Array
@@ -35,6 +45,7 @@ class FilterInfo(NamedTuple):
     acceptance_rate: Array
     evaluations: Array
     markov: Mapping[str, Array] = {}  # never written to
+    messages: Mapping[str, Array] = {}  # never written to
 
 
 class Kernel(Protocol):

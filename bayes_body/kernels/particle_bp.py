@@ -5,7 +5,7 @@ A round draws particles of its nodes from their proposals (kernels/parts/node_pr
 graph's edges (kernels/parts/joint_particles.py). Their weights correct whatever the graph left out, so they are a weighted sample of the posterior.
 
 On a graph with loops, messages need not converge, and beliefs are not the true marginals. The joint draws still are a valid importance sample. If
-few of them carry the weight, `joint_ess` says so.
+few of them carry the weight, `joint_ess` says so (kernels/parts/message_diagnostics.py).
 """
 
 from typing import Annotated, Any, NamedTuple
@@ -22,9 +22,10 @@ from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.density.parts_graph import parts_graph
 from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.kernels.parts.joint_particles import JointParticles, joint_particles
+from bayes_body.kernels.parts.message_diagnostics import Summary, belief_sds, message_figures, shares_of_weight
 from bayes_body.kernels.parts.messages import Beliefs, Directed, NodeValues, cavities, entered, log_messages, normalised, unary_values
 from bayes_body.kernels.parts.messages import log_beliefs as log_beliefs_of
-from bayes_body.kernels.parts.node_proposals import FLOORS, Proposals, Shares, draw, log_density, proposals
+from bayes_body.kernels.parts.node_proposals import FLOORS, Proposals, Shares, draw, log_density, log_parts, proposals
 from bayes_body.kernels.parts.resampling import resampler
 from bayes_body.kernels.parts.schedules import Round, Schedule, schedule
 from bayes_body.kernels.parts.weights import effective_sample_size, normalise, predict
@@ -55,22 +56,6 @@ class Options(Schema):
     ancestors: Annotated[int, Field(strict=True, ge=1)] = 100
 
 
-class Summary(NamedTuple):
-    """The beliefs after a round; with a leading axis of rounds in `Passed`.
-
-    Attributes:
-        means: mean of every node's belief, a point.
-        sds: standard deviations of the tangent vectors around it.
-        belief_ess: effective sample size of every belief.
-        message_ess: the smallest effective sample size of the weights of a message's source.
-    """
-
-    means: Float[Array, "node *entry"]
-    sds: Float[Array, "node dimension"]
-    belief_ess: Float[Array, " node"]
-    message_ess: Scalar
-
-
 class Passed(NamedTuple):
     """The result of message passing.
 
@@ -79,8 +64,9 @@ class Passed(NamedTuple):
         log_beliefs: log-weights of the particles in the belief of their node. On a tree beliefs are the marginals; on loops they are the estimate of
             loopy belief propagation.
         beliefs: the messages.
-        rounds: summaries of the beliefs by round.
+        rounds: summaries of the beliefs after each round.
         joint: joint draws of all nodes.
+        proposal_shares: for each node, the share of messages, prior, detections and fit in the weight of the joint draws' points.
     """
 
     points: Float[Array, "node sample *entry"]
@@ -88,6 +74,7 @@ class Passed(NamedTuple):
     beliefs: Beliefs
     rounds: Summary
     joint: JointParticles
+    proposal_shares: Float[Array, "node 4"]
 
 
 def pass_messages(key: Key, graph: Graph, options: Options, rounds: Round) -> Passed:
@@ -106,10 +93,11 @@ def pass_messages(key: Key, graph: Graph, options: Options, rounds: Round) -> Pa
     beliefs, before = jax.lax.scan(lambda beliefs, one: passing.round(beliefs, *one), begin, (keys, rounds))
     log_beliefs = normalised(log_beliefs_of(graph, beliefs))
     own, last = passing.proposals(beliefs, 1.0)
-    joint = joint_particles(joint_key, graph, *passing.redraw(redraw_key, beliefs, own), options.particles)
+    points, unary, log_shares = passing.redraw(redraw_key, beliefs, own)
+    joint = joint_particles(joint_key, graph, points, unary, jax.nn.logsumexp(log_shares, axis=-1), options.particles)
     # A round summarises the beliefs that it begins with.
     summaries = jax.tree.map(lambda early, late: jnp.concatenate([early[1:], late[None]]), before, last)
-    return Passed(beliefs.points, log_beliefs, beliefs, summaries, joint)
+    return Passed(beliefs.points, log_beliefs, beliefs, summaries, joint, shares_of_weight(joint.log_beliefs, log_shares))
 
 
 class _Passing:
@@ -134,7 +122,7 @@ class _Passing:
         own = proposals(self.graph, beliefs, weights, cavity, Shares(*self.options.shares), self.options.fit_inflation, self.floors)
         of_messages = [jax.vmap(effective_sample_size)(each) for both in cavity for each in both]
         least = jnp.min(jnp.concatenate(of_messages)) if of_messages else jnp.asarray(float(self.options.samples))
-        sds = jnp.sqrt(jnp.maximum(jnp.sum(own.fits.root**2, axis=2) / self.options.fit_inflation, 1e-12))
+        sds = belief_sds(self.graph.space, jnp.exp(weights), beliefs.points, own.fits.mean)
         return own, Summary(own.fits.mean, sds, jax.vmap(effective_sample_size)(weights), least)
 
     def round(self, beliefs: Beliefs, key: Key, now: Round) -> tuple[Beliefs, Summary]:
@@ -162,8 +150,10 @@ class _Passing:
             ready,
         ), summary
 
-    def redraw(self, key: Key, beliefs: Beliefs, own: Proposals) -> tuple[Float[Array, "node sample *entry"], NodeValues, NodeValues]:
-        """Return new particles of all nodes from fixed proposals, the log of their factors of one node, and of their proposal."""
+    def redraw(
+        self, key: Key, beliefs: Beliefs, own: Proposals
+    ) -> tuple[Float[Array, "node sample *entry"], NodeValues, Float[Array, "node sample part"]]:
+        """Return new particles of all nodes from fixed proposals, the log of their factors of one node, and of each part of their proposal."""
 
         def rows(term: Term) -> tuple[Array, Array]:
             every = jnp.arange(len(term.plate.rows))
@@ -178,7 +168,7 @@ class _Passing:
         )
         likelihood, rest = unary_values(self.graph, points)
         prior = None if self.graph.prior is None else self.graph.prior.log_prob(points)
-        return points, likelihood + rest, log_density(self.graph, own, points, messages, prior)
+        return points, likelihood + rest, log_parts(self.graph, own, points, messages, prior)
 
 
 class ParticleBP:
@@ -232,6 +222,7 @@ class ParticleBP:
             lost=found.lost,
             acceptance_rate=jnp.full((1,), jnp.nan, ess.dtype),
             evaluations=jnp.asarray(evaluations),
+            messages=message_figures(graph.space, passed.rounds, options.iterations, options.samples, ess, passed.proposal_shares),
         )
         return Particles(states, found.log_weights), info
 

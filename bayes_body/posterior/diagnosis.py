@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 
+from bayes_body.posterior.message_passing import MessagePassing
 from bayes_body.posterior.mixing import Mixing
 
 if TYPE_CHECKING:
@@ -31,6 +32,11 @@ class Thresholds:
         divergent_share: largest fraction of a frame's trajectories that diverge.
         energy_fraction: smallest E-BFMI of a frame's chains, mean over the chains (Betancourt 2016).
         acceptance: smallest and largest acceptance rate of a frame's Markov moves, mean over runs and layers.
+        belief_ess_share: smallest number of effective particles of a belief, as a fraction of the particles of a node.
+        message_ess_share: the same for a message.
+        message_change: largest change of a belief's mean in the last iteration, standard deviations of the belief.
+        oscillation: largest jump back of a belief's mean in the last iteration, likewise.
+        joint_ess: smallest number of effective joint draws of message passing.
     """
 
     markov_rhat: float = 1.1
@@ -43,6 +49,11 @@ class Thresholds:
     rhat: float = 1.05
     evidence_sd: float = 2.0
     acceptance: tuple[float, float] = (0.15, 0.98)
+    belief_ess_share: float = 0.05
+    message_ess_share: float = 0.02
+    message_change: float = 0.5
+    oscillation: float = 1.0
+    joint_ess: float = 10.0
 
 
 @dataclass(frozen=True)
@@ -65,6 +76,7 @@ class Diagnosis:
         seen: whether a camera's image was used; None if the run does not record it.
         cameras: names of the cameras, or numbers if the run has no names.
         mixing: figures of the Markov chains of each frame; None if the kernel runs none.
+        messages: figures of message passing in each frame; None if the kernel passes no messages.
     """
 
     kernel: str
@@ -82,6 +94,7 @@ class Diagnosis:
     seen: Bool[np.ndarray, "frame camera"] | None
     cameras: tuple[str, ...]
     mixing: Mixing | None = None
+    messages: MessagePassing | None = None
 
     @property
     def mode_seeker(self) -> bool:

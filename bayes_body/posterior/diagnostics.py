@@ -10,6 +10,7 @@ from bayes_body.posterior.agreement import independent_draws, rhat_of_block
 from bayes_body.posterior.blocks import BLOCK, coordinate_blocks, weights_of_runs
 from bayes_body.posterior.diagnosis import LAGS, Diagnosis, Thresholds
 from bayes_body.posterior.genealogy import unique_ancestors
+from bayes_body.posterior.message_passing import message_passing_of, worst_of_messages
 from bayes_body.posterior.mixing import mixing_of
 from bayes_body.posterior.pareto import pareto_shape
 from bayes_body.posterior.sentences import frame_ranges, sentences
@@ -64,6 +65,7 @@ def diagnose(run: "HasTree | xr.DataTree", block: int = BLOCK) -> Diagnosis:
         seen=seen,
         cameras=cameras,
         mixing=mixing,
+        messages=message_passing_of(tree),
     )
 
 
@@ -84,6 +86,8 @@ def worst_figures(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -
     }
     if diagnosis.mixing is not None:
         figures |= {"markov_rhat_max": _extreme(np.max, diagnosis.mixing.rhat), "divergences": float(diagnosis.mixing.divergences.sum())}
+    if diagnosis.messages is not None:
+        figures |= worst_of_messages(diagnosis.messages)
     return {name: value if np.isfinite(value) else None for name, value in figures.items()}
 
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_body.density.spaces import Axis, Space, space_to_text
+from bayes_body.density.spaces import Axis, Plate, Space, space_to_text
+from bayes_body.posterior.message_passing import DIMS, NODE, PARTS
 from bayes_body.posterior.mixing import PREFIX
 from bayes_body.posterior.stored_spaces import SPACE
 from bayes_body.tracking.draws import Draws, FrameResult
@@ -47,6 +48,7 @@ class Variable:
 def variables(draws: Draws) -> list[Variable]:
     """Return all arrays of the tree."""
     by_draw, by_frame, markov = ("chain", "draw", "frame"), ("chain", "frame"), draws.frames[0].info.markov
+    messages = draws.frames[0].info.messages
     spaces = _spaces(draws)
     info = {"ess": "ess", "log_evidence": "log_evidence", "lost": "lost", "evaluations": "evaluations"}
     layers = {"survival_rate": "survival_rate", "inverse_temperature": "inverse_temperatures", "acceptance_rate": "acceptance_rate"}
@@ -62,6 +64,11 @@ def variables(draws: Draws) -> list[Variable]:
         *(
             Variable("filter", PREFIX + name, (*by_frame, *_markov_dims(name, np.shape(values), spaces)), _markov(name))
             for name, values in markov.items()
+        ),
+        *(
+            Variable("filter", name, (*by_frame, *(_node(spaces) if dim == NODE else dim for dim in dims)), _message(name))
+            for name, dims in DIMS.items()
+            if name in messages
         ),
         Variable("filter", "seen", ("frame", "camera"), lambda frame: frame.seen),
     ]
@@ -84,6 +91,11 @@ def _markov_dims(name: str, shape: tuple[int, ...], spaces: Mapping[str, Space])
     return () if name == "length" else ("markov_chain",)
 
 
+def _node(spaces: Mapping[str, Space]) -> str:
+    """Return the dimension of the nodes of a graph: the first one of the plated variable."""
+    return next((_dims(name, space)[0] for name, space in spaces.items() if isinstance(space, Plate)), NODE)
+
+
 def _state(name: str) -> Callable[[FrameResult], Any]:
     return lambda frame: frame.states[name]
 
@@ -94,6 +106,10 @@ def _info(field: str) -> Callable[[FrameResult], Any]:
 
 def _markov(name: str) -> Callable[[FrameResult], Any]:
     return lambda frame: frame.info.markov[name]
+
+
+def _message(name: str) -> Callable[[FrameResult], Any]:
+    return lambda frame: frame.info.messages[name]
 
 
 def sizes(draws: Draws) -> dict[str, int]:
@@ -108,7 +124,9 @@ def sizes(draws: Draws) -> dict[str, int]:
 def coordinates(draws: Draws, dims: Sequence[str]) -> dict[str, tuple[str, NDArray[Any] | list[str]]]:
     """Return the coordinates by name, each as (dimension, values); those of `unit_name` are the units of a dimension's entries."""
     lengths, axes = sizes(draws), _axes(draws)
-    labels = {dim: list(axis.labels) for dim, axis in axes.items() if axis.labels} | {"camera": list(draws.cameras)}
+    labels: dict[str, Any] = {dim: list(axis.labels) for dim, axis in axes.items() if axis.labels} | {"camera": list(draws.cameras)}
+    if "iteration" in lengths:
+        labels |= {"iteration": np.arange(1, lengths["iteration"] + 1)}
     found: dict[str, tuple[str, NDArray[Any] | list[str]]] = {dim: (dim, labels.get(dim, np.arange(lengths[dim]))) for dim in dims}
     return found | {unit_name(dim): (dim, list(axes[dim].units)) for dim in dims if dim in axes and any(axes[dim].units)}
 
@@ -119,7 +137,7 @@ def unit_name(dim: str) -> str:
 
 
 def _axes(draws: Draws) -> dict[str, Axis]:
-    """Return the axes of the state's variables by dimension.
+    """Return the axes of the state's variables by dimension, and those of message passing.
 
     Raises:
         ValueError: two variables name the same dimension and label it differently.
@@ -129,6 +147,9 @@ def _axes(draws: Draws) -> dict[str, Axis]:
         for dim, axis in zip(_dims(name, space), space.axes, strict=True):
             if found.setdefault(dim, axis) != axis:
                 raise ValueError(f"the axis '{dim}' of the variable '{name}' has other labels than that of another variable")
+        if isinstance(space, Plate) and draws.frames[0].info.messages:
+            found["tangent"] = Axis("tangent", space.space.tangent_labels, space.space.tangent_units)
+            found["proposal"] = Axis("proposal", PARTS)
     return found
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from bayes_body.errors import InputError
 from bayes_body.posterior.diagnosis import Diagnosis, Thresholds
 from bayes_body.posterior.frame_text import at_worst, frame_ranges, frames_where, largest
+from bayes_body.posterior.message_sentences import message_sentences
 from bayes_body.posterior.mixing_sentences import mixing_sentences
 from bayes_body.registry import find, names
 
@@ -24,6 +25,7 @@ def sentences(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -> li
         thresholds: the limits.
     """
     found = [_mode_seeker(diagnosis), _lost(diagnosis), _unseen(diagnosis), _rhat(diagnosis, thresholds), *mixing_sentences(diagnosis, thresholds)]
+    found += message_sentences(diagnosis, thresholds)
     if not diagnosis.mode_seeker:
         # A mode seeker chooses its powers for a fixed effective sample size: its weights are not importance weights.
         found += [_ess(diagnosis, thresholds), _pareto_k(diagnosis, thresholds), _evidence(diagnosis, thresholds)]
@@ -84,8 +86,12 @@ def _ess(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
     worst = diagnosis.ess.min(axis=0)
     limit = max(thresholds.ess, thresholds.ess_share * diagnosis.particles)
     crossed = worst < limit
+    if diagnosis.messages is not None:
+        # message_sentences says so of frames with fewer.
+        crossed &= worst >= thresholds.joint_ess
     if not crossed.any():
         return None
+    worst = np.where(crossed, worst, np.inf)
     figure = f"{worst.min():.0f} effective particles of {diagnosis.particles}{at_worst(crossed, int(worst.argmin()))} (limit {limit:g})"
     return f"{frames_where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
 

@@ -21,6 +21,9 @@ def to_datatree(draws: Draws, attributes: Mapping[str, Any] | None = None) -> "x
     `survival_rate`, `inverse_temperature` and `acceptance_rate` (chain, frame, layer), and with `seen` (frame, camera). If the kernel runs Markov
     chains, `filter` also has `markov_acceptance`, `markov_divergences`, `markov_energy_fraction` and `markov_step` (chain, frame, markov_chain),
     `markov_ess` (chain, frame, dof) and `markov_length` (chain, frame); their draws are stored one chain after the other.
+    If it passes messages between the parts, `filter` also has the figures of `FilterInfo.messages`: `belief_ess`, `oscillation` (chain, frame, part),
+    `message_ess`, `joint_ess`, `samples` (chain, frame), `message_change` (chain, frame, iteration, part), `belief_sd` (chain, frame, iteration,
+    part, tangent) and `proposal_shares` (chain, frame, part, proposal).
     """
     import xarray as xr
 

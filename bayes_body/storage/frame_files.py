@@ -1,7 +1,7 @@
 """Frames on disk, one file each: `000057.npz` is complete or missing, and a stored frame is not computed again.
 
-A file has the arrays of a `FrameResult` and no Python objects: `states.NAME`, `log_weights`, `info.FIELD`, `markov.NAME`, `seen`, `seconds`,
-`seconds_ready`.
+A file has the arrays of a `FrameResult` and no Python objects: `states.NAME`, `log_weights`, `info.FIELD`, `markov.NAME`, `messages.NAME`,
+`seen`, `seconds`, `seconds_ready`.
 """
 
 from collections.abc import Iterator, Mapping
@@ -17,6 +17,8 @@ from bayes_body.errors import InputError, input_error
 from bayes_body.files.atomic import make_folder, remove_partial, replacing
 from bayes_body.tracking.draws import FrameResult
 
+# Fields of a kernel's diagnostics that are mappings; a frame written by an older version lacks `messages`.
+MAPPINGS = ("markov", "messages")
 # Readers go through the frames in order, and look back one frame.
 KEPT_IN_MEMORY = 2
 
@@ -97,8 +99,9 @@ def save_frame(path: Path, result: FrameResult) -> None:
         InputError: the file system does not accept it.
     """
     arrays: dict[str, Any] = {f"states.{name}": values for name, values in result.states.items()}
-    arrays |= {f"info.{name}": values for name, values in result.info._asdict().items() if name != "markov"}
-    arrays |= {f"markov.{name}": values for name, values in result.info.markov.items()}
+    arrays |= {f"info.{name}": values for name, values in result.info._asdict().items() if name not in MAPPINGS}
+    for mapping in MAPPINGS:
+        arrays |= {f"{mapping}.{name}": values for name, values in getattr(result.info, mapping).items()}
     arrays |= {name: getattr(result, name) for name in ("log_weights", "seen", "seconds", "seconds_ready")}
     with replacing(path) as partial, partial.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
@@ -120,8 +123,8 @@ def load_frame(path: Path) -> FrameResult:
 
 
 def _frame(arrays: Mapping[str, NDArray[Any]]) -> FrameResult:
-    info: dict[str, Any] = {name: arrays[f"info.{name}"] for name in FilterInfo._fields if name != "markov"}
-    info["markov"] = _under("markov.", arrays)
+    info: dict[str, Any] = {name: arrays[f"info.{name}"] for name in FilterInfo._fields if name not in MAPPINGS}
+    info |= {mapping: _under(f"{mapping}.", arrays) for mapping in MAPPINGS}
     return FrameResult(
         states=_under("states.", arrays),
         log_weights=arrays["log_weights"],

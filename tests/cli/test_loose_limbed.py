@@ -52,3 +52,26 @@ def test_from_track_to_export(cli, model, keypoint_session, tmp_path):
         assert saved.model.body.variable == "parts" and arrays["marker_mean_m"].shape == (3, 3, 3)
         elbow = np.abs(arrays["marker_mean_m"][:, 1] - arrays["part_mean_m"][:, 1]).max()
     assert elbow < 1e-5
+
+
+@pytest.mark.slow
+def test_message_passing_leaves_figures_that_a_resumed_run_repeats(cli, model, keypoint_session, tmp_path):
+    save_session(keypoint_session)
+    run, whole = tmp_path / "run", tmp_path / "whole"
+    options = ("track", keypoint_session.folder, "--model", model, "--kernel", "particle_bp", "--particles", "40", "--seed", "3")
+    settings = ("--set", "samples=30", "--set", "iterations=3", "--set", "annealing=0.9")
+    for out, frames in ((run, "1"), (whole, "2")):
+        outcome = cli(*options, *settings, "--frames", frames, "--out", out)
+        assert outcome.status == 0, outcome.err
+    outcome = cli("track", keypoint_session.folder, "--frames", "2", "--out", run, "--resume")
+    assert outcome.status == 0, outcome.err
+    with xr.open_datatree(run / "posterior.nc", engine="h5netcdf") as own, xr.open_datatree(whole / "posterior.nc", engine="h5netcdf") as other:
+        assert own["filter"].identical(other["filter"]) and own["posterior"].identical(other["posterior"])
+        assert own["filter"]["message_change"].dims == ("chain", "frame", "iteration", "part")
+        assert np.allclose(own["filter"]["proposal_shares"].sum("proposal"), 1, atol=1e-4)
+        least = float(own["filter"]["belief_ess"].min())
+    summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))
+    assert summary["belief_ess_min"] == pytest.approx(least) and 1 <= least <= 30
+    assert summary["joint_ess_min"] >= 1 and summary["message_ess_min"] >= 1 and summary["message_change_last"] > 0
+    assert cli("report", run).status == 0
+    assert "<h2>Message passing</h2>" in (run / "report.html").read_text(encoding="utf-8")

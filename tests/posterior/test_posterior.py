@@ -98,6 +98,30 @@ def test_parts_are_kept_with_their_names_and_units(draws, tmp_path):
     assert list(parts.sel(coordinate=["x", "qw"]).coordinate_unit.values) == ["m", "1"]
 
 
+def test_figures_of_messages_are_kept_by_part(draws, tmp_path):
+    rng, space = np.random.default_rng(1), Plate(("torso", "head"), SE3("coordinate"), "part")
+    own = {
+        "samples": np.full(RUNS, 50, np.int32),
+        "belief_ess": rng.random((RUNS, 2)),
+        "message_change": rng.random((RUNS, 4, 2)),
+        "belief_sd": rng.random((RUNS, 4, 2, 6)),
+        "proposal_shares": rng.random((RUNS, 2, 4)),
+    }
+    parts = np.zeros((RUNS, PARTICLES, 2, 7), np.float32)
+    frames = [dataclasses.replace(frame, states={"parts": parts}, info=frame.info._replace(messages=own)) for frame in draws.frames]
+    transition = dataclasses.replace(draws.model.transition, spaces=(("parts", space),))
+    loose = dataclasses.replace(draws, frames=frames, model=dataclasses.replace(draws.model, transition=transition))
+    stream_posterior(loose, tmp_path / "posterior.nc")
+    stored = xr.open_datatree(tmp_path / "posterior.nc")
+    assert stored.identical(to_datatree(loose))
+    group = stored["filter"]
+    assert group["samples"].dims == ("chain", "frame") and group["belief_sd"].dims == ("chain", "frame", "iteration", "part", "tangent")
+    assert group["message_change"].sel(part="head", iteration=4, frame=0, chain=1) == own["message_change"][1, 3, 1]
+    assert (group["belief_sd"].sel(tangent="rx", part="torso", frame=2, chain=0) == own["belief_sd"][0, :, 0, 3]).all()
+    assert list(group["tangent_unit"].values) == ["m"] * 3 + ["rad"] * 3
+    assert group["proposal_shares"].sel(proposal="fit", part="head", frame=1, chain=2) == own["proposal_shares"][2, 1, 3]
+
+
 def test_the_same_axis_has_the_same_labels(draws):
     both = (("pose", euclidean(("a",) * 4, ("m",) * 4, "dof")), ("other", euclidean(("b",) * 4, ("m",) * 4, "dof")))
     frames = [dataclasses.replace(frame, states=frame.states | {"other": frame.states["pose"]}) for frame in draws.frames]

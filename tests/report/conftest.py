@@ -13,6 +13,7 @@ import xarray as xr
 
 from bayes_body.evidence.markers import MARKERS
 from bayes_body.model.definition import load_definition
+from bayes_body.posterior.message_passing import DIMS as MESSAGES
 from bayes_body.session.read import save_session
 from bayes_body.storage.saved_run import load_run
 from bayes_body.view.report.inspection import Inspection
@@ -61,6 +62,7 @@ def _tree(runs, draws, frames, dofs, units, arrays) -> xr.DataTree:
     } | arrays
     dims = {"seen": ("frame", "camera"), "markov_ess": ("chain", "frame", "dof"), "markov_length": ("chain", "frame")}
     dims |= {name: ("chain", "frame", "markov_chain") for name in given if name.startswith("markov_") and name not in dims}
+    dims |= {name: ("chain", "frame", *own) for name, own in MESSAGES.items()}
     dims |= dict.fromkeys(("survival_rate", "inverse_temperature", "acceptance_rate"), ("chain", "frame", "layer"))
     filters = {name: (dims.get(name, ("chain", "frame")), values) for name, values in given.items() if name not in ("pose", "log_weight", "ancestor")}
     stats = {name: (("chain", "draw", "frame"), given[name]) for name in ("log_weight", "ancestor")}

@@ -30,6 +30,7 @@ def result(seed: int) -> FrameResult:
         acceptance_rate=by_layer,
         evaluations=np.array([7, 14], np.int32),
         markov={"acceptance": rng.random((RUNS, 2), np.float32), "divergences": rng.integers(0, 3, (RUNS, 2), np.int32)},
+        messages={"belief_ess": rng.random((RUNS, 3), np.float32), "samples": np.full(RUNS, 50, np.int32)},
     )
     states = {"pose": rng.normal(size=(RUNS, PARTICLES, DOFS)).astype(np.float32), "phase": rng.normal(size=(RUNS, PARTICLES))}
     return FrameResult(states, rng.normal(size=(RUNS, PARTICLES)), info, rng.random(CAMERAS) < 0.5, rng.random(), rng.random())
@@ -37,7 +38,8 @@ def result(seed: int) -> FrameResult:
 
 def leaves(frame: FrameResult) -> dict[str, np.ndarray]:
     found = {f"states.{name}": values for name, values in frame.states.items()} | frame.info._asdict()
-    found |= {f"markov.{name}": values for name, values in found.pop("markov").items()}
+    for mapping in ("markov", "messages"):
+        found |= {f"{mapping}.{name}": values for name, values in found.pop(mapping).items()}
     return {name: np.asarray(values) for name, values in (found | {"w": frame.log_weights, "seen": frame.seen}).items()}
 
 
@@ -69,6 +71,13 @@ def test_what_was_kept_comes_back(kept):
     for outside in (4, -5):
         with pytest.raises(IndexError):
             again[outside]
+
+
+def test_a_frame_without_figures_of_message_passing_is_read(kept):
+    """Versions before message passing wrote none."""
+    with np.load(kept.path(1)) as file:
+        np.savez(kept.path(1), **{name: values for name, values in file.items() if not name.startswith("messages.")})
+    assert FrameFiles(kept.folder)[1].info.messages == {} and FrameFiles(kept.folder)[2].info.messages.keys() == {"belief_ess", "samples"}
 
 
 def test_a_folder_that_is_not_there_has_no_frames_and_is_not_made(tmp_path):

@@ -168,6 +168,13 @@ def log_density(
         messages: log of all messages at these points.
         prior: log of the prior at these points, if the graph has one.
     """
+    return jax.nn.logsumexp(log_parts(graph, own, points, messages, prior), axis=-1)
+
+
+def log_parts(
+    graph: Graph, own: Proposals, points: Float[Array, "node draw *entry"], messages: tuple[Directed, ...], prior: NodeValues | None
+) -> Float[Array, "node draw part"]:
+    """Return the terms of `log_density`: the log of share times density, of messages, prior, each mixture of detections, and fit."""
     nothing = jnp.full(points.shape[:2], -jnp.inf, points.dtype)
     mixed = nothing
     for number, (term, edge) in enumerate(zip(graph.pairs, own.edges, strict=True)):
@@ -179,7 +186,7 @@ def log_density(
             mixed = _log_added(mixed, node, value + log_share[:, None])
     mixtures = [nothing if prior is None else prior, *(mixture.log_prob(points) for mixture in graph.proposals)]
     fitted = jax.vmap(lambda one, xs: jax.vmap(one.log_prob)(xs))(own.fits, points)
-    return jax.nn.logsumexp(jnp.stack([mixed, *mixtures, fitted], axis=-1) + own.shares[:, None], axis=-1)
+    return jnp.stack([mixed, *mixtures, fitted], axis=-1) + own.shares[:, None]
 
 
 def _drawn_density(term: Term, own: Proposals, number: int, points: Array) -> Directed:

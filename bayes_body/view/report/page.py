@@ -16,6 +16,7 @@ from bayes_body.view.report.filtering import filter_section
 from bayes_body.view.report.head import findings, key_figures, verdict
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, joined, tag
+from bayes_body.view.report.message_passing import message_section
 from bayes_body.view.report.pictures import QUALITIES, picture_section
 from bayes_body.view.report.provenance import provenance_section
 from bayes_body.view.report.runs import run_section
@@ -34,6 +35,7 @@ SECTIONS: Sequence[tuple[str, str, Callable[[Inspection], Markup]]] = (
     ("angles", "Angles and positions", band_section),
     ("filter", "Filter", filter_section),
     ("chains", "Markov chains", chain_section),
+    ("messages", "Message passing", message_section),
     ("runs", "Agreement of the runs", run_section),
     ("made", "How it was made", lambda it: provenance_section(it.run)),
 )
@@ -67,8 +69,8 @@ def page(run: "SavedRun", watch: Watch = unwatched) -> str:
 
 
 def sections_of(it: Inspection) -> Sequence[tuple[str, str, Callable[[Inspection], Markup]]]:
-    """Return SECTIONS, without the truth if the session names none, and without Markov chains if the kernel runs none."""
-    missing = {"truth": not it.has_truth, "chains": it.diagnosis.mixing is None}
+    """Return SECTIONS, without the truth if the session names none, and without Markov chains or message passing if the kernel has none."""
+    missing = {"truth": not it.has_truth, "chains": it.diagnosis.mixing is None, "messages": it.diagnosis.messages is None}
     return [each for each in SECTIONS if not missing.get(each[0], False)]
 
 

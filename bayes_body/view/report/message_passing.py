@@ -1,0 +1,145 @@
+"""The section on message passing: whether the particles of every part are enough, and convergence by iteration as in Sigal et al. 2011, Fig. 8."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.posterior.message_passing import PARTS, MessagePassing
+from bayes_body.view.report.figures import GREY, INK, RUNS, draw_runs, encoded, log_counts, new_panel, shade_lost, whole_frames
+from bayes_body.view.report.inspection import Inspection
+from bayes_body.view.report.limbs import spoken
+from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+ABOUT = (
+    "Every part has particles of its own, and its belief is what the images and the messages from other parts say about it. In each iteration the "
+    "particles are drawn anew. Joint draws of all parts are taken at the end; their effective number is in the section on the filter."
+)
+CONVERGENCE = (
+    "How far the mean of a part's belief moved in an iteration, in standard deviations of that belief. The lines should fall below the limit "
+    "(dashed), to the level that the random draws of the particles alone cause (dotted), and stay there. The parts that moved most in the last "
+    "iteration are coloured. The spread of a belief should settle too: one that goes on shrinking has not converged, or rests on few particles."
+)
+SHARES = (
+    "Where the particles that carry the weight came from, mean over the parts. If the fit to the last belief brings nearly all of it, the messages "
+    "and the prior propose little that the images confirm, and the search is local."
+)
+# Number of parts that are named in a picture.
+SHOWN = 3
+MILLIMETRES = 1000.0
+
+
+def message_section(it: Inspection) -> Markup:
+    """Return the section: figures over the frames, and the iterations of a few frames."""
+    passing = it.diagnosis.messages
+    if passing is None:
+        return section("messages", "Message passing", tag("p", "The kernel passes no messages."))
+    parts = [tag("p", ABOUT), figures(_panels(it, passing)), tag("p", SHARES), figures([_shares(it, passing)])]
+    if passing.change.shape[2] > 1:
+        parts += [tag("h3", "Convergence by iteration"), tag("p", CONVERGENCE), figures(_changes(it, passing))]
+        parts += [figures(_spreads(passing))] if "m" in passing.units else []
+    return section("messages", "Message passing", *parts)
+
+
+def chosen_frames(passing: MessagePassing) -> list[int]:
+    """Return the first frame, the last one, and that with the largest change in the last iteration, without repetition."""
+    worst = np.nan_to_num(passing.last_change, nan=-np.inf).max(axis=(0, 2))
+    return sorted({0, int(worst.argmax()), len(worst) - 1})
+
+
+def _panels(it: Inspection, passing: MessagePassing) -> Iterator[Picture]:
+    limits, samples = it.limits, passing.samples
+    counted = f"of {samples:,} (log scale)"
+    yield _panel(it, passing.belief_ess.min(axis=-1), "Effective particles of a belief", counted, limits.belief_ess_share * samples, samples)
+    yield _panel(it, passing.message_ess, "Effective particles of a message", counted, limits.message_ess_share * samples, samples)
+    if np.isfinite(passing.last_change).any():
+        yield _panel(it, passing.last_change.max(axis=-1), "Change in the last iteration", "sd of the belief", limits.message_change)
+    if np.isfinite(passing.oscillation).any():
+        yield _panel(it, passing.oscillation.max(axis=-1), "Oscillation", "sd of the belief", limits.oscillation)
+
+
+def _panel(it: Inspection, values: Float[np.ndarray, "run frame"], title: str, label: str, limit: float, most: int | None = None) -> Picture:
+    """Return the worst part of every frame; with `most`, as a count up to it."""
+    figure, axes = new_panel(title, it.x_label, label)
+    shade_lost(axes, it.lost)
+    draw_runs(axes, np.arange(values.shape[1]), values)
+    axes.axhline(limit, color=INK, linestyle="--", linewidth=0.9)
+    if most is None:
+        axes.set_ylim(0, 1.15 * max(limit, float(np.nanmax(values))))
+    else:
+        log_counts(axes, most)
+    whole_frames(axes, values.shape[1])
+    span = f"median {np.nanmedian(values):.3g}, from {np.nanmin(values):.3g} to {np.nanmax(values):.3g}"
+    return encoded(figure, f"{title} over the frames, the worst part of each: {span}; the limit is {limit:g}.")
+
+
+def _shares(it: Inspection, passing: MessagePassing) -> Picture:
+    mean = passing.proposal_shares.mean(axis=(0, 2))
+    figure, axes = new_panel("Parts of the proposal", it.x_label, "share of the weight")
+    shade_lost(axes, it.lost)
+    brought = [number for number in range(len(PARTS)) if np.nanmax(mean[:, number]) > 0]
+    for number in brought:
+        axes.plot(mean[:, number], color=RUNS[number], label=PARTS[number], marker="o" if len(mean) <= 12 else "", markersize=3.5)
+    # Room for the names above the lines.
+    axes.set_ylim(-0.03, 1.35)
+    axes.set_yticks([0, 0.25, 0.5, 0.75, 1])
+    axes.legend(loc="upper left", ncols=4, handlelength=0.9, columnspacing=0.9, handletextpad=0.4)
+    whole_frames(axes, len(mean))
+    named = ", ".join(f"{PARTS[number]} {np.nanmean(mean[:, number]):.2f}" for number in brought)
+    return encoded(figure, f"Share of each part of the proposal in the weight of the particles, mean over the frames: {named}.")
+
+
+def _changes(it: Inspection, passing: MessagePassing) -> Iterator[Picture]:
+    """Yield the changes of the beliefs by iteration, mean of the runs, at each chosen frame."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    for frame in chosen_frames(passing):
+        change = passing.change[:, frame].mean(axis=0)
+        figure, axes = new_panel(f"Change, frame {frame}", "iteration", "sd of the belief (log scale)")
+        worst = _by_part(axes, change, passing, _moved_most(passing, frame))
+        axes.axhline(it.limits.message_change, color=INK, linestyle="--", linewidth=0.9)
+        axes.axhline(float(np.sqrt(2 / np.median(passing.belief_ess[:, frame]))), color=INK, linestyle=":", linewidth=1.1)
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(NullFormatter())
+        low, high = axes.get_ylim()
+        # Room for the names above the lines.
+        axes.set_ylim(low, high * (high / low) ** 0.55)
+        yield encoded(figure, f"Change of the beliefs in each iteration of frame {frame}; in the last one most of {worst}.")
+
+
+def _spreads(passing: MessagePassing) -> Iterator[Picture]:
+    """Yield the spread of the positions by iteration, mean of the runs, at each chosen frame."""
+    metres = np.array([unit == "m" for unit in passing.units])
+    for frame in chosen_frames(passing):
+        spread = MILLIMETRES * np.sqrt(np.mean(passing.sd[:, frame][..., metres] ** 2, axis=(0, -1)))
+        figure, axes = new_panel(f"Spread of the positions, frame {frame}", "iteration", "sd, mm")
+        _by_part(axes, spread, passing, _moved_most(passing, frame))
+        axes.set_ylim(0, 1.5 * spread.max())
+        yield encoded(figure, f"Standard deviation of each part's position in frame {frame}, from {spread.min():.0f} to {spread.max():.0f} mm.")
+
+
+def _moved_most(passing: MessagePassing, frame: int) -> list[int]:
+    """Return the nodes, those first whose belief moved most in the last iteration of a frame."""
+    last = passing.last_change[:, frame].mean(axis=0)
+    return np.argsort(-np.nan_to_num(last, nan=-np.inf), kind="stable").tolist()
+
+
+def _by_part(axes: "Axes", values: Float[np.ndarray, "iteration node"], passing: MessagePassing, order: list[int]) -> str:
+    """Draw a line for each part, and name the first ones, which are returned in words."""
+    from matplotlib.ticker import MaxNLocator
+
+    numbers = np.arange(1, len(values) + 1)
+    for node in order[SHOWN:]:
+        axes.plot(numbers, values[:, node], color=GREY, alpha=0.5, linewidth=0.9)
+    for node, colour in zip(order[:SHOWN], RUNS, strict=False):
+        axes.plot(numbers, values[:, node], color=colour, marker="o", markersize=3, label=spoken(passing.nodes[node]))
+    axes.legend(loc="upper right", handlelength=1.2, labelspacing=0.3, borderaxespad=0)
+    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True, min_n_ticks=1))
+    axes.set_xlim(0.7, len(values) + 0.3)
+    return ", ".join(spoken(passing.nodes[node]) for node in order[:SHOWN])
