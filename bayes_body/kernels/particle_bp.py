@@ -8,6 +8,7 @@ On a graph with loops, messages need not converge, and beliefs are not the true 
 few of them carry the weight, `joint_ess` says so (kernels/parts/message_diagnostics.py).
 """
 
+from dataclasses import replace
 from typing import Annotated, Any, NamedTuple
 
 import jax
@@ -199,7 +200,8 @@ class ParticleBP:
         log_evidence = passed.joint.log_evidence
         if density.has_potentials:
             # The potentials are not normalised given the previous frame: the evidence is the ratio of both normalisers, as in `tempered`.
-            prior = graph.without_likelihood()
+            # From the density, not the graph: only the weights of the joint draws make the prediction a mixture over ancestors again.
+            prior = parts_graph(replace(density, factors=tuple(factor for factor in density.factors if factor.side != "likelihood")))
             log_evidence -= pass_messages(prior_key, prior, options, schedule(prior, options.schedule, PRIOR_ITERATIONS)).joint.log_evidence
         found = normalise(passed.joint.log_weights)
         unconstrained = density.unconstrained()
