@@ -28,7 +28,7 @@ def track(
     kernel: str | None = typer.Option(
         None,
         "--kernel",
-        help="tempered, hmc, sir, or annealed (a mode seeker: it finds the pose, but not its uncertainty); the model's own by default.",
+        help="tempered, hmc, sir, particle_bp (parts), or annealed (a mode seeker: the pose without its uncertainty); the model's own by default.",
     ),
     particles: int | None = typer.Option(None, "--particles", help="Particles per run."),
     layers: int | None = typer.Option(None, "--layers", help="Annealing layers per frame (annealed only)."),

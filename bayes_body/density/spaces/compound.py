@@ -175,7 +175,7 @@ class Plate:
         """Return v, and the images of one point at a time."""
         return Product(("",) * len(self.names), (self.space,) * len(self.names)).images(v)
 
-    def _each(self, v: Vectors) -> Vectors:
+    def _each(self, v: Vectors) -> Any:
         return v.reshape(*v.shape[:-1], len(self.names), self.space.dimension)
 
 
