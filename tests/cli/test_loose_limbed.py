@@ -54,7 +54,7 @@ def test_from_track_to_export(cli, model, keypoint_session, tmp_path):
     assert elbow < 1e-5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_message_passing_leaves_figures_that_a_resumed_run_repeats(cli, model, keypoint_session, tmp_path):
     save_session(keypoint_session)
     run, whole = tmp_path / "run", tmp_path / "whole"
