@@ -8,7 +8,7 @@ with the potentials ψ of the prior's side, such as the joints of a loose-limbed
 
 The *marginal* view sums over the ancestor $i$: $\log \sum_i \exp \ell(i, s_t)$, the target of Poon & Fleet's HMC (14). The *extended* view
 (density/extended.py) keeps the ancestor as a variable, for particle filters and tempered SMC. Both call the same factors, use the same coordinates
-(density/coordinates.py) and temper by the same rule (density/tempering.py). Belief propagation reads single variables of these factors (`reading`).
+(density/coordinates.py) and temper by the same rule (density/tempering.py). Message passing reads plates (density/parts_graph.py).
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ from numpyro.distributions import Distribution
 
 from bayes_body.density.chart import Chart
 from bayes_body.density.coordinates import coordinates_of
-from bayes_body.density.factor import Data, Factor, Particles, Side, State, Transition, Variable, variables
+from bayes_body.density.factor import Data, Factor, Particles, Side, State, Transition, variables
 from bayes_body.density.tempering import LogTerms, tempered
 from bayes_body.errors import input_error
 from bayes_body.shapes import Index, Key, Scalar
@@ -193,10 +193,6 @@ class Density:
         likelihood = self._sum([f for f in factors if f.side == "likelihood"], state, before)
         rest = self._sum([f for f in factors if f.side != "likelihood"], state, before)
         return rest + tempered(inverse_temperature, likelihood)
-
-    def reading(self, variable: Variable) -> tuple[Factor, ...]:
-        """Return the factors whose scope contains a variable: those that a belief-propagation node multiplies."""
-        return tuple(factor for factor in self.factors if variable in factor.scope)
 
     def coordinates(self) -> Chart:
         """Return unconstrained coordinates for the sampled variables, the same for every ancestor."""

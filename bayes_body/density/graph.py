@@ -7,7 +7,7 @@ density of a frame. Proposals of nodes, such as detections, are no terms of the 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -130,11 +130,6 @@ class Graph:
         terms = [jnp.sum(term.plate.each(value, term.data)) for term in (*self.unaries, *self.pairs)]
         prior = jnp.zeros(()) if self.prior is None else jnp.sum(self.prior.log_prob(value[:, None]))
         return sum(terms, prior)
-
-    def without_likelihood(self) -> "Graph":
-        """Return the graph of the prior: without tempered terms and without what else the target holds."""
-        unaries, pairs = (tuple(term for term in terms if not term.tempered) for terms in (self.unaries, self.pairs))
-        return replace(self, unaries=unaries, pairs=pairs, proposals=(), target=None)
 
     def forest(self) -> tuple[tuple[int, int], ...]:
         """Return edges without a loop, as (term, row) of `pairs`, such that no further edge could be added. Earlier terms come first."""

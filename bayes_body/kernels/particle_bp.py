@@ -1,8 +1,9 @@
 r"""Particle belief propagation on a pairwise graph: loose-limbed bodies (Sigal et al. 2011), or any other (Ihler & McAllester 2009).
 
 A round draws particles of its nodes from their proposals (kernels/parts/node_proposals.py) and evaluates the messages into them
-(kernels/parts/messages.py). After the last round, all nodes are redrawn at once, and joint draws are taken from the exact sum over a forest of the
-graph's edges (kernels/parts/joint_particles.py). Their weights correct whatever the graph left out, so they are a weighted sample of the posterior.
+(kernels/parts/messages.py); kernels/parts/passing.py puts both together. After the last round, all nodes are redrawn at once, and joint draws are
+taken from the exact sum over a forest of the graph's edges (kernels/parts/joint_particles.py). Their weights correct whatever the graph left out, so
+they are a weighted sample of the posterior.
 
 On a graph with loops, messages need not converge, and beliefs are not the true marginals. The joint draws still are a valid importance sample. If
 few of them carry the weight, `joint_ess` says so (kernels/parts/message_diagnostics.py).
@@ -18,20 +19,21 @@ from pydantic import Field
 
 from bayes_body.density.density import Density, Unconstrained
 from bayes_body.density.factor import Particles, State
-from bayes_body.density.graph import Graph, Term
+from bayes_body.density.graph import Graph
 from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.density.parts_graph import parts_graph
 from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.kernels.parts.joint_particles import JointParticles, joint_particles
-from bayes_body.kernels.parts.message_diagnostics import Summary, belief_sds, message_figures, shares_of_weight
-from bayes_body.kernels.parts.messages import Beliefs, Directed, NodeValues, cavities, entered, log_messages, normalised, unary_values
+from bayes_body.kernels.parts.message_diagnostics import Summary, message_figures, shares_of_weight
+from bayes_body.kernels.parts.messages import Beliefs, NodeValues, normalised
 from bayes_body.kernels.parts.messages import log_beliefs as log_beliefs_of
-from bayes_body.kernels.parts.node_proposals import FLOORS, Proposals, Shares, draw, log_density, log_parts, proposals
+from bayes_body.kernels.parts.node_proposals import Shares
+from bayes_body.kernels.parts.passing import Passing
 from bayes_body.kernels.parts.resampling import resampler
 from bayes_body.kernels.parts.schedules import Round, Schedule, schedule
 from bayes_body.kernels.parts.weights import effective_sample_size, normalise, predict
 from bayes_body.registry import register
-from bayes_body.shapes import Index, Key, Scalar
+from bayes_body.shapes import Index, Key
 from bayes_body.toml.read import validate
 from bayes_body.toml.schema import Count, NonNegative, Positive, Schema
 
@@ -88,7 +90,7 @@ def pass_messages(key: Key, graph: Graph, options: Options, rounds: Round) -> Pa
         rounds: the schedule (`kernels.parts.schedules.schedule`).
     """
     first_key, round_key, redraw_key, joint_key = jax.random.split(key, 4)
-    passing = _Passing(graph, options)
+    passing = Passing(graph, options.samples, Shares(*options.shares), options.fit_inflation)
     begin = passing.begin(first_key)
     keys = jax.random.split(round_key, rounds.power.shape[0])
     beliefs, before = jax.lax.scan(lambda beliefs, one: passing.round(beliefs, *one), begin, (keys, rounds))
@@ -99,77 +101,6 @@ def pass_messages(key: Key, graph: Graph, options: Options, rounds: Round) -> Pa
     # A round summarises the beliefs that it begins with.
     summaries = jax.tree.map(lambda early, late: jnp.concatenate([early[1:], late[None]]), before, last)
     return Passed(beliefs.points, log_beliefs, beliefs, summaries, joint, shares_of_weight(joint.log_beliefs, log_shares))
-
-
-class _Passing:
-    """The computations of a round, for one graph and one choice of options."""
-
-    def __init__(self, graph: Graph, options: Options):
-        self.graph, self.options = graph, options
-        self.floors = jnp.array([FLOORS.get(unit, 0.0) for unit in graph.space.tangent_units])
-
-    def begin(self, key: Key) -> Beliefs:
-        """Return nodes that are not ready: messages from them say nothing yet, and their first round draws them from prior and proposals."""
-        graph, samples = self.graph, self.options.samples
-        mixtures = [mixture for mixture in (graph.prior, *graph.proposals) if mixture is not None]
-        # Only points of the space, so that nothing computed from them is NaN.
-        points = mixtures[0].sample(key, samples)
-        zero = jnp.zeros((graph.count, samples), points.dtype)
-        edges = [jnp.zeros((len(term.plate.rows), samples), zero.dtype) for term in graph.pairs]
-        return Beliefs(points, zero, zero, zero, tuple(Directed(edge, edge) for edge in edges), zero[:, 0])
-
-    def proposals(self, beliefs: Beliefs, power: float | Scalar) -> tuple[Proposals, Summary]:
-        weights, cavity = normalised(log_beliefs_of(self.graph, beliefs, power)), cavities(self.graph, beliefs, power)
-        own = proposals(self.graph, beliefs, weights, cavity, Shares(*self.options.shares), self.options.fit_inflation, self.floors)
-        of_messages = [jax.vmap(effective_sample_size)(each) for both in cavity for each in both]
-        least = jnp.min(jnp.concatenate(of_messages)) if of_messages else jnp.asarray(float(self.options.samples))
-        sds = belief_sds(self.graph.space, jnp.exp(weights), beliefs.points, own.fits.mean)
-        return own, Summary(own.fits.mean, sds, jax.vmap(effective_sample_size)(weights), least)
-
-    def round(self, beliefs: Beliefs, key: Key, now: Round) -> tuple[Beliefs, Summary]:
-        """Redraw the nodes of a round and evaluate the messages into them."""
-        graph = self.graph
-        own, summary = self.proposals(beliefs, now.power)
-        fresh = draw(key, graph, own, self.options.samples)
-        redrawn = jnp.zeros(graph.count, bool).at[now.nodes].set(True, mode="drop")
-        points = jnp.where(redrawn.reshape(-1, *[1] * (fresh.ndim - 1)), fresh, beliefs.points)
-        messages = tuple(
-            entered(old, log_messages(term, cavity, beliefs.points, points, beliefs.ready, rows), rows)
-            for term, cavity, old, rows in zip(graph.pairs, own.cavities, beliefs.messages, now.pairs, strict=True)
-        )
-        likelihood, rest = unary_values(graph, points, now.unary)
-        prior = None if graph.prior is None else graph.prior.log_prob(points)
-        log_q = log_density(graph, own, points, messages, prior)
-        ready = jnp.where(redrawn & (jnp.max(own.shares, axis=1) > -jnp.inf), 1.0, beliefs.ready)
-        chosen = redrawn[:, None] & (ready[:, None] > 0)
-        return Beliefs(
-            points,
-            jnp.where(chosen, log_q, beliefs.log_q),
-            jnp.where(chosen, likelihood, beliefs.likelihood),
-            jnp.where(chosen, rest, beliefs.rest),
-            messages,
-            ready,
-        ), summary
-
-    def redraw(
-        self, key: Key, beliefs: Beliefs, own: Proposals
-    ) -> tuple[Float[Array, "node sample *entry"], NodeValues, Float[Array, "node sample part"]]:
-        """Return new particles of all nodes from fixed proposals, the log of their factors of one node, and of each part of their proposal."""
-
-        def rows(term: Term) -> tuple[Array, Array]:
-            every = jnp.arange(len(term.plate.rows))
-            return every, every
-
-        points = draw(key, self.graph, own, self.options.samples)
-        messages = tuple(
-            log_messages(term, cavity, beliefs.points, points, beliefs.ready, rows(term))
-            if term.plate.draw is not None and term.plate.log_draw is None
-            else old
-            for term, cavity, old in zip(self.graph.pairs, own.cavities, beliefs.messages, strict=True)
-        )
-        likelihood, rest = unary_values(self.graph, points)
-        prior = None if self.graph.prior is None else self.graph.prior.log_prob(points)
-        return points, likelihood + rest, log_parts(self.graph, own, points, messages, prior)
 
 
 class ParticleBP:

@@ -31,7 +31,8 @@ def _joint(figures: MessagePassing, draws: int, thresholds: Thresholds) -> Itera
     if crossed.any():
         figure = f"{worst.min():.1f} effective joint draws of {draws}{at_worst(crossed, int(worst.argmin()))} (limit {thresholds.joint_ess:g})"
         reason = "the messages leave out too much of the model, such as factors that close loops or read the whole body"
-        yield f"{frames_where(crossed)}: {figure}: {reason}; {_more(figures)}, raise --particles, or use --kernel tempered."
+        remedy = f"take likelihoods of single parts, such as regions, {_more(figures)}, or use --kernel tempered"
+        yield f"{frames_where(crossed)}: {figure}: {reason}; {remedy}."
 
 
 def _beliefs(figures: MessagePassing, thresholds: Thresholds) -> Iterator[str]:

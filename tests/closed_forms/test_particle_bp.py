@@ -14,7 +14,7 @@ import pytest
 
 from bayes_body.density.graph import Graph
 from bayes_body.density.pairwise import edge_factor, graph, node_factor, proposal
-from bayes_body.kernels.parts import messages, node_proposals
+from bayes_body.kernels.parts import messages, node_proposals, passing
 from bayes_body.kernels.parts.messages import log_beliefs, normalised
 from bayes_body.kernels.parts.schedules import schedule
 
@@ -124,7 +124,7 @@ def with_own_message(total, message):
     return total
 
 
-MUTANTS = {"no division by q": (MODULE, "log_density", without_division), "own message kept": (messages, "_without", with_own_message)}
+MUTANTS = {"no division by q": (passing, "log_density", without_division), "own message kept": (messages, "_without", with_own_message)}
 
 
 @pytest.mark.parametrize("mutant", MUTANTS)

@@ -194,11 +194,6 @@ def test_parts_add_up(density):
     assert jnp.isclose(sum(parts.values()), density.log_joint(state, before)[0], rtol=1e-5)
 
 
-def test_nodes_read_the_factors_that_name_them(density):
-    assert [factor.name for factor in density.reading(BEFORE)] == ["moved"]
-    assert [factor.name for factor in density.reading(POSE)] == ["skewed", "moved", "wall"]
-
-
 def test_new_data_and_particles_do_not_retrace(density):
     traces = []
 

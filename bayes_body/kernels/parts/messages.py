@@ -140,7 +140,7 @@ def entered(old: Directed, new: Directed, rows: tuple[Array, Array]) -> Directed
 def unary_values(
     graph: Graph, points: Float[Array, "node sample *entry"], rows: tuple[Int[Array, "_"], ...] | None = None
 ) -> tuple[NodeValues, NodeValues]:
-    """Return the log of the tempered factors of one node, and of the others, at the particles of every node.
+    """Return the log of the tempered factors of one node, and of the others but the prior, at the particles of every node.
 
     Args:
         graph: the graph.
@@ -161,4 +161,4 @@ def unary_values(
             likelihood = likelihood.at[targets].add(values, mode="drop")
         else:
             rest = rest.at[targets].add(values, mode="drop")
-    return likelihood, rest if graph.prior is None else rest + graph.prior.log_prob(points)
+    return likelihood, rest

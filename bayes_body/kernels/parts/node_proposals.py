@@ -119,14 +119,11 @@ def _from_messages(key: Key, graph: Graph, own: Proposals, count: int) -> Float[
         if term.plate.draw is None:
             continue
         first, second = ends(term)
-        for source, target, lw, le, reverse in (
-            (first, second, cavity.forward, edge.forward, False),
-            (second, first, cavity.backward, edge.backward, True),
-        ):
+        for reverse, nodes in ((False, (first, second)), (True, (second, first))):
             parts.append((term, reverse, sum(map(len, sources))))
-            sources.append(source)
-            targets.append(target)
-            log_weights.append(lw + le[:, None])
+            sources.append(nodes[0])
+            targets.append(nodes[1])
+            log_weights.append(cavity[reverse] + edge[reverse][:, None])
     if not parts:
         return jnp.take(own.points, jnp.arange(count) % samples, axis=1)
     source, target = jnp.concatenate(sources), jnp.concatenate(targets)
@@ -157,7 +154,7 @@ def _from_messages(key: Key, graph: Graph, own: Proposals, count: int) -> Float[
 
 
 def log_density(
-    graph: Graph, own: Proposals, points: Float[Array, "node draw *entry"], messages: tuple[Directed, ...], prior: NodeValues | None
+    graph: Graph, own: Proposals, points: Float[Array, "node draw *entry"], messages: tuple[Directed, ...], prior: NodeValues
 ) -> NodeValues:
     """Return the log-density of the proposal of every node.
 
@@ -166,13 +163,13 @@ def log_density(
         own: the proposals.
         points: where it is evaluated.
         messages: log of all messages at these points.
-        prior: log of the prior at these points, if the graph has one.
+        prior: log of the prior at these points; anything if the graph has none, since it then has no share.
     """
     return jax.nn.logsumexp(log_parts(graph, own, points, messages, prior), axis=-1)
 
 
 def log_parts(
-    graph: Graph, own: Proposals, points: Float[Array, "node draw *entry"], messages: tuple[Directed, ...], prior: NodeValues | None
+    graph: Graph, own: Proposals, points: Float[Array, "node draw *entry"], messages: tuple[Directed, ...], prior: NodeValues
 ) -> Float[Array, "node draw part"]:
     """Return the terms of `log_density`: the log of share times density, of messages, prior, each mixture of detections, and fit."""
     nothing = jnp.full(points.shape[:2], -jnp.inf, points.dtype)
@@ -184,7 +181,7 @@ def log_parts(
         values = messages[number] if term.plate.log_draw is None else _drawn_density(term, own, number, points)
         for node, value, log_share in ((second, values.forward, edge.forward), (first, values.backward, edge.backward)):
             mixed = _log_added(mixed, node, value + log_share[:, None])
-    mixtures = [nothing if prior is None else prior, *(mixture.log_prob(points) for mixture in graph.proposals)]
+    mixtures = [prior, *(mixture.log_prob(points) for mixture in graph.proposals)]
     fitted = jax.vmap(lambda one, xs: jax.vmap(one.log_prob)(xs))(own.fits, points)
     return jnp.stack([mixed, *mixtures, fitted], axis=-1) + own.shares[:, None]
 

@@ -1,0 +1,51 @@
+"""`particle_bp` on a loose arm with several ancestors, against exact draws: of its prior, and by simulation-based calibration of its posterior."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from calibration.limb import ANCESTORS, draw_prior, limb, replicate
+
+from bayes_body.calibration import bands
+from bayes_body.evidence.markers import MARKERS, MarkerEvidence
+from bayes_body.kernels.particle_bp import build_kernel
+
+pytestmark = pytest.mark.usefixtures("optimised")
+RUNS, REPLICATIONS, BINS, DRAWS = 16, 500, 10, 500
+
+
+@pytest.mark.slow
+def test_without_data_the_draws_are_those_of_the_prior_and_the_evidence_is_one():
+    """The prediction is a mixture over ancestors of products over parts, which no graph is: the weights have to make it one, in both normalisers."""
+    arm = limb()
+    unseen = MarkerEvidence(jnp.zeros((4, len(MARKERS), 2)), jnp.zeros((4, len(MARKERS))))
+    exact = jax.jit(lambda keys, arm: jax.lax.map(lambda key: draw_prior(key, arm), keys))(jax.random.split(jax.random.key(1), 1500), arm)
+    of_draws = jax.jit(lambda parts, arm: jax.lax.map(lambda one: arm.quantities(one, {"markers_gaussian": unseen})[:-1], parts))
+    true = np.asarray(of_draws(exact, arm), float)
+    kernel = build_kernel(samples=200, iterations=4, ancestors=ANCESTORS)
+    # As many particles go in as come out: copies of the states before, by weight.
+    copies = np.repeat(np.arange(3), np.round(np.exp(np.asarray(arm.before.log_weights)) * DRAWS).astype(int))
+    before = arm.before._replace(states=jax.tree.map(lambda leaf: leaf[copies], arm.before.states), log_weights=jnp.full(DRAWS, -jnp.log(DRAWS)))
+
+    def one(key, arm):
+        after, info = kernel(key, before, arm.density({"markers_gaussian": unseen}, before))
+        values = jax.lax.map(lambda parts: arm.quantities(parts, {"markers_gaussian": unseen})[:-1], after.states["parts"])
+        weights = jnp.exp(after.log_weights)
+        return info.log_evidence, weights @ values, weights @ values**2
+
+    found = jax.jit(lambda keys, arm: jax.lax.map(lambda key: one(key, arm), keys))(jax.random.split(jax.random.key(2), RUNS), arm)
+    log_evidence, means, squares = (np.asarray(each, float) for each in found)
+    assert abs(log_evidence.mean()) < 4 * log_evidence.std(ddof=1) / RUNS**0.5
+    for runs, draws in ((means, true), (squares, true**2)):
+        error = np.hypot(runs.std(axis=0, ddof=1) / RUNS**0.5, draws.std(axis=0) / len(draws) ** 0.5)
+        assert np.all(np.abs(runs.mean(axis=0) - draws.mean(axis=0)) < 4 * error)
+
+
+@pytest.mark.long
+def test_ranks_are_uniform():
+    arm = limb()
+    one = replicate(build_kernel(samples=500, iterations=5, ancestors=ANCESTORS), DRAWS, BINS)
+    found = jax.jit(lambda keys, arm: jax.lax.map(lambda key: one(key, arm), keys))(jax.random.split(jax.random.key(3), REPLICATIONS), arm)
+    assert not np.asarray(found.lost).any()
+    p_values = bands.p_values(bands.rank_counts(np.asarray(found.ranks), BINS))
+    assert p_values.min() > 0.05 / len(arm.names), dict(zip(arm.names, p_values, strict=True))
