@@ -1,9 +1,10 @@
 r"""A pairwise graph: nodes are the entries of one plated variable, such as the parts of a body; factors read one node or two.
 
-$$\log p(x_1 \ldots x_V) = \sum_i \log \phi_i(x_i) + \sum_{(i, j)} \log \psi_{ij}(x_i, x_j).$$
+$$\log p(x_1 \ldots x_V) = \sum_i \log \phi_i(x_i) + \sum_{(i, j)} \log \psi_{ij}(x_i, x_j) + \log \sum_a w_a \prod_i \pi_{ia}(x_i).$$
 
-Message passing reads it. It knows no bodies: `graph` makes one from plain functions and distributions, and density/parts_graph.py makes one from the
-density of a frame. Proposals of nodes, such as detections, are no terms of the density. They only say where to look.
+The last term is optional: a prior that is a mixture over ancestors a of products over nodes. Message passing reads the graph. It knows no bodies:
+`graph` makes one from plain functions and distributions, and density/parts_graph.py makes one from the density of a frame. Proposals of nodes, such
+as detections, are no terms of the density. They only say where to look.
 """
 
 from collections.abc import Sequence
@@ -79,19 +80,27 @@ class Mixture(NamedTuple):
         chosen = jax.tree.map(lambda leaf: jax.vmap(lambda own, i: own[i])(leaf, index), self.components)
         return jax.vmap(jax.vmap(lambda key, one: jnp.asarray(one.sample(key))))(jax.random.split(draw, (nodes, count)), chosen)
 
+    def log_components(self, values: Float[Array, "node draw *entry"]) -> Float[Array, "node draw component"]:
+        """Return the log-density of each component, without its weight, at the values of every node.
+
+        Components may offer `log_prob_of_pairs(values) -> (value, component)`, which is faster than one by one.
+        """
+
+        def one_by_one(components: Any, points: Array) -> Array:
+            return jax.vmap(lambda x: jax.vmap(lambda one: jnp.asarray(one.log_prob(x)))(components))(points)
+
+        def of_node(components: Any, points: Array) -> Array:
+            return components.log_prob_of_pairs(points) if hasattr(components, "log_prob_of_pairs") else one_by_one(components, points)
+
+        return jax.vmap(of_node)(self.components, values)
+
     def log_prob(self, values: Float[Array, "node draw *entry"]) -> Float[Array, "node draw"]:
         """Return the log-density of the values of every node; -inf for a node without a proposal."""
-
-        def of_node(components: Any, log_weights: Array, points: Array) -> Array:
-            each = jax.vmap(lambda x: jax.vmap(lambda one: jnp.asarray(one.log_prob(x)))(components))(points)
-            return jax.nn.logsumexp(jnp.where(log_weights > -jnp.inf, each + log_weights, -jnp.inf), axis=1)
-
-        return jax.vmap(of_node)(self.components, self.log_weights, values)
+        weights = self.log_weights[:, None]
+        return jax.nn.logsumexp(jnp.where(weights > -jnp.inf, self.log_components(values) + weights, -jnp.inf), axis=-1)
 
 
-@partial(
-    jax.tree_util.register_dataclass, meta_fields=["variable", "names", "space"], data_fields=["unaries", "pairs", "prior", "proposals", "target"]
-)
+@partial(jax.tree_util.register_dataclass, meta_fields=["variable", "names", "space"], data_fields=["unaries", "pairs", "prior", "proposals", "rest"])
 @dataclass(frozen=True)
 class Graph:
     """The graph.
@@ -102,9 +111,9 @@ class Graph:
         space: where the value of one node lives.
         unaries: factors of one node.
         pairs: factors of two nodes.
-        prior: a mixture that is a factor of every node, from which its values can be drawn, or None.
+        prior: a mixture over ancestors of products over nodes, or None. All nodes have the same ancestor, so its weights are the same for all.
         proposals: where to look for the nodes. They are no factors.
-        target: value of the variable -> log-density, if that is more than the sum of the factors: a term that is not pairwise is left to weights.
+        rest: value of the variable -> log of the factors that read more than two nodes, or None. They are left to the weights of the joint draws.
     """
 
     variable: str
@@ -114,7 +123,7 @@ class Graph:
     pairs: tuple[Term, ...]
     prior: Mixture | None = None
     proposals: tuple[Mixture, ...] = ()
-    target: Any = None
+    rest: Any = None
 
     @property
     def count(self) -> int:
@@ -123,13 +132,22 @@ class Graph:
 
     def log_density(self, value: Float[Array, "node *entry"]) -> Scalar:
         """Return the log-density of the values of all nodes, up to a constant."""
-        return self.factor_sum(value) if self.target is None else self.target(value)
-
-    def factor_sum(self, value: Float[Array, "node *entry"]) -> Scalar:
-        """Return the sum of all factors."""
         terms = [jnp.sum(term.plate.each(value, term.data)) for term in (*self.unaries, *self.pairs)]
-        prior = jnp.zeros(()) if self.prior is None else jnp.sum(self.prior.log_prob(value[:, None]))
-        return sum(terms, prior)
+        of_ancestors = jnp.sum(self.by_ancestor(value[:, None])[:, 0], axis=0)
+        return sum(terms, jax.nn.logsumexp(of_ancestors + self.log_ancestors) + self.log_rest(value))
+
+    @property
+    def log_ancestors(self) -> Float[Array, " ancestor"]:
+        """The log-weights of the ancestors; without a prior, there is one."""
+        return jnp.zeros(1) if self.prior is None else self.prior.log_weights[0]
+
+    def by_ancestor(self, values: Float[Array, "node draw *entry"]) -> Float[Array, "node draw ancestor"]:
+        """Return the log of the prior given each ancestor, without its weight, at the values of every node; 0 without a prior."""
+        return jnp.zeros((*values.shape[:2], 1), values.dtype) if self.prior is None else self.prior.log_components(values)
+
+    def log_rest(self, value: Float[Array, "node *entry"]) -> Scalar:
+        """Return the log of the factors that read more than two nodes."""
+        return jnp.zeros((), value.dtype) if self.rest is None else self.rest(value)
 
     def forest(self) -> tuple[tuple[int, int], ...]:
         """Return edges without a loop, as (term, row) of `pairs`, such that no further edge could be added. Earlier terms come first."""
@@ -157,7 +175,7 @@ def check_rows(name: str, rows: Sequence[Sequence[int]], names: Sequence[str]) -
     """
     for row in rows:
         if not 1 <= len(row) <= 2:
-            found, remedy = f"reads {len(row)} nodes at once", "split it, or leave it to the weights of the joint draws (`target`)"
+            found, remedy = f"reads {len(row)} nodes at once", "write it as factors of one node or two"
             raise input_error(f"factor '{name}'", found, "one node or two", remedy)
         outside = [node for node in row if not 0 <= node < len(names)]
         if outside:

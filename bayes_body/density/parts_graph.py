@@ -1,11 +1,10 @@
 r"""The density of a frame as a graph: its plated variable is the nodes, its plates are the edges.
 
-The prediction is a mixture over ancestors of products over nodes, $\sum_a w_a \prod_i p(x_i \mid x^a_{t-1})$, which is no product. In the graph, each
-node has the mixture of its own, $\sum_a w_a\, p(x_i \mid x^a_{t-1})$. The weights of the joint draws correct it, as they do for every term of the
-density that is not a plate.
+The prediction is a mixture over ancestors of products over nodes, $\sum_a w_a \prod_i p(x_i \mid x^a_{t-1})$. Messages take each node's own mixture,
+$\sum_a w_a\, p(x_i \mid x^a_{t-1})$; the joint draws sum over ancestors exactly. Terms of the density that are not plates are left to their weights.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -22,16 +21,19 @@ from bayes_body.shapes import Scalar
 
 @partial(jax.tree_util.register_dataclass, meta_fields=["variable"], data_fields=["density", "predictions"])
 @dataclass(frozen=True)
-class Target:
-    """The log-density of a frame as a function of its plated variable alone."""
+class Rest:
+    """The log of the factors that are not plates, as a function of the plated variable. `density` has these factors alone."""
 
     variable: str
     density: Density
     predictions: Predictions
 
     def __call__(self, value: Float[Array, "node *entry"]) -> Scalar:
-        """Return the log-posterior in the marginal view."""
-        return self.density.marginal(self.density.transition.with_derived({self.variable: value}), predictions=self.predictions)
+        """Return the log of these factors. Those that read the previous frame are averaged over the ancestors of the value."""
+        density, state = self.density, self.density.transition.with_derived({self.variable: value})
+        if not density.reads_previous:
+            return density.log_weight(state, density.ancestor(0))
+        return density.marginal(state, predictions=self.predictions) - replace(density, factors=()).marginal(state, predictions=self.predictions)
 
 
 def parts_graph(density: Density, user: str = "the kernel 'particle_bp'") -> Graph:
@@ -54,11 +56,11 @@ def parts_graph(density: Density, user: str = "the kernel 'particle_bp'") -> Gra
     if not hasattr(conditional[name], "entries"):
         found = f"the distribution of '{name}' does not say how each entry moves"
         raise input_error(f"dynamics '{density.transition.name}'", found, "a method `entries()`", "take rigid_walk")
-    unaries, pairs = [], []
+    unaries, pairs, whole = [], [], []
     for factor in density.factors:
         plate = factor.log_potential
         if not isinstance(plate, Plate):
-            # A whole-body term enters by the weights of the joint draws.
+            whole.append(factor)
             continue
         check_rows(factor.name, plate.rows, space.names)
         term = Term(factor.name, factor.side == "likelihood", plate, density.data.get(factor.name))
@@ -71,7 +73,7 @@ def parts_graph(density: Density, user: str = "the kernel 'particle_bp'") -> Gra
         unaries=tuple(unaries),
         pairs=tuple(pairs),
         prior=_by_node(predictions[name], density.previous.log_weights),
-        target=Target(name, density, predictions),
+        rest=Rest(name, replace(density, factors=tuple(whole)), predictions) if whole else None,
     )
 
 

@@ -23,7 +23,7 @@ from bayes_body.density.chart import ChartAround
 from bayes_body.density.factor import State, Transition
 from bayes_body.dynamics.deviations import by_part
 from bayes_body.errors import input_error
-from bayes_body.geometry import rigid, rotations
+from bayes_body.geometry import half_angles, rigid, rotations
 from bayes_body.registry import register
 from bayes_body.shapes import Key, Scalar
 from bayes_body.toml.schema import Positive, Schema
@@ -82,6 +82,15 @@ class RigidWalk(Distribution):
         steps = jnp.concatenate([value[..., :3] - self.loc[..., :3], w], axis=-1)
         normal = -0.5 * (steps**2 / self.variance + jnp.log(2 * math.pi * self.variance))
         return jnp.sum(normal) - jnp.sum(rotations.log_jacobian(w))
+
+    def log_prob_of_pairs(self, values: Float[Array, "value 7"]) -> Float[Array, "value step"]:
+        """Return `log_prob` of all values under each of many steps of one part, whose fields are stacked. Its error is below 1e-3 in float32."""
+        away = half_angles.away(values[:, 3:], self.loc[:, 3:])
+        squared_angle = half_angles.squared(away) * away * (2 - away)
+        squared_distance = jnp.sum((values[:, None, :3] - self.loc[None, :, :3]) ** 2, axis=-1)
+        constants = -3 * jnp.log(2 * math.pi * self.sd_m * self.sd_rad) - 2 * math.log(2)
+        normal = -0.5 * (squared_distance / self.sd_m**2 + squared_angle / self.sd_rad**2)
+        return normal + constants + half_angles.log_squared(away)
 
 
 def _walk(sd_m: Array, sd_rad: Array, previous: State) -> dict[str, Distribution]:

@@ -96,8 +96,8 @@ def pass_messages(key: Key, graph: Graph, options: Options, rounds: Round) -> Pa
     beliefs, before = jax.lax.scan(lambda beliefs, one: passing.round(beliefs, *one), begin, (keys, rounds))
     log_beliefs = normalised(log_beliefs_of(graph, beliefs))
     own, last = passing.proposals(beliefs, 1.0)
-    points, unary, log_shares = passing.redraw(redraw_key, beliefs, own)
-    joint = joint_particles(joint_key, graph, points, unary, jax.nn.logsumexp(log_shares, axis=-1), options.particles)
+    redrawn, log_shares = passing.redraw(redraw_key, beliefs, own)
+    joint = joint_particles(joint_key, graph, redrawn, options.particles)
     # A round summarises the beliefs that it begins with.
     summaries = jax.tree.map(lambda early, late: jnp.concatenate([early[1:], late[None]]), before, last)
     return Passed(beliefs.points, log_beliefs, beliefs, summaries, joint, shares_of_weight(joint.log_beliefs, log_shares))
@@ -131,7 +131,6 @@ class ParticleBP:
         log_evidence = passed.joint.log_evidence
         if density.has_potentials:
             # The potentials are not normalised given the previous frame: the evidence is the ratio of both normalisers, as in `tempered`.
-            # From the density, not the graph: only the weights of the joint draws make the prediction a mixture over ancestors again.
             prior = parts_graph(replace(density, factors=tuple(factor for factor in density.factors if factor.side != "likelihood")))
             log_evidence -= pass_messages(prior_key, prior, options, schedule(prior, options.schedule, PRIOR_ITERATIONS)).joint.log_evidence
         found = normalise(passed.joint.log_weights)

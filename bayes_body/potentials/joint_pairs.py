@@ -6,8 +6,8 @@ $$-\tfrac12\big[a(X_i) \cdot f(t_j - o) + s(|w|)^2\, g(X_i) \cdot h(q_j)\big] + 
 w = \langle q_i \bar q,\, q_j \rangle, \quad s = 2 \arccos |w| / \sqrt{1 - w^2}.$$
 
 f are the 10 monomials of the position up to degree two and h the 10 products of the quaternion's entries, so three products of matrices (10, 10 and 4
-columns) and two polynomials in 1 - |w| give all pairs. This is over ten times faster than pair by pair. In float32 the error of log ψ is below 1e-3,
-if o is near the poses.
+columns) and two polynomials in 1 - |w| (geometry/half_angles.py) give all pairs. This is over ten times faster than pair by pair. In float32 the
+error of log ψ is below 1e-3, if o is near the poses.
 """
 
 from collections.abc import Mapping
@@ -16,24 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from numpy.polynomial import polynomial
 
-from bayes_body.geometry import rotations
+from bayes_body.geometry import half_angles, rotations
 
-DEGREE = 8
 UPPER3, UPPER4 = np.triu_indices(3), np.triu_indices(4)
-
-
-def _polynomials() -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the coefficients of s² and 2 log s as polynomials of 1 - |w|, by least squares at Chebyshev nodes."""
-    w = np.cos(np.linspace(0, np.pi / 2, 4001))
-    sine = np.sqrt(1 - w * w)
-    s = np.where(sine < 1e-6, 2.0, 2 * np.arctan2(sine, w) / np.where(sine < 1e-6, 1.0, sine))
-    square, log = polynomial.polyfit(1 - w, s**2, DEGREE), polynomial.polyfit(1 - w, 2 * np.log(s), DEGREE)
-    return tuple(square.tolist()), tuple(log.tolist())
-
-
-SQUARE, LOG = _polynomials()
 
 
 def log_pairs(edge: Mapping[str, Array], parents: Float[Array, "parent 7"], children: Float[Array, "child 7"]) -> Float[Array, "parent child"]:
@@ -51,10 +37,10 @@ def log_pairs(edge: Mapping[str, Array], parents: Float[Array, "parent 7"], chil
 
     def of_component(mean: Array, root: Array, log_weight: Array) -> Array:
         a, g, turned = _of_parents(mean, root, parents, origin)
-        away = 1 - jnp.minimum(jnp.abs(turned @ q.T), 1.0)
-        quadratic = a @ f.T + _horner(SQUARE, away) * (g @ h.T)
+        away = half_angles.away(turned, q)
+        quadratic = a @ f.T + half_angles.squared(away) * (g @ h.T)
         # The Jacobian of the exponential map is (2 / s)².
-        return log_weight - 2 * np.log(2) - 0.5 * quadratic + _horner(LOG, away)
+        return log_weight - 2 * np.log(2) - 0.5 * quadratic + half_angles.log_squared(away)
 
     each = jax.vmap(of_component)(edge["mean"], edge["inverse_root"], edge["log_weight"])
     return each[0] if len(each) == 1 else jax.nn.logsumexp(each, axis=0)
@@ -81,10 +67,3 @@ def _folded(matrices: Float[Array, "parent n n"], upper: tuple[np.ndarray, np.nd
     """Return the entries on and above the diagonal; those above count twice."""
     rows, columns = upper
     return matrices[:, rows, columns] * np.where(rows == columns, 1.0, 2.0).astype(matrices.dtype)
-
-
-def _horner(coefficients: tuple[float, ...], x: Array) -> Array:
-    value = jnp.full_like(x, coefficients[-1])
-    for coefficient in coefficients[-2::-1]:
-        value = value * x + coefficient
-    return value

@@ -70,7 +70,7 @@ def main() -> None:
 
             def run(key: jax.Array, density: Density):
                 graph = parts_graph(density)
-                return sampler.on(key, replace(graph, unaries=(), target=None) if without_images else graph).joint
+                return sampler.on(key, replace(graph, unaries=(), rest=None) if without_images else graph).joint
 
             return jax.jit(run)
 

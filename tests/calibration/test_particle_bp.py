@@ -14,7 +14,7 @@ pytestmark = pytest.mark.usefixtures("optimised")
 RUNS, REPLICATIONS, BINS, DRAWS = 16, 500, 10, 500
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_without_data_the_draws_are_those_of_the_prior_and_the_evidence_is_one():
     """The prediction is a mixture over ancestors of products over parts, which no graph is: the weights have to make it one, in both normalisers."""
     arm = limb()

@@ -1,12 +1,13 @@
 r"""Joint draws of all nodes, and the evidence, from particle belief propagation.
 
-All nodes are redrawn at once from fixed proposals. On these points a forest of edges is summed exactly: upwards for the evidence, and downwards by
-drawing a point of each node given its parent's. With S points a node,
+All nodes are redrawn at once from fixed proposals. On these points a forest of edges and the ancestors a of the prior are summed exactly: upwards for
+the evidence, and downwards by drawing an ancestor, and a point of each node given it and the parent's. With S points a node,
 
-$$\hat Z = S^{-V} \sum_{n_1 \ldots n_V} \prod_i \frac{\phi_i(x_i^{n_i})}{q_i(x_i^{n_i})} \prod_{(i, j) \in \text{forest}} \psi_{ij}$$
+$$\hat Z = S^{-V} \sum_a w_a \sum_{n_1 \ldots n_V} \prod_i \frac{\phi_i(x_i^{n_i})\, \pi_{ia}(x_i^{n_i})}{q_i(x_i^{n_i})}
+\prod_{(i, j) \in \text{forest}} \psi_{ij}$$
 
-is unbiased. The draws have equal weights if the graph is the forest. Edges that close loops, and terms that are not pairwise, enter by the weights
-$p(x) / \prod \phi\, \psi$ of the draws, and the mean weight times $\hat Z$ is still unbiased.
+is unbiased. The sum is one product of matrices for each edge, (S, S) by (S, A). The draws have equal weights if the graph is the forest. Edges that
+close loops, and terms of more than two nodes, enter by the weights of the draws, and the mean weight times $\hat Z$ is still unbiased.
 """
 
 from collections.abc import Mapping
@@ -20,6 +21,24 @@ from bayes_body.density.graph import Graph
 from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.kernels.parts.messages import NodeValues, normalised, without_nan
 from bayes_body.shapes import Key, Scalar
+
+type Table = Float[Array, "node sample ancestor"]
+
+
+class Redrawn(NamedTuple):
+    """Points of all nodes from fixed proposals.
+
+    Attributes:
+        points: the points.
+        unary: log of the factors of one node, without the prior.
+        by_ancestor: log of the prior given each ancestor.
+        log_q: log-density of the proposals.
+    """
+
+    points: Float[Array, "node sample *entry"]
+    unary: NodeValues
+    by_ancestor: Table
+    log_q: NodeValues
 
 
 class JointParticles(NamedTuple):
@@ -43,59 +62,87 @@ class JointParticles(NamedTuple):
         return jax.nn.logsumexp(self.log_weights) - jnp.log(self.log_weights.shape[0])
 
 
-def joint_particles(
-    key: Key, graph: Graph, points: Float[Array, "node sample *entry"], unary: NodeValues, log_q: NodeValues, count: int
-) -> JointParticles:
-    """Return `count` joint draws on points that were drawn from proposals with the log-density `log_q`.
+def joint_particles(key: Key, graph: Graph, redrawn: Redrawn, count: int) -> JointParticles:
+    """Return `count` joint draws.
 
     Args:
         key: random key.
         graph: the graph.
-        points: points of each node.
-        unary: log of the factors of one node.
-        log_q: log-density of the proposals.
+        redrawn: points of each node.
         count: number of draws.
     """
-    nodes, samples = points.shape[:2]
-    forest = _rooted(graph)
+    points, forest = redrawn.points, _rooted(graph)
     pairs = _forest_pairs(graph, forest, points)
-    alone = unary - log_q - jnp.log(samples)
+    alone = (redrawn.unary - redrawn.log_q - jnp.log(points.shape[1]))[..., None] + redrawn.by_ancestor
+    alone = jnp.where(jnp.isnan(alone), -jnp.inf, alone)
     upward, messages = jax.lax.scan(_up, alone, (pairs, forest.parents, forest.children), reverse=True)
-    exact, _ = jax.lax.scan(_down, upward, (pairs, messages, forest.parents, forest.children))
-    log_z = jnp.sum(jax.nn.logsumexp(upward[forest.roots], axis=1))
-
-    root_key, edge_key = jax.random.split(key)
-    pick_roots = jax.vmap(lambda key, weights: _pick(key, jnp.broadcast_to(weights, (count, samples))))
-    chosen = jnp.zeros((nodes, count), int).at[forest.roots].set(pick_roots(jax.random.split(root_key, len(forest.roots)), upward[forest.roots]))
-
-    def choose(state: tuple[Array, Array], edge: tuple[Key, Array, Array, Array]) -> tuple[tuple[Array, Array], None]:
-        key, matrix, parent, child = edge
-        given = matrix[state[0][parent]]
-        index = _pick(key, given + upward[child][None])
-        return (state[0].at[child].set(index), state[1] + jnp.take_along_axis(given, index[:, None], axis=1)[:, 0]), None
-
-    of_edges = jnp.zeros(count, unary.dtype)
-    edge_keys = jax.random.split(edge_key, len(forest.parents))
-    (chosen, of_edges), _ = jax.lax.scan(choose, (chosen, of_edges), (edge_keys, pairs, forest.parents, forest.children))
+    of_roots = jax.nn.logsumexp(upward[forest.roots], axis=1)
+    of_ancestors = graph.log_ancestors + jnp.sum(of_roots, axis=0)
+    # A root's own tree is counted in its table already.
+    exact = upward.at[forest.roots].add(jnp.where(jnp.isfinite(of_roots), of_ancestors - of_roots, -jnp.inf)[:, None])
+    exact, _ = jax.lax.scan(_down, exact, (pairs, messages, forest.parents, forest.children))
+    chosen = _chosen(key, forest, pairs, upward, of_ancestors, count)
     values = jax.vmap(lambda own, index: own[index], out_axes=1)(points, chosen)
-    of_nodes = jnp.sum(jnp.take_along_axis(unary, chosen, axis=1), axis=0)
-    target = over_particles(lambda value, graph: graph.log_density(value), values, graph)
-    weights = log_z + target - of_nodes - of_edges
-    return JointParticles(values, jnp.where(jnp.isnan(weights), -jnp.inf, weights), points, normalised(exact))
+    left_out = over_particles(lambda value, graph: _left_out(graph, value), values, graph)
+    weights = jax.nn.logsumexp(of_ancestors) + left_out
+    beliefs = normalised(jax.nn.logsumexp(exact, axis=-1))
+    return JointParticles(values, jnp.where(jnp.isnan(weights), -jnp.inf, weights), points, beliefs)
 
 
-def _up(weights: NodeValues, edge: tuple[Array, Array, Array]) -> tuple[NodeValues, Float[Array, " sample"]]:
-    """Add the message of a child to the weights of its parent."""
+def _chosen(
+    key: Key, forest: "Forest", pairs: Float[Array, "edge parent child"], upward: Table, of_ancestors: Float[Array, " ancestor"], count: int
+) -> Int[Array, "node draw"]:
+    """Draw an ancestor, and given it a point of every node, from the roots downwards."""
+    ancestor_key, root_key, edge_key = jax.random.split(key, 3)
+    ancestor = _pick(ancestor_key, jnp.broadcast_to(of_ancestors, (count, len(of_ancestors))))
+    roots = jax.vmap(lambda key, table: _pick(key, table[:, ancestor].T))(jax.random.split(root_key, len(forest.roots)), upward[forest.roots])
+    start = jnp.zeros((upward.shape[0], count), int).at[forest.roots].set(roots)
+
+    def choose(chosen: Array, edge: tuple[Key, Array, Array, Array]) -> tuple[Array, None]:
+        key, matrix, parent, child = edge
+        return chosen.at[child].set(_pick(key, matrix[chosen[parent]] + upward[child][:, ancestor].T)), None
+
+    chosen, _ = jax.lax.scan(choose, start, (jax.random.split(edge_key, len(forest.parents)), pairs, forest.parents, forest.children))
+    return chosen
+
+
+def _left_out(graph: Graph, value: Float[Array, "node *entry"]) -> Scalar:
+    """Return the log of what the sum over the forest leaves out: edges that close loops, and terms of more than two nodes."""
+    summed, total = set(graph.forest()), graph.log_rest(value)
+    for number, term in enumerate(graph.pairs):
+        rows = [row for row in range(len(term.plate.rows)) if (number, row) not in summed]
+        if rows:
+            some = jnp.asarray(rows)
+            nodes, parameters = jnp.asarray(term.rows)[some], jax.tree.map(lambda leaf, some=some: leaf[some], term.plate.parameters)
+            total += jnp.sum(jax.vmap(term.log_potential)(parameters, value[nodes[:, 0]], value[nodes[:, 1]]))
+    return total
+
+
+def _up(table: Table, edge: tuple[Array, Array, Array]) -> tuple[Table, Float[Array, "sample ancestor"]]:
+    """Add the message of a child to the table of its parent."""
     matrix, parent, child = edge
-    message = jax.nn.logsumexp(matrix + weights[child][None], axis=1)
-    return weights.at[parent].add(message), message
+    message = _log_product(matrix, table[child])
+    return table.at[parent].add(message), message
 
 
-def _down(weights: NodeValues, edge: tuple[Array, Array, Array, Array]) -> tuple[NodeValues, None]:
-    """Add the message of a parent, without what came from the child, to the weights of the child."""
+def _down(table: Table, edge: tuple[Array, Array, Array, Array]) -> tuple[Table, None]:
+    """Add the message of a parent, without what came from the child, to the table of the child."""
     matrix, message, parent, child = edge
-    without = weights[parent] - jnp.where(jnp.isfinite(message), message, jnp.inf)
-    return weights.at[child].add(jax.nn.logsumexp(matrix + without[:, None], axis=0)), None
+    without = table[parent] - jnp.where(jnp.isfinite(message), message, jnp.inf)
+    return table.at[child].add(_log_product(matrix.T, without)), None
+
+
+def _log_product(matrix: Float[Array, "row middle"], table: Float[Array, "middle column"]) -> Float[Array, "row column"]:
+    """Return the log of the matrix product of the exponentials. Terms that are e^-87 of the largest of their row and column, or less, are lost."""
+    highest = _finite(jnp.max(table, axis=0))
+    of_middle = _finite(jnp.max(table - highest, axis=1))
+    of_row = _finite(jnp.max(matrix + of_middle, axis=1, keepdims=True))
+    product = jnp.exp(matrix + of_middle - of_row) @ jnp.exp(table - highest - of_middle[:, None])
+    return jnp.log(product) + of_row + highest
+
+
+def _finite(peak: Array) -> Array:
+    return jnp.where(jnp.isfinite(peak), peak, 0.0)
 
 
 def _pick(key: Key, log_weights: Float[Array, "draw sample"]) -> Int[Array, " draw"]:

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bayes_body.density.graph import Graph, Term
+from bayes_body.kernels.parts.joint_particles import Redrawn
 from bayes_body.kernels.parts.message_diagnostics import Summary, belief_sds
 from bayes_body.kernels.parts.messages import Beliefs, Directed, NodeValues, cavities, entered, log_beliefs, log_messages, normalised, unary_values
 from bayes_body.kernels.parts.node_proposals import FLOORS, Proposals, Shares, draw, log_density, log_parts, proposals
@@ -52,7 +53,7 @@ class Passing:
             for term, cavity, old, rows in zip(graph.pairs, own.cavities, beliefs.messages, now.pairs, strict=True)
         )
         likelihood, rest = unary_values(graph, points, now.unary)
-        prior = self._prior(points)
+        prior = self._prior(graph.by_ancestor(points))
         log_q = log_density(graph, own, points, messages, prior)
         ready = jnp.where(redrawn & (jnp.max(own.shares, axis=1) > -jnp.inf), 1.0, beliefs.ready)
         chosen = redrawn[:, None] & (ready[:, None] > 0)
@@ -65,26 +66,26 @@ class Passing:
             ready,
         ), summary
 
-    def redraw(
-        self, key: Key, beliefs: Beliefs, own: Proposals
-    ) -> tuple[Float[Array, "node sample *entry"], NodeValues, Float[Array, "node sample part"]]:
-        """Return new particles of all nodes from fixed proposals, the log of their factors of one node, and of each part of their proposal."""
+    def redraw(self, key: Key, beliefs: Beliefs, own: Proposals) -> tuple[Redrawn, Float[Array, "node sample part"]]:
+        """Return new particles of all nodes from fixed proposals, and the log of each part of their proposal."""
 
         def rows(term: Term) -> tuple[Array, Array]:
             every = jnp.arange(len(term.plate.rows))
             return every, every
 
-        points = draw(key, self.graph, own, self.samples)
+        graph = self.graph
+        points = draw(key, graph, own, self.samples)
         messages = tuple(
             log_messages(term, cavity, beliefs.points, points, beliefs.ready, rows(term))
             if term.plate.draw is not None and term.plate.log_draw is None
             else old
-            for term, cavity, old in zip(self.graph.pairs, own.cavities, beliefs.messages, strict=True)
+            for term, cavity, old in zip(graph.pairs, own.cavities, beliefs.messages, strict=True)
         )
-        likelihood, rest = unary_values(self.graph, points)
-        prior = self._prior(points)
-        return points, likelihood + rest + prior, log_parts(self.graph, own, points, messages, prior)
+        likelihood, rest = unary_values(graph, points)
+        by_ancestor = graph.by_ancestor(points)
+        parts = log_parts(graph, own, points, messages, self._prior(by_ancestor))
+        return Redrawn(points, likelihood + rest, by_ancestor, jax.nn.logsumexp(parts, axis=-1)), parts
 
-    def _prior(self, points: Float[Array, "node sample *entry"]) -> NodeValues:
-        """Return the log of every node's prior at its particles, 0 without one. It is both a factor and a part of the proposal."""
-        return jnp.zeros(points.shape[:2], points.dtype) if self.graph.prior is None else self.graph.prior.log_prob(points)
+    def _prior(self, by_ancestor: Float[Array, "node sample ancestor"]) -> NodeValues:
+        """Return the log of every node's own prior, 0 without one. It is both a factor and a part of the proposal."""
+        return jax.nn.logsumexp(by_ancestor + self.graph.log_ancestors, axis=-1)
