@@ -149,6 +149,12 @@ class Graph:
         """Return the log of the factors that read more than two nodes."""
         return jnp.zeros((), value.dtype) if self.rest is None else self.rest(value)
 
+    @property
+    def only_closing(self) -> tuple[bool, ...]:
+        """For each of `pairs`, whether it proposes nothing and all its edges close loops, such as the penetration of parts that joints connect."""
+        joining = {number for number, _ in self.forest()}
+        return tuple(term.plate.draw is None and number not in joining for number, term in enumerate(self.pairs))
+
     def forest(self) -> tuple[tuple[int, int], ...]:
         """Return edges without a loop, as (term, row) of `pairs`, such that no further edge could be added. Earlier terms come first."""
         group, found = list(range(self.count)), []

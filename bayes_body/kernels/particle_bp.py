@@ -44,13 +44,15 @@ PRIOR_ITERATIONS = 3
 class Options(Schema):
     """Options of `[kernel] kind = "particle_bp"`.
 
-    `particles` is the number of joint draws, `samples` that of the particles of each node. In iteration m of M the likelihood has the power
-    `annealing`^(M - m). `shares` are those of a node's proposal: messages, prior, detections, and a normal fit to the last belief, whose covariance
-    is multiplied by `fit_inflation`. Of the particles of the previous frame, `ancestors` are kept.
+    `particles` is the number of joint draws, `samples` that of the particles of each node. Messages of factors that propose nothing and only close
+    loops, such as penetration, take `loop_samples` of them: the weights of the joint draws evaluate these factors exactly. In iteration m of M the
+    likelihood has the power `annealing`^(M - m). `shares` are those of a node's proposal: messages, prior, detections, and a normal fit to the last
+    belief, whose covariance is multiplied by `fit_inflation`. Of the particles of the previous frame, `ancestors` are kept.
     """
 
     particles: Count = 500
     samples: Count = 500
+    loop_samples: Count = 32
     iterations: Count = 6
     schedule: Schedule = "flooding"
     annealing: Annotated[float, Field(strict=True, gt=0, le=1)] = 1.0
@@ -90,7 +92,7 @@ def pass_messages(key: Key, graph: Graph, options: Options, rounds: Round) -> Pa
         rounds: the schedule (`kernels.parts.schedules.schedule`).
     """
     first_key, round_key, redraw_key, joint_key = jax.random.split(key, 4)
-    passing = Passing(graph, options.samples, Shares(*options.shares), options.fit_inflation)
+    passing = Passing(graph, options.samples, options.loop_samples, Shares(*options.shares), options.fit_inflation)
     begin = passing.begin(first_key)
     keys = jax.random.split(round_key, rounds.power.shape[0])
     beliefs, before = jax.lax.scan(lambda beliefs, one: passing.round(beliefs, *one), begin, (keys, rounds))

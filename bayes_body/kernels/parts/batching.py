@@ -13,6 +13,8 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 BATCH = 32
+# A row of a graph is work enough for a core: all pairs of particles of two nodes fill its cache.
+ROWS = 1
 # The mesh axis along which particles are distributed over devices.
 DEVICES = "particle"
 

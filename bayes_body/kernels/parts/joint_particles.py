@@ -17,8 +17,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from bayes_body.density.graph import Graph
-from bayes_body.kernels.parts.batching import over_particles
+from bayes_body.density.graph import Graph, Term
+from bayes_body.kernels.parts.batching import ROWS, over_particles
 from bayes_body.kernels.parts.messages import NodeValues, normalised, without_nan
 from bayes_body.shapes import Key, Scalar
 
@@ -204,11 +204,15 @@ def _forest_pairs(graph: Graph, forest: Forest, points: Float[Array, "node sampl
         rows = [row for own, row in forest.edges if own == number]
         if not rows:
             continue
-        some = jnp.asarray(rows)
-        nodes = jnp.asarray(term.rows)[some]
-        parameters = jax.tree.map(lambda leaf, some=some: leaf[some], term.plate.parameters)
-        matrices = without_nan(jax.vmap(term.pairwise)(parameters, points[nodes[:, 0]], points[nodes[:, 1]]))
+        matrices = over_particles(_of_edge, jnp.asarray(rows), (term, points), ROWS)
         found |= {(number, row): matrix for row, matrix in zip(rows, matrices, strict=True)}
     ordered = [found[edge].T if turned else found[edge] for edge, turned in zip(forest.edges, forest.turned, strict=True)]
     samples = points.shape[1]
     return jnp.stack(ordered) if ordered else jnp.zeros((0, samples, samples), points.dtype)
+
+
+def _of_edge(row: Int[Array, ""], shared: tuple[Term, Array]) -> Float[Array, "first second"]:
+    term, points = shared
+    first, second = jnp.asarray(term.rows)[row]
+    parameters = jax.tree.map(lambda leaf: leaf[row], term.plate.parameters)
+    return without_nan(term.pairwise(parameters, points[first], points[second]))

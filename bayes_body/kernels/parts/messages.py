@@ -9,6 +9,8 @@ with particles $x_i^{(n)}$ drawn from a proposal $q_i$ whose density is known ex
 same particles, without the factor that came from its target (the cavity). A belief is $\phi_i \prod_k m_{ki}$ at the particles of its node.
 """
 
+import math
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -16,6 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from bayes_body.density.graph import Graph, Term
+from bayes_body.kernels.parts.batching import ROWS, over_particles
 from bayes_body.shapes import Scalar
 
 type NodeValues = Float[Array, "node sample"]
@@ -97,6 +100,7 @@ def log_messages(
     targets: Float[Array, "node target *entry"],
     ready: Float[Array, " node"],
     rows: tuple[Int[Array, "_"], Int[Array, "_"]],
+    heard: int | None = None,
 ) -> Directed:
     """Return the log of some of a term's messages at the particles of their targets; 0 from a node that has no particles yet.
 
@@ -107,24 +111,36 @@ def log_messages(
         targets: particles of all nodes, at which they are evaluated.
         ready: which nodes have particles.
         rows: the rows whose message goes to the second node, and those to the first.
+        heard: the source is represented by so many of its particles, chosen by weight; None: by all, with their weights.
     """
     first, second = ends(term)
-    parameters = term.plate.parameters
-
-    def forward(row: Int[Array, ""]) -> Array:
-        own = jax.tree.map(lambda leaf: leaf[row], parameters)
-        pairs = term.pairwise(own, sources[first[row]], targets[second[row]])
-        found = jax.nn.logsumexp(without_nan(pairs) + cavity.forward[row][:, None], axis=0)
-        return jnp.where(ready[first[row]] > 0, found, 0.0)
-
-    def backward(row: Int[Array, ""]) -> Array:
-        own = jax.tree.map(lambda leaf: leaf[row], parameters)
-        pairs = term.pairwise(own, targets[first[row]], sources[second[row]])
-        found = jax.nn.logsumexp(without_nan(pairs) + cavity.backward[row][None], axis=1)
-        return jnp.where(ready[second[row]] > 0, found, 0.0)
-
     last = len(term.plate.rows) - 1
-    return Directed(jax.vmap(forward)(jnp.minimum(rows[0], last)), jax.vmap(backward)(jnp.minimum(rows[1], last)))
+
+    def message(row: Int[Array, ""], shared: tuple[Array, Array, EdgeValues, Array, Term], reverse: bool) -> Array:
+        sources, targets, weights, ready, term = shared
+        source, target = (second, first) if reverse else (first, second)
+        own = jax.tree.map(lambda leaf: leaf[row], term.plate.parameters)
+        points, log_weights = _represented(sources[source[row]], weights[row], heard)
+        known = targets[target[row]]
+        pairs = term.pairwise(own, known, points).T if reverse else term.pairwise(own, points, known)
+        return jnp.where(ready[source[row]] > 0, jax.nn.logsumexp(without_nan(pairs) + log_weights[:, None], axis=0), 0.0)
+
+    def of(rows: Int[Array, "_"], weights: EdgeValues, reverse: bool) -> Array:
+        shared = (sources, targets, weights, ready, term)
+        return over_particles(partial(message, reverse=reverse), jnp.minimum(rows, last), shared, ROWS)
+
+    return Directed(of(rows[0], cavity.forward, False), of(rows[1], cavity.backward, True))
+
+
+def _represented(
+    points: Float[Array, "sample *entry"], log_weights: Float[Array, " sample"], count: int | None
+) -> tuple[Float[Array, "some *entry"], Float[Array, " some"]]:
+    """Return `count` of the points with equal weights, at the middles of equal shares of the weight; or all of them with their weights."""
+    if count is None or count >= points.shape[0]:
+        return points, log_weights
+    cumulative = jnp.cumsum(jnp.exp(log_weights))
+    chosen = jnp.searchsorted(cumulative, (jnp.arange(count) + 0.5) / count * cumulative[-1])
+    return points[jnp.minimum(chosen, points.shape[0] - 1)], jnp.full(count, -math.log(count), log_weights.dtype)
 
 
 def without_nan(pairs: Array) -> Array:
@@ -153,12 +169,17 @@ def unary_values(
         nodes = jnp.asarray(term.rows[:, 0])
         some = jnp.arange(len(nodes)) if rows is None else rows[number]
         chosen = jnp.minimum(some, len(nodes) - 1)
-        parameters = jax.tree.map(lambda leaf, chosen=chosen: leaf[chosen], term.plate.parameters)
-        of_row = jax.vmap(lambda own, xs, term=term: jax.vmap(lambda x: term.log_potential(own, x))(xs))
-        values = of_row(parameters, points[nodes[chosen]])
+        values = over_particles(_of_row, (chosen, points[nodes[chosen]]), term, ROWS)
         targets = jnp.where(some < len(nodes), nodes[chosen], graph.count)
         if term.tempered:
             likelihood = likelihood.at[targets].add(values, mode="drop")
         else:
             rest = rest.at[targets].add(values, mode="drop")
     return likelihood, rest
+
+
+def _of_row(row: tuple[Int[Array, ""], Float[Array, "sample *entry"]], term: Term) -> Float[Array, " sample"]:
+    """Return the log of a factor of one node at all particles of its node."""
+    number, points = row
+    parameters = jax.tree.map(lambda leaf: leaf[number], term.plate.parameters)
+    return jax.vmap(lambda x: term.log_potential(parameters, x))(points)

@@ -17,9 +17,17 @@ from bayes_body.shapes import Key, Scalar
 class Passing:
     """The computations of a round on one graph."""
 
-    def __init__(self, graph: Graph, samples: int, shares: Shares, inflation: float):
-        """Take the graph, the number of particles of a node, the shares of its proposal, and the factor of the fit's covariance."""
-        self.graph, self.samples, self.shares, self.inflation = graph, samples, shares, inflation
+    def __init__(self, graph: Graph, samples: int, heard: int, shares: Shares, inflation: float):
+        """Take the graph and the options.
+
+        Args:
+            graph: the graph.
+            samples: number of particles of a node.
+            heard: number of those that represent it in messages of factors that only close loops.
+            shares: the shares of a node's proposal.
+            inflation: factor of the covariance of the fit.
+        """
+        self.graph, self.samples, self.heard, self.shares, self.inflation = graph, samples, heard, shares, inflation
         self.floors = jnp.array([FLOORS.get(unit, 0.0) for unit in graph.space.tangent_units])
 
     def begin(self, key: Key) -> Beliefs:
@@ -49,8 +57,8 @@ class Passing:
         redrawn = jnp.zeros(graph.count, bool).at[now.nodes].set(True, mode="drop")
         points = jnp.where(redrawn.reshape(-1, *[1] * (fresh.ndim - 1)), fresh, beliefs.points)
         messages = tuple(
-            entered(old, log_messages(term, cavity, beliefs.points, points, beliefs.ready, rows), rows)
-            for term, cavity, old, rows in zip(graph.pairs, own.cavities, beliefs.messages, now.pairs, strict=True)
+            entered(old, log_messages(term, cavity, beliefs.points, points, beliefs.ready, rows, self.heard if closing else None), rows)
+            for term, closing, cavity, old, rows in zip(graph.pairs, graph.only_closing, own.cavities, beliefs.messages, now.pairs, strict=True)
         )
         likelihood, rest = unary_values(graph, points, now.unary)
         prior = self._prior(graph.by_ancestor(points))
