@@ -72,10 +72,18 @@ def fit(space: Space, weights: Float[Array, " point"], points: Array, inflation:
     mean = jnp.asarray(space.mean(weights, points))
     v = jnp.asarray(space.local(mean[None], points))
     covariance = inflation * (v * weights[:, None]).T @ v
-    least = jnp.maximum(jnp.asarray(floors, v.dtype), NARROWEST * jnp.std(v, axis=0) + TINY)
+    return tangent_normal(space, mean, widened(space, covariance, least_sds(v, floors)))
+
+
+def least_sds(v: Float[Array, "point dimension"], floors: Array | float) -> Float[Array, " dimension"]:
+    """Return the smallest standard deviations of a fit to points with these tangent vectors, whatever their weights."""
+    return jnp.maximum(jnp.asarray(floors, v.dtype), NARROWEST * jnp.std(v, axis=0) + TINY)
+
+
+def widened(space: Space, covariance: Float[Array, "dimension dimension"], least: Float[Array, " dimension"]) -> Float[Array, "dimension dimension"]:
+    """Return a covariance that is at least `least` squared, and for angles not so wide that it would wind around the circle."""
     covariance = covariance + jnp.diag(least**2)
-    # Angles: a wider normal would wind around the circle.
     angles = jnp.asarray([unit == "rad" for unit in space.tangent_units])
     sd = jnp.sqrt(jnp.diagonal(covariance))
     shrink = jnp.where(angles, jnp.minimum(1.0, WIDEST_RAD / sd), 1.0)
-    return tangent_normal(space, mean, covariance * shrink[:, None] * shrink[None])
+    return covariance * shrink[:, None] * shrink[None]

@@ -25,10 +25,11 @@ from bayes_body.density.parts_graph import parts_graph
 from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.kernels.parts.joint_particles import JointParticles, joint_particles
 from bayes_body.kernels.parts.message_diagnostics import Summary, message_figures, shares_of_weight
-from bayes_body.kernels.parts.messages import Beliefs, NodeValues, normalised
-from bayes_body.kernels.parts.messages import log_beliefs as log_beliefs_of
+from bayes_body.kernels.parts.messages import Beliefs, Directed, NodeValues
+from bayes_body.kernels.parts.methods import MethodName
 from bayes_body.kernels.parts.node_proposals import Shares
-from bayes_body.kernels.parts.passing import Passing
+from bayes_body.kernels.parts.pampas import Pampas
+from bayes_body.kernels.parts.passing import Passing, Settings
 from bayes_body.kernels.parts.resampling import resampler
 from bayes_body.kernels.parts.schedules import Round, Schedule, schedule
 from bayes_body.kernels.parts.weights import effective_sample_size, normalise, predict
@@ -47,14 +48,17 @@ class Options(Schema):
     `particles` is the number of joint draws, `samples` that of the particles of each node. Messages of factors that propose nothing and only close
     loops, such as penetration, take `loop_samples` of them: the weights of the joint draws evaluate these factors exactly. In iteration m of M the
     likelihood has the power `annealing`^(M - m). `shares` are those of a node's proposal: messages, prior, detections, and a normal fit to the last
-    belief, whose covariance is multiplied by `fit_inflation`. Of the particles of the previous frame, `ancestors` are kept.
+    belief, whose covariance is multiplied by `fit_inflation`. `method` is `mixture`, or one of the papers (kernels/parts/methods.py). Messages are
+    mixed with the last ones by the share `damping` (kernels/parts/passing.py). Of the particles of the previous frame, `ancestors` are kept.
     """
 
     particles: Count = 500
     samples: Count = 500
     loop_samples: Count = 32
     iterations: Count = 6
+    method: MethodName = "mixture"
     schedule: Schedule = "flooding"
+    damping: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.0
     annealing: Annotated[float, Field(strict=True, gt=0, le=1)] = 1.0
     shares: tuple[NonNegative, NonNegative, NonNegative, NonNegative] = (0.3, 0.05, 0.2, 0.65)
     fit_inflation: Positive = 1.5
@@ -69,6 +73,7 @@ class Passed(NamedTuple):
         log_beliefs: log-weights of the particles in the belief of their node. On a tree beliefs are the marginals; on loops they are the estimate of
             loopy belief propagation.
         beliefs: the messages.
+        cavities: for each term of two nodes, the normalised log-weights of the particles of each message's source.
         rounds: summaries of the beliefs after each round.
         joint: joint draws of all nodes.
         proposal_shares: for each node, the share of messages, prior, detections and fit in the weight of the joint draws' points.
@@ -77,6 +82,7 @@ class Passed(NamedTuple):
     points: Float[Array, "node sample *entry"]
     log_beliefs: NodeValues
     beliefs: Beliefs
+    cavities: tuple[Directed, ...]
     rounds: Summary
     joint: JointParticles
     proposal_shares: Float[Array, "node 4"]
@@ -92,17 +98,23 @@ def pass_messages(key: Key, graph: Graph, options: Options, rounds: Round) -> Pa
         rounds: the schedule (`kernels.parts.schedules.schedule`).
     """
     first_key, round_key, redraw_key, joint_key = jax.random.split(key, 4)
-    passing = Passing(graph, options.samples, options.loop_samples, Shares(*options.shares), options.fit_inflation)
+    passing = _passing(graph, options)
     begin = passing.begin(first_key)
     keys = jax.random.split(round_key, rounds.power.shape[0])
-    beliefs, before = jax.lax.scan(lambda beliefs, one: passing.round(beliefs, *one), begin, (keys, rounds))
-    log_beliefs = normalised(log_beliefs_of(graph, beliefs))
-    own, last = passing.proposals(beliefs, 1.0)
+    (beliefs, memory), before = jax.lax.scan(lambda state, one: passing.round(state, *one), begin, (keys, rounds))
+    log_beliefs, cavities = passing.weigh(beliefs, 1.0)
+    own, _, last = passing.proposals(beliefs, memory, 1.0)
     redrawn, log_shares = passing.redraw(redraw_key, beliefs, own)
     joint = joint_particles(joint_key, graph, redrawn, options.particles)
     # A round summarises the beliefs that it begins with.
     summaries = jax.tree.map(lambda early, late: jnp.concatenate([early[1:], late[None]]), before, last)
-    return Passed(beliefs.points, log_beliefs, beliefs, summaries, joint, shares_of_weight(joint.log_beliefs, log_shares))
+    return Passed(beliefs.points, log_beliefs, beliefs, cavities, summaries, joint, shares_of_weight(joint.log_beliefs, log_shares))
+
+
+def _passing(graph: Graph, options: Options) -> Passing:
+    of_proposals = Shares(*options.shares), options.fit_inflation
+    settings = Settings(options.samples, options.loop_samples, *of_proposals, options.method, options.damping)
+    return Pampas(graph, settings) if options.method == "pampas" else Passing(graph, settings)
 
 
 class ParticleBP:

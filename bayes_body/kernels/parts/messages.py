@@ -28,8 +28,8 @@ type EdgeValues = Float[Array, "edge sample"]
 class Directed(NamedTuple):
     """An array for each edge of one term and each direction: towards the second node of a row, and towards the first."""
 
-    forward: EdgeValues
-    backward: EdgeValues
+    forward: Float[Array, "edge *values"]
+    backward: Float[Array, "edge *values"]
 
 
 class Beliefs(NamedTuple):
@@ -93,12 +93,30 @@ def _without(total: EdgeValues, message: EdgeValues) -> EdgeValues:
     return jnp.where(finite, total - jnp.where(finite, message, 0.0), -jnp.inf)
 
 
+class Sources(NamedTuple):
+    """What the messages of one term come from.
+
+    Attributes:
+        points: for every message, particles of its source.
+        weights: their normalised log-weights, the cavity.
+        ready: for every message, whether its source has particles.
+    """
+
+    points: Directed
+    weights: Directed
+    ready: Directed
+
+
+def sources(term: Term, cavity: Directed, points: Float[Array, "node sample *entry"], ready: Float[Array, " node"]) -> Sources:
+    """Return what a term's messages come from, given the particles of all nodes."""
+    first, second = ends(term)
+    return Sources(Directed(points[first], points[second]), cavity, Directed(ready[first], ready[second]))
+
+
 def log_messages(
     term: Term,
-    cavity: Directed,
-    sources: Float[Array, "node sample *entry"],
+    come_from: Sources,
     targets: Float[Array, "node target *entry"],
-    ready: Float[Array, " node"],
     rows: tuple[Int[Array, "_"], Int[Array, "_"]],
     heard: int | None = None,
 ) -> Directed:
@@ -106,30 +124,27 @@ def log_messages(
 
     Args:
         term: the term.
-        cavity: the weights of the sources' particles.
-        sources: particles of all nodes, from which the messages come.
+        come_from: the particles and weights that the messages come from.
         targets: particles of all nodes, at which they are evaluated.
-        ready: which nodes have particles.
         rows: the rows whose message goes to the second node, and those to the first.
         heard: the source is represented by so many of its particles, chosen by weight; None: by all, with their weights.
     """
     first, second = ends(term)
     last = len(term.plate.rows) - 1
 
-    def message(row: Int[Array, ""], shared: tuple[Array, Array, EdgeValues, Array, Term], reverse: bool) -> Array:
-        sources, targets, weights, ready, term = shared
-        source, target = (second, first) if reverse else (first, second)
+    def message(row: Int[Array, ""], shared: tuple[Array, Array, Array, Array, Term], reverse: bool) -> Array:
+        points, weights, ready, targets, term = shared
         own = jax.tree.map(lambda leaf: leaf[row], term.plate.parameters)
-        points, log_weights = _represented(sources[source[row]], weights[row], heard)
-        known = targets[target[row]]
-        pairs = term.pairwise(own, known, points).T if reverse else term.pairwise(own, points, known)
-        return jnp.where(ready[source[row]] > 0, jax.nn.logsumexp(without_nan(pairs) + log_weights[:, None], axis=0), 0.0)
+        some, log_weights = _represented(points[row], weights[row], heard)
+        known = targets[(first if reverse else second)[row]]
+        pairs = term.pairwise(own, known, some).T if reverse else term.pairwise(own, some, known)
+        return jnp.where(ready[row] > 0, jax.nn.logsumexp(without_nan(pairs) + log_weights[:, None], axis=0), 0.0)
 
-    def of(rows: Int[Array, "_"], weights: EdgeValues, reverse: bool) -> Array:
-        shared = (sources, targets, weights, ready, term)
-        return over_particles(partial(message, reverse=reverse), jnp.minimum(rows, last), shared, ROWS)
+    def of(reverse: bool) -> Array:
+        shared = (*(each[reverse] for each in come_from), targets, term)
+        return over_particles(partial(message, reverse=reverse), jnp.minimum(rows[reverse], last), shared, ROWS)
 
-    return Directed(of(rows[0], cavity.forward, False), of(rows[1], cavity.backward, True))
+    return Directed(of(False), of(True))
 
 
 def _represented(

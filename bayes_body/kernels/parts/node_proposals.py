@@ -1,10 +1,10 @@
 r"""Proposals of particle belief propagation: one normalised mixture for each node.
 
-$$q_i = \gamma_1 \frac{1}{d_i} \sum_{k \to i} m_{ki} + \gamma_2\, \pi_i + \gamma_3\, f_i + \gamma_4\, \mathcal N(\mu_i, \Sigma_i)$$
+$$q_i = \gamma_1 \frac{1}{d_i} \sum_{k \to i} m_{ki} + \gamma_2\, \pi_i + \gamma_3\, f_i + \gamma_4\, b_i$$
 
-with the incoming messages $m_{ki}$ from which one can draw, the prior $\pi_i$ of the node, its detections $f_i$, and a normal distribution fitted to
-its last belief. Every part is normalised, so q is an exact density (the balance heuristic of Veach & Guibas 1995), and weights need no unknown
-constants. What a node lacks leaves its share to the rest.
+with the incoming messages $m_{ki}$ from which one can draw, the prior $\pi_i$ of the node, its detections $f_i$, and a distribution $b_i$ near its
+last belief, which the method gives (kernels/parts/methods.py): by default a normal distribution fitted to it. Every part is normalised, so q is an
+exact density (the balance heuristic of Veach & Guibas 1995), and weights need no unknown constants. What a node lacks leaves its share to the rest.
 """
 
 import math
@@ -15,7 +15,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bayes_body.density.graph import Graph, Term
-from bayes_body.density.tangent_normal import TangentNormal, fit
 from bayes_body.kernels.parts.messages import Beliefs, Directed, NodeValues, ends
 from bayes_body.shapes import Key
 
@@ -38,33 +37,29 @@ class Proposals(NamedTuple):
     Attributes:
         points: the particles of the messages' sources.
         cavities: their weights.
-        fits: normal distributions, stacked over the nodes.
-        shares: log-shares of messages, prior, each mixture of detections, and fit.
+        near: a distribution near each belief, stacked over the nodes.
+        shares: log-shares of messages, prior, each mixture of detections, and the distribution near the belief.
         edges: log-probability of each message in its target's share, by term.
     """
 
     points: Float[Array, "node sample *entry"]
     cavities: tuple[Directed, ...]
-    fits: TangentNormal
+    near: Any
     shares: Float[Array, "node part"]
     edges: tuple[Directed, ...]
 
 
-def proposals(
-    graph: Graph, beliefs: Beliefs, weights: NodeValues, cavities: tuple[Directed, ...], shares: Shares, inflation: float, floors: Any
-) -> Proposals:
+def proposals(graph: Graph, beliefs: Beliefs, cavities: tuple[Directed, ...], near: Any, shares: Shares, alone: bool) -> Proposals:
     """Return the proposal of every node.
 
     Args:
         graph: the graph.
         beliefs: particles and messages.
-        weights: normalised log-weights of the beliefs.
         cavities: normalised log-weights for each message.
+        near: a distribution near each belief, stacked over the nodes.
         shares: the shares of a node that has everything.
-        inflation: factor of the covariance of the fit.
-        floors: smallest standard deviation of each tangent coordinate of the fit.
+        alone: whether that distribution is the whole proposal of a node that has particles.
     """
-    fits = jax.vmap(lambda points, own: fit(graph.space, jnp.exp(own), points, inflation, floors))(beliefs.points, weights)
     degree = jnp.zeros(graph.count, beliefs.points.dtype)
     for term in graph.pairs:
         if term.plate.draw is not None:
@@ -82,12 +77,14 @@ def proposals(
     none = jnp.zeros(graph.count, beliefs.points.dtype)
     mixtures = [none if graph.prior is None else graph.prior.exists, *(mixture.exists for mixture in graph.proposals)]
     own = [shares.prior, *[shares.detections / max(len(graph.proposals), 1)] * len(graph.proposals)]
-    parts = [shares.messages * (degree > 0), *(share * there for share, there in zip(own, mixtures, strict=True)), shares.fit * beliefs.ready]
+    others = [shares.messages * (degree > 0), *(share * there for share, there in zip(own, mixtures, strict=True))]
+    left = 1 - beliefs.ready if alone else jnp.ones_like(none)
+    parts = [*(left * part for part in others), (1.0 if alone else shares.fit) * beliefs.ready]
     table = jnp.stack([jnp.asarray(part, none.dtype) for part in parts], axis=1)
     return Proposals(
         beliefs.points,
         cavities,
-        fits,
+        near,
         jnp.log(table / jnp.maximum(jnp.sum(table, axis=1, keepdims=True), 1e-30)),
         tuple(map(probability, graph.pairs)),
     )
@@ -95,14 +92,14 @@ def proposals(
 
 def draw(key: Key, graph: Graph, own: Proposals, count: int) -> Float[Array, "node draw *entry"]:
     """Draw `count` values of every node; each part of the mixture has its share of them, up to rounding at random."""
-    part_key, message_key, fit_key, *keys = jax.random.split(key, 3 + 1 + len(graph.proposals))
+    part_key, message_key, near_key, *keys = jax.random.split(key, 3 + 1 + len(graph.proposals))
     levels = (jnp.arange(count) + jax.random.uniform(part_key, (graph.count, 1))) / count
     part = jnp.sum(levels[..., None] > jnp.cumsum(jnp.exp(own.shares), axis=1)[:, None, :-1], axis=-1)
     found = [_from_messages(message_key, graph, own, count)]
     found += [found[0] if graph.prior is None else graph.prior.sample(keys[0], count)]
     found += [mixture.sample(each, count) for each, mixture in zip(keys[1:], graph.proposals, strict=True)]
-    fit_keys = jax.random.split(fit_key, (graph.count, count))
-    found += [jax.vmap(lambda one, each: jax.vmap(one.sample)(each))(own.fits, fit_keys)]
+    near_keys = jax.random.split(near_key, (graph.count, count))
+    found += [jax.vmap(lambda one, each: jax.vmap(one.sample)(each))(own.near, near_keys)]
     shape = (graph.count, count, *[1] * (own.points.ndim - 2))
     values = found[0]
     for number, drawn in enumerate(found[1:], 1):
@@ -171,7 +168,7 @@ def log_density(
 def log_parts(
     graph: Graph, own: Proposals, points: Float[Array, "node draw *entry"], messages: tuple[Directed, ...], prior: NodeValues
 ) -> Float[Array, "node draw part"]:
-    """Return the terms of `log_density`: the log of share times density, of messages, prior, each mixture of detections, and fit."""
+    """Return the terms of `log_density`: the log of share times density, of messages, prior, each mixture of detections, and near belief."""
     nothing = jnp.full(points.shape[:2], -jnp.inf, points.dtype)
     mixed = nothing
     for number, (term, edge) in enumerate(zip(graph.pairs, own.edges, strict=True)):
@@ -182,8 +179,8 @@ def log_parts(
         for node, value, log_share in ((second, values.forward, edge.forward), (first, values.backward, edge.backward)):
             mixed = _log_added(mixed, node, value + log_share[:, None])
     mixtures = [prior, *(mixture.log_prob(points) for mixture in graph.proposals)]
-    fitted = jax.vmap(lambda one, xs: jax.vmap(one.log_prob)(xs))(own.fits, points)
-    return jnp.stack([mixed, *mixtures, fitted], axis=-1) + own.shares[:, None]
+    close = jax.vmap(lambda one, xs: jax.vmap(one.log_prob)(xs))(own.near, points)
+    return jnp.stack([mixed, *mixtures, close], axis=-1) + own.shares[:, None]
 
 
 def _drawn_density(term: Term, own: Proposals, number: int, points: Array) -> Directed:
