@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
-from bayes_body.density.spaces import SE3, SO3, circle
+from bayes_body.density.spaces import SE3, SO3, Flat, circle
 from bayes_body.density.tangent_normal import WIDEST_RAD, fit, tangent_normal
 from bayes_body.geometry import rotations
 
@@ -64,6 +64,17 @@ def test_without_the_other_way_round_a_wide_one_is_not_normalised(monkeypatch):
     assert errors(VOLUME * densities(rotation_normal(), uniform(1))) > 5
 
 
+def test_a_difference_that_is_not_wrapped_is_found_out(monkeypatch):
+    """Of angles on both sides of π."""
+    normal = tangent_normal(circle(("yaw",)), jnp.asarray([3.0]), jnp.asarray([[0.3**2]]))
+    there = jnp.asarray([-3.0])
+    right = float(normal.log_prob(there))
+    assert right == pytest.approx(norm.logpdf(2 * math.pi - 6, scale=0.3), abs=1e-4)
+    monkeypatch.setattr(Flat, "_turns", lambda self, difference: 0 * difference)
+    monkeypatch.setattr(Flat, "images", lambda self, v: v[..., None, :])
+    assert float(normal.log_prob(there)) < right - 10
+
+
 def test_on_rigid_transforms_it_is_normalised():
     """Position and rotation depend on each other; the positions of the points are normal with a larger width."""
     rng = np.random.default_rng(3)
@@ -91,12 +102,24 @@ def test_on_the_circle_it_is_normalised_and_is_the_wrapped_normal():
     assert density.mean() * 2 * math.pi == pytest.approx(1, abs=1e-4)
 
 
-def test_a_fit_does_not_see_the_sign_of_a_quaternion():
+def fits_of_both_signs():
+    """Log-densities of fits to weighted rotations, and to the same with the signs of some quaternions changed, at the same points."""
     points = samples(rotation_normal(np.array([0.5, 0.3, 0.2])))[:500]
     weights = jnp.asarray(np.random.default_rng(5).dirichlet(np.ones(500)), jnp.float32)
     signs = jnp.where(jnp.arange(500) % 3 == 0, -1.0, 1.0)[:, None]
     one, other = (fit(SO3(), weights, each, 1.5) for each in (points, signs * points))
     where = uniform(6)[:200]
-    found = [np.log(densities(one, where)), np.log(densities(other, where)), np.log(densities(one, -where))]
+    return [np.log(densities(one, where)), np.log(densities(other, where)), np.log(densities(one, -where))]
+
+
+def test_a_fit_does_not_see_the_sign_of_a_quaternion():
+    found = fits_of_both_signs()
     np.testing.assert_allclose(found[1], found[0], rtol=1e-3, atol=1e-2)
     np.testing.assert_allclose(found[2], found[0], rtol=1e-3, atol=1e-2)
+
+
+def test_a_logarithm_that_sees_the_sign_is_found_out(monkeypatch):
+    """One that does not choose between q and -q: some of the vectors are then longer than half a turn."""
+    monkeypatch.setattr(rotations, "canonical", lambda q: q)
+    found = fits_of_both_signs()
+    assert np.abs(found[1] - found[0]).max() > 1

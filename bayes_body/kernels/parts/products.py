@@ -117,7 +117,7 @@ def _targets(graph: Graph) -> np.ndarray:
     return np.concatenate([way.targets for way in ways(graph)])
 
 
-def _into(product: Product, values: Float[Array, "message *any"]) -> Float[Array, "node sample slot *any"]:
+def _into(product: Product, values: Float[Array, "message sample *any"]) -> Float[Array, "node sample slot *any"]:
     """Return values of messages by node, sample and slot; those of padding are of any message."""
     return jnp.moveaxis(values[np.minimum(product.slots, len(values) - 1)], 1, 2)
 
