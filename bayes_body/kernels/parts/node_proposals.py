@@ -81,6 +81,9 @@ def proposals(graph: Graph, beliefs: Beliefs, cavities: tuple[Directed, ...], ne
     left = 1 - beliefs.ready if alone else jnp.ones_like(none)
     parts = [*(left * part for part in others), (1.0 if alone else shares.fit) * beliefs.ready]
     table = jnp.stack([jnp.asarray(part, none.dtype) for part in parts], axis=1)
+    # Without a share for anything that a node has, its first particles come from prior and detections.
+    begin = jnp.stack([none, *(jnp.asarray(there, none.dtype) for there in mixtures), none], axis=1)
+    table = jnp.where(jnp.sum(table, axis=1, keepdims=True) > 0, table, begin)
     return Proposals(
         beliefs.points,
         cavities,
