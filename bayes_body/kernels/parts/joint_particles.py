@@ -7,7 +7,8 @@ $$\hat Z = S^{-V} \sum_a w_a \sum_{n_1 \ldots n_V} \prod_i \frac{\phi_i(x_i^{n_i
 \prod_{(i, j) \in \text{forest}} \psi_{ij}$$
 
 is unbiased. The sum is one product of matrices for each edge, (S, S) by (S, A). The draws have equal weights if the graph is the forest. Edges that
-close loops, and terms of more than two nodes, enter by the weights of the draws, and the mean weight times $\hat Z$ is still unbiased.
+close loops, and terms of more than two nodes, enter by the weights of the draws, and the mean weight times $\hat Z$ is still unbiased. In the sum,
+messages may stand in for the edges that close loops; the weights are then the ratio of both.
 """
 
 from collections.abc import Mapping
@@ -32,12 +33,14 @@ class Redrawn(NamedTuple):
         points: the points.
         unary: log of the factors of one node, without the prior.
         by_ancestor: log of the prior given each ancestor.
+        closing: log of what stands in for factors that close loops. The draws follow it, and their weights replace it by the factors.
         log_q: log-density of the proposals.
     """
 
     points: Float[Array, "node sample *entry"]
     unary: NodeValues
     by_ancestor: Table
+    closing: NodeValues
     log_q: NodeValues
 
 
@@ -73,7 +76,7 @@ def joint_particles(key: Key, graph: Graph, redrawn: Redrawn, count: int) -> Joi
     """
     points, forest = redrawn.points, _rooted(graph)
     pairs = _forest_pairs(graph, forest, points)
-    alone = (redrawn.unary - redrawn.log_q - jnp.log(points.shape[1]))[..., None] + redrawn.by_ancestor
+    alone = (redrawn.unary + redrawn.closing - redrawn.log_q - jnp.log(points.shape[1]))[..., None] + redrawn.by_ancestor
     alone = jnp.where(jnp.isnan(alone), -jnp.inf, alone)
     upward, messages = jax.lax.scan(_up, alone, (pairs, forest.parents, forest.children), reverse=True)
     of_roots = jax.nn.logsumexp(upward[forest.roots], axis=1)
@@ -84,7 +87,8 @@ def joint_particles(key: Key, graph: Graph, redrawn: Redrawn, count: int) -> Joi
     chosen = _chosen(key, forest, pairs, upward, of_ancestors, count)
     values = jax.vmap(lambda own, index: own[index], out_axes=1)(points, chosen)
     left_out = over_particles(lambda value, graph: _left_out(graph, value), values, graph)
-    weights = jax.nn.logsumexp(of_ancestors) + left_out
+    stood_in = jnp.sum(jnp.take_along_axis(redrawn.closing, chosen, axis=1), axis=0)
+    weights = jax.nn.logsumexp(of_ancestors) + left_out - stood_in
     beliefs = normalised(jax.nn.logsumexp(exact, axis=-1))
     return JointParticles(values, jnp.where(jnp.isnan(weights), -jnp.inf, weights), points, beliefs)
 

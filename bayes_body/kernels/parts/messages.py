@@ -141,6 +141,8 @@ def log_messages(
         return jnp.where(ready[row] > 0, jax.nn.logsumexp(without_nan(pairs) + log_weights[:, None], axis=0), 0.0)
 
     def of(reverse: bool) -> Array:
+        if not rows[reverse].size:
+            return jnp.zeros((0, targets.shape[1]), targets.dtype)
         shared = (*(each[reverse] for each in come_from), targets, term)
         return over_particles(partial(message, reverse=reverse), jnp.minimum(rows[reverse], last), shared, ROWS)
 

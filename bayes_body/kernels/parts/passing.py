@@ -9,10 +9,12 @@ with the message $\hat m_{ij}$ from the source's particles now and $\hat m'_{ij}
 fixed points are those without damping. An error that changes its sign from round to round is averaged away.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from bayes_body.density.graph import Graph, Term
@@ -34,7 +36,7 @@ from bayes_body.kernels.parts.messages import (
 )
 from bayes_body.kernels.parts.methods import MethodName, method
 from bayes_body.kernels.parts.node_proposals import FLOORS, Proposals, Shares, draw, log_density, log_parts, proposals
-from bayes_body.kernels.parts.schedules import Round
+from bayes_body.kernels.parts.schedules import Round, depths
 from bayes_body.kernels.parts.weights import effective_sample_size
 from bayes_body.shapes import Key, Scalar
 
@@ -205,7 +207,26 @@ class Passing:
         likelihood, rest = unary_values(graph, points)
         by_ancestor = graph.by_ancestor(points)
         parts = log_parts(graph, own, points, messages, self._prior(by_ancestor))
-        return Redrawn(points, likelihood + rest, by_ancestor, jax.nn.logsumexp(parts, axis=-1)), parts
+        closing = self._closing(beliefs, own, points)
+        return Redrawn(points, likelihood + rest, by_ancestor, closing, jax.nn.logsumexp(parts, axis=-1)), parts
+
+    def _closing(self, beliefs: Beliefs, own: Proposals, points: Float[Array, "node sample *entry"]) -> NodeValues:
+        """Return at each point what stands in for the factors that only close loops: their messages from the node that is nearer to the root.
+
+        A message averages the factor over particles of its source. One in `heard` is added to it, so that it never excludes what the factor allows.
+        """
+        graph, depth, heard = self.graph, np.zeros(self.graph.count), self.settings.heard
+        for distance, nodes in enumerate(depths(graph)):
+            depth[nodes] = distance
+        total = jnp.zeros(points.shape[:2], points.dtype)
+        for term, closing, cavity in zip(graph.pairs, graph.only_closing, own.cavities, strict=True):
+            if closing:
+                outwards = depth[term.rows[:, 0]] <= depth[term.rows[:, 1]]
+                rows = tuple(np.flatnonzero(way) for way in (outwards, ~outwards))
+                found = log_messages(term, sources(term, cavity, beliefs.points, beliefs.ready), points, tuple(map(jnp.asarray, rows)), heard)
+                for column, row, values in zip((1, 0), rows, found, strict=True):
+                    total = total.at[term.rows[row, column]].add(jnp.logaddexp(values, -math.log(heard)))
+        return total
 
     def _prior(self, by_ancestor: Float[Array, "node sample ancestor"]) -> NodeValues:
         """Return the log of every node's own prior, 0 without one. It is both a factor and a part of the proposal."""

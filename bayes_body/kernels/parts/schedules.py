@@ -40,7 +40,7 @@ def schedule(graph: Graph, kind: Schedule, iterations: int, annealing: float = 1
         iterations: number of iterations M.
         annealing: κ: the likelihood's power in iteration m is κ^(M - m), 1 in the last.
     """
-    groups = _depths(graph) if kind == "tree" else [list(range(graph.count))]
+    groups = depths(graph) if kind == "tree" else [list(range(graph.count))]
     groups = groups[::-1] + groups[1:]
     widest = max(map(len, groups))
     rounds = [(group, annealing ** (iterations - 1 - iteration)) for iteration in range(iterations) for group in groups]
@@ -57,11 +57,7 @@ def schedule(graph: Graph, kind: Schedule, iterations: int, annealing: float = 1
     )
 
 
-def _padded(lists: list[np.ndarray], length: int, filling: int) -> Int[Array, "round some"]:
-    return jnp.asarray(np.stack([np.concatenate([each, np.full(length - len(each), filling)]) for each in lists]), int)
-
-
-def _depths(graph: Graph) -> list[list[int]]:
+def depths(graph: Graph) -> list[list[int]]:
     """Return the nodes by their distance from the root of their tree in the graph's forest: the root is the node with the most edges."""
     neighbours: list[list[int]] = [[] for _ in range(graph.count)]
     for number, row in graph.forest():
@@ -78,3 +74,7 @@ def _depths(graph: Graph) -> list[list[int]]:
             level = [other for node in level for other in neighbours[node] if depth[other] < 0]
             distance += 1
     return [[node for node in range(graph.count) if depth[node] == d] for d in range(max(depth) + 1)]
+
+
+def _padded(lists: list[np.ndarray], length: int, filling: int) -> Int[Array, "round some"]:
+    return jnp.asarray(np.stack([np.concatenate([each, np.full(length - len(each), filling)]) for each in lists]), int)
