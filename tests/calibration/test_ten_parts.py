@@ -57,7 +57,7 @@ def posed(hands_on_hips: bool) -> np.ndarray:
     wanted = {}
     for side in "lr":
         outwards = (at[index[f"{side}_hip"]] - middle) / np.linalg.norm(at[index[f"{side}_hip"]] - middle)
-        wanted[index[f"{side}_wrist"]] = at[index[f"{side}_hip"]] + 0.13 * outwards + [0, 0, 0.16]
+        wanted[index[f"{side}_wrist"]] = at[index[f"{side}_hip"]] + 0.2 * outwards + [0, 0, 0.16]
         wanted[index[f"{side}_elbow"]] = at[index[f"{side}_shoulder"]] + 0.18 * outwards + [0, 0, -0.27]
 
     def missed(arms):

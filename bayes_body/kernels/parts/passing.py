@@ -222,8 +222,9 @@ class Passing:
         for term, closing, cavity in zip(graph.pairs, graph.only_closing, own.cavities, strict=True):
             if closing:
                 outwards = depth[term.rows[:, 0]] <= depth[term.rows[:, 1]]
-                rows = tuple(np.flatnonzero(way) for way in (outwards, ~outwards))
-                found = log_messages(term, sources(term, cavity, beliefs.points, beliefs.ready), points, tuple(map(jnp.asarray, rows)), heard)
+                rows = np.flatnonzero(outwards), np.flatnonzero(~outwards)
+                come_from = sources(term, cavity, beliefs.points, beliefs.ready)
+                found = log_messages(term, come_from, points, (jnp.asarray(rows[0]), jnp.asarray(rows[1])), heard)
                 for column, row, values in zip((1, 0), rows, found, strict=True):
                     total = total.at[term.rows[row, column]].add(jnp.logaddexp(values, -math.log(heard)))
         return total
