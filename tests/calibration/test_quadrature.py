@@ -96,7 +96,7 @@ KERNELS = {"sir": (kernels.sir(), 4000), "tempered": (kernels.tempered(), 500), 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("optimised")
-@pytest.mark.parametrize("name", KERNELS)
+@pytest.mark.parametrize("name", ["sir", "hmc", pytest.param("tempered", marks=pytest.mark.long)])
 def test_means_and_variances_of_the_kernels_are_those_of_the_grid(drawn, name):
     model, density, exact = drawn
     kernel, particles = KERNELS[name]

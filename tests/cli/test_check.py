@@ -50,15 +50,26 @@ def _start(*arguments):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("optimised")
-def test_an_interrupted_check_goes_on_to_the_same_figures(cli, tmp_path):
-    whole, stopped = tmp_path / "whole.json", tmp_path / "stopped.json"
-    outcome = cli("check", *ARGUMENTS, "--json", whole, "--plot", tmp_path / "ranks.png")
+def test_a_right_kernel_passes(cli, tmp_path):
+    _whole(cli, tmp_path / "whole.json")
+
+
+def _whole(cli, path):
+    """The figures of a check that was not interrupted."""
+    plot = path.with_suffix(".png")
+    outcome = cli("check", *ARGUMENTS, "--json", path, "--plot", plot)
     assert outcome.status == 0, outcome.err
-    assert "PASS." in outcome.out and (tmp_path / "ranks.png").exists() and not (tmp_path / "whole.json.partial").exists()
-    figures = json.loads(whole.read_text())
+    assert "PASS." in outcome.out and plot.exists() and not path.with_suffix(".json.partial").exists()
+    figures = json.loads(path.read_text())
     assert figures["passed"] and figures["replications"] == 40 and figures["options"]["particles"] == 500
     assert sum(figures["ranks"]["quantities"]["elbow"]["histogram"]) == 40
+    return figures
 
+
+@pytest.mark.long
+@pytest.mark.usefixtures("optimised")
+def test_an_interrupted_check_goes_on_to_the_same_figures(cli, tmp_path):
+    figures, stopped = _whole(cli, tmp_path / "whole.json"), tmp_path / "stopped.json"
     process, partial = _start(*ARGUMENTS, "--json", stopped), tmp_path / "stopped.json.partial"
     while process.poll() is None and (not partial.exists() or len(partial.read_bytes().splitlines()) < 3):
         time.sleep(0.05)

@@ -23,7 +23,7 @@ def test_the_options_of_hmc_and_what_its_chains_leave(cli, walk, tmp_path):
     assert "divergences" in json.loads((tmp_path / "run" / "summary.json").read_text())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_step_that_diverges_everywhere_stops_with_a_smaller_one(cli, walk, tmp_path):
     found = ["frame 0: no chain moves", "at a step factor of 50 the acceptance is", "trajectories diverged", "try step=0.2"]
     cli("track", walk, "--out", tmp_path / "run", *HMC, "--set", "step=50").refuses(*found)

@@ -36,7 +36,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("optimised")]
 # -- a Gaussian chain -------------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("kind", "iterations"), [("flooding", 6), ("tree", 2)])
+@pytest.mark.parametrize(("kind", "iterations"), [("flooding", 6), pytest.param("tree", 2, marks=pytest.mark.long)])
 def test_a_gaussian_chain_is_exact(kind, iterations):
     means, variances, evidence, efficiency = chain_scores(200, 30, kind, iterations=iterations)
     assert np.sqrt(np.mean(means**2)) < 1.6 and np.abs(means).max() < 4.5
@@ -113,6 +113,7 @@ def test_stale_messages_in_the_last_pass_are_found_out(monkeypatch):
 # -- trees and loops, against belief propagation on a grid ------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_tree_with_heavy_tails_has_the_beliefs_of_a_grid():
     built, grid, exact = heavy_tree()
     found = distance(beliefs_at(passed(built, 10, samples=100, iterations=5), built, grid), exact, grid)
@@ -120,11 +121,11 @@ def test_a_tree_with_heavy_tails_has_the_beliefs_of_a_grid():
     assert found.mean(0).max() < 0.09
 
 
-def test_on_loops_messages_reach_the_fixed_point_of_the_grid():
+@pytest.mark.parametrize(("samples", "most"), [(50, 0.06), pytest.param(150, 0.04, marks=pytest.mark.long)])
+def test_on_loops_messages_reach_the_fixed_point_of_the_grid(samples, most):
     """They are not the true marginals: that is belief propagation's own error. With more samples the distance to its fixed point falls."""
     built, grid, exact = lattice()
-    few, many = (distance(beliefs_at(passed(built, 5, samples=n, iterations=10), built, grid), exact, grid).mean() for n in (50, 150))
-    assert few < 0.06 and many < 0.04
+    assert distance(beliefs_at(passed(built, 5, samples=samples, iterations=10), built, grid), exact, grid).mean() < most
 
 
 def test_weights_of_joint_draws_correct_a_loop():
@@ -151,7 +152,8 @@ def test_weights_of_joint_draws_correct_a_loop():
     grid = np.linspace(-4, 4, 401)
     belief = beliefs_at(found, built, grid).mean(0) * (grid[1] - grid[0])
     narrow = belief @ grid**2 - (belief @ grid) ** 2
-    assert np.all(narrow < 0.8 * np.diagonal(covariance))
+    # The fixed point of loopy belief propagation (test_loops.py).
+    np.testing.assert_allclose(narrow, 0.2425, rtol=0.05)
 
 
 # -- one node, and beliefs with several peaks -------------------------------------------------------------------------------------------------
@@ -163,16 +165,26 @@ def mixture_of(means, sd):
     )
 
 
-def test_the_product_of_two_density_estimates():
+def resampled(means, count, seed):
+    """Centres of as many kernels, drawn from the estimate with these ones."""
+    rng = np.random.default_rng(seed)
+    return list(rng.choice(means, count) + 0.05 * rng.normal(size=count))
+
+
+@pytest.mark.parametrize("sizes", [(4, 4), pytest.param((100, 150), marks=pytest.mark.long)])
+def test_the_product_of_two_density_estimates(sizes):
     one, other = [0.1, 0.45, 0.55, 0.8], [0.25, 0.35, 0.7, 0.75]
+    if sizes != (4, 4):
+        one, other = resampled(one, sizes[0], 1), resampled(other, sizes[1], 2)
+    width = 0.05 if sizes == (4, 4) else 0.02
     parts = [
-        node_factor("one", lambda x: mixture_of(one, 0.05).log_prob(x[0])),
-        node_factor("other", lambda x: mixture_of(other, 0.05).log_prob(x[0])),
+        node_factor("one", lambda x: mixture_of(one, width).log_prob(x[0])),
+        node_factor("other", lambda x: mixture_of(other, width).log_prob(x[0])),
         proposal("range", dist.Uniform(0.0, 1.0).expand([1]).to_event(1)),
     ]
     found = passed(graph({"x": (1, 1)}, *parts), 10, samples=500, iterations=2, particles=2000)
     grid = np.linspace(0, 1, 4001)
-    exact = np.exp(np.asarray(mixture_of(one, 0.05).log_prob(grid) + mixture_of(other, 0.05).log_prob(grid), float))
+    exact = np.exp(np.asarray(mixture_of(one, width).log_prob(grid) + mixture_of(other, width).log_prob(grid), float))
     cumulative = np.cumsum(exact) / exact.sum()
     edges = np.interp(np.linspace(0, 1, 21)[1:-1], cumulative, grid)
     values, weights = (np.asarray(each, float) for each in (found.joint.values[..., 0, 0], jax.nn.softmax(found.joint.log_weights, axis=1)))

@@ -102,8 +102,8 @@ def test_every_kernel_is_traced_on_every_definition(frame_densities, pair):
 
 # A fault of a kernel shows on any model, and a fault of a model with any kernel. How the two fit together is traced above.
 EVERY_KERNEL_ON, EVERY_MODEL_WITH = "arm_markers", "sir"
-# One whole body for each kernel that is some definition's own.
-WITH_ITS_OWN_KERNEL = {("deutscher_apf", "annealed"), ("hmc_legs", "hmc"), ("markers_31", "tempered")}
+# Whole bodies with the kernel that is the definition's own.
+WITH_ITS_OWN_KERNEL = {("deutscher_apf", "annealed"), ("markers_31", "tempered")}
 
 
 def _marks(pair):
@@ -114,7 +114,7 @@ def _marks(pair):
 
 @pytest.mark.parametrize("pair", [pytest.param(pair, id=f"{pair.model}-{pair.kernel}", marks=_marks(pair)) for pair in ALL])
 def test_a_kernel_follows_a_scene_of_a_definition(scenes, pair, monkeypatch):
-    """Every kernel on one model, the arms with one kernel; `slow`: every model with it, three whole bodies with their own; `long`: all pairs."""
+    """Every kernel on one model, the arms with one kernel; `slow`: every model with it, two whole bodies with their own; `long`: all pairs."""
     definition, options = load_definition(pair.model), options_of(load_definition(pair.model), pair.kernel, TINY.most_particles)
     term, traces = registry.find("kernel", pair.kernel), []
 

@@ -99,26 +99,32 @@ class TestEverySpace:
         np.testing.assert_allclose(means[1, 2], space.mean(weights[1, 2], points[1, 2]), atol=1e-14)
         np.testing.assert_allclose(around[1, 2, 3], space.coordinates(means[1:2, 2], points[1:2, 2, 3])[0], atol=1e-14)
 
-    def test_the_device_computes_what_the_host_computes(self, name):
-        space = SPACES[name]
-        points, weights = cloud(space, 8, 0.3), np.full(8, 1 / 8)
-        single = jnp.asarray(points, jnp.float32)
-        v = jnp.asarray(0.1 * np.random.default_rng(6).normal(size=(8, space.dimension)), jnp.float32)
-
-        @jax.jit
-        def computed(points, v):
-            moved = jax.vmap(space.retract)(points, v)
-            return moved, jax.vmap(space.local)(points, moved), space.mean(jnp.asarray(weights, jnp.float32), points)
-
-        moved, back, mean = computed(single, v)
-        assert moved.dtype == back.dtype == mean.dtype == jnp.float32
-        np.testing.assert_allclose(back, v, atol=2e-5)
-        assert np.max(space.distance(np.asarray(mean, float), space.mean(weights, points))) < 1e-5
-        gradient = jax.grad(lambda v: jnp.sum(space.distance(single, jax.vmap(space.retract)(single, v))))(0 * v)
-        assert jnp.isfinite(gradient).all()
-
     def test_text_keeps_everything(self, name):
         assert space_from_text(space_to_text(SPACES[name])) == SPACES[name]
+
+
+# Products hold rotations, and plates are spaces one by one.
+COMPILED = [pytest.param(name, marks=pytest.mark.slow if name == "SO3" or name.startswith("plate") else ()) for name in SPACES]
+
+
+@pytest.mark.parametrize("name", COMPILED)
+def test_the_device_computes_what_the_host_computes(name):
+    space = SPACES[name]
+    points, weights = cloud(space, 8, 0.3), np.full(8, 1 / 8)
+    single = jnp.asarray(points, jnp.float32)
+    v = jnp.asarray(0.1 * np.random.default_rng(6).normal(size=(8, space.dimension)), jnp.float32)
+
+    @jax.jit
+    def computed(points, v):
+        moved = jax.vmap(space.retract)(points, v)
+        return moved, jax.vmap(space.local)(points, moved), space.mean(jnp.asarray(weights, jnp.float32), points)
+
+    moved, back, mean = computed(single, v)
+    assert moved.dtype == back.dtype == mean.dtype == jnp.float32
+    np.testing.assert_allclose(back, v, atol=2e-5)
+    assert np.max(space.distance(np.asarray(mean, float), space.mean(weights, points))) < 1e-5
+    gradient = jax.grad(lambda v: jnp.sum(space.distance(single, jax.vmap(space.retract)(single, v))))(0 * v)
+    assert jnp.isfinite(gradient).all()
 
 
 def test_angles_are_averaged_the_short_way_round():

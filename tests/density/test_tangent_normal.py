@@ -112,12 +112,14 @@ def fits_of_both_signs():
     return [np.log(densities(one, where)), np.log(densities(other, where)), np.log(densities(one, -where))]
 
 
+@pytest.mark.slow
 def test_a_fit_does_not_see_the_sign_of_a_quaternion():
     found = fits_of_both_signs()
     np.testing.assert_allclose(found[1], found[0], rtol=1e-3, atol=1e-2)
     np.testing.assert_allclose(found[2], found[0], rtol=1e-3, atol=1e-2)
 
 
+@pytest.mark.slow
 def test_a_logarithm_that_sees_the_sign_is_found_out(monkeypatch):
     """One that does not choose between q and -q: some of the vectors are then longer than half a turn."""
     monkeypatch.setattr(rotations, "canonical", lambda q: q)

@@ -98,7 +98,7 @@ def _bend(points, frames):
     return np.pi - np.arccos(cosine).mean()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("optimised")
 def test_the_command_learns_the_bend_of_a_knee(tmp_path, capsys):
     """Two walkers of landmarks, each in a folder, and a third one for the table."""

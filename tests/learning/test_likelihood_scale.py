@@ -95,7 +95,7 @@ def recording(tmp_path_factory):
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("optimised")
 def test_what_the_command_finds_is_what_its_trials_say(recording, tmp_path, capsys):
     out = tmp_path / "scale.json"

@@ -70,7 +70,7 @@ def walk(tmp_path_factory):
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("optimised")
 def test_it_learns_and_finds_the_parts_of_a_simulated_walker(walk, model, capsys):
     with pytest.raises(SystemExit) as end:

@@ -13,7 +13,7 @@ import xarray as xr
 
 ROOT = Path(__file__).parents[2]
 PROGRAMS = sorted((ROOT / "inference").glob("*.py"))
-GRAPHS = {"particle_bp_on_a_grid": "beliefs.png", "sensor_localisation": "sensors.png"}
+GRAPHS = {"particle_bp_on_a_grid": "beliefs.png", "particle_bp_smoother": "swing.png", "sensor_localisation": "sensors.png"}
 # Filters follow a whole recording; the others have tests of their own below.
 FILTERS = [path for path in PROGRAMS if path.stem not in {"estimator_variance", *GRAPHS}]
 # These compile the gradient of an image likelihood.
@@ -66,11 +66,13 @@ def test_quick(run, filtering, walk, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", GRAPHS)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.long if name == "particle_bp_smoother" else ()) for name in GRAPHS])
 def test_a_graph_without_a_body(run, name, tmp_path):
     done = run(ROOT / "inference" / f"{name}.py", "--out", tmp_path, "--quick", "--samples", 50)
     assert (done.status, done.err) == (0, "")
-    assert re.search(r"standard deviations are \d\.\d\d to|^ +19 +\d\.\d{3} +\d\.\d{3}$", done.out, re.MULTILINE)
+    assert re.search(
+        r"standard deviations are \d\.\d\d to|log-evidence of 36 images: -\d+\.\d; draws within|^ +19 +\d\.\d{3} +\d\.\d{3}$", done.out, re.MULTILINE
+    )
     assert cv2.imread(str(tmp_path / GRAPHS[name])).std() > 10
 
 
