@@ -98,8 +98,6 @@ class Density:
         drawn = {f.name: f.simulate(k, {v: values[v] for v in f.scope}) for f, k in zip(likelihoods, keys, strict=True) if f.simulate}
         return {**self.data, **drawn}
 
-    # -- the sides ----------------------------------------------------------------------------------------------------------------------
-
     def side(self, side: Side, state: State, previous: State) -> Scalar:
         """Return the sum of the factors of one side."""
         return self._sum([factor for factor in self.factors if factor.side == side], state, previous)

@@ -141,7 +141,8 @@ class ParticleBP:
         options = self.options.model_copy(update={"particles": count})
         kept, density = self._thinned(thin_key, density.with_previous(particles))
         graph = parts_graph(density)
-        passed = pass_messages(pass_key, graph, options, schedule(graph, options.schedule, options.iterations, options.annealing))
+        rounds = schedule(graph, options.schedule, options.iterations, options.annealing)
+        passed = pass_messages(pass_key, graph, options, rounds)
         log_evidence = passed.joint.log_evidence
         if density.has_potentials:
             # The potentials are not normalised given the previous frame: the evidence is the ratio of both normalisers, as in `tempered`.
@@ -158,7 +159,9 @@ class ParticleBP:
         predicted = predict(predict_key, self.resample(predict_key, density.previous.log_weights, count), density).states
         states = jax.tree.map(lambda own, other: jnp.where(found.lost, other, own), states, predicted)
         ess = effective_sample_size(found.log_weights)
-        evaluations = self.options.samples * (self.options.iterations + 2) + count
+        # Each round evaluates some nodes, the redrawing all of them, and the weights what reads the whole body.
+        of_rounds = passed.points.shape[1] * jnp.sum(rounds.nodes < graph.count) // graph.count
+        evaluations = of_rounds + options.samples + (0 if graph.rest is None else count)
         info = FilterInfo(
             ancestors=kept[ancestors],
             ess=ess,
@@ -167,7 +170,7 @@ class ParticleBP:
             log_evidence=jnp.where(found.lost, -jnp.inf, log_evidence),
             lost=found.lost,
             acceptance_rate=jnp.full((1,), jnp.nan, ess.dtype),
-            evaluations=jnp.asarray(evaluations),
+            evaluations=evaluations,
             messages=message_figures(graph.space, passed.rounds, options.iterations, options.samples, ess, passed.proposal_shares),
         )
         return Particles(states, found.log_weights), info

@@ -1,5 +1,7 @@
-"""Models with answers in closed form."""
+"""Models with answers in closed form, and the example programs as modules."""
 
+import importlib.util
+from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -80,3 +82,13 @@ def linear_gaussian():
 def observations():
     """Fixed, and not drawn from the model: the filter's equations hold for any data."""
     return np.array([[0.4], [1.7], [0.2], [-0.9], [1.1], [2.5], [2.2], [0.3]])
+
+
+@pytest.fixture(scope="module")
+def program(request):
+    """The program of the folder `inference` that the test module names as PROGRAM."""
+    path = Path(__file__).parents[2] / "inference" / request.module.PROGRAM
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

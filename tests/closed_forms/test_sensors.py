@@ -4,8 +4,6 @@ The model is that of inference/sensor_localisation.py. Distances are wrong by a 
 and whether a pair measures its distance at all is drawn.
 """
 
-import importlib.util
-from pathlib import Path
 from typing import NamedTuple
 
 import blackjax
@@ -20,7 +18,7 @@ from bayes_body import edge_factor, graph, kernels, node_factor
 
 pytestmark = [pytest.mark.long, pytest.mark.usefixtures("optimised")]
 
-PROGRAM = Path(__file__).parents[2] / "inference" / "sensor_localisation.py"
+PROGRAM = "sensor_localisation.py"
 SENSORS, ANCHORS, REACH = 20, 5, 0.2
 FREE = SENSORS - ANCHORS
 LOW, HIGH = -0.1, 1.1
@@ -45,14 +43,6 @@ def scene(seed: int) -> Scene:
     edges = [(i, j) for i in range(FREE) for j in range(FREE) if known[ANCHORS + i, ANCHORS + j]]
     distances = np.array([measured[ANCHORS + i, ANCHORS + j] for i, j in edges])
     return Scene(places, edges, distances, np.where(known, measured, np.nan)[:ANCHORS, ANCHORS:].T)
-
-
-@pytest.fixture(scope="module")
-def program():
-    spec = importlib.util.spec_from_file_location(PROGRAM.stem, PROGRAM)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def log_anchors(program, places, measured, place):

@@ -1,8 +1,5 @@
 """Particle belief propagation over time, with the program inference/particle_bp_smoother.py: the Kalman smoother, and a filter of many particles."""
 
-import importlib.util
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,16 +9,8 @@ from bayes_body import edge_factor, graph, kernels, node_factor
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("optimised")]
 
-PROGRAM = Path(__file__).parents[2] / "inference" / "particle_bp_smoother.py"
+PROGRAM = "particle_bp_smoother.py"
 FIRST_SD, SEEN_SD, RUNS = np.array([0.8, 4.0]), 0.1, 20
-
-
-@pytest.fixture(scope="module")
-def program():
-    spec = importlib.util.spec_from_file_location(PROGRAM.stem, PROGRAM)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def kalman(program, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:

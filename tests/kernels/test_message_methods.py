@@ -13,7 +13,7 @@ from bayes_body.density.tangent_normal import tangent_normal
 from bayes_body.kernels.parts import epbp, products
 from bayes_body.kernels.parts.pampas import stratified
 from bayes_body.kernels.parts.pbp import KernelEstimate
-from bayes_body.kernels.parts.products import Product, draw_products, slots
+from bayes_body.kernels.parts.products import Product, draw_products, slots_of
 
 LINE = euclidean(("x",), ("m",))
 
@@ -112,8 +112,8 @@ def drawn_product(factor, points, weights, draw=None, count=4000):
         proposal("wide", dist.Normal(0.0, 5.0).expand([points.shape[-1]]).to_event(1)),
     )
     # The messages to node 2 have the numbers 0 and 1; those back, 2 and 3, are not taken.
-    taken = jnp.zeros((3, count, slots(built).shape[1])).at[2].set(1.0)
-    product = Product(jnp.concatenate([points, points]), jnp.log(jnp.concatenate([weights, weights])), slots(built), taken)
+    taken = jnp.zeros((3, count, slots_of(built).shape[1])).at[2].set(1.0)
+    product = Product(jnp.concatenate([points, points]), jnp.log(jnp.concatenate([weights, weights])), slots_of(built), taken)
     start = jnp.zeros((3, count, points.shape[-1]))
     return np.asarray(jax.jit(lambda key: draw_products(key, built, product, start))(jax.random.key(3))[2], float)
 

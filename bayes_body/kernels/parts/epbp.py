@@ -20,12 +20,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from bayes_body.density.graph import Graph
 from bayes_body.density.spaces import Space
 from bayes_body.density.tangent_normal import TangentNormal, least_sds, tangent_normal, widened
-from bayes_body.kernels.parts.messages import Beliefs, NodeValues, normalised
+from bayes_body.kernels.parts.messages import Beliefs, NodeValues, normalised, slots
 from bayes_body.kernels.parts.weights import effective_sample_size
 from bayes_body.shapes import Scalar
 
@@ -84,17 +84,9 @@ class ExpectationPropagation:
         return jax.vmap(of_node)(memory, beliefs.points, beliefs.log_q, factors, beliefs.ready, fits)
 
 
-def _slots(graph: Graph) -> np.ndarray:
-    """Return the numbers of the messages into each node, (node, slot), in the order of `_incoming`; the number after the last is padding."""
-    into: list[list[int]] = [[] for _ in range(graph.count)]
-    number = 0
-    for term in graph.pairs:
-        for column in (1, 0):
-            for node in term.rows[:, column]:
-                into[node].append(number)
-                number += 1
-    widest = max(map(len, into))
-    return np.array([own + [number] * (widest - len(own)) for own in into], int).reshape(graph.count, widest)
+def _slots(graph: Graph) -> Int[np.ndarray, "node slot"]:
+    """Return the numbers of the messages into each node, in the order of `_incoming`."""
+    return slots(np.concatenate([term.rows[:, column] for term in graph.pairs for column in (1, 0)] or [np.zeros(0, int)]), graph.count)
 
 
 def _incoming(graph: Graph, beliefs: Beliefs) -> Float[Array, "node slot sample"]:

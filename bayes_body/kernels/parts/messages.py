@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from bayes_body.density.graph import Graph, Term
@@ -56,6 +57,13 @@ def ends(term: Term) -> tuple[Int[Array, " edge"], Int[Array, " edge"]]:
     """Return the first and the second node of every row."""
     rows = jnp.asarray(term.rows)
     return rows[:, 0], rows[:, 1]
+
+
+def slots(targets: Int[np.ndarray, " message"], count: int) -> Int[np.ndarray, "node slot"]:
+    """Return the numbers of the messages into each of `count` nodes, given the targets of all; the number after the last is padding."""
+    into = [np.flatnonzero(targets == node) for node in range(count)]
+    widest = max(map(len, into))
+    return np.array([np.concatenate([own, np.full(widest - len(own), len(targets))]) for own in into], int).reshape(count, widest)
 
 
 def normalised(log_weights: Float[Array, "*batch sample"]) -> Float[Array, "*batch sample"]:

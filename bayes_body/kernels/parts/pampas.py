@@ -26,7 +26,7 @@ from bayes_body.density.graph import Graph
 from bayes_body.kernels.parts.messages import Beliefs, Directed, NodeValues, cavities, log_beliefs, normalised
 from bayes_body.kernels.parts.node_proposals import Proposals, Shares, draw, log_density, proposals
 from bayes_body.kernels.parts.passing import Passing, Settings
-from bayes_body.kernels.parts.products import Product, draw_products, slots, ways
+from bayes_body.kernels.parts.products import Product, draw_products, slots_of, ways
 from bayes_body.shapes import Key, Scalar
 
 # The shares of previous frame and detections among the first particles, and those of both importance functions afterwards.
@@ -40,7 +40,7 @@ class Pampas(Passing):
     def __init__(self, graph: Graph, settings: Settings):
         """Take the graph and the settings. `samples` are the particles of a message; `shares` are those of the joint draws' proposals."""
         super().__init__(graph, settings)
-        self.slots = slots(graph)
+        self.slots = slots_of(graph)
         self.each, self.strata = max(settings.samples // 2, 1), 1 + self.slots.shape[1]
         self.held = self.each * self.strata
         exists = self.slots < sum(len(way.targets) for way in ways(graph))

@@ -22,7 +22,7 @@ from jaxtyping import Array, Float, Int
 from bayes_body.density.graph import Graph, Term
 from bayes_body.density.spaces import Space
 from bayes_body.density.tangent_normal import TangentNormal
-from bayes_body.kernels.parts.messages import without_nan
+from bayes_body.kernels.parts.messages import slots, without_nan
 from bayes_body.shapes import Key
 
 # Sweeps of a chain: the paper takes 5 to 10.
@@ -61,12 +61,9 @@ def ways(graph: Graph) -> list[Way]:
     return [Way(term, reverse, term.rows[:, 0 if reverse else 1]) for term in able for reverse in (False, True)]
 
 
-def slots(graph: Graph) -> np.ndarray:
-    """Return the numbers of the messages into each node, (node, slot), in the order of `ways`; the number after the last is padding."""
-    targets = np.concatenate([way.targets for way in ways(graph)] or [np.zeros(0, int)])
-    into = [np.flatnonzero(targets == node) for node in range(graph.count)]
-    widest = max(map(len, into))
-    return np.array([np.concatenate([own, np.full(widest - len(own), len(targets))]) for own in into], int).reshape(graph.count, widest)
+def slots_of(graph: Graph) -> Int[np.ndarray, "node slot"]:
+    """Return the numbers of the messages into each node, in the order of `ways`; the number after the last is padding."""
+    return slots(np.concatenate([way.targets for way in ways(graph)] or [np.zeros(0, int)]), graph.count)
 
 
 def draw_products(key: Key, graph: Graph, product: Product, otherwise: Float[Array, "node sample *entry"]) -> Float[Array, "node sample *entry"]:
