@@ -27,7 +27,11 @@ from bayes_body.kernels.parts.messages import normalised
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("optimised")]
 
 
-@pytest.mark.parametrize("method", ["pbp", "epbp", "pampas"])
+# Its program takes minutes.
+STRATA = pytest.param("pampas", marks=pytest.mark.long)
+
+
+@pytest.mark.parametrize("method", ["pbp", "epbp", STRATA])
 def test_a_gaussian_chain_is_exact(method):
     means, variances, evidence, efficiency = chain_scores(200, 30, method=method)
     assert np.sqrt(np.mean(means**2)) < 1.6 and np.abs(means).max() < 4.5
@@ -37,6 +41,7 @@ def test_a_gaussian_chain_is_exact(method):
     assert efficiency > 0.3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["pbp", "epbp"])
 def test_a_tree_with_heavy_tails_has_the_beliefs_of_a_grid(method):
     built, grid, exact = heavy_tree()
@@ -44,6 +49,7 @@ def test_a_tree_with_heavy_tails_has_the_beliefs_of_a_grid(method):
     assert found.mean() < 0.05
 
 
+@pytest.mark.long
 def test_strata_come_closer_with_more_particles():
     """But slowly: they are drawn from messages alone."""
     built, grid, exact = heavy_tree()
@@ -58,12 +64,14 @@ def shares_of_strata():
     return np.sort(weights.reshape(*weights.shape[:2], 3, -1).sum(axis=-1), axis=-1)
 
 
+@pytest.mark.long
 def test_messages_take_half_of_each_of_their_two_strata_and_forgotten_shares_are_found_out(monkeypatch):
     np.testing.assert_allclose(shares_of_strata(), np.broadcast_to([0.0, 0.5, 0.5], (2, 18, 3)), atol=1e-4)
     monkeypatch.setattr(pampas, "stratified", lambda log_weights, shares: normalised(log_weights))
     assert np.abs(shares_of_strata() - [0.0, 0.5, 0.5]).mean() > 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["pbp", "epbp"])
 def test_on_loops_messages_reach_the_fixed_point_of_the_grid(method):
     built, grid, exact = lattice()
@@ -71,8 +79,7 @@ def test_on_loops_messages_reach_the_fixed_point_of_the_grid(method):
     assert found.mean() < 0.045
 
 
-@pytest.mark.parametrize("method", ["mixture", "pbp", "epbp", "pampas"])
-@pytest.mark.parametrize("damping", [0.0, 0.5])
+@pytest.mark.parametrize(("method", "damping"), [("mixture", 0.0), ("pbp", 0.5), ("epbp", 0.5), pytest.param("pampas", 0.5, marks=pytest.mark.long)])
 def test_new_data_never_retraces(method, damping):
     sampler, traces = MODULE.build_kernel(samples=20, particles=10, iterations=2, method=method, damping=damping), []
 
@@ -131,6 +138,7 @@ def test_damping_ends_an_oscillation():
     assert jumps[0.5].mean() < 0.3 and errors[0.5].mean() < 0.3
 
 
+@pytest.mark.long
 def test_damping_has_the_same_fixed_point():
     built, grid, exact = heavy_tree()
     found = distance(beliefs_at(passed(built, 10, samples=100, iterations=8, damping=0.3), built, grid), exact, grid)

@@ -47,6 +47,7 @@ def test_a_gaussian_chain_is_exact(kind, iterations):
     assert efficiency > 0.35
 
 
+@pytest.mark.long
 def test_without_a_share_for_detections_the_first_particles_still_come_from_them():
     ratio = np.exp(chain_scores(200, 20, shares=(0.5, 0.0, 0.0, 0.5))[2])
     assert abs(ratio.mean() - 1) < 4 * ratio.std() / len(ratio) ** 0.5
