@@ -1,10 +1,11 @@
-"""Seconds of particle belief propagation on loose-limbed bodies, on the real recording.
+"""Seconds of particle belief propagation on loose-limbed bodies, on the real recording or on a session.
 
-    python tests/bench/message_passing.py [--json F] [--plot F.png]
+    python tests/bench/message_passing.py [--session S] [--json F] [--plot F.png]
 
 First, messages alone: one iteration of flooding over joints of four components learned from captured motion, by the number of joints and of samples,
-with the draws of all parts but no images. The cost should grow linearly with the joints and with the square of the samples. Then a whole frame:
-ten parts, four cameras, the likelihood `regions`, 6 iterations and 500 joint draws. Everything is measured warm, and the best of some repetitions
+with the draws of all parts but no images. The cost should grow linearly with the joints and with the square of the samples. One of the numbers of
+samples gives as many pairs of particles as Table 5 of Sigal et al. 2011, whose parts have different numbers. Then a whole frame of ten and of fifteen
+parts, with the likelihood `regions` in all cameras, 6 iterations and 500 joint draws. Everything is measured warm, and the best of some repetitions
 counts.
 """
 
@@ -30,16 +31,24 @@ from bayes_body.density.parts_graph import parts_graph  # noqa: E402
 from bayes_body.kernels.particle_bp import Options  # noqa: E402
 from bayes_body.kernels.parts.batching import everywhere  # noqa: E402
 from bayes_body.kernels.parts.node_proposals import Shares  # noqa: E402
-from bayes_body.kernels.parts.passing import Passing  # noqa: E402
+from bayes_body.kernels.parts.passing import Passing, Settings  # noqa: E402
 from bayes_body.kernels.parts.schedules import schedule  # noqa: E402
 from bayes_body.model.build import build_model  # noqa: E402
 from bayes_body.model.definition import Definition, load_definition  # noqa: E402
 from bayes_body.observation.frames import read_frame  # noqa: E402
 from bayes_body.registry import find  # noqa: E402
+from bayes_body.session.read import load_session  # noqa: E402
+from bayes_body.session.session import Session  # noqa: E402
 
-REPETITIONS = 12
+REPETITIONS, FRAMES = 12, 5
 JOINTS, SAMPLES = (1, 2, 4, 7, 14), (100, 200, 400, 500, 800)
 FIXED = 500
+
+
+def of_table_5(samples: dict[str, int], rows: np.ndarray, names: tuple[str, ...]) -> int:
+    """The number of samples of each part that gives as many pairs along the joints as different numbers by part."""
+    counts = np.array([next((count for word, count in samples.items() if word in name), 800) for name in names])
+    return round(float(np.mean(counts[rows[:, 0]] * counts[rows[:, 1]])) ** 0.5)
 
 
 def definition(parts: int) -> Definition:
@@ -51,20 +60,19 @@ def definition(parts: int) -> Definition:
     return replace(loose, likelihoods=(regions,), constraints=(kinematic, *loose.constraints[1:]))
 
 
-def density_of(parts: int) -> Density:
-    """Return the density of the recording's first frame."""
-    session = recording()
+def density_of(parts: int, session: Session) -> Density:
+    """Return the density of the session's first frame."""
     model = build_model(definition(parts), session)
     return everywhere(model.density(model.observe(read_frame(session, 0)), model.start(100)))
 
 
-def seconds(function, *arguments) -> tuple[float, float]:
+def seconds(function, *arguments, repetitions: int = REPETITIONS) -> tuple[float, float]:
     """The time to compile, and that of a warm call at best."""
     begin = time.perf_counter()
     jax.block_until_ready(function(*arguments))
     compiled = time.perf_counter() - begin
     found = []
-    for _ in range(REPETITIONS):
+    for _ in range(repetitions):
         begin = time.perf_counter()
         jax.block_until_ready(function(*arguments))
         found.append(time.perf_counter() - begin)
@@ -85,7 +93,7 @@ def messages(graph: Graph, samples: int) -> float:
     options = Options()
 
     def passing(graph: Graph) -> Passing:
-        return Passing(graph, samples, options.loop_samples, Shares(*options.shares), options.fit_inflation)
+        return Passing(graph, Settings(samples, options.loop_samples, Shares(*options.shares), options.fit_inflation, "mixture", 0.0))
 
     one, key = jax.jit(lambda key, graph, beliefs: passing(graph).round(beliefs, key, now)), jax.random.key(0)
     beliefs, _ = one(key, graph, jax.jit(lambda key, graph: passing(graph).begin(key))(key, graph))
@@ -95,7 +103,9 @@ def messages(graph: Graph, samples: int) -> float:
 def frame(density: Density, samples: int) -> tuple[float, float]:
     """The seconds to compile and to sample a frame with 6 iterations and 500 joint draws."""
     sampler = bayes_body.kernels.particle_bp(samples=samples, iterations=6, particles=500)
-    return seconds(jax.jit(lambda key, density: sampler.on(key, parts_graph(density)).joint), everywhere(jax.random.key(0)), density)
+    return seconds(
+        jax.jit(lambda key, density: sampler.on(key, parts_graph(density)).joint), everywhere(jax.random.key(0)), density, repetitions=FRAMES
+    )
 
 
 def plot(path: Path, by_joints: dict[int, float], by_samples: dict[int, float]) -> None:
@@ -127,30 +137,37 @@ def plot(path: Path, by_joints: dict[int, float], by_samples: dict[int, float]) 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--session", type=Path, help="folder of a session; the real recording by default")
     parser.add_argument("--samples", type=int, nargs="+", default=[250, 500], help="samples a part, for whole frames")
     parser.add_argument("--json", type=Path, help="write the figures there, too")
     parser.add_argument("--plot", type=Path, help="draw the seconds of messages there, a .png")
     options = parser.parse_args()
+    session = load_session(options.session) if options.session else recording()
     print(f"{jax.default_backend()}, {len(jax.devices())} devices, jax {jax.__version__}")
-    fifteen = parts_graph(density_of(15))
-    print("Messages of one iteration, 15 parts, joints of 4 components\n  joints   samples   seconds")
+    fifteen = density_of(15, session)
+    graph = parts_graph(fifteen)
+    (joints_of,) = (term.rows for term in graph.pairs if term.name == "kinematic")
+    table = of_table_5({"torso": 50, "pelvis": 50, "head": 200, "thigh": 200, "upper_arm": 200}, joints_of, graph.names)
+    print(f"Messages of one iteration, 15 parts, joints of 4 components; {table} samples give the pairs of Table 5\n  joints   samples   seconds")
     by_joints, by_samples = {}, {}
-    for joints, samples in [*((joints, FIXED) for joints in JOINTS), *((max(JOINTS), samples) for samples in SAMPLES if samples != FIXED)]:
-        found = messages(with_joints(fifteen, joints), samples)
+    counts = sorted({*SAMPLES, table} - {FIXED})
+    for joints, samples in [*((joints, FIXED) for joints in JOINTS), *((max(JOINTS), samples) for samples in counts)]:
+        found = messages(with_joints(graph, joints), samples)
         by_joints |= {joints: found} if samples == FIXED else {}
         by_samples |= {samples: found} if joints == max(JOINTS) else {}
         print(f"{joints:8d}  {samples:8d}  {found:8.3f}", flush=True)
     by_samples = dict(sorted(by_samples.items()))
     if options.plot:
         plot(options.plot, by_joints, by_samples)
-    print("Frames of ten parts, 6 iterations and 500 joint draws\n samples   seconds   to compile, s")
-    ten, frames = density_of(10), {}
-    for samples in options.samples:
-        compiled, warm = frame(ten, samples)
-        frames[samples] = {"frame": warm, "compile": compiled}
-        print(f"{samples:8d}  {warm:8.2f}  {compiled:14.1f}", flush=True)
+    print(f"Frames, {len(session.views)} cameras, 6 iterations and 500 joint draws\n   parts   samples   seconds   to compile, s")
+    frames = {}
+    for parts, density in ((10, density_of(10, session)), (15, fifteen)):
+        for samples in options.samples:
+            compiled, warm = frame(density, samples)
+            frames[f"{parts} parts, {samples} samples"] = {"frame": warm, "compile": compiled}
+            print(f"{parts:8d}  {samples:8d}  {warm:8.2f}  {compiled:14.1f}", flush=True)
     if options.json:
-        figures = {"messages_by_joints": by_joints, "messages_by_samples": by_samples, "frames": frames}
+        figures = {"messages_by_joints": by_joints, "messages_by_samples": by_samples, "table_5": table, "frames": frames}
         options.json.write_text(json.dumps({"devices": len(jax.devices()), "jax": jax.__version__, **figures}, indent=2))
 
 

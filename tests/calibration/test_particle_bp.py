@@ -4,10 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from calibration.limb import ANCESTORS, draw_prior, limb, replicate
+from calibration.limb import ANCESTORS, MARKERS, SILHOUETTES, draw_prior, limb, replicate
 
 from bayes_body.calibration import bands
-from bayes_body.evidence.markers import MARKERS, MarkerEvidence
+from bayes_body.evidence.markers import MARKERS as NAMES
+from bayes_body.evidence.markers import MarkerEvidence
 from bayes_body.kernels.particle_bp import build_kernel
 
 pytestmark = pytest.mark.usefixtures("optimised")
@@ -18,7 +19,7 @@ RUNS, REPLICATIONS, BINS, DRAWS = 16, 500, 10, 500
 def test_without_data_the_draws_are_those_of_the_prior_and_the_evidence_is_one():
     """The prediction is a mixture over ancestors of products over parts, which no graph is: the weights have to make it one, in both normalisers."""
     arm = limb()
-    unseen = MarkerEvidence(jnp.zeros((4, len(MARKERS), 2)), jnp.zeros((4, len(MARKERS))))
+    unseen = MarkerEvidence(jnp.zeros((4, len(NAMES), 2)), jnp.zeros((4, len(NAMES))))
     exact = jax.jit(lambda keys, arm: jax.lax.map(lambda key: draw_prior(key, arm), keys))(jax.random.split(jax.random.key(1), 1500), arm)
     of_draws = jax.jit(lambda parts, arm: jax.lax.map(lambda one: arm.quantities(one, {"markers_gaussian": unseen})[:-1], parts))
     true = np.asarray(of_draws(exact, arm), float)
@@ -42,10 +43,13 @@ def test_without_data_the_draws_are_those_of_the_prior_and_the_evidence_is_one()
 
 
 @pytest.mark.long
-def test_ranks_are_uniform():
-    arm = limb()
-    one = replicate(build_kernel(samples=500, iterations=5, ancestors=ANCESTORS), DRAWS, BINS)
+@pytest.mark.parametrize(("likelihood", "draws", "iterations"), [(MARKERS, DRAWS, 5), (SILHOUETTES, 2 * DRAWS, 3)], ids=["markers", "silhouettes"])
+def test_ranks_are_uniform(likelihood, draws, iterations):
+    """Markers are factors of each part. Silhouettes read the whole limb, so that only the weights of the joint draws know them."""
+    arm = limb(likelihood)
+    one = replicate(build_kernel(samples=500, iterations=iterations, ancestors=ANCESTORS), draws, BINS)
     found = jax.jit(lambda keys, arm: jax.lax.map(lambda key: one(key, arm), keys))(jax.random.split(jax.random.key(3), REPLICATIONS), arm)
     assert not np.asarray(found.lost).any()
     p_values = bands.p_values(bands.rank_counts(np.asarray(found.ranks), BINS))
+    print(f"smallest p {p_values.min():.4f} of {len(arm.names)}; effective draws {np.quantile(np.asarray(found.ess), [0, 0.05, 0.5])} of {draws}")
     assert p_values.min() > 0.05 / len(arm.names), dict(zip(arm.names, p_values, strict=True))
