@@ -14,7 +14,7 @@ The *marginal* view sums over the ancestor $i$: $\log \sum_i \exp \ell(i, s_t)$,
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,7 +32,7 @@ from bayes_body.shapes import Index, Key, Scalar
 type Predictions = Mapping[str, Distribution]
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=[], data_fields=["transition", "factors", "data", "previous"])
+@partial(jax.tree_util.register_dataclass, meta_fields=[], data_fields=["transition", "factors", "data", "previous", "proposals"])
 @dataclass(frozen=True, eq=False)
 class Density:
     """The posterior of one frame. It is a pytree: with a new frame's images or particles, a compiled function of it is not traced again.
@@ -42,12 +42,14 @@ class Density:
         factors: all other terms.
         data: the data of this frame that the factors need, by factor name.
         previous: the particles of the previous frame.
+        proposals: where to look for the entries of a plated variable (`density.graph.Mixture`), such as detections. They are no terms.
     """
 
     transition: Transition
     factors: tuple[Factor, ...]
     data: Data
     previous: Particles
+    proposals: tuple[Any, ...] = ()
 
     def __call__(self, state: State) -> Scalar:
         """Return the log-posterior of a state in the marginal view, up to the evidence."""

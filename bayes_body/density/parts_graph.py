@@ -73,6 +73,7 @@ def parts_graph(density: Density, user: str = "the kernel 'particle_bp'") -> Gra
         unaries=tuple(unaries),
         pairs=tuple(pairs),
         prior=_by_node(predictions[name], density.previous.log_weights),
+        proposals=density.proposals,
         rest=Rest(name, replace(density, factors=tuple(whole)), predictions) if whole else None,
     )
 

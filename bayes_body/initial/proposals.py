@@ -1,0 +1,139 @@
+"""Detections as proposals of message passing: for each part of a loose-limbed body, where to look. They are no factors of the density.
+
+Detected parts and the parts of a body have different frames: a detected part has its axis along z, and x points to where the person faces
+(`detection.detections`). What is between the two frames is read from the body with all angles at 0, where it stands upright. A detected landmark says
+where a point of a part is, and nothing about its rotation (`density.point_and_axis`).
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.body.placement import ByParts, placed_markers
+from bayes_body.body.solids import Body, part_transforms
+from bayes_body.density.graph import Mixture
+from bayes_body.density.point_and_axis import PointAndAxis
+from bayes_body.density.spaces import SE3
+from bayes_body.density.tangent_normal import WIDEST_RAD, tangent_normal
+from bayes_body.detection.detect import Detected
+from bayes_body.detection.detections import Detections, axis_frames, strongest
+from bayes_body.geometry import rigid, rotations
+from bayes_body.geometry.transforms import Transform
+
+# Detections of a part, and of its landmarks, of which a proposal is made: the strongest. A fixed number, so that a frame never retraces.
+MOST = 12
+
+
+class Frames(NamedTuple):
+    """For each part of the body by name, the frame of its detections `X_part_detected`; and the body's markers at zero angles, in their parts.
+
+    Attributes:
+        detected: by part.
+        landmarks: by landmark, the part's index and the point in its frame, metres.
+    """
+
+    detected: Mapping[str, Float[np.ndarray, "7"]]
+    landmarks: Mapping[str, tuple[int, Float[np.ndarray, "3"]]]
+
+
+def frames_of(body: Body) -> Frames:
+    """Return how detections are attached to a loose-limbed body."""
+    placement = _by_parts(body)
+    zero = np.asarray(placement.configuration(body.skeleton, jnp.zeros(len(body.dof_names), body.lengths.dtype)), float)
+    markers = np.asarray(placed_markers(body, jnp.asarray(zero, body.lengths.dtype)), float)
+    at = dict(zip(body.markers.names, markers, strict=True))
+    # Left and up of an upright body; forward is across both.
+    forward = np.cross(at["l_hip"] - at["r_hip"], at["thorax"] - at["pelvis"])
+    solids = part_transforms(body, jnp.asarray(zero, body.lengths.dtype))
+    rotation, base = np.asarray(solids.rotation, float), np.asarray(solids.origin, float)
+    detected = {}
+    for part, name in enumerate(placement.names):
+        own = body.topology.names.index(name)
+        axis = rotation[own][:, 2]
+        tip = base[own] + float(body.lengths[own]) * axis
+        # The axis of trunk and head points to the crown; that of a limb away from the trunk.
+        towards = axis if "_" in name or axis @ (at["thorax"] - at["pelvis"]) > 0 else -axis
+        frame = Transform(jnp.asarray(axis_frames(towards[None], forward[None])[0]), jnp.asarray((base[own] + tip) / 2))
+        detected[name] = np.asarray(rigid.relative(zero[part], np.asarray(rigid.from_transform(frame), float)), float)
+    landmarks = {}
+    for name, joint, place in zip(body.markers.names, body.markers.joints, markers, strict=True):
+        part = placement.owners[joint]
+        landmarks[name] = part, np.asarray(rigid.apply(rigid.inverse(zero[part]), place), float)
+    return Frames(detected, landmarks)
+
+
+def proposals_of(detected: Detected, body: Body) -> tuple[Mixture, ...]:
+    """Return mixtures of what was detected of each part: its rigid frame, and its landmarks. A part that was not detected has no proposal in them.
+
+    Args:
+        detected: what was detected in a frame.
+        body: a body that is placed by parts.
+    """
+    placement, frames = _by_parts(body), frames_of(body)
+    of_parts: list[list[tuple[Any, float]]] = [[] for _ in placement.names]
+    of_landmarks: list[list[tuple[Any, float]]] = [[] for _ in placement.names]
+    for part, name in enumerate(placement.names):
+        if name in detected.parts:
+            of_parts[part] = _rigid(strongest(detected.parts[name], MOST), frames.detected[name])
+    for name, (part, point) in frames.landmarks.items():
+        if name in detected.landmarks:
+            of_landmarks[part] += _points(strongest(detected.landmarks[name], MOST), point)
+    return _mixture(of_parts), _mixture([sorted(each, key=lambda one: -one[1])[:MOST] for each in of_landmarks])
+
+
+def _by_parts(body: Body) -> ByParts:
+    assert isinstance(body.placement, ByParts)
+    return body.placement
+
+
+def _rigid(found: Detections, X_part_detected: Float[np.ndarray, "7"]) -> list[tuple[Any, float]]:
+    """Return normal distributions of the part's own frame, with their weights."""
+    assert found.rotations is not None
+    turn, arm = np.asarray(rotations.to_matrix(X_part_detected[3:]), float), X_part_detected[:3]
+    cross = np.array([[0, -arm[2], arm[1]], [arm[2], 0, -arm[0]], [-arm[1], arm[0], 0]])
+    components = []
+    for place, R_world_detected, sd_m, sd_rad, weight in zip(
+        found.positions, found.rotations, found.sd_m, found.sd_rad, found.weights, strict=True
+    ):
+        R_world_part = R_world_detected @ turn.T
+        mean = np.concatenate([place - R_world_part @ arm, np.asarray(rotations.from_matrix(jnp.asarray(R_world_part)), float)])
+        # A rotation about the middle of the axis also moves the origin of the part's frame.
+        spread = np.zeros((6, 6))
+        spread[:3, :3], spread[:3, 3:], spread[3:, 3:] = R_world_detected, R_world_part @ cross @ turn, turn
+        spread = spread * np.concatenate([sd_m, np.minimum(sd_rad, WIDEST_RAD)])
+        components.append((tangent_normal(SE3(), jnp.asarray(mean, float), jnp.asarray(spread @ spread.T, float)), float(weight)))
+    return components
+
+
+def _points(found: Detections, point: Float[np.ndarray, "3"]) -> list[tuple[Any, float]]:
+    """Return distributions of the part's frame of which a point is known and nothing else, with their weights."""
+    anywhere = np.array([0.0, 0.0, 1.0])
+    return [
+        (PointAndAxis(*(jnp.asarray(each, float) for each in (place, point, sd_m, anywhere, anywhere, 0.0))), float(weight))
+        for place, sd_m, weight in zip(found.positions, found.sd_m, found.weights, strict=True)
+    ]
+
+
+def _mixture(by_part: Sequence[Sequence[tuple[Any, float]]]) -> Mixture:
+    """Return the mixture, with the same number of components for each part; those beyond its own have no weight."""
+    some = next((one for own in by_part for one, _ in own), None)
+    if some is None:
+        some = _points(_nothing(), np.zeros(3))[0][0]
+    rows, weights = [], np.full((len(by_part), MOST), -np.inf)
+    for part, own in enumerate(by_part):
+        for number, (_, weight) in enumerate(own):
+            weights[part, number] = np.log(weight) if weight > 0 else -np.inf
+        rows.append([*(one for one, _ in own), *[some] * (MOST - len(own))])
+    highest = np.where(np.isfinite(weights.max(1)), weights.max(1), 0.0)
+    weights -= (highest + np.log(np.maximum(np.exp(weights - highest[:, None]).sum(1), 1e-30)))[:, None]
+    stacked = [jax.tree.map(lambda *leaves: jnp.stack(leaves), *row) for row in rows]
+    return Mixture(jax.tree.map(lambda *leaves: jnp.stack(leaves), *stacked), jnp.asarray(weights, float))
+
+
+def _nothing() -> Detections:
+    one = np.zeros((1, 3))
+    return Detections(one, None, one + 1, one, np.ones(1), ("",))
