@@ -183,7 +183,7 @@ def _both(name: str, detections: Detections) -> dict[str, Detections]:
     return {"l_" + name: detections, "r_" + name: detections}
 
 
-def _mixture(on_paths: Float[np.ndarray, "point 3"], guessed: Float[np.ndarray, "point 3"], sd_m: float) -> Detections:
+def _mixture(on_paths: Float[np.ndarray, "path 3"], guessed: Float[np.ndarray, "point 3"], sd_m: float) -> Detections:
     """Landmarks on paths, and others with the share GUESSED of the weight."""
     groups = [(landmark(points, sd_m, np.ones(len(points)), NAME), share) for points, share in ((on_paths, 1 - GUESSED), (guessed, GUESSED))]
     return merge(groups) or landmark(np.zeros((0, 3)), sd_m, np.zeros(0), NAME)
