@@ -132,7 +132,7 @@ def _singles(scene: Scene, faces: Sequence[Face]) -> Iterator[Head]:
 
 def _has_size(scene: Scene, face: Face, place: Float[np.ndarray, "3"]) -> bool:
     distance = np.linalg.norm(place - scene.viewpoints[face.view])
-    return SIZES_M[0] <= face.side_px * distance / max(scene.cameras[face.view].focal_px) <= SIZES_M[1]
+    return bool(SIZES_M[0] <= face.side_px * distance / max(scene.cameras[face.view].focal_px) <= SIZES_M[1])
 
 
 def _looks(scene: Scene, face: Face, place: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:

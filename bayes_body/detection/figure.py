@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.ndimage import distance_transform_edt
-from scipy.sparse import coo_matrix, csr_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from bayes_body.detection.hull import VOXEL_M, Voxels, neighbours
@@ -128,7 +128,7 @@ def _across(
 def _paths(centres: Voxels, depths: Float[np.ndarray, " voxel"], pelvis: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "point 3"], ...]:
     graph = neighbours(centres)
     root = int(np.argmin(((centres - pelvis) ** 2).sum(axis=1)))
-    inner = coo_matrix((graph.data / np.minimum(depths[graph.row], depths[graph.col]), (graph.row, graph.col)), graph.shape)
+    inner = coo_array((graph.data / np.minimum(depths[graph.row], depths[graph.col]), (graph.row, graph.col)), graph.shape)
     before = dijkstra(inner.tocsr(), directed=False, indices=root, return_predecessors=True)[1]
     lengths, reached, paths = graph.tocsr(), np.array([root]), []
     for _ in range(MOST_TIPS):

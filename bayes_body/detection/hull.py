@@ -15,7 +15,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
@@ -34,7 +34,7 @@ SPECK, HOLE = 1e-4, 0.015
 EPSILON, BLUR, LEAST_EVIDENCE = 0.15, 0.006, 0.5
 
 type Mask = Bool[np.ndarray, "row column"]
-type Voxels = Float[np.ndarray, "voxel 3"]
+type Voxels = Float[np.ndarray, "_ 3"]
 
 
 class _View(NamedTuple):
@@ -53,7 +53,7 @@ def clean(mask: Mask) -> Mask:
     _, labels, stats, _ = cv2.connectedComponentsWithStats(closed)
     large = np.asarray(stats[:, cv2.CC_STAT_AREA] >= SPECK * mask.size)
     large[0] = False
-    return np.take(large, labels)
+    return large[np.asarray(labels, np.intp)]
 
 
 def carve(cameras: Sequence[CameraSpec], masks: Sequence[Mask]) -> Voxels:
@@ -80,11 +80,11 @@ def bodies(centres: Voxels) -> list[Voxels]:
     return sorted((centres[labels == k] for k in range(labels.max() + 1)), key=len, reverse=True)
 
 
-def neighbours(centres: Voxels) -> coo_matrix:
+def neighbours(centres: Voxels) -> coo_array:
     """The graph of neighbouring voxels (faces, edges and corners) with their distances, metres: an upper triangle."""
     pairs = KDTree(centres).query_pairs(1.8 * VOXEL_M, output_type="ndarray")
     lengths = np.linalg.norm(centres[pairs[:, 0]] - centres[pairs[:, 1]], axis=1)
-    return coo_matrix((lengths, (pairs[:, 0], pairs[:, 1])), shape=(len(centres), len(centres)))
+    return coo_array((lengths, (pairs[:, 0], pairs[:, 1])), shape=(len(centres), len(centres)))
 
 
 def searched_box(cameras: Sequence[CameraSpec]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:

@@ -29,8 +29,8 @@ PARTS: Mapping[str, tuple[float, float, float, bool]] = {
 }
 # The joint at a part's proximal end.
 PROXIMAL = {"forearm": "elbow", "hand": "wrist", "calf": "knee", "foot": "ankle"}
-# Accepted ratio of a limb's length to the part's, and radii in metres.
-LENGTHS, RADII_M = (0.5, 1.8), (0.015, 0.10)
+# Accepted ratio of a limb's length to the part's (a forearm with its hand is 1.9 times as long, as ellipses go), and radii in metres.
+LENGTHS, RADII_M = (0.5, 2.1), (0.015, 0.10)
 # Rays may miss each other by this share of the blobs' short half axis and a pixel count; a limb's middle is foreground in this share of the views.
 MISS, MISS_PX, FOREGROUND = 0.7, 2.0, 0.7
 # A limb's middle lies no deeper inside the visual hull than this, metres.
@@ -40,12 +40,14 @@ HEAD_M = 0.3
 # Largest distance of the colours of two blobs of one limb, grey levels of a channel; grey cameras are not compared with colour cameras.
 COLOURS = 40.0
 # Limbs nearer than this and more parallel than this (cosine) are the same; spread of a limb's length about the part's, as a logarithm.
-SAME_M, PARALLEL, SD_LOG_LENGTH = 0.06, 0.85, 0.4
+SAME_M, PARALLEL, SD_LOG_LENGTH = 0.06, 0.85, 0.6
+# Limbs of less than this share of the largest weight are dropped.
+LEAST_WEIGHT = 0.01
 # Limbs that are kept for each part; the stature where it is not known.
-MOST, STATURE_M = 16, 1.7
+MOST, STATURE_M = 24, 1.7
 SD_ACROSS_M, SD_ALONG_M, SD_TILT_RAD = 0.04, 0.08, 0.35
 # Spread of the tilt about the one in most poses, radians.
-SD_POSE_RAD = 0.5
+SD_POSE_RAD = 0.6
 
 
 class Limbs(NamedTuple):
@@ -90,6 +92,7 @@ def _of_part(scene: Scene, limbs: Limbs, name: str, stature: float, floor: float
     weights = np.exp(log_weights - 0.5 * (np.log(lengths) / SD_LOG_LENGTH) ** 2) * _support(limbs)
     weights *= (lengths > LENGTHS[0]) & (lengths < LENGTHS[1])
     weights[_suppressed(limbs, weights)] = 0.0
+    weights[weights < LEAST_WEIGHT * weights.max(initial=0.0)] = 0.0
     kept = weights > 0
     limbs = Limbs(*(each[kept] for each in limbs))
     axes = axes[kept]

@@ -59,7 +59,7 @@ def _place(body: Voxels) -> str:
 
 
 def _is_person(body: Voxels, up: int) -> bool:
-    return len(body) * VOXEL_M**3 >= LEAST_VOLUME_M3 and np.ptp(body[:, up]) >= LEAST_HEIGHT_M
+    return bool(len(body) * VOXEL_M**3 >= LEAST_VOLUME_M3 and np.ptp(body[:, up]) >= LEAST_HEIGHT_M)
 
 
 def _on_floor(centres: Voxels, up: int) -> Voxels:

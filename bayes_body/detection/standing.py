@@ -1,9 +1,11 @@
 """Where the person stands, from the silhouette of a single camera: on the floor, and as tall as their stature says.
 
 The ray through the silhouette's lowest point meets the floor (height 0) below the feet. The crown is where the vertical above that point comes
-nearest to the ray through the silhouette's highest point. Nothing is told of limbs or facing.
+nearest to the ray through the silhouette's highest point. Nothing is told of limbs or facing. A shadow at the feet misplaces the person; the stature
+shows that only if the height that follows is far from it.
 """
 
+import cv2
 import numpy as np
 from jaxtyping import Float
 
@@ -15,9 +17,9 @@ from bayes_body.detection.scene import Scene
 NAME = "standing"
 # Pelvis and thorax as fractions of the height (`figure`); standard deviations in metres.
 HIP, SHOULDER = 0.51, 0.818
-SD_LEVEL_M, SD_HEIGHT_M = 0.35, 0.12
+SD_LEVEL_M, SD_HEIGHT_M = 0.5, 0.12
 # A person's height in the image must agree with the stature within these ratios.
-AGREES = (0.75, 1.15)
+AGREES = (0.85, 1.08)
 LEAST_M, MOST_M = 0.8, 2.3
 
 
@@ -28,7 +30,7 @@ def detect_standing(scene: Scene) -> Found:
     mask = scene.masks[0]
     if not mask.any():
         return Found({}, {}, ("no silhouette in the only camera",))
-    below, above = _ends(scene, mask)
+    below, above = _ends(scene, _largest(mask))
     found = _floor_and_height(scene, below, above)
     if found is None:
         return Found({}, {}, ("the only camera does not show where the person stands: its silhouette does not reach the floor",))
@@ -36,7 +38,7 @@ def detect_standing(scene: Scene) -> Found:
     low, high = (AGREES[0] * scene.stature_m, AGREES[1] * scene.stature_m) if scene.stature_m else (LEAST_M, MOST_M)
     if not low <= height <= high:
         return Found({}, {}, (f"the only camera shows a person of {height:.2f} m on the floor; expected {low:.2f} to {high:.2f} m",))
-    notice = "one camera: the person's place is broad, and limbs and facing are unknown"
+    notice = "one camera: the person's place is uncertain, a shadow at the feet misplaces it; limbs and facing are unknown"
     landmarks = {name: _at(floor, share * height, scene) for name, share in (("pelvis", HIP), ("thorax", SHOULDER), ("head", 1.0))}
     return Found(landmarks, {}, (notice,), Person(floor, height, None, False))
 
@@ -47,8 +49,14 @@ def _at(floor: Float[np.ndarray, "3"], height: float, scene: Scene) -> Detection
     return landmark((floor + height * scene.upwards)[None], sd, np.ones(1), NAME)
 
 
+def _largest(mask: Mask) -> Mask:
+    """The mask's largest connected part."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    return np.asarray(labels == 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax()))
+
+
 def _ends(scene: Scene, mask: Mask) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """The directions of the largest silhouette's lowest and highest ray."""
+    """The directions of a silhouette's lowest and highest ray."""
     rows, columns = np.nonzero(mask)
     directions = rays(scene.cameras[0], np.stack([columns, rows], axis=1).astype(float))
     slopes = directions[:, scene.up] / np.maximum(np.linalg.norm(np.delete(directions, scene.up, axis=1), axis=1), 1e-6)

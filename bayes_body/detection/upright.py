@@ -13,7 +13,7 @@ from bayes_body.recording.triangulate import project
 # The picture around a known head: its side in metres, and pixels a metre (a face is then about 50 pixels wide).
 SIDE_M, PIXELS_PER_M = 0.5, 280.0
 # Without a known head: the distance at which the direction of up is taken, metres, and the largest side of the picture.
-AHEAD_M, SIDE_PX = 3.0, 1200
+AHEAD_M, SIDE_PX = 3.0, 900
 
 
 class Upright(NamedTuple):
