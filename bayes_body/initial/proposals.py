@@ -82,7 +82,8 @@ def proposals_of(detected: Detected, body: Body) -> tuple[Mixture, ...]:
     for name, (part, point) in frames.landmarks.items():
         if name in detected.landmarks:
             of_landmarks[part] += _points(strongest(detected.landmarks[name], MOST), point)
-    return _mixture(of_parts), _mixture([sorted(each, key=lambda one: -one[1])[:MOST] for each in of_landmarks])
+    strongest_points = [sorted(each, key=lambda one: -one[1])[:MOST] for each in of_landmarks]
+    return _mixture(of_parts, tangent_normal(SE3(), jnp.asarray(rigid.identity(), float), jnp.eye(6))), _mixture(strongest_points, _point(*np.eye(3)))
 
 
 def _by_parts(body: Body) -> ByParts:
@@ -96,9 +97,7 @@ def _rigid(found: Detections, X_part_detected: Float[np.ndarray, "7"]) -> list[t
     turn, arm = np.asarray(rotations.to_matrix(X_part_detected[3:]), float), X_part_detected[:3]
     cross = np.array([[0, -arm[2], arm[1]], [arm[2], 0, -arm[0]], [-arm[1], arm[0], 0]])
     components = []
-    for place, R_world_detected, sd_m, sd_rad, weight in zip(
-        found.positions, found.rotations, found.sd_m, found.sd_rad, found.weights, strict=True
-    ):
+    for place, R_world_detected, sd_m, sd_rad, weight in zip(found.positions, found.rotations, found.sd_m, found.sd_rad, found.weights, strict=True):
         R_world_part = R_world_detected @ turn.T
         mean = np.concatenate([place - R_world_part @ arm, np.asarray(rotations.from_matrix(jnp.asarray(R_world_part)), float)])
         # A rotation about the middle of the axis also moves the origin of the part's frame.
@@ -111,29 +110,21 @@ def _rigid(found: Detections, X_part_detected: Float[np.ndarray, "7"]) -> list[t
 
 def _points(found: Detections, point: Float[np.ndarray, "3"]) -> list[tuple[Any, float]]:
     """Return distributions of the part's frame of which a point is known and nothing else, with their weights."""
+    return [(_point(place, point, sd_m), float(weight)) for place, sd_m, weight in zip(found.positions, found.sd_m, found.weights, strict=True)]
+
+
+def _point(place: np.ndarray, point: np.ndarray, sd_m: np.ndarray) -> PointAndAxis:
     anywhere = np.array([0.0, 0.0, 1.0])
-    return [
-        (PointAndAxis(*(jnp.asarray(each, float) for each in (place, point, sd_m, anywhere, anywhere, 0.0))), float(weight))
-        for place, sd_m, weight in zip(found.positions, found.sd_m, found.weights, strict=True)
-    ]
+    return PointAndAxis(*(jnp.asarray(each, float) for each in (place, point, sd_m, anywhere, anywhere, 0.0)))
 
 
-def _mixture(by_part: Sequence[Sequence[tuple[Any, float]]]) -> Mixture:
-    """Return the mixture, with the same number of components for each part; those beyond its own have no weight."""
-    some = next((one for own in by_part for one, _ in own), None)
-    if some is None:
-        some = _points(_nothing(), np.zeros(3))[0][0]
-    rows, weights = [], np.full((len(by_part), MOST), -np.inf)
+def _mixture(by_part: Sequence[Sequence[tuple[Any, float]]], filling: Any) -> Mixture:
+    """Return the mixture, with the same number of components for each part; the filling has no weight."""
+    weights = np.full((len(by_part), MOST), -np.inf)
     for part, own in enumerate(by_part):
+        total = sum(weight for _, weight in own)
         for number, (_, weight) in enumerate(own):
-            weights[part, number] = np.log(weight) if weight > 0 else -np.inf
-        rows.append([*(one for one, _ in own), *[some] * (MOST - len(own))])
-    highest = np.where(np.isfinite(weights.max(1)), weights.max(1), 0.0)
-    weights -= (highest + np.log(np.maximum(np.exp(weights - highest[:, None]).sum(1), 1e-30)))[:, None]
-    stacked = [jax.tree.map(lambda *leaves: jnp.stack(leaves), *row) for row in rows]
-    return Mixture(jax.tree.map(lambda *leaves: jnp.stack(leaves), *stacked), jnp.asarray(weights, float))
-
-
-def _nothing() -> Detections:
-    one = np.zeros((1, 3))
-    return Detections(one, None, one + 1, one, np.ones(1), ("",))
+            weights[part, number] = np.log(weight / total) if weight > 0 else -np.inf
+    components = [component for own in by_part for component in (*(one for one, _ in own), *[filling] * (MOST - len(own)))]
+    shape = (len(by_part), MOST)
+    return Mixture(jax.tree.map(lambda *leaves: jnp.stack(leaves).reshape(*shape, *leaves[0].shape), *components), jnp.asarray(weights, float))
