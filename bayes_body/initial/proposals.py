@@ -1,8 +1,9 @@
 """Detections as proposals of message passing: for each part of a loose-limbed body, where to look. They are no factors of the density.
 
 Detected parts and the parts of a body have different frames: a detected part has its axis along z, and x points to where the person faces
-(`detection.detections`). What is between the two frames is read from the body with all angles at 0, where it stands upright. A detected landmark says
-where a point of a part is, and nothing about its rotation (`density.point_and_axis`).
+(`detection.detections`). What is between the two frames is read from the body with all angles at 0, where it stands upright. Arms and feet point
+forward or back there, so how they are turned about their axes is arbitrary; no detector tells it. A detected landmark says where a point of a part
+is, and nothing about its rotation (`density.point_and_axis`).
 """
 
 from collections.abc import Mapping, Sequence

@@ -102,8 +102,8 @@ LIKELIHOOD
 kind = "sir"
 """
 MARKERS = '[[likelihood]]\nkind = "markers_gaussian"\nsd_px = 8.0\nat_diagonal_px = 800.0\n'
-# So coarse that some hundred draws of the prior are effective.
-SILHOUETTES = '[[likelihood]]\nkind = "silhouette_bernoulli"\ngrid = [24, 18]\nsoft_px = 8.0\nfalse_alarm = 0.05\nmiss = 0.05\n'
+# So coarse that about half of a thousand draws of the prior are effective.
+SILHOUETTES = '[[likelihood]]\nkind = "silhouette_bernoulli"\ngrid = [16, 12]\nsoft_px = 8.0\nfalse_alarm = 0.1\nmiss = 0.1\n'
 # Angles before the frame, degrees: three ancestors. The kernel's systematic choice of ten of them keeps these weights exactly.
 BEFORE = ((10.0, -25.0, 5.0, -30.0, 5.0), (0.0, -10.0, 20.0, -55.0, 20.0), (-8.0, -40.0, -15.0, -15.0, 0.0))
 WEIGHTS = (0.5, 0.3, 0.2)

@@ -27,11 +27,8 @@ from bayes_body.kernels.parts.messages import normalised
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("optimised")]
 
 
-# Its program takes minutes.
-STRATA = pytest.param("pampas", marks=pytest.mark.long)
-
-
-@pytest.mark.parametrize("method", ["pbp", "epbp", STRATA])
+@pytest.mark.long
+@pytest.mark.parametrize("method", ["pbp", "epbp", "pampas"])
 def test_a_gaussian_chain_is_exact(method):
     means, variances, evidence, efficiency = chain_scores(200, 30, method=method)
     assert np.sqrt(np.mean(means**2)) < 1.6 and np.abs(means).max() < 4.5
@@ -79,7 +76,9 @@ def test_on_loops_messages_reach_the_fixed_point_of_the_grid(method):
     assert found.mean() < 0.045
 
 
-@pytest.mark.parametrize(("method", "damping"), [("mixture", 0.0), ("pbp", 0.5), ("epbp", 0.5), pytest.param("pampas", 0.5, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("method", "damping"), [("mixture", 0.0), ("epbp", 0.5), *(pytest.param(method, 0.5, marks=pytest.mark.long) for method in ("pbp", "pampas"))]
+)
 def test_new_data_never_retraces(method, damping):
     sampler, traces = MODULE.build_kernel(samples=20, particles=10, iterations=2, method=method, damping=damping), []
 
@@ -122,6 +121,7 @@ def frustrated(seen) -> Graph:
     )
 
 
+@pytest.mark.long
 def test_damping_ends_an_oscillation():
     """Belief propagation on Gaussian loops has the right means where it converges (Weiss & Freeman 2001)."""
     precision = np.eye(4) / ALONE**2 + (2 * np.eye(4) + np.ones((4, 4))) / AGAINST**2

@@ -83,7 +83,7 @@ def with_own_message(total, message):
 MUTANTS = {"no division by q": (passing, "log_density", without_division), "own message kept": (messages, "_without", with_own_message)}
 
 
-@pytest.mark.parametrize("mutant", MUTANTS)
+@pytest.mark.parametrize("mutant", ["no division by q", pytest.param("own message kept", marks=pytest.mark.long)])
 def test_a_wrong_weight_is_found_out(monkeypatch, mutant):
     module, name, function = MUTANTS[mutant]
     monkeypatch.setattr(module, name, function)
@@ -97,6 +97,7 @@ def stale(term, come_from, targets, rows, kept=keeping(messages, "log_messages")
     return kept(term, come_from, jnp.roll(targets, 1, axis=1), rows)
 
 
+@pytest.mark.long
 def test_stale_messages_in_the_last_pass_are_found_out(monkeypatch):
     """The last pass draws from messages at new points. Densities from before, at points that are gone, bias the evidence."""
     of_pass = Passing.redraw

@@ -73,6 +73,7 @@ def scores(program, draw=None):
     return *errors, np.exp(evidence - exact), (means - mean) / sd
 
 
+@pytest.mark.long
 def test_it_is_the_kalman_smoother_where_all_is_normal(program):
     means, variances, ratios, off = scores(program)
     assert np.sqrt(np.mean(means**2)) < 1.6 and np.abs(means).max() < 4.5

@@ -86,7 +86,7 @@ def joint_particles(key: Key, graph: Graph, redrawn: Redrawn, count: int) -> Joi
     exact, _ = jax.lax.scan(_down, exact, (pairs, messages, forest.parents, forest.children))
     chosen = _chosen(key, forest, pairs, upward, of_ancestors, count)
     values = jax.vmap(lambda own, index: own[index], out_axes=1)(points, chosen)
-    left_out = over_particles(lambda value, graph: _left_out(graph, value), values, graph)
+    left_out = over_particles(lambda value, graph: log_left_out(graph, value), values, graph)
     stood_in = jnp.sum(jnp.take_along_axis(redrawn.closing, chosen, axis=1), axis=0)
     weights = jax.nn.logsumexp(of_ancestors) + left_out - stood_in
     beliefs = normalised(jax.nn.logsumexp(exact, axis=-1))
@@ -110,7 +110,7 @@ def _chosen(
     return chosen
 
 
-def _left_out(graph: Graph, value: Float[Array, "node *entry"]) -> Scalar:
+def log_left_out(graph: Graph, value: Float[Array, "node *entry"]) -> Scalar:
     """Return the log of what the sum over the forest leaves out: edges that close loops, and terms of more than two nodes."""
     summed, total = set(graph.forest()), graph.log_rest(value)
     for number, term in enumerate(graph.pairs):

@@ -1,0 +1,93 @@
+r"""Find a body in one frame without any first pose: posterior draws of a loose-limbed body, from detections of its parts.
+
+The root's place comes from the detections; all other parts from the joints' densities. Whole bodies are drawn and weighed with a small power of the
+likelihood. Of the trunks that are left, limbs are drawn many times (kernels/parts/nested.py), with a larger power and then with the whole likelihood.
+Trunks are drawn again by weight in between; each step's weights divide out those of the step before, so the result is a weighted sample of
+
+$$p(x) \propto q(x_\text{root}) \prod_{\text{joints}} \psi \prod_i \phi_i(x_i),$$
+
+where q is the mixture of the root's detections. Penetration of parts enters the weights at the end. The motion prior plays no role.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayes_body.density.density import Density
+from bayes_body.density.graph import Mixture
+from bayes_body.density.parts_graph import parts_graph
+from bayes_body.kernels.parts.batching import over_particles
+from bayes_body.kernels.parts.joint_particles import log_left_out
+from bayes_body.kernels.parts.nested import nested_draws, tree_of, trunk_draws
+from bayes_body.kernels.parts.resampling import resampler
+from bayes_body.kernels.parts.weights import normalise
+from bayes_body.shapes import Key, Scalar
+
+# Whole bodies that are drawn first, trunks that are kept of them, particles of a limb, and powers of the likelihood after the first.
+BODIES, TRUNKS, LIMBS = 16_384, 512, 64
+POWERS = (0.4, 1.0)
+# The first power leaves this share of the trunks effective.
+EFFECTIVE = 0.5
+
+
+class Search(NamedTuple):
+    """Weighted draws of the parts.
+
+    Attributes:
+        parts: the draws.
+        log_weights: their log-weights, normalised.
+        log_evidence: log of the mean likelihood over the prior of the search.
+        ess: effective number of draws.
+    """
+
+    parts: Float[Array, "draw part 7"]
+    log_weights: Float[Array, " draw"]
+    log_evidence: Scalar
+    ess: Scalar
+
+
+def search(key: Key, density: Density, roots: Mixture) -> Search:
+    """Return draws of the body in a frame. Compile it once for all frames (`jax.jit`).
+
+    Args:
+        key: random key.
+        density: the frame's density; its motion prior is not read.
+        roots: a mixture for each part (`proposals_of`), of which the first part's is read.
+
+    Raises:
+        InputError: the body is not placed by parts, or its joints are no densities to draw from.
+    """
+    root_key, trunk_key, body_key, *keys = jax.random.split(key, 3 + 2 * len(POWERS))
+    graph = parts_graph(density, "the search for a first pose")
+    tree, resample = tree_of(graph), resampler("systematic")
+    bodies = trunk_draws(trunk_key, graph, tree, roots.sample(root_key, BODIES)[0])
+    first = nested_draws(body_key, graph, tree, bodies, 1)
+    power = first_power(first.log_estimates, EFFECTIVE * TRUNKS)
+    # The weight of a trunk so far, and what was divided out of it by drawing again.
+    weights, divided, trunks, found = power * first.log_estimates, power * first.log_estimates, bodies, first
+    evidence = jnp.zeros(())
+    for step, later in enumerate(POWERS):
+        evidence += jax.nn.logsumexp(weights) - jnp.log(weights.shape[0])
+        kept = resample(keys[2 * step], weights, TRUNKS)
+        trunks, divided = trunks[kept], divided[kept]
+        found = nested_draws(keys[2 * step + 1], graph, tree, trunks, LIMBS, later)
+        weights, divided = found.log_estimates - divided, found.log_estimates
+    weights += over_particles(lambda value, graph: log_left_out(graph, value), found.values, graph)
+    normal = normalise(weights)
+    evidence += jax.nn.logsumexp(weights) - jnp.log(weights.shape[0])
+    return Search(found.values, normal.log_weights, evidence, 1 / jnp.sum(jnp.exp(2 * normal.log_weights)))
+
+
+def first_power(log_estimates: Float[Array, " body"], effective: float) -> Scalar:
+    """Return the largest power of the estimates, up to the first of `POWERS`, with which so many bodies are effective."""
+    relative = log_estimates - jnp.max(log_estimates)
+
+    def halve(_: Array, between: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+        low, high = between
+        middle = 0.5 * (low + high)
+        enough = 2 * jax.nn.logsumexp(middle * relative) - jax.nn.logsumexp(2 * middle * relative) > jnp.log(effective)
+        return jnp.where(enough, middle, low), jnp.where(enough, high, middle)
+
+    return jax.lax.fori_loop(0, 20, halve, (jnp.zeros(()), jnp.asarray(POWERS[0])))[0]
