@@ -158,7 +158,7 @@ def main() -> None:
         print(f"{joints:8d}  {samples:8d}  {found:8.3f}", flush=True)
     by_samples = dict(sorted(by_samples.items()))
     if options.plot:
-        plot(options.plot, by_joints, by_samples)
+        plot(options.plot, by_joints, {samples: by_samples[samples] for samples in SAMPLES})
     print(f"Frames, {len(session.views)} cameras, 6 iterations and 500 joint draws\n   parts   samples   seconds   to compile, s")
     frames = {}
     for parts, density in ((10, density_of(10, session)), (15, fifteen)):
