@@ -57,7 +57,7 @@ class PointAndAxis:
         aim = cosine * self.direction + jnp.sqrt(1 - cosine**2) * across
         # Any rotation, followed by the shortest one that brings the axis to its direction: the turn about it stays uniform.
         anyhow = _unit(jax.random.normal(turn_key, (4,), self.place.dtype))
-        quaternion = rotations.multiply(_shortest(rotations.rotate(anyhow, self.axis), aim), anyhow)
+        quaternion = rotations.multiply(_shortest(jnp.asarray(rotations.rotate(anyhow, self.axis)), aim), anyhow)
         there = self.place + self.sd_m * jax.random.normal(place_key, (3,), self.place.dtype)
         return jnp.asarray(rigid.rigid(there - rotations.rotate(quaternion, self.point), quaternion))
 
