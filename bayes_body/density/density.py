@@ -42,7 +42,7 @@ class Density:
         factors: all other terms.
         data: the data of this frame that the factors need, by factor name.
         previous: the particles of the previous frame.
-        proposals: where to look for the entries of a plated variable (`density.graph.Mixture`), such as detections. They are no terms.
+        proposals: where to look for entries of a plated variable (`graph.Mixture`), such as detections; no terms.
     """
 
     transition: Transition

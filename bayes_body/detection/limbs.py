@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bayes_body.detection.blobs import Blob, blobs
-from bayes_body.detection.detections import UNKNOWN_RAD, Detections, Found, axis_frames, landmark, part, strongest
+from bayes_body.detection.detections import Detections, Found, landmark, segments, strongest
 from bayes_body.detection.pairs import rays, triangulate_pair
 from bayes_body.detection.scene import Scene
 from bayes_body.session.session import CameraSpec
@@ -45,7 +45,7 @@ SAME_M, PARALLEL, SD_LOG_LENGTH = 0.06, 0.85, 0.6
 LEAST_WEIGHT = 0.01
 # Limbs that are kept for each part; the stature where it is not known.
 MOST, STATURE_M = 24, 1.7
-SD_ACROSS_M, SD_ALONG_M, SD_TILT_RAD = 0.04, 0.08, 0.35
+SD_ACROSS_M, SD_ALONG_M = 0.04, 0.08
 # Spread of the tilt about the one in most poses, radians.
 SD_POSE_RAD = 0.6
 
@@ -95,13 +95,11 @@ def _of_part(scene: Scene, limbs: Limbs, name: str, stature: float, floor: float
     weights[weights < LEAST_WEIGHT * weights.max(initial=0.0)] = 0.0
     kept = weights > 0
     limbs = Limbs(*(each[kept] for each in limbs))
-    axes = axes[kept]
-    rotations = axis_frames(axes, np.zeros_like(axes))
-    sd_m, sd_rad = np.array([SD_ACROSS_M, SD_ACROSS_M, SD_ALONG_M]), np.array([SD_TILT_RAD, SD_TILT_RAD, UNKNOWN_RAD])
+    sd_m = np.array([SD_ACROSS_M, SD_ACROSS_M, SD_ALONG_M])
     # A foot is nearly level: either end may be the ankle.
     proximal = limbs.middles if name == "foot" else limbs.upper
     return (
-        strongest(part(limbs.middles, rotations, sd_m, sd_rad, weights[kept], NAME), MOST),
+        strongest(segments(limbs.upper, limbs.lower, sd_m, weights[kept], NAME), MOST),
         strongest(landmark(proximal, SD_ALONG_M, weights[kept], NAME), MOST),
     )
 

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
 from bayes_body.detection.figure import Figure, figure, interior_depths
@@ -84,8 +84,7 @@ class Scene:
         hits, shown = np.zeros(len(points)), np.zeros(len(points))
         for camera, mask in zip(self.cameras, self.people or (), strict=False):
             pixels = project(camera, points)
-            height, width = mask.shape
-            inside = np.isfinite(pixels).all(axis=1) & (pixels > -0.5).all(axis=1) & (pixels < (width - 0.5, height - 0.5)).all(axis=1)
+            inside = _is_inside(pixels, mask.shape)
             columns, rows = np.rint(pixels[inside]).astype(int).T
             hits[inside] += mask[rows, columns]
             shown += inside
@@ -116,7 +115,7 @@ def _around(camera: CameraSpec, centres: Voxels, shape: tuple[int, ...]) -> Mask
     """The voxels' projection, wider by two voxels: holes of a mask stay holes, shadows and other people go."""
     pixels = project(camera, centres)
     depth = centres @ camera.rotation[2] + camera.translation_m[2]
-    inside = np.isfinite(pixels).all(axis=1) & (pixels > -0.5).all(axis=1) & (pixels < (shape[1] - 0.5, shape[0] - 0.5)).all(axis=1)
+    inside = _is_inside(pixels, shape)
     hit = np.zeros(shape, np.uint8)
     if not inside.any():
         return hit > 0
@@ -124,3 +123,8 @@ def _around(camera: CameraSpec, centres: Voxels, shape: tuple[int, ...]) -> Mask
     hit[rows, columns] = 1
     size = 2 * int(np.ceil(2 * VOXEL_M * max(camera.focal_px) / np.median(depth[inside]))) + 1
     return cv2.dilate(hit, np.ones((size, size), np.uint8)) > 0
+
+
+def _is_inside(pixels: Float[np.ndarray, "point 2"], shape: tuple[int, ...]) -> Bool[np.ndarray, " point"]:
+    """Whether pixels (column, row) lie in an image of a shape (rows, columns)."""
+    return np.isfinite(pixels).all(axis=1) & (pixels > -0.5).all(axis=1) & (pixels < (shape[1] - 0.5, shape[0] - 0.5)).all(axis=1)

@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.detection.detections import Detections, Found, Person, landmark
+from bayes_body.detection.figure import HIP, SHOULDER
 from bayes_body.detection.hull import Mask
 from bayes_body.detection.pairs import rays
 from bayes_body.detection.scene import Scene
 
 NAME = "standing"
-# Pelvis and thorax as fractions of the height (`figure`); standard deviations in metres.
-HIP, SHOULDER = 0.51, 0.818
+# Standard deviations of the place on the floor and of heights.
 SD_LEVEL_M, SD_HEIGHT_M = 0.5, 0.12
 # A person's height in the image must agree with the stature within these ratios.
 AGREES = (0.85, 1.08)

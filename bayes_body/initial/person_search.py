@@ -64,7 +64,15 @@ class PersonSearch:
         self.markers = jax.jit(lambda parts: jax.lax.map(lambda one: placed_markers(self.model.body, one), parts))
 
     def frame(self, index: int, seed: int = 0) -> Found | Detected:
-        """Return the person of a frame; what was detected, if that does not say where the body's first part may be."""
+        """Return the person of a frame; what was detected, if that does not say where the body's first part may be.
+
+        Args:
+            index: the frame, counted from 0.
+            seed: seed of the draws.
+
+        Raises:
+            InputError: there is no such frame, or a file of the session cannot be used.
+        """
         detected = detect(self.session, index)
         begun = time.perf_counter()
         model = self.model.at(cameras_at(self.session, index)) if self.session.moves else self.model

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.body.placement import ByParts, placed_markers
+from bayes_body.body.placement import PARTS, ByParts, placed_markers, require
 from bayes_body.body.solids import Body, part_transforms
 from bayes_body.density.graph import Mixture
 from bayes_body.density.point_and_axis import PointAndAxis
@@ -42,7 +42,11 @@ class Frames(NamedTuple):
 
 
 def frames_of(body: Body) -> Frames:
-    """Return how detections are attached to a loose-limbed body."""
+    """Return how detections are attached to a loose-limbed body.
+
+    Raises:
+        InputError: the body is placed by angles.
+    """
     placement = _by_parts(body)
     zero = np.asarray(placement.configuration(body.skeleton, jnp.zeros(len(body.dof_names), body.lengths.dtype)), float)
     markers = np.asarray(placed_markers(body, jnp.asarray(zero, body.lengths.dtype)), float)
@@ -73,6 +77,9 @@ def proposals_of(detected: Detected, body: Body) -> tuple[Mixture, ...]:
     Args:
         detected: what was detected in a frame.
         body: a body that is placed by parts.
+
+    Raises:
+        InputError: the body is placed by angles.
     """
     placement, frames = _by_parts(body), frames_of(body)
     of_parts: list[list[tuple[Any, float]]] = [[] for _ in placement.names]
@@ -88,6 +95,7 @@ def proposals_of(detected: Detected, body: Body) -> tuple[Mixture, ...]:
 
 
 def _by_parts(body: Body) -> ByParts:
+    require(body, PARTS, "detections of parts", "detections of landmarks")
     assert isinstance(body.placement, ByParts)
     return body.placement
 

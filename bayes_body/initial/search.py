@@ -20,9 +20,10 @@ from bayes_body.density.graph import Mixture
 from bayes_body.density.parts_graph import parts_graph
 from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.kernels.parts.joint_particles import log_left_out
+from bayes_body.kernels.parts.ladder import next_increment
 from bayes_body.kernels.parts.nested import nested_draws, tree_of, trunk_draws
 from bayes_body.kernels.parts.resampling import resampler
-from bayes_body.kernels.parts.weights import normalise
+from bayes_body.kernels.parts.weights import effective_sample_size, normalise
 from bayes_body.shapes import Key, Scalar
 
 # Whole bodies that are drawn first, trunks that are kept of them, particles of a limb, and powers of the likelihood after the first.
@@ -64,7 +65,7 @@ def search(key: Key, density: Density, roots: Mixture) -> Search:
     tree, resample = tree_of(graph), resampler("systematic")
     bodies = trunk_draws(trunk_key, graph, tree, roots.sample(root_key, BODIES)[0])
     first = nested_draws(body_key, graph, tree, bodies, 1)
-    power = first_power(first.log_estimates, EFFECTIVE * TRUNKS)
+    power = next_increment(first.log_estimates, EFFECTIVE * TRUNKS / BODIES, jnp.asarray(POWERS[0]))
     # The weight of a trunk so far, and what was divided out of it by drawing again.
     weights, divided, trunks, found = power * first.log_estimates, power * first.log_estimates, bodies, first
     evidence = jnp.zeros(())
@@ -77,17 +78,4 @@ def search(key: Key, density: Density, roots: Mixture) -> Search:
     weights += over_particles(lambda value, graph: log_left_out(graph, value), found.values, graph)
     normal = normalise(weights)
     evidence += jax.nn.logsumexp(weights) - jnp.log(weights.shape[0])
-    return Search(found.values, normal.log_weights, evidence, 1 / jnp.sum(jnp.exp(2 * normal.log_weights)))
-
-
-def first_power(log_estimates: Float[Array, " body"], effective: float) -> Scalar:
-    """Return the largest power of the estimates, up to the first of `POWERS`, with which so many bodies are effective."""
-    relative = log_estimates - jnp.max(log_estimates)
-
-    def halve(_: Array, between: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
-        low, high = between
-        middle = 0.5 * (low + high)
-        enough = 2 * jax.nn.logsumexp(middle * relative) - jax.nn.logsumexp(2 * middle * relative) > jnp.log(effective)
-        return jnp.where(enough, middle, low), jnp.where(enough, high, middle)
-
-    return jax.lax.fori_loop(0, 20, halve, (jnp.zeros(()), jnp.asarray(POWERS[0])))[0]
+    return Search(found.values, normal.log_weights, evidence, effective_sample_size(normal.log_weights))

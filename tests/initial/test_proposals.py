@@ -85,14 +85,12 @@ def test_a_landmark_is_where_it_was_seen(standing):
     drawn = jax.jit(lambda key: of_landmarks.sample(key, 500))(jax.random.key(0))
     markers = np.asarray(jax.vmap(lambda one: placed_markers(body, one), in_axes=1)(drawn), float)
     seen = np.asarray(placed_markers(body, jnp.asarray(parts, jnp.float32)), float)
-    # A part with one marker: every draw has it there.
-    wrist = body.markers.names.index("l_wrist")
-    alone = [name for name, joint in zip(body.markers.names, body.markers.joints, strict=True) if body.placement.owners[joint] == 0]
-    assert alone
-    owner = body.placement.owners[body.markers.joints[wrist]]
-    sharing = sum(body.placement.owners[joint] == owner for joint in body.markers.joints)
-    near = np.linalg.norm(markers[:, wrist] - seen[wrist], axis=1) < 4 * 0.03
-    assert near.mean() >= 0.9 / sharing
+    # Each draw of a part has one of the part's markers in its place.
+    owners = np.array(body.placement.owners)[np.array(body.markers.joints)]
+    for part_of in set(owners.tolist()):
+        own = np.flatnonzero(owners == part_of)
+        near = np.linalg.norm(markers[:, own] - seen[own], axis=2).min(axis=1) < 4 * 0.03
+        assert near.mean() > 0.98
 
 
 def test_a_part_that_was_not_detected_has_no_proposal(standing):

@@ -54,7 +54,7 @@ def increment(terms: LogTerms, powers: LogTerms, target_ess: float, is_last: Fla
     on_potentials = powers.potential < 1
     heated = jnp.where(on_potentials, terms.potential, terms.likelihood)
     remaining = LogTerms(1 - powers.likelihood, 1 - powers.potential)
-    step = _next_increment(heated, target_ess, jnp.where(on_potentials, remaining.potential, remaining.likelihood))
+    step = next_increment(heated, target_ess, jnp.where(on_potentials, remaining.potential, remaining.likelihood))
     likelihood, potential = jnp.where(on_potentials, 0.0, step), jnp.where(on_potentials, step, 0.0)
     return LogTerms(jnp.where(is_last, remaining.likelihood, likelihood), jnp.where(is_last, remaining.potential, potential))
 
@@ -73,7 +73,7 @@ def is_at_top(powers: LogTerms) -> Flag:
     return (powers.likelihood >= 1) & (powers.potential >= 1)
 
 
-def _next_increment(log_likelihoods: LogWeights, target_ess: float, most: Scalar) -> Scalar:
+def next_increment(log_likelihoods: LogWeights, target_ess: float, most: Scalar) -> Scalar:
     """Return the largest step of a term's power, up to `most`, after which equal weights have an ESS of at least the fraction `target_ess`."""
     from blackjax.smc import ess, solver
 

@@ -18,11 +18,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from bayes_body.density.graph import Graph, Term
+from bayes_body.density.graph import Graph
 from bayes_body.errors import input_error
 from bayes_body.kernels.parts.batching import over_particles
+from bayes_body.kernels.parts.resampling import resampler
 from bayes_body.shapes import Key, Scalar
 
 # Candidates that a core computes at once: a limb's particles fill its cache.
@@ -139,6 +140,7 @@ def nested_draws(
 
 def _limbs(key: Key, values: Float[Array, "node *entry"], graph: Graph, power: Scalar, tree: Tree, samples: int) -> tuple[Array, Scalar]:
     """Return the values with new limbs, and the log of the estimate."""
+    resample = resampler("systematic")
     inner = [tree.root, *(edge.child for edge in tree.trunk)]
     total = sum((_unary(graph, [node], values[node][None, None], power)[0, 0] for node in inner), jnp.zeros((), values.dtype))
     points = jnp.stack([jnp.broadcast_to(values[limb[0].parent], (samples, *values.shape[1:])) for limb in tree.limbs])
@@ -150,7 +152,7 @@ def _limbs(key: Key, values: Float[Array, "node *entry"], graph: Graph, power: S
         draw_key, pick_key, key = jax.random.split(key, 3)
         some = slice(0, len(edges))
         if depth:
-            chosen = jax.vmap(_pick)(jax.random.split(pick_key, len(edges)), weights[some])
+            chosen = jax.vmap(resample)(jax.random.split(pick_key, len(edges)), weights[some])
             points = points.at[some].set(jax.vmap(lambda own, index: own[index])(points[some], chosen))
             paths = paths.at[some].set(jax.vmap(lambda own, index: own[index])(paths[some], chosen))
         drawn = _along(graph, edges, jax.random.split(draw_key, (len(edges), samples)), points[some])
@@ -190,18 +192,6 @@ def _unary(graph: Graph, nodes: Sequence[int], values: Float[Array, "own sample 
         own = np.array([place for place, node in enumerate(nodes) if node in rows], int)
         if len(own):
             parameters = jax.tree.map(lambda leaf, at=np.array([rows[nodes[place]] for place in own]): leaf[at], term.plate.parameters)
-            found = jax.vmap(jax.vmap(lambda one, value, term=term: _log(term, one, value), (None, 0)))(parameters, values[own])
+            found = jax.vmap(jax.vmap(term.log_potential, (None, 0)))(parameters, values[own])
             total = total.at[own].add(power * found if term.tempered else found)
     return jnp.where(jnp.isnan(total), -jnp.inf, total)
-
-
-def _log(term: Term, parameters: Any, value: Array) -> Scalar:
-    return term.log_potential(parameters, value)
-
-
-def _pick(key: Key, log_weights: Float[Array, " sample"]) -> Int[Array, " sample"]:
-    """Draw as many indices as there are weights, at evenly spaced levels."""
-    cumulative = jnp.cumsum(jnp.exp(log_weights - jnp.maximum(jnp.max(log_weights), jnp.finfo(log_weights.dtype).min)))
-    count = len(log_weights)
-    levels = (jnp.arange(count) + jax.random.uniform(key)) / count * cumulative[-1]
-    return jnp.minimum(jnp.searchsorted(cumulative, levels, side="right"), count - 1)
