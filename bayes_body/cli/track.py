@@ -39,6 +39,14 @@ def track(
     runs: int | None = typer.Option(None, "--runs", help="Number of independent filters, 1 by default; R-hat needs two or more."),
     frames: int | None = typer.Option(None, "--frames", help="Number of frames from the first on; all by default."),
     seed: int | None = typer.Option(None, "--seed", help="Seed of everything random, 0 by default."),
+    init: str | None = typer.Option(
+        None,
+        "--init",
+        help="First pose: `given` by the session, or looked for in the pictures where it gives none (the default); or `auto`, always looked for.",
+    ),
+    recover: bool | None = typer.Option(
+        None, "--recover/--no-recover", help="Start anew where the person is found again after a loss; by default only with the kernel particle_bp."
+    ),
     resume: bool = typer.Option(
         False, "--resume", help="Continue the run in --out after its last complete frame; options that are not given are those of that run."
     ),
@@ -50,7 +58,7 @@ def track(
     configure()
     from bayes_body.cli.models import checked_definition
     from bayes_body.runs.run import run
-    from bayes_body.runs.settings import Settings
+    from bayes_body.runs.settings import AUTO, GIVEN, Settings
     from bayes_body.storage.names import RUN_FILE
     from bayes_body.storage.run_file import read_run_file
 
@@ -60,12 +68,14 @@ def track(
         check_range(f"--{name.replace('_', '-')}", value, 1)
     check_range("--frames", frames, 1, most)
     check_range("--seed", seed, 0, LARGEST_SEED)
+    if init not in (None, GIVEN, AUTO):
+        raise input_error("--init", f"'{init}'", f"{GIVEN} or {AUTO}", "give one of them")
     overrides = {name: value for name, value in (counts | {"move": move}).items() if value is not None}
     overrides |= dict(_setting(text) for text in settings)
     folder = out or _free_run(session, resume)
     if out is None:
         typer.echo(f"run        {folder}")
-    asked = Settings(session, folder, model, kernel, overrides, runs, frames, seed, resume)
+    asked = Settings(session, folder, model, kernel, overrides, runs, frames, seed, init, recover, resume)
     with own_terms(plugin):
         if resume and (folder / RUN_FILE).exists():
             # This is checked before the model is read: without the run's plugins, some of its terms do not exist.

@@ -1,7 +1,20 @@
-"""Compare runs: every kernel on every definition; and the errors of two samplers at equal computation, on one frame and along frames."""
+"""Compare runs: every kernel on every definition; the errors of two samplers at equal computation; people found in single frames with the truth."""
 
 from bayes_body.compare import estimator_path, estimator_variance
 from bayes_body.compare.benchmark import Pair, Row, Settings, benchmark_rows, pairs
 from bayes_body.compare.scenes import Scene, Scenes
+from bayes_body.compare.single_frames import single_frames, track_figures
 
-__all__ = ["Pair", "Row", "Scene", "Scenes", "Settings", "benchmark_rows", "estimator_path", "estimator_variance", "pairs"]
+__all__ = [
+    "Pair",
+    "Row",
+    "Scene",
+    "Scenes",
+    "Settings",
+    "benchmark_rows",
+    "estimator_path",
+    "estimator_variance",
+    "pairs",
+    "single_frames",
+    "track_figures",
+]

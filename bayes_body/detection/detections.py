@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from bayes_body.evidence.markers import MARKERS
 
@@ -128,15 +128,19 @@ def merge(found: Sequence[tuple[Detections, float]]) -> Detections | None:
 
 def strongest(detections: Detections, most: int) -> Detections:
     """The `most` detections of the largest weight, the strongest first."""
-    order = np.argsort(-detections.weights, kind="stable")[:most]
-    rotations = None if detections.rotations is None else detections.rotations[order]
+    return chosen(detections, np.argsort(-detections.weights, kind="stable")[:most])
+
+
+def chosen(detections: Detections, rows: Int[np.ndarray, " row"]) -> Detections:
+    """Some of the detections, with their weights normalised."""
+    rotations = None if detections.rotations is None else detections.rotations[rows]
     return Detections(
-        detections.positions[order],
+        detections.positions[rows],
         rotations,
-        detections.sd_m[order],
-        detections.sd_rad[order],
-        _normalised(detections.weights[order]),
-        tuple(detections.source[k] for k in order),
+        detections.sd_m[rows],
+        detections.sd_rad[rows],
+        _normalised(detections.weights[rows]),
+        tuple(detections.source[k] for k in rows),
     )
 
 

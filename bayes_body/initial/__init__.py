@@ -1,4 +1,4 @@
-"""The first pose, given as angles or fitted to markers or keypoints within the body's limits; and the model that starts from it."""
+"""The first pose: given as angles, fitted to markers or keypoints, or found in the pictures; and the model that starts from it."""
 
 from bayes_body.initial.first import (
     Show,
@@ -7,7 +7,9 @@ from bayes_body.initial.first import (
     first_pose,
     fit_first_pose,
     is_fitted,
+    is_posed,
     load_model,
+    unposed,
     with_first_keypoints,
     with_first_pose,
 )
@@ -22,9 +24,11 @@ __all__ = [
     "first_pose",
     "fit_first_pose",
     "is_fitted",
+    "is_posed",
     "load_model",
     "restored",
     "stored",
+    "unposed",
     "with_first_keypoints",
     "with_first_pose",
 ]

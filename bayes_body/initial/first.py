@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.errors import input_error
+from bayes_body.initial.automatic import check_pictures, find_first_pose
 from bayes_body.initial.fit import SETTLED, fit
 from bayes_body.initial.lengths import factors
-from bayes_body.initial.measurements import PREFIX, read_measurements, unused_names
+from bayes_body.initial.measurements import read_measurements, unused_names
 from bayes_body.initial.misfit import Problem
 from bayes_body.initial.outline import LEAST_OVERLAP, fit_outline
 from bayes_body.initial.points import body_points
@@ -31,7 +32,7 @@ def load_model(name: str | Path | Definition, session: Session, show: Show = pri
 
     Given angles are used unchanged. If the session gives markers, keypoints or silhouettes, the pose, the lengths or the outline are fitted to them
     once, here. This takes some seconds and is reported. If the session has no first pose but keypoints in every frame, the pose is fitted to the
-    keypoints of frame 0.
+    keypoints of frame 0. Without these, the person is searched for in the pictures of the first frames (`initial.automatic`).
 
     Args:
         name: name of a definition that ships, or the path of one, or the definition itself.
@@ -39,18 +40,25 @@ def load_model(name: str | Path | Definition, session: Session, show: Show = pri
         show: receives a line for the user about each fit.
 
     Raises:
-        InputError: the definition, the subject or the first pose cannot be used, or there is no first pose.
+        InputError: the definition, the subject or the first pose cannot be used, or there is none and no person is found.
     """
     model = build_model(name, session)
     session = with_first_keypoints(model, session)
-    check_first_pose(model, session)
-    return apply_first_pose(model, session, fit_first_pose(model, session, show)) if is_fitted(session) else model
+    if is_fitted(session) or not is_posed(model, session):
+        return apply_first_pose(model, session, fit_first_pose(model, session, show))
+    return model
 
 
-def fit_first_pose(model: Model, session: Session, show: Show) -> FirstPose:
-    """Call `first_pose`, and show the user a line with the fit's duration and residuals and a line for each remark."""
+def fit_first_pose(model: Model, session: Session, show: Show, seed: int = 0) -> FirstPose:
+    """Call `first_pose`, and show the user a line with the fit's duration and residuals and a line for each remark.
+
+    Without a first pose in the session, the person is searched for.
+    """
     begun = time.perf_counter()
-    found = first_pose(model, session)
+    if is_posed(model, session):
+        found = first_pose(model, session)
+    else:
+        found = _with_outline_if_asked(model, session, find_first_pose(model, session, show, seed))
     misfits = [f"{1000 * found.median_m:.0f} mm off the markers"] if np.isfinite(found.median_m) else []
     misfits += [f"{found.median_px:.0f} px off the keypoints"] if np.isfinite(found.median_px) else []
     misfit = f", {' and '.join(misfits)} (median)" if misfits else ""
@@ -61,20 +69,23 @@ def fit_first_pose(model: Model, session: Session, show: Show) -> FirstPose:
 
 
 def check_first_pose(model: Model, session: Session) -> None:
-    """Check that the session says where the body is in frame 0. A body on a fixed base needs no first pose.
+    """Check that the session gives the first pose, or pictures in which to look for the person.
 
     Raises:
-        InputError: the session does not say so; the body would be tracked from the origin of the world.
+        InputError: it gives neither, or frame 0 cannot be read; the body would be tracked from the origin of the world.
     """
-    if _is_placed(model, session) or session.initial_markers or session.initial_keypoints:
-        return
-    found = f"no first pose; the body '{model.body.name}' would start at the origin of the world"
-    expected = "the person's keypoints, markers or joint angles in frame 0"
-    remedy = (
-        "import the recording with --keypoints, or give four keypoints or more in each of two cameras under [initial.keypoints_px.CAMERA], "
-        "or angles_deg and positions_m under [initial]"
-    )
-    raise input_error(PREFIX, found, expected, remedy)
+    if not is_posed(model, session):
+        check_pictures(model, session)
+
+
+def unposed(session: Session) -> Session:
+    """Return the session without a first pose, and without the markers and keypoints of the first frame."""
+    return replace(session, initial={}, initial_markers={}, initial_keypoints={})
+
+
+def is_posed(model: Model, session: Session) -> bool:
+    """Return whether the session says where the body is in frame 0. A body on a fixed base needs no first pose."""
+    return _is_placed(model, session) or bool(session.initial_markers or session.initial_keypoints)
 
 
 def _is_placed(model: Model, session: Session) -> bool:
@@ -90,7 +101,7 @@ def with_first_keypoints(model: Model, session: Session) -> Session:
     Raises:
         InputError: a file of keypoints cannot be read.
     """
-    if _is_placed(model, session) or session.initial_markers or session.initial_keypoints:
+    if is_posed(model, session):
         return session
     found: dict[str, Keypoints] = {}
     for view in session.views:
@@ -125,7 +136,7 @@ def apply_first_pose(model: Model, session: Session, found: FirstPose) -> Model:
         lengths, radii = found.lengths_m or subject.lengths_m, found.outline_radii_m or subject.outline_radii_m
         subject = replace(subject, body=model.definition.body_name, lengths_m=lengths, outline_radii_m=radii)
         model = build_model(model.definition, replace(session, subject=subject))
-    return model.beginning_at(jnp.asarray(found.pose))
+    return model.beginning_at(jnp.asarray(found.pose), found.draws)
 
 
 def first_pose(model: Model, session: Session) -> FirstPose:
@@ -140,8 +151,7 @@ def first_pose(model: Model, session: Session) -> FirstPose:
     """
     if session.fit_lengths:
         _check_lengths(session)
-    found = _posed(model, session)
-    return _with_outline(model, session, found) if session.fit_outline else found
+    return _with_outline_if_asked(model, session, _posed(model, session))
 
 
 def _posed(model: Model, session: Session) -> FirstPose:
@@ -156,6 +166,10 @@ def _posed(model: Model, session: Session) -> FirstPose:
     if gain > SETTLED:
         remarks.append("the fit did not converge within its steps: check the first pose before you trust it")
     return told._replace(remarks=tuple(remarks))
+
+
+def _with_outline_if_asked(model: Model, session: Session, found: FirstPose) -> FirstPose:
+    return _with_outline(model, session, found) if session.fit_outline else found
 
 
 def _with_outline(model: Model, session: Session, found: FirstPose) -> FirstPose:

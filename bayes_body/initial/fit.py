@@ -67,7 +67,7 @@ def fit(problem: Problem, up: int) -> Fit:
     """
     keys = jax.random.split(jax.random.key(0), 2 + THROWS)
     start = candidates(problem, up, keys[0])
-    found = descend(problem, _unbounded(problem, start.poses[choose(start, STARTS)]), SEARCH, SEARCH_WIDTH)
+    found = descend(problem, unbounded(problem, start.poses[choose(start, STARTS)]), SEARCH, SEARCH_WIDTH)
     for key in keys[2:]:
         found = descend(problem, _thrown(problem, key, found.parameters[_different(found)]), SEARCH, THROW_WIDTH)
     before = found.order[0]
@@ -85,7 +85,7 @@ def rest(problem: Problem) -> Pose:
     nothing = jax.tree.map(jnp.zeros_like, problem.measurements)
     poses = jnp.tile(problem.prior.mean, (STARTS, 1))
     heavy = problem.prior._replace(weights=WEIGHT * jnp.asarray(problem.points.hanging, poses.dtype))
-    return descend(problem._replace(measurements=nothing, prior=heavy), _unbounded(problem, poses), SEARCH, 1.0).explained.pose[0]
+    return descend(problem._replace(measurements=nothing, prior=heavy), unbounded(problem, poses), SEARCH, 1.0).explained.pose[0]
 
 
 # Not `FAST_COMPILE`: this runs in six rounds or more, and one second of further compilation makes them seven times as fast.
@@ -100,6 +100,21 @@ def descend(problem: Problem, starts: Float[Array, "start parameter"], rate: flo
     return Descent(*minimise(slope, starts, rate, STEPS))
 
 
+@jax.jit
+def fit_draws(problem: Problem, starts: Float[Array, "draw parameter"], markers: Float[Array, "draw point 3"]) -> Float[Array, "draw dof"]:
+    """Return the pose that fits each draw's own markers, from a start that is near."""
+
+    def one(start: Float[Array, " parameter"], places: Float[Array, "point 3"]) -> Pose:
+        own = problem._replace(measurements=problem.measurements._replace(markers=places))
+
+        def slope(parameters: Float[Array, " parameter"], _: Scalar) -> tuple[Float[Array, " parameter"], Explained]:
+            return jax.grad(explain, argnums=1, has_aux=True)(own, parameters, 1.0)
+
+        return minimise(slope, start, REFINE, STEPS)[1].pose
+
+    return jax.vmap(one)(starts, markers)
+
+
 def _different(found: Descent) -> Int[np.ndarray, " kept"]:
     """Return the best starts, without those that ended at the same place as a better one."""
     places, kept = np.asarray(found.explained.places), list[int]()
@@ -111,7 +126,8 @@ def _different(found: Descent) -> Int[np.ndarray, " kept"]:
 
 
 @jax.jit
-def _unbounded(problem: Problem, poses: Float[Array, "start dof"]) -> Float[Array, "start parameter"]:
+def unbounded(problem: Problem, poses: Float[Array, "start dof"]) -> Float[Array, "start parameter"]:
+    """Return the unconstrained parameters of poses, with the body's own lengths."""
     skeleton = problem.body.skeleton
     z = jnp.zeros((poses.shape[0], problem.scaling.groups.shape[1]), poses.dtype)
     return jnp.concatenate([BoxTransform(skeleton.low, skeleton.high).inv(inside(skeleton, poses)), z], axis=1)
@@ -129,5 +145,5 @@ def _thrown(problem: Problem, key: Key, best: Float[Array, "kept parameter"]) ->
     joints = joints.at[:, 0].set(False).at[: best.shape[0]].set(False)
     owner = {motion.dof: j for j, motions in enumerate(topology.motions) for motion in motions}
     redrawn = joints[:, jnp.array([owner[k] for k in range(count)])]
-    thrown = _unbounded(problem, random_poses(skeleton, where, poses))[:, :count]
+    thrown = unbounded(problem, random_poses(skeleton, where, poses))[:, :count]
     return parameters.at[:, :count].set(jnp.where(redrawn, thrown, parameters[:, :count]))

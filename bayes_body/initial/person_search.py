@@ -1,9 +1,11 @@
 """Find the person of a session in single frames, from the pictures alone: detectors, and a search for a loose-limbed body (initial/search.py).
 
-A single frame does not always tell where a person faces. Where the other way has a share of the weight, `Found.turned` says so.
+A single frame does not always tell which way a person faces. So both ways are searched, with the same number of draws, and each has its evidence.
+Frames that are near in time decide together (initial/facing.py).
 """
 
 import time
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -12,9 +14,12 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.body.placement import placed_markers
+from bayes_body.density.graph import Mixture
 from bayes_body.detection.detect import Detected, detect
+from bayes_body.detection.detections import Detections, chosen
+from bayes_body.initial.facing import Way, shares_over_time, way_of
 from bayes_body.initial.proposals import proposals_of
-from bayes_body.initial.search import Search, search
+from bayes_body.initial.search import search
 from bayes_body.kernels.parts.batching import everywhere
 from bayes_body.model.build import build_model
 from bayes_body.observation.frames import read_frame
@@ -25,6 +30,22 @@ from bayes_body.session.session import Session
 LOOSE = "loose_limbed_15"
 # Draws whose markers are on average so near, metres, are of one mode.
 MODE_M = 0.12
+# Frames that decide together which way the person faces, and seconds between them.
+WINDOW, APART_S = 5, 0.2
+
+
+class Searched(NamedTuple):
+    """A frame that was searched.
+
+    Attributes:
+        detected: what was detected.
+        ways: the draws, by the way they face; none if the detections do not say where the body's first part may be.
+        seconds: the time of each detector, and of the search.
+    """
+
+    detected: Detected
+    ways: tuple[Way, ...]
+    seconds: dict[str, float]
 
 
 class Found(NamedTuple):
@@ -36,8 +57,10 @@ class Found(NamedTuple):
         sd_m: root mean square distance of these draws' markers from the mean, metres.
         elsewhere: share of the weight that is not in the main mode.
         turned: share of the weight that faces the other way.
-        ess: effective number of draws.
+        ess: effective number of draws of the main mode's way.
         log_evidence: log-evidence of the search; a person who is not there has a lower one.
+        draws: markers of all draws, metres.
+        weights: their weights, which sum to 1.
         notices: sentences of the detectors.
         seconds: the time of each detector, and of the search.
     """
@@ -49,53 +72,107 @@ class Found(NamedTuple):
     turned: float
     ess: float
     log_evidence: float
+    draws: Float[np.ndarray, "draw marker 3"]
+    weights: Float[np.ndarray, " draw"]
     notices: tuple[str, ...]
     seconds: dict[str, float]
 
 
 class PersonSearch:
-    """Searches frames of one session for its person. It compiles once, at the first frame."""
+    """Searches frames of one session for its person. It compiles once, at the first frame, and keeps the frames that it has searched."""
 
-    def __init__(self, session: Session, loose: str = LOOSE):
+    def __init__(self, session: Session, loose: str = LOOSE, seed: int = 0):
         """Take the session, and the loose-limbed model of which bodies are drawn: its likelihoods read single parts, and its joints propose."""
-        self.session = session
+        self.session, self.seed = session, seed
         self.model = build_model(loose, session)
-        self.search = jax.jit(search)
-        self.markers = jax.jit(lambda parts: jax.lax.map(lambda one: placed_markers(self.model.body, one), parts))
+        self.names = self.model.body.markers.names
+        self.up = "xyz".index(session.up)
+        self._search = jax.jit(search)
+        self._markers = jax.jit(lambda parts: jax.lax.map(lambda one: placed_markers(self.model.body, one), parts))
+        self._searched = dict[int, Searched]()
 
-    def frame(self, index: int, seed: int = 0) -> Found | Detected:
-        """Return the person of a frame; what was detected, if that does not say where the body's first part may be.
+    def frame(self, index: int) -> Found | Detected:
+        """Return the person of a frame, from this frame alone; what was detected, if that does not say where the body's first part may be.
 
         Args:
             index: the frame, counted from 0.
-            seed: seed of the draws.
 
         Raises:
             InputError: there is no such frame, or a file of the session cannot be used.
         """
+        return self._among(index, [index])
+
+    def window(self, index: int) -> Found | Detected:
+        """Return the person of a frame as `frame` does, where WINDOW frames, APART_S seconds apart, decide which way the person faces."""
+        step = max(1, round(APART_S * self.session.fps))
+        before, after = index // step, (self.session.frames - 1 - index) // step
+        last = min(after, max(WINDOW // 2, WINDOW - 1 - before))
+        return self._among(index, [index + step * k for k in range(-min(before, WINDOW - 1 - last), last + 1)])
+
+    def _among(self, index: int, frames: Sequence[int]) -> Found | Detected:
+        searched = {frame: self.searched(frame) for frame in frames}
+        own = searched[index]
+        if not own.ways:
+            return own.detected
+        told = [frame for frame in frames if searched[frame].ways]
+        shares = shares_over_time([searched[frame].ways for frame in told], [frame / self.session.fps for frame in told], self.up)
+        return found_of(self.names, own, shares[told.index(index)])
+
+    def searched(self, index: int) -> Searched:
+        """Return the draws of a frame by the way they face. A frame is searched once."""
+        if index not in self._searched:
+            self._searched[index] = self._search_frame(index)
+        return self._searched[index]
+
+    def _search_frame(self, index: int) -> Searched:
         detected = detect(self.session, index)
         begun = time.perf_counter()
-        model = self.model.at(cameras_at(self.session, index)) if self.session.moves else self.model
-        roots = proposals_of(detected, model.body)[0]
-        if not bool(roots.exists[0]):
-            return detected
-        density = model.density(model.observe(read_frame(self.session, index)), model.start(1))
-        key = jax.random.fold_in(jax.random.key(seed), index)
-        drawn = jax.device_get(self.search(everywhere(key), everywhere(density), everywhere(roots)))
-        return self._found(drawn, detected, time.perf_counter() - begun)
+        body = self.model.body
+        root = self.model.body.placement.names[0]
+        ways = list[Way]()
+        for side, half in enumerate(_by_facing(detected.parts.get(root), self.up)):
+            roots = proposals_of(detected._replace(parts={**detected.parts, root: half}), body)[0]
+            ways.append(self._way(index, side, roots))
+        return Searched(detected, tuple(ways), {**detected.seconds, "search": time.perf_counter() - begun})
 
-    def _found(self, drawn: Search, detected: Detected, seconds: float) -> Found:
-        names = self.model.body.markers.names
-        markers, weights = np.asarray(self.markers(jnp.asarray(drawn.parts)), float), np.exp(np.asarray(drawn.log_weights, float))
-        # The main mode: draws near the one that is nearest to all others by weight.
-        apart = np.stack([np.linalg.norm(markers - one, axis=2).mean(1) for one in markers])
-        centre = int(np.argmin(apart @ weights))
-        near = apart[centre] < MODE_M
-        kept = weights * near / (weights @ near)
-        mean = np.einsum("d,dmk->mk", kept, markers)
-        sd_m = float(np.sqrt(np.einsum("d,dmk->m", kept, (markers - mean) ** 2).mean()))
-        left = markers[:, names.index("l_hip")] - markers[:, names.index("r_hip")]
-        turned = float(weights @ (left @ left[centre] < 0))
-        times = {**detected.seconds, "search": seconds}
-        ess, evidence = float(drawn.ess), float(drawn.log_evidence)
-        return Found(names, mean, sd_m, float(weights @ ~near), turned, ess, evidence, detected.notices, times)
+    def _way(self, index: int, side: int, roots: Mixture) -> Way:
+        model = self.model.at(cameras_at(self.session, index)) if self.session.moves else self.model
+        density = model.density(model.observe(read_frame(self.session, index)), model.start(1))
+        key = jax.random.fold_in(jax.random.fold_in(jax.random.key(self.seed), index), side)
+        drawn = jax.device_get(self._search(everywhere(key), everywhere(density), everywhere(roots)))
+        markers = np.asarray(self._markers(jnp.asarray(drawn.parts)), float)
+        return way_of(self.names, markers, np.asarray(drawn.log_weights, float), float(drawn.log_evidence), float(drawn.ess), self.up)
+
+
+def _by_facing(found: Detections | None, up: int) -> list[Detections]:
+    """Return the detections of an upright part in two halves that face opposite ways; one half if the other has no weight."""
+    if found is None or not len(found.weights) or found.rotations is None:
+        return []
+    level = [k for k in range(3) if k != up]
+    ahead = found.rotations[:, :, 0][:, level]
+    # Twice the angle is the same for both ways.
+    doubled = found.weights @ np.exp(2j * np.arctan2(ahead[:, 1], ahead[:, 0]))
+    axis = np.angle(doubled) / 2
+    along = ahead @ (np.cos(axis), np.sin(axis)) >= 0
+    return [chosen(found, np.flatnonzero(half)) for half in (along, ~along) if found.weights[half].sum() > 0]
+
+
+def found_of(names: tuple[str, ...], searched: Searched, shares: Float[np.ndarray, " way"]) -> Found:
+    """Return the person of a frame, if the ways to face have these shares."""
+    ways = searched.ways
+    markers = np.concatenate([way.markers for way in ways])
+    weights = np.concatenate([share * np.exp(way.log_weights) for share, way in zip(shares, ways, strict=True)])
+    main = ways[int(np.argmax(shares))]
+    # The main mode: draws near the one that is nearest to all others of its way by weight.
+    of_way = np.exp(main.log_weights)
+    apart = np.stack([np.linalg.norm(main.markers - one, axis=2).mean(1) for one in main.markers])
+    centre = int(np.argmin(apart @ of_way))
+    near = apart[centre] < MODE_M
+    kept = of_way * near / (of_way @ near)
+    mean = np.einsum("d,dmk->mk", kept, main.markers)
+    sd_m = float(np.sqrt(np.einsum("d,dmk->m", kept, (main.markers - mean) ** 2).mean()))
+    left = markers[:, names.index("l_hip")] - markers[:, names.index("r_hip")]
+    turned = float(weights @ (left @ (mean[names.index("l_hip")] - mean[names.index("r_hip")]) < 0))
+    elsewhere = 1 - float(np.max(shares)) * float(of_way @ near)
+    evidence = float(np.logaddexp.reduce([way.log_evidence for way in ways]) - np.log(len(ways)))
+    return Found(names, mean, sd_m, elsewhere, turned, main.ess, evidence, markers, weights, searched.detected.notices, searched.seconds)

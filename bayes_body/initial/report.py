@@ -32,6 +32,7 @@ class FirstPose(NamedTuple):
         lengths_m: the body's lengths if they were fitted, else empty.
         outline_radii_m: the (base, tip) outline radii of its parts if they were fitted, else empty.
         remarks: sentences for the user.
+        draws: equally likely poses, if the pose was found in pictures; else None.
     """
 
     pose: Float[Array, " dof"]
@@ -43,6 +44,7 @@ class FirstPose(NamedTuple):
     lengths_m: Mapping[str, float] = {}
     outline_radii_m: Mapping[str, tuple[float, float]] = {}
     remarks: tuple[str, ...] = ()
+    draws: Float[Array, "draw dof"] | None = None
 
 
 class _Row(NamedTuple):

@@ -6,17 +6,22 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from bayes_body.errors import input_error
 from bayes_body.initial.report import FirstPose
 from bayes_body.model.build import Model
 
+# Decimals of the draws, radians and metres. Draws are rounded when they are found, so that a run that is continued has the same ones.
+DIGITS = 5
+
 
 def stored(model: Model, found: FirstPose) -> dict[str, Any]:
-    """Return the pose by dof (radians and metres) and the fitted lengths and outline, as a table."""
+    """Return the pose by dof (radians and metres), the equally likely ones by draw, and the fitted lengths and outline, as a table."""
     pose = dict(zip(model.body.dof_names, np.asarray(found.pose, float).tolist(), strict=True))
     radii = {part: list(ends) for part, ends in found.outline_radii_m.items()}
-    return {"pose": pose} | ({"lengths_m": dict(found.lengths_m)} if found.lengths_m else {}) | ({"outline_radii_m": radii} if radii else {})
+    draws = {} if found.draws is None else {"draws": np.asarray(found.draws, float).round(DIGITS).tolist()}
+    return {"pose": pose} | draws | ({"lengths_m": dict(found.lengths_m)} if found.lengths_m else {}) | ({"outline_radii_m": radii} if radii else {})
 
 
 def restored(model: Model, table: Mapping[str, Any], where: str) -> FirstPose:
@@ -37,5 +42,15 @@ def restored(model: Model, table: Mapping[str, Any], where: str) -> FirstPose:
         raise input_error(where, "lengths or radii that are not numbers", "a number for each length, two for each part", "start a new run")
     if not all(isinstance(value, float) for value in (*pose.values(), *lengths.values(), *chain.from_iterable(radii.values()))):
         raise input_error(where, "some values are not numbers", "radians and metres", "start a new run")
-    placed = jnp.asarray([pose[name] for name in model.body.dof_names], model.body.lengths.dtype)
-    return FirstPose(placed, lengths_m=lengths, outline_radii_m={part: (base, tip) for part, (base, tip) in radii.items()})
+    dtype = model.body.lengths.dtype
+    placed = jnp.asarray([pose[name] for name in model.body.dof_names], dtype)
+    draws = None if "draws" not in table else _draws(table["draws"], len(pose), where)
+    of_parts = {part: (base, tip) for part, (base, tip) in radii.items()}
+    return FirstPose(placed, lengths_m=lengths, outline_radii_m=of_parts, draws=None if draws is None else jnp.asarray(draws, dtype))
+
+
+def _draws(rows: Any, dofs: int, where: str) -> Float[np.ndarray, "draw dof"]:
+    is_table = isinstance(rows, list) and bool(rows) and all(isinstance(row, list) and len(row) == dofs for row in rows)
+    if not is_table or not all(isinstance(value, float) for row in rows for value in row):
+        raise input_error(f"{where}: draws", "no poses", f"rows of {dofs} numbers, radians and metres", "start a new run")
+    return np.array(rows, float)

@@ -102,6 +102,13 @@ def _projected(rig: Camera, places: Float[Array, "run marker 3"]) -> tuple[Float
     return jax.vmap(lambda each: jax.vmap(lambda camera: project(camera, each))(rig))(places)
 
 
+def is_off(fit: Fit) -> Bool[np.ndarray, " run"]:
+    """Return whether each run's body is off the person, by the keypoints if there are any, else by the silhouettes; False where neither tells."""
+    if np.isfinite(fit.distance).any():
+        return np.nan_to_num(_over_cameras(fit.distance), nan=0.0) > MOST_DISTANCE
+    return np.nan_to_num(_over_cameras(fit.cover), nan=1.0) < LEAST_COVER
+
+
 def first_fit(session: Session, model: Model) -> dict[str, Any]:
     """Return the fit of the model's first pose to frame 0, as the keys `fit_by` and `fit_first` of `summary.json`."""
     found = frame_fit(session, model, np.asarray(model.initial[model.body.variable], float)[None], 0)
@@ -192,5 +199,7 @@ def _later_sentence(wording: _Wording, figures: Mapping[str, Any]) -> list[str]:
     to_the_end = off[-1] == figures.get("frames", 0) - 1 and off == list(range(off[0], off[-1] + 1))
     where = f"from frame {off[0]} the body no longer covers the person" if to_the_end else f"{frame_ranges(off)}: the body does not cover the person"
     at_worst = f"at worst, at frame {figures['fit_worst_frame']}, {wording.figure(worst)}"
+    again = figures.get("frames_restarted") or []
+    restarted = f"; it was restarted at frame{'s' * (len(again) > 1)} {', '.join(map(str, again))}, where the person was found again" if again else ""
     remedy = "the poses there do not follow the person: look at the overlay, and raise --particles or correct the first pose"
-    return [f"{where}: {at_worst}; {remedy}."]
+    return [f"{where}{restarted}: {at_worst}; {remedy}."]

@@ -76,6 +76,7 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
     figures = {
         "frames": frames,
         "frames_lost": sum(each.lost for each in found),
+        "frames_restarted": draws.frames_restarted,
         "cameras": len(session.views),
         "dof": configuration_space(draws.model.body).dimension,
         "particles": draws.particles,

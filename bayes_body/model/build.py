@@ -71,9 +71,10 @@ class Model:
         factors = jax.tree.map(placed, self.factors, is_leaf=lambda node: isinstance(node, Camera))
         return replace(self, rig=rig, factors=factors)
 
-    def beginning_at(self, pose: Pose) -> "Model":
-        """Return the same model with another first pose."""
-        return replace(self, first=self.first.around(jnp.asarray(pose, self.body.lengths.dtype)))
+    def beginning_at(self, pose: Pose, draws: Float[Array, "draw dof"] | None = None) -> "Model":
+        """Return the same model with another first pose, or with several equally likely ones of which `pose` is the main one."""
+        dtype = self.body.lengths.dtype
+        return replace(self, first=self.first.around(jnp.asarray(pose, dtype), None if draws is None else jnp.asarray(draws, dtype)))
 
     @property
     def first_pose(self) -> Pose:

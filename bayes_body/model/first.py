@@ -2,7 +2,8 @@ r"""The distribution of the state before the first frame: a first pose, which ma
 
 $$s \sim \mathcal N(s_0, \sigma_0^2)\ \text{truncated to the joint limits}, \qquad \text{state} = \mathrm{begin}(s).$$
 
-The standard deviations are those of the definition's table `[first]`. Dofs without one are certain: only the first transition spreads them.
+The standard deviations are those of the definition's table `[first]`. Dofs without one are certain: only the first transition spreads them. Where the
+pose was found in pictures, $s_0$ is one of several equally likely poses.
 """
 
 from typing import NamedTuple
@@ -10,6 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from bayes_body.body.solids import Body
 from bayes_body.density.factor import State, Transition
@@ -29,6 +31,7 @@ class First(NamedTuple):
         high: limits of each dof, or ∞.
         transition: the motion prior, whose `begin` makes a state of a pose.
         mode: the state of the most likely pose.
+        draws: poses that are equally likely and take the place of `pose`, if there are any.
     """
 
     pose: Pose
@@ -37,31 +40,42 @@ class First(NamedTuple):
     high: Pose
     transition: Transition
     mode: State
+    draws: Float[Array, "draw dof"] | None = None
 
     @property
     def is_point(self) -> bool:
         """Whether the first pose is certain."""
-        return not bool(np.asarray(self.sd > 0).any())
+        return self.draws is None and not bool(np.asarray(self.sd > 0).any())
 
-    def around(self, pose: Pose) -> "First":
-        """Return the distribution around another pose."""
-        return self._replace(pose=pose, mode=self.transition.begin({"pose": pose}))
+    def around(self, pose: Pose, draws: Float[Array, "draw dof"] | None = None) -> "First":
+        """Return the distribution around another pose, or around several of which it is the most likely one."""
+        return self._replace(pose=pose, mode=self.transition.begin({"pose": pose}), draws=draws)
 
     def known(self, state: State) -> "First":
         """Return the distribution of one certain state."""
-        return self._replace(pose=state.get("pose", self.pose), sd=jnp.zeros_like(self.sd), mode=state)
+        return self._replace(pose=state.get("pose", self.pose), sd=jnp.zeros_like(self.sd), mode=state, draws=None)
 
     def sample(self, key: Key) -> State:
         """Draw a state."""
-        uncertain = self.sd > 0
-        drawn = TruncatedWalk(self.pose, jnp.where(uncertain, self.sd, 1.0), self.low, self.high).sample(key)
-        return self.transition.begin({"pose": jnp.where(uncertain, drawn, self.pose)})
+        if self.draws is None:
+            return self._near(key, self.pose)
+        pose_key, near_key = jax.random.split(key)
+        return self._near(near_key, jax.random.choice(pose_key, self.draws))
 
     def start(self, key: Key, count: int) -> State:
-        """Draw `count` states, with a leading particle axis. A certain first pose needs no random numbers."""
+        """Draw `count` states, with a leading particle axis. A certain pose needs no random numbers. Of several, each is taken equally often."""
         if self.is_point:
             return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *leaf.shape)), dict(self.mode))
-        return jax.jit(jax.vmap(self.sample))(jax.random.split(key, count))
+        if self.draws is None:
+            return jax.jit(jax.vmap(self.sample))(jax.random.split(key, count))
+        order_key, near_key = jax.random.split(key)
+        poses = jax.random.permutation(order_key, self.draws)[np.arange(count) % len(self.draws)]
+        return jax.jit(jax.vmap(self._near))(jax.random.split(near_key, count), poses)
+
+    def _near(self, key: Key, pose: Pose) -> State:
+        uncertain = self.sd > 0
+        drawn = TruncatedWalk(pose, jnp.where(uncertain, self.sd, 1.0), self.low, self.high).sample(key)
+        return self.transition.begin({"pose": jnp.where(uncertain, drawn, pose)})
 
 
 def first_of(table: FirstTable, body: Body, pose: Pose, transition: Transition) -> First:

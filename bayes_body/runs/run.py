@@ -15,7 +15,18 @@ import jax
 from bayes_body.errors import input_error
 from bayes_body.files.atomic import make_folder, remove_partial, write_text
 from bayes_body.files.lock import check_unlocked, locked
-from bayes_body.initial import Show, apply_first_pose, check_first_pose, fit_first_pose, is_fitted, restored, stored, with_first_keypoints
+from bayes_body.initial import (
+    Show,
+    apply_first_pose,
+    check_first_pose,
+    fit_first_pose,
+    is_fitted,
+    is_posed,
+    restored,
+    stored,
+    unposed,
+    with_first_keypoints,
+)
 from bayes_body.metrics import summarise, true_markers
 from bayes_body.metrics.fit import first_fit, fit_sentences
 from bayes_body.model.build import Model, build_model
@@ -26,7 +37,8 @@ from bayes_body.posterior.diagnostics import diagnose, sentences, worst_figures
 from bayes_body.posterior.stream import stored_frames
 from bayes_body.registry import find, notes
 from bayes_body.runs.model_choice import choose_model
-from bayes_body.runs.settings import Record, Settings, choose, stored_record
+from bayes_body.runs.recovery import PersonRecovery
+from bayes_body.runs.settings import AUTO, GIVEN, Record, Settings, choose, stored_record
 from bayes_body.session.read import load_session
 from bayes_body.session.session import Session
 from bayes_body.storage import FrameFiles
@@ -40,6 +52,9 @@ from bayes_body.view.figures_text import figures_text, warning_line
 from bayes_body.view.overlay import draw_overlay, is_drawn
 from bayes_body.view.progress import progress_bar, waiting, watched
 
+# Kernels whose runs recover from a loss unless the user says otherwise.
+RECOVERING = ("particle_bp",)
+
 
 def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
     """Track and write everything. Return the content of `summary.json`.
@@ -50,28 +65,34 @@ def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
         bar: whether to draw a progress bar on standard error.
 
     Raises:
-        InputError: an input cannot be used, the session has no first pose, the folder has another run or is used by another process, or a file
-            cannot be written.
+        InputError: an input cannot be used, the session has no first pose and none is found, the folder has another run or is used by another
+            process, or a file cannot be written.
     """
     check_unlocked(settings.out)
     before = stored_record(settings)
     chosen, session = choose(settings, before), load_session(settings.session)
+    if chosen.init == AUTO:
+        session = unposed(session)
     name = chosen.model or _chosen_model(session, show)
     definition = load_definition(name)
     kind, options = kernel_options(definition, chosen.kernel, settings.overrides, (before or {}).get("kernel"))
     term, model = find("kernel", kind), build_model(definition, session)
     # Everything that a user can correct is checked before the program is compiled.
-    session = with_first_keypoints(model, session)
+    if chosen.init == GIVEN:
+        session = with_first_keypoints(model, session)
     fitted_before = "first_pose" in (before or {})
     if not fitted_before:
         check_first_pose(model, session)
     true_markers(session)
-    record = describe(settings.session, name, definition, kind, options.model_dump(), chosen.runs, chosen.seed, chosen.frames)
+    recover = kind in RECOVERING if chosen.recover is None else chosen.recover
+    described = {"runs": chosen.runs, "seed": chosen.seed, "frames": chosen.frames, "init": chosen.init, "recover": recover}
+    record = describe(settings.session, name, definition, kind, options.model_dump(), described)
     if before:
         refuse_changes(settings.out, before, record)
-    kernel, must_fit = term.build(options=options), is_fitted(session) and not fitted_before
+    must_fit = (is_fitted(session) or not is_posed(model, session)) and not fitted_before
+    kernel = term.build(options=options)
     with compiled_ahead(session, model, kernel, options.particles) if must_fit else nullcontext() as ahead:
-        model, record = _with_first_pose(model, session, record, before, settings.out, show)
+        model, record = _with_first_pose(model, session, record, before, settings.out, show, chosen.seed)
     _show_first_fit(session, model, show)
     with locked(make_folder(settings.out)):
         frames = _begin(settings.out, chosen.frames or session.frames, show)
@@ -81,7 +102,8 @@ def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
         with _remark_on_stop(frames, settings.out, show):
             with progress_bar(bar, len(frames)) as on_frame:
                 key, many = jax.random.key(chosen.seed), options.particles
-                draws = track(session, model, kernel, key, many, chosen.runs, chosen.frames, on_frame, frames, ahead)
+                recovery = PersonRecovery(session, model, chosen.seed, show) if recover else None
+                draws = track(session, model, kernel, key, many, chosen.runs, chosen.frames, on_frame, frames, ahead, recovery)
             return _finish(session, draws, settings.out, {"kernel": kind, "seed": chosen.seed}, show, bar)
 
 
@@ -92,13 +114,13 @@ def _chosen_model(session: Session, show: Show) -> str:
 
 
 def _with_first_pose(
-    model: Model, session: Session, record: Record, before: Mapping[str, Mapping[str, Any]] | None, out: Path, show: Show
+    model: Model, session: Session, record: Record, before: Mapping[str, Mapping[str, Any]] | None, out: Path, show: Show, seed: int
 ) -> tuple[Model, Record]:
-    """Return the model with its first pose, and the record, with the pose if it was fitted. A continued run starts from its stored pose."""
+    """Return the model with its first pose, and the record, with the pose if it was fitted or found. A continued run starts from its stored pose."""
     if before and "first_pose" in before:
         found = restored(model, before["first_pose"], f"{out / RUN_FILE}: first_pose")
-    elif is_fitted(session):
-        found = fit_first_pose(model, session, show)
+    elif is_fitted(session) or not is_posed(model, session):
+        found = fit_first_pose(model, session, show, seed)
     else:
         return model, record
     return apply_first_pose(model, session, found), {**record, "first_pose": stored(model, found)}

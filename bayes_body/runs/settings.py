@@ -10,7 +10,9 @@ from bayes_body.storage import FrameFiles
 from bayes_body.storage.names import FRAMES_FOLDER, POSTERIOR_FILE, RUN_FILE, SUMMARY_FILE
 from bayes_body.storage.run_file import read_run_file
 
-DEFAULTS = {"runs": 1, "seed": 0}
+# Where the first pose comes from: from the session, or from the pictures where the session gives none; or from the pictures in any case.
+GIVEN, AUTO = "given", "auto"
+DEFAULTS = {"runs": 1, "seed": 0, "init": GIVEN}
 
 type Record = dict[str, dict[str, Any]]
 
@@ -28,6 +30,8 @@ class Settings:
         runs: number of independent filters.
         frames: number of frames; None for all.
         seed: seed of everything random.
+        init: where the first pose comes from, GIVEN or AUTO.
+        recover: whether a run that lost the person starts anew where detectors find it; None means: for the kernel `particle_bp`.
         resume: whether to continue the run in the folder.
     """
 
@@ -39,17 +43,24 @@ class Settings:
     runs: int | None = None
     frames: int | None = None
     seed: int | None = None
+    init: str | None = None
+    recover: bool | None = None
     resume: bool = False
 
 
 class Chosen(NamedTuple):
-    """Settings with their defaults. None means: for `model`, chosen by the session's data; for `kernel`, the model's own; for `frames`, all."""
+    """Settings with their defaults.
+
+    None means: for `model`, chosen by the session's data; for `kernel`, the model's own; for `frames`, all; for `recover`, by the kernel.
+    """
 
     model: str | None
     kernel: str | None
     runs: int
     frames: int | None
     seed: int
+    init: str
+    recover: bool | None
 
 
 def choose(settings: Settings, stored: Mapping[str, Mapping[str, Any]] | None) -> Chosen:

@@ -1,7 +1,7 @@
 """Frames on disk, one file each: `000057.npz` is complete or missing, and a stored frame is not computed again.
 
 A file has the arrays of a `FrameResult` and no Python objects: `states.NAME`, `log_weights`, `info.FIELD`, `markov.NAME`, `messages.NAME`,
-`seen`, `seconds`, `seconds_ready`.
+`seen`, `seconds`, `seconds_ready`, `restarted`.
 """
 
 from collections.abc import Iterator, Mapping
@@ -102,7 +102,7 @@ def save_frame(path: Path, result: FrameResult) -> None:
     arrays |= {f"info.{name}": values for name, values in result.info._asdict().items() if name not in MAPPINGS}
     for mapping in MAPPINGS:
         arrays |= {f"{mapping}.{name}": values for name, values in getattr(result.info, mapping).items()}
-    arrays |= {name: getattr(result, name) for name in ("log_weights", "seen", "seconds", "seconds_ready")}
+    arrays |= {name: getattr(result, name) for name in ("log_weights", "seen", "seconds", "seconds_ready", "restarted")}
     with replacing(path) as partial, partial.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
 
@@ -132,6 +132,8 @@ def _frame(arrays: Mapping[str, NDArray[Any]]) -> FrameResult:
         seen=arrays["seen"],
         seconds=float(arrays["seconds"]),
         seconds_ready=float(arrays["seconds_ready"]),
+        # A frame written by an older version lacks it.
+        restarted=arrays.get("restarted", np.zeros(0, bool)),
     )
 
 

@@ -34,7 +34,7 @@ TABLES = ("run", "kernel", "versions", "definition", "session")
 
 
 def describe(
-    session: Path, model: str, definition: Definition, kind: str, options: Mapping[str, Any], runs: int, seed: int, frames: int | None
+    session: Path, model: str, definition: Definition, kind: str, options: Mapping[str, Any], settings: Mapping[str, Any]
 ) -> dict[str, dict[str, Any]]:
     """Return the tables of `run.toml`.
 
@@ -44,14 +44,12 @@ def describe(
         definition: the definition itself.
         kind: the kernel's name.
         options: all options of the kernel.
-        runs: number of independent filters.
-        seed: seed of everything random.
-        frames: number of frames; None for all.
+        settings: the other settings of the run by name, such as its seed; None for one that is not set.
     """
     # A path is stored as an absolute path, so that the run can be continued from another folder.
     model = model if model in definition_names() else str(Path(model).resolve())
     file = session.resolve() / FILE_NAME if session.is_dir() else session.resolve()
-    settings = {"session": str(file.parent), "model": model, "runs": runs, "seed": seed, "frames": frames}
+    settings = {"session": str(file.parent), "model": model, **settings}
     texts = {"title": definition.title, "text": definition.text, "body_text": definition.body_text or None}
     plugins = {plugin.path.name: plugin.text for plugin in providing(places_of(definition, kind))}
     return {
@@ -159,7 +157,8 @@ def refuse_changes(folder: Path, kept: Mapping[str, Mapping[str, Any]], now: Map
 def _comparable(record: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Return all values on which the numbers depend, by names that a user knows; comments and layout of the texts do not matter."""
     run, definition = record["run"], record["definition"]
-    named = {"--model": Path(str(run.get("model"))).stem, "--runs": run.get("runs"), "--seed": run.get("seed")}
+    named = {"--model": Path(str(run.get("model"))).stem, "--runs": run.get("runs"), "--seed": run.get("seed"), "--init": run.get("init", "given")}
+    named |= {"--recover": run.get("recover", False)}
     named |= {f"kernel.{key}": value for key, value in _leaves(record["kernel"])}
     named |= {f"the version of {package}": record["versions"].get(package) for package in COMPUTING}
     named |= {f"the plugin {name}": _meaning(text) for name, text in kept_plugins(record).items()}

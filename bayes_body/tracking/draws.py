@@ -1,7 +1,7 @@
 """The results of filters on the host, frame by frame: in memory, or read from disk on demand."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import jax
@@ -24,6 +24,7 @@ class FrameResult:
         seen: whether each camera saw the frame.
         seconds: wall-clock time of the frame, all runs together, without `seconds_ready`.
         seconds_ready: time before it until the program was compiled; 0 except for the first frame of a process.
+        restarted: whether each run was lost before and started anew at this frame; empty where no run was.
     """
 
     states: dict[str, NDArray[Any]]
@@ -32,6 +33,7 @@ class FrameResult:
     seen: Bool[np.ndarray, " camera"]
     seconds: float
     seconds_ready: float = 0.0
+    restarted: Bool[np.ndarray, " run"] = field(default_factory=lambda: np.zeros(0, bool))
 
     @property
     def lost(self) -> bool:
@@ -112,6 +114,11 @@ class Draws:
     def frames_lost(self) -> list[int]:
         """Frames that at least one run could not explain, or that no camera saw."""
         return [index for index, frame in enumerate(self.frames) if frame.lost]
+
+    @property
+    def frames_restarted(self) -> list[int]:
+        """Frames at which at least one run started anew, because it had lost the person."""
+        return [index for index, frame in enumerate(self.frames) if frame.restarted.any()]
 
     @property
     def frames_unseen(self) -> dict[str, list[int]]:

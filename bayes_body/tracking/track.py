@@ -28,6 +28,7 @@ from bayes_body.shapes import Key
 from bayes_body.tracking.draws import Draws, FrameResult, FrameStore, timing_of
 from bayes_body.tracking.program import Ahead, program_from
 from bayes_body.tracking.rejected_chains import raise_if_all_rejected
+from bayes_body.tracking.restarts import Recovery, Restarts
 
 # In place of a frame's number in the keys of the states before the first frame.
 BEFORE = 2**32 - 1
@@ -64,6 +65,7 @@ def track(
     on_frame: Callable[[Progress], None] | None = None,
     into: FrameStore | None = None,
     ahead: Ahead | None = None,
+    recovery: Recovery | None = None,
 ) -> Draws:
     """Filter a session.
 
@@ -79,6 +81,7 @@ def track(
         into: the store of the frames, such as `storage.FrameFiles`; a list by default. Frames that it already holds are not computed again: the
             filters continue from the last of them.
         ahead: the result of `compiled_ahead` for this session and kernel, and for a model of the same form.
+        recovery: finds the person again after a loss, such as `runs.recovery.PersonRecovery`; by default a lost run stays lost.
 
     Raises:
         InputError: no particles, runs or frames; `into` holds other numbers of them; a frame's images cannot be read, or a frame cannot be stored; no
@@ -93,7 +96,8 @@ def track(
     filters = _filters_after(store, particles, runs, count) if done else _first_filters(model, key, particles, runs)
     if done < count:
         with closing(_observations(session, model, range(done, count))) as observations:
-            _follow(store, _filter(model, kernel, key, filters, done, observations, ahead), count, on_frame)
+            restarts = None if recovery is None else Restarts(recovery, runs, store)
+            _follow(store, _filter(model, kernel, key, filters, done, observations, ahead, restarts), count, on_frame)
     return Draws(model, store, timing_of(store), tuple(view.camera.name for view in session.views))
 
 
@@ -141,7 +145,14 @@ def _follow(store: FrameStore, results: Iterator[FrameResult], count: int, on_fr
 
 
 def _filter(
-    model: Model, kernel: Kernel, key: Key, filters: list[Particles], first: int, observations: Iterator[_Observed], ahead: Ahead | None
+    model: Model,
+    kernel: Kernel,
+    key: Key,
+    filters: list[Particles],
+    first: int,
+    observations: Iterator[_Observed],
+    ahead: Ahead | None,
+    restarts: Restarts | None,
 ) -> Iterator[FrameResult]:
     """Yield the results of all runs for each frame from `first` on. Only the particles of the last frame stay in memory."""
     last = time.perf_counter()
@@ -150,6 +161,7 @@ def _filter(
     model = replace(model, transition=everywhere(model.transition), factors=everywhere(model.factors))
     step = None
     for frame, (seen, data, factors) in enumerate(observations, first):
+        restarted = np.zeros(0, bool) if restarts is None else restarts.restart(frame, filters, run_keys)
         placed = model if factors is None else replace(model, factors=factors)
         density, ready = placed.density(data, filters[0]), 0.0
         if step is None:
@@ -163,15 +175,18 @@ def _filter(
         for _, info in runs:
             raise_if_all_rejected(info, frame)
         last, seconds = time.perf_counter(), time.perf_counter() - last
-        yield _result(runs, seen, seconds, ready)
+        result = _result(runs, seen, seconds, ready, restarted)
+        if restarts is not None:
+            restarts.watch(result, frame)
+        yield result
 
 
-def _result(outcomes: list[tuple[Particles, FilterInfo]], seen: np.ndarray, seconds: float, ready: float) -> FrameResult:
+def _result(outcomes: list[tuple[Particles, FilterInfo]], seen: np.ndarray, seconds: float, ready: float, restarted: np.ndarray) -> FrameResult:
     particles, info = jax.tree.map(lambda *leaves: np.stack(leaves), *outcomes)
     if not seen.any():
         # No camera saw the frame, so the likelihood was the same for all particles. The kernel cannot distinguish that from a frame that it explains.
         info = info._replace(lost=np.ones_like(info.lost))
-    return FrameResult(dict(particles.states), particles.log_weights, info, seen, seconds, ready)
+    return FrameResult(dict(particles.states), particles.log_weights, info, seen, seconds, ready, restarted)
 
 
 def _progress(result: FrameResult, frame: int, frames: int, seconds: float) -> Progress:

@@ -126,7 +126,7 @@ def test_draws_that_are_too_narrow_are_found_out(drawn):
     assert (found.off < LIMIT).all() and found.variance_off.max() > LIMIT
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("drawn", ["arm"], indirect=True)
 def test_a_mode_seeker_is_found_out(drawn):

@@ -114,7 +114,7 @@ def test_tempered_is_calibrated(tempered):
     assert least_p(tempered()) > LIMIT
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("fault", [{"sign": -1.0}, {"forgets": True}], ids=["sign", "weights forgotten"])
 def test_a_faulty_tempered_is_found_out(tempered, fault):
     assert least_p(tempered(**fault)) < 0.001
@@ -133,7 +133,7 @@ def test_a_dropped_jacobian_is_found_out(tempered_slowly):
 # -- and the others ---------------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_annealed_is_not_calibrated():
     """A mode seeker: truths lie outside of its spread."""
     found = ranks(sbc.replicate(toys.skewed(), kernels.annealed(), 500, bins=BINS))

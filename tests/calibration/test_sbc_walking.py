@@ -121,6 +121,7 @@ def _least_p(problem, kind):
     return bands.p_values(bands.rank_counts(found.ranks, BINS)).min()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["sir", pytest.param("tempered", marks=pytest.mark.long), pytest.param("hmc", marks=pytest.mark.long)])
 def test_ranks_are_uniform(problem, kind):
     assert _least_p(problem, kind) > LIMIT

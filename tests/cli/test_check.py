@@ -48,7 +48,7 @@ def _start(*arguments):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("optimised")
 def test_a_right_kernel_passes(cli, tmp_path):
     _whole(cli, tmp_path / "whole.json")

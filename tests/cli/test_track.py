@@ -16,7 +16,7 @@ from bayes_body.session.read import save_session
 
 FRAMES, PARTICLES, LAYERS, RUNS, DOFS = 4, 100, 2, 2, 31
 KEYS = {
-    *("frames", "frames_lost", "cameras", "dof", "particles", "layers", "runs", "kernel", "model", "seed"),
+    *("frames", "frames_lost", "frames_restarted", "cameras", "dof", "particles", "layers", "runs", "kernel", "model", "seed"),
     *("seconds_total", "seconds_compile", "seconds_per_frame", "evaluations_per_second", "peak_memory_mb"),
     *("ess_min", "ess_median", "rhat_max", "iou_median", "fit_by", "fit_first", "fit_worst", "fit_worst_frame", "frames_off", "warnings"),
 }
@@ -110,6 +110,7 @@ def test_the_video_and_the_stills(run):
         assert (picture.max(axis=-1) != picture.min(axis=-1)).any()
 
 
+@pytest.mark.slow
 def test_another_seed_gives_another_posterior(run, again):
     assert not same(posterior(run), again("--seed", 6))
 
@@ -249,6 +250,7 @@ def trial(textured_session, tmp_path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_without_an_out_each_run_has_a_folder_of_its_own(cli, trial, monkeypatch):
     monkeypatch.chdir(trial.parent)
     outcome = cli("track", "trial", "--model", "arm", "--particles", 20, "--frames", 1)

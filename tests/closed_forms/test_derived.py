@@ -81,6 +81,7 @@ def test_every_sampler_draws_what_factors_read_from_what_it_samples(name):
         assert info.markov["ess"].shape == (3,)
 
 
+@pytest.mark.long
 def test_a_mode_seeker_and_the_means_of_chains_keep_both_together():
     density = _density(_bent, count=400)
     for kernel in (kernels.annealed(), kernels.hmc(chains=4, burn_in=5, carry="means")):

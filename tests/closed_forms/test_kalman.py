@@ -53,6 +53,7 @@ def test_a_filter_that_forgets_the_weights_is_found_out(linear_gaussian, observa
         _check_against_kalman(linear_gaussian, observations, build_kernel())
 
 
+@pytest.mark.slow
 def test_a_filter_that_keeps_its_weights_after_resampling_is_found_out(linear_gaussian, observations):
     honest = build_kernel()
 

@@ -8,6 +8,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from closed_forms.targets import CENTRE, ROOT, conjugate
 
 from bayes_body import kernels
@@ -53,6 +54,7 @@ def test_independent_draws_have_next_to_no_weight():
     assert float(info.ess) < 5
 
 
+@pytest.mark.slow
 def test_the_evidence_of_a_frozen_ladder_is_that_of_the_second_rung():
     density = _density()
     options = {"moves": 3}
@@ -75,6 +77,7 @@ def test_the_evidence_of_a_frozen_ladder_is_that_of_the_second_rung():
     assert all(float(info.ess) > 0.05 * PARTICLES for _, info in found)
 
 
+@pytest.mark.long
 def test_hmc_starts_on_the_ladder():
     density = _density(1)
     kernel = kernels.hmc(chains=4, burn_in=20, leapfrog_steps=8, step=0.3, starts=200, mass="curvature_matrix")

@@ -105,6 +105,7 @@ def test_an_edge_is_normalised_in_both_directions(body, options, given, joints, 
     assert error < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("blocks", ["diagonal", "full"])
 def test_ancestral_draws_have_the_density(body, blocks, joints, learned):
     """E[p/q] under draws of one prior is 1 only if draws and both densities agree: the other prior is narrower within its support."""
@@ -132,6 +133,7 @@ def test_the_prior_moves_with_the_world_and_does_not_see_a_quaternions_sign(body
     assert float(factor({PARTS: flipped}, {})) == pytest.approx(value, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_the_coordinates_are_those_of_the_tree_and_their_volume_is_right(body):
     with jax.enable_x64(True):
         loose = loosened(build_body("person_31", load_body("person_31")))

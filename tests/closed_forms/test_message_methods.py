@@ -76,6 +76,7 @@ def test_on_loops_messages_reach_the_fixed_point_of_the_grid(method):
     assert found.mean() < 0.045
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("method", "damping"), [("mixture", 0.0), ("epbp", 0.5), *(pytest.param(method, 0.5, marks=pytest.mark.long) for method in ("pbp", "pampas"))]
 )

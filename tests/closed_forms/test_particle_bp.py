@@ -53,6 +53,7 @@ def test_without_a_share_for_detections_the_first_particles_still_come_from_them
     assert abs(ratio.mean() - 1) < 4 * ratio.std() / len(ratio) ** 0.5
 
 
+@pytest.mark.long
 def test_joint_draws_of_a_chain_have_equal_weights():
     found = passed(chain(random_walk()), 4, samples=200, iterations=4)
     log_weights = np.asarray(found.joint.log_weights, float)
@@ -123,6 +124,7 @@ def test_a_tree_with_heavy_tails_has_the_beliefs_of_a_grid():
     assert found.mean(0).max() < 0.09
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("samples", "most"), [(50, 0.06), pytest.param(150, 0.04, marks=pytest.mark.long)])
 def test_on_loops_messages_reach_the_fixed_point_of_the_grid(samples, most):
     """They are not the true marginals: that is belief propagation's own error. With more samples the distance to its fixed point falls."""
@@ -130,6 +132,7 @@ def test_on_loops_messages_reach_the_fixed_point_of_the_grid(samples, most):
     assert distance(beliefs_at(passed(built, 5, samples=samples, iterations=10), built, grid), exact, grid).mean() < most
 
 
+@pytest.mark.long
 def test_weights_of_joint_draws_correct_a_loop():
     """Three nodes in a circle: beliefs are too narrow (Weiss & Freeman 2001), weighted joint draws are not."""
     pull, noise = 0.5, 1.0
@@ -173,6 +176,7 @@ def resampled(means, count, seed):
     return list(rng.choice(means, count) + 0.05 * rng.normal(size=count))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sizes", [(4, 4), pytest.param((100, 150), marks=pytest.mark.long)])
 def test_the_product_of_two_density_estimates(sizes):
     one, other = [0.1, 0.45, 0.55, 0.8], [0.25, 0.35, 0.7, 0.75]

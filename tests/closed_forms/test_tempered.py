@@ -84,7 +84,7 @@ def test_evidence_of_a_state_space_model_is_unbiased(linear_gaussian, observatio
     assert abs(ratios.mean() - 1) < 3 * ratios.std(ddof=1) / np.sqrt(RUNS)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("options", EACH_KERNEL)
 def test_at_temperature_zero_it_is_the_prior_in_distribution(options):
     """After three stages of moves at temperature zero the particles still are the prediction under its constraint."""
@@ -109,6 +109,7 @@ def test_at_temperature_zero_it_is_the_prior_in_distribution(options):
     assert stats.kstest(draws[:, 1], lambda x: np.interp(x, grid, np.cumsum(mass) / mass.sum())).pvalue > 1e-3
 
 
+@pytest.mark.slow
 def test_ancestors_are_drawn_from_their_posterior(linear_gaussian):
     """p(i | everything), by Gaussian algebra, against the weighted shares of the final particles."""
     previous = linear_gaussian.start(jax.random.key(1), 6)._replace(log_weights=jax.nn.log_softmax(jnp.array([0.0, 1.0, -1.0, 0.5, 0.0, 2.0])))
@@ -158,7 +159,7 @@ def test_weights_dropped_at_the_last_stage_are_found_out(monkeypatch):
         _check(target, {}, forgetful)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_tempered_constraint_is_found_out(monkeypatch):
     target, honest = skewed(PARTICLES), Extended.log_density
     kernel = _frozen(target.density, target.density.previous, {})
@@ -182,6 +183,7 @@ def test_a_dropped_jacobian_is_found_out(monkeypatch):
         _check(target, {}, kernel)
 
 
+@pytest.mark.slow
 def test_a_likelihood_without_a_gradient_is_refused_to_hmc():
     density = skewed(PARTICLES).density
     blind = dataclasses.replace(density, factors=tuple(dataclasses.replace(factor, has_gradient=False) for factor in density.factors))

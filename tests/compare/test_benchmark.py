@@ -109,7 +109,7 @@ WITH_ITS_OWN_KERNEL = {("deutscher_apf", "annealed"), ("markers_31", "tempered")
 def _marks(pair):
     if pair.model == EVERY_KERNEL_ON or (pair.kernel == EVERY_MODEL_WITH and pair.model.startswith("arm")):
         return ()
-    return pytest.mark.slow if pair.kernel == EVERY_MODEL_WITH or (pair.model, pair.kernel) in WITH_ITS_OWN_KERNEL else pytest.mark.long
+    return pytest.mark.slow if (pair.model, pair.kernel) in WITH_ITS_OWN_KERNEL else pytest.mark.long
 
 
 @pytest.mark.parametrize("pair", [pytest.param(pair, id=f"{pair.model}-{pair.kernel}", marks=_marks(pair)) for pair in ALL])
@@ -176,6 +176,7 @@ def rows(tmp_path):
     return made
 
 
+@pytest.mark.long
 def test_a_row_that_is_there_is_not_made_again(rows):
     asked = pairs(["arm_markers"], ["sir"])
     (first,) = rows(asked)

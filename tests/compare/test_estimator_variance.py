@@ -60,7 +60,7 @@ def test_the_truth_is_the_posteriors_mean(target, monkeypatch):
     assert np.all(truth.error < 16 * 2 * truth.sd**2 / truth.effective)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_truth_by_chains_is_the_same(target):
     density, mean = target
     truth = estimator_truth.true_mean_by_chains(jax.random.key(1), density, 400, chains=16, starts=2000)
@@ -104,6 +104,7 @@ def test_a_bias_counts(target):
     assert ev.ratios(biased, honest, truth).median > 1000
 
 
+@pytest.mark.slow
 def test_both_samplers_find_the_same_posterior(target):
     density, mean = target
     hmc = ev.hmc_sampler(chains=8, burn_in=40, leapfrog_steps=8, step=0.6)

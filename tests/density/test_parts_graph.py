@@ -44,6 +44,7 @@ def frame():
     return arm, truth, arm.density({}, arm.before).simulate(jax.random.key(2), {"parts": truth})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("whole", WHOLE)
 def test_the_graph_has_the_density_of_the_frame(frame, whole):
     arm, truth, data = frame
@@ -57,7 +58,7 @@ def test_the_graph_has_the_density_of_the_frame(frame, whole):
     np.testing.assert_allclose(found, expected, rtol=2e-5, atol=2e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_joint_draws_of_several_ancestors_have_equal_weights(frame):
     """Without loops the sum over forest and ancestors is the whole density, though each part's own prior is a mixture over ancestors."""
     arm, _, data = frame
@@ -67,6 +68,7 @@ def test_joint_draws_of_several_ancestors_have_equal_weights(frame):
     assert np.ptp(np.asarray(found.joint.log_weights)) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sd_rad", [0.05, 0.5])
 def test_pairs_of_steps_have_the_density_of_each(sd_rad):
     keys = jax.random.split(jax.random.key(4), 3)

@@ -108,6 +108,7 @@ def test_gradients_at_the_zero_angle():
     assert jnp.isfinite(jax.jacrev(rotations.from_matrix)(jnp.eye(3))).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [1e-20, 1e-4, 0.0999, 0.1001, 1.0, 3.1])
 def test_gradients_against_central_differences(length):
     with jax.enable_x64(True):

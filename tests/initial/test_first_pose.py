@@ -66,6 +66,7 @@ def test_nearly_all_poses_within_the_limits_are_found(scene, model):
     assert np.mean(np.array(worst) < 0.01) >= 0.95
 
 
+@pytest.mark.long
 def test_markers_of_another_person_one_of_them_wrong(scene, model, walker, errors_m):
     rng = np.random.default_rng(3)
     for _ in range(4):
@@ -80,7 +81,7 @@ def test_markers_of_another_person_one_of_them_wrong(scene, model, walker, error
         assert "marker l_wrist is" in found.remarks[0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_four_cameras_with_a_fifth_of_all_keypoints_wrong(scene, model, walker, seen, errors_m):
     rng = np.random.default_rng(4)
     medians, found_wrong, taken_for_wrong = [], [], []
@@ -104,7 +105,7 @@ def _forward(places):
     return np.array([across[1], -across[0]]) / np.linalg.norm(across)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_one_camera_tells_where_a_person_faces_and_mostly_what_is_nearer(scene, model, walker, seen):
     rng = np.random.default_rng(5)
     session = scene(1)
@@ -125,7 +126,7 @@ def test_one_camera_tells_where_a_person_faces_and_mostly_what_is_nearer(scene, 
     assert np.mean(order) >= 0.6
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("up", ["x", "y"])
 def test_a_person_stands_in_a_world_whose_other_axis_is_up(scene, model, walker, seen, errors_m, up):
     rng = np.random.default_rng(6)
@@ -136,7 +137,7 @@ def test_a_person_stands_in_a_world_whose_other_axis_is_up(scene, model, walker,
         assert _median(errors_m(found.pose, person, up)) < 0.04
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_lengths_are_fitted_on_request(scene, model, walker, seen, errors_m):
     rng = np.random.default_rng(7)
     before, after = [], []

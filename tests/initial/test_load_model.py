@@ -59,7 +59,7 @@ def test_the_keypoints_of_frame_0_are_a_first_pose_where_there_is_no_other(scene
 
 @pytest.mark.parametrize("initial", [{}, {"l_knee": -0.7}], ids=["nothing", "a knee only"])
 def test_a_session_that_does_not_say_where_the_body_is_is_refused(scene, initial):
-    said = r"session\.toml: initial: no first pose; the body 'deutscher_31' would start at the origin of the world; expected .*--keypoints"
+    said = r"session\.toml: initial: no first pose, and no silhouettes .*; the body 'deutscher_31' would start at .*; expected .*--keypoints"
     with pytest.raises(InputError, match=said):
         bb.load_model("deutscher_apf", scene(1, initial=initial))
 

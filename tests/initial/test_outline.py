@@ -121,7 +121,7 @@ def test_trousers_are_found_where_they_are(scene, recording):
         assert thick[part] == pytest.approx(1, abs=1e-6), part
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_images_see_the_clothes_and_legs_pass_without_them(scene, recording):
     masks = dressed(scene)
     session = recording(masks)
@@ -138,7 +138,7 @@ def test_images_see_the_clothes_and_legs_pass_without_them(scene, recording):
     assert overlap[1] > overlap[0] + 0.03
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_camera_that_shows_nobody_is_left_out(scene, recording):
     masks = dressed(scene)
     nobody = np.zeros_like(masks[1])
@@ -149,6 +149,7 @@ def test_a_camera_that_shows_nobody_is_left_out(scene, recording):
         fit_outline(usual, recording([nobody] * 4))
 
 
+@pytest.mark.long
 def test_a_moving_camera_looks_from_where_it_is_in_the_first_frame(scene, recording):
     masks = dressed(scene)
     session = recording(masks)

@@ -54,7 +54,7 @@ def found(pose2sim_beam):
     return result
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("frame", [0, 30, 60, 90])
 def test_the_body_is_where_the_man_is(found, frame):
     places, told = found[frame]
@@ -68,7 +68,7 @@ def test_the_body_is_where_the_man_is(found, frame):
         assert places[f"{side}_knee"][2] < places[f"{side}_hip"][2] - 0.2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_he_faces_the_way_he_goes(found):
     ahead = found[90][0]["pelvis"] - found[0][0]["pelvis"]
     assert ahead[0] > 0.5
@@ -77,7 +77,7 @@ def test_he_faces_the_way_he_goes(found):
         assert across[1] > 0.8 * np.linalg.norm(across)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_wrong_detections_are_named(found):
     """In frame 90 the network put the far arm of one camera, and a wrist of another, on something else; seen by eye."""
     _, told = found[90]

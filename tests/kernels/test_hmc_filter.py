@@ -94,7 +94,7 @@ def test_means_and_spreads_are_those_of_the_posterior(posterior, target, options
     assert _off((draws**2).mean(axis=1), second) < 4.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_tuning_comes_near_the_asked_acceptance(target):
     _, untuned = _means(target.density, step=3.0, burn_in=0)
     _, tuned = _means(target.density, step=3.0, target_acceptance=0.7, burn_in=200)
@@ -109,7 +109,7 @@ def test_evidence_is_estimated_by_the_starts(target, starts_by):
     assert abs(float(info.log_evidence) - target.log_evidence) < 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_overdispersed_starts_reach_the_same_posterior(target, monkeypatch):
     honest = hmc_filter._Filter._initialise
 
@@ -174,6 +174,7 @@ def test_effective_draws_of_independent_and_of_stuck_chains():
     assert np.array_equal(effective_draws(independent[:, :2]), [4.0, 4.0])
 
 
+@pytest.mark.slow
 def test_figures_of_each_chain_are_left_behind():
     kernel = jax.jit(build_kernel(chains=4, burn_in=5, leapfrog_steps=5, step=0.5))
     target = conjugate(40)

@@ -149,7 +149,7 @@ def test_the_same_key_gives_the_same_particles(kernel):
 
 
 # Each is a program of its own; how particles are put into batches, tests/kernels/test_batching.py tests alone.
-@pytest.mark.parametrize("count", [33, *(pytest.param(count, marks=pytest.mark.slow) for count in (1, 65)), pytest.param(31, marks=pytest.mark.long)])
+@pytest.mark.parametrize("count", [pytest.param(33, marks=pytest.mark.slow), *(pytest.param(count, marks=pytest.mark.long) for count in (1, 65, 31))])
 def test_any_number_of_particles(kernel, count):
     few = Particles({"x": jnp.zeros((count, 1, 2))}, jnp.full(count, -jnp.log(count)))
     particles, info = kernel(jax.random.key(0), few, density())

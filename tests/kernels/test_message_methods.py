@@ -18,6 +18,7 @@ from bayes_body.kernels.parts.products import Product, draw_products, slots_of
 LINE = euclidean(("x",), ("m",))
 
 
+@pytest.mark.slow
 def test_a_kernel_estimate_of_rotations_is_normalised_and_does_not_see_signs():
     rng = np.random.default_rng(0)
     points = Rotation.random(30, rng=rng).as_quat(scalar_first=True)
@@ -149,6 +150,7 @@ def rings():
     return values, axis, density
 
 
+@pytest.mark.long
 def test_a_product_of_rings_is_right_and_without_metropolis_hastings_it_is_not(monkeypatch):
     monkeypatch.setattr(products, "SWEEPS", 60)
     values, axis, density = rings()

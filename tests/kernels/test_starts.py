@@ -44,6 +44,7 @@ def _nearer_to_right(positions):
     return np.linalg.norm(positions - RIGHT, axis=1) < np.linalg.norm(positions - WRONG, axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_annealing_keeps_both_modes_where_importance_keeps_a_draw_or_two(seed):
     few, many = (_started(begin, _two_modes, seed).starts.position["x"] for begin in (by_importance, by_annealing))

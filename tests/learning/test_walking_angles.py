@@ -108,7 +108,7 @@ def test_the_residual_that_ships_is_that_of_people(topology):
     assert 2 < np.degrees(np.sqrt(np.mean(cycle.residual**2))) < 8
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", [*FEW, *(pytest.param(name, marks=pytest.mark.long) for name in MORE)])
 @pytest.mark.usefixtures("optimised")
 def test_other_people_walk_by_five_modes(cmu_mocap, schema, topology, name):
@@ -126,7 +126,7 @@ def test_a_run_and_a_short_walk_are_known_before(cmu_mocap):
     assert unusable("35_01", alone) == "35_01: no whole stride: left out"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("optimised")
 def test_the_command_writes_a_cycle_and_its_source(cmu_mocap, tmp_path, capsys):
     out = tmp_path / "mine.npz"

@@ -29,6 +29,7 @@ def filled(scene, pose) -> np.ndarray:
     return np.array(shares)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["deutscher_31", "arm_4"])
 @pytest.mark.parametrize("seed", range(3))
 def test_equals_filled_polygons(scene, name, seed):

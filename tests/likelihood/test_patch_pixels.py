@@ -54,6 +54,7 @@ def test_derivative(scene, name):
         assert np.abs(expected).min() > 1e-3
 
 
+@pytest.mark.slow
 def test_among_the_parts(scene):
     # Cameras within the body: points behind one, and past the turning point of a lens that turns early, are not visible; no derivative is infinite.
     body, rig, _, pose = scene("deutscher_31")

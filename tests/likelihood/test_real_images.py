@@ -43,6 +43,7 @@ def swaps():
         yield order
 
 
+@pytest.mark.slow
 def test_two_cameras_swapped_are_worse(case):
     factor, maps, pose = case
     true = value(factor, maps, pose)

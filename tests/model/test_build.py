@@ -3,6 +3,7 @@
 import dataclasses
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from own_terms import plugins_of_this_test
@@ -69,6 +70,17 @@ def test_an_uncertain_first_pose_spreads_the_start_within_the_limits(textured_se
     assert kstest(states[:, elbow], exact.cdf).pvalue > 1e-3
     with pytest.raises(InputError, match=r"first\.sd_deg\.elbwo: matches no dof .*did you mean 'elbow'"):
         build_model(dataclasses.replace(definition, first=FirstTable(sd_deg={"elbwo": 20.0})), textured_session)
+
+
+def test_several_first_poses_are_taken_equally_often(textured_session):
+    model = build_model("arm", textured_session)
+    draws = np.asarray(model.first_pose) + np.array([[0.0] * 4, [0.1] * 4, [-0.1] * 4])
+    several = model.beginning_at(model.first_pose, jnp.asarray(draws))
+    states = np.asarray(several.start(8, jax.random.key(1)).states["pose"])
+    counts = [int(np.isclose(states, pose, atol=1e-6).all(axis=1).sum()) for pose in draws]
+    assert sorted(counts) == [2, 3, 3] and not several.first.is_point
+    assert any(np.allclose(np.asarray(several.first.sample(jax.random.key(2))["pose"]), pose, atol=1e-6) for pose in draws)
+    assert (several.beginning_at(model.first_pose).start(3).states["pose"] == model.initial["pose"]).all()
 
 
 def test_a_model_of_another_subject_of_the_same_body_compiles_nothing_anew(textured_session):

@@ -107,7 +107,7 @@ def test_python_of_the_readme_runs(walk, monkeypatch, capsys):
     assert "silhouette_edges" in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_sampler_of_the_readme_runs(walk, monkeypatch):
     monkeypatch.chdir(walk.parent)
     block = _python_of_the_readme("Your own sampler in 20 lines")

@@ -41,6 +41,7 @@ def test_a_kernel_without_chains_has_no_such_section(inspect):
     assert "chains" not in [name for name, _, _ in sections_of(inspect())]
 
 
+@pytest.mark.slow
 def test_the_frame_that_mixed_worst_is_looked_at(chained):
     it = chained()
     assert worst_mixed(it.diagnosis.mixing) == 2

@@ -99,7 +99,7 @@ def test_too_little_to_go_by_is_a_sentence(body, points, fps, parts):
     assert all(part in str(caught.value) for part in parts)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_kept_lengths_stay(body, walker):
     found = retarget(body, walker, FPS, fit_lengths=False)
     assert found.lengths_m == {}
@@ -108,7 +108,7 @@ def test_kept_lengths_stay(body, walker):
     assert found.residual().mean_mm > 12
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("subject", [subject if subject in FEW else pytest.param(subject, marks=pytest.mark.long) for subject in SUBJECTS])
 def test_walks_of_real_people_fit_without_flips(body, cmu_mocap, subject):
     motion = resample(read_motion(cmu_mocap / subject / f"{SUBJECTS[subject]}.amc"), FPS)

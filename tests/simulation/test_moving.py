@@ -45,6 +45,7 @@ def hits(session, cameras, index) -> float:
     return float(np.mean([here and bool(mask[r, c]) for here, r, c in zip(inside, rows, columns, strict=True)]))
 
 
+@pytest.mark.slow
 def test_the_true_markers_lie_on_the_person_where_the_camera_is_and_not_where_it_was(carried):
     last = FRAMES - 1
     assert hits(carried, cameras_at(carried, last), last) >= 0.9

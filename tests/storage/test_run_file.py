@@ -15,14 +15,15 @@ SESSION = "title = \"blobs\"\nfps = 60.0\n# a \"comment\" with '''quotes'''\n[[c
 @pytest.fixture
 def record(tmp_path):
     (tmp_path / "session.toml").write_text(SESSION, encoding="utf-8")
-    return describe(tmp_path, "arm", load_definition("arm"), "annealed", {"particles": 40, "layers": 2, "unset": None}, 2, 3, None)
+    settings = {"runs": 2, "seed": 3, "frames": None, "init": "auto", "recover": False}
+    return describe(tmp_path, "arm", load_definition("arm"), "annealed", {"particles": 40, "layers": 2, "unset": None}, settings)
 
 
 def test_it_comes_back(tmp_path, record):
     write_run_file(tmp_path, record)
     read = read_run_file(tmp_path)
     refuse_changes(tmp_path, read, record)
-    assert read["run"] == {"session": str(tmp_path), "model": "arm", "runs": 2, "seed": 3}
+    assert read["run"] == {"session": str(tmp_path), "model": "arm", "runs": 2, "seed": 3, "init": "auto", "recover": False}
     assert read["kernel"] == {"kind": "annealed", "particles": 40, "layers": 2}
     assert read["session"]["text"] == SESSION
     assert tomllib.loads(read["definition"]["text"])["kernel"] == {"kind": "sir", "particles": 2000}
@@ -39,6 +40,8 @@ def _edit(table, key, old, new):
 CHANGES = {
     "seed": (_put("run", "seed", 4), "--seed was 3 and is now 4"),
     "runs": (_put("run", "runs", 1), "--runs was 2 and is now 1"),
+    "init": (_put("run", "init", "given"), "--init was auto and is now given"),
+    "recover": (_put("run", "recover", True), "--recover was False and is now True"),
     "model": (_put("run", "model", "other/mine.toml"), "--model was arm and is now mine"),
     "kernel": (_put("kernel", "kind", "sir"), "kernel.kind was annealed and is now sir"),
     "an option": (_put("kernel", "particles", 41), "kernel.particles was 40 and is now 41"),

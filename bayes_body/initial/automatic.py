@@ -1,0 +1,160 @@
+"""The first pose from the pictures alone, for a model of any body: detectors, and a search for a loose-limbed body (initial/person_search.py).
+
+The search samples a body of parts of its own, whatever the model is. Some of its draws are taken, each as often as its weight says, and a pose of the
+model's body is fitted to the markers of each. These poses are equally likely first poses: how uncertain the first frame is, and which way the person
+may face, stays known to the sampler that starts from them.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import NoReturn
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from bayes_body.detection.detect import Detected, detect
+from bayes_body.errors import input_error
+from bayes_body.initial.fit import fit, fit_draws, unbounded
+from bayes_body.initial.measurements import FEWEST, PREFIX, read_measurements
+from bayes_body.initial.person_search import Found, PersonSearch
+from bayes_body.initial.points import Points, body_points
+from bayes_body.initial.problem import build_problem
+from bayes_body.initial.report import FirstPose, tell
+from bayes_body.initial.stored import DIGITS
+from bayes_body.model.build import Model
+from bayes_body.observation.frames import read_frame
+from bayes_body.session.session import Session
+
+# Poses that are drawn.
+DRAWS = 32
+# Warnings: share of the weight that faces the other way, or is elsewhere, and effective draws.
+MOST_TURNED, MOST_ELSEWHERE, FEWEST_DRAWS = 0.05, 0.3, 5.0
+# The part that says where to search.
+TRUNK = "torso"
+# Where frame 0 shows nobody, so many other frames are looked at, so many seconds apart.
+LOOKED_AT, LOOK_S = 40, 0.5
+
+
+def find_first_pose(model: Model, session: Session, show: Callable[[str], None], seed: int = 0) -> FirstPose:
+    """Return the pose of frame 0 that is found in the pictures, and equally likely ones; lines for the user go to `show`.
+
+    Args:
+        model: the model whose body is placed.
+        session: the recording, without a first pose.
+        show: receives a line for the user about each step.
+        seed: seed of the draws.
+
+    Raises:
+        InputError: there are no silhouettes, no person was detected in frame 0, or the body has too few markers.
+    """
+    check_pictures(model, session)
+    show("first pose: none is given; looking for the person in the first frames")
+    begun = time.perf_counter()
+    found = PersonSearch(session, seed=seed).window(0)
+    for notice in found.notices:
+        show(f"first pose: {notice}")
+    if isinstance(found, Detected):
+        _nothing("no first pose, and no person was found in frame 0", model)
+    took = time.perf_counter() - begun
+    show(f"first pose: a person was found in {took:.0f} s; markers are known to {1e3 * found.sd_m:.0f} mm (sd), by {found.ess:.0f} effective draws")
+    for warning in _warnings(found):
+        show(f"first pose: warning: {warning}")
+    return fit_to(model, session, found, seed)
+
+
+def check_pictures(model: Model, session: Session) -> None:
+    """Check that frame 0 has silhouettes, and that detectors see a person there.
+
+    Raises:
+        InputError: they do not, or a file of frame 0 cannot be used.
+    """
+    if read_frame(session, 0).masks is None:
+        _nothing("no first pose, and no silhouettes in which to look for the person", model)
+    detected = detect(session, 0)
+    if TRUNK not in detected.parts:
+        why = f" ({'; '.join(detected.notices)})" if detected.notices else ""
+        _nothing(f"no first pose, and no person was detected in frame 0{why}{_later(session)}", model)
+
+
+def fit_to(model: Model, session: Session, found: Found, seed: int = 0) -> FirstPose:
+    """Return the model's pose that fits the main mode's mean markers, and DRAWS poses that fit the markers of as many draws.
+
+    Raises:
+        InputError: the body has too few markers, or the fit did not converge.
+    """
+    points = body_points(model.body.by_angles)
+    own = [name for name in found.names if points.index(name) is not None]
+    if len(own) < FEWEST:
+        _nothing(f"no first pose, and the model's body has {len(own)} of the markers that are searched for, fewer than {FEWEST}", model)
+    drawn = found.draws[_taken(found.weights, seed)]
+    left = _left(found.names, drawn) @ _left(found.names, found.markers[None])[0] >= 0
+    told, poses = _fit_way(model, session, points, found.names, found.markers, drawn)
+    if not left.all():
+        # The fit of the main way is no start for bodies that face the other way.
+        poses = np.where(left[:, None], poses, _fit_way(model, session, points, found.names, drawn[~left].mean(axis=0), drawn)[1])
+    return told._replace(draws=jnp.asarray(poses.round(DIGITS)))
+
+
+def _fit_way(
+    model: Model,
+    session: Session,
+    points: Points,
+    names: Sequence[str],
+    mean: Float[np.ndarray, "marker 3"],
+    drawn: Float[np.ndarray, "draw marker 3"],
+) -> tuple[FirstPose, Float[np.ndarray, "draw dof"]]:
+    """Return the pose that fits mean markers, and poses near it that fit each draw's markers."""
+    of_mean = {name: (float(x), float(y), float(z)) for name, (x, y, z) in zip(names, mean, strict=True)}
+    # The markers are those of a body of the same height: they tell nothing more about lengths.
+    asked = replace(session, initial_markers=of_mean, fit_lengths=False)
+    measurements = read_measurements(asked, points)
+    problem = build_problem(model, asked, points, measurements)
+    best = fit(problem, "xyz".index(session.up)).best
+    places = np.zeros((len(drawn), len(points.names), 3))
+    for number, name in enumerate(names):
+        place = points.index(name)
+        if place is not None:
+            places[:, place] = drawn[:, number]
+    starts = unbounded(problem, jnp.tile(best.pose, (len(drawn), 1)))
+    poses = fit_draws(problem, starts, jnp.asarray(places, best.pose.dtype))
+    return tell(asked, points, measurements, best.distances, best.pose, {}), np.asarray(poses, float)
+
+
+def _taken(weights: Float[np.ndarray, " draw"], seed: int) -> Int[np.ndarray, " taken"]:
+    """Return DRAWS draws, each as often as its weight says (systematic resampling)."""
+    offset = np.random.default_rng(seed).uniform()
+    return np.searchsorted(np.cumsum(weights), (np.arange(DRAWS) + offset) / DRAWS).clip(max=len(weights) - 1)
+
+
+def _left(names: Sequence[str], markers: Float[np.ndarray, "draw marker 3"]) -> Float[np.ndarray, "draw 3"]:
+    return markers[:, names.index("l_hip")] - markers[:, names.index("r_hip")]
+
+
+def _warnings(found: Found) -> Iterator[str]:
+    if found.turned > MOST_TURNED:
+        yield f"the person may face the other way, with a probability of {found.turned:.2f}; look at the overlay"
+    if found.elsewhere - found.turned > MOST_ELSEWHERE:
+        yield f"other poses have a probability of {found.elsewhere - found.turned:.2f}; look at the overlay"
+    if found.ess < FEWEST_DRAWS:
+        yield f"the search rests on {found.ess:.0f} effective draws; look at the overlay before you trust the track"
+
+
+def _later(session: Session) -> str:
+    """Return words on the first frame that shows a person, if a frame that is looked at does."""
+    step = max(1, round(LOOK_S * session.fps))
+    for frame in range(step, min(session.frames, step * LOOKED_AT + 1), step):
+        if TRUNK in detect(session, frame, ("silhouettes",)).parts:
+            return f", but one was in frame {frame}"
+    return ""
+
+
+def _nothing(found: str, model: Model) -> NoReturn:
+    found = f"{found}; the body '{model.body.name}' would start at the origin of the world"
+    expected = "a person whose silhouette the cameras show in frame 0, or a first pose"
+    remedy = (
+        "start at a frame in which the person is seen, or import the recording with --keypoints, or give four keypoints or more in each of two "
+        "cameras under [initial.keypoints_px.CAMERA], or angles_deg and positions_m under [initial]"
+    )
+    raise input_error(PREFIX, found, expected, remedy)

@@ -1,0 +1,39 @@
+"""Finding the person again after a loss, for a run: the fit of the body to the picture says where it is off, and detectors find the person."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Bool
+
+from bayes_body.detection.detect import Detected
+from bayes_body.initial import apply_first_pose
+from bayes_body.initial.automatic import fit_to
+from bayes_body.initial.person_search import PersonSearch
+from bayes_body.metrics.fit import frame_fit, is_off
+from bayes_body.model.build import Model
+from bayes_body.posterior import mean_pose
+from bayes_body.session.session import Session
+from bayes_body.tracking.draws import FrameResult
+
+
+class PersonRecovery:
+    """The recovery of a run (`tracking.restarts.Recovery`). The search compiles at the first loss."""
+
+    def __init__(self, session: Session, model: Model, seed: int = 0, show: Callable[[str], None] = print):
+        """Take the session, the model that tracks it, the seed of the search, and what receives lines for the user."""
+        self.session, self.model, self.seed, self.show = session, model, seed, show
+        self._search: PersonSearch | None = None
+
+    def off(self, result: FrameResult, frame: int) -> Bool[np.ndarray, " run"]:
+        """Return whether each run's mean body is off the person by the limits of `metrics.fit`; False where the picture does not show the person."""
+        return is_off(frame_fit(self.session, self.model, mean_pose(result, self.model), frame))
+
+    def found(self, frame: int) -> Model | None:
+        """Return the model that starts at the person who is found in a frame; None if nobody is."""
+        if self._search is None:
+            self._search = PersonSearch(self.session, seed=self.seed)
+        found = self._search.window(frame)
+        if isinstance(found, Detected):
+            return None
+        self.show(f"frame {frame}: the person was lost, and is found again; markers are known to {1e3 * found.sd_m:.0f} mm (sd)")
+        return apply_first_pose(self.model, self.session, fit_to(self.model, self.session, found, self.seed))

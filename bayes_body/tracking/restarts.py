@@ -1,0 +1,62 @@
+"""Runs that have lost the person start anew where the person is found again.
+
+A run is lost if its body is off the person for FRAMES_OFF frames in a row. At the next frame in which the person is found, its particles are replaced
+by the first poses that were found there. Which frames a run is off in follows from what is stored of them, and the search has its own seed. So a run
+that is continued restarts at the same frames, in the same way.
+"""
+
+from typing import Protocol
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Int
+
+from bayes_body.density.factor import Particles
+from bayes_body.kernels.parts.batching import everywhere
+from bayes_body.model.build import Model
+from bayes_body.shapes import Key
+from bayes_body.tracking.draws import FrameResult, FrameStore
+
+# A single bad silhouette is no loss.
+FRAMES_OFF = 3
+# Folded into a run's key before the frame's number, so that a restart has other random numbers than the frame.
+AGAIN = 2**32 - 2
+
+
+class Recovery(Protocol):
+    """Says where the body is off the person, and finds the person again."""
+
+    def off(self, result: FrameResult, frame: int) -> Bool[np.ndarray, " run"]:
+        """Return whether each run's body is off the person in a frame. A frame that does not show the person says nothing: False."""
+        ...
+
+    def found(self, frame: int) -> Model | None:
+        """Return the model that starts at the person of a frame; None if nobody was found."""
+        ...
+
+
+class Restarts:
+    """Counts the frames in which each run is off, and restarts lost runs."""
+
+    def __init__(self, recovery: Recovery, runs: int, stored: FrameStore):
+        """Count the last stored frames too, if there are any."""
+        self.recovery = recovery
+        self.frames_off: Int[np.ndarray, " run"] = np.zeros(runs, int)
+        for frame in range(max(0, len(stored) - 2 * FRAMES_OFF), len(stored)):
+            self.watch(stored[frame], frame)
+
+    def watch(self, result: FrameResult, frame: int) -> None:
+        """Count a frame that was tracked."""
+        before = np.where(result.restarted, 0, self.frames_off) if result.restarted.any() else self.frames_off
+        self.frames_off = np.where(self.recovery.off(result, frame), before + 1, 0)
+
+    def restart(self, frame: int, filters: list[Particles], keys: list[Key]) -> Bool[np.ndarray, " run"]:
+        """Replace the particles of lost runs by those of the person of a frame, if one is found; return whether each run was restarted."""
+        lost = self.frames_off >= FRAMES_OFF
+        model = self.recovery.found(frame) if lost.any() else None
+        if model is None:
+            return np.zeros(0, bool)
+        for run in np.flatnonzero(lost):
+            key = jax.random.fold_in(jax.random.fold_in(keys[run], AGAIN), frame)
+            filters[run] = everywhere(model.start(filters[run].log_weights.shape[0], key))
+        return lost

@@ -1,0 +1,72 @@
+"""Runs that lost the person start anew where it is found; a run that is continued does the same at the same frames."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_body.kernels.particle_filter import build_kernel
+from bayes_body.model.build import build_model
+from bayes_body.tracking.track import track
+
+KEY = jax.random.key(11)
+
+
+class Lost:
+    """The body of run 1 is off until frame `since`, from which on the person can be found, with its elbow bent."""
+
+    def __init__(self, model, since):
+        self.model, self.since, self.asked = model, since, []
+
+    def off(self, result, frame):
+        return np.array([False, frame < self.since])
+
+    def found(self, frame):
+        self.asked.append(frame)
+        pose = np.asarray(self.model.first_pose).copy()
+        pose[self.model.body.dof_names.index("elbow")] = -2.0
+        return self.model.beginning_at(jnp.asarray(pose)) if frame >= self.since else None
+
+
+@pytest.fixture(scope="module")
+def arm(textured_session):
+    return build_model("arm", textured_session)
+
+
+def test_a_lost_run_starts_anew_and_the_other_goes_on(textured_session, arm):
+    without = track(textured_session, arm, build_kernel(), KEY, particles=40, runs=2)
+    lost = Lost(arm, since=3)
+    draws = track(textured_session, arm, build_kernel(), KEY, particles=40, runs=2, recovery=lost)
+    assert lost.asked == [3] and draws.frames_restarted == [3] and without.frames_restarted == []
+    np.testing.assert_array_equal(draws.frames[3].restarted, [False, True])
+    elbow = arm.body.dof_names.index("elbow")
+    assert abs(draws.states["pose"][1, 3, :, elbow].mean() + 2.0) < 0.3
+    same = [(draws.states["pose"][run, frame] == without.states["pose"][run, frame]).all() for run, frame in ((0, 3), (0, 4), (1, 2), (1, 3))]
+    assert same == [True, True, True, False]
+
+
+@pytest.mark.parametrize("since", [3, 4])
+def test_a_run_that_is_continued_restarts_in_the_same_way(textured_session, arm, since):
+    whole = track(textured_session, arm, build_kernel(), KEY, particles=40, runs=2, recovery=Lost(arm, since))
+    assert whole.frames_restarted == [since]
+    for stop in (3, 4):
+        begun = list(whole.frames)[:stop]
+        continued = track(textured_session, arm, build_kernel(), KEY, particles=40, runs=2, into=begun, recovery=Lost(arm, since))
+        assert (continued.states["pose"] == whole.states["pose"]).all() and continued.frames_restarted == whole.frames_restarted
+
+
+def test_fewer_frames_are_no_loss(textured_session, arm):
+    lost = Lost(arm, since=0)
+    lost.off = lambda result, frame: np.array([False, frame in (0, 1, 3)])
+    assert track(textured_session, arm, build_kernel(), KEY, particles=40, runs=2, recovery=lost).frames_restarted == [] and lost.asked == []
+
+
+def test_the_frame_file_keeps_it(textured_session, arm, tmp_path):
+    from bayes_body.storage import FrameFiles
+
+    files = FrameFiles(tmp_path / "frames")
+    track(textured_session, arm, build_kernel(), KEY, particles=40, runs=2, into=files, recovery=Lost(arm, since=3))
+    np.testing.assert_array_equal(FrameFiles(tmp_path / "frames")[3].restarted, [False, True])
+    assert dataclasses.is_dataclass(files[3])
