@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import logsumexp
 
 # How fast people turn, radians a second, and how well a frame's facing is known, radians: standard deviations.
 TURN_RAD_S, FACING_RAD = 2.0, 0.35
@@ -70,11 +69,11 @@ def shares_over_time(frames: Sequence[Sequence[Way]], seconds: Sequence[float], 
     links = [_log_turns(frames[k], frames[k + 1], seconds[k + 1] - seconds[k]) for k in range(len(frames) - 1)]
     forward, backward = [own[0]], [np.zeros_like(own[-1])]
     for link, here in zip(links, own[1:], strict=True):
-        forward.append(here + logsumexp(forward[-1][:, None] + link, axis=0))
+        forward.append(here + np.logaddexp.reduce(forward[-1][:, None] + link, axis=0))
     for link, later in zip(links[::-1], own[:0:-1], strict=True):
-        backward.append(logsumexp(link + (later + backward[-1])[None], axis=1))
+        backward.append(np.logaddexp.reduce(link + (later + backward[-1])[None], axis=1))
     both = [before + after for before, after in zip(forward, backward[::-1], strict=True)]
-    return [np.exp(each - logsumexp(each)) for each in both]
+    return [np.exp(each - np.logaddexp.reduce(each)) for each in both]
 
 
 def _log_turns(before: Sequence[Way], after: Sequence[Way], seconds: float) -> Float[np.ndarray, "before after"]:

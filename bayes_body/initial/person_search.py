@@ -18,7 +18,7 @@ from bayes_body.density.graph import Mixture
 from bayes_body.detection.detect import Detected, detect
 from bayes_body.detection.detections import Detections, chosen
 from bayes_body.initial.facing import Way, shares_over_time, way_of
-from bayes_body.initial.proposals import proposals_of
+from bayes_body.initial.proposals import by_parts, proposals_of
 from bayes_body.initial.search import search
 from bayes_body.kernels.parts.batching import everywhere
 from bayes_body.model.build import build_model
@@ -128,7 +128,7 @@ class PersonSearch:
         detected = detect(self.session, index)
         begun = time.perf_counter()
         body = self.model.body
-        root = self.model.body.placement.names[0]
+        root = by_parts(body).names[0]
         ways = list[Way]()
         for side, half in enumerate(_by_facing(detected.parts.get(root), self.up)):
             roots = proposals_of(detected._replace(parts={**detected.parts, root: half}), body)[0]

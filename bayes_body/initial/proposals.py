@@ -47,7 +47,7 @@ def frames_of(body: Body) -> Frames:
     Raises:
         InputError: the body is placed by angles.
     """
-    placement = _by_parts(body)
+    placement = by_parts(body)
     zero = np.asarray(placement.configuration(body.skeleton, jnp.zeros(len(body.dof_names), body.lengths.dtype)), float)
     markers = np.asarray(placed_markers(body, jnp.asarray(zero, body.lengths.dtype)), float)
     at = dict(zip(body.markers.names, markers, strict=True))
@@ -81,7 +81,7 @@ def proposals_of(detected: Detected, body: Body) -> tuple[Mixture, ...]:
     Raises:
         InputError: the body is placed by angles.
     """
-    placement, frames = _by_parts(body), frames_of(body)
+    placement, frames = by_parts(body), frames_of(body)
     of_parts: list[list[tuple[Any, float]]] = [[] for _ in placement.names]
     of_landmarks: list[list[tuple[Any, float]]] = [[] for _ in placement.names]
     for part, name in enumerate(placement.names):
@@ -94,7 +94,12 @@ def proposals_of(detected: Detected, body: Body) -> tuple[Mixture, ...]:
     return _mixture(of_parts, tangent_normal(SE3(), jnp.asarray(rigid.identity(), float), jnp.eye(6))), _mixture(strongest_points, _point(*np.eye(3)))
 
 
-def _by_parts(body: Body) -> ByParts:
+def by_parts(body: Body) -> ByParts:
+    """Return the placement of a body that is placed by parts.
+
+    Raises:
+        InputError: the body is placed by angles.
+    """
     require(body, PARTS, "detections of parts", "detections of landmarks")
     assert isinstance(body.placement, ByParts)
     return body.placement
