@@ -164,6 +164,7 @@ OPTIONS = {
     "no frames": (["--frames", "0"], ["--frames: 0", "expected a whole number from 1 to 4", "give another"]),
     "too many frames": (["--frames", "99"], ["--frames: 99", "expected a whole number from 1 to 4", "give another"]),
     "a seed too large": (["--seed", str(10**30)], ["--seed: 1000000", "expected a whole number from 0 to"]),
+    "no such first pose": (["--init", "guessed"], ["--init: 'guessed'", "expected given or auto", "give one of them"]),
     "layers of sir": (["--kernel", "sir", "--layers", "3"], ["--layers", "'sir' has no such option", "expected one of particles", "leave it out"]),
 }
 

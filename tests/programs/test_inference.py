@@ -11,11 +11,13 @@ import cv2
 import pytest
 import xarray as xr
 
+from bayes_body.cli.main import main
+
 ROOT = Path(__file__).parents[2]
 PROGRAMS = sorted((ROOT / "inference").glob("*.py"))
 GRAPHS = {"particle_bp_on_a_grid": "beliefs.png", "particle_bp_smoother": "swing.png", "sensor_localisation": "sensors.png"}
 # Filters follow a whole recording; the others have tests of their own below.
-FILTERS = [path for path in PROGRAMS if path.stem not in {"estimator_variance", *GRAPHS}]
+FILTERS = [path for path in PROGRAMS if path.stem not in {"estimator_variance", "loose_limbed", "recover", *GRAPHS}]
 # These compile the gradient of an image likelihood.
 TIERS = {"tempered_smc": pytest.mark.slow, "hmc_filter": pytest.mark.long}
 QUICKLY = [pytest.param(path, marks=TIERS.get(path.stem, ())) for path in FILTERS]
@@ -91,6 +93,48 @@ def test_a_wrong_input_is_a_sentence(run, filtering, walk, tmp_path, fault):
     assert done.status == 2
     assert part in done.err.splitlines()[-1]
     assert done.out == ""
+
+
+@pytest.mark.parametrize("name", ["loose_limbed", "recover"])
+def test_a_person_without_a_session_is_a_sentence(run, name, tmp_path):
+    out = ("--json", tmp_path / "figures.json") if name == "loose_limbed" else ("--out", tmp_path)
+    done = run(ROOT / "inference" / f"{name}.py", "--session", "nowhere", *out)
+    assert done.status == 2 and done.err.count("\n") == 1 and "nowhere: no such file" in done.err
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("optimised")
+def test_a_person_of_other_motion_is_found_in_single_frames(run, stride, tmp_path):
+    """Nothing that was learned saw this person. Three frames and their neighbours, four cameras, no first pose."""
+    program, out = ROOT / "inference" / "loose_limbed.py", tmp_path / "figures.json"
+    done = run(program, "--session", stride, "--json", out, "--plot", tmp_path / "errors.png", "--frames", 21, "--every", 10)
+    assert done.status == 0, done.err
+    figures = json.loads(out.read_text())
+    assert figures["frames"] == figures["found"] == 3 and figures["cameras"] == 4 and figures["model"] == "loose_limbed_15"
+    assert figures["median_mm"] < 80 and figures["under_120"] == 1 and figures["flips"] == 0 and figures["sd_mm"] >= 0
+    assert abs(sum(figures["shares"].values()) - 1) < 1e-6 and figures["seconds_per_frame"] > 0
+    assert cv2.imread(str(tmp_path / "errors.png")).shape[1] > 500
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("optimised")
+def test_a_track_that_starts_from_the_pictures_comes_back_after_black_frames(run, stride, tmp_path):
+    program = ROOT / "inference" / "recover.py"
+    own = ("--model", "deutscher_apf", "--kernel", "annealed", "--black", 5, 9, "--particles", 200)
+    done = run(program, "--session", stride, "--out", tmp_path, *own)
+    assert done.status == 0, done.err
+    figures = json.loads((tmp_path / "figures.json").read_text())
+    assert figures["with"]["after"] < 100 and figures["without"]["restarted"] == []
+
+
+@pytest.fixture(scope="module")
+def stride(cmu_mocap, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("stride") / "walk"
+    walk = ["simulate", str(cmu_mocap / "38" / "38_02.amc"), "--frames", "25", "--subject", "38_02", "--seed", "11", "--out", str(folder)]
+    with pytest.raises(SystemExit) as stopped:
+        main(walk)
+    assert stopped.value.code == 0
+    return folder
 
 
 def test_a_program_of_its_own_process_ends_as_one_in_this_process(run, tmp_path):
