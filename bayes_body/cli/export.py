@@ -61,5 +61,4 @@ def _report(motion: "Motion", files: tuple[Path, ...], kernel: str) -> Iterator[
     if motion.lost.any():
         from bayes_body.posterior.diagnostics import frame_ranges
 
-        wide = " with a wide spread" if motion.has_intervals else ""
-        yield f"{frame_ranges(motion.lost.nonzero()[0].tolist())}: lost; the values there are a prediction{wide}."
+        yield f"{frame_ranges(motion.lost.nonzero()[0].tolist())}: lost, or the body is off the person; do not use the values there."

@@ -50,7 +50,8 @@ class Motion:
         dof_names: names of the body's dofs; none if the body is placed by its parts.
         dof_units: unit of each dof, `deg` or `m`.
         dofs: (frame, dof), degrees and metres.
-        lost: frames that were lost in at least one run: no particle of it explained them, and their values are predictions.
+        lost: frames that were lost in at least one run: no particle of it explained them, and their values are predictions. Also frames in which a
+            body is off the person (`frames_off` of `summary.json`).
         body: the run's body, to compute joints from the dofs.
         order: the session's axes that are x, y and z here.
         moments: the fields of `Moments` that are written; only the mean for a mode seeker.
@@ -110,12 +111,19 @@ def read_motion(run: SavedRun, fps: float | None = None, up: Axis | None = None)
         dof_names=names,
         dof_units=units,
         dofs=dofs,
-        lost=np.asarray(run.tree["filter"]["lost"], bool).any(axis=0),
+        lost=_lost(run),
         body=run.model.body,
         order=order,
         moments=MODE_SEEKER_MOMENTS if run.mode_seeker else Moments._fields,
         parts=parts,
     )
+
+
+def _lost(run: SavedRun) -> Bool[np.ndarray, " frame"]:
+    lost = np.asarray(run.tree["filter"]["lost"], bool).any(axis=0)
+    off = np.asarray(run.summary.get("frames_off") or [], int)
+    lost[off[off < len(lost)]] = True
+    return lost
 
 
 def _dofs(run: SavedRun) -> tuple[tuple[str, ...], tuple[str, ...], Moments]:

@@ -1,6 +1,7 @@
 """Exports read back by other means than they were written: units, rates, axes and values."""
 
 import csv
+import json
 
 import ezc3d
 import numpy as np
@@ -95,10 +96,13 @@ def test_npz(written):
 def test_csv(written, make_run):
     lost = np.zeros((2, 5), bool)
     lost[1, 3] = True
-    motion, path = written("csv", run=make_run(lost=lost))
+    run = make_run(lost=lost)
+    # The body is off the person in frame 1.
+    (run / "summary.json").write_text(json.dumps({"frames_off": [1]}), encoding="utf-8")
+    motion, path = written("csv", run=run)
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [row["lost"] for row in rows] == ["0", "0", "0", "1", "0"] and [row["frame"] for row in rows] == list("01234")
+    assert [row["lost"] for row in rows] == ["0", "1", "0", "1", "0"] and [row["frame"] for row in rows] == list("01234")
     assert len(rows[0]) == 3 + 4 * (9 + 4)
 
     def column(name):

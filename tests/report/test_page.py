@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from bayes_body.errors import InputError
+from bayes_body.metrics.fit import fit_sentences
 from bayes_body.storage.saved_run import load_run
 from bayes_body.view.report import page as pages
 from bayes_body.view.report.bands import band_section
@@ -97,6 +98,8 @@ def test_the_verdict_begins_with_the_result():
         "91\u00a0% of the truth inside the 90\u00a0% intervals."
     )
     assert verdict(summary, [], agreement_known=True).splitlines() == [said, "The runs agree; no limit is crossed."]
+    again = verdict(summary | {"frames_restarted": [7, 30]}, [], agreement_known=True)
+    assert again.startswith("60 frames tracked, 2 lost, restarted at frames 7, 30; overlap")
     bare = {"frames": 1, "frames_lost": 0, "iou_median": None, "error_mm_mean": None, "coverage_90": None}
     assert verdict(bare, ["a"], agreement_known=True).splitlines() == ["1 frame tracked, none lost.", "Warning: a"]
 
@@ -110,6 +113,10 @@ def test_a_body_off_the_person_is_a_warning(make_run):
         first, later = Inspection(run).warnings[:2]
     assert first.startswith("frame 0: the body in its first pose does not fit the image") and "0.31" in first
     assert later.startswith("from frame 2 the body no longer covers the person") and "0.12" in later
+    # A track that comes back says where.
+    figures |= {"frames": 9, "frames_off": [2, 3, 4], "frames_restarted": [5]}
+    again = fit_sentences(figures)[1]
+    assert again.startswith("frames 2-4: the body does not cover the person; it was restarted at frame 5, where the person was found again: at worst")
 
 
 def test_figures_have_their_units_and_what_does_not_exist_is_a_dash(inspect):

@@ -55,7 +55,9 @@ def _result(summary: Mapping[str, Any]) -> list[str]:
     found = [form.format(summary[key]) for key, form in figures if summary.get(key) is not None]
     if summary.get("coverage_90") is not None:
         found.append(f"{100 * summary['coverage_90']:.0f}\u00a0% of the truth inside the 90\u00a0% intervals")
+    again = summary.get("frames_restarted") or []
     frames = f"{summary['frames']:,} frame{'s' * (summary['frames'] != 1)} tracked, {summary.get('frames_lost') or 'none'} lost"
+    frames += f", restarted at frame{'s' * (len(again) > 1)} {', '.join(map(str, again))}" if again else ""
     return ["; ".join([frames, *found]) + "."]
 
 
