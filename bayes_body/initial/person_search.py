@@ -130,22 +130,23 @@ class PersonSearch:
         body = self.model.body
         root = by_parts(body).names[0]
         ways = list[Way]()
-        for side, half in enumerate(_by_facing(detected.parts.get(root), self.up)):
+        for side, (half, share) in enumerate(_by_facing(detected.parts.get(root), self.up)):
             roots = proposals_of(detected._replace(parts={**detected.parts, root: half}), body)[0]
-            ways.append(self._way(index, side, roots))
+            ways.append(self._way(index, side, roots, share))
         return Searched(detected, tuple(ways), {**detected.seconds, "search": time.perf_counter() - begun})
 
-    def _way(self, index: int, side: int, roots: Mixture) -> Way:
+    def _way(self, index: int, side: int, roots: Mixture, share: float) -> Way:
         model = self.model.at(cameras_at(self.session, index)) if self.session.moves else self.model
         density = model.density(model.observe(read_frame(self.session, index)), model.start(1))
         key = jax.random.fold_in(jax.random.fold_in(jax.random.key(self.seed), index), side)
         drawn = jax.device_get(self._search(everywhere(key), everywhere(density), everywhere(roots)))
         markers = np.asarray(self._markers(jnp.asarray(drawn.parts)), float)
-        return way_of(self.names, markers, np.asarray(drawn.log_weights, float), float(drawn.log_evidence), float(drawn.ess), self.up)
+        evidence = float(drawn.log_evidence) + float(np.log(share))
+        return way_of(self.names, markers, np.asarray(drawn.log_weights, float), evidence, float(drawn.ess), self.up)
 
 
-def _by_facing(found: Detections | None, up: int) -> list[Detections]:
-    """Return the detections of an upright part in two halves that face opposite ways; one half if the other has no weight."""
+def _by_facing(found: Detections | None, up: int) -> list[tuple[Detections, float]]:
+    """Return the detections of an upright part in two halves that face opposite ways, each with its share; one half if the other has no weight."""
     if found is None or not len(found.weights) or found.rotations is None:
         return []
     level = [k for k in range(3) if k != up]
@@ -154,7 +155,8 @@ def _by_facing(found: Detections | None, up: int) -> list[Detections]:
     doubled = found.weights @ np.exp(2j * np.arctan2(ahead[:, 1], ahead[:, 0]))
     axis = np.angle(doubled) / 2
     along = ahead @ (np.cos(axis), np.sin(axis)) >= 0
-    return [chosen(found, np.flatnonzero(half)) for half in (along, ~along) if found.weights[half].sum() > 0]
+    shares = {side: float(found.weights[along == side].sum()) for side in (True, False)}
+    return [(chosen(found, np.flatnonzero(along == side)), share) for side, share in shares.items() if share > 0]
 
 
 def found_of(names: tuple[str, ...], searched: Searched, shares: Float[np.ndarray, " way"]) -> Found:
@@ -174,5 +176,5 @@ def found_of(names: tuple[str, ...], searched: Searched, shares: Float[np.ndarra
     left = markers[:, names.index("l_hip")] - markers[:, names.index("r_hip")]
     turned = float(weights @ (left @ (mean[names.index("l_hip")] - mean[names.index("r_hip")]) < 0))
     elsewhere = 1 - float(np.max(shares)) * float(of_way @ near)
-    evidence = float(np.logaddexp.reduce([way.log_evidence for way in ways]) - np.log(len(ways)))
+    evidence = float(np.logaddexp.reduce([way.log_evidence for way in ways]))
     return Found(names, mean, sd_m, elsewhere, turned, main.ess, evidence, markers, weights, searched.detected.notices, searched.seconds)

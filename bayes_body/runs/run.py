@@ -91,7 +91,8 @@ def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
         refuse_changes(settings.out, before, record)
     must_fit = (is_fitted(session) or not is_posed(model, session)) and not fitted_before
     kernel = term.build(options=options)
-    with compiled_ahead(session, model, kernel, options.particles) if must_fit else nullcontext() as ahead:
+    compiling = compiled_ahead(session, model, kernel, options.particles) if must_fit else nullcontext()
+    with compiling as ahead, waiting("first pose", bar and must_fit):
         model, record = _with_first_pose(model, session, record, before, settings.out, show, chosen.seed)
     _show_first_fit(session, model, show)
     with locked(make_folder(settings.out)):

@@ -65,7 +65,8 @@ class Chosen(NamedTuple):
 
 def choose(settings: Settings, stored: Mapping[str, Mapping[str, Any]] | None) -> Chosen:
     """Return each setting: the user's value, or else the value of the run that is continued, or else the default."""
-    defaults = DEFAULTS if stored is None else {**DEFAULTS, **stored["run"], "kernel": stored["kernel"].get("kind")}
+    # A run of an older version says nothing of recovery: it had none.
+    defaults = DEFAULTS if stored is None else {**DEFAULTS, "recover": False, **stored["run"], "kernel": stored["kernel"].get("kind")}
     values: dict[str, Any] = {name: getattr(settings, name) for name in Chosen._fields}
     chosen: dict[str, Any] = {name: defaults.get(name) if value is None else value for name, value in values.items()}
     return Chosen(**chosen)
