@@ -61,7 +61,7 @@ def test_without_a_first_pose_nothing_is_compiled(textured_session, tmp_path, mo
         monkeypatch.setattr(module, name, compiled)
     with pytest.raises(
         InputError,
-        match=r"session\.toml: initial: no first pose, and no person was detected .* origin of the world; expected .*; import .* --keypoints",
+        match=r"session\.toml: initial: no first pose, and no person was detected .* origin of the world; expected .* import .* --keypoints",
     ):
         run(Settings(session.folder, tmp_path / "run", model="deutscher_apf"), print, bar=False)
     assert not (tmp_path / "run").exists()
