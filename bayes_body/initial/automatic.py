@@ -34,7 +34,7 @@ MOST_TURNED, MOST_ELSEWHERE, FEWEST_DRAWS = 0.05, 0.3, 5.0
 # The part that says where to search.
 TRUNK = "torso"
 # Where frame 0 shows nobody, so many other frames are looked at, so many seconds apart.
-LOOKED_AT, LOOK_S = 40, 0.5
+LOOKED_AT, LOOK_S = 20, 1.0
 
 
 def find_first_pose(model: Model, session: Session, show: Callable[[str], None], seed: int = 0) -> FirstPose:
@@ -50,7 +50,7 @@ def find_first_pose(model: Model, session: Session, show: Callable[[str], None],
         InputError: there are no silhouettes, no person was detected in frame 0, or the body has too few markers.
     """
     check_pictures(model, session)
-    show("first pose: none is given; looking for the person in the first frames")
+    show("first pose: looking for the person in the first frames")
     begun = time.perf_counter()
     found = PersonSearch(session, seed=seed).window(0)
     for notice in found.notices:

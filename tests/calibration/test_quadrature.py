@@ -94,7 +94,7 @@ HMC = {"chains": 8, "burn_in": 30, "leapfrog_steps": 8, "step": 0.4}
 KERNELS = {"sir": (kernels.sir(), 4000), "tempered": (kernels.tempered(), 500), "hmc": (kernels.hmc(**HMC), 800)}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("name", ["sir", "hmc", pytest.param("tempered", marks=pytest.mark.long)])
 def test_means_and_variances_of_the_kernels_are_those_of_the_grid(drawn, name):
@@ -110,7 +110,7 @@ def test_means_and_variances_of_the_kernels_are_those_of_the_grid(drawn, name):
     assert (found.variance_off < LIMIT).all(), found.variance_off
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("drawn", ["arm"], indirect=True)
 def test_draws_that_are_too_narrow_are_found_out(drawn):

@@ -120,7 +120,7 @@ def test_a_faulty_tempered_is_found_out(tempered, fault):
     assert least_p(tempered(**fault)) < 0.001
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_dropped_jacobian_is_found_out(tempered_slowly):
     """By default its moves alone, in tests/closed_forms/test_invariance.py."""
     assert least_p(tempered_slowly()) > LIMIT

@@ -110,7 +110,7 @@ def test_the_video_and_the_stills(run):
         assert (picture.max(axis=-1) != picture.min(axis=-1)).any()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_another_seed_gives_another_posterior(run, again):
     assert not same(posterior(run), again("--seed", 6))
 

@@ -21,12 +21,13 @@ def _made_of(name):
 
 
 def _small_first():
-    """The arms by default, but `arm_edges`, which compiles long; the others slow; long if a definition before consists of the same terms."""
+    """The arms by default, but `arm_edges`, which compiles long; one whole body slow; the others, and what consists of the same terms, long."""
     found = []
     for name in definition_names():
         alike = _made_of(name) in found
         found.append(_made_of(name))
-        yield pytest.param(name, marks=pytest.mark.long if alike else () if name.startswith("arm") and name != "arm_edges" else pytest.mark.slow)
+        slow = pytest.mark.slow if name in ("arm_edges", "deutscher_apf") else pytest.mark.long
+        yield pytest.param(name, marks=pytest.mark.long if alike else () if name.startswith("arm") and name != "arm_edges" else slow)
 
 
 @pytest.fixture(params=definition_names())

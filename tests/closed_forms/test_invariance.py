@@ -40,14 +40,14 @@ def iterated():
     return lambda power=1.0: replications(run, 0, power)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_iterated_resampling_keeps_the_posterior(iterated):
     found = iterated()
     assert least_p(found) > LIMIT
     assert found.moved.mean() > 0.9 and not found.refused.any()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("power", [-1.0, 0.5, 0.0], ids=["sign", "root of the weights", "weights forgotten"])
 def test_a_faulty_resampling_is_found_out(iterated, power):
     assert least_p(iterated(power)) < 0.001
@@ -84,7 +84,7 @@ def test_a_faulty_walk_is_found_out(walk, fault):
     assert least_p(walk(**fault)) < 0.001
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_ancestor_drawn_without_its_weight_is_found_out(monkeypatch):
     honest = Extended.choose_ancestor
 
@@ -113,14 +113,14 @@ def trajectories():
     return lambda jacobian=1.0: replications(run, 3, jacobian)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_trajectories_on_the_marginal_view_keep_the_posterior(trajectories):
     found = trajectories()
     assert least_p(found) > LIMIT
     assert found.moved.mean() > 0.9
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_trajectories_without_the_log_determinant_are_found_out(trajectories):
     assert least_p(trajectories(jacobian=0.0)) < 0.001
 

@@ -41,7 +41,7 @@ def _check_against_kalman(model, ys, kernel):
 
 
 @pytest.mark.parametrize(
-    "scheme", ["systematic", *(pytest.param(scheme, marks=pytest.mark.slow) for scheme in ("stratified", "multinomial", "residual"))]
+    "scheme", ["systematic", *(pytest.param(scheme, marks=pytest.mark.long) for scheme in ("stratified", "multinomial", "residual"))]
 )
 def test_sir_equals_the_kalman_filter(linear_gaussian, observations, scheme):
     _check_against_kalman(linear_gaussian, observations, build_kernel(scheme))
@@ -66,7 +66,7 @@ def test_a_filter_that_keeps_its_weights_after_resampling_is_found_out(linear_ga
         _check_against_kalman(linear_gaussian, observations, twice_weighted)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_error_falls_with_the_root_of_the_particles(linear_gaussian, observations):
     """The slope of log error over log N is -1/2, within four of its standard errors, once N is large enough for the data's outlier."""
     exact, kernel, sizes, keys = linear_gaussian.kalman(observations)[0], build_kernel(), (4000, 64_000), 60

@@ -90,6 +90,7 @@ def test_hmc_starts_on_the_ladder():
     assert abs(float(info.log_evidence) - evidence) < 1.0
 
 
+@pytest.mark.long
 def test_a_potential_taken_for_a_likelihood_is_found_out():
     """A mutant: the evidence then contains the potential's normaliser."""
     density = _density(side="likelihood")

@@ -51,7 +51,7 @@ def _check(target, options, kernel=None):
 
 
 # Compilation takes most of these tests' time.
-EACH_KERNEL = [pytest.param(options, id=name, marks=[] if name == "hmc" else pytest.mark.slow) for name, options in KERNELS.items()]
+EACH_KERNEL = [pytest.param(options, id=name, marks=[] if name == "hmc" else pytest.mark.long) for name, options in KERNELS.items()]
 
 
 @pytest.mark.slow
@@ -109,7 +109,7 @@ def test_at_temperature_zero_it_is_the_prior_in_distribution(options):
     assert stats.kstest(draws[:, 1], lambda x: np.interp(x, grid, np.cumsum(mass) / mass.sum())).pvalue > 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ancestors_are_drawn_from_their_posterior(linear_gaussian):
     """p(i | everything), by Gaussian algebra, against the weighted shares of the final particles."""
     previous = linear_gaussian.start(jax.random.key(1), 6)._replace(log_weights=jax.nn.log_softmax(jnp.array([0.0, 1.0, -1.0, 0.5, 0.0, 2.0])))
@@ -146,7 +146,7 @@ def test_a_wrong_sign_of_the_weights_is_found_out(monkeypatch):
         _check(target, {}, kernel)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_weights_dropped_at_the_last_stage_are_found_out(monkeypatch):
     target = skewed(PARTICLES)
     kernel = _frozen(target.density, target.density.previous, {"final_stages": 0})
@@ -174,7 +174,7 @@ def test_a_tempered_constraint_is_found_out(monkeypatch):
         _check(target, {}, kernel)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_dropped_jacobian_is_found_out(monkeypatch):
     target = skewed(PARTICLES)
     kernel = _frozen(target.density, target.density.previous, {})
@@ -183,7 +183,7 @@ def test_a_dropped_jacobian_is_found_out(monkeypatch):
         _check(target, {}, kernel)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_likelihood_without_a_gradient_is_refused_to_hmc():
     density = skewed(PARTICLES).density
     blind = dataclasses.replace(density, factors=tuple(dataclasses.replace(factor, has_gradient=False) for factor in density.factors))

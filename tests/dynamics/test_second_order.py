@@ -200,7 +200,7 @@ def test_the_pose_before_is_carried_and_a_first_pose_stands_still():
     assert set(transition.perturb(jax.random.key(1), after, first, jnp.asarray(0.5))) == {"pose", "pose_before"}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_at_another_frame_rate_a_body_drifts_as_far():
     ball = {
         "title": "a ball on a rail",

@@ -170,6 +170,7 @@ def test_lengths_from_one_camera_are_refused(scene, model, walker, seen):
         first_pose(model, session)
 
 
+@pytest.mark.slow
 def test_given_angles_draw_the_fit(scene, model, walker):
     person = walker(np.random.default_rng(9))
     known = {name: place for name, place in _markers(person).items() if not name.startswith("l_") and name in model.body.markers.names}
@@ -189,7 +190,7 @@ def test_a_body_of_three_markers(scene):
     assert np.allclose(found.pose, true, atol=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_camera_that_fits_badly_is_said(scene, model, walker, seen):
     rng = np.random.default_rng(10)
     session = scene(4)

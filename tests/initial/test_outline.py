@@ -168,6 +168,7 @@ def test_without_silhouettes_it_says_what_to_give(scene, recording):
         first_pose(build_model("tempered_smc", bare), bare)
 
 
+@pytest.mark.slow
 def test_a_pose_elsewhere_is_said_and_changes_nothing(scene, recording):
     masks = dressed(scene)
     session = replace(recording(masks), initial=STANDING | {"root_x": 0.6}, positions=frozenset({"root_x", "root_z"}))

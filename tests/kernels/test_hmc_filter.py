@@ -79,7 +79,7 @@ VARIANTS = {
 
 def _on_both(cases, first):
     """The first case on the skewed target, which finds more faults; slow: the others there; long: all on the conjugate one."""
-    skew = [pytest.param(skewed, case, id=f"skewed-{name}", marks=() if name == first else pytest.mark.slow) for name, case in cases.items()]
+    skew = [pytest.param(skewed, case, id=f"skewed-{name}", marks=() if name == first else pytest.mark.long) for name, case in cases.items()]
     plain = [pytest.param(conjugate, case, id=f"conjugate-{name}", marks=pytest.mark.long) for name, case in cases.items()]
     return skew + plain
 
@@ -153,7 +153,7 @@ def test_full_turns_between_draws_are_no_spread():
     assert (np.asarray(found["other"]) == jnp.asarray(turned)).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ancestors_are_draws_or_the_first_of_a_chain():
     density = conjugate(32).density
     spread = density.previous._replace(states={"x": density.previous.states["x"] + jnp.linspace(-1, 1, 32)[:, None]})
@@ -277,7 +277,7 @@ def _found_out(**options):
     return max(_off(draws.mean(axis=1), target.mean), _off((draws**2).mean(axis=1), second)) > 5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_momentum_that_is_not_refreshed_is_found_out(monkeypatch):
     honest = metrics.default_metric
     fixed = jax.random.key(5)
@@ -300,13 +300,13 @@ def test_a_missing_metropolis_test_is_found_out(monkeypatch):
     assert _found_out(step=1.4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_missing_log_determinant_is_found_out(monkeypatch):
     monkeypatch.setattr(Coordinates, "log_determinant", lambda self, position: 0.0 * jnp.sum(position["x"]))
     assert _found_out()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_momenta_of_the_inverted_mass_are_found_out(monkeypatch):
     honest = metrics.default_metric
     monkeypatch.setattr(metrics, "default_metric", lambda mass: honest(mass)._replace(sample_momentum=honest(1 / mass).sample_momentum))

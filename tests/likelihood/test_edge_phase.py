@@ -258,7 +258,7 @@ def _states(model, number, seed=0):
     return jnp.asarray(np.clip(poses, np.where(free, -np.inf, low), np.where(free, np.inf, high)))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_gradient_of_the_whole_posterior_is_that_of_differences():
     model = _model("soft")
     density = _density_of(model, [_image()])
@@ -280,7 +280,7 @@ def test_the_gradient_of_the_whole_posterior_is_that_of_differences():
     assert max(worst) < 1e-5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("visibility", ["soft", "hard"])
 def test_no_state_has_a_value_or_gradient_that_is_no_number(visibility):
     model = _model(visibility)

@@ -145,6 +145,7 @@ def test_the_gradient_is_that_of_the_value(x64, loose, name):
         assert change == pytest.approx(2 * float(jnp.sum(found * one)), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_part_is_read_on_its_own(loose):
     scene = loose("person_31")
     plate, data = factor(scene).log_potential, maps(scene)

@@ -19,7 +19,7 @@ GRAPHS = {"particle_bp_on_a_grid": "beliefs.png", "particle_bp_smoother": "swing
 # Filters follow a whole recording; the others have tests of their own below.
 FILTERS = [path for path in PROGRAMS if path.stem not in {"estimator_variance", "loose_limbed", "recover", *GRAPHS}]
 # These compile the gradient of an image likelihood.
-TIERS = {"tempered_smc": pytest.mark.slow, "hmc_filter": pytest.mark.long}
+TIERS = dict.fromkeys(("tempered_smc", "hmc_filter"), pytest.mark.long)
 QUICKLY = [pytest.param(path, marks=TIERS.get(path.stem, ())) for path in FILTERS]
 LONGEST = 80
 PUBLIC = {"bayes_body", "bayes_body.errors"}
@@ -67,7 +67,7 @@ def test_quick(run, filtering, walk, tmp_path):
     assert cv2.VideoCapture(str(tmp_path / "run" / "overlay.mp4")).get(cv2.CAP_PROP_FRAME_COUNT) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.long if name == "particle_bp_smoother" else ()) for name in GRAPHS])
 def test_a_graph_without_a_body(run, name, tmp_path):
     done = run(ROOT / "inference" / f"{name}.py", "--out", tmp_path, "--quick", "--samples", 50)

@@ -73,7 +73,7 @@ def test_killed_twenty_times_at_any_moment(looped, tmp_path, uninterrupted):
     assert finish(looped(FRAMES), out) == uninterrupted
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_interruption_says_how_to_go_on(looped, tmp_path):
     """Ctrl-C."""
     out = tmp_path / "run"

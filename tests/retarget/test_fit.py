@@ -38,7 +38,7 @@ def fitted(body, walker):
     return retarget(body, walker, FPS)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_walk_is_fitted_to_millimetres(fitted, walker):
     assert not fitted.exact
     assert fitted.angles.shape == (60, 31)
@@ -48,14 +48,14 @@ def test_a_walk_is_fitted_to_millimetres(fitted, walker):
     assert fitted.marker_names[9] == "l_knee" and np.allclose(measured, fitted.residual_m[:, 9])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_lengths_become_the_persons(fitted, walker):
     for name, a, b in (("l_thigh", "l_hip", "l_knee"), ("r_calf", "r_knee", "r_ankle"), ("l_upper_arm", "l_shoulder", "l_elbow")):
         true = np.linalg.norm(walker[a] - walker[b], axis=1).mean()
         assert fitted.lengths_m[name] == pytest.approx(true, abs=0.008)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_is_unknown_is_left_out_and_the_rest_stays(fitted):
     names = list(fitted.marker_names)
     wrist, head = names.index("r_wrist"), names.index("head")
@@ -65,7 +65,7 @@ def test_what_is_unknown_is_left_out_and_the_rest_stays(fitted):
     assert np.isfinite(fitted.angles).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_angles_are_inside_their_limits_and_do_not_jump(fitted, body):
     low, high = np.asarray(body.skeleton.low), np.asarray(body.skeleton.high)
     assert ((fitted.angles >= low) & (fitted.angles <= high)).all()
@@ -73,7 +73,7 @@ def test_angles_are_inside_their_limits_and_do_not_jump(fitted, body):
     assert fitted.remarks == ()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_knee_bends_as_the_landmarks_do(fitted, walker):
     thigh, shank = walker["l_knee"] - walker["l_hip"], walker["l_ankle"] - walker["l_knee"]
     true = np.arccos((thigh * shank).sum(1) / np.linalg.norm(thigh, axis=1) / np.linalg.norm(shank, axis=1))
@@ -119,7 +119,7 @@ def test_walks_of_real_people_fit_without_flips(body, cmu_mocap, subject):
     assert jump < STEP
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_command_writes_a_truth_that_is_read(command, cmu_mocap, tmp_path):
     out = tmp_path / "motion.npz"
     status, told, _ = command("mocap", cmu_mocap / "02" / "02_02.amc", "--fps", 60, "--out", out)

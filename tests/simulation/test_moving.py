@@ -52,6 +52,7 @@ def test_the_true_markers_lie_on_the_person_where_the_camera_is_and_not_where_it
     assert hits(carried, cameras_at(carried, 0), last) <= 0.7
 
 
+@pytest.mark.slow
 def test_the_factors_look_from_where_the_camera_is(carried):
     model = build_model("deutscher_apf", replace(carried, initial_keypoints={}))
     placed = seen_in(model, carried, FRAMES - 1)
