@@ -197,6 +197,7 @@ def test_the_derivative_is_that_of_the_chain(x64, name):
         np.testing.assert_allclose(jacobian[:, :, k], (ahead - behind) / (2 * step), atol=1e-8)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "order"), [pytest.param("arm_4", 2, marks=pytest.mark.slow), ("person_31", 1)])
 def test_derivatives_in_both_modes_by_pose_and_lengths(x64, name, order):
     body = build(document(name))

@@ -199,7 +199,7 @@ def test_the_verbs_are_told(cli):
     assert all(verb in outcome.out for verb in ("parsec", "pose2sim", "opencv", "qualisys"))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_real_project_of_pose2sim(cli, pose2sim_beam, tmp_path):
     outcome = cli("import", "pose2sim", pose2sim_beam, tmp_path / "beam", "--height", "1.72")
     assert outcome.status == 0, outcome.err

@@ -9,7 +9,7 @@ import xarray as xr
 HMC = ["--model", "poon_fleet_2002_legs", "--particles", 8, "--leapfrog-steps", 2, "--frames", 2, "--set", "chains=2", "--set", "burn_in=2"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_options_of_hmc_and_what_its_chains_leave(cli, walk, tmp_path):
     outcome = cli("track", walk, "--out", tmp_path / "run", *HMC, "--set", "step=0.1")
     assert outcome.status == 0, outcome.err

@@ -54,7 +54,7 @@ def test_independent_draws_have_next_to_no_weight():
     assert float(info.ess) < 5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_evidence_of_a_frozen_ladder_is_that_of_the_second_rung():
     density = _density()
     options = {"moves": 3}

@@ -31,7 +31,7 @@ def found(person):
     return Found(MARKERS, true, SD_M, TURNED, TURNED, 60.0, 0.0, draws, np.full(80, 1 / 80), ("no face was found in any view",), {})
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_poses_of_both_ways_fit_their_draws_and_come_back_from_the_file(model, scene, person, found):
     told = fit_to(model, scene(1), found)
     assert told.draws is not None and told.draws.shape == (DRAWS, len(model.body.dof_names))

@@ -105,7 +105,7 @@ def test_a_camera_that_sees_nothing_is_said(scene, model):
         read_measurements(dataclasses.replace(session, views=(flat,)), body_points(model.body))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("up", ["x", "y", "z"])
 def test_there_are_upright_starts_of_every_heading(scene, model, walker, seen, up):
     rng = np.random.default_rng(2)

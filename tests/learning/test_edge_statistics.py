@@ -84,7 +84,7 @@ def walks(tmp_path_factory):
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_learns_from_one_and_holds_on_another(walks, capsys, tmp_path):
     command = [
         "learn",
@@ -110,7 +110,7 @@ def test_it_learns_from_one_and_holds_on_another(walks, capsys, tmp_path):
         assert there > max(others) + 0.3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_recording_without_known_silhouettes_is_said(walks, capsys):
     for mask in sorted((walks / "another" / "true_masks").rglob("*.png")):
         mask.rename(mask.with_suffix(".kept"))
@@ -123,7 +123,7 @@ def test_a_recording_without_known_silhouettes_is_said(walks, capsys):
             mask.rename(mask.with_suffix(".png"))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("wavelengths", ["8,x", "", "1"])
 def test_wavelengths_that_cannot_be_are_said(walks, wavelengths, capsys):
     with pytest.raises(SystemExit) as end:

@@ -113,7 +113,7 @@ def test_what_the_command_finds_is_what_its_trials_say(recording, tmp_path, caps
     assert not list(tmp_path.glob("*.partial"))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("optimised")
 def test_a_mode_seeker_is_refused(recording, capsys):
     with pytest.raises(SystemExit) as stopped:

@@ -60,7 +60,7 @@ def test_its_terms_are_the_definition_s(folder):
     _give(folder, check)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_its_program_runs_and_a_wrong_keypoint_moves_the_pose_little(folder, monkeypatch):
     monkeypatch.chdir(folder)
     names = {}

@@ -31,7 +31,7 @@ def loose_arm(textured_session):
     return build_model(dataclasses.replace(definition, placement="parts", dynamics=walk), textured_session)
 
 
-@pytest.mark.parametrize("name", ["sir", *(pytest.param(name, marks=pytest.mark.slow) for name in names("kernel") if name != "sir")])
+@pytest.mark.parametrize("name", ["sir", *(pytest.param(name, marks=pytest.mark.long) for name in names("kernel") if name != "sir")])
 def test_a_new_frame_never_retraces(name, textured_session, arm, loose_arm):
     term, traces = find("kernel", name), []
     kernel = term.build(options=term.options())
