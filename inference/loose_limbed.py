@@ -28,7 +28,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--mode", choices=["pose", "track"], default="pose", help="single frames, or the whole recording (%(default)s)")
     parser.add_argument("--model", help="a loose-limbed definition of your own, instead of --parts")
     parser.add_argument("--frames", type=bb.whole_number(1), help="number of frames; all by default")
-    parser.add_argument("--every", type=bb.whole_number(1), default=1, help="with `pose`: search every so many frames (%(default)s)")
+    parser.add_argument("--every", type=bb.whole_number(1), default=12, help="with `pose`: search every so many frames (%(default)s)")
     parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="random seed (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="ten frames: a trial")
     return parser.parse_args()
@@ -45,15 +45,15 @@ def main() -> None:
         figures, errors = found.figures(), found.error_m
     else:
         model, key = bb.load_model(name, session), jax.random.key(arguments.seed)
-        frames = min(10, count) if arguments.quick else count
-        draws = bb.track(session, model, bb.kernels.particle_bp(), key, particles=500, frames=frames, recovery=bb.PersonRecovery(session, model))
+        frames, recovery = range(min(10, count) if arguments.quick else count), bb.PersonRecovery(session, model)
+        draws = bb.track(session, model, bb.kernels.particle_bp(), key, particles=500, frames=len(frames), recovery=recovery)
         figures, errors = bb.compare.track_figures(session, draws)
     figures = {"mode": arguments.mode, "model": name, "cameras": len(session.views), **figures}
     arguments.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
     for key, value in figures.items():
         print(f"{key:<20}{value}")
     if arguments.plot:
-        bb.draw_errors(arguments.plot, errors)
+        bb.draw_errors(arguments.plot, frames, errors)
 
 
 if __name__ == "__main__":

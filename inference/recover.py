@@ -66,7 +66,7 @@ def main() -> None:
         parts = {"before": error[: black.start], "after": error[black.stop + 10 :]}
         figures[name] = {part: 1000 * float(np.mean(each)) for part, each in parts.items()} | {"restarted": draws.frames_restarted}
         print(f"{name} recovery: {figures[name]}")
-        bb.draw_errors(arguments.out / f"{name}.png", error)
+        bb.draw_errors(arguments.out / f"{name}.png", range(len(error)), error)
     (arguments.out / "figures.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
 
 

@@ -17,10 +17,8 @@ from bayes_body.initial.person_search import Found, PersonSearch
 from bayes_body.metrics.truth import draws_against_truth, true_markers
 from bayes_body.session.session import Session
 from bayes_body.tracking.draws import Draws
+from bayes_body.view.error_plot import LIMITS_M
 from bayes_body.view.progress import Watch, unwatched
-
-# The limits of the paper's Table 3, metres.
-LIMITS_M = (0.08, 0.12)
 
 
 class SingleFrames(NamedTuple):
@@ -63,6 +61,11 @@ class SingleFrames(NamedTuple):
 def single_frames(search: PersonSearch, frames: Sequence[int], watch: Watch = unwatched) -> SingleFrames:
     """Search frames of a session, and compare what is found with the session's truth.
 
+    Args:
+        search: the search.
+        frames: the frames, counted from 0.
+        watch: wraps the frames to show progress.
+
     Raises:
         InputError: there is no such frame, or a file of the session cannot be used.
     """
@@ -91,7 +94,11 @@ def _compared(found: Found | Detected, true: Float[np.ndarray, "15 3"] | None) -
 
 
 def track_figures(session: Session, draws: Draws) -> tuple[dict[str, Any], Float[np.ndarray, " frame"]]:
-    """Return the figures of a track, as `SingleFrames.figures` has them, and the error of each frame, metres, mean over the runs."""
+    """Return the figures of a track, as `SingleFrames.figures` has them, and the error of each frame, metres, mean over the runs.
+
+    Raises:
+        InputError: the session's truth cannot be used.
+    """
     against, working = draws_against_truth(session, draws), draws.timing.total - draws.timing.compile
     error = np.full(len(draws.frames), np.nan) if against is None else against.plain.frame_error.mean(axis=1)
     figures = {**error_figures(error), "frames_lost": len(draws.frames_lost), "seconds_per_frame": working / len(draws.frames)}

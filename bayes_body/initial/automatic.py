@@ -10,12 +10,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import NoReturn
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from bayes_body.detection.detect import Detected, detect
 from bayes_body.errors import input_error
+from bayes_body.evidence.markers import MARKERS
 from bayes_body.initial.fit import fit, fit_draws, unbounded
 from bayes_body.initial.measurements import FEWEST, PREFIX, read_measurements
 from bayes_body.initial.person_search import Found, PersonSearch
@@ -23,6 +25,7 @@ from bayes_body.initial.points import Points, body_points
 from bayes_body.initial.problem import build_problem
 from bayes_body.initial.report import FirstPose, tell
 from bayes_body.initial.stored import DIGITS
+from bayes_body.kernels.parts.resampling import resampler
 from bayes_body.model.build import Model
 from bayes_body.observation.frames import read_frame
 from bayes_body.session.session import Session
@@ -38,7 +41,7 @@ LOOKED_AT, LOOK_S = 20, 1.0
 
 
 def find_first_pose(model: Model, session: Session, show: Callable[[str], None], seed: int = 0) -> FirstPose:
-    """Return the pose of frame 0 that is found in the pictures, and equally likely ones; lines for the user go to `show`.
+    """Return the pose of frame 0 that is found in the pictures, and DRAWS equally likely ones; lines for the user go to `show`.
 
     Args:
         model: the model whose body is placed.
@@ -49,16 +52,15 @@ def find_first_pose(model: Model, session: Session, show: Callable[[str], None],
     Raises:
         InputError: there are no silhouettes, no person was detected in frame 0, or the body has too few markers.
     """
-    check_pictures(model, session)
+    _check_silhouettes(model, session)
     show("first pose: looking for the person in the first frames")
     begun = time.perf_counter()
     found = PersonSearch(session, seed=seed).window(0)
     for notice in found.notices:
         show(f"first pose: {notice}")
     if isinstance(found, Detected):
-        _nothing("no first pose, and no person was found in frame 0", model)
-    took = time.perf_counter() - begun
-    show(f"first pose: a person was found in {took:.0f} s; markers are known to {1e3 * found.sd_m:.0f} mm (sd), by {found.ess:.0f} effective draws")
+        _nobody(found, model, session)
+    show(f"first pose: a person was found in {time.perf_counter() - begun:.0f} s; {found.precision}, by {found.ess:.0f} effective draws")
     for warning in _warnings(found):
         show(f"first pose: warning: {warning}")
     return fit_to(model, session, found, seed)
@@ -70,25 +72,37 @@ def check_pictures(model: Model, session: Session) -> None:
     Raises:
         InputError: they do not, or a file of frame 0 cannot be used.
     """
-    if read_frame(session, 0).masks is None:
-        _nothing("no first pose, and no silhouettes in which to look for the person", model)
+    _check_silhouettes(model, session)
     detected = detect(session, 0)
     if TRUNK not in detected.parts:
-        why = f" ({'; '.join(detected.notices)})" if detected.notices else ""
-        _nothing(f"no first pose, and no person was detected in frame 0{why}{_later(session)}", model)
+        _nobody(detected, model, session)
+
+
+def known_markers(model: Model) -> int:
+    """Return how many of the markers that are searched for are markers of the model's body; with fewer than FEWEST no pose is fitted to them."""
+    points = body_points(model.body.by_angles)
+    return sum(points.index(name) is not None for name in MARKERS)
 
 
 def fit_to(model: Model, session: Session, found: Found, seed: int = 0) -> FirstPose:
     """Return the model's pose that fits the main mode's mean markers, and DRAWS poses that fit the markers of as many draws.
 
+    Args:
+        model: the model whose body is placed.
+        session: the recording.
+        found: what was found, markers in metres.
+        seed: seed of the choice of draws.
+
     Raises:
         InputError: the body has too few markers, or the fit did not converge.
     """
+    known = known_markers(model)
+    if known < FEWEST:
+        _nothing(f"no first pose, and the model's body has {known} of the markers that are searched for, fewer than {FEWEST}", model)
     points = body_points(model.body.by_angles)
-    own = [name for name in found.names if points.index(name) is not None]
-    if len(own) < FEWEST:
-        _nothing(f"no first pose, and the model's body has {len(own)} of the markers that are searched for, fewer than {FEWEST}", model)
-    drawn = found.draws[_taken(found.weights, seed)]
+    # Each draw is taken as often as its weight says.
+    taken = resampler("systematic")(jax.random.key(seed), jnp.log(jnp.asarray(found.weights)), DRAWS)
+    drawn = found.draws[np.asarray(taken)]
     left = _left(found.names, drawn) @ _left(found.names, found.markers[None])[0] >= 0
     told, poses = _fit_way(model, session, points, found.names, found.markers, drawn)
     if not left.all():
@@ -122,12 +136,6 @@ def _fit_way(
     return tell(asked, points, measurements, best.distances, best.pose, {}), np.asarray(poses, float)
 
 
-def _taken(weights: Float[np.ndarray, " draw"], seed: int) -> Int[np.ndarray, " taken"]:
-    """Return DRAWS draws, each as often as its weight says (systematic resampling)."""
-    offset = np.random.default_rng(seed).uniform()
-    return np.searchsorted(np.cumsum(weights), (np.arange(DRAWS) + offset) / DRAWS).clip(max=len(weights) - 1)
-
-
 def _left(names: Sequence[str], markers: Float[np.ndarray, "draw marker 3"]) -> Float[np.ndarray, "draw 3"]:
     return markers[:, names.index("l_hip")] - markers[:, names.index("r_hip")]
 
@@ -139,6 +147,16 @@ def _warnings(found: Found) -> Iterator[str]:
         yield f"other poses have a probability of {found.elsewhere - found.turned:.2f}; look at the overlay"
     if found.ess < FEWEST_DRAWS:
         yield f"the search rests on {found.ess:.0f} effective draws; look at the overlay before you trust the track"
+
+
+def _check_silhouettes(model: Model, session: Session) -> None:
+    if read_frame(session, 0).masks is None:
+        _nothing("no first pose, and no silhouettes in which to look for the person", model)
+
+
+def _nobody(detected: Detected, model: Model, session: Session) -> NoReturn:
+    why = f" ({'; '.join(detected.notices)})" if detected.notices else ""
+    _nothing(f"no first pose, and no person was detected in frame 0{why}{_later(session)}", model)
 
 
 def _later(session: Session) -> str:

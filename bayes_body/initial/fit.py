@@ -102,7 +102,16 @@ def descend(problem: Problem, starts: Float[Array, "start parameter"], rate: flo
 
 @jax.jit
 def fit_draws(problem: Problem, starts: Float[Array, "draw parameter"], markers: Float[Array, "draw point 3"]) -> Float[Array, "draw dof"]:
-    """Return the pose that fits each draw's own markers, from a start that is near."""
+    """Return the pose that fits each draw's own markers, from a start that is near.
+
+    Args:
+        problem: the problem; its markers are replaced by each draw's, with the same weights.
+        starts: unconstrained parameters to start from.
+        markers: positions in the world, metres.
+
+    Returns:
+        Radians and metres.
+    """
 
     def one(start: Float[Array, " parameter"], places: Float[Array, "point 3"]) -> Pose:
         own = problem._replace(measurements=problem.measurements._replace(markers=places))

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.body.placement import placed_markers
+from bayes_body.density.density import Density
 from bayes_body.density.graph import Mixture
 from bayes_body.detection.detect import Detected, detect
 from bayes_body.detection.detections import Detections, chosen
@@ -25,6 +26,7 @@ from bayes_body.model.build import build_model
 from bayes_body.observation.frames import read_frame
 from bayes_body.recording.camera_path import cameras_at
 from bayes_body.session.session import Session
+from bayes_body.shapes import Key
 
 # The loose-limbed body that is searched for.
 LOOSE = "loose_limbed_15"
@@ -77,6 +79,11 @@ class Found(NamedTuple):
     notices: tuple[str, ...]
     seconds: dict[str, float]
 
+    @property
+    def precision(self) -> str:
+        """How well the markers of the main mode are known, as part of a sentence."""
+        return f"markers are known to {1000 * self.sd_m:.0f} mm (root mean square)"
+
 
 class PersonSearch:
     """Searches frames of one session for its person. It compiles once, at the first frame, and keeps the frames that it has searched."""
@@ -103,7 +110,14 @@ class PersonSearch:
         return self._among(index, [index])
 
     def window(self, index: int) -> Found | Detected:
-        """Return the person of a frame as `frame` does, where WINDOW frames, APART_S seconds apart, decide which way the person faces."""
+        """Return the person of a frame as `frame` does, where WINDOW frames, APART_S seconds apart, decide which way the person faces.
+
+        Args:
+            index: the frame, counted from 0.
+
+        Raises:
+            InputError: there is no such frame, or a file of the session cannot be used.
+        """
         step = max(1, round(APART_S * self.session.fps))
         before, after = index // step, (self.session.frames - 1 - index) // step
         last = min(after, max(WINDOW // 2, WINDOW - 1 - before))
@@ -127,19 +141,20 @@ class PersonSearch:
     def _search_frame(self, index: int) -> Searched:
         detected = detect(self.session, index)
         begun = time.perf_counter()
-        body = self.model.body
-        root = by_parts(body).names[0]
+        root = by_parts(self.model.body).names[0]
+        halves = _by_facing(detected.parts.get(root), self.up)
         ways = list[Way]()
-        for side, (half, share) in enumerate(_by_facing(detected.parts.get(root), self.up)):
-            roots = proposals_of(detected._replace(parts={**detected.parts, root: half}), body)[0]
-            ways.append(self._way(index, side, roots, share))
+        if halves:
+            model = self.model.at(cameras_at(self.session, index)) if self.session.moves else self.model
+            density = everywhere(model.density(model.observe(read_frame(self.session, index)), model.start(1)))
+            keys = jax.random.split(jax.random.fold_in(jax.random.key(self.seed), index), len(halves))
+            for key, (half, share) in zip(keys, halves, strict=True):
+                roots = proposals_of(detected._replace(parts={**detected.parts, root: half}), model.body)[0]
+                ways.append(self._way(key, density, roots, share))
         return Searched(detected, tuple(ways), {**detected.seconds, "search": time.perf_counter() - begun})
 
-    def _way(self, index: int, side: int, roots: Mixture, share: float) -> Way:
-        model = self.model.at(cameras_at(self.session, index)) if self.session.moves else self.model
-        density = model.density(model.observe(read_frame(self.session, index)), model.start(1))
-        key = jax.random.fold_in(jax.random.fold_in(jax.random.key(self.seed), index), side)
-        drawn = jax.device_get(self._search(everywhere(key), everywhere(density), everywhere(roots)))
+    def _way(self, key: Key, density: Density, roots: Mixture, share: float) -> Way:
+        drawn = jax.device_get(self._search(everywhere(key), density, everywhere(roots)))
         markers = np.asarray(self._markers(jnp.asarray(drawn.parts)), float)
         evidence = float(drawn.log_evidence) + float(np.log(share))
         return way_of(self.names, markers, np.asarray(drawn.log_weights, float), evidence, float(drawn.ess), self.up)

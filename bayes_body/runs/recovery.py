@@ -7,7 +7,8 @@ from jaxtyping import Bool
 
 from bayes_body.detection.detect import Detected
 from bayes_body.initial import apply_first_pose
-from bayes_body.initial.automatic import fit_to
+from bayes_body.initial.automatic import fit_to, known_markers
+from bayes_body.initial.measurements import FEWEST
 from bayes_body.initial.person_search import PersonSearch
 from bayes_body.metrics.fit import frame_fit, is_off
 from bayes_body.model.build import Model
@@ -20,20 +21,37 @@ class PersonRecovery:
     """The recovery of a run (`tracking.restarts.Recovery`). The search compiles at the first loss."""
 
     def __init__(self, session: Session, model: Model, seed: int = 0, show: Callable[[str], None] = print):
-        """Take the session, the model that tracks it, the seed of the search, and what receives lines for the user."""
+        """Prepare to find the person; nothing is read yet.
+
+        Args:
+            session: the recording.
+            model: the model that tracks it.
+            seed: seed of the search.
+            show: receives lines for the user.
+        """
         self.session, self.model, self.seed, self.show = session, model, seed, show
         self._search: PersonSearch | None = None
+        self._told = False
 
     def off(self, result: FrameResult, frame: int) -> Bool[np.ndarray, " run"]:
         """Return whether each run's mean body is off the person by the limits of `metrics.fit`; False where the picture does not show the person."""
         return is_off(frame_fit(self.session, self.model, mean_pose(result, self.model), frame))
 
     def found(self, frame: int) -> Model | None:
-        """Return the model that starts at the person who is found in a frame; None if nobody is."""
+        """Return the model that starts at the person who is found in a frame; None if nobody is, or if the body has too few of the markers.
+
+        Raises:
+            InputError: a file of the session cannot be used.
+        """
+        if known_markers(self.model) < FEWEST:
+            if not self._told:
+                self.show(f"frame {frame}: the person was lost, and is not looked for: the body has fewer than {FEWEST} of the markers")
+            self._told = True
+            return None
         if self._search is None:
             self._search = PersonSearch(self.session, seed=self.seed)
         found = self._search.window(frame)
         if isinstance(found, Detected):
             return None
-        self.show(f"frame {frame}: the person was lost, and is found again; markers are known to {1e3 * found.sd_m:.0f} mm (sd)")
+        self.show(f"frame {frame}: the person was lost, and is found again; {found.precision}")
         return apply_first_pose(self.model, self.session, fit_to(self.model, self.session, found, self.seed))

@@ -1,5 +1,6 @@
 """Plot the errors of found or tracked people: by frame, and how many frames have at most an error."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -7,12 +8,17 @@ from jaxtyping import Float
 
 from bayes_body.files.atomic import replacing
 
-# The limits of the paper's tables, millimetres.
-LIMITS_MM = (80, 120)
+# The limits of the paper's Table 3, metres.
+LIMITS_M = (0.08, 0.12)
 
 
-def draw_errors(path: Path, error_m: Float[np.ndarray, " frame"]) -> None:
-    """Write a .png of errors in metres; NaN where there is none.
+def draw_errors(path: Path, frames: Sequence[int], error_m: Float[np.ndarray, " frame"]) -> None:
+    """Write a .png of the errors of some frames.
+
+    Args:
+        path: the file.
+        frames: the frames' numbers.
+        error_m: mean error of the markers, metres; NaN where there is none.
 
     Raises:
         InputError: the file cannot be written.
@@ -22,12 +28,12 @@ def draw_errors(path: Path, error_m: Float[np.ndarray, " frame"]) -> None:
     error = 1000 * error_m
     figure = Figure(figsize=(11, 4), layout="constrained")
     by_frame, share = figure.subplots(1, 2, width_ratios=(2, 1))
-    by_frame.plot(error, ".-", color="C0")
-    by_frame.set(xlabel="searched frame", ylabel="mean error of the markers, mm", ylim=(0, None))
+    by_frame.plot(frames, error, ".-", color="C0")
+    by_frame.set(xlabel="frame", ylabel="mean error of the markers, mm", ylim=(0, None))
     known = np.sort(error[np.isfinite(error)])
     share.step([0, *known], np.arange(len(known) + 1) / max(len(error), 1), where="post", color="C0")
     share.set(xlabel="error, mm", ylabel="share of the frames with at most this error", ylim=(0, 1), xlim=(0, None))
-    for limit in LIMITS_MM:
+    for limit in 1000 * np.array(LIMITS_M):
         by_frame.axhline(limit, color="0.6", linestyle="--")
         share.axvline(limit, color="0.6", linestyle="--")
     with replacing(path) as partial:

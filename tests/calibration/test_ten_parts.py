@@ -22,6 +22,8 @@ from bayes_body.registry import find
 
 pytestmark = [pytest.mark.long, pytest.mark.usefixtures("optimised")]
 CHAINS, WARMUP, DRAWS, RUNS, SAMPLES, ANCESTORS = 4, 500, 2000, 8, 1000, 5
+# What is aimed at: distance of a run's means on average, and of the worst marker.
+AIM_MM = 5, 10
 ARMS = ("shoulder_y", "shoulder_x", "shoulder_z", "elbow")
 
 
@@ -133,8 +135,6 @@ def weighted_moments(after: Particles) -> tuple[np.ndarray, np.ndarray]:
     return means, np.sqrt(np.sum(weights * (drawn - means[:, None]) ** 2, axis=1))
 
 
-# The aim stays in the test. It is missed: with hanging arms, whose markers have a standard deviation of 38 mm, means of a run are 8.7 mm away.
-@pytest.mark.xfail(reason="means of a run are more than 5 mm away", raises=AssertionError, strict=False)
 @pytest.mark.parametrize("hands_on_hips", [False, True])
 def test_message_passing_agrees_with_tempering_and_long_chains(hands_on_hips):
     density = frame(hands_on_hips)
@@ -152,7 +152,8 @@ def test_message_passing_agrees_with_tempering_and_long_chains(hands_on_hips):
         f"{log_evidence.std(ddof=1):.2f}), tempered {reference.mean():.2f} ({reference.std(ddof=1):.2f}); node ESS {node_ess:.2f} S; "
         f"joint ESS {np.asarray(info.ess).min() / 500:.2f} of the draws"
     )
-    assert apart.mean() < 5 and apart.mean(0).max() < 10
+    # In standard deviations of the marker's place, a run is as accurate as 11 independent draws, or better.
+    assert (apart.mean(0) / np.linalg.norm(truth_sd, axis=-1)).max() < 0.3
     assert ratio.min() > 0.9 and ratio.max() < 1.1
     error = np.hypot(log_evidence.std(ddof=1), reference.std(ddof=1)) / RUNS**0.5
     assert abs(log_evidence.mean() - reference.mean()) < 4 * error
@@ -167,3 +168,7 @@ def test_message_passing_agrees_with_tempering_and_long_chains(hands_on_hips):
         )
         assert rhat.max() < 1.02
         assert np.linalg.norm(chains.mean((0, 1)) - truth, axis=-1).max() < 10
+    if apart.mean() >= AIM_MM[0] or apart.mean(0).max() >= AIM_MM[1]:
+        pytest.xfail(
+            f"everything else holds; means of a run are {apart.mean():.1f} mm away on average, of the worst marker {apart.mean(0).max():.1f}"
+        )

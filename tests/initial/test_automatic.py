@@ -64,10 +64,12 @@ def test_what_the_search_is_not_sure_of_is_shown(model, scene, found, monkeypatc
             return found._replace(turned=0.25, elsewhere=0.7, ess=3.0)
 
     lines = []
-    monkeypatch.setattr(automatic, "check_pictures", lambda model, session: None)
+    monkeypatch.setattr(automatic, "_check_silhouettes", lambda model, session: None)
     monkeypatch.setattr(automatic, "PersonSearch", Search)
     monkeypatch.setattr(automatic, "fit_to", lambda model, *_: FirstPose(model.first_pose))
     find_first_pose(model, scene(2), lines.append)
-    assert lines[1] == "first pose: no face was found in any view" and "markers are known to 10 mm (sd), by 3 effective draws" in lines[2]
+    assert (
+        lines[1] == "first pose: no face was found in any view" and "markers are known to 10 mm (root mean square), by 3 effective draws" in lines[2]
+    )
     warnings = [line for line in lines if "warning" in line]
     assert len(warnings) == 3 and "face the other way, with a probability of 0.25" in warnings[0] and "probability of 0.45" in warnings[1]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_body.initial.facing import TRUST, Way, shares_over_time, way_of
+from bayes_body.initial.facing import TRUST, shares_over_time, way_of
 
 NAMES = ("pelvis", "l_hip", "r_hip")
 UP = 2
@@ -70,4 +70,3 @@ def test_the_shares_are_those_of_the_sum_over_all_paths():
 def test_a_frame_may_have_one_way():
     shares = shares_over_time([_both(0.0, 0.0), (_way(np.pi, 0.0),)], [0.0, 0.2], UP)
     assert shares[0][1] > 0.95 and shares[1] == pytest.approx([1.0])
-    assert isinstance(_way(0.0, 0.0), Way)

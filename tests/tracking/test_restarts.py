@@ -1,7 +1,5 @@
 """Runs that lost the person start anew where it is found; a run that is continued does the same at the same frames."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -69,4 +67,3 @@ def test_the_frame_file_keeps_it(textured_session, arm, tmp_path):
     files = FrameFiles(tmp_path / "frames")
     track(textured_session, arm, build_kernel(), KEY, particles=40, runs=2, into=files, recovery=Lost(arm, since=3))
     np.testing.assert_array_equal(FrameFiles(tmp_path / "frames")[3].restarted, [False, True])
-    assert dataclasses.is_dataclass(files[3])
