@@ -1,4 +1,4 @@
-"""Plot the errors of found or tracked people: by frame, and how many frames have at most an error."""
+"""Plot the errors of found or tracked people: by frame, and how many frames have at most an error (Sigal et al. 2011, section 9)."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +13,7 @@ LIMITS_M = (0.08, 0.12)
 
 
 def draw_errors(path: Path, frames: Sequence[int], error_m: Float[np.ndarray, " frame"]) -> None:
-    """Write a .png of the errors of some frames.
+    """Write a .png of the errors of some frames. Dashed lines are the limits of the paper's tables.
 
     Args:
         path: the file.
@@ -24,15 +24,18 @@ def draw_errors(path: Path, frames: Sequence[int], error_m: Float[np.ndarray, " 
         InputError: the file cannot be written.
     """
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     error = 1000 * error_m
+    known = np.sort(error[np.isfinite(error)])
+    largest = 1.1 * max([1000 * LIMITS_M[-1], *known])
     figure = Figure(figsize=(11, 4), layout="constrained")
     by_frame, share = figure.subplots(1, 2, width_ratios=(2, 1))
     by_frame.plot(frames, error, ".-", color="C0")
-    by_frame.set(xlabel="frame", ylabel="mean error of the markers, mm", ylim=(0, None))
-    known = np.sort(error[np.isfinite(error)])
-    share.step([0, *known], np.arange(len(known) + 1) / max(len(error), 1), where="post", color="C0")
-    share.set(xlabel="error, mm", ylabel="share of the frames with at most this error", ylim=(0, 1), xlim=(0, None))
+    by_frame.set(xlabel="frame", ylabel="mean error of the markers, mm", ylim=(0, largest))
+    by_frame.xaxis.set_major_locator(MaxNLocator(integer=True))
+    share.step([0, *known, largest], [*np.arange(len(known) + 1), len(known)] / np.maximum(len(error), 1), where="post", color="C0")
+    share.set(xlabel="error, mm", ylabel="share of the frames with at most this error", ylim=(0, 1.02), xlim=(0, largest))
     for limit in 1000 * np.array(LIMITS_M):
         by_frame.axhline(limit, color="0.6", linestyle="--")
         share.axvline(limit, color="0.6", linestyle="--")
