@@ -1,8 +1,9 @@
 """Runs that have lost the person start anew where the person is found again.
 
-A run is lost if its body is off the person for FRAMES_OFF frames in a row. At the next frame in which the person is found, its particles are replaced
-by the first poses that were found there. Which frames a run is off in follows from what is stored of them, and the search has its own seed. So a run
-that is continued restarts at the same frames, in the same way.
+A run is lost if for FRAMES_OFF frames in a row its body is off the person, no particle explains the frame, or no camera sees it. After such a gap the
+particles are only a prediction, which may overlap the person and still be wrong by a step. At the next frame in which the person is found, they are
+replaced by the first poses that were found there. Which frames a run is off in follows from what is stored of them, and the search has its own seed.
+So a run that is continued restarts at the same frames, in the same way.
 """
 
 from typing import Protocol
@@ -48,7 +49,7 @@ class Restarts:
     def watch(self, result: FrameResult, frame: int) -> None:
         """Count a frame that was tracked."""
         before = np.where(result.restarted, 0, self.frames_off) if result.restarted.any() else self.frames_off
-        self.frames_off = np.where(self.recovery.off(result, frame), before + 1, 0)
+        self.frames_off = np.where(self.recovery.off(result, frame) | np.asarray(result.info.lost, bool), before + 1, 0)
 
     def restart(self, frame: int, filters: list[Particles], keys: list[Key]) -> Bool[np.ndarray, " run"]:
         """Replace the particles of lost runs by those of the person of a frame, if one is found; return whether each run was restarted."""

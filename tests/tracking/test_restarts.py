@@ -1,5 +1,7 @@
 """Runs that lost the person start anew where it is found; a run that is continued does the same at the same frames."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 
 from bayes_body.kernels.particle_filter import build_kernel
 from bayes_body.model.build import build_model
+from bayes_body.tracking.restarts import Restarts
 from bayes_body.tracking.track import track
 
 KEY = jax.random.key(11)
@@ -59,6 +62,14 @@ def test_fewer_frames_are_no_loss(textured_session, arm):
     lost = Lost(arm, since=0)
     lost.off = lambda result, frame: np.array([False, frame in (0, 1, 3)])
     assert track(textured_session, arm, build_kernel(), KEY, particles=40, runs=2, recovery=lost).frames_restarted == [] and lost.asked == []
+
+
+def test_frames_that_nothing_explains_are_a_loss(textured_session, arm):
+    lost = Lost(arm, since=0)
+    (seen,) = track(textured_session, arm, build_kernel(), KEY, particles=40, runs=2, frames=1).frames
+    unseen = dataclasses.replace(seen, info=seen.info._replace(lost=np.array([True, True])))
+    assert Restarts(lost, 2, [unseen, unseen, unseen]).frames_off.tolist() == [3, 3]
+    assert Restarts(lost, 2, [unseen, unseen, seen]).frames_off.tolist() == [0, 0]
 
 
 def test_the_frame_file_keeps_it(textured_session, arm, tmp_path):
