@@ -1,7 +1,8 @@
 """The demonstration: a simulated person walks through a room, is filmed and tracked like a real recording, and the result is compared with the truth.
 
 The walk comes from the walking cycle that ships (learned from one captured walker). The seed determines the person and the room. Neither the renderer
-nor the walker shares anything with the model's body. Two independent filters track the person, so that the run can report whether they agree.
+nor the walker shares anything with the model's body. The first pose is found in the pictures. Two independent filters track the person, so that the
+run can report whether they agree.
 """
 
 import math
@@ -18,7 +19,7 @@ from bayes_body.learning.walking_cycle import load_cycle, walk
 from bayes_body.metrics.figures import width
 from bayes_body.recording.rig import read_rig
 from bayes_body.runs.run import run
-from bayes_body.runs.settings import Settings
+from bayes_body.runs.settings import AUTO, Settings
 from bayes_body.session.read import FILE_NAME
 from bayes_body.session.session import Session
 from bayes_body.simulation.options import Options
@@ -73,8 +74,8 @@ def demo(out: Path, seed: int, size: Size, show: Show, show_run: Show, bar: bool
         raise input_error(out, "already holds a demonstration", "a folder without one", "name another with --out, or remove it")
     session = film(out / SESSION, seed, size.frames, bar)
     show(f"filmed     {session.frames} frames with {len(session.views)} cameras: {out / SESSION}")
-    settings = Settings(out / SESSION, out / RUN, MODEL, overrides={"particles": size.particles}, runs=RUNS, seed=seed)
-    show(f"tracking   {RUNS} independent runs of {MODEL}: {out / RUN}")
+    settings = Settings(out / SESSION, out / RUN, MODEL, overrides={"particles": size.particles}, runs=RUNS, seed=seed, init=AUTO)
+    show(f"tracking   first the person is looked for, then {RUNS} independent runs of {MODEL} follow: {out / RUN}")
     summary = run(settings, show_run, bar)
     with load_run(out / RUN) as saved:
         report = write_report(saved, watch=watched("report", bar))

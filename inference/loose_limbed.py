@@ -51,7 +51,8 @@ def main() -> None:
     figures = {"mode": arguments.mode, "model": name, "cameras": len(session.views), **figures}
     arguments.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
     for key, value in figures.items():
-        print(f"{key:<20}{value}")
+        if key != "errors_mm":
+            print(f"{key:<20}{value}")
     if arguments.plot:
         bb.draw_errors(arguments.plot, frames, errors)
 

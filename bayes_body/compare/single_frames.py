@@ -15,6 +15,7 @@ from bayes_body.detection.detect import Detected
 from bayes_body.evidence.markers import MARKERS
 from bayes_body.initial.person_search import Found, PersonSearch
 from bayes_body.metrics.truth import draws_against_truth, true_markers
+from bayes_body.posterior import markers, mean_pose
 from bayes_body.session.session import Session
 from bayes_body.tracking.draws import Draws
 from bayes_body.view.error_plot import LIMITS_M
@@ -53,6 +54,8 @@ class SingleFrames(NamedTuple):
             "flips": float(self.turned[known].mean()) if known.any() else None,
             "flips_alone": float(self.turned_alone[known].mean()) if known.any() else None,
             "found": int(np.isfinite(self.sd_m).sum()),
+            "errors_mm": _listed(self.error_m),
+            "turned_frames": [frame for frame, turned in zip(self.frames, self.turned, strict=True) if turned],
             "seconds_per_frame": total / len(self.frames),
             "shares": {name: seconds / total for name, seconds in times.items()},
         }
@@ -86,23 +89,51 @@ def _compared(found: Found | Detected, true: Float[np.ndarray, "15 3"] | None) -
     """Return the mean distance of the found markers from the true ones, and whether the person is turned round."""
     if true is None or isinstance(found, Detected):
         return float("nan"), False
-    order = [found.names.index(name) for name in MARKERS]
-    markers = found.markers[order]
+    places = found.markers[[found.names.index(name) for name in MARKERS]]
+    return float(np.nanmean(np.linalg.norm(places - true, axis=1))), bool(_is_turned(places, true))
+
+
+def _is_turned(places: Float[np.ndarray, "*of 15 3"], true: Float[np.ndarray, "15 3"]) -> Bool[np.ndarray, "*of"]:
+    """Whether people whose markers are at these places are turned round; False where the truth is unknown."""
     left, right = MARKERS.index("l_hip"), MARKERS.index("r_hip")
-    turned = bool((markers[left] - markers[right]) @ (true[left] - true[right]) < 0)
-    return float(np.nanmean(np.linalg.norm(markers - true, axis=1))), turned
+    return (places[..., left, :] - places[..., right, :]) @ (true[left] - true[right]) < 0
 
 
 def track_figures(session: Session, draws: Draws) -> tuple[dict[str, Any], Float[np.ndarray, " frame"]]:
     """Return the figures of a track, as `SingleFrames.figures` has them, and the error of each frame, metres, mean over the runs.
+
+    `flips` is the share of the frames and runs in which the mean body is turned round; None without the truth of the hips, or without hips.
 
     Raises:
         InputError: the session's truth cannot be used.
     """
     against, working = draws_against_truth(session, draws), draws.timing.total - draws.timing.compile
     error = np.full(len(draws.frames), np.nan) if against is None else against.plain.frame_error.mean(axis=1)
-    figures = {**error_figures(error), "frames_lost": len(draws.frames_lost), "seconds_per_frame": working / len(draws.frames)}
+    turned = _turned_of(session, draws)
+    figures = {
+        **error_figures(error),
+        "flips": None if turned is None else float(turned.mean()),
+        "errors_mm": _listed(error),
+        "turned_frames": [] if turned is None else np.flatnonzero(turned.any(axis=1)).tolist(),
+        "frames_lost": len(draws.frames_lost),
+        "frames_restarted": draws.frames_restarted,
+        "seconds_per_frame": working / len(draws.frames),
+    }
     return figures, error
+
+
+def _turned_of(session: Session, draws: Draws) -> Bool[np.ndarray, "frame run"] | None:
+    truth, names = true_markers(session), draws.model.body.markers.names
+    if truth is None or not set(MARKERS) <= set(names):
+        return None
+    order = [names.index(name) for name in MARKERS]
+    means = [markers(draws.model, mean_pose(frame, draws.model))[:, order] for frame in draws.frames]
+    return np.stack([_is_turned(mean, true) for mean, true in zip(means, truth, strict=False)])
+
+
+def _listed(error_m: Float[np.ndarray, " frame"]) -> list[float | None]:
+    """Errors in millimetres, to a tenth; None where there is none."""
+    return [round(1000 * float(error), 1) if np.isfinite(error) else None for error in error_m]
 
 
 def error_figures(error_m: Float[np.ndarray, " frame"]) -> dict[str, Any]:

@@ -99,6 +99,21 @@ def part(
     return Detections(positions, rotations, sds[0], sds[1], _normalised(weights), (source,) * len(positions))
 
 
+def every_facing(
+    middle: Float[np.ndarray, "3"],
+    axis: Float[np.ndarray, "3"],
+    facings: Float[np.ndarray, "direction 3"],
+    sd_m: float | np.ndarray,
+    sd_tilt_rad: float,
+    weights: np.ndarray,
+    source: str,
+) -> Detections:
+    """Detections of an upright part at one place: one for each direction in which the person may face; the directions are spread over the circle."""
+    rotations = axis_frames(np.tile(axis, (len(facings), 1)), facings)
+    sd_rad = np.array([sd_tilt_rad, sd_tilt_rad, np.pi / len(facings)])
+    return part(np.tile(middle, (len(facings), 1)), rotations, sd_m, sd_rad, weights, source)
+
+
 def segments(
     proximal: Float[np.ndarray, "detection 3"], distal: Float[np.ndarray, "detection 3"], sd_m: float | np.ndarray, weights: np.ndarray, source: str
 ) -> Detections:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.cluster.vq import kmeans2
 from scipy.spatial import KDTree
 
-from bayes_body.detection.detections import Detections, Found, Person, axis_frames, landmark, merge, part, segments
+from bayes_body.detection.detections import Detections, Found, Person, every_facing, landmark, merge, segments
 from bayes_body.detection.figure import SHOULDER, Figure
 from bayes_body.detection.hull import Voxels
 from bayes_body.detection.scene import Scene
@@ -134,19 +134,17 @@ class _Sketch:
     def parts(self) -> dict[str, Detections]:
         """Pelvis, torso and head, once for each facing; and limbs."""
         seen, up = self.seen, self.upwards
-        turn = np.pi / DIRECTIONS
         navel = seen.pelvis + PELVIS * self.stature * up
         skull = seen.crown - HEAD / 2 * self.stature * up
         return {
-            "pelvis": self._upright((seen.pelvis + navel) / 2, up, SD_M["trunk"], (0.2, 0.2, turn)),
-            "torso": self._upright((seen.pelvis + seen.thorax) / 2, seen.thorax - seen.pelvis, SD_M["trunk"], (0.2, 0.2, turn)),
-            "head": self._upright(skull, up, SD_M["crown"], (0.3, 0.3, turn)),
+            "pelvis": self._upright((seen.pelvis + navel) / 2, up, SD_M["trunk"], 0.2),
+            "torso": self._upright((seen.pelvis + seen.thorax) / 2, seen.thorax - seen.pelvis, SD_M["trunk"], 0.2),
+            "head": self._upright(skull, up, SD_M["crown"], 0.3),
             **self.limbs(),
         }
 
-    def _upright(self, middle: np.ndarray, axis: np.ndarray, sd_m: float, sd_rad: tuple[float, float, float]) -> Detections:
-        rotations = axis_frames(np.tile(axis, (DIRECTIONS, 1)), np.cross(self.circle, self.upwards))
-        return part(np.tile(middle, (DIRECTIONS, 1)), rotations, sd_m, np.array(sd_rad), self.circle_weights, NAME)
+    def _upright(self, middle: np.ndarray, axis: np.ndarray, sd_m: float, sd_tilt_rad: float) -> Detections:
+        return every_facing(middle, axis, np.cross(self.circle, self.upwards), sd_m, sd_tilt_rad, self.circle_weights, NAME)
 
     def _height(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " point"]:
         """Heights above the floor as shares of the person's height."""

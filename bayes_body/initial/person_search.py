@@ -34,6 +34,8 @@ LOOSE = "loose_limbed_15"
 MODE_M = 0.12
 # Frames that decide together which way the person faces, and seconds between them.
 WINDOW, APART_S = 5, 0.2
+# Below this the detected facings have no common axis.
+UNDIRECTED = 1e-3
 
 
 class Searched(NamedTuple):
@@ -168,7 +170,8 @@ def _by_facing(found: Detections | None, up: int) -> list[tuple[Detections, floa
     ahead = found.rotations[:, :, 0][:, level]
     # Twice the angle is the same for both ways.
     doubled = found.weights @ np.exp(2j * np.arctan2(ahead[:, 1], ahead[:, 0]))
-    axis = np.angle(doubled) / 2
+    # All directions alike: any axis will do, the same on every machine.
+    axis = np.angle(doubled) / 2 if abs(doubled) > UNDIRECTED else 0.0
     along = ahead @ (np.cos(axis), np.sin(axis)) >= 0
     shares = {side: float(found.weights[along == side].sum()) for side in (True, False)}
     return [(chosen(found, np.flatnonzero(along == side)), share) for side, share in shares.items() if share > 0]

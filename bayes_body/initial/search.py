@@ -60,22 +60,32 @@ def search(key: Key, density: Density, roots: Mixture) -> Search:
     Raises:
         InputError: the body is not placed by parts, or its joints are no densities to draw from.
     """
-    root_key, trunk_key, body_key, *keys = jax.random.split(key, 3 + 2 * len(POWERS))
+    root_key, trunk_key, body_key, pick_key, limbs_key = jax.random.split(key, 5)
     graph = parts_graph(density, "the search for a first pose")
     tree, resample = tree_of(graph), resampler("systematic")
     bodies = trunk_draws(trunk_key, graph, tree, roots.sample(root_key, BODIES)[0])
     first = nested_draws(body_key, graph, tree, bodies, 1)
     power = next_increment(first.log_estimates, EFFECTIVE * TRUNKS / BODIES, jnp.asarray(POWERS[0]))
-    # The weight of a trunk so far, and what was divided out of it by drawing again.
-    weights, divided, trunks, found = power * first.log_estimates, power * first.log_estimates, bodies, first
-    evidence = jnp.zeros(())
-    for step, later in enumerate(POWERS):
-        evidence += jax.nn.logsumexp(weights) - jnp.log(weights.shape[0])
-        kept = resample(keys[2 * step], weights, TRUNKS)
-        trunks, divided = trunks[kept], divided[kept]
-        found = nested_draws(keys[2 * step + 1], graph, tree, trunks, LIMBS, later)
-        weights, divided = found.log_estimates - divided, found.log_estimates
-    weights += over_particles(lambda value, graph: log_left_out(graph, value), found.values, graph)
-    normal = normalise(weights)
-    evidence += jax.nn.logsumexp(weights) - jnp.log(weights.shape[0])
-    return Search(found.values, normal.log_weights, evidence, effective_sample_size(normal.log_weights))
+    weights = power * first.log_estimates
+    kept = resample(pick_key, weights, TRUNKS)
+
+    def with_limbs(trunks_and_divided: tuple[Array, Array], key_and_power: tuple[Key, Array]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Draw limbs with a power of the likelihood; `divided` is what was divided out of the trunks' weights by drawing them."""
+        trunks, divided = trunks_and_divided
+        (key, pick), later = jax.random.split(key_and_power[0]), key_and_power[1]
+        found = nested_draws(key, graph, tree, trunks, LIMBS, later)
+        weights = found.log_estimates - divided
+        kept = resample(pick, weights, TRUNKS)
+        return (trunks[kept], found.log_estimates[kept]), (found.values, weights)
+
+    # A loop, so that it is compiled once for all powers.
+    steps = jax.random.split(limbs_key, len(POWERS)), jnp.asarray(POWERS, weights.dtype)
+    _, (values, later) = jax.lax.scan(with_limbs, (bodies[kept], weights[kept]), steps)
+    found, last = values[-1], later[-1] + over_particles(lambda value, graph: log_left_out(graph, value), values[-1], graph)
+    evidence = _log_mean(weights) + sum((_log_mean(each) for each in later[:-1]), _log_mean(last))
+    normal = normalise(last)
+    return Search(found, normal.log_weights, evidence, effective_sample_size(normal.log_weights))
+
+
+def _log_mean(log_weights: Float[Array, " draw"]) -> Scalar:
+    return jax.nn.logsumexp(log_weights) - jnp.log(log_weights.shape[0])

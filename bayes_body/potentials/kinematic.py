@@ -9,7 +9,7 @@ edges is a normalised prior given its root. The paper learns two functions for t
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -51,15 +51,22 @@ class Component(Schema):
 
 
 class Options(Schema):
-    """Options of `[[potential]] kind = "kinematic"`: components with equal weights at every joint, or a learned file's name or path."""
+    """Options of `[[potential]] kind = "kinematic"`: components with equal weights at every joint, or a learned file's name or path, or both.
+
+    With both, `component_share` is the weight of the components. Broad ones let a joint move as it did not in what was learned from.
+    """
 
     component: Annotated[tuple[Component, ...], Field(min_length=1)] = (Component(),)
     learned: str | None = None
+    component_share: Annotated[float, Field(gt=0, lt=1)] | None = None
 
     @model_validator(mode="after")
-    def _check_only_one(self) -> "Options":
-        if self.learned is not None and "component" in self.model_fields_set:
-            raise ValueError("both `learned` and `component`; expected one of the two; remove the other.")
+    def _check_share(self) -> "Options":
+        both = self.learned is not None and "component" in self.model_fields_set
+        if both and self.component_share is None:
+            raise ValueError("both `learned` and `component`; expected one of the two, or both with `component_share`; add it.")
+        if not both and self.component_share is not None:
+            raise ValueError("`component_share` without both `learned` and `component`; expected both; add the other, or remove it.")
         return self
 
 
@@ -117,15 +124,36 @@ def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
     assert isinstance(placement, ByParts)
     rows = tuple((parent, child) for child, parent in enumerate(placement.parents) if parent >= 0)
     children = [child for _, child in rows]
-    found = _given(name, options.component, body, children) if options.learned is None else _learned(name, options.learned, body, children)
-    parameters = {key: jnp.asarray(value, body.lengths.dtype) for key, value in found.items()}
+    found = _components(name, options, body, children)
+    parameters = {key: jnp.asarray(value, body.lengths.dtype) for key, value in mixture(*found).items()}
     functions = {"draw": jax.tree_util.Partial(draw), "pairwise": jax.tree_util.Partial(log_pairs)}
     plate = Plate(PARTS, rows, jax.tree_util.Partial(log_density), parameters, **functions)
     return plate_factor(name, "prior", plate)
 
 
-def _given(name: str, components: Sequence[Component], body: Body, children: list[int]) -> dict[str, np.ndarray]:
-    """Return the mixtures of the children's joints that the definition gives."""
+class _Joints(NamedTuple):
+    """The components of each child's joint, as `mixture` takes them."""
+
+    mean: Float[np.ndarray, "joint component 7"]
+    covariance: Float[np.ndarray, "joint component 2 3 3"]
+    weight: Float[np.ndarray, "joint component"]
+
+
+def _components(name: str, options: Options, body: Body, children: list[int]) -> _Joints:
+    """Return the components of the children's joints."""
+    if options.learned is None:
+        return _given(name, options.component, body, children)
+    learned, share = _learned(name, options.learned, body, children), options.component_share
+    if share is None:
+        return learned
+    given = _given(name, options.component, body, children)
+    weights = [of * each.weight / each.weight.sum(axis=-1, keepdims=True) for of, each in ((1 - share, learned), (share, given))]
+    mean, covariance = (np.concatenate(both, axis=1) for both in zip(learned[:2], given[:2], strict=True))
+    return _Joints(mean, covariance, np.concatenate(weights, axis=1))
+
+
+def _given(name: str, components: Sequence[Component], body: Body, children: list[int]) -> _Joints:
+    """Return the components that the definition gives."""
     placement = body.placement
     assert isinstance(placement, ByParts)
     names = tuple(placement.names[child] for child in children)
@@ -133,11 +161,11 @@ def _given(name: str, components: Sequence[Component], body: Body, children: lis
     widths = np.stack([widths_by_part(name, names, component.sd_m, component.sd_deg) for component in components], axis=1)
     covariances = widths.reshape(*widths.shape[:2], 2, 3, 1) ** 2 * np.eye(3)
     weights = np.broadcast_to([component.weight for component in components], widths.shape[:2])
-    return mixture(means, covariances, weights)
+    return _Joints(means, covariances, np.asarray(weights, float))
 
 
-def _learned(name: str, file: str, body: Body, children: list[int]) -> dict[str, np.ndarray]:
-    """Return the mixtures of the children's joints from a learned file."""
+def _learned(name: str, file: str, body: Body, children: list[int]) -> _Joints:
+    """Return the components from a learned file."""
     placement = body.placement
     assert isinstance(placement, ByParts)
     joints = load_joint_mixtures(file)
@@ -152,7 +180,7 @@ def _learned(name: str, file: str, body: Body, children: list[int]) -> dict[str,
     means = joints.mean[order]
     means[..., :3] += _means(name, Component(), body)[children, None, :3]
     means[..., 3:] = rotations.normalised(means[..., 3:])
-    return mixture(means, joints.covariance[order], joints.weight[order])
+    return _Joints(means, joints.covariance[order], joints.weight[order])
 
 
 def _means(name: str, component: Component, body: Body) -> Float[np.ndarray, "part 7"]:

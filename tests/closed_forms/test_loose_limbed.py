@@ -210,6 +210,19 @@ def test_a_learned_joint_is_where_the_body_has_it(body, joints, learned):
     np.testing.assert_allclose(moved[:, :3] - found[1][:, :3], joints.mean[row, :, :3], atol=1e-6)
 
 
+def test_learned_and_given_components_are_mixed_by_their_shares(body, joints, learned):
+    """The density at draws of the given components, which are far wider than the learned ones."""
+    file, wide = learned(joints), WIDE["component"]
+    options = file, {"component": wide}, file | {"component": wide, "component_share": 0.2}
+    edges = [_edge(_kinematic(body, each), 3) for each in options]
+    still = jnp.asarray(rigid.identity(), body.lengths.dtype)
+    children = jax.vmap(lambda key: kinematic.draw(key, edges[1], still))(jax.random.split(jax.random.key(5), 50))
+    of_learned, of_given, of_both = (
+        np.asarray(jax.vmap(lambda child, edge=edge: kinematic.log_density(edge, still, child))(children)) for edge in edges
+    )
+    np.testing.assert_allclose(of_both, np.logaddexp(np.log(0.8) + of_learned, np.log(0.2) + of_given), rtol=1e-4)
+
+
 def _renamed(joints, old, new):
     parts, parents = (tuple(new if name == old else name for name in names) for names in (joints.parts, joints.parents))
     return replace(joints, parts=parts, parents=parents)
@@ -251,8 +264,10 @@ def test_a_learned_file_that_is_none(body, tmp_path):
         _kinematic(body, {"learned": str(tmp_path / "joints.npz")})
     with pytest.raises(InputError, match=r"knimeatic_10: no such file; expected a file of kinematic potentials; check the path"):
         _kinematic(body, {"learned": "knimeatic_10"})
-    with pytest.raises(InputError, match="both `learned` and `component`; expected one of the two; remove the other"):
+    with pytest.raises(InputError, match="both `learned` and `component`; expected one of the two, or both with `component_share`"):
         _kinematic(body, {"learned": "kinematic_10", "component": [{}]})
+    with pytest.raises(InputError, match="`component_share` without both"):
+        _kinematic(body, {"learned": "kinematic_10", "component_share": 0.1})
 
 
 def test_potentials_of_parts_need_parts(body):
