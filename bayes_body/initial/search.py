@@ -31,6 +31,9 @@ BODIES, TRUNKS, LIMBS = 8_192, 256, 64
 POWERS = (0.4, 1.0)
 # The first power leaves this share of the trunks effective.
 EFFECTIVE = 0.5
+# If fewer draws are effective at the end, their weights are raised to the power with which so many are. A mean of one draw or two has the whole
+# error of a draw, and a sampler that starts there does not know how uncertain its start is.
+LEAST_EFFECTIVE = 20
 
 
 class Search(NamedTuple):
@@ -38,9 +41,9 @@ class Search(NamedTuple):
 
     Attributes:
         parts: the draws.
-        log_weights: their log-weights, normalised.
+        log_weights: their log-weights, normalised; flattened, if fewer than LEAST_EFFECTIVE draws were effective.
         log_evidence: log of the mean likelihood over the prior of the search.
-        ess: effective number of draws.
+        ess: effective number of draws by the weights that are not flattened.
     """
 
     parts: Float[Array, "draw part 7"]
@@ -81,10 +84,11 @@ def search(key: Key, density: Density, roots: Mixture) -> Search:
     # A loop, so that it is compiled once for all powers.
     steps = jax.random.split(limbs_key, len(POWERS)), jnp.asarray(POWERS, weights.dtype)
     _, (values, later) = jax.lax.scan(with_limbs, (bodies[kept], weights[kept]), steps)
-    found, last = values[-1], later[-1] + over_particles(lambda value, graph: log_left_out(graph, value), values[-1], graph)
+    last = later[-1] + over_particles(lambda value, graph: log_left_out(graph, value), values[-1], graph)
     evidence = _log_mean(weights) + sum((_log_mean(each) for each in later[:-1]), _log_mean(last))
     normal = normalise(last)
-    return Search(found, normal.log_weights, evidence, effective_sample_size(normal.log_weights))
+    flattened = normalise(next_increment(last, LEAST_EFFECTIVE / TRUNKS, jnp.asarray(1.0)) * last)
+    return Search(values[-1], flattened.log_weights, evidence, effective_sample_size(normal.log_weights))
 
 
 def _log_mean(log_weights: Float[Array, " draw"]) -> Scalar:

@@ -9,7 +9,9 @@ which stands for a number of pixels (likelihood/region_samples.py); observation/
 outside the image or not entirely in front of the lens. It is not rewarded for that: 0 is what a part on pixels about which nothing is known counts.
 
 It is a plate over the parts: message passing reads it part by part, other kernels read the sum. A pixel that several parts cover is counted for each
-of them, and neighbouring pixels are not independent, so the sum is too sure. $\rho$ = `precision` corrects it. It is not a distribution over images.
+of them, and neighbouring pixels are not independent, so the sum is too sure. $\rho$ = `precision` corrects it. It holds for images of 640 x
+480 pixels. A larger image of the same scene tells little more: areas count as shares of the image, and lengths as the square roots of these shares.
+It is not a distribution over images.
 """
 
 from dataclasses import dataclass
@@ -33,6 +35,9 @@ from bayes_body.registry import register
 from bayes_body.shapes import Scalar
 from bayes_body.toml.schema import Count, NonNegative, Positive, Schema, Share
 
+# Pixels of an image for which `precision` holds.
+IMAGE_PX = 640 * 480
+
 
 class Options(Schema):
     """Options of `[[likelihood]] kind = "regions"`."""
@@ -55,13 +60,13 @@ class Regions:
         lookup: nearest or bilinear.
         rig: the cameras.
         map_index: for each point, the map that it reads.
-        weights: for each point, ρ times the share of its region.
+        weights: for each point of each camera, ρ times the share of its region, times what a pixel of this camera counts.
     """
 
     lookup: Lookup
     rig: Camera
     map_index: Int[Array, " sample"]
-    weights: Float[Array, " sample"]
+    weights: Float[Array, "camera sample"]
 
     def __call__(self, part: PartSamples, frame: Float[Array, "7"], *, data: RegionMaps) -> Scalar:
         """Return log φ of a part at `frame`."""
@@ -80,7 +85,8 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
     """
     require(body, PARTS, "likelihood 'regions'", "likelihood 'silhouette_edges'")
     samples, map_index = part_samples(name, body, options.samples, options.band)
-    weights = options.precision * np.where(map_index == EDGES, options.edge_share, 1 - options.edge_share)
+    shares = IMAGE_PX / np.prod(np.asarray(rig.size, float), axis=1, keepdims=True)
+    weights = options.precision * np.where(map_index == EDGES, options.edge_share * np.sqrt(shares), (1 - options.edge_share) * shares)
     potential = Regions(options.lookup, rig, jnp.asarray(map_index, jnp.int32), jnp.asarray(weights, body.lengths.dtype))
     rows = tuple((part,) for part in range(len(samples.t)))
     return plate_factor(name, "likelihood", Plate(PARTS, rows, potential, samples), has_gradient=options.lookup != "nearest")

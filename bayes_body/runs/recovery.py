@@ -38,7 +38,9 @@ class PersonRecovery:
         return is_off(frame_fit(self.session, self.model, mean_pose(result, self.model), frame))
 
     def found(self, frame: int) -> Model | None:
-        """Return the model that starts at the person who is found in a frame; None if nobody is, or if the body has too few of the markers.
+        """Return the model that starts at the person who is found in a frame.
+
+        None if nobody is found, if the found body is off the person by the same limits, or if the body has too few of the markers.
 
         Raises:
             InputError: a file of the session cannot be used.
@@ -53,5 +55,9 @@ class PersonRecovery:
         found = self._search.window(frame)
         if isinstance(found, Detected):
             return None
+        placed = apply_first_pose(self.model, self.session, fit_to(self.model, self.session, found, self.seed))
+        pose = np.asarray(placed.initial[placed.body.variable], float)
+        if is_off(frame_fit(self.session, placed, pose[None], frame)).any():
+            return None
         self.show(f"frame {frame}: the person was lost, and is found again; {found.precision}")
-        return apply_first_pose(self.model, self.session, fit_to(self.model, self.session, found, self.seed))
+        return placed
