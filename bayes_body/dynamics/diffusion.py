@@ -95,8 +95,8 @@ def _noise(sd: Pose, low: Pose, high: Pose, state: State, scale: Scalar) -> dict
 
 
 @register("dynamics", "diffusion", Options)
-def build(options: Options, body: Body, fps: float, subject_sd: Mapping[str, float] | None = None, **_: Any) -> Transition:
-    """Build the random walk for one body and frame rate.
+def build(options: Options, body: Body, fps: float, subject_sd: Mapping[str, float] | None = None, gap: float = 1.0, **_: Any) -> Transition:
+    """Build the random walk for one body and frame rate, over `gap` frames.
 
     Raises:
         InputError: a dof has no standard deviation, or a key of the options matches no dof.
@@ -107,7 +107,7 @@ def build(options: Options, body: Body, fps: float, subject_sd: Mapping[str, flo
     by_name = {name: sd * factor for name, sd in standard_deviations(options.sd_deg, options.sd_m, topology).items()}
     if options.use_subject_sd and subject_sd:
         by_name |= {name: sd for name, sd in subject_sd.items() if name in by_name}
-    sd = jnp.asarray([by_name[name] for name in topology.dof_names], body.lengths.dtype)
+    sd = math.sqrt(gap) * jnp.asarray([by_name[name] for name in topology.dof_names], body.lengths.dtype)
     arguments = (sd, body.skeleton.low, body.skeleton.high)
     walk, noise = jax.tree_util.Partial(_walk, *arguments), jax.tree_util.Partial(_noise, *arguments)
     return Transition("diffusion", walk, noise, spaces=((POSE, pose_space(body)),))

@@ -24,6 +24,9 @@ from bayes_body.registry import find
 from bayes_body.session.session import CameraSpec, Session, Subject
 from bayes_body.shapes import Configuration, Key, Pose
 
+# Seconds after which the pose of a person who was seen is as uncertain as one that was found in pictures.
+FOUND_S = 0.25
+
 
 @dataclass(frozen=True)
 class Model:
@@ -34,6 +37,8 @@ class Model:
         body: the body of the session's subject.
         rig: the session's cameras, stacked.
         transition: the motion prior at the session's frame rate.
+        after_found: the motion prior of the first frame after a pose that was found in pictures: the same one over FOUND_S seconds, if it is a random
+            walk. Such a pose is about as uncertain as that of a person who was seen so long ago.
         factors: all other terms.
         first: the distribution of the state before the first frame.
         observers: for each factor that uses images, a function from a frame's images to the factor's arrays (on the host).
@@ -43,6 +48,7 @@ class Model:
     body: Body
     rig: Camera
     transition: Transition
+    after_found: Transition
     factors: tuple[Factor, ...]
     first: First
     observers: Mapping[str, Callable[[Any], Any]]
@@ -116,13 +122,16 @@ def build_model(name: str | Path | Definition, session: Session) -> Model:
     for index, term in enumerate(definition.constraints):
         name = f"{term.kind}_{index + 1}" if index else term.kind
         factors.append(find("potential", term.kind).build(name=name, options=term.options, body=body))
-    dynamics = definition.dynamics
-    transition = find("dynamics", dynamics.kind).build(
-        options=dynamics.options, body=body, fps=session.fps, subject_sd=_motion_sd(session.subject, definition)
-    )
+    transition, after_found = (_transition(definition, body, session, gap) for gap in (1.0, max(1.0, FOUND_S * session.fps)))
     first = first_of(definition.first, body, _initial_pose(session, body, definition), transition)
     _check_derived(transition, first.mode)
-    return Model(definition, body, rig, transition, tuple(factors), first, observers)
+    return Model(definition, body, rig, transition, after_found, tuple(factors), first, observers)
+
+
+def _transition(definition: Definition, body: Body, session: Session, gap: float) -> Transition:
+    """Return the motion prior over a number of frames, which only random walks heed."""
+    own, subject_sd = definition.dynamics, _motion_sd(session.subject, definition)
+    return find("dynamics", own.kind).build(options=own.options, body=body, fps=session.fps, subject_sd=subject_sd, gap=gap)
 
 
 def body_of(definition: Definition, shape: Shape = Shape()) -> Body:

@@ -158,7 +158,7 @@ def _filter(
     last = time.perf_counter()
     run_keys = [everywhere(jax.random.fold_in(key, run)) for run in range(len(filters))]
     filters = [everywhere(particles) for particles in filters]
-    model = replace(model, transition=everywhere(model.transition), factors=everywhere(model.factors))
+    model = replace(model, **{name: everywhere(getattr(model, name)) for name in ("transition", "after_found", "factors")})
     step = None
     for frame, (seen, data, factors) in enumerate(observations, first):
         restarted = np.zeros(0, bool) if restarts is None else restarts.restart(frame, filters, run_keys)
@@ -169,7 +169,10 @@ def _filter(
             step = program_from(ahead, kernel, run_keys[0], filters[0], density)
             last, ready = time.perf_counter(), time.perf_counter() - last
         index = everywhere(np.int32(frame))
-        outcomes = [step(run_key, index, before, density) for run_key, before in zip(run_keys, filters, strict=True)]
+        is_found = restarted if restarted.size else np.full(len(filters), frame == 0 and model.first.draws is not None)
+        after_found = replace(density, transition=model.after_found)
+        each = zip(run_keys, filters, is_found, strict=True)
+        outcomes = [step(run_key, index, before, after_found if found else density) for run_key, before, found in each]
         filters = [after for after, _ in outcomes]
         runs = jax.device_get(outcomes)
         for _, info in runs:

@@ -143,6 +143,11 @@ def test_one_camera_tells_where_a_person_stands_on_the_floor():
     assert np.linalg.norm(found.person.floor_m) < 0.35 and abs(found.person.height_m - 1.75) < 0.25
     assert set(found.landmarks) == {"pelvis", "thorax", "head"} and found.landmarks["head"].sd_m[0].min() >= 0.1
     assert "one camera" in found.notices[0]
+    assert set(found.parts) == {"pelvis", "torso", "head"}
+    torso = found.parts["torso"]
+    assert abs(torso.positions[0, 2] - (0.9 + JOINTS["thorax"][2]) / 2) < 0.15 and np.allclose(torso.rotations[:, :, 2], (0, 0, 1))
+    # All facings alike.
+    assert np.allclose(torso.weights @ torso.rotations[:, :, 0], 0, atol=1e-9) and np.ptp(torso.weights) < 1e-9
 
 
 def test_one_camera_says_if_the_silhouette_is_no_standing_person():

@@ -99,6 +99,8 @@ def test_standard_deviations_by_name_pattern_and_frame_rate(arm):
     sd = at_15.conditional({"pose": jnp.zeros(4)})["pose"].scale
     # Four times the time between frames: twice the standard deviation.
     assert np.allclose(np.degrees(sd), [6.0, 12.0, 6.0, 4.0])
+    over_four = build(options, arm, fps=60.0, subject_sd={"elbow": 0.1}, gap=4.0)
+    assert np.allclose(over_four.conditional({"pose": jnp.zeros(4)})["pose"].scale, [*np.radians([6.0, 12.0, 6.0]), 0.2])
 
 
 def test_the_subjects_own_deviations_win_where_asked(arm):

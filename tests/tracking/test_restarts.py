@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_body.kernels.particle_filter import build_kernel
-from bayes_body.model.build import build_model
+from bayes_body.model.build import FOUND_S, build_model
 from bayes_body.tracking.restarts import Restarts
 from bayes_body.tracking.track import track
 
@@ -46,6 +46,25 @@ def test_a_lost_run_starts_anew_and_the_other_goes_on(textured_session, arm):
     assert abs(draws.states["pose"][1, 3, :, elbow].mean() + 2.0) < 0.3
     same = [(draws.states["pose"][run, frame] == without.states["pose"][run, frame]).all() for run, frame in ((0, 3), (0, 4), (1, 2), (1, 3))]
     assert same == [True, True, True, False]
+
+
+def test_the_first_frame_after_found_poses_is_wider(textured_session, arm):
+    """A quarter of a second of the random walk, whose frames are a fifteenth of that at 60 frames a second."""
+    found = arm.beginning_at(arm.first_pose, jnp.tile(arm.first_pose, (3, 1)))
+    frames = {
+        name: track(textured_session, model, build_kernel(), KEY, particles=400, frames=2).frames
+        for name, model in (("given", arm), ("found", found))
+    }
+    joint = arm.body.dof_names.index("shoulder_y")
+    given, wide = (frames[name][0].states["pose"][0, :, joint].std() for name in ("given", "found"))
+    gap = FOUND_S * textured_session.fps
+    assert gap > 3 and abs(wide / given / np.sqrt(gap) - 1) < 0.3
+    # Later frames have the usual prior: distances from the ancestors.
+    steps = {
+        name: np.std(each[1].states["pose"][0, :, joint] - each[0].states["pose"][0, each[1].info.ancestors[0], joint])
+        for name, each in frames.items()
+    }
+    assert abs(steps["found"] / steps["given"] - 1) < 0.2
 
 
 @pytest.mark.parametrize("since", [3, 4])
