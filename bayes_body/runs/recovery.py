@@ -5,16 +5,20 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool
 
-from bayes_body.detection.detect import Detected
+from bayes_body.detection.detect import TRUSTED, Detected, detect
 from bayes_body.initial import apply_first_pose
-from bayes_body.initial.automatic import fit_to, known_markers
+from bayes_body.initial.automatic import TRUNK, fit_to, known_markers
 from bayes_body.initial.measurements import FEWEST
 from bayes_body.initial.person_search import PersonSearch
 from bayes_body.metrics.fit import frame_fit, is_off
 from bayes_body.model.build import Model
+from bayes_body.observation.frames import read_frame
 from bayes_body.posterior import mean_pose
 from bayes_body.session.session import Session
 from bayes_body.tracking.draws import FrameResult
+
+# Of the frames that show a person who was not found before, those that are searched.
+EVERY = 6
 
 
 class PersonRecovery:
@@ -37,18 +41,22 @@ class PersonRecovery:
         """Return whether each run's mean body is off the person by the limits of `metrics.fit`; False where the picture does not show the person."""
         return is_off(frame_fit(self.session, self.model, mean_pose(result, self.model), frame))
 
-    def found(self, frame: int) -> Model | None:
+    def found(self, frame: int, is_first: bool) -> Model | None:
         """Return the model that starts at the person who is found in a frame.
 
-        None if nobody is found, if the found body is off the person by the same limits, or if the body has too few of the markers.
+        None if nobody is found, if the found body is off the person by the same limits, if the session has no silhouettes, or if the body has too few
+        of the markers. A search takes as long as many frames: where one failed and the person stays in view, only one frame in EVERY is searched.
 
         Raises:
             InputError: a file of the session cannot be used.
         """
-        if known_markers(self.model) < FEWEST:
+        obstacle = self._obstacle(frame)
+        if obstacle:
             if not self._told:
-                self.show(f"frame {frame}: the person was lost, and is not looked for: the body has fewer than {FEWEST} of the markers")
+                self.show(f"frame {frame}: the person was lost, and is not looked for: {obstacle}")
             self._told = True
+            return None
+        if not self._shows(frame) or (not is_first and frame % EVERY and self._shows(frame - 1)):
             return None
         if self._search is None:
             self._search = PersonSearch(self.session, seed=self.seed)
@@ -61,3 +69,13 @@ class PersonRecovery:
             return None
         self.show(f"frame {frame}: the person was lost, and is found again; {found.precision}")
         return placed
+
+    def _obstacle(self, frame: int) -> str | None:
+        """Why nobody can be looked for; None if somebody can."""
+        if known_markers(self.model) < FEWEST:
+            return f"the body has fewer than {FEWEST} of the markers"
+        return "the session has no silhouettes" if read_frame(self.session, frame).masks is None else None
+
+    def _shows(self, frame: int) -> bool:
+        """Whether a frame shows a person."""
+        return TRUNK in detect(self.session, frame, TRUSTED).parts

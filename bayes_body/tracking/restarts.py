@@ -31,8 +31,11 @@ class Recovery(Protocol):
         """Return whether each run's body is off the person in a frame. A frame that does not show the person says nothing: False."""
         ...
 
-    def found(self, frame: int) -> Model | None:
-        """Return the model that starts at the person of a frame; None if nobody was found."""
+    def found(self, frame: int, is_first: bool) -> Model | None:
+        """Return the model that starts at the person of a frame; None if nobody was found.
+
+        `is_first` says that a run is lost since the frame before, so that nobody was looked for earlier.
+        """
         ...
 
 
@@ -54,7 +57,7 @@ class Restarts:
     def restart(self, frame: int, filters: list[Particles], keys: list[Key]) -> Bool[np.ndarray, " run"]:
         """Replace the particles of lost runs by those of the person of a frame, if one is found; return whether each run was restarted."""
         lost = self.frames_off >= FRAMES_OFF
-        model = self.recovery.found(frame) if lost.any() else None
+        model = self.recovery.found(frame, bool((self.frames_off == FRAMES_OFF).any())) if lost.any() else None
         if model is None:
             return np.zeros(0, bool)
         for run in np.flatnonzero(lost):
