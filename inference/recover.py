@@ -62,10 +62,11 @@ def main() -> None:
     kernel, figures = getattr(bb.kernels, arguments.kernel)(), {}
     for name, recovery in (("without", None), ("with", bb.PersonRecovery(session, model, arguments.seed))):
         draws = bb.track(session, model, kernel, jax.random.key(arguments.seed), recovery=recovery, **options)
-        _, error = bb.compare.track_figures(session, draws)
+        of_track, error = bb.compare.track_figures(session, draws)
         parts = {"before": error[: black.start], "after": error[black.stop + 10 :]}
         figures[name] = {part: 1000 * float(np.mean(each)) for part, each in parts.items()} | {"restarted": draws.frames_restarted}
         print(f"{name} recovery: {figures[name]}")
+        figures[name]["errors_mm"] = of_track["errors_mm"]
         bb.draw_errors(arguments.out / f"{name}.png", range(len(error)), error)
     (arguments.out / "figures.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
 
