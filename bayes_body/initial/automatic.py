@@ -1,10 +1,11 @@
 """The first pose from the pictures alone, for a model of any body: detectors, and a search for a loose-limbed body (initial/person_search.py).
 
 The search samples a body of parts of its own, whatever the model is. Some of its draws are taken, each as often as its weight says, and a pose of the
-model's body is fitted to the markers of each. These poses are equally likely first poses: how uncertain the first frame is, and which way the person
-may face, stays known to the sampler that starts from them.
+model's body is fitted to the markers of each. The model's own likelihood then refines these poses (initial/refine.py). They are equally likely first
+poses: how uncertain the first frame is, and which way the person may face, stays known to the sampler that starts from them.
 """
 
+import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -15,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from bayes_body.body.placement import POSE
 from bayes_body.detection.detect import Detected, detect
 from bayes_body.errors import input_error
 from bayes_body.evidence.markers import MARKERS
@@ -23,17 +25,22 @@ from bayes_body.initial.measurements import FEWEST, PREFIX, read_measurements
 from bayes_body.initial.person_search import Found, PersonSearch
 from bayes_body.initial.points import Points, body_points
 from bayes_body.initial.problem import build_problem
+from bayes_body.initial.refine import refine
 from bayes_body.initial.report import FirstPose, tell
 from bayes_body.initial.stored import DIGITS
+from bayes_body.kernels.parts.batching import everywhere
 from bayes_body.kernels.parts.resampling import resampler
 from bayes_body.model.build import Model
 from bayes_body.observation.frames import read_frame
+from bayes_body.recording.camera_path import cameras_at
 from bayes_body.session.session import Session
 
 # Poses that are drawn.
 DRAWS = 32
 # Warnings: share of the weight that faces the other way, or is elsewhere, and effective draws.
 MOST_TURNED, MOST_ELSEWHERE, FEWEST_DRAWS = 0.05, 0.3, 5.0
+# Markers of a leg below the hip.
+LEG = re.compile(r"[lr]_(knee|ankle|heel|toe|big_toe|small_toe)")
 # The part that says where to search.
 TRUNK = "torso"
 # Where frame 0 shows nobody, so many other frames are looked at, so many seconds apart.
@@ -63,7 +70,7 @@ def find_first_pose(model: Model, session: Session, show: Callable[[str], None],
     show(f"first pose: a person was found in {time.perf_counter() - begun:.0f} s; {found.precision}, by {found.ess:.0f} effective draws")
     for warning in _warnings(found):
         show(f"first pose: warning: {warning}")
-    return fit_to(model, session, found, seed)
+    return poses_of(model, session, found, seed=seed)
 
 
 def check_pictures(model: Model, session: Session) -> None:
@@ -82,6 +89,37 @@ def known_markers(model: Model) -> int:
     """Return how many of the markers that are searched for are markers of the model's body; with fewer than FEWEST no pose is fitted to them."""
     points = body_points(model.body.by_angles)
     return sum(points.index(name) is not None for name in MARKERS)
+
+
+def poses_of(model: Model, session: Session, found: Found, frame: int = 0, seed: int = 0) -> FirstPose:
+    """Return DRAWS equally likely poses of the model's body, and the likeliest of them: fitted to what was found, then refined (initial/refine.py).
+
+    A body that is placed by parts is fitted only.
+
+    Args:
+        model: the model whose body is placed.
+        session: the recording.
+        found: what was found, markers in metres.
+        frame: the frame in which it was found, counted from 0.
+        seed: seed of the draws.
+
+    Raises:
+        InputError: the body has too few markers, the fit did not converge, or a file of the frame cannot be used.
+    """
+    told = fit_to(model, session, found, seed)
+    if model.body.variable != POSE:
+        return told
+    exchanged = fit_to(model, session, found._replace(names=tuple(map(_other_leg, found.names))), seed)
+    placed = model.at(cameras_at(session, frame)) if session.moves else model
+    density = everywhere(placed.density(placed.observe(read_frame(session, frame)), placed.start(1)))
+    both = np.concatenate([np.asarray(each.draws, float) for each in (told, exchanged)])
+    refined = jnp.asarray(refine(model, density, both, DRAWS, seed).round(DIGITS))
+    return told._replace(pose=refined[0], draws=refined)
+
+
+def _other_leg(name: str) -> str:
+    """The name of the same marker of the other leg; of any other marker its own."""
+    return {"l": "r", "r": "l"}[name[0]] + name[1:] if LEG.match(name) else name
 
 
 def fit_to(model: Model, session: Session, found: Found, seed: int = 0) -> FirstPose:

@@ -7,7 +7,7 @@ from jaxtyping import Bool
 
 from bayes_body.detection.detect import TRUSTED, Detected, detect
 from bayes_body.initial import apply_first_pose
-from bayes_body.initial.automatic import TRUNK, fit_to, known_markers
+from bayes_body.initial.automatic import TRUNK, known_markers, poses_of
 from bayes_body.initial.measurements import FEWEST
 from bayes_body.initial.person_search import PersonSearch
 from bayes_body.metrics.fit import frame_fit, is_off
@@ -63,7 +63,7 @@ class PersonRecovery:
         found = self._search.window(frame)
         if isinstance(found, Detected):
             return None
-        placed = apply_first_pose(self.model, self.session, fit_to(self.model, self.session, found, self.seed))
+        placed = apply_first_pose(self.model, self.session, poses_of(self.model, self.session, found, frame, self.seed))
         pose = np.asarray(placed.initial[placed.body.variable], float)
         if is_off(frame_fit(self.session, placed, pose[None], frame)).any():
             return None

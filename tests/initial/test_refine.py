@@ -1,0 +1,63 @@
+"""Found poses are drawn again by a likelihood: a known one here, in which one arm is where no step leads."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_body.density.factor import Factor, Variable
+from bayes_body.initial.automatic import _other_leg
+from bayes_body.initial.refine import ARM, EFFECTIVE, refine
+from bayes_body.model.build import build_model
+
+SD_RAD, FOUND, POSE = 0.15, 32, Variable("pose")
+
+
+@pytest.fixture(scope="module")
+def model(textured_session):
+    return build_model("tempered_smc", textured_session)
+
+
+def density_of(model, log_potential, *arguments):
+    likelihood = Factor("known", "likelihood", (POSE,), jax.tree_util.Partial(log_potential, *arguments))
+    return replace(model.density({}, model.start(1)), factors=(likelihood,))
+
+
+def normal(target, values, data):
+    del data
+    return -0.5 * jnp.sum(((values[POSE] - target) / SD_RAD) ** 2)
+
+
+def test_an_arm_that_is_far_is_found_and_the_rest_stays(model):
+    names, start = model.body.dof_names, np.asarray(model.first_pose, float)
+    low, high = np.asarray(model.body.skeleton.low), np.asarray(model.body.skeleton.high)
+    arm = [k for k, name in enumerate(names) if name.startswith("r_") and ARM.match(name)]
+    target = start.copy()
+    target[arm] = low[arm] + 0.2 * (high - low)[arm]
+    assert np.abs(target - start).max() > 1.0
+    found = refine(model, density_of(model, normal, jnp.asarray(target, jnp.float32)), np.tile(start, (FOUND, 1)), FOUND, 0)
+    assert found.shape == (FOUND, len(names)) and ((found >= low - 1e-6) & (found <= high + 1e-6)).all()
+    # The posterior with the power that leaves some effective draws is wider than SD_RAD.
+    assert np.abs(found.mean(axis=0) - target).max() < 2 * SD_RAD
+    assert len(np.unique(found, axis=0)) > FOUND / 2
+    fits = [float(normal(target, {POSE: pose}, None)) for pose in found]
+    assert fits[0] == max(fits) and EFFECTIVE > FOUND
+
+
+def test_poses_stay_where_none_is_allowed(model):
+    start = np.tile(np.asarray(model.first_pose, float), (FOUND, 1))
+    nothing = density_of(model, lambda values, data: jnp.where(values[POSE][0] > -1e9, -jnp.inf, 0.0))
+    np.testing.assert_array_equal(refine(model, nothing, start, 5, 0), start[:5])
+
+
+def test_legs_change_places_below_the_hip():
+    assert [_other_leg(name) for name in ("l_knee", "r_toe", "l_hip", "r_wrist", "pelvis", "head")] == [
+        "r_knee",
+        "l_toe",
+        "l_hip",
+        "r_wrist",
+        "pelvis",
+        "head",
+    ]
