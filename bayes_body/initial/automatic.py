@@ -41,6 +41,8 @@ DRAWS = 32
 MOST_TURNED, MOST_ELSEWHERE, FEWEST_DRAWS = 0.05, 0.3, 5.0
 # Markers of a leg below the hip.
 LEG = re.compile(r"[lr]_(knee|ankle|heel|toe|big_toe|small_toe)")
+# Below this share of the weight, nothing starts from poses that face the other way: one frame, which a sampler sees first, may not tell them apart.
+LEAST_TURNED = 0.25
 # The part that says where to search.
 TRUNK = "torso"
 # Where frame 0 shows nobody, so many other frames are looked at, so many seconds apart.
@@ -140,7 +142,9 @@ def fit_to(model: Model, session: Session, found: Found, seed: int = 0) -> First
         _nothing(f"no first pose, and the model's body has {known} of the markers that are searched for, fewer than {FEWEST}", model)
     points = body_points(model.body.by_angles)
     # Each draw is taken as often as its weight says.
-    taken = resampler("systematic")(jax.random.key(seed), jnp.log(jnp.asarray(found.weights)), DRAWS)
+    ahead = _left(found.names, found.draws) @ _left(found.names, found.markers[None])[0] >= 0
+    weights = np.where(ahead | (found.turned >= LEAST_TURNED), found.weights, 0.0)
+    taken = resampler("systematic")(jax.random.key(seed), jnp.log(jnp.asarray(weights)), DRAWS)
     drawn = found.draws[np.asarray(taken)]
     left = _left(found.names, drawn) @ _left(found.names, found.markers[None])[0] >= 0
     told, poses = _fit_way(model, session, points, found.names, found.markers, drawn)
