@@ -94,7 +94,7 @@ def _compared(found: Found | Detected, true: Float[np.ndarray, "15 3"] | None) -
 
 
 def _is_turned(places: Float[np.ndarray, "*of 15 3"], true: Float[np.ndarray, "15 3"]) -> Bool[np.ndarray, "*of"]:
-    """Whether people whose markers are at these places are turned round; False where the truth is unknown."""
+    """Whether people whose markers are at these places are turned round; False where the true hips are unknown."""
     left, right = MARKERS.index("l_hip"), MARKERS.index("r_hip")
     return (places[..., left, :] - places[..., right, :]) @ (true[left] - true[right]) < 0
 
@@ -102,7 +102,7 @@ def _is_turned(places: Float[np.ndarray, "*of 15 3"], true: Float[np.ndarray, "1
 def track_figures(session: Session, draws: Draws) -> tuple[dict[str, Any], Float[np.ndarray, " frame"]]:
     """Return the figures of a track, as `SingleFrames.figures` has them, and the error of each frame, metres, mean over the runs.
 
-    `flips` is the share of the frames and runs in which the mean body is turned round; None without the truth of the hips, or without hips.
+    `flips` is the share of the frames and runs in which the mean body is turned round; None without a truth, or if the body lacks markers.
 
     Raises:
         InputError: the session's truth cannot be used.

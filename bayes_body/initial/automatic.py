@@ -14,7 +14,7 @@ from typing import NoReturn
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from bayes_body.body.placement import POSE
 from bayes_body.detection.detect import Detected, detect
@@ -115,9 +115,26 @@ def poses_of(model: Model, session: Session, found: Found, frame: int = 0, seed:
     exchanged = fit_to(model, session, found._replace(names=tuple(map(_other_leg, found.names))), seed)
     placed = model.at(cameras_at(session, frame)) if session.moves else model
     density = everywhere(placed.density(placed.observe(read_frame(session, frame)), placed.start(1)))
-    both = np.concatenate([np.asarray(each.draws, float) for each in (told, exchanged)])
-    refined = jnp.asarray(refine(model, density, both, DRAWS, seed).round(DIGITS))
-    return told._replace(pose=refined[0], draws=refined)
+    # Each way to face keeps its share: one frame must not decide again what several have decided.
+    ahead = _is_ahead(found)[_taken(found, seed)]
+    refined = [
+        refine(model, density, np.concatenate([np.asarray(each.draws, float)[way] for each in (told, exchanged)]), int(way.sum()), seed)
+        for way in (ahead, ~ahead)
+        if way.any()
+    ]
+    draws = jnp.asarray(np.concatenate(refined).round(DIGITS))
+    return told._replace(pose=draws[0], draws=draws)
+
+
+def _is_ahead(found: Found) -> Bool[np.ndarray, " draw"]:
+    """Whether each draw faces as the mean does."""
+    return _left(found.names, found.draws) @ _left(found.names, found.markers[None])[0] >= 0
+
+
+def _taken(found: Found, seed: int) -> Int[np.ndarray, " taken"]:
+    """Return DRAWS draws, each as often as its weight says."""
+    weights = np.where(_is_ahead(found) | (found.turned >= LEAST_TURNED), found.weights, 0.0)
+    return np.asarray(resampler("systematic")(jax.random.key(seed), jnp.log(jnp.asarray(weights)), DRAWS))
 
 
 def _other_leg(name: str) -> str:
@@ -141,16 +158,12 @@ def fit_to(model: Model, session: Session, found: Found, seed: int = 0) -> First
     if known < FEWEST:
         _nothing(f"no first pose, and the model's body has {known} of the markers that are searched for, fewer than {FEWEST}", model)
     points = body_points(model.body.by_angles)
-    # Each draw is taken as often as its weight says.
-    ahead = _left(found.names, found.draws) @ _left(found.names, found.markers[None])[0] >= 0
-    weights = np.where(ahead | (found.turned >= LEAST_TURNED), found.weights, 0.0)
-    taken = resampler("systematic")(jax.random.key(seed), jnp.log(jnp.asarray(weights)), DRAWS)
-    drawn = found.draws[np.asarray(taken)]
-    left = _left(found.names, drawn) @ _left(found.names, found.markers[None])[0] >= 0
+    taken = _taken(found, seed)
+    drawn, ahead = found.draws[taken], _is_ahead(found)[taken]
     told, poses = _fit_way(model, session, points, found.names, found.markers, drawn)
-    if not left.all():
+    if not ahead.all():
         # The fit of the main way is no start for bodies that face the other way.
-        poses = np.where(left[:, None], poses, _fit_way(model, session, points, found.names, drawn[~left].mean(axis=0), drawn)[1])
+        poses = np.where(ahead[:, None], poses, _fit_way(model, session, points, found.names, drawn[~ahead].mean(axis=0), drawn)[1])
     return told._replace(draws=jnp.asarray(poses.round(DIGITS)))
 
 
