@@ -30,8 +30,8 @@ from bayes_body.shapes import Key
 
 # The loose-limbed body that is searched for.
 LOOSE = "loose_limbed_15"
-# Draws whose markers are on average so near, metres, are of one mode.
-MODE_M = 0.12
+# Draws whose markers are on average so near, metres, are of one mode. With fewer effective draws there is no mode: all draws of the way count.
+MODE_M, FEWEST_OF_MODE = 0.12, 5.0
 # Frames that decide together which way the person faces, and seconds between them.
 WINDOW, APART_S = 5, 0.2
 # Below this the detected facings have no common axis.
@@ -57,7 +57,7 @@ class Found(NamedTuple):
 
     Attributes:
         names: names of the markers.
-        markers: their weighted mean over the draws of the main mode, metres.
+        markers: their weighted mean over the draws of the main mode, metres; over all that face this way, if there is no such mode.
         sd_m: root mean square distance of these draws' markers from the mean, metres.
         elsewhere: share of the weight that is not in the main mode.
         turned: share of the weight that faces the other way.
@@ -188,6 +188,8 @@ def found_of(names: tuple[str, ...], searched: Searched, shares: Float[np.ndarra
     apart = np.stack([np.linalg.norm(main.markers - one, axis=2).mean(1) for one in main.markers])
     centre = int(np.argmin(apart @ of_way))
     near = apart[centre] < MODE_M
+    if (of_way @ near) ** 2 < FEWEST_OF_MODE * (of_way**2 @ near):
+        near[:] = True
     kept = of_way * near / (of_way @ near)
     mean = np.einsum("d,dmk->mk", kept, main.markers)
     sd_m = float(np.sqrt(np.einsum("d,dmk->m", kept, (main.markers - mean) ** 2).mean()))

@@ -3,7 +3,7 @@
 The search has a likelihood of each part on its own, and may exchange legs. The model's likelihood sees the whole body. So the found poses, and those
 with the legs exchanged, become the particles of a filter that sees the frame several times. From round to round the steps of the dofs get smaller.
 Particles are weighted with the power of the likelihood with which EFFECTIVE of them are effective, at most 1. So the poses stay apart as far as the
-picture allows.
+picture allows. Before one of the rounds, arms that stand out are looked for (initial/arms.py).
 """
 
 import jax
@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from bayes_body.body.placement import POSE
 from bayes_body.density.density import Density
+from bayes_body.initial.arms import other_arms
 from bayes_body.kernels.parts.batching import everywhere, over_particles
 from bayes_body.kernels.parts.ladder import next_increment
 from bayes_body.kernels.parts.resampling import resampler
@@ -23,6 +24,8 @@ from bayes_body.shapes import Pose, Scalar
 MANY, EFFECTIVE = 8_192, 96
 # Steps of each round: standard deviations of angles, degrees, and of positions, metres.
 ROUNDS = ((10.0, 0.03), (6.0, 0.02), (4.0, 0.015), (3.0, 0.01), (3.0, 0.01))
+# The round before which arms that stand out are looked for, once the poses are near.
+ARMS_BEFORE = 3
 
 
 def refine(model: Model, density: Density, poses: Float[np.ndarray, "pose dof"], count: int, seed: int) -> Float[np.ndarray, "draw dof"]:
@@ -35,15 +38,25 @@ def refine(model: Model, density: Density, poses: Float[np.ndarray, "pose dof"],
         count: number of poses to return.
         seed: random seed.
     """
-    random, resample, evaluate = np.random.default_rng(seed), resampler("systematic"), jax.jit(_log_weights)
+    random, resample, log_weights = np.random.default_rng(seed), resampler("systematic"), jax.jit(_log_weights)
     skeleton = model.body.skeleton
+
+    def evaluate(poses: Float[np.ndarray, "pose dof"]) -> Float[np.ndarray, " pose"]:
+        return np.asarray(log_weights(everywhere(jnp.asarray(poses, model.body.lengths.dtype)), density), float)
+
     low, high = np.asarray(skeleton.low, float), np.asarray(skeleton.high, float)
     keys = jax.random.split(jax.random.key(seed), len(ROUNDS) + 1)
     found, weights = poses, np.zeros(len(poses))
-    for key, (step_deg, step_m) in zip(keys, ROUNDS, strict=False):
+    for number, (key, (step_deg, step_m)) in enumerate(zip(keys, ROUNDS, strict=False)):
+        best = poses[weights.argmax()]
+        poses = poses[np.asarray(resample(key, jnp.asarray(weights), MANY))]
+        if number == ARMS_BEFORE:
+            # Half of the particles get the other arm; the likelihood decides.
+            for own, values in other_arms(skeleton, evaluate, best, MANY, random):
+                poses[np.ix_(random.random(MANY) < 0.5, own)] = values
         steps = np.where(skeleton.topology.angular, np.radians(step_deg), step_m) * random.normal(size=(MANY, len(low)))
-        poses = np.clip(poses[np.asarray(resample(key, jnp.asarray(weights), MANY))] + steps, low, high)
-        weights = np.asarray(evaluate(everywhere(jnp.asarray(poses, model.body.lengths.dtype)), density), float)
+        poses = np.clip(poses + steps, low, high)
+        weights = evaluate(poses)
         allowed = np.isfinite(weights)
         if not allowed.any():
             return found[:count]

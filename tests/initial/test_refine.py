@@ -46,6 +46,24 @@ def test_of_two_groups_of_poses_the_better_one_is_left_and_comes_nearer(model):
     assert fits[0] == max(fits)
 
 
+@pytest.mark.parametrize(("gain", "taken"), [(4.0, True), (1.0, False)])
+def test_another_arm_is_taken_if_it_gains_enough(model, gain, taken):
+    low, high = np.asarray(model.body.skeleton.low, float), np.asarray(model.body.skeleton.high, float)
+    start = np.clip(np.asarray(model.first_pose, float), low + 0.3, high - 0.3)
+    arm = [k for k, name in enumerate(model.body.dof_names) if name.startswith("l_") and name.split("_")[1] in {"shoulder", "elbow"}]
+    out = start.copy()
+    # The end of the range that is farther away: no step leads there.
+    out[arm] = np.where(high[arm] + low[arm] > 2 * start[arm], high[arm] - 0.3, low[arm] + 0.3)
+
+    def either(hanging, other, values, data):
+        return jnp.logaddexp(normal(hanging, values, data), gain + normal(other, values, data))
+
+    targets = [jnp.asarray(pose, jnp.float32) for pose in (start, out)]
+    found = refine(model, density_of(model, either, *targets), np.tile(start, (FOUND, 1)), FOUND, 0)
+    to_hanging, to_other = (np.abs(found[:, arm] - pose[arm]).mean(axis=1) for pose in (start, out))
+    assert (np.mean(to_other < to_hanging) > 0.9) if taken else (to_hanging < to_other).all()
+
+
 def test_poses_stay_where_none_is_allowed(model):
     start = np.tile(np.asarray(model.first_pose, float), (FOUND, 1))
     nothing = density_of(model, lambda values, data: jnp.where(values[POSE][0] > -1e9, -jnp.inf, 0.0))
