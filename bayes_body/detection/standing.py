@@ -1,9 +1,12 @@
 """Where the person stands, from the silhouette of a single camera: on the floor, and as tall as their stature says.
 
-The ray through the silhouette's lowest point meets the floor (height 0) below the feet. The crown is where the vertical above that point comes
-nearest to the ray through the silhouette's highest point. Nothing is told of limbs or facing. A shadow at the feet misplaces the person; the stature
-shows that only if the height that follows is far from it. Pelvis, torso and head have the proportions of a person who stands.
+The ray through the silhouette's lowest point, turned to the middle of its upper half, meets the floor (height 0) below the pelvis. The crown is
+where the vertical above that point comes nearest to the ray through the silhouette's highest point. Nothing is told of limbs or facing. A shadow at
+the feet misplaces the person along the line of sight; the stature shows that only if the height that follows is far from it. Pelvis, torso and head
+have the proportions of a person who stands. Of several silhouettes, the largest one that stands on the floor is the person's.
 """
+
+from collections.abc import Iterator
 
 import cv2
 import numpy as np
@@ -17,15 +20,17 @@ from bayes_body.detection.scene import Scene
 from bayes_body.detection.silhouettes import HEAD, PELVIS
 
 NAME = "standing"
-# Standard deviations of the place on the floor and of heights.
-SD_LEVEL_M, SD_HEIGHT_M = 0.5, 0.12
-# Directions in which the person may face, and the standard deviation of a part's tilt, radians.
-DIRECTIONS, SD_TILT_RAD = 8, 0.25
+# Standard deviations of the place on the floor along the line of sight and across it, and of heights.
+SD_DEPTH_M, SD_ACROSS_M, SD_HEIGHT_M = 0.5, 0.15, 0.12
+# The standard deviation of a part's tilt, radians.
+SD_TILT_RAD = 0.25
 # Middles of the parts, shares of the height.
 MIDDLES = {"pelvis": HIP + PELVIS / 2, "torso": (HIP + SHOULDER) / 2, "head": 1 - HEAD / 2}
 # A person's height in the image must agree with the stature within these ratios.
 AGREES = (0.85, 1.08)
 LEAST_M, MOST_M = 0.8, 2.3
+# Of the largest silhouette's area: smaller ones are no people.
+LEAST_SHARE = 0.3
 
 
 def detect_standing(scene: Scene) -> Found:
@@ -35,57 +40,66 @@ def detect_standing(scene: Scene) -> Found:
     mask = scene.masks[0]
     if not mask.any():
         return Found({}, {}, ("no silhouette in the only camera",))
-    below, above = _ends(scene, _largest(mask))
-    found = _floor_and_height(scene, below, above)
-    if found is None:
-        return Found({}, {}, ("the only camera does not show where the person stands: its silhouette does not reach the floor",))
-    floor, height = found
     low, high = (AGREES[0] * scene.stature_m, AGREES[1] * scene.stature_m) if scene.stature_m else (LEAST_M, MOST_M)
-    if not low <= height <= high:
+    standing = [_floor_and_height(scene, silhouette) for silhouette in _silhouettes(mask)]
+    if all(found is None for found in standing):
+        return Found({}, {}, ("the only camera does not show where the person stands: its silhouette does not reach the floor",))
+    people = [found for found in standing if found is not None and low <= found[1] <= high]
+    if not people:
+        height = next(found[1] for found in standing if found is not None)
         return Found({}, {}, (f"the only camera shows a person of {height:.2f} m on the floor; expected {low:.2f} to {high:.2f} m",))
-    notice = "one camera: the person's place is uncertain, a shadow at the feet misplaces it; limbs and facing are unknown"
+    floor, height = people[0]
+    notices = ["one camera: the person's place is uncertain, a shadow at the feet misplaces it; limbs and facing are unknown"]
+    if len(standing) > 1:
+        notices.append(f"{len(standing)} silhouettes of a person's size: the largest one that stands on the floor was taken")
     landmarks = {name: _at(floor, share * height, scene) for name, share in (("pelvis", HIP), ("thorax", SHOULDER), ("head", 1.0))}
-    return Found(landmarks, _parts(floor, height, scene), (notice,), Person(floor, height, None, False))
+    return Found(landmarks, _parts(floor, height, scene), tuple(notices), Person(floor, height, None, False))
 
 
 def _parts(floor: Float[np.ndarray, "3"], height: float, scene: Scene) -> dict[str, Detections]:
-    """Pelvis, torso and head, once for each facing."""
-    angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    facings = np.insert(np.stack([np.cos(angles), np.sin(angles)], axis=1), scene.up, 0.0, axis=1)
-    # Across and along the part's axis, which points up.
-    sd_m, up = np.array([SD_LEVEL_M, SD_LEVEL_M, SD_HEIGHT_M]), scene.upwards
-    return {
-        name: every_facing(floor + share * height * up, up, facings, sd_m, SD_TILT_RAD, np.ones(DIRECTIONS), NAME) for name, share in MIDDLES.items()
-    }
+    """Pelvis, torso and head that face away from the camera, towards it, and to both sides."""
+    up, away = scene.upwards, _away(floor, scene)
+    across = np.cross(up, away)
+    # In a part's axes: ahead, to the left, and up.
+    level = np.array([[SD_DEPTH_M, SD_ACROSS_M], [SD_ACROSS_M, SD_DEPTH_M]])[[0, 0, 1, 1]]
+    sd_m = np.concatenate([level, np.full((4, 1), SD_HEIGHT_M)], axis=1)
+    facings = np.stack([away, -away, across, -across])
+    return {name: every_facing(floor + share * height * up, up, facings, sd_m, SD_TILT_RAD, np.ones(4), NAME) for name, share in MIDDLES.items()}
+
+
+def _away(floor: Float[np.ndarray, "3"], scene: Scene) -> Float[np.ndarray, "3"]:
+    """The horizontal direction from the camera to the person."""
+    away = (floor - scene.viewpoints[0]) * (1 - scene.upwards)
+    return away / np.linalg.norm(away)
 
 
 def _at(floor: Float[np.ndarray, "3"], height: float, scene: Scene) -> Detections:
-    sd = np.full(3, SD_LEVEL_M)
-    sd[scene.up] = SD_HEIGHT_M
+    # A landmark's standard deviations are along the world's axes.
+    away = _away(floor, scene)
+    sd = np.hypot(SD_DEPTH_M * away, SD_ACROSS_M * np.cross(scene.upwards, away)) + SD_HEIGHT_M * scene.upwards
     return landmark((floor + height * scene.upwards)[None], sd, np.ones(1), NAME)
 
 
-def _largest(mask: Mask) -> Mask:
-    """The mask's largest connected part."""
+def _silhouettes(mask: Mask) -> Iterator[Mask]:
+    """The mask's connected parts of a person's size, the largest one first."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
-    return np.asarray(labels == 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax()))
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    for number in np.argsort(-areas, kind="stable"):
+        if areas[number] >= LEAST_SHARE * areas.max():
+            yield np.asarray(labels == 1 + number)
 
 
-def _ends(scene: Scene, mask: Mask) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """The directions of a silhouette's lowest and highest ray."""
+def _floor_and_height(scene: Scene, mask: Mask) -> tuple[Float[np.ndarray, "3"], float] | None:
+    """The point of the floor under the person of a silhouette, and the crown's height; None if the lowest ray does not meet the floor."""
     rows, columns = np.nonzero(mask)
     directions = rays(scene.cameras[0], np.stack([columns, rows], axis=1).astype(float))
-    slopes = directions[:, scene.up] / np.maximum(np.linalg.norm(np.delete(directions, scene.up, axis=1), axis=1), 1e-6)
-    return directions[int(slopes.argmin())], directions[int(slopes.argmax())]
-
-
-def _floor_and_height(scene: Scene, below: Float[np.ndarray, "3"], above: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "3"], float] | None:
-    """The point of the floor under the person, and the crown's height; None if the lowest ray does not meet the floor."""
+    lengths = np.maximum(np.linalg.norm(directions * (1 - scene.upwards), axis=1), 1e-6)
+    slopes = directions[:, scene.up] / lengths
+    # All rays are turned to the middle of the upper half, where no shadow is and no leg stands out.
+    level = directions[slopes >= (slopes.min() + slopes.max()) / 2].mean(axis=0) * (1 - scene.upwards)
     start = scene.viewpoints[0]
-    if below[scene.up] * start[scene.up] >= 0:
+    if slopes.min() * start[scene.up] >= 0 or not level.any():
         return None
-    floor = start - start[scene.up] / below[scene.up] * below
-    level = np.delete(above, scene.up)
-    away = np.delete(floor - start, scene.up)
-    reach = (away @ level) / max(float(level @ level), 1e-9)
-    return floor, float(start[scene.up] + reach * above[scene.up])
+    distance = -start[scene.up] / slopes.min()
+    floor = start * (1 - scene.upwards) + distance * level / np.linalg.norm(level)
+    return floor, float(start[scene.up] + distance * slopes.max())

@@ -150,6 +150,19 @@ def test_one_camera_tells_where_a_person_stands_on_the_floor():
     assert np.allclose(torso.weights @ torso.rotations[:, :, 0], 0, atol=1e-9) and np.ptp(torso.weights) < 1e-9
 
 
+def test_one_camera_takes_the_silhouette_that_stands_on_the_floor():
+    spec = camera(0.4, height=2.2)
+    person = mask(spec)
+    # A larger one that floats above the horizon of the camera, beside the person.
+    columns = np.flatnonzero(person.any(axis=0))
+    both = person.copy()
+    both[:150, : columns[0] - 5] = True
+    assert both.sum() > 2 * person.sum()
+    alone, found = (detect_standing(scene([spec], [each], stature_m=1.75)) for each in (person, both))
+    np.testing.assert_allclose(found.person.floor_m, alone.person.floor_m)
+    assert "2 silhouettes" in found.notices[1] and len(alone.notices) == 1
+
+
 def test_one_camera_says_if_the_silhouette_is_no_standing_person():
     spec = camera(0.4, height=2.2)
     found = detect_standing(scene([spec], [mask(spec, BALL)], stature_m=1.75))
