@@ -15,12 +15,12 @@ def configure(devices: int | None = None, cache: bool = True) -> None:
     Particles are distributed over the host devices. Call this before the first JAX computation. Settings made by environment variables are kept.
 
     Args:
-        devices: number of host devices; default: one per core, at most 16.
+        devices: number of host devices; default: one per core that this process may use, at most 16.
         cache: whether to keep compiled programs between processes.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if "xla_force_host_platform_device_count" not in flags:
-        count = devices or min(os.cpu_count() or 1, 16)
+        count = devices or min(_cores(), 16)
         os.environ["XLA_FLAGS"] = f"{flags} --xla_force_host_platform_device_count={count}".strip()
     import jax
 
@@ -30,6 +30,11 @@ def configure(devices: int | None = None, cache: bool = True) -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     jax.config.update("jax_compilation_cache_max_size", CACHE_LIMIT_BYTES)
+
+
+def _cores() -> int:
+    """The cores that this process may use; a cluster gives it some of the machine's."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def cache_folder(use: str = "") -> Path:

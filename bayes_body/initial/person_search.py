@@ -19,7 +19,7 @@ from bayes_body.density.graph import Mixture
 from bayes_body.detection.detect import Detected, detect
 from bayes_body.detection.detections import Detections, chosen
 from bayes_body.initial.facing import Way, shares_over_time, way_of
-from bayes_body.initial.proposals import by_parts, proposals_of
+from bayes_body.initial.proposals import by_parts, frames_of, proposals_of
 from bayes_body.initial.search import search
 from bayes_body.kernels.parts.batching import everywhere
 from bayes_body.model.build import build_model
@@ -28,6 +28,8 @@ from bayes_body.recording.camera_path import cameras_at
 from bayes_body.session.session import Session
 from bayes_body.shapes import Key
 
+# Detectors of the root. Limbs are drawn from the joints' densities, so where they are detected plays no role.
+DETECTORS = ("keypoints", "silhouettes", "standing", "faces")
 # The loose-limbed body that is searched for.
 LOOSE = "loose_limbed_15"
 # Draws whose markers are on average so near, metres, are of one mode. With fewer effective draws there is no mode: all draws of the way count.
@@ -96,6 +98,9 @@ class PersonSearch:
         self.model = build_model(loose, session)
         self.names = self.model.body.markers.names
         self.up = "xyz".index(session.up)
+        self._frames = frames_of(self.model.body)
+        # The motion prior plays no role: any particle will do.
+        self._before = self.model.start(1)
         self._search = jax.jit(search)
         self._markers = jax.jit(lambda parts: jax.lax.map(lambda one: placed_markers(self.model.body, one), parts))
         self._searched = dict[int, Searched]()
@@ -141,17 +146,17 @@ class PersonSearch:
         return self._searched[index]
 
     def _search_frame(self, index: int) -> Searched:
-        detected = detect(self.session, index)
+        detected = detect(self.session, index, DETECTORS)
         begun = time.perf_counter()
         root = by_parts(self.model.body).names[0]
         halves = _by_facing(detected.parts.get(root), self.up)
         ways = list[Way]()
         if halves:
             model = self.model.at(cameras_at(self.session, index)) if self.session.moves else self.model
-            density = everywhere(model.density(model.observe(read_frame(self.session, index)), model.start(1)))
+            density = everywhere(model.density(model.observe(read_frame(self.session, index)), self._before))
             keys = jax.random.split(jax.random.fold_in(jax.random.key(self.seed), index), len(halves))
             for key, (half, share) in zip(keys, halves, strict=True):
-                roots = proposals_of(detected._replace(parts={**detected.parts, root: half}), model.body)[0]
+                roots = proposals_of(detected._replace(parts={root: half}, landmarks={}), model.body, self._frames)[0]
                 ways.append(self._way(key, density, roots, share))
         return Searched(detected, tuple(ways), {**detected.seconds, "search": time.perf_counter() - begun})
 

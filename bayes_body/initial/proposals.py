@@ -71,17 +71,18 @@ def frames_of(body: Body) -> Frames:
     return Frames(detected, landmarks)
 
 
-def proposals_of(detected: Detected, body: Body) -> tuple[Mixture, ...]:
+def proposals_of(detected: Detected, body: Body, frames: Frames | None = None) -> tuple[Mixture, ...]:
     """Return mixtures of what was detected of each part: its rigid frame, and its landmarks. A part that was not detected has no proposal in them.
 
     Args:
         detected: what was detected in a frame.
         body: a body that is placed by parts.
+        frames: `frames_of` the body, if it is known already.
 
     Raises:
         InputError: the body is placed by angles.
     """
-    placement, frames = by_parts(body), frames_of(body)
+    placement, frames = by_parts(body), frames or frames_of(body)
     of_parts: list[list[tuple[Any, float]]] = [[] for _ in placement.names]
     of_landmarks: list[list[tuple[Any, float]]] = [[] for _ in placement.names]
     for part, name in enumerate(placement.names):
@@ -113,7 +114,7 @@ def _rigid(found: Detections, X_part_detected: Float[np.ndarray, "7"]) -> list[t
     components = []
     for place, R_world_detected, sd_m, sd_rad, weight in zip(found.positions, found.rotations, found.sd_m, found.sd_rad, found.weights, strict=True):
         R_world_part = R_world_detected @ turn.T
-        mean = np.concatenate([place - R_world_part @ arm, np.asarray(rotations.from_matrix(jnp.asarray(R_world_part)), float)])
+        mean = np.concatenate([place - R_world_part @ arm, rotations.from_matrix(R_world_part)])
         # A rotation about the middle of the axis also moves the origin of the part's frame.
         spread = np.zeros((6, 6))
         spread[:3, :3], spread[:3, 3:], spread[3:, 3:] = R_world_detected, R_world_part @ cross @ turn, turn

@@ -27,7 +27,7 @@ from bayes_body.kernels.parts.weights import effective_sample_size, normalise
 from bayes_body.shapes import Key, Scalar
 
 # Whole bodies that are drawn first, trunks that are kept of them, particles of a limb, and powers of the likelihood after the first.
-BODIES, TRUNKS, LIMBS = 8_192, 256, 64
+BODIES, TRUNKS, LIMBS = 8_192, 256, 48
 POWERS = (0.4, 1.0)
 # The first power leaves this share of the trunks effective.
 EFFECTIVE = 0.5
