@@ -53,6 +53,11 @@ class Model:
     first: First
     observers: Mapping[str, Callable[[Any], Any]]
 
+    @property
+    def reads_before(self) -> bool:
+        """Whether a factor reads the frame before, so that frames are to be read with it (`read_frame`)."""
+        return any(factor.reads_previous for factor in self.factors)
+
     def observe(self, frame: Any) -> Data:
         """Convert a frame's images (`observation.frames.Frame`) to the arrays that the factors need, by factor name."""
         return {name: observer(frame) for name, observer in self.observers.items()}

@@ -12,9 +12,10 @@ from bayes_body.errors import input_error
 from bayes_body.observation.pictures import check_index, read_colour, read_greys
 from bayes_body.observation.segmentation import EVEN
 from bayes_body.observation.silhouettes import has_silhouettes, silhouette_levels
+from bayes_body.recording.camera_path import cameras_at
 from bayes_body.recording.images import NotSeenError, read_mask
 from bayes_body.recording.keypoint_series import read_series
-from bayes_body.session.session import Keypoints, Session, View
+from bayes_body.session.session import CameraSpec, Keypoints, Session, View
 
 
 class Frame(NamedTuple):
@@ -26,7 +27,8 @@ class Frame(NamedTuple):
     no silhouettes: no masks, no empty scene, and too few frames to learn the background. `keypoints` are column, row (pixels) and confidence of the
     subject's keypoints, by the marker's name where they are markers, else by the detector's name. An entry is empty if nothing was found, and None if
     the camera has no keypoints or did not see the frame; all of it is None if no camera has any. `sizes_px` are (width, height) of every camera's
-    images, including those that did not see the frame; () means the sizes of `images`.
+    images, including those that did not see the frame; () means the sizes of `images`. `cameras` have their extrinsics in this frame; () if they are
+    not known. `before` is the frame before, if it was asked for and there is one; it knows no frame before itself.
     """
 
     index: int  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -35,6 +37,8 @@ class Frame(NamedTuple):
     foreground: Sequence[NDArray[np.float32] | None] | None = None
     sizes_px: tuple[tuple[int, int], ...] = ()
     keypoints: tuple[Keypoints | None, ...] | None = None
+    cameras: tuple[CameraSpec, ...] = ()
+    before: "Frame | None" = None
 
     @property
     def seen(self) -> tuple[bool, ...]:
@@ -61,21 +65,28 @@ def masks_of(frame: Frame) -> Sequence[NDArray[np.bool_] | None]:
     return frame.masks
 
 
-def read_frame(session: Session, index: int) -> Frame:
+def read_frame(session: Session, index: int, with_before: bool = False) -> Frame:
     """Read frame `index` of a session, counted from 0.
 
+    Args:
+        session: the recording.
+        index: the frame.
+        with_before: whether to read the frame before too. The first frame has none.
+
     Raises:
-        InputError: no such frame, not a video, an image of a wrong size, or unreadable keypoints.
+        InputError: no such frame, not a video, an image of a wrong size, unreadable keypoints, or an unreadable path of a camera.
     """
     check_index(session, index)
+    # First, because a video is read onwards.
+    before = read_frame(session, index - 1) if with_before and index else None
     images = tuple(read_greys(session, index, view) for view in session.views)
     sizes = tuple(view.camera.size_px for view in session.views)
     keypoints = _keypoints(session, index, [image is not None for image in images])
     if not has_silhouettes(session):
-        return Frame(index, images, None, None, sizes, keypoints)
+        return Frame(index, images, None, None, sizes, keypoints, cameras_at(session, index), before)
     silhouettes = [_Silhouette(session, index, view, image is not None) for view, image in zip(session.views, images, strict=True)]
-    masks = _OnDemand([lambda s=s: s.mask for s in silhouettes])
-    return Frame(index, images, masks, _OnDemand([lambda s=s: s.foreground for s in silhouettes]), sizes, keypoints)
+    masks, foreground = (_OnDemand([lambda s=s, name=name: getattr(s, name) for s in silhouettes]) for name in ("mask", "foreground"))
+    return Frame(index, images, masks, foreground, sizes, keypoints, cameras_at(session, index), before)
 
 
 def _keypoints(session: Session, index: int, seen: Sequence[bool]) -> tuple[Keypoints | None, ...] | None:

@@ -127,7 +127,7 @@ class _Observed(NamedTuple):
 
 def _observations(session: Session, model: Model, frames: range) -> Generator[_Observed]:
     def observe(index: int) -> _Observed:
-        frame = read_frame(session, index)
+        frame = read_frame(session, index, model.reads_before)
         factors = everywhere(model.at(cameras_at(session, index)).factors) if session.moves else None
         return _Observed(np.array(frame.seen), everywhere(model.observe(frame)), factors)
 

@@ -90,6 +90,19 @@ def test_too_few_frames_for_silhouettes(spoilt):
     assert frame.masks is None and frame.foreground is None and frame.seen == (True, True)
 
 
+def test_a_frame_knows_the_frame_before_if_asked(spoilt):
+    rotations = np.stack([np.eye(3), np.diag([1.0, -1, -1]), np.diag([-1.0, -1, 1])])
+    np.savez(spoilt.folder / "path.npz", rotation=rotations, translation_m=np.arange(9.0).reshape(3, 3))
+    first, *others = spoilt.views
+    session = dataclasses.replace(spoilt, frames=3, views=(dataclasses.replace(first, path="path.npz"), *others))
+    frame, alone = read_frame(session, 2, with_before=True), read_frame(session, 1)
+    assert frame.before is not None and frame.before.index == 1 and frame.before.before is None
+    for image, expected in zip(frame.before.images, alone.images, strict=True):
+        np.testing.assert_array_equal(image, expected)
+    np.testing.assert_array_equal([each.cameras[0].translation_m for each in (frame, frame.before)], [[6, 7, 8], [3, 4, 5]])
+    assert alone.before is None and read_frame(session, 0, with_before=True).before is None
+
+
 def test_the_size_of_a_frame_made_by_hand():
     assert Frame(0, (np.zeros((4, 9), np.uint8), None, np.zeros((7, 5), np.uint8)), None).largest == (7, 9)
 

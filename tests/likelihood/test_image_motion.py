@@ -1,0 +1,198 @@
+"""Image motion: where points were in the frame before, what is covered, closed forms of the likelihood, and mutants of what it compares."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_body.body.solids import part_transforms, patches
+from bayes_body.density.factor import Variable
+from bayes_body.evidence.image_motion import is_silent
+from bayes_body.geometry import transforms
+from bayes_body.geometry.camera import project
+from bayes_body.likelihood.surface_points import LEAST_COSINE, carried_points
+from bayes_body.observation.frames import Frame
+from bayes_body.registry import find
+
+NOW, BEFORE = Variable("pose"), Variable("pose", -1)
+SMOOTH_PX, ROLL_RAD = 2**0.5, 0.03
+
+pytestmark = pytest.mark.usefixtures("x64")
+
+
+def observe(images, before=None, rig=None, index=1, sizes=None, **options):
+    """The evidence of two frames; without `before`, of a first frame. `sizes` are images of the cameras' sizes, if a camera missed a frame."""
+    earlier = None
+    if before is not None:
+        cameras = tuple(
+            SimpleNamespace(rotation=np.asarray(R), translation_m=np.asarray(t)) for R, t in zip(rig.rotation, rig.translation, strict=True)
+        )
+        earlier = Frame(index - 1, tuple(before), None, cameras=cameras)
+    sizes = tuple(image.shape[::-1] for image in (images if sizes is None else sizes))
+    term = find("observation", "image_motion")
+    return jax.tree.map(jnp.asarray, term.build(options=term.options(**options))(Frame(index, tuple(images), None, None, sizes, before=earlier)))
+
+
+def factor(scene, **options):
+    term = find("likelihood", "image_motion")
+    return term.build(name="motion", options=term.options(**options), body=scene.body, rig=scene.rig)
+
+
+def value(built, now, before, data):
+    return float(jax.jit(lambda built, values, data: built(values, data))(built, {NOW: now, BEFORE: before}, {built.name: data}))
+
+
+def moved(scene):
+    return scene.pose + 0.03 * np.random.default_rng(5).normal(size=scene.pose.shape)
+
+
+@pytest.mark.parametrize("on_surface", [False, True])
+def test_points_are_where_the_rigid_parts_carry_them(scene, on_surface):
+    given = scene("poon_fleet_23")
+    body = replace(given.body, sections=jnp.ones_like(given.body.sections))
+    earlier = replace(given.rig, translation=given.rig.translation + jnp.array([0.01, -0.02, 0.03]))
+    placed = part_transforms(body, moved(given)), part_transforms(body, given.pose)
+    places = jnp.array([[0.2, -0.6], [0.7, 0.1], [0.9, 0.95]])
+    points = carried_points(body, (given.rig, earlier), placed, places, on_surface)
+    for c in range(2):
+        one, before = (jax.tree.map(lambda leaf, c=c: leaf[c], rig) for rig in (given.rig, earlier))
+        patch = patches(body, placed[0], one.viewpoint)
+        axis = np.asarray(placed[0].z)
+        for number, (t, s) in enumerate(np.asarray(places)):
+            across = np.asarray(patch.across + t * patch.taper)
+            radius = np.linalg.norm(across, axis=1, keepdims=True)
+            towards = np.cross(axis, across / radius)
+            towards *= np.sign(np.sum(towards * (np.asarray(one.viewpoint) - np.asarray(patch.start)), axis=1, keepdims=True))
+            world = np.asarray(patch.start + t * patch.along) + s * across + on_surface * np.sqrt(1 - s**2) * radius * towards
+            cylinders = ~np.array(body.topology.is_sphere)
+            in_part = transforms.turn(jnp.swapaxes(placed[0].rotation, 1, 2), world - placed[0].origin)
+            then = transforms.apply(placed[1], in_part)
+            for camera, place, found in ((one, jnp.asarray(world), points.now), (before, then, points.before)):
+                expected = np.asarray(project(camera, place)[0])
+                got = np.stack([found.u[c, :, number], found.v[c, :, number]], axis=1)
+                np.testing.assert_allclose(got[cylinders], expected[cylinders], atol=1e-6)
+
+
+def test_a_point_is_covered_where_it_lies_in_the_outline_of_a_nearer_part(scene):
+    given = scene("person_40")
+    placed = part_transforms(given.body, given.pose)
+    places = jnp.array([[t, s] for t in (0.1, 0.5, 0.9) for s in (-0.8, 0.0, 0.8)])
+    points = carried_points(given.body, (given.rig, given.rig), (placed, placed), places, on_surface=False)
+    assert not np.array(given.body.topology.is_sphere).any() and 0.05 < float(points.covered.mean()) < 0.95
+    for c in range(2):
+        camera = jax.tree.map(lambda leaf, c=c: leaf[c], given.rig)
+        patch = patches(given.body, placed, camera.viewpoint)
+        middle = placed.origin + given.body.lengths[:, None] / 2 * placed.z
+        depth = np.asarray((middle @ camera.rotation.T + camera.translation)[:, 2])
+        corners = np.stack([patch.start + t * patch.along + s * (patch.across + t * patch.taper) for t, s in ((0, -1), (1, -1), (1, 1), (0, 1))], 1)
+        outlines = np.asarray(project(camera, jnp.asarray(corners))[0], np.float32)
+        for part in range(len(depth)):
+            for sample in range(len(places)):
+                place = float(points.now.u[c, part, sample]), float(points.now.v[c, part, sample])
+                inside = [cv2.pointPolygonTest(outline, place, measureDist=True) for outline in outlines]
+                nearer = [each for each, other in zip(inside, depth, strict=True) if other < depth[part]]
+                if min((abs(each) for each in nearer), default=1.0) > 1e-3:
+                    assert bool(points.covered[c, part, sample]) == any(each > 0 for each in nearer)
+
+
+@pytest.mark.parametrize("mapping", ["plane", "cylinder"])
+def test_where_nothing_changes_the_value_is_known(scene, mapping):
+    given = scene("person_40")
+    images = given.frame.images
+    data = observe(images, images, given.rig)
+    places = np.asarray(data.places)
+    placed = part_transforms(given.body, given.pose)
+    points = carried_points(given.body, (given.rig, given.rig), (placed, placed), jnp.asarray(places), mapping == "cylinder")
+    shown = ~np.asarray(points.covered) & np.asarray(points.now.visible)
+    for c, image in enumerate(images):
+        u, v = np.asarray(points.now.u[c]), np.asarray(points.now.v[c])
+        shown[c] &= (u >= 0) & (v >= 0) & (u <= image.shape[1] - 1) & (v <= image.shape[0] - 1)
+    q = np.where(shown, points.cosine, 0.0)
+    matched = 0.8 * np.asarray(points.cosine) / (5 * np.sqrt(2 * np.pi)) + 0.2 / 256
+    expected = np.log(q * matched + (1 - q) / 256).sum()
+    assert ((points.cosine >= LEAST_COSINE) & (points.cosine <= 1)).all()
+    found = value(factor(given, mapping=mapping, noise_grey=5.0, outlier_share=0.2, precision=0.5), given.pose, given.pose, data)
+    np.testing.assert_allclose(found, 0.5 * expected, rtol=1e-6)
+
+
+def test_the_printed_form_mixes_once_for_a_limb(scene):
+    given = scene("arm_4")
+    data = observe(given.frame.images, given.frame.images, given.rig, samples=(3, 2))
+    placed = part_transforms(given.body, given.pose)
+    points = carried_points(given.body, (given.rig, given.rig), (placed, placed), data.places, on_surface=False)
+    # The arm is inside both images.
+    q = jnp.where(points.covered, 0.0, points.cosine).mean(axis=-1)
+    image = 0.1 / 256 + 0.9 * points.cosine.mean(axis=-1) / (8 * np.sqrt(2 * np.pi))
+    expected = float(jnp.sum(jnp.log(q * image + (1 - q) / 256)))
+    np.testing.assert_allclose(value(factor(given, mixture="limb"), given.pose, given.pose, data), expected, rtol=1e-6)
+
+
+def rolled(rig):
+    """The rig of a frame before, in which each camera was turned about its optical axis, and the pictures of both frames."""
+    c, s = np.cos(ROLL_RAD), np.sin(ROLL_RAD)
+    turn = jnp.asarray([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    earlier = replace(rig, rotation=turn @ rig.rotation, translation=rig.translation @ turn.T)
+
+    def pattern(x, y):
+        waves = [np.sin(a * x + b * y + k) for k, (a, b) in enumerate(np.random.default_rng(3).normal(0, 0.25, (6, 2)))]
+        return np.clip(128 + 35 * np.sum(waves, axis=0), 0, 255).round().astype(np.uint8)
+
+    pictures = []
+    for view in range(2):
+        width, height = np.asarray(rig.size[view], int)
+        x, y = np.meshgrid(np.arange(width), np.arange(height))
+        x, y = x - float(rig.centre[view, 0]), y - float(rig.centre[view, 1])
+        pictures.append((pattern(x, y), pattern(c * x + s * y, -s * x + c * y)))
+    return earlier, [now for now, _ in pictures], [before for _, before in pictures]
+
+
+def test_a_camera_that_turns_explains_the_motion_of_its_picture_and_mutants_do_not(scene):
+    given = scene("arm_4")
+    plain = {"distortion": 0 * given.rig.distortion, "skew": 0 * given.rig.skew, "radius_max": 0 * given.rig.radius_max + 1e3}
+    # Square pixels: a turn of the camera is then a turn of the picture.
+    square = replace(given.rig, **plain, focal=jnp.broadcast_to(given.rig.focal[:, :1], (2, 2)))
+    given = given._replace(rig=square)
+    earlier, now, before = rolled(given.rig)
+    built = factor(given)
+    right = value(built, given.pose, given.pose, observe(now, before, earlier))
+    still = value(built, given.pose, given.pose, observe(now, now, given.rig))
+    assert abs(right - still) < 0.02 * abs(still)
+    swapped = value(built, given.pose, given.pose, observe(before, now, earlier))
+    standing = value(built, given.pose, given.pose, observe(now, before, given.rig))
+    another = value(built, given.pose, moved(given), observe(now, before, earlier))
+    assert max(swapped, standing, another) < right - 20
+
+
+@pytest.mark.parametrize("options", [{"mapping": "plane"}, pytest.param({"mapping": "cylinder", "mixture": "limb"}, marks=pytest.mark.long)])
+def test_gradients_agree_with_central_differences(scene, options):
+    given = scene("arm_4")
+    earlier, now, before = rolled(given.rig)
+    data, built = observe(now, before, earlier, samples=(3, 2)), factor(given, **options)
+    both = jnp.concatenate([given.pose, moved(given)])
+    target = jax.jit(lambda x: built({NOW: x[: len(x) // 2], BEFORE: x[len(x) // 2 :]}, {built.name: data}))
+    direction, step = np.random.default_rng(7).normal(size=both.shape), 1e-6
+    slope = float(jax.jit(jax.grad(target))(both) @ direction)
+    difference = float(target(both + step * direction) - target(both - step * direction)) / (2 * step)
+    assert abs(slope) > 1 and abs(slope - difference) < 1e-5 * abs(slope)
+
+
+def test_a_first_frame_and_cameras_that_missed_a_frame_say_nothing(scene):
+    given = scene("arm_4")
+    images, rig = given.frame.images, given.rig
+    first = observe(images, index=0)
+    assert bool(is_silent(first)) and value(factor(given), given.pose, moved(given), first) == 0
+    alone = [observe(images, [images[0], None], rig), observe([None, images[1]], images, rig, sizes=images)]
+    both = value(factor(given), given.pose, given.pose, observe(images, images, rig))
+    np.testing.assert_allclose(sum(value(factor(given), given.pose, given.pose, each) for each in alone), both, rtol=1e-9)
+    assert not any(bool(is_silent(each)) for each in alone)
+
+
+def test_random_places_change_with_the_frame_and_not_with_the_particle(scene):
+    given = scene("arm_4")
+    drawn = [np.asarray(observe(given.frame.images, index=index, random=True).places) for index in (1, 1, 2)]
+    assert (drawn[0] == drawn[1]).all() and (drawn[0] != drawn[2]).all() and drawn[0].shape == (32, 2)
+    assert (np.abs(drawn[0] - (0.5, 0)) <= (0.5, 1)).all()
