@@ -146,13 +146,31 @@ def shape_patches(shapes: Shapes, T_world_part: Transform, viewpoint: Vector3) -
     return Patches(*(jnp.where(is_sphere, disc, cylinder) for disc, cylinder in zip(discs, cylinders, strict=True)))
 
 
+def half_depths(shapes: Shapes, T_world_part: Transform, viewpoint: Vector3) -> Float[Array, "part 3"]:
+    """From the axis to the surface that faces a viewpoint, for sections of radius one: half way between the two sides of the contour."""
+    view = T_world_part.origin - viewpoint
+    cos, sin = _contour(shapes, T_world_part, view)
+    depth = _on_section(shapes, T_world_part, -sin, cos)
+    return jnp.where(transforms.dot(depth, view)[:, None] > 0, -depth, depth)
+
+
 def _side(shapes: Shapes, T_world_part: Transform, view: Float[Array, "part 3"]) -> Float[Array, "part 3"]:
-    """From the axis to the occluding contour, for a section of radius one (formula of the module)."""
-    sx, sy = shapes.sections[:, 0], shapes.sections[:, 1]
-    nx, ny = transforms.dot(view, T_world_part.y) / sy, -transforms.dot(view, T_world_part.x) / sx
+    """From the axis to the occluding contour, for a section of radius one."""
+    return _on_section(shapes, T_world_part, *_contour(shapes, T_world_part, view))
+
+
+def _contour(shapes: Shapes, T_world_part: Transform, view: Float[Array, "part 3"]) -> tuple[Float[Array, " part"], Float[Array, " part"]]:
+    """The cosine and the sine of the contour's angle (formula of the module)."""
+    nx, ny = transforms.dot(view, T_world_part.y) / shapes.sections[:, 1], -transforms.dot(view, T_world_part.x) / shapes.sections[:, 0]
     # For a view exactly end-on the contour is undefined. The clamp keeps it finite; such a part has no visible side anyway.
     scale = jax.lax.rsqrt(jnp.maximum(nx * nx + ny * ny, 1e-12))
-    return (nx * scale * sx)[:, None] * T_world_part.x + (ny * scale * sy)[:, None] * T_world_part.y
+    return nx * scale, ny * scale
+
+
+def _on_section(shapes: Shapes, T_world_part: Transform, cos: Float[Array, " part"], sin: Float[Array, " part"]) -> Float[Array, "part 3"]:
+    """The point of a section of radius one at an angle of its ellipse, relative to its centre."""
+    sx, sy = shapes.sections[:, 0], shapes.sections[:, 1]
+    return (cos * sx)[:, None] * T_world_part.x + (sin * sy)[:, None] * T_world_part.y
 
 
 def _discs(shapes: Shapes, T_world_part: Transform, viewpoint: Vector3) -> Patches:

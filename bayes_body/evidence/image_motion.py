@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -37,8 +36,3 @@ def stratified(along: int, across: int) -> Float[np.ndarray, "sample 2"]:
 def random_places(along: int, across: int, seed: int) -> Float[np.ndarray, "sample 2"]:
     """Return as many uniform places."""
     return np.random.default_rng(seed).uniform((0.0, -1.0), (1.0, 1.0), (along * across, 2))
-
-
-def is_silent(evidence: ImageMotion) -> Bool[Array, ""]:
-    """Whether no camera saw both frames, so that nothing is compared."""
-    return ~jnp.any(jnp.asarray(evidence.both))

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from bayes_body.body.placement import POSE
-from bayes_body.detection.detect import Detected, detect
+from bayes_body.detection.detect import TRUSTED, Detected, detect
 from bayes_body.errors import input_error
 from bayes_body.evidence.markers import MARKERS
 from bayes_body.initial.fit import fit, fit_draws, unbounded
@@ -32,7 +32,6 @@ from bayes_body.kernels.parts.batching import everywhere
 from bayes_body.kernels.parts.resampling import resampler
 from bayes_body.model.build import Model
 from bayes_body.observation.frames import read_frame
-from bayes_body.recording.camera_path import cameras_at
 from bayes_body.session.session import Session
 
 # Poses that are drawn.
@@ -83,7 +82,7 @@ def check_pictures(model: Model, session: Session) -> None:
         InputError: they do not, or a file of frame 0 cannot be used.
     """
     _check_silhouettes(model, session)
-    detected = detect(session, 0)
+    detected = detect(session, 0, TRUSTED)
     if TRUNK not in detected.parts:
         _nobody(detected, model, session)
 
@@ -113,8 +112,9 @@ def poses_of(model: Model, session: Session, found: Found, frame: int = 0, seed:
     if model.body.variable != POSE:
         return told
     exchanged = fit_to(model, session, found._replace(names=tuple(map(_other_leg, found.names))), seed)
-    placed = model.at(cameras_at(session, frame)) if session.moves else model
-    density = everywhere(placed.density(placed.observe(read_frame(session, frame)), placed.start(1)))
+    seen = read_frame(session, frame)
+    placed = model.at(seen.cameras) if session.moves else model
+    density = everywhere(placed.density(placed.observe(seen), placed.start(1)))
     # Each way to face keeps its share: one frame must not decide again what several have decided.
     ahead = _is_ahead(found)[_taken(found, seed)]
     refined = [
@@ -219,7 +219,7 @@ def _later(session: Session) -> str:
     """Return words on the first frame that shows a person, if a frame that is looked at does."""
     step = max(1, round(LOOK_S * session.fps))
     for frame in range(step, min(session.frames, step * LOOKED_AT + 1), step):
-        if TRUNK in detect(session, frame, ("silhouettes",)).parts:
+        if TRUNK in detect(session, frame, TRUSTED).parts:
             return f", but one was in frame {frame}"
     return ""
 

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from bayes_body.body.placement import placed_markers
 from bayes_body.density.density import Density
 from bayes_body.density.graph import Mixture
-from bayes_body.detection.detect import Detected, detect
+from bayes_body.detection.detect import TRUSTED, Detected, detect
 from bayes_body.detection.detections import Detections, chosen
 from bayes_body.initial.facing import Way, shares_over_time, way_of
 from bayes_body.initial.proposals import by_parts, frames_of, proposals_of
@@ -24,12 +24,9 @@ from bayes_body.initial.search import search
 from bayes_body.kernels.parts.batching import everywhere
 from bayes_body.model.build import build_model
 from bayes_body.observation.frames import read_frame
-from bayes_body.recording.camera_path import cameras_at
 from bayes_body.session.session import Session
 from bayes_body.shapes import Key
 
-# Detectors of the root. Limbs are drawn from the joints' densities, so where they are detected plays no role.
-DETECTORS = ("keypoints", "silhouettes", "standing", "faces")
 # The loose-limbed body that is searched for.
 LOOSE = "loose_limbed_15"
 # Draws whose markers are on average so near, metres, are of one mode. With fewer effective draws there is no mode: all draws of the way count.
@@ -146,19 +143,21 @@ class PersonSearch:
         return self._searched[index]
 
     def _search_frame(self, index: int) -> Searched:
-        detected = detect(self.session, index, DETECTORS)
         begun = time.perf_counter()
+        frame = read_frame(self.session, index)
+        # Only the root is read from them. Limbs and head are drawn from the joints' densities.
+        detected = detect(self.session, frame, TRUSTED)
         root = by_parts(self.model.body).names[0]
         halves = _by_facing(detected.parts.get(root), self.up)
         ways = list[Way]()
         if halves:
-            model = self.model.at(cameras_at(self.session, index)) if self.session.moves else self.model
-            density = everywhere(model.density(model.observe(read_frame(self.session, index)), self._before))
+            model = self.model.at(frame.cameras) if self.session.moves else self.model
+            density = everywhere(model.density(model.observe(frame), self._before))
             keys = jax.random.split(jax.random.fold_in(jax.random.key(self.seed), index), len(halves))
             for key, (half, share) in zip(keys, halves, strict=True):
                 roots = proposals_of(detected._replace(parts={root: half}, landmarks={}), model.body, self._frames)[0]
                 ways.append(self._way(key, density, roots, share))
-        return Searched(detected, tuple(ways), {**detected.seconds, "search": time.perf_counter() - begun})
+        return Searched(detected, tuple(ways), {**detected.seconds, "search": time.perf_counter() - begun - sum(detected.seconds.values())})
 
     def _way(self, key: Key, density: Density, roots: Mixture, share: float) -> Way:
         drawn = jax.device_get(self._search(everywhere(key), density, everywhere(roots)))

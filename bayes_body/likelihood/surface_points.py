@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from bayes_body.body.solids import Body, shape_patches
+from bayes_body.body.solids import Body, half_depths, shape_patches
 from bayes_body.geometry import camera as cameras
 from bayes_body.geometry import transforms
 from bayes_body.geometry.camera import Camera, Pixels
@@ -50,9 +50,9 @@ def carried_points(
     """Return the points that each camera sees of the parts.
 
     Args:
-        body: the body.
+        body: the body, metres.
         rigs: the cameras in this frame and in the frame before.
-        placed: `T_world_part` of all parts in this frame and in the frame before.
+        placed: `T_world_part` of all parts in this frame and in the frame before, metres.
         places: t from 0 to 1 and s from -1 to 1, for every part.
         on_surface: whether points lie on the surface, not on the patch through the axis.
     """
@@ -92,24 +92,13 @@ def _vectors(body: Body, T_world_part: Transform, camera: Camera) -> tuple[Vecto
     patches = shape_patches(body.seen, T_world_part, camera.viewpoint)
     near, far = body.outline_radii[:, :1], body.outline_radii[:, 1:]
     is_sphere = jnp.array(body.topology.is_sphere)[:, None]
-    depth = jnp.where(is_sphere, _towards(body, T_world_part, camera), _half_depth(body, T_world_part, camera))
+    depth = jnp.where(is_sphere, _towards(body, T_world_part, camera), half_depths(body.seen, T_world_part, camera.viewpoint))
     return jnp.stack([*patches, depth * near, jnp.where(is_sphere, 0.0, depth * (far - near))]), depth
 
 
 def _towards(body: Body, T_world_part: Transform, camera: Camera) -> Float[Array, "part 3"]:
     """The unit vector from the middle of a part to the camera."""
     return transforms.unit(camera.viewpoint - T_world_part.origin - body.lengths[:, None] / 2 * T_world_part.z)
-
-
-def _half_depth(body: Body, T_world_part: Transform, camera: Camera) -> Float[Array, "part 3"]:
-    """The point of a section of radius one, relative to its centre, that is a quarter turn of the ellipse's angle from the contour."""
-    sx, sy = body.sections[:, 0], body.sections[:, 1]
-    view = T_world_part.origin - camera.viewpoint
-    # The contour is at the angle (cos, sin) of body/solids.py; a quarter turn from there the surface faces the camera.
-    nx, ny = transforms.dot(view, T_world_part.y) / sy, -transforms.dot(view, T_world_part.x) / sx
-    scale = jax.lax.rsqrt(jnp.maximum(nx * nx + ny * ny, 1e-12))
-    depth = (-ny * scale * sx)[:, None] * T_world_part.x + (nx * scale * sy)[:, None] * T_world_part.y
-    return depth * jnp.where(transforms.dot(depth, view) > 0, -1.0, 1.0)[:, None]
 
 
 def _carried(vectors: Vectors, now: Transform, before: Transform) -> Vectors:

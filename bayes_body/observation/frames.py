@@ -85,7 +85,8 @@ def read_frame(session: Session, index: int, with_before: bool = False) -> Frame
     if not has_silhouettes(session):
         return Frame(index, images, None, None, sizes, keypoints, cameras_at(session, index), before)
     silhouettes = [_Silhouette(session, index, view, image is not None) for view, image in zip(session.views, images, strict=True)]
-    masks, foreground = (_OnDemand([lambda s=s, name=name: getattr(s, name) for s in silhouettes]) for name in ("mask", "foreground"))
+    masks = _OnDemand([lambda s=s: s.mask for s in silhouettes])
+    foreground = _OnDemand([lambda s=s: s.foreground for s in silhouettes])
     return Frame(index, images, masks, foreground, sizes, keypoints, cameras_at(session, index), before)
 
 

@@ -22,7 +22,6 @@ from bayes_body.kernels.parts.batching import everywhere
 from bayes_body.model.build import Model
 from bayes_body.observation.frames import prefetch, read_frame
 from bayes_body.plugins.load import check_own_factors
-from bayes_body.recording.camera_path import cameras_at
 from bayes_body.session.session import Session
 from bayes_body.shapes import Key
 from bayes_body.tracking.draws import Draws, FrameResult, FrameStore, timing_of
@@ -128,7 +127,7 @@ class _Observed(NamedTuple):
 def _observations(session: Session, model: Model, frames: range) -> Generator[_Observed]:
     def observe(index: int) -> _Observed:
         frame = read_frame(session, index, model.reads_before)
-        factors = everywhere(model.at(cameras_at(session, index)).factors) if session.moves else None
+        factors = everywhere(model.at(frame.cameras).factors) if session.moves else None
         return _Observed(np.array(frame.seen), everywhere(model.observe(frame)), factors)
 
     return prefetch(frames, observe)
