@@ -15,7 +15,7 @@ from bayes_body.body.skeleton import Skeleton
 
 # Dofs of an arm. A body with other names keeps its arms.
 ARM = "_(clavicle|shoulder|elbow|wrist)"
-# Log-likelihood that another arm must gain. Arms of eight walkers gained 2.6 at most, an arm that stands out 2.2 to 4.0 (six seeds).
+# Log-likelihood that another arm must gain. Arms of walkers gained 2.6 at most (32 comparisons), an arm that stands out 2.2 to 4.0 (six).
 LEAST_GAIN = 3.0
 # Of each side, drawn arms that climb; and the standard deviations of their steps, degrees.
 CLIMB, STEPS_DEG = 11, (10.0, 6.0, 4.0, 2.5, 1.5)
