@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING
 import typer
 
 from bayes_body.cli.edge_statistics import edge_statistics
+from bayes_body.cli.image_motion import image_motion
 from bayes_body.cli.kinematic_potentials import kinematic_potentials
 from bayes_body.cli.learned_files import check_out, motion_files, portable
 from bayes_body.cli.likelihood_scale import likelihood_scale
 from bayes_body.cli.regions import regions
+from bayes_body.cli.smooth_motion import smooth_motion
 from bayes_body.cli.walking_angles import walking_angles
 
 if TYPE_CHECKING:
@@ -19,7 +21,9 @@ app = typer.Typer(help="Learn from captured motion, or from recordings with thei
 app.command("likelihood-scale")(likelihood_scale)
 app.command("edge-statistics")(edge_statistics)
 app.command("regions")(regions)
+app.command("image-motion")(image_motion)
 app.command("walking-angles")(walking_angles)
+app.command("smooth-motion")(smooth_motion)
 app.command("kinematic-potentials")(kinematic_potentials)
 
 

@@ -8,6 +8,9 @@ draws in the paper). These draws also estimate the evidence, as accurately as a 
 particles of an annealed filter. A chain runs from each state, and its first states are burn-in. The remaining states of all chains are the particles.
 They have equal weight and are ordered by chain.
 
+If a likelihood reads the previous frame, like image motion, that sum would cost one evaluation of the images for each ancestor. Then the chains run
+on the *extended* view: each has an ancestor, which a Gibbs step redraws among `candidates` before each trajectory.
+
 `carry` chooses the components of the next frame's mixture. They are either the means of the chains, as in the paper, one component per chain, or the
 draws themselves, each with an ancestor drawn from $p(i \mid s_t)$. Means keep only the spread between chains, not that of the posterior. A filter
 with one chain treats the previous frame as known exactly.
@@ -23,18 +26,19 @@ from jaxtyping import Array, Float, Int
 from pydantic import Field, model_validator
 
 from bayes_body.density.density import Density, Unconstrained
+from bayes_body.density.extended import extended
 from bayes_body.density.factor import Particles, State, Transition
 from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.density.spaces import Flat
 from bayes_body.kernels.parts.adaptation import FEWEST
 from bayes_body.kernels.parts.batching import axes_of, over_particles
-from bayes_body.kernels.parts.hamiltonian import Chain, Sampler, Schedule, chain_figures, effective_draws, run_chain
+from bayes_body.kernels.parts.hamiltonian import Chain, Sampler, Schedule, WithAncestor, chain_figures, effective_draws, run_chain
 from bayes_body.kernels.parts.mass import correlated, inverse_mass
 from bayes_body.kernels.parts.moves import check_gradients
 from bayes_body.kernels.parts.resampling import Scheme, resampler
 from bayes_body.kernels.parts.starts import Initialisation, Start, StartsBy, by_annealing, by_importance, by_tempering
 from bayes_body.registry import register
-from bayes_body.shapes import Index, Key
+from bayes_body.shapes import Index, Key, Scalar
 from bayes_body.toml.read import validate
 from bayes_body.toml.schema import Count, Positive, Schema, Share
 
@@ -51,7 +55,8 @@ class Options(Schema):
     size. `jitter` is the fraction by which a trajectory's number of steps varies. With a `target_acceptance`, burn-in tunes the step. With
     `mass = "adapted"`, burn-in estimates the mass matrix, beginning with that of the curvature, and all chains adapt together. The starts of the
     chains are chosen among `starts` draws of the prediction, by weight (`starts_by = "importance"`) or by annealing. If the prior has potentials,
-    like the joints of a loose-limbed body, they are chosen among as many particles of `tempered`.
+    like the joints of a loose-limbed body, they are chosen among as many particles of `tempered`. `candidates` is the number of ancestors among which
+    a chain redraws its own, if a likelihood reads the previous frame.
     """
 
     particles: Count = 400
@@ -67,6 +72,7 @@ class Options(Schema):
     starts_by: StartsBy = "importance"
     starts: Annotated[int, Field(strict=True, ge=0)] = 100
     carry: Carry = "draws"
+    candidates: Count = 8
     resampling: Scheme = "systematic"
 
     @model_validator(mode="after")
@@ -138,8 +144,8 @@ class _Filter:
         # JAX cannot check which values differ between devices in the loop of NUTS or in a sum over chains.
         checked = self.options.sampler != "nuts" and not together
         ran: Chain = over_particles(self._chain(length, together), (keys, begin.starts), target, batch, checked, CHAINS)
-        draws = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], ran.positions)
-        states, ancestors = self._states(ancestor_key, draws, target)
+        draws, ancestors = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], (ran.positions, ran.ancestors))
+        states, ancestors = self._states(ancestor_key, draws, target) if ancestors is None else (_whole(draws, ancestors, target), ancestors)
         by_dof = effective_draws(_reported(target, ran.positions))
         ess = jnp.min(by_dof)
         info = FilterInfo(
@@ -179,9 +185,22 @@ class _Filter:
             mass = inverse_mass(target, start.position, target.density.ancestor(start.ancestor), whole)
             if options.mass == "particles":
                 mass = correlated(mass, *_coordinates(target))
-            return run_chain(key, start.position, target, jnp.asarray(options.step, mass.dtype), mass, schedule, axes)
+            view = self._with_ancestor(start, target.density) if target.density.likelihood_reads_previous else target
+            return run_chain(key, start.position, view, jnp.asarray(options.step, mass.dtype), mass, schedule, axes)
 
         return run
+
+    def _with_ancestor(self, start: Start, density: Density) -> WithAncestor:
+        """Return the extended view as a target, beginning with the ancestor that a chain's start was predicted from."""
+        view, candidates = extended(density), self.options.candidates
+
+        def redraw(key: Key, ancestor: Index, position: State) -> Index:
+            return view.choose_ancestor(key, ancestor, position, 1.0, candidates)
+
+        def given(ancestor: Index) -> Callable[[State], Scalar]:
+            return lambda position: view.log_density(ancestor, position)[0]
+
+        return WithAncestor(start.ancestor, given, redraw, candidates)
 
     def _states(self, key: Key, draws: State, target: Unconstrained) -> tuple[State, Int[Array, " particle"]]:
         """Return the whole states of draws, each with an ancestor drawn from p(i | s)."""
@@ -191,6 +210,16 @@ class _Filter:
 
         keys = jax.random.split(key, jax.tree.leaves(draws)[0].shape[0])
         return over_particles(complete, (keys, draws), target)
+
+
+def _whole(draws: State, ancestors: Int[Array, " particle"], target: Unconstrained) -> State:
+    """Return the whole states of draws whose ancestors are known."""
+    transition = target.density.transition
+
+    def whole(position: State, ancestor: Index) -> State:
+        return transition.carry(target.density.ancestor(ancestor), target.constrain(position))
+
+    return jax.vmap(whole)(draws, ancestors)
 
 
 def _reported(target: Unconstrained, positions: State) -> Float[Array, "chain draw entry"]:

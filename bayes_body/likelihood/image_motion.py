@@ -19,7 +19,7 @@ it is 0. Points are not pixels, and neighbours are not independent; $\rho$ = `pr
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,9 +32,9 @@ from bayes_body.density.factor import Factor, Variable, Variables
 from bayes_body.evidence.image_motion import BEFORE, LEVELS, NOW, ImageMotion
 from bayes_body.evidence.silhouette_edges import look_up
 from bayes_body.geometry.camera import Camera, Pixels
-from bayes_body.likelihood.surface_points import CarriedPoints, carried_points
+from bayes_body.likelihood.surface_points import carried_points
 from bayes_body.registry import register
-from bayes_body.shapes import Scalar
+from bayes_body.shapes import Configuration, Scalar
 from bayes_body.toml.schema import Positive, Schema
 
 type Mapping = Literal["plane", "cylinder"]
@@ -43,6 +43,14 @@ type Unlikely = Annotated[float, Field(strict=True, gt=0, lt=1)]
 
 # The density of a grey value about which nothing is known.
 UNIFORM = 1 / 256
+
+
+class Compared(NamedTuple):
+    """Of each point: the difference of its grey values in both frames (levels), the cosine of its angle, and its visibility q."""
+
+    difference: Float[Array, "camera part sample"]
+    cosine: Float[Array, "camera part sample"]
+    visibility: Float[Array, "camera part sample"]
 
 
 class Options(Schema):
@@ -73,26 +81,26 @@ class ImageMotionPotential:
     def __call__(self, values: Variables, data: ImageMotion) -> Scalar:
         """Return the log-likelihood of two configurations."""
         now, before = (values[Variable(self.body.variable, offset)] for offset in (0, -1))
-        placed = part_transforms(self.body, now), part_transforms(self.body, before)
-        rigs = self.rig, replace(self.rig, rotation=jnp.asarray(data.rotation), translation=jnp.asarray(data.translation))
-        points = carried_points(self.body, rigs, placed, jnp.asarray(data.places), self.mapping == "cylinder")
-        difference, seen = self._compared(points, data)
-        q = jnp.where(seen & ~points.covered, points.cosine, 0.0)
-        terms = self._by_pixel(difference, points.cosine, q) if self.mixture == "pixel" else self._by_limb(difference, points.cosine, q)
+        compared = self.compared(now, before, data)
+        terms = (self._by_pixel if self.mixture == "pixel" else self._by_limb)(*compared)
         # One sum over all axes: with few optimisations, XLA's CPU backend computed a sum over parts of sums over points wrongly (jaxlib 0.12.0).
         total = self.precision * jnp.sum(jnp.where(data.both[:, None], terms, 0.0))
         # A part that no camera sees would hide a NaN.
         return jnp.where(jnp.isfinite(jnp.sum(now) + jnp.sum(before)), total, jnp.nan)
 
-    def _compared(self, points: CarriedPoints, data: ImageMotion) -> tuple[Float[Array, "camera part sample"], Bool[Array, "camera part sample"]]:
-        """Return the differences of grey values between the frames, in levels, and which points are in both pictures."""
+    def compared(self, now: Configuration, before: Configuration, data: ImageMotion) -> Compared:
+        """Return what is compared, given the configurations in this frame and in the frame before."""
+        placed = part_transforms(self.body, now), part_transforms(self.body, before)
+        rigs = self.rig, replace(self.rig, rotation=jnp.asarray(data.rotation), translation=jnp.asarray(data.translation))
+        points = carried_points(self.body, rigs, placed, jnp.asarray(data.places), self.mapping == "cylinder")
         count = points.now.u.shape[-1]
 
         def grey(which: int, pixels: Pixels[Array]) -> Array:
             return look_up(data.pictures, jnp.full(count, which, jnp.int32), "bilinear", self.rig, pixels)
 
         difference = LEVELS * (grey(NOW, points.now) - grey(BEFORE, points.before))
-        return difference, self._inside(points.now) & self._inside(points.before)
+        seen = self._inside(points.now) & self._inside(points.before)
+        return Compared(difference, points.cosine, jnp.where(seen & ~points.covered, points.cosine, 0.0))
 
     def _inside(self, pixels: Pixels[Array]) -> Bool[Array, "camera part sample"]:
         width, height = (self.rig.size[:, axis, None, None] for axis in (0, 1))

@@ -36,6 +36,7 @@ from bayes_body.posterior import stream_posterior
 from bayes_body.posterior.diagnostics import diagnose, sentences, worst_figures
 from bayes_body.posterior.stream import stored_frames
 from bayes_body.registry import find, notes
+from bayes_body.runs.frame_pairs import check_pairs
 from bayes_body.runs.model_choice import choose_model
 from bayes_body.runs.recovery import PersonRecovery
 from bayes_body.runs.settings import AUTO, GIVEN, Record, Settings, choose, stored_record
@@ -89,6 +90,7 @@ def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
     record = describe(settings.session, name, definition, kind, options.model_dump(), described)
     if before:
         refuse_changes(settings.out, before, record)
+    pairs = check_pairs(session, model, chosen.frames or session.frames, show, bar)
     must_fit = (is_fitted(session) or not is_posed(model, session)) and not fitted_before
     kernel = term.build(options=options)
     compiling = compiled_ahead(session, model, kernel, options.particles) if must_fit else nullcontext()
@@ -105,7 +107,7 @@ def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
                 key, many = jax.random.key(chosen.seed), options.particles
                 recovery = PersonRecovery(session, model, chosen.seed, show) if recover else None
                 draws = track(session, model, kernel, key, many, chosen.runs, chosen.frames, on_frame, frames, ahead, recovery)
-            return _finish(session, draws, settings.out, {"kernel": kind, "seed": chosen.seed}, show, bar)
+            return _finish(session, draws, settings.out, {"kernel": kind, "seed": chosen.seed}, pairs, show, bar)
 
 
 def _chosen_model(session: Session, show: Show) -> str:
@@ -159,15 +161,15 @@ def _remark_on_stop(frames: FrameFiles, out: Path, show: Show) -> Iterator[None]
         raise
 
 
-def _finish(session: Session, draws: Draws, out: Path, figures: Mapping[str, Any], show: Show, bar: bool) -> dict[str, Any]:
-    """Write posterior, summary and pictures, unless they exist for all frames; `figures` go into the summary unchanged."""
+def _finish(session: Session, draws: Draws, out: Path, figures: Mapping[str, Any], remarks: list[str], show: Show, bar: bool) -> dict[str, Any]:
+    """Write posterior, summary and pictures, unless they exist for all frames; `figures` and `remarks` (warnings) go into the summary."""
     if stored_frames(out / POSTERIOR_FILE) != len(draws.frames):
         stream_posterior(draws, out / POSTERIOR_FILE, figures)
     diagnosis, warnings = _diagnosed(out, bar)
     summary = _stored_summary(out / SUMMARY_FILE)
     if summary.get("frames") != len(draws.frames):
         summary = summarise(session, draws, **figures, watch=watched("figures", bar)) | diagnosis
-        summary["warnings"] = [*fit_sentences(summary), *warnings]
+        summary["warnings"] = [*fit_sentences(summary), *remarks, *warnings]
         write_text(out / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
     if not is_drawn(out, len(draws.frames)):
         draw_overlay(session, draws, out, watched("pictures", bar))

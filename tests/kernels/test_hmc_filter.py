@@ -6,13 +6,15 @@ from functools import cache, partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpyro.distributions as dist
 import pytest
 from blackjax.mcmc import hmc as blackjax_hmc
 from blackjax.mcmc import metrics
 from closed_forms.targets import conjugate, skewed
 
 from bayes_body.density.coordinates import Coordinates
-from bayes_body.density.factor import Factor, Variable
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Factor, Particles, Transition, Variable
 from bayes_body.density.spaces import SO3, circle
 from bayes_body.errors import InputError
 from bayes_body.kernels import hmc_filter
@@ -92,6 +94,50 @@ def test_means_and_spreads_are_those_of_the_posterior(posterior, target, options
     assert np.allclose(first, target.mean, atol=0.01)
     assert _off(draws.mean(axis=1), target.mean) < 4
     assert _off((draws**2).mean(axis=1), second) < 4.5
+
+
+X, BEFORE = Variable("x"), Variable("x", -1)
+ANCESTORS, SHARES = np.array([[0.0, 0.5], [1.0, -0.3], [2.5, 0.4]]), np.array([0.5, 0.3, 0.2])
+MOVED, MOVED_SD, WALK_SD = np.array([0.4, 0.2]), 0.3, 0.5
+
+
+def _step(previous):
+    return {"x": dist.Normal(previous["x"], WALK_SD).to_event(1)}
+
+
+def _moved(values, moved):
+    """How far it has moved, as an image of both frames would tell."""
+    return jnp.sum(dist.Normal(values[X] - 0.6 * values[BEFORE], MOVED_SD).log_prob(moved))
+
+
+def _of_two_frames(count):
+    """A density whose likelihood reads the previous frame: three ancestors, each repeated."""
+    number = np.repeat(np.arange(3), count // 3)
+    previous = Particles({"x": jnp.asarray(ANCESTORS[number], jnp.float32)}, jnp.asarray(np.log(SHARES[number] / (count // 3)), jnp.float32))
+    factors = (Factor("moved", "likelihood", (X, BEFORE), jax.tree_util.Partial(_moved)),)
+    return Density(Transition("walk", jax.tree_util.Partial(_step), jax.tree_util.Partial(_unused)), factors, {"moved": jnp.asarray(MOVED)}, previous)
+
+
+def _unused(state, scale):
+    return {"x": dist.Normal(state["x"], scale).to_event(1)}
+
+
+@pytest.mark.parametrize("sampler", ["hmc", pytest.param("nuts", marks=pytest.mark.long)])
+def test_a_likelihood_of_two_frames_has_its_ancestor_redrawn(sampler):
+    """The posterior is a mixture of Gaussians, one of each ancestor, with known weights."""
+    count = CHAINS * DRAWS
+    density = _of_two_frames(count)
+    assert density.likelihood_reads_previous
+    draws, info = _means(density, sampler=sampler, carry="draws", step=0.8)
+    precision = 1 / WALK_SD**2 + 1 / MOVED_SD**2
+    means = (ANCESTORS / WALK_SD**2 + (MOVED + 0.6 * ANCESTORS) / MOVED_SD**2) / precision
+    weights = SHARES * np.exp(-0.5 * np.sum((MOVED - 0.4 * ANCESTORS) ** 2, axis=1) / (WALK_SD**2 + MOVED_SD**2))
+    weights /= weights.sum()
+    assert _off(draws.mean(axis=1), weights @ means) < 4
+    assert _off((draws**2).mean(axis=1), weights @ (means**2 + 1 / precision)) < 4.5
+    of_chains = np.asarray(info.ancestors).reshape(CHAINS, -1) // (count // 3)
+    found = np.stack([(of_chains == k).mean(axis=1) for k in range(3)], axis=1)
+    assert _off(found, weights) < 4
 
 
 @pytest.mark.long

@@ -12,10 +12,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from bayes_body.density.sharding import varying_like
 from bayes_body.kernels.parts import adaptation
-from bayes_body.shapes import Key, Scalar
+from bayes_body.shapes import Index, Key, Scalar
 
 type Position = Mapping[str, Array]
 type Sampler = Literal["hmc", "nuts"]
+type LogDensity = Callable[[Any], Scalar]
 
 # A trajectory with a larger energy error, in nats, counts as divergent.
 DIVERGENCE = 1000.0
@@ -47,6 +48,22 @@ class Schedule(NamedTuple):
     adapts_mass: bool = False
 
 
+class WithAncestor(NamedTuple):
+    """A target whose chain has an ancestor too, which a Gibbs step redraws before each trajectory.
+
+    Attributes:
+        start: the first ancestor.
+        given: ancestor -> the log-density of a position given that ancestor.
+        redraw: (key, ancestor, position) -> another ancestor; leaves p(ancestor | position) invariant.
+        evaluations: number of evaluations of the density per redraw.
+    """
+
+    start: Index
+    given: Callable[[Index], LogDensity]
+    redraw: Callable[[Key, Index, Position], Index]
+    evaluations: int
+
+
 class Chain(NamedTuple):
     """The draws of a chain, and figures for each transition after burn-in.
 
@@ -57,6 +74,7 @@ class Chain(NamedTuple):
         energy: total energy, nats, up to a constant.
         step: the factor of the step size after burn-in.
         gradients: number of evaluations of the density with its gradient, including burn-in.
+        ancestors: the ancestor of each draw, if the target has one.
     """
 
     positions: dict[str, Float[Array, "draw *shape"]]
@@ -65,12 +83,13 @@ class Chain(NamedTuple):
     energy: Float[Array, " transition"]
     step: Scalar
     gradients: Int[Array, ""]
+    ancestors: Int[Array, " draw"] | None = None
 
 
 def run_chain(
     key: Key,
     position: Position,
-    log_density: Callable[[Any], Scalar],
+    log_density: LogDensity | WithAncestor,
     step: Scalar,
     inverse_mass: Float[Array, " dof *dof"],
     schedule: Schedule,
@@ -89,28 +108,38 @@ def run_chain(
     """
     from blackjax.mcmc import hmc
 
-    move = _transition(log_density, schedule)
+    move = _transition(schedule)
     plan = adaptation.Plan(schedule.burn_in, schedule.target_acceptance, schedule.adapts_mass, axes)
+    extended = log_density if isinstance(log_density, WithAncestor) else None
 
-    def one(carry: tuple[Any, adaptation.AdaptationState], turn: tuple[Array, Key]) -> tuple[tuple[Any, adaptation.AdaptationState], Any]:
-        (state, adapted), (index, move_key) = carry, turn
+    def one(carry: tuple[Any, adaptation.AdaptationState, Any], turn: tuple[Array, Key]) -> tuple[tuple[Any, adaptation.AdaptationState, Any], Any]:
+        (state, adapted, ancestor), (index, key) = carry, turn
+        target: Any = log_density
+        if extended is not None:
+            key, redraw_key = jax.random.split(key)
+            ancestor = extended.redraw(redraw_key, ancestor, state.position)
+            target = extended.given(ancestor)
+            state = cast(Any, hmc.init)(state.position, target)
         # A matrix that does not change is factored once, before the loop.
         mass = inverse_mass if adapted.metric is None else adapted.metric.inverse_mass
-        state, info = move(move_key, state, jnp.where(index < 0, 0.0, adapted.step), mass, index)
+        state, info = move(key, state, target, jnp.where(index < 0, 0.0, adapted.step), mass, index)
         adapted = adaptation.update(plan, adapted, index, state, info.acceptance_rate)
         steps = jnp.asarray(info.num_integration_steps, jnp.int32)
-        return (state, adapted), (dict(state.position), info.acceptance_rate, info.is_divergent, info.energy, steps)
+        return (state, adapted, ancestor), (dict(state.position), info.acceptance_rate, info.is_divergent, info.energy, steps, ancestor)
 
-    # The gradient is most of the program. Evaluating it before the first move would compile it a second time. Only NUTS needs that.
-    evaluated = schedule.sampler == "nuts"
+    # The gradient is most of the program. Evaluating it before the first move would compile it a second time. Only NUTS needs that. After a redraw
+    # of the ancestor it is evaluated anyway.
+    evaluated = schedule.sampler == "nuts" and extended is None
     first = cast(Any, hmc.init)(dict(position), log_density) if evaluated else _unevaluated(position)
-    numbers = jnp.arange(0 if evaluated else -1, schedule.burn_in + schedule.draws * schedule.thinning)
-    start = varying_like((first, adaptation.init(plan, step, inverse_mass, position)), position)
-    (_, adapted), out = jax.lax.scan(one, start, (numbers, jax.random.split(key, numbers.size)))
-    positions, acceptance, divergent, energy, steps = out
-    burnt = numbers.size - schedule.draws * schedule.thinning
-    draws = {name: value[burnt + schedule.thinning - 1 :: schedule.thinning] for name, value in positions.items()}
-    return Chain(draws, acceptance[burnt:], divergent[burnt:], energy[burnt:], adapted.step, jnp.sum(steps) + evaluated)
+    numbers = jnp.arange(0 if evaluated or extended is not None else -1, schedule.burn_in + schedule.draws * schedule.thinning)
+    ancestor = None if extended is None else extended.start
+    start = varying_like((first, adaptation.init(plan, step, inverse_mass, position), ancestor), position)
+    (_, adapted, _), out = jax.lax.scan(one, start, (numbers, jax.random.split(key, numbers.size)))
+    positions, acceptance, divergent, energy, steps, ancestors = out
+    burnt, kept = numbers.size - schedule.draws * schedule.thinning, slice(schedule.thinning - 1, None, schedule.thinning)
+    draws, ancestors = jax.tree.map(lambda each: each[burnt:][kept], (positions, ancestors))
+    redrawn = 0 if extended is None else numbers.size * (extended.evaluations + 1)
+    return Chain(draws, acceptance[burnt:], divergent[burnt:], energy[burnt:], adapted.step, jnp.sum(steps) + evaluated + redrawn, ancestors)
 
 
 def chain_figures(chains: Chain) -> dict[str, Array]:
@@ -156,16 +185,16 @@ def _unevaluated(position: Position) -> Any:
     return hmc.HMCState(dict(position), cast(Any, jnp.full((), -jnp.inf, dtype)), jax.tree.map(jnp.zeros_like, dict(position)))
 
 
-def _transition(log_density: Callable[[Any], Scalar], schedule: Schedule) -> Callable[[Key, Any, Scalar, Array, Int[Array, ""]], tuple[Any, Any]]:
-    """Return (key, state, step, inverse mass, index) -> the state after transition `index`, and information. Index -1 has one leapfrog step."""
+def _transition(schedule: Schedule) -> Callable[[Key, Any, LogDensity, Scalar, Array, Int[Array, ""]], tuple[Any, Any]]:
+    """Return (key, state, target, step, inverse mass, index) -> the state after transition `index`, and information. Index -1 has one step."""
     from blackjax.mcmc import hmc, nuts
 
     if schedule.sampler == "nuts":
         kernel = cast(Any, nuts.build_kernel)(divergence_threshold=DIVERGENCE)
-        return lambda key, state, size, mass, _: kernel(key, state, log_density, size, mass, DOUBLINGS)
+        return lambda key, state, target, size, mass, _: kernel(key, state, target, size, mass, DOUBLINGS)
     kernel = cast(Any, hmc.build_kernel)(divergence_threshold=DIVERGENCE)
 
     def steps(index: Array) -> Array:
         return jnp.where(index < 0, 1, leapfrog_steps(schedule, index))
 
-    return lambda key, state, size, mass, index: kernel(key, state, log_density, size, mass, steps(index))
+    return lambda key, state, target, size, mass, index: kernel(key, state, target, size, mass, steps(index))

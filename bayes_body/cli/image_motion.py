@@ -1,0 +1,32 @@
+"""`bayes-body learn image-motion`: options of the likelihood `image_motion`, from recordings with known truth."""
+
+from pathlib import Path
+
+import typer
+
+from bayes_body.cli.track import check_range
+
+
+def image_motion(
+    sessions: list[Path] = typer.Argument(help="Folders of recordings with their truth, such as those made by `bayes-body simulate`."),
+    model: str = typer.Option(..., "--model", help="A definition's name or the path of your own, with the likelihood `image_motion`."),
+    frames: int = typer.Option(10, "--frames", help="Number of evenly spaced pairs of frames of each recording."),
+) -> None:
+    """Learn `noise_grey`, `outlier_share` and `precision` of the likelihood `image_motion`, and print them."""
+    from bayes_body.config import configure
+
+    configure()
+    from bayes_body.cli.models import checked_definition
+    from bayes_body.learning.image_motion import motion_noise, motion_pairs
+    from bayes_body.session.read import load_session
+
+    check_range("--frames", frames, 1)
+    definition, everything = checked_definition(model), []
+    for path in sessions:
+        pairs = list(motion_pairs(load_session(path), definition, frames))
+        found = motion_noise(pairs)
+        everything += pairs
+        told = f"noise_grey {found.noise_grey:.2f}, outlier_share {found.outlier_share:.3f}, precision {found.precision:.3f}"
+        typer.echo(f"# {path.name}: {told}, {sum(pair.difference.size for pair in pairs):,} points")
+    found = motion_noise(everything)
+    typer.echo(f"noise_grey = {found.noise_grey:.2f}\noutlier_share = {found.outlier_share:.3f}\nprecision = {found.precision:.3f}")

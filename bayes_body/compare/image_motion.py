@@ -1,0 +1,156 @@
+r"""Tracking by image motion, compared with the motion prior alone and with edges too, on a filmed walk (Sidenbladh, Black & Fleet 2000, 7).
+
+The absolute error of a frame is the mean distance of the markers of the mean body from the true ones; the relative error is the same after both pelvises
+are put in one place. The drift is the slope of the absolute error over the frames, by least squares, times 50 frames.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.errors import input_error
+from bayes_body.files.shipped import definitions_folder
+from bayes_body.initial import load_model
+from bayes_body.kernels import particle_filter
+from bayes_body.learning.walking_cycle import load_cycle, walk
+from bayes_body.metrics.truth import draws_against_truth
+from bayes_body.model.build import Model
+from bayes_body.model.definition import Definition, load_definition
+from bayes_body.recording.mocap import landmarks, read_motion, resample
+from bayes_body.recording.rig import read_rig
+from bayes_body.session.session import Session
+from bayes_body.simulation.options import Options
+from bayes_body.simulation.person import build_person
+from bayes_body.simulation.session import simulate
+from bayes_body.simulation.staging import Landmarks, centred, cut, scaled, stature_m
+from bayes_body.tracking.draws import Draws
+from bayes_body.tracking.track import track
+from bayes_body.view.progress import Watch, unwatched
+
+type WalkPath = Literal["straight", "circle"]
+
+STILL, MOVING, FPS, RADIUS_M = "side_1", "moving_1", 30.0, 1.5
+MODEL, WITH_EDGES = "sidenbladh_2000_walking", "image_motion_edges"
+DRIFT_FRAMES = 50
+
+
+class Compared(NamedTuple):
+    """Three tracks of one recording: by image motion, by the motion prior alone, and by image motion with silhouettes and edges."""
+
+    tracked: Draws
+    prior: Draws
+    with_edges: Draws
+
+
+def film_walk(
+    folder: Path, path: WalkPath, moving: bool, frames: int = DRIFT_FRAMES, seed: int = 0, motion: Path | None = None, watch: Watch = unwatched
+) -> Session:
+    """Film a walk in a cluttered room with one camera, 30 frames per second, and write the session.
+
+    Args:
+        folder: the session's folder.
+        path: `circle` bends a straight walk into a circle of RADIUS_M.
+        moving: whether the camera is carried around the person.
+        frames: number of frames.
+        seed: of the person, the room and the noise.
+        motion: a captured walk; by default the walking cycle that ships.
+        watch: wraps the frames to show progress.
+
+    Raises:
+        InputError: the folder already holds a session, or the motion cannot be read or is too short.
+    """
+    rig = replace(read_rig(definitions_folder() / "rigs" / f"{MOVING if moving else STILL}.toml"), fps=FPS)
+    cycle = load_cycle()
+    whole = landmarks(resample(read_motion(motion), FPS)) if motion else walk(cycle, 2 * frames / FPS, FPS, seed=seed, height_m=cycle.height_m)
+    chosen = cut(whole, max(0, (len(whole["pelvis"]) - frames) // 2), frames)
+    person = build_person(seed, stature_m(chosen))
+    chosen = scaled(chosen, person.build.height_m / stature_m(chosen))
+    chosen = centred(on_circle(chosen, RADIUS_M) if path == "circle" else chosen, rig.aim_m)
+    return simulate(chosen, rig, person, Options(seed=seed), folder, title=f"a walk, {path}", watch=watch)[0]
+
+
+def on_circle(straight: Landmarks, radius_m: float) -> dict[str, Float[np.ndarray, "frame 3"]]:
+    """Bend a straight walk into a circle: what was a way along the floor is an arc, and the body turns with it. Heights do not change."""
+    pelvis = np.asarray(straight["pelvis"], float)
+    ahead = pelvis[-1, :2] - pelvis[0, :2]
+    ahead = ahead / np.linalg.norm(ahead)
+    aside = np.array([-ahead[1], ahead[0]])
+    angle = (pelvis[:, :2] - pelvis[0, :2]) @ ahead / radius_m
+    bent = {}
+    for name, track in straight.items():
+        away = np.asarray(track, float)[:, :2] - pelvis[:, :2]
+        # The pelvis keeps its distance from the line of walking.
+        along, across = away @ ahead, away @ aside + (pelvis[:, :2] - pelvis[0, :2]) @ aside - radius_m
+        turned = np.stack([along * np.cos(angle) - across * np.sin(angle), along * np.sin(angle) + across * np.cos(angle)], axis=1)
+        bent[name] = np.column_stack([turned @ np.stack([ahead, aside]), np.asarray(track, float)[:, 2]])
+    return bent
+
+
+def uniform(definition: Definition) -> Definition:
+    """Return a definition without likelihoods: the images say nothing."""
+    return replace(definition, likelihoods=())
+
+
+def compare_walk(
+    session: Session, particles: int, seed: int = 0, model: str = MODEL, with_edges: str = WITH_EDGES, frames: int | None = None
+) -> Compared:
+    """Track a recording three times with the particle filter, from the same first pose.
+
+    Args:
+        session: the recording.
+        particles: number of particles.
+        seed: of the filters.
+        model: the definition with image motion.
+        with_edges: the definition with image motion and edges.
+        frames: number of frames; all by default.
+
+    Raises:
+        InputError: a definition or the first pose cannot be used.
+    """
+    definition = load_definition(model)
+
+    def followed(model: Model) -> Draws:
+        return track(session, model, particle_filter.build_kernel(), jax.random.key(seed), particles, frames=frames)
+
+    return Compared(*(followed(load_model(each, session, lambda line: None)) for each in (definition, uniform(definition), with_edges)))
+
+
+def motion_figures(session: Session, found: Compared) -> dict[str, Any]:
+    """Return the figures of the comparison.
+
+    Raises:
+        InputError: the session has no truth.
+    """
+    errors = [_errors(session, draws) for draws in found]
+    (tracked, relative), (prior, _), (edges, relative_edges) = errors
+    timing = found.tracked.timing
+    return {
+        "relative_error_mm": 1000 * float(relative.mean()),
+        "absolute_error_mm": 1000 * float(tracked.mean()),
+        "prior_only_absolute_error_mm": 1000 * float(prior.mean()),
+        "drift_mm_per_50_frames": drift_mm(tracked),
+        "absolute_error_with_edges_mm": 1000 * float(edges.mean()),
+        "relative_error_with_edges_mm": 1000 * float(relative_edges.mean()),
+        "drift_with_edges_mm_per_50_frames": drift_mm(edges),
+        "effective_particles": float(np.median([frame.info.ess for frame in found.tracked.frames])),
+        "frames": len(tracked),
+        "particles": found.tracked.frames[0].log_weights.shape[1],
+        "seconds_per_frame": (timing.total - timing.compile) / len(tracked),
+    }
+
+
+def drift_mm(error_m: Float[np.ndarray, " frame"]) -> float:
+    """Return the slope of an error over the frames, mm per 50 frames; 0 for one frame."""
+    return 1000 * DRIFT_FRAMES * float(np.polyfit(np.arange(len(error_m)), error_m, 1)[0]) if len(error_m) > 1 else 0.0
+
+
+def _errors(session: Session, draws: Draws) -> tuple[Float[np.ndarray, " frame"], Float[np.ndarray, " frame"]]:
+    """Return the absolute and the relative error of each frame, metres, mean over the runs."""
+    found = draws_against_truth(session, draws)
+    if found is None:
+        raise input_error(session.folder, "no truth", "a session with true markers", "make one with `bayes-body simulate`")
+    return found.plain.frame_error.mean(axis=1), found.plain.relative.mean(axis=1)
