@@ -2,8 +2,8 @@
 
     python inference/prior_only.py --session SESSION --out RUN
 
-If the prior alone stayed on the person, the images would not be needed; if the tracked body followed the prior, they would not be heard. Copy this file
-and change it.
+If the prior alone stayed on the person, the images would not be needed. If the tracked body followed the prior, they would have no effect. Copy this
+file and change it.
 """
 
 import argparse

@@ -1,7 +1,7 @@
 r"""Tracking by image motion, compared with the motion prior alone and with edges too, on a filmed walk (Sidenbladh, Black & Fleet 2000, 7).
 
-The absolute error of a frame is the mean distance of the markers of the mean body from the true ones; the relative error is the same after both pelvises
-are put in one place. The drift is the slope of the absolute error over the frames, by least squares, times 50 frames.
+The absolute error of a frame is the mean distance of the markers of the mean body from the true ones; the relative error is the same after both
+pelvises are put in one place. The drift is the slope of the absolute error over the frames, by least squares, times 50 frames.
 """
 
 from dataclasses import replace
@@ -13,15 +13,17 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.errors import input_error
+from bayes_body.evidence.markers import MARKERS
 from bayes_body.files.shipped import definitions_folder
 from bayes_body.initial import load_model
 from bayes_body.kernels import particle_filter
 from bayes_body.learning.walking_cycle import load_cycle, walk
-from bayes_body.metrics.truth import draws_against_truth
+from bayes_body.metrics.truth import draws_against_truth, true_markers
 from bayes_body.model.build import Model
 from bayes_body.model.definition import Definition, load_definition
 from bayes_body.recording.mocap import landmarks, read_motion, resample
 from bayes_body.recording.rig import read_rig
+from bayes_body.session.read import save_session
 from bayes_body.session.session import Session
 from bayes_body.simulation.options import Options
 from bayes_body.simulation.person import build_person
@@ -33,7 +35,7 @@ from bayes_body.view.progress import Watch, unwatched
 
 type WalkPath = Literal["straight", "circle"]
 
-STILL, MOVING, FPS, RADIUS_M = "side_1", "moving_1", 30.0, 1.5
+STILL, MOVING, FPS, RADIUS_M, HAND_SD_M = "side_1", "moving_1", 30.0, 2.0, 0.015
 MODEL, WITH_EDGES = "sidenbladh_2000_walking", "image_motion_edges"
 DRIFT_FRAMES = 50
 
@@ -70,7 +72,20 @@ def film_walk(
     person = build_person(seed, stature_m(chosen))
     chosen = scaled(chosen, person.build.height_m / stature_m(chosen))
     chosen = centred(on_circle(chosen, RADIUS_M) if path == "circle" else chosen, rig.aim_m)
-    return simulate(chosen, rig, person, Options(seed=seed), folder, title=f"a walk, {path}", watch=watch)[0]
+    session = simulate(chosen, rig, person, Options(seed=seed), folder, title=f"a walk, {path}", watch=watch)[0]
+    session = replace(session, initial_keypoints={}, initial_markers=by_hand(session, seed))
+    save_session(session)
+    return session
+
+
+def by_hand(session: Session, seed: int) -> dict[str, tuple[float, float, float]]:
+    """Return the markers of frame 0 as someone places them by hand, as the paper's first pose was: the true ones with errors of HAND_SD_M."""
+    truth = true_markers(session)
+    if truth is None:
+        raise input_error(session.folder, "no truth", "a session with true markers", "make one with `bayes-body simulate`")
+    placed = truth[0] + np.random.default_rng(seed).normal(0.0, HAND_SD_M, truth[0].shape)
+    x, y, z = placed.T.tolist()
+    return dict(zip(MARKERS, zip(x, y, z, strict=True), strict=True))
 
 
 def on_circle(straight: Landmarks, radius_m: float) -> dict[str, Float[np.ndarray, "frame 3"]]:
@@ -81,12 +96,12 @@ def on_circle(straight: Landmarks, radius_m: float) -> dict[str, Float[np.ndarra
     aside = np.array([-ahead[1], ahead[0]])
     angle = (pelvis[:, :2] - pelvis[0, :2]) @ ahead / radius_m
     bent = {}
-    for name, track in straight.items():
-        away = np.asarray(track, float)[:, :2] - pelvis[:, :2]
+    for name, way in straight.items():
+        away = np.asarray(way, float)[:, :2] - pelvis[:, :2]
         # The pelvis keeps its distance from the line of walking.
         along, across = away @ ahead, away @ aside + (pelvis[:, :2] - pelvis[0, :2]) @ aside - radius_m
         turned = np.stack([along * np.cos(angle) - across * np.sin(angle), along * np.sin(angle) + across * np.cos(angle)], axis=1)
-        bent[name] = np.column_stack([turned @ np.stack([ahead, aside]), np.asarray(track, float)[:, 2]])
+        bent[name] = np.column_stack([turned @ np.stack([ahead, aside]), np.asarray(way, float)[:, 2]])
     return bent
 
 

@@ -144,6 +144,9 @@ def _begin(walk: _Walk, body: Body, first: State) -> dict[str, Array]:
     state = {"coefficients": coefficients[best], "phase": phases[best][None], "position": pose[:3], "orientation": pose[3 : len(ROOT)]}
     if "residual" in walk.sd:
         state["residual"] = left[best]
+    # The transition to frame 0 walks one step. The first pose is that of frame 0, so the state before it is a step behind.
+    ahead = _conditional(walk, state)
+    state |= {name: 2 * state[name] - ahead[name].mean for name in ("phase", "position")}
     return state | _derive(walk, state)
 
 

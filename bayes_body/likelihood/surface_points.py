@@ -141,15 +141,19 @@ def _covered(
 ) -> Bool[Array, "part sample"]:
     """Whether a point lies in the outline of a part whose middle is nearer to the camera."""
     outline = _pixels(camera, vectors, _corners(body, vectors.dtype))
-
-    def inside(u: Float[Array, "4"], v: Float[Array, "4"], visible: Bool[Array, "4"]) -> Bool[Array, "part sample"]:
-        # On the same side of all four edges, in either order of the corners.
-        left = [(u[k] - u[k - 1]) * (pixels.v - v[k - 1]) > (v[k] - v[k - 1]) * (pixels.u - u[k - 1]) for k in range(4)]
-        return ((left[0] == left[1]) & (left[1] == left[2]) & (left[2] == left[3])) & jnp.all(visible)
-
-    within = jax.vmap(inside)(outline.u, outline.v, outline.visible)
-    nearer = depths[:, None] < depths[None, :]
-    return jnp.any(within & nearer[:, :, None], axis=0)
+    u, v = (jnp.stack([each, jnp.roll(each, 1, axis=1)]) for each in (outline.u, outline.v))
+    du, dv = u[0] - u[1], v[0] - v[1]
+    # A point is inside where it is on the inner side of all four edges: a u + b v + c > 0 for each.
+    turn = jnp.sign(jnp.sum(u[1] * v[0] - u[0] * v[1], axis=1, keepdims=True))
+    c = jnp.where(jnp.all(outline.visible, axis=1, keepdims=True), turn * (dv * u[1] - du * v[1]), -jnp.inf)
+    a, b = -turn * dv, turn * du
+    covered = jnp.zeros(pixels.u.shape, bool)
+    # Part by part: XLA's CPU backend makes one vectorised loop over the points of this, and a slow one of an array (part, part, sample).
+    for part in range(len(depths)):
+        inner = [a[part, k] * pixels.u + b[part, k] * pixels.v + c[part, k] for k in range(4)]
+        within = jnp.minimum(jnp.minimum(inner[0], inner[1]), jnp.minimum(inner[2], inner[3])) > 0
+        covered = covered | (within & (depths[part] < depths)[:, None])
+    return covered
 
 
 def _corners(body: Body, dtype: Any) -> Coefficients:
