@@ -94,9 +94,9 @@ def motion_noise(pairs: Sequence[Pair]) -> MotionNoise:
     Raises:
         InputError: the pairs have no visible point, or the likelihood has no peak at the truth.
     """
-    difference, cosine = (np.concatenate([getattr(pair, name) for pair in pairs]) for name in ("difference", "cosine"))
-    if not difference.size:
+    if not any(pair.difference.size for pair in pairs):
         raise input_error("image motion", "no point of the body in any pair of frames", "a person in the pictures", "give other recordings or frames")
+    difference, cosine = (np.concatenate([getattr(pair, name) for pair in pairs]) for name in ("difference", "cosine"))
     noise, share = _mixture(difference, cosine)
     curvature, slope = np.sum([_curvature_and_slope(pair, noise, share, seed) for seed, pair in enumerate(pairs)], axis=0)
     if curvature <= 0:

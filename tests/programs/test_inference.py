@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[2]
 PROGRAMS = sorted((ROOT / "inference").glob("*.py"))
 GRAPHS = {"particle_bp_on_a_grid": "beliefs.png", "particle_bp_smoother": "swing.png", "sensor_localisation": "sensors.png"}
 # Filters follow a whole recording; the others have tests of their own below.
-FILTERS = [path for path in PROGRAMS if path.stem not in {"estimator_variance", "loose_limbed", "recover", *GRAPHS}]
+FILTERS = [path for path in PROGRAMS if path.stem not in {"estimator_variance", "loose_limbed", "recover", "image_motion", "prior_only", *GRAPHS}]
 # These compile the gradient of an image likelihood.
 TIERS = dict.fromkeys(("tempered_smc", "hmc_filter"), pytest.mark.long)
 QUICKLY = [pytest.param(path, marks=TIERS.get(path.stem, ())) for path in FILTERS]
@@ -95,7 +95,7 @@ def test_a_wrong_input_is_a_sentence(run, filtering, walk, tmp_path, fault):
     assert done.out == ""
 
 
-@pytest.mark.parametrize("name", ["loose_limbed", "recover"])
+@pytest.mark.parametrize("name", ["loose_limbed", "recover", "prior_only"])
 def test_a_person_without_a_session_is_a_sentence(run, name, tmp_path):
     out = ("--json", tmp_path / "figures.json") if name == "loose_limbed" else ("--out", tmp_path)
     done = run(ROOT / "inference" / f"{name}.py", "--session", "nowhere", *out)
@@ -126,6 +126,24 @@ def test_a_track_that_starts_from_the_pictures_comes_back_after_black_frames(run
     figures = json.loads((tmp_path / "figures.json").read_text())
     print(figures)
     assert figures["with"]["restarted"] == [9] and figures["with"]["after"] < 120
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("optimised")
+def test_image_motion_beside_the_prior_alone_and_with_edges(run, tmp_path):
+    """The prior ends where it likes; the overlays of all three tracks are there. prior_only says the same of the film."""
+    done = run(ROOT / "inference" / "image_motion.py", "--path", "circle", "--out", tmp_path, "--json", tmp_path / "figures.json", "--quick")
+    assert done.status == 0, done.err
+    figures = json.loads((tmp_path / "figures.json").read_text())
+    print(figures)
+    assert figures["frames"] == 12 and figures["particles"] == 500 and figures["seconds_per_frame"] > 0
+    assert figures["relative_error_mm"] < 150 and figures["absolute_error_mm"] < 200 and figures["effective_particles"] > 1
+    for name in ("tracked", "prior", "with_edges"):
+        assert cv2.VideoCapture(str(tmp_path / name / "overlay.mp4")).get(cv2.CAP_PROP_FRAME_COUNT) == 12
+    done = run(ROOT / "inference" / "prior_only.py", "--session", tmp_path / "recording", "--out", tmp_path / "again", "--quick")
+    assert done.status == 0, done.err
+    assert re.findall(r"^(\w+): \d+ mm from the truth in the mean, \d+ mm in frame 1$", done.out, re.MULTILINE) == ["tracked", "prior_only"]
+    assert cv2.imread(str(tmp_path / "again" / "prior_only" / "errors.png")).std() > 10
 
 
 @pytest.fixture(scope="module")
