@@ -11,7 +11,7 @@ def smooth_motion(
     motions: list[Path] = typer.Argument(help="Captured motions, or folders of them, one folder a person."),
     body: str = typer.Option("sidenbladh_25", "--body", help="The body that follows the motion: its name or the path of your own .toml file."),
 ) -> None:
-    """Learn the standard deviations of `constant_velocity`, and print its `[dynamics]` tables."""
+    """Learn the standard deviations of `constant_velocity`, and print its tables."""
     from bayes_body.config import configure
 
     configure()
