@@ -79,8 +79,9 @@ def _check_refusal(error, blind):
 
 
 def _tier(pair):
-    # Bodies of parts have 60 variables or more, whose gradients take long to trace.
-    return pytest.mark.long if pair.model.startswith("sigal") or (pair.model.startswith("loose") and pair.kernel == "hmc") else pytest.mark.slow
+    """The arms with every kernel, other bodies with their own. The gradients of bodies of parts, with 60 variables or more, take long to trace."""
+    own = pair.kernel == load_definition(pair.model).kernel.kind and not pair.model.startswith("sigal")
+    return pytest.mark.slow if own or pair.model.startswith("arm") or pair.model == "sidenbladh_2000_arm" else pytest.mark.long
 
 
 @pytest.mark.parametrize("pair", [pytest.param(pair, id=f"{pair.model}-{pair.kernel}", marks=_tier(pair)) for pair in ALL])

@@ -43,7 +43,7 @@ def start(session, out):
     return subprocess.Popen(command(session, out, *OPTIONS, *resume), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_killed_among_the_frames_twice(looped, tmp_path, uninterrupted):
     out, killed = tmp_path / "run", []
     for frame in (9, 31):
