@@ -69,11 +69,6 @@ class Density:
         return any(factor.reads_previous for factor in self.factors)
 
     @property
-    def likelihood_reads_previous(self) -> bool:
-        """Whether a likelihood depends on the previous frame. Then the marginal view evaluates the images once for each ancestor."""
-        return any(factor.reads_previous and factor.side == "likelihood" for factor in self.factors)
-
-    @property
     def without_gradient(self) -> tuple[str, ...]:
         """The names of the likelihoods without a useful gradient, which a gradient-based kernel cannot use."""
         return tuple(factor.name for factor in self.factors if factor.side == "likelihood" and not factor.has_gradient)

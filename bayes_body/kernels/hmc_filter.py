@@ -26,19 +26,19 @@ from jaxtyping import Array, Float, Int
 from pydantic import Field, model_validator
 
 from bayes_body.density.density import Density, Unconstrained
-from bayes_body.density.extended import extended
 from bayes_body.density.factor import Particles, State, Transition
 from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.density.spaces import Flat
 from bayes_body.kernels.parts.adaptation import FEWEST
+from bayes_body.kernels.parts.ancestors import compares_frames, whole_states, with_ancestor
 from bayes_body.kernels.parts.batching import axes_of, over_particles
-from bayes_body.kernels.parts.hamiltonian import Chain, Sampler, Schedule, WithAncestor, chain_figures, effective_draws, run_chain
+from bayes_body.kernels.parts.hamiltonian import Chain, Sampler, Schedule, chain_figures, effective_draws, run_chain
 from bayes_body.kernels.parts.mass import correlated, inverse_mass
 from bayes_body.kernels.parts.moves import check_gradients
 from bayes_body.kernels.parts.resampling import Scheme, resampler
 from bayes_body.kernels.parts.starts import Initialisation, Start, StartsBy, by_annealing, by_importance, by_tempering
 from bayes_body.registry import register
-from bayes_body.shapes import Index, Key, Scalar
+from bayes_body.shapes import Index, Key
 from bayes_body.toml.read import validate
 from bayes_body.toml.schema import Count, Positive, Schema, Share
 
@@ -145,7 +145,7 @@ class _Filter:
         checked = self.options.sampler != "nuts" and not together
         ran: Chain = over_particles(self._chain(length, together), (keys, begin.starts), target, batch, checked, CHAINS)
         draws, ancestors = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], (ran.positions, ran.ancestors))
-        states, ancestors = self._states(ancestor_key, draws, target) if ancestors is None else (_whole(draws, ancestors, target), ancestors)
+        states, ancestors = self._states(ancestor_key, draws, target) if ancestors is None else (whole_states(draws, ancestors, target), ancestors)
         by_dof = effective_draws(_reported(target, ran.positions))
         ess = jnp.min(by_dof)
         info = FilterInfo(
@@ -185,22 +185,10 @@ class _Filter:
             mass = inverse_mass(target, start.position, target.density.ancestor(start.ancestor), whole)
             if options.mass == "particles":
                 mass = correlated(mass, *_coordinates(target))
-            view = self._with_ancestor(start, target.density) if target.density.likelihood_reads_previous else target
+            view = with_ancestor(start, target.density, options.candidates) if compares_frames(target.density) else target
             return run_chain(key, start.position, view, jnp.asarray(options.step, mass.dtype), mass, schedule, axes)
 
         return run
-
-    def _with_ancestor(self, start: Start, density: Density) -> WithAncestor:
-        """Return the extended view as a target, beginning with the ancestor that a chain's start was predicted from."""
-        view, candidates = extended(density), self.options.candidates
-
-        def redraw(key: Key, ancestor: Index, position: State) -> Index:
-            return view.choose_ancestor(key, ancestor, position, 1.0, candidates)
-
-        def given(ancestor: Index) -> Callable[[State], Scalar]:
-            return lambda position: view.log_density(ancestor, position)[0]
-
-        return WithAncestor(start.ancestor, given, redraw, candidates)
 
     def _states(self, key: Key, draws: State, target: Unconstrained) -> tuple[State, Int[Array, " particle"]]:
         """Return the whole states of draws, each with an ancestor drawn from p(i | s)."""
@@ -210,16 +198,6 @@ class _Filter:
 
         keys = jax.random.split(key, jax.tree.leaves(draws)[0].shape[0])
         return over_particles(complete, (keys, draws), target)
-
-
-def _whole(draws: State, ancestors: Int[Array, " particle"], target: Unconstrained) -> State:
-    """Return the whole states of draws whose ancestors are known."""
-    transition = target.density.transition
-
-    def whole(position: State, ancestor: Index) -> State:
-        return transition.carry(target.density.ancestor(ancestor), target.constrain(position))
-
-    return jax.vmap(whole)(draws, ancestors)
 
 
 def _reported(target: Unconstrained, positions: State) -> Float[Array, "chain draw entry"]:

@@ -169,6 +169,7 @@ def _finish(session: Session, draws: Draws, out: Path, figures: Mapping[str, Any
     summary = _stored_summary(out / SUMMARY_FILE)
     if summary.get("frames") != len(draws.frames):
         summary = summarise(session, draws, **figures, watch=watched("figures", bar)) | diagnosis
+        summary["frame_pairs"] = remarks
         summary["warnings"] = [*fit_sentences(summary), *remarks, *warnings]
         write_text(out / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
     if not is_drawn(out, len(draws.frames)):

@@ -35,8 +35,8 @@ class Inspection:
 
     @cached_property
     def warnings(self) -> list[str]:
-        """A sentence for each limit that is crossed, and for frames in which the body is not on the person."""
-        return [*fit_sentences(self.run.summary), *sentences(self.diagnosis, self.limits)]
+        """A sentence for frames in which the body is not on the person, for pairs of frames that mislead, and for each limit that is crossed."""
+        return [*fit_sentences(self.run.summary), *self.run.summary.get("frame_pairs", []), *sentences(self.diagnosis, self.limits)]
 
     @property
     def runs(self) -> int:
