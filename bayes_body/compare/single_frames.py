@@ -96,7 +96,7 @@ def _compared(found: Found | Detected, true: Float[np.ndarray, "15 3"] | None) -
 def _is_turned(places: Float[np.ndarray, "*of 15 3"], true: Float[np.ndarray, "15 3"]) -> Bool[np.ndarray, "*of"]:
     """Whether people whose markers are at these places are turned round; False where the true hips are unknown."""
     left, right = MARKERS.index("l_hip"), MARKERS.index("r_hip")
-    return (places[..., left, :] - places[..., right, :]) @ (true[left] - true[right]) < 0
+    return np.asarray((places[..., left, :] - places[..., right, :]) @ (true[left] - true[right]) < 0)
 
 
 def track_figures(session: Session, draws: Draws) -> tuple[dict[str, Any], Float[np.ndarray, " frame"]]:
