@@ -1,8 +1,8 @@
 """The first pose from the pictures alone, for a model of any body: detectors, and a search for a loose-limbed body (initial/person_search.py).
 
 The search samples a body of parts of its own, whatever the model is. Some of its draws are taken, each as often as its weight says, and a pose of the
-model's body is fitted to the markers of each. The model's own likelihood then refines these poses (initial/refine.py). They are equally likely first
-poses: how uncertain the first frame is, and which way the person may face, stays known to the sampler that starts from them.
+model's body is fitted to the markers of each. A likelihood of the whole body then refines these poses (initial/refine.py). They are equally likely
+first poses: how uncertain the first frame is, and which way the person may face, stays known to the sampler that starts from them.
 """
 
 import re
@@ -30,10 +30,12 @@ from bayes_body.initial.report import FirstPose, tell
 from bayes_body.initial.stored import DIGITS
 from bayes_body.kernels.parts.batching import everywhere
 from bayes_body.kernels.parts.resampling import resampler
-from bayes_body.model.build import Model
+from bayes_body.model.build import Model, with_likelihoods
 from bayes_body.observation.frames import read_frame
 from bayes_body.session.session import Session
 
+# The definition whose likelihood compares body and silhouette both ways.
+JUDGE = "tempered_smc"
 # Poses that are drawn.
 DRAWS = 32
 # Warnings: share of the weight that faces the other way, or is elsewhere, and effective draws.
@@ -112,8 +114,8 @@ def poses_of(model: Model, session: Session, found: Found, frame: int = 0, seed:
     if model.body.variable != POSE:
         return told
     exchanged = fit_to(model, session, found._replace(names=tuple(map(_other_leg, found.names))), seed)
-    seen = read_frame(session, frame)
-    placed = model.at(seen.cameras) if session.moves else model
+    seen, judge = read_frame(session, frame), _judge(model)
+    placed = judge.at(seen.cameras) if session.moves else judge
     density = everywhere(placed.density(placed.observe(seen), placed.start(1)))
     # Each way to face keeps its share: one frame must not decide again what several have decided.
     ahead = _is_ahead(found)[_taken(found, seed)]
@@ -124,6 +126,16 @@ def poses_of(model: Model, session: Session, found: Found, frame: int = 0, seed:
     ]
     draws = jnp.asarray(np.concatenate(refined).round(DIGITS))
     return told._replace(pose=draws[0], draws=draws)
+
+
+def _judge(model: Model) -> Model:
+    """Return the model whose likelihood refines found poses: the model itself if it compares keypoints, else with the likelihood of JUDGE.
+
+    Many likelihoods reward a body inside the silhouette and do not ask what it leaves uncovered, or say nothing about a single frame. With them, arms
+    are folded in front of the trunk.
+    """
+    of_keypoints = any(term.kind == "markers_gaussian" for term in model.definition.likelihoods)
+    return model if of_keypoints else with_likelihoods(model, JUDGE)
 
 
 def _is_ahead(found: Found) -> Bool[np.ndarray, " draw"]:

@@ -1,6 +1,6 @@
-"""Poses that were found are drawn again by the likelihood of the model that will track: they come nearer, and legs may change places.
+"""Poses that were found are drawn again by a likelihood of the whole body: they come nearer, and legs may change places.
 
-The search has a likelihood of each part on its own, and may exchange legs. The model's likelihood sees the whole body. So the found poses, and those
+The search has a likelihood of each part on its own, and may exchange legs. A likelihood of the whole body can tell. So the found poses, and those
 with the legs exchanged, become the particles of a filter that sees the frame several times. From round to round the steps of the dofs get smaller.
 Particles are weighted with the power of the likelihood with which EFFECTIVE of them are effective, at most 1. So the poses stay apart as far as the
 picture allows. Before one of the rounds, arms that stand out are looked for (initial/arms.py).

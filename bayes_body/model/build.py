@@ -133,6 +133,18 @@ def build_model(name: str | Path | Definition, session: Session) -> Model:
     return Model(definition, body, rig, transition, after_found, tuple(factors), first, observers)
 
 
+def with_likelihoods(model: Model, name: str | Path | Definition) -> Model:
+    """Return the model with the likelihoods of another definition, on the same body and with the same constraints.
+
+    Raises:
+        InputError: there is no such definition, or a likelihood does not fit the body's placement.
+    """
+    definition = name if isinstance(name, Definition) else load_definition(name)
+    factors, observers = _likelihoods(definition, model.body, model.rig)
+    others = [factor for factor in model.factors if factor.side != "likelihood"]
+    return replace(model, factors=(*factors, *others), observers=observers)
+
+
 def _transition(definition: Definition, body: Body, session: Session, gap: float) -> Transition:
     """Return the motion prior over a number of frames, which only random walks heed."""
     own, subject_sd = definition.dynamics, _motion_sd(session.subject, definition)

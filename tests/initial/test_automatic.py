@@ -73,3 +73,22 @@ def test_what_the_search_is_not_sure_of_is_shown(model, scene, found, monkeypatc
     )
     warnings = [line for line in lines if "warning" in line]
     assert len(warnings) == 3 and "face the other way, with a probability of 0.25" in warnings[0] and "probability of 0.45" in warnings[1]
+
+
+def test_one_likelihood_refines_whatever_tracks(scene):
+    """On the body and with the constraints of the model that tracks; a model of keypoints has its own."""
+    session = scene(1)
+    kinds = {}
+    for name in ("deutscher_apf", "sidenbladh_2000_smooth", "markers_31"):
+        model = build_model(name, session)
+        judge = automatic._judge(model)
+        assert judge.body is model.body
+        assert [f.name for f in judge.factors if f.side != "likelihood"] == [f.name for f in model.factors if f.side != "likelihood"]
+        kinds[name] = [f.name for f in judge.factors if f.side == "likelihood"], set(judge.observers)
+    assert kinds == {
+        "deutscher_apf": (["silhouette_edges"], {"silhouette_edges"}),
+        "sidenbladh_2000_smooth": (["silhouette_edges"], {"silhouette_edges"}),
+        "markers_31": (["markers_gaussian"], {"markers_gaussian"}),
+    }
+    (of_judge,) = [f for f in automatic._judge(build_model("deutscher_apf", session)).factors if f.side == "likelihood"]
+    assert of_judge.log_potential.covers
