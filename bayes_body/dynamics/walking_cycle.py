@@ -46,7 +46,8 @@ LEG = ("l_hip", "l_knee", "l_ankle")
 PHASES = 128
 # No residual is more certain than this. The twist of the head, for one, is 0 in all learned walks, because no marker shows it.
 LEAST_RESIDUAL = math.radians(1.0)
-# Standard deviation of the error of a first pose, whose angles are fitted to a few points.
+# Standard deviation of the error of a first pose, whose angles are fitted to a few points. Coefficients and phase allow for it. What they leave is
+# the residual's, so that the state's pose is the given one.
 FIRST_SD = math.radians(10.0)
 
 
@@ -136,7 +137,7 @@ def _begin(walk: _Walk, body: Body, first: State) -> dict[str, Array]:
         basis = jnp.tensordot(walk.modes, T, ((1,), (0,)))
         coefficients = jnp.linalg.solve((basis / variance) @ basis.T + jnp.eye(len(basis), dtype=basis.dtype), (basis / variance) @ away)
         left = away - coefficients @ basis
-        return jnp.sum(left**2 / variance) + jnp.sum(coefficients**2), coefficients, left * walk.residual**2 / variance
+        return jnp.sum(left**2 / variance) + jnp.sum(coefficients**2), coefficients, left
 
     phases = jnp.arange(PHASES, dtype=walk.mean.dtype) / PHASES
     costs, coefficients, left = jax.vmap(at)(phases)

@@ -1,4 +1,4 @@
-"""What `image_motion` compares: the picture of a frame, that of the frame before, and where the cameras were then."""
+"""What `image_motion` compares: the picture of a frame, that of the frame before as it was and as the background carries it, and the cameras then."""
 
 from typing import NamedTuple
 
@@ -7,14 +7,14 @@ from jaxtyping import Array, Bool, Float
 
 from bayes_body.evidence.silhouette_edges import Packed
 
-# The order of a camera's two pictures.
-NOW, BEFORE = range(2)
+# The order of a camera's three pictures.
+NOW, BEFORE, BACKGROUND = range(3)
 # Grey levels per unit of a picture's value.
 LEVELS = 255.0
 
 
 class ImageMotion(NamedTuple):
-    """The two pictures of each camera, packed.
+    """The pictures of each camera, packed: this frame, the frame before, and the frame before as if everything had moved with the background.
 
     `rotation` and `translation` are the cameras' extrinsics in the frame before. `places` are the points of every part that are compared, t from 0
     to 1 along its axis and s from -1 to 1 across it. `both` says which cameras saw both frames; in the first frame it is false for all.

@@ -5,12 +5,16 @@ but for noise. With $\eta$ their difference, $\epsilon$ = `outlier_share`, $\sig
 log-likelihood is
 
 $$\rho \sum_{\text{cameras}} \sum_{\text{points}} \log \Big[ q \Big( (1 - \epsilon)\, \mathcal N\big(\eta; 0, (\sigma / \cos\alpha)^2\big)
-  + \frac{\epsilon}{256} \Big) + \frac{1 - q}{256} \Big].$$
+  + \frac{\epsilon}{256} \Big) + \frac{1 - q}{256} \Big] - \log b.$$
 
 - Points: `plane` takes the patch through the axis that faces the camera, as the paper does; $\alpha$ is the angle between the axis and the image
   plane. `cylinder` takes the surface itself; $\alpha$ is the angle between its normal and the view.
 - $q = \cos\alpha$. It is 0 for a point that a nearer part covers, and for one that is outside a picture in either frame: what is not seen counts as
   much as any grey value, so nothing is gained by hiding.
+- b says how well the background explains the same pixel. It is what the first logarithm is of, with the difference from the frame before as the
+  background carries it, and $\sigma$ instead of $\sigma / \cos\alpha$. With it, the whole picture has a density, and the pixels beside the body are
+  a constant factor. A limb that is put on a wall gains nothing from the wall, although the wall stands as still as a limb can. The ratio is that of
+  Sidenbladh & Black 2001 (Learning image statistics for Bayesian tracking). `background = false` sets b = 1, as in the paper of 2000.
 - `mixture = "limb"` is the paper's (10) to (12) as printed: one mixture for all points of a part, with the mean of their visibilities.
 
 The factor reads the configuration of the frame before (offset -1): each particle is compared with its own past. Where no camera saw the frame before
@@ -29,7 +33,7 @@ from pydantic import Field
 
 from bayes_body.body.solids import Body, part_transforms
 from bayes_body.density.factor import Factor, Variable, Variables
-from bayes_body.evidence.image_motion import BEFORE, LEVELS, NOW, ImageMotion
+from bayes_body.evidence.image_motion import BACKGROUND, BEFORE, LEVELS, NOW, ImageMotion
 from bayes_body.evidence.silhouette_edges import look_up
 from bayes_body.geometry.camera import Camera, Pixels
 from bayes_body.likelihood.surface_points import carried_points
@@ -46,9 +50,14 @@ UNIFORM = 1 / 256
 
 
 class Compared(NamedTuple):
-    """Of each point: the difference of its grey values in both frames (levels), the cosine of its angle, and its visibility q."""
+    """What is compared at each point.
+
+    `difference` is that of its grey values in both frames (levels), `still` that of its pixel's grey value and the background's before, `cosine` that
+    of its angle, and `visibility` is q.
+    """
 
     difference: Float[Array, "camera part sample"]
+    still: Float[Array, "camera part sample"]
     cosine: Float[Array, "camera part sample"]
     visibility: Float[Array, "camera part sample"]
 
@@ -61,10 +70,13 @@ class Options(Schema):
     precision: Positive = 1.0
     mapping: Mapping = "plane"
     mixture: Mixing = "pixel"
+    background: bool = True
 
 
 @partial(
-    jax.tree_util.register_dataclass, meta_fields=["mapping", "mixture"], data_fields=["body", "rig", "noise_grey", "outlier_share", "precision"]
+    jax.tree_util.register_dataclass,
+    meta_fields=["mapping", "mixture", "background"],
+    data_fields=["body", "rig", "noise_grey", "outlier_share", "precision"],
 )
 @dataclass(frozen=True)
 class ImageMotionPotential:
@@ -72,6 +84,7 @@ class ImageMotionPotential:
 
     mapping: Mapping
     mixture: Mixing
+    background: bool
     body: Body
     rig: Camera
     noise_grey: Scalar
@@ -82,7 +95,10 @@ class ImageMotionPotential:
         """Return the log-likelihood of two configurations."""
         now, before = (values[Variable(self.body.variable, offset)] for offset in (0, -1))
         compared = self.compared(now, before, data)
-        terms = (self._by_pixel if self.mixture == "pixel" else self._by_limb)(*compared)
+        mixed = self._by_pixel if self.mixture == "pixel" else self._by_limb
+        terms = mixed(compared.difference, compared.cosine, compared.visibility)
+        if self.background:
+            terms = terms - mixed(compared.still, jnp.ones_like(compared.cosine), compared.visibility)
         # One sum over all axes: with few optimisations, XLA's CPU backend computed a sum over parts of sums over points wrongly (jaxlib 0.12.0).
         total = self.precision * jnp.sum(jnp.where(data.both[:, None], terms, 0.0))
         # A part that no camera sees would hide a NaN.
@@ -98,9 +114,11 @@ class ImageMotionPotential:
         def grey(which: int, pixels: Pixels[Array]) -> Array:
             return look_up(data.pictures, jnp.full(count, which, jnp.int32), "bilinear", self.rig, pixels)
 
-        difference = LEVELS * (grey(NOW, points.now) - grey(BEFORE, points.before))
+        here = grey(NOW, points.now)
         seen = self._inside(points.now) & self._inside(points.before)
-        return Compared(difference, points.cosine, jnp.where(seen & ~points.covered, points.cosine, 0.0))
+        still = grey(BACKGROUND, points.now) if self.background else here
+        visibility = jnp.where(seen & ~points.covered, points.cosine, 0.0)
+        return Compared(LEVELS * (here - grey(BEFORE, points.before)), LEVELS * (here - still), points.cosine, visibility)
 
     def _inside(self, pixels: Pixels[Array]) -> Bool[Array, "camera part sample"]:
         width, height = (self.rig.size[:, axis, None, None] for axis in (0, 1))
@@ -127,5 +145,5 @@ def _log_normal(value: Array, sd: Array) -> Array:
 def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
     """Build the factor for one rig and body."""
     noise, share, precision = (jnp.asarray(value, body.lengths.dtype) for value in (options.noise_grey, options.outlier_share, options.precision))
-    potential = ImageMotionPotential(options.mapping, options.mixture, body, rig, noise, share, precision)
+    potential = ImageMotionPotential(options.mapping, options.mixture, options.background, body, rig, noise, share, precision)
     return Factor(name=name, side="likelihood", scope=(Variable(body.variable), Variable(body.variable, -1)), log_potential=potential)

@@ -1,11 +1,11 @@
 """What is wrong with a recording for a likelihood that compares frames: frames that repeat, and a camera that moves although no path is given."""
 
 from collections.abc import Callable, Iterable
-from typing import Any
 
 import cv2
 import numpy as np
 
+from bayes_body.observation.background_motion import corner_ways
 from bayes_body.observation.pictures import Greys, read_greys
 from bayes_body.recording.check import named
 from bayes_body.session.session import Session, View
@@ -15,8 +15,8 @@ from bayes_body.session.session import Session, View
 REPEATED_SHARE, REPEATED_LEVELS = 0.001, 2
 # The background of a camera that stands still moves by less, in pixels per frame.
 STILL_PX = 0.5
-# Pairs of frames that are looked at for a moving camera, and corners in each.
-PAIRS, CORNERS, FEWEST = 12, 300, 20
+# Pairs of frames that are looked at for a moving camera.
+PAIRS = 12
 
 
 def pair_sentences(session: Session, frames: int, watch: Callable[[range], Iterable[int]] = iter) -> list[str]:
@@ -66,10 +66,5 @@ def _repeats(now: Greys, before: Greys) -> bool:
 
 def _shift_px(before: Greys, now: Greys) -> float:
     """Return by how far most corners of the picture moved; the person has fewer of them than the background. NaN: too few corners."""
-    corners: Any = cv2.goodFeaturesToTrack(before, CORNERS, 0.01, 8)
-    if corners is None or len(corners) < FEWEST:
-        return float("nan")
-    empty: Any = None
-    moved, found, _ = cv2.calcOpticalFlowPyrLK(before, now, corners, empty)
-    steps = (moved - corners)[found.ravel() == 1].reshape(-1, 2)
-    return float(np.linalg.norm(np.median(steps, axis=0))) if len(steps) >= FEWEST else float("nan")
+    start, end = corner_ways(before, now)
+    return float(np.linalg.norm(np.median(end - start, axis=0))) if len(start) else float("nan")

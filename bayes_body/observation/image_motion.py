@@ -1,6 +1,7 @@
 """The pictures of a frame and of the frame before, for the likelihood `image_motion` (Sidenbladh, Black & Fleet 2000, 4).
 
-A Gaussian smooths the pictures, as in the paper, so that their difference has a gradient over a few pixels. The points that are compared are a fixed
+A Gaussian smooths the pictures, as in the paper, so that their difference has a gradient over a few pixels. The background of a camera that stands
+still stays where it is; that of a camera that moves is carried by a homography. The points that are compared are a fixed
 grid on each part, so that the density is a function of the state alone. With `random`, they are drawn anew for each frame, as in the paper, the same
 for all particles.
 """
@@ -14,7 +15,9 @@ from numpy.typing import NDArray
 
 from bayes_body.evidence.image_motion import LEVELS, ImageMotion, random_places, stratified
 from bayes_body.evidence.silhouette_edges import pack
+from bayes_body.observation.background_motion import carried_background
 from bayes_body.observation.frames import Frame
+from bayes_body.observation.pictures import Greys
 from bayes_body.registry import register
 from bayes_body.toml.schema import Count, Positive, Schema
 
@@ -32,7 +35,7 @@ class Options(Schema):
 def build(options: Options, **_: Any) -> Callable[[Frame], ImageMotion]:
     """Pack the pictures of a frame and of the frame before, as NumPy arrays. A frame without `before` has no pair."""
 
-    def packed(image: NDArray[np.uint8] | None, shape: tuple[int, int]) -> NDArray[np.uint32]:
+    def packed(image: Greys | None, shape: tuple[int, int]) -> NDArray[np.uint32]:
         nothing = np.empty((0, 0), np.float32)
         picture = nothing if image is None else cv2.GaussianBlur(image.astype(np.float32), (0, 0), options.smooth_px) / np.float32(LEVELS)
         return pack(np.asarray(picture, np.float32), 0.0, shape)
@@ -45,9 +48,11 @@ def build(options: Options, **_: Any) -> Callable[[Frame], ImageMotion]:
         extrinsics = nowhere if earlier is None else [(camera.rotation, camera.translation_m) for camera in earlier.cameras]
         rotations, translations = (np.stack(each).astype(np.float32) for each in zip(*extrinsics, strict=True))
         pairs = list(zip(frame.images, before, strict=True))
+        moves = [False] * len(pairs) if earlier is None else [now != then for now, then in zip(frame.cameras, earlier.cameras, strict=True)]
+        pictures = [(*pair, _background(*pair, moved)) for pair, moved in zip(pairs, moves, strict=True)]
         places = random_places(*options.samples, frame.index) if options.random else stratified(*options.samples)
         return ImageMotion(
-            np.stack([np.stack([packed(image, frame.largest) for image in pair]) for pair in pairs]),
+            np.stack([np.stack([packed(image, frame.largest) for image in three]) for three in pictures]),
             rotations,
             translations,
             places.astype(np.float32),
@@ -55,3 +60,7 @@ def build(options: Options, **_: Any) -> Callable[[Frame], ImageMotion]:
         )
 
     return observe
+
+
+def _background(now: Greys | None, before: Greys | None, moves: bool) -> Greys | None:
+    return carried_background(before, now) if moves and now is not None and before is not None else before

@@ -1,7 +1,6 @@
 """Image motion: where points were in the frame before, what is covered, closed forms of the likelihood, and mutants of what it compares."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import cv2
 import jax
@@ -11,11 +10,14 @@ import pytest
 
 from bayes_body.body.solids import part_transforms, patches
 from bayes_body.density.factor import Variable
+from bayes_body.evidence.image_motion import BACKGROUND
+from bayes_body.evidence.image_motion import BEFORE as BEFORE_PICTURE
 from bayes_body.geometry import transforms
 from bayes_body.geometry.camera import project
 from bayes_body.likelihood.surface_points import LEAST_COSINE, carried_points
 from bayes_body.observation.frames import Frame
 from bayes_body.registry import find
+from bayes_body.session.session import CameraSpec
 
 NOW, BEFORE = Variable("pose"), Variable("pose", -1)
 SMOOTH_PX, ROLL_RAD = 2**0.5, 0.03
@@ -23,17 +25,23 @@ SMOOTH_PX, ROLL_RAD = 2**0.5, 0.03
 pytestmark = pytest.mark.usefixtures("x64")
 
 
-def observe(images, before=None, rig=None, index=1, sizes=None, **options):
-    """The evidence of two frames; without `before`, of a first frame. `sizes` are images of the cameras' sizes, if a camera missed a frame."""
-    earlier = None
-    if before is not None:
-        cameras = tuple(
-            SimpleNamespace(rotation=np.asarray(R), translation_m=np.asarray(t)) for R, t in zip(rig.rotation, rig.translation, strict=True)
-        )
-        earlier = Frame(index - 1, tuple(before), None, cameras=cameras)
+def cameras_of(rig):
+    return tuple(
+        CameraSpec("", (1, 1), (1.0, 1.0), (0.0, 0.0), 0.0, (0.0,) * 5, np.asarray(R), np.asarray(t))
+        for R, t in zip(rig.rotation, rig.translation, strict=True)
+    )
+
+
+def observe(images, before=None, rig=None, index=1, sizes=None, now_rig=None, **options):
+    """The evidence of two frames; without `before`, of a first frame.
+
+    `rig` saw the frame before, and this frame too, unless `now_rig` did. `sizes` are images of the cameras' sizes, if a camera missed a frame.
+    """
+    earlier = None if before is None else Frame(index - 1, tuple(before), None, cameras=cameras_of(rig))
+    cameras = () if rig is None else cameras_of(rig if now_rig is None else now_rig)
     sizes = tuple(image.shape[::-1] for image in (images if sizes is None else sizes))
-    term = find("observation", "image_motion")
-    return jax.tree.map(jnp.asarray, term.build(options=term.options(**options))(Frame(index, tuple(images), None, None, sizes, before=earlier)))
+    term, frame = find("observation", "image_motion"), Frame(index, tuple(images), None, None, sizes, None, cameras, earlier)
+    return jax.tree.map(jnp.asarray, term.build(options=term.options(**options))(frame))
 
 
 def factor(scene, **options):
@@ -119,11 +127,13 @@ def test_where_nothing_changes_the_value_is_known(scene, mapping):
         u, v = np.asarray(points.now.u[c]), np.asarray(points.now.v[c])
         shown[c] &= (u >= 0) & (v >= 0) & (u <= image.shape[1] - 1) & (v <= image.shape[0] - 1)
     q = np.where(shown, points.cosine, 0.0)
-    matched = 0.8 * np.asarray(points.cosine) / (5 * np.sqrt(2 * np.pi)) + 0.2 / 256
-    expected = np.log(q * matched + (1 - q) / 256).sum()
     assert ((points.cosine >= LEAST_COSINE) & (points.cosine <= 1)).all()
-    found = value(factor(given, mapping=mapping, noise_grey=5.0, outlier_share=0.2, precision=0.5), given.pose, given.pose, data)
-    np.testing.assert_allclose(found, 0.5 * expected, rtol=1e-6)
+    expected, by_background = (
+        np.log(q * (0.8 * np.asarray(cosine) / (5 * np.sqrt(2 * np.pi)) + 0.2 / 256) + (1 - q) / 256).sum() for cosine in (points.cosine, 1.0)
+    )
+    for background, known in ((False, expected), (True, expected - by_background)):
+        built = factor(given, mapping=mapping, noise_grey=5.0, outlier_share=0.2, precision=0.5, background=background)
+        np.testing.assert_allclose(value(built, given.pose, given.pose, data), 0.5 * known, rtol=1e-6)
 
 
 def test_the_printed_form_mixes_once_for_a_limb(scene):
@@ -135,7 +145,7 @@ def test_the_printed_form_mixes_once_for_a_limb(scene):
     q = jnp.where(points.covered, 0.0, points.cosine).mean(axis=-1)
     image = 0.1 / 256 + 0.9 * points.cosine.mean(axis=-1) / (8 * np.sqrt(2 * np.pi))
     expected = float(jnp.sum(jnp.log(q * image + (1 - q) / 256)))
-    np.testing.assert_allclose(value(factor(given, mixture="limb"), given.pose, given.pose, data), expected, rtol=1e-6)
+    np.testing.assert_allclose(value(factor(given, mixture="limb", background=False), given.pose, given.pose, data), expected, rtol=1e-6)
 
 
 def rolled(rig):
@@ -157,14 +167,16 @@ def rolled(rig):
     return earlier, [now for now, _ in pictures], [before for _, before in pictures]
 
 
-def test_a_camera_that_turns_explains_the_motion_of_its_picture_and_mutants_do_not(scene):
-    given = scene("arm_4")
+def squared(given):
+    """The scene with cameras of square pixels without distortion: a turn of the camera is then a turn of the picture."""
     plain = {"distortion": 0 * given.rig.distortion, "skew": 0 * given.rig.skew, "radius_max": 0 * given.rig.radius_max + 1e3}
-    # Square pixels: a turn of the camera is then a turn of the picture.
-    square = replace(given.rig, **plain, focal=jnp.broadcast_to(given.rig.focal[:, :1], (2, 2)))
-    given = given._replace(rig=square)
+    return given._replace(rig=replace(given.rig, **plain, focal=jnp.broadcast_to(given.rig.focal[:, :1], (2, 2))))
+
+
+def test_a_camera_that_turns_explains_the_motion_of_its_picture_and_mutants_do_not(scene):
+    given = squared(scene("arm_4"))
     earlier, now, before = rolled(given.rig)
-    built = factor(given)
+    built = factor(given, background=False)
     right = value(built, given.pose, given.pose, observe(now, before, earlier))
     still = value(built, given.pose, given.pose, observe(now, now, given.rig))
     assert abs(right - still) < 0.02 * abs(still)
@@ -172,6 +184,21 @@ def test_a_camera_that_turns_explains_the_motion_of_its_picture_and_mutants_do_n
     standing = value(built, given.pose, given.pose, observe(now, before, given.rig))
     another = value(built, given.pose, moved(given), observe(now, before, earlier))
     assert max(swapped, standing, another) < right - 20
+
+
+def test_what_moves_as_the_background_does_gains_nothing_and_what_moves_before_it_gains(scene):
+    given = squared(scene("arm_4"))
+    earlier, now, before = rolled(given.rig)
+    built = factor(given)
+    wall = observe(now, before, earlier, now_rig=given.rig)
+    # The same pictures of a camera that stands still: the background did not turn, and only the body explains what did.
+    standing = wall._replace(pictures=wall.pictures.at[:, BACKGROUND].set(wall.pictures[:, BEFORE_PICTURE]))
+    alike, gained = (value(built, given.pose, given.pose, data) for data in (wall, standing))
+    unmoved = value(built, given.pose, given.pose, observe(now, now, given.rig))
+    assert abs(alike - unmoved) < 5 and unmoved <= 0 and gained > 20
+    # Of a camera that stands still, nothing is carried.
+    still = observe(now, before, given.rig)
+    np.testing.assert_array_equal(still.pictures[:, BACKGROUND], still.pictures[:, BEFORE_PICTURE])
 
 
 @pytest.mark.parametrize("options", [{"mapping": "plane"}, pytest.param({"mapping": "cylinder", "mixture": "limb"}, marks=pytest.mark.long)])
