@@ -2,6 +2,7 @@
 
 from bayes_body.compare import estimator_path, estimator_variance
 from bayes_body.compare.benchmark import Pair, Row, Settings, benchmark_rows, pairs
+from bayes_body.compare.bending_arm import film_arm, twist_interval
 from bayes_body.compare.image_motion import compare_walk, film_walk, motion_figures, uniform
 from bayes_body.compare.scenes import Scene, Scenes
 from bayes_body.compare.single_frames import single_frames, track_figures
@@ -16,10 +17,12 @@ __all__ = [
     "compare_walk",
     "estimator_path",
     "estimator_variance",
+    "film_arm",
     "film_walk",
     "motion_figures",
     "pairs",
     "single_frames",
     "track_figures",
+    "twist_interval",
     "uniform",
 ]

@@ -17,7 +17,11 @@ ROOT = Path(__file__).parents[2]
 PROGRAMS = sorted((ROOT / "inference").glob("*.py"))
 GRAPHS = {"particle_bp_on_a_grid": "beliefs.png", "particle_bp_smoother": "swing.png", "sensor_localisation": "sensors.png"}
 # Filters follow a whole recording; the others have tests of their own below.
-FILTERS = [path for path in PROGRAMS if path.stem not in {"estimator_variance", "loose_limbed", "recover", "image_motion", "prior_only", *GRAPHS}]
+FILTERS = [
+    path
+    for path in PROGRAMS
+    if path.stem not in {"estimator_variance", "loose_limbed", "recover", "image_motion", "bending_arm", "prior_only", *GRAPHS}
+]
 # These compile the gradient of an image likelihood.
 TIERS = dict.fromkeys(("tempered_smc", "hmc_filter"), pytest.mark.long)
 QUICKLY = [pytest.param(path, marks=TIERS.get(path.stem, ())) for path in FILTERS]
@@ -145,6 +149,16 @@ def test_image_motion_beside_the_prior_alone_and_with_edges(run, tmp_path):
     assert done.status == 0, done.err
     assert re.findall(r"^(\w+): \d+ mm from the truth in the mean, \d+ mm in frame 1$", done.out, re.MULTILINE) == ["tracked", "prior_only"]
     assert cv2.imread(str(tmp_path / "again" / "prior_only" / "errors.png")).std() > 10
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("optimised")
+def test_the_twist_of_an_arm_is_unknown_until_it_bends(run, tmp_path):
+    done = run(ROOT / "inference" / "bending_arm.py", "--out", tmp_path, "--json", tmp_path / "figures.json", "--particles", 5000, "--runs", 1)
+    assert done.status == 0, done.err
+    figures = json.loads((tmp_path / "figures.json").read_text())["runs"][0]
+    # Ten filters of 40000 particles are the acceptance; this one shows that the program works.
+    assert figures["before_deg"] > 120 > figures["after_deg"] and figures["effective"] > 100 and len(figures["low_deg"]) == 60
 
 
 @pytest.fixture(scope="module")
