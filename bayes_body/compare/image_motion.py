@@ -111,7 +111,13 @@ def uniform(definition: Definition) -> Definition:
 
 
 def compare_walk(
-    session: Session, particles: int, seed: int = 0, model: str = MODEL, with_edges: str = WITH_EDGES, frames: int | None = None
+    session: Session,
+    particles: int,
+    seed: int = 0,
+    model: str = MODEL,
+    with_edges: str = WITH_EDGES,
+    frames: int | None = None,
+    orientation_sd_deg: float | None = None,
 ) -> Compared:
     """Track a recording three times with the particle filter, from the same first pose.
 
@@ -122,16 +128,24 @@ def compare_walk(
         model: the definition with image motion.
         with_edges: the definition with image motion and edges.
         frames: number of frames; all by default.
+        orientation_sd_deg: takes the place of the walking prior's, for a person who turns.
 
     Raises:
         InputError: a definition or the first pose cannot be used.
     """
-    definition = load_definition(model)
+    definition, edges = (_turning(load_definition(name), orientation_sd_deg) for name in (model, with_edges))
 
     def followed(model: Model) -> Draws:
         return track(session, model, particle_filter.build_kernel(), jax.random.key(seed), particles, frames=frames)
 
-    return Compared(*(followed(load_model(each, session, lambda line: None)) for each in (definition, uniform(definition), with_edges)))
+    return Compared(*(followed(load_model(each, session, lambda line: None)) for each in (definition, uniform(definition), edges)))
+
+
+def _turning(definition: Definition, orientation_sd_deg: float | None) -> Definition:
+    if orientation_sd_deg is None:
+        return definition
+    options = definition.dynamics.options.model_copy(update={"orientation_sd_deg": orientation_sd_deg})
+    return replace(definition, dynamics=replace(definition.dynamics, options=options))
 
 
 def motion_figures(session: Session, found: Compared) -> dict[str, Any]:
