@@ -15,13 +15,13 @@ from jaxtyping import Float
 
 from bayes_body.body.build import Shape, build_body
 from bayes_body.body.kinematics import marker_positions
+from bayes_body.compare.image_motion import FPS, captured_walk
+from bayes_body.errors import input_error
 from bayes_body.files.shipped import definitions_folder
 from bayes_body.kernels import particle_filter
-from bayes_body.learning.walking_cycle import load_cycle, walk
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import load_body, load_definition
 from bayes_body.posterior.moments import weighted_quantiles
-from bayes_body.recording.mocap import landmarks, read_motion, resample
 from bayes_body.recording.rig import read_rig
 from bayes_body.session.session import Session
 from bayes_body.simulation.options import Options
@@ -32,10 +32,10 @@ from bayes_body.tracking.track import track
 from bayes_body.view.progress import Watch, unwatched
 
 MODEL, TWIST = "sidenbladh_2000_arm", "shoulder_z"
-FPS, FRAMES, STRAIGHT, BENDING, BEND_DEG = 30.0, 60, 20, 30, 75.0
+FRAMES, STRAIGHT, BENDING, BEND_DEG = 60, 20, 30, 75.0
 # Errors of the first angles; the twist is uniform.
 FIRST_SD_DEG, LEVEL = 3.0, 0.9
-# The asked widths: before the arm bends, and when it is bent.
+# A wider interval says that the twist is unknown, a narrower one that it is known.
 WIDE_DEG, NARROW_DEG = 120.0, 60.0
 
 
@@ -96,12 +96,13 @@ def film_arm(folder: Path, twist_deg: float = 20.0, seed: int = 0, motion: Path 
         watch: wraps the frames to show progress.
 
     Raises:
-        InputError: the folder already holds a session, or the motion cannot be read.
+        InputError: the twist is outside the shoulder's limits, the folder already holds a session, or the motion cannot be read.
     """
+    dof = next(dof for joint in load_body("arm_4").joints for dof in joint.dofs if dof.name == TWIST)
+    if not dof.low_deg <= twist_deg <= dof.high_deg:
+        raise input_error("the twist", f"{twist_deg:g} degrees", f"{dof.low_deg:g} to {dof.high_deg:g}", "give one within the shoulder's limits")
     rig = replace(read_rig(definitions_folder() / "rigs" / "side_1.toml"), fps=FPS)
-    cycle = load_cycle()
-    whole = landmarks(resample(read_motion(motion), FPS)) if motion else walk(cycle, 2.0, FPS, seed=seed, height_m=cycle.height_m)
-    still = {name: np.repeat(np.asarray(way, float)[:1], FRAMES, axis=0) for name, way in whole.items()}
+    still = {name: np.repeat(np.asarray(way, float)[:1], FRAMES, axis=0) for name, way in captured_walk(motion, 2.0, seed).items()}
     person = build_person(seed, stature_m(still))
     still = scaled(still, person.build.height_m / stature_m(still))
     body = build_body("arm_4", load_body("arm_4"), Shape(person.build.height_m))

@@ -66,8 +66,7 @@ def film_walk(
         InputError: the folder already holds a session, or the motion cannot be read or is too short.
     """
     rig = replace(read_rig(definitions_folder() / "rigs" / f"{MOVING if moving else STILL}.toml"), fps=FPS)
-    cycle = load_cycle()
-    whole = landmarks(resample(read_motion(motion), FPS)) if motion else walk(cycle, 2 * frames / FPS, FPS, seed=seed, height_m=cycle.height_m)
+    whole = captured_walk(motion, 2 * frames / FPS, seed)
     chosen = cut(whole, max(0, (len(whole["pelvis"]) - frames) // 2), frames)
     person = build_person(seed, stature_m(chosen))
     chosen = scaled(chosen, person.build.height_m / stature_m(chosen))
@@ -76,6 +75,23 @@ def film_walk(
     session = replace(session, initial_keypoints={}, initial_markers=by_hand(session, seed))
     save_session(session)
     return session
+
+
+def captured_walk(motion: Path | None, seconds: float, seed: int) -> Landmarks:
+    """Return the landmarks of a captured walk, or of the walking cycle that ships, metres, FPS frames per second.
+
+    Args:
+        motion: the captured walk; None: the cycle.
+        seconds: how long the walk by the cycle is.
+        seed: of the walk by the cycle.
+
+    Raises:
+        InputError: the motion cannot be read.
+    """
+    if motion:
+        return landmarks(resample(read_motion(motion), FPS))
+    cycle = load_cycle()
+    return walk(cycle, seconds, FPS, seed=seed, height_m=cycle.height_m)
 
 
 def by_hand(session: Session, seed: int) -> dict[str, tuple[float, float, float]]:

@@ -6,7 +6,8 @@ import pytest
 
 from bayes_body.body.build import build_body
 from bayes_body.body.kinematics import marker_positions
-from bayes_body.compare.bending_arm import BEND_DEG, FRAMES, STRAIGHT, TwistInterval, _with_arm, arm_angles
+from bayes_body.compare.bending_arm import BEND_DEG, FRAMES, STRAIGHT, TwistInterval, _with_arm, arm_angles, film_arm
+from bayes_body.errors import InputError
 from bayes_body.learning.walking_cycle import load_cycle, walk
 from bayes_body.model.definition import load_body
 
@@ -19,6 +20,11 @@ def test_the_arm_is_straight_and_then_bends_smoothly_from_rest():
     assert np.ptp(angles[: STRAIGHT + 1, 3]) == 0 and angles[-1, 3] - angles[0, 3] == pytest.approx(-BEND_DEG)
     # No speed at the start, and no jump of the speed.
     assert np.abs(angles[1] - angles[0]).max() < 0.2 and np.abs(np.diff(angles, 2, axis=0)).max() < 0.6
+
+
+def test_a_twist_beyond_the_limits_is_a_sentence(tmp_path):
+    with pytest.raises(InputError, match="the twist: 200 degrees; expected -90 to 90; give one"):
+        film_arm(tmp_path / "film", twist_deg=200.0)
 
 
 def test_the_person_has_the_arm_and_faces_where_it_bends():
