@@ -144,7 +144,7 @@ def compare_walk(
         model: the definition with image motion.
         with_edges: the definition with image motion and edges.
         frames: number of frames; all by default.
-        orientation_sd_deg: takes the place of the walking prior's, for a person who turns.
+        orientation_sd_deg: takes the place of that of `walking_cycle`, for a person who turns, degrees per frame at `at_fps`; other priors stay.
 
     Raises:
         InputError: a definition or the first pose cannot be used.
@@ -158,7 +158,8 @@ def compare_walk(
 
 
 def _turning(definition: Definition, orientation_sd_deg: float | None) -> Definition:
-    if orientation_sd_deg is None:
+    # Other motion priors have no heading of their own.
+    if orientation_sd_deg is None or definition.dynamics.kind != "walking_cycle":
         return definition
     options = definition.dynamics.options.model_copy(update={"orientation_sd_deg": orientation_sd_deg})
     return replace(definition, dynamics=replace(definition.dynamics, options=options))
