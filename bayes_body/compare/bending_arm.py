@@ -98,14 +98,14 @@ def film_arm(folder: Path, twist_deg: float = 20.0, seed: int = 0, motion: Path 
     Raises:
         InputError: the twist is outside the shoulder's limits, the folder already holds a session, or the motion cannot be read.
     """
-    dof = next(dof for joint in load_body("arm_4").joints for dof in joint.dofs if dof.name == TWIST)
-    if not dof.low_deg <= twist_deg <= dof.high_deg:
-        raise input_error("the twist", f"{twist_deg:g} degrees", f"{dof.low_deg:g} to {dof.high_deg:g}", "give one within the shoulder's limits")
     rig = replace(read_rig(definitions_folder() / "rigs" / "side_1.toml"), fps=FPS)
     still = {name: np.repeat(np.asarray(way, float)[:1], FRAMES, axis=0) for name, way in captured_walk(motion, 2.0, seed).items()}
     person = build_person(seed, stature_m(still))
     still = scaled(still, person.build.height_m / stature_m(still))
     body = build_body("arm_4", load_body("arm_4"), Shape(person.build.height_m))
+    low, high = (np.degrees(float(side[body.dof_names.index(TWIST)])) for side in (body.skeleton.low, body.skeleton.high))
+    if not low <= twist_deg <= high:
+        raise input_error("the twist", f"{twist_deg:g} degrees", f"{low:g} to {high:g}", "give one within the shoulder's limits")
     angles = arm_angles(twist_deg)
     places = jax.vmap(lambda pose: marker_positions(body.skeleton, body.markers, pose))(jnp.asarray(angles, body.lengths.dtype))
     filmed = _with_arm(still, dict(zip(body.markers.names, np.moveaxis(np.asarray(places, float), 1, 0), strict=True)))
