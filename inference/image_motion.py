@@ -15,8 +15,6 @@ import bayes_body as bb
 from bayes_body.errors import InputError
 
 PARTICLES = {"straight": 5000, "circle": 15_000}
-# Whoever walks on a circle turns by more than the definition allows.
-TURNING_SD_DEG = 1.2
 
 
 def parse() -> argparse.Namespace:
@@ -41,8 +39,7 @@ def main() -> None:
     particles = 500 if arguments.quick else arguments.particles or PARTICLES[arguments.path]
     where = arguments.out / "recording", arguments.path, arguments.moving
     session = bb.compare.film_walk(*where, frames, arguments.seed, arguments.motion, bb.watched("filming"))
-    turning = TURNING_SD_DEG if arguments.path == "circle" else None
-    found = bb.compare.compare_walk(session, particles, arguments.seed, arguments.model, orientation_sd_deg=turning)
+    found = bb.compare.compare_walk(session, particles, arguments.seed, arguments.model, turns=arguments.path == "circle")
     figures = {"path": arguments.path, "moving": arguments.moving, **bb.compare.motion_figures(session, found)}
     arguments.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
     for key, value in figures.items():

@@ -22,6 +22,7 @@ COLUMNS = (
     ("s/frame", "seconds_per_frame", ".3f"),
     ("ESS/s", "ess_per_second", ",.0f"),
     ("error mm", "error_mm_mean", ".0f"),
+    ("relative mm", "error_mm_relative", ".0f"),
     ("coverage of 90 %", "coverage_90", ".2f"),
     ("log evidence", "log_evidence", ",.1f"),
     ("lost", "frames_lost", "d"),
@@ -39,7 +40,7 @@ def benchmark(
     seed: int = typer.Option(0, "--seed", help="Seed of everything random."),
     plugin: Plugins = None,
 ) -> None:
-    """Run each kernel on each model and show seconds per frame, ESS per second, error, coverage and evidence, or why a pair cannot run."""
+    """Run each kernel on each model and show seconds per frame, ESS per second, errors, coverage and evidence, or why a pair cannot run."""
     from dataclasses import replace
 
     from bayes_body.config import configure

@@ -38,6 +38,8 @@ type WalkPath = Literal["straight", "circle"]
 STILL, MOVING, FPS, RADIUS_M, HAND_SD_M = "side_1", "moving_1", 30.0, 2.0, 0.015
 MODEL, WITH_EDGES = "sidenbladh_2000_walking", "image_motion_edges"
 DRIFT_FRAMES = 50
+# A walk that turns follows the pelvis, which turns by more than on a straight way.
+TURNING = {"heading_sd_deg": None, "orientation_sd_deg": 1.2}
 
 
 class Compared(NamedTuple):
@@ -133,7 +135,7 @@ def compare_walk(
     model: str = MODEL,
     with_edges: str = WITH_EDGES,
     frames: int | None = None,
-    orientation_sd_deg: float | None = None,
+    turns: bool = False,
 ) -> Compared:
     """Track a recording three times with the particle filter, from the same first pose.
 
@@ -144,12 +146,12 @@ def compare_walk(
         model: the definition with image motion.
         with_edges: the definition with image motion and edges.
         frames: number of frames; all by default.
-        orientation_sd_deg: takes the place of that of `walking_cycle`, for a person who turns, degrees per frame at `at_fps`; other priors stay.
+        turns: whether the person turns while walking, as on a circle. A prior `walking_cycle` then has the options TURNING; other priors stay.
 
     Raises:
         InputError: a definition or the first pose cannot be used.
     """
-    definition, edges = (_turning(load_definition(name), orientation_sd_deg) for name in (model, with_edges))
+    definition, edges = (load_definition(name) if not turns else _turning(load_definition(name)) for name in (model, with_edges))
 
     def followed(model: Model) -> Draws:
         return track(session, model, particle_filter.build_kernel(), jax.random.key(seed), particles, frames=frames)
@@ -157,11 +159,11 @@ def compare_walk(
     return Compared(*(followed(load_model(each, session, lambda line: None)) for each in (definition, uniform(definition), edges)))
 
 
-def _turning(definition: Definition, orientation_sd_deg: float | None) -> Definition:
-    # Other motion priors have no heading of their own.
-    if orientation_sd_deg is None or definition.dynamics.kind != "walking_cycle":
+def _turning(definition: Definition) -> Definition:
+    # Other motion priors have no heading.
+    if definition.dynamics.kind != "walking_cycle":
         return definition
-    options = definition.dynamics.options.model_copy(update={"orientation_sd_deg": orientation_sd_deg})
+    options = definition.dynamics.options.model_copy(update=TURNING)
     return replace(definition, dynamics=replace(definition.dynamics, options=options))
 
 

@@ -11,6 +11,9 @@ The previous frame's coefficients and yaw $\psi$ are on the right. The learned s
 longer leg has slower strides, by its square root. With $\rho^2 = 1 - \epsilon^2$ coefficients stay standard normal, as they were learned. The
 printed form is $\rho = 1$, whose coefficients leave the range of all walkers in time, and a phase without drift; both are options.
 
+With `heading_sd_deg`, the direction $\psi$ of the walk is a variable of its own, a random walk. The orientation is then an autoregressive process
+around this direction and upright: the pelvis turns to both sides in a stride, and the walk does not follow it.
+
 The residual is what the modes leave of the walks of other people, which the paper's prior lacks. Without it, no state of the model equals a new
 person's pose, and the posterior is too narrow. Each angle's residual is an autoregressive process of first order with the learned standard deviation.
 """
@@ -65,6 +68,8 @@ class Options(Schema):
     phase_sd: Positive = 0.006
     position_sd_m: Positive = 0.008
     orientation_sd_deg: Positive = 1.2
+    heading_sd_deg: Positive | None = None
+    upright_s: Positive = 0.5
     residual_s: Positive = 0.5
     at_fps: Positive = 60.0
 
@@ -87,6 +92,7 @@ class _Walk(NamedTuple):
     speed_modes: Float[Array, " mode"]
     step_s: Scalar
     drift: Scalar
+    lean: Scalar
     keep: State
     sd: State
 
@@ -104,16 +110,20 @@ def _derive(walk: _Walk, sampled: State) -> dict[str, Array]:
 
 
 def _conditional(walk: _Walk, previous: State) -> dict[str, Distribution]:
-    coefficients, yaw = previous["coefficients"], previous["orientation"][0]
+    coefficients, orientation = previous["coefficients"], previous["orientation"]
+    heading = previous.get("heading", orientation[:1])
+    upright = jnp.concatenate([heading, jnp.zeros_like(orientation[1:])])
+    yaw = heading[0]
     rate = walk.rate * jnp.exp(walk.rate_modes @ coefficients)
     forward = walk.speed * jnp.exp(walk.speed_modes @ coefficients) * walk.step_s
     moved = {
         "phase": previous["phase"] + walk.drift * rate * walk.step_s,
         "position": previous["position"] + forward * jnp.stack([jnp.cos(yaw), jnp.sin(yaw), jnp.zeros_like(yaw)]),
-        "orientation": previous["orientation"],
+        "orientation": upright + walk.lean * (orientation - upright),
+        "heading": heading,
     }
     kept = {name: share * previous[name] for name, share in walk.keep.items()}
-    return {name: _normal(centre, walk.sd[name]) for name, centre in (moved | kept).items()}
+    return {name: _normal(centre, walk.sd[name]) for name, centre in (moved | kept).items() if name in walk.sd}
 
 
 def _perturbation(walk: _Walk, state: State, scale: Scalar) -> dict[str, Distribution]:
@@ -145,6 +155,8 @@ def _begin(walk: _Walk, body: Body, first: State) -> dict[str, Array]:
     state = {"coefficients": coefficients[best], "phase": phases[best][None], "position": pose[:3], "orientation": pose[3 : len(ROOT)]}
     if "residual" in walk.sd:
         state["residual"] = left[best]
+    if "heading" in walk.sd:
+        state["heading"] = pose[3:4]
     # The transition to frame 0 walks one step. The first pose is that of frame 0, so the state before it is a step behind.
     ahead = _conditional(walk, state)
     state |= {name: 2 * state[name] - ahead[name].mean for name in ("phase", "position")}
@@ -182,6 +194,7 @@ def _spaces(cycle: AngleCycle, body: Body) -> tuple[tuple[str, Space], ...]:
         ("phase", euclidean(("phase",), ("cycles",), "phase_entry")),
         ("position", euclidean(names[:3], ("m",) * 3, "shift")),
         ("orientation", circle(names[3 : len(ROOT)], "turn")),
+        ("heading", circle(("heading",), "heading_entry")),
         ("residual", euclidean(tuple(f"residual_{name}" for name in cycle.names), ("rad",) * len(cycle.names), "joint_dof")),
     )
 
@@ -212,6 +225,10 @@ def _arrays(options: Options, cycle: AngleCycle, body: Body, fps: float) -> _Wal
         "position": options.position_sd_m * walked,
         "orientation": math.radians(options.orientation_sd_deg) * walked,
     }
+    lean = 1.0
+    if options.heading_sd_deg is not None:
+        lean = math.exp(-1 / (fps * options.upright_s))
+        sd["heading"] = math.radians(options.heading_sd_deg) * walked
     keep = {"coefficients": share}
     if options.residual:
         keep["residual"] = math.exp(-1 / (fps * options.residual_s))
@@ -228,6 +245,7 @@ def _arrays(options: Options, cycle: AngleCycle, body: Body, fps: float) -> _Wal
         speed_modes=jnp.asarray(cycle.pace_modes[:, 1] - cycle.pace_modes[:, 0], dtype),
         step_s=jnp.asarray(1 / fps, dtype),
         drift=jnp.asarray(float(options.drift), dtype),
+        lean=jnp.asarray(lean, dtype),
         keep={name: jnp.asarray(value, dtype) for name, value in keep.items()},
         sd={name: jnp.asarray(value, dtype) for name, value in sd.items()},
     )

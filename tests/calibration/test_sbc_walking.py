@@ -84,6 +84,8 @@ coefficient_sd = 0.5
 phase_sd = 0.02
 position_sd_m = 0.02
 orientation_sd_deg = 3.0
+heading_sd_deg = 2.0
+upright_s = 0.2
 at_fps = 60
 
 [[likelihood]]

@@ -45,6 +45,7 @@ def _state(prior, cycle, seed=0, **changes):
         "phase": rng.uniform(size=1),
         "position": np.array([0.3, -0.2, 0.9]),
         "orientation": np.array([0.4, 0.05, -0.03]),
+        "heading": np.array([0.3]),
         "residual": 0.05 * rng.normal(size=len(cycle.names)),
     }
     state = {name: jnp.asarray(value) for name, value in (sampled | changes).items()}
@@ -126,6 +127,21 @@ def test_the_step_goes_where_the_body_faces(cycle):
     state = _state(prior, cycle, orientation=np.array([2.0, 0.0, 0.0]))
     step = np.asarray(prior.conditional(state)["position"].mean - state["position"])
     assert math.atan2(step[1], step[0]) == pytest.approx(2.0) and step[2] == 0
+
+
+def test_a_heading_leads_the_walk_and_the_pelvis_returns_to_it(cycle):
+    """Without noise, what separates the pelvis from the heading, and from upright, decays over `upright_s`; its variance becomes stationary."""
+    prior = _prior(heading_sd_deg=0.3, upright_s=0.5, orientation_sd_deg=1.0)
+    state = _state(prior, cycle)
+    found = prior.conditional(state)
+    step = np.asarray(found["position"].mean - state["position"])
+    assert math.atan2(step[1], step[0]) == pytest.approx(0.3)
+    kept = math.exp(-1 / (FPS * 0.5))
+    assert np.allclose(found["orientation"].mean, [0.3 + kept * 0.1, kept * 0.05, -kept * 0.03])
+    assert np.allclose(found["heading"].mean, 0.3) and float(found["heading"].variance[0]) == pytest.approx(math.radians(0.3) ** 2)
+    assert math.degrees(math.sqrt(float(found["orientation"].variance[0]) / (1 - kept**2))) == pytest.approx(3.9, abs=0.1)
+    begun = prior.begin({"pose": prior.derive(state)["pose"]})
+    assert np.allclose(begun["heading"], begun["orientation"][:1])
 
 
 def test_the_printed_form_does_not_drift(cycle):
