@@ -53,6 +53,7 @@ _BUILT_IN: dict[Place, str] = {
     ("dynamics", "constant_velocity"): "bayes_body.dynamics.constant_velocity",
     ("dynamics", "rigid_walk"): "bayes_body.dynamics.rigid_walk",
     ("dynamics", "walking_cycle"): "bayes_body.dynamics.walking_cycle",
+    ("dynamics", "activity_hmm"): "bayes_body.dynamics.activity_hmm",
     ("potential", "intersection"): "bayes_body.potentials.intersection",
     ("potential", "kinematic"): "bayes_body.potentials.kinematic",
     ("potential", "penetration"): "bayes_body.potentials.penetration",

@@ -99,7 +99,7 @@ def nothing_before(first: State) -> State:
 @partial(
     jax.tree_util.register_dataclass,
     meta_fields=["name", "spaces"],
-    data_fields=["conditional", "perturbation", "carry", "begin", "derive", "chart"],
+    data_fields=["conditional", "perturbation", "carry", "begin", "derive", "chart", "explore"],
 )
 @dataclass(frozen=True)
 class Transition:
@@ -118,6 +118,8 @@ class Transition:
             these like any others, and derivatives go through this function.
         chart: previous state -> coordinates without limits for the sampled variables (density/chart.py), the same for every previous state of a
             frame; None: one bijection for each variable, onto the support of its distribution.
+        explore: (key, state, previous, scale) -> sampled variables: a layer of an annealing kernel, in place of `perturbation`. The first layer gets
+            the previous state twice and scale 1, in place of a draw of `conditional`. It is a proposal, not part of the density. None: those two.
         spaces: where variables live, as pairs of a name and a space. A variable that is not among them is an array of plain numbers.
     """
 
@@ -128,6 +130,7 @@ class Transition:
     begin: Callable[[State], State] = jax.tree_util.Partial(nothing_before)
     derive: Callable[[State], State] = jax.tree_util.Partial(nothing_derived)
     chart: Callable[[State], Any] | None = None
+    explore: Callable[[Key, State, State, Scalar], State] | None = None
     spaces: tuple[tuple[str, Space], ...] = ()
 
     def space(self, name: str, shape: tuple[int, ...]) -> Space:
@@ -147,8 +150,16 @@ class Transition:
         return self.state(previous, draw(key, self.conditional(previous)))
 
     def perturb(self, key: Key, state: State, previous: State, scale: Scalar) -> State:
-        """Return the state with noise added."""
+        """Return the state after a layer of an annealing kernel: with noise added, or explored from."""
+        if self.explore is not None:
+            return self.state(previous, self.explore(key, state, previous, scale))
         return self.state(previous, draw(key, self.perturbation(state, scale)))
+
+    def enter(self, key: Key, previous: State) -> State:
+        """Return a state of the next frame for the first layer of an annealing kernel."""
+        if self.explore is not None:
+            return self.perturb(key, previous, previous, jnp.ones((), jnp.result_type(*previous.values())))
+        return self.sample(key, previous)
 
     def log_density(self, state: State, previous: State) -> Scalar:
         """Return log p(state | previous), normalised over the support."""

@@ -114,7 +114,7 @@ def _move_and_weigh(particle: tuple[Key, State, State], shared: tuple[Density, I
     key, parent, previous = particle
     density, index, scale = shared
     transition = density.transition
-    state = jax.lax.cond(index == 0, lambda: transition.sample(key, previous), lambda: transition.perturb(key, parent, previous, scale))
+    state = jax.lax.cond(index == 0, lambda: transition.enter(key, previous), lambda: transition.perturb(key, parent, previous, scale))
     return weigh(state, previous, density)
 
 

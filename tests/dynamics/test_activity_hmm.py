@@ -1,0 +1,208 @@
+"""The motion prior by an activity: a normalised mixture of emissions with a filtered belief, and the paper's proposal of an annealing layer."""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpyro.distributions import MultivariateNormal
+
+from bayes_body.body.build import Shape, build_body
+from bayes_body.body.kinematics import marker_positions
+from bayes_body.density.coordinates import coordinates_of
+from bayes_body.dynamics.activity import Activity, load_activity, save_activity
+from bayes_body.dynamics.activity_hmm import Options, build
+from bayes_body.errors import InputError
+from bayes_body.model.definition import load_body
+
+FPS, STATES, FEATURES = 60.0, 5, 2
+
+
+@pytest.fixture(autouse=True)
+def double_precision():
+    with jax.enable_x64(True):
+        yield
+
+
+def _body(name="person_31"):
+    return build_body(name, load_body(name), Shape(1.75))
+
+
+@pytest.fixture(scope="module")
+def activity():
+    """A cycle of five states in a plane, of two people."""
+    rng, body = np.random.default_rng(0), _body()
+    names = tuple(name for name in body.dof_names[6:] if not name.startswith("head"))
+    basis = np.linalg.qr(rng.normal(size=(len(names), FEATURES)))[0]
+    angle = 2 * np.pi * np.arange(STATES) / STATES
+    transition = 0.7 * np.eye(STATES) + 0.25 * np.roll(np.eye(STATES), 1, axis=1) + 0.05 / STATES
+    transition /= transition.sum(axis=1, keepdims=True)
+    roots = 0.05 * np.eye(FEATURES) + 0.01 * rng.normal(size=(STATES, FEATURES, FEATURES))
+    # Knees and elbows are bent, so that no limit is near.
+    means = np.where([name.endswith(("knee", "elbow")) for name in names], -1.0, 0.0) + 0.05 * rng.normal(size=(2, len(names)))
+    dofs = len(names)
+    return Activity(
+        body="person_31", names=names, subjects=("a", "b"), labels=("walk",) * 3 + ("run",) * 2, means=means, between=means.std(axis=0),
+        centre=0.01 * rng.normal(size=dofs), basis=basis, residual=np.full(dofs, 0.03), initial=np.full(STATES, 1 / STATES), transition=transition,
+        locations=0.5 * np.stack([np.cos(angle), np.sin(angle)], axis=1), covariances=roots @ np.swapaxes(roots, 1, 2),
+        change=np.full(len(body.dof_names), 0.02), low=np.full(dofs, -1.0), high=np.full(dofs, 1.0), kept=0.92, fps=FPS,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def path(activity, tmp_path_factory):
+    where = tmp_path_factory.mktemp("activity") / "cycle.npz"
+    save_activity(activity, where)
+    return where
+
+
+def _prior(path, fps=FPS, **options):
+    return build(Options(activity=str(path), **options), _body(), fps)
+
+
+def _state(prior, activity, active=1):
+    """A state near the location of a hidden state, with a residual where there is one."""
+    rng, begun = np.random.default_rng(0), prior.begin({"pose": jnp.zeros(len(_body().dof_names)).at[2].set(0.9)})
+    features = jnp.asarray(activity.locations[active] + 0.02)
+    state = begun | {"features": features, "position": jnp.asarray([0.3, -0.2, 0.9]), "orientation": jnp.asarray([0.4, 0.05, -0.03])}
+    if "residual" in state:
+        state["residual"] = jnp.asarray(0.03 * rng.normal(size=len(activity.names)))
+    state["belief"] = jax.nn.softmax(MultivariateNormal(activity.locations, activity.covariances).log_prob(features))
+    return prior.with_derived(state)
+
+
+def test_a_first_pose_is_kept_and_its_state_is_believed(path, activity):
+    """Angles that no marker shows may change; the markers do not."""
+    prior, body = _prior(path), _body()
+    pose = np.zeros(len(body.dof_names))
+    pose[:6] = (0.3, -0.2, 0.9, 0.4, 0.05, -0.03)
+    learned = [body.dof_names.index(name) for name in activity.names]
+    pose[learned] = activity.means.mean(axis=0) + activity.centre + activity.basis @ activity.locations[1]
+    state = prior.begin({"pose": jnp.asarray(pose)})
+    places = [marker_positions(body.skeleton, body.markers, jnp.asarray(each)) for each in (pose, state["pose"])]
+    assert np.abs(places[0] - places[1]).max() < 0.002
+    emitted = MultivariateNormal(activity.locations, activity.covariances).log_prob(state["features"])
+    assert np.allclose(state["belief"], jax.nn.softmax(emitted), atol=1e-4)
+
+
+def test_the_features_are_a_mixture_over_the_states_that_follow(path, activity):
+    """Against the formula, written out; the belief is Bayes' rule over the states."""
+    prior = _prior(path)
+    state, saved = _state(prior, activity), load_activity(path)
+    A = saved.transition / saved.transition.sum(axis=1, keepdims=True)
+    f = saved.locations[2] + 0.03
+    joint = np.asarray(state["belief"]) @ A * np.exp(MultivariateNormal(saved.locations, saved.covariances).log_prob(f))
+    found = prior.conditional(state)["features"]
+    assert float(found.log_prob(jnp.asarray(f))) == pytest.approx(math.log(joint.sum()), abs=1e-6)
+    after = prior.state(state, {**prior.sample(jax.random.key(0), state), "features": jnp.asarray(f)})
+    assert np.allclose(after["belief"], joint / joint.sum(), atol=1e-6)
+    assert np.array_equal(after["position_before"], state["position"])
+
+
+def test_log_density_is_that_of_its_draws(path, activity):
+    """Importance weights of draws with other noise have the mean 1, so the normalisers are right; the features' mean is that of the mixture."""
+    prior = _prior(path, residual=False)
+    state = _state(prior, activity)
+    wide = _prior(path, residual=False, position_sd_m=0.03, orientation_sd_deg=1.6, head_sd_deg=1.6)
+    draws = jax.vmap(lambda key: wide.sample(key, state))(jax.random.split(jax.random.key(3), 4000))
+    ratio = np.exp(np.asarray(jax.vmap(lambda draw: prior.log_density(draw, state) - wide.log_density(draw, state))(draws)))
+    assert abs(ratio.mean() - 1) < 4 * ratio.std() / np.sqrt(len(ratio))
+    features = np.asarray(draws["features"])
+    ahead = np.asarray(state["belief"]) @ activity.transition
+    assert np.allclose(features.mean(axis=0), ahead @ activity.locations, atol=4 * features.std() / np.sqrt(len(features)))
+
+
+def test_residuals_have_the_learned_spread_and_a_known_subject_has_their_own_mean(path, activity):
+    for subject, spread in ((None, np.hypot(activity.residual, activity.between)), ("b", activity.residual)):
+        prior = _prior(path, subject=subject, residual_s=0.5)
+        state = _state(prior, activity)
+        noise = prior.conditional(state)["residual"]
+        kept = math.exp(-1 / (FPS * 0.5))
+        assert np.allclose(noise.variance / (1 - kept**2), spread**2, rtol=1e-4)
+        assert np.allclose(noise.mean, kept * state["residual"])
+        mean = activity.means[1] if subject else activity.means.mean(axis=0)
+        learned = np.array([_body().dof_names.index(name) for name in activity.names])
+        rebuilt = mean + activity.centre + activity.basis @ np.asarray(state["features"]) + np.asarray(state["residual"])
+        assert np.allclose(np.asarray(state["pose"])[learned], rebuilt, atol=1e-6)
+
+
+@pytest.mark.parametrize(("temperature", "scale"), [(0.0, 1.0), (0.6, 1.0), (0.6, 0.25)])
+def test_a_layer_makes_the_transitions_of_the_paper(path, activity, temperature, scale):
+    """Frequencies of the state that is reached, against powers of the matrix; K by (12)."""
+    prior = _prior(path, temperature=temperature, residual=False)
+    state = _state(prior, activity)
+    start, stays = 1, activity.transition[1, 1]
+    needed = max(1, math.ceil(math.log(1 - temperature * scale) / math.log(stays)))
+    assert needed == {(0.0, 1.0): 1, (0.6, 1.0): 3, (0.6, 0.25): 1}[temperature, scale]
+    count = 4000
+    keys = jax.random.split(jax.random.key(1), count)
+    found = jax.vmap(lambda key: prior.explore(key, state, state, jnp.asarray(scale)))(keys)
+    expected = np.linalg.matrix_power(activity.transition, needed)[start]
+    moved = np.asarray(found["position"] - state["position"])
+    assert np.allclose(moved.std(axis=0), 0.02 * scale, rtol=0.06)
+    features = np.asarray(found["features"])
+    reached = np.argmin(np.linalg.norm(features[:, None] - activity.locations, axis=-1), axis=1)
+    rates = np.bincount(reached, minlength=STATES) / count
+    assert np.abs(rates - expected).max() < 0.03
+    # In a refinement layer, a state that did not change keeps the particle's own features.
+    kept = features[reached == start].mean(axis=0)
+    around = np.asarray(state["features"]) if scale < 1 else activity.locations[start]
+    assert np.allclose(kept, around, atol=0.01)
+    spread = np.cov(features[reached == start].T)
+    assert np.allclose(spread, scale * activity.covariances[start], atol=0.15 * scale * activity.covariances[start].max())
+
+
+def test_a_layer_of_an_annealing_kernel_explores(path, activity):
+    prior = _prior(path)
+    state = _state(prior, activity)
+    key, scale = jax.random.key(0), jnp.asarray(0.5)
+    explored = prior.explore(key, state, state, scale)
+    perturbed, entered = prior.perturb(key, state, state, scale), prior.enter(key, state)
+    assert np.array_equal(perturbed["features"], explored["features"]) and set(perturbed) == set(entered) == set(state)
+    assert np.array_equal(entered["features"], prior.explore(key, state, state, jnp.asarray(1.0))["features"])
+
+
+def test_a_session_of_half_the_rate_takes_two_steps_at_once(path, activity):
+    once, twice = _prior(path), _prior(path, fps=30.0)
+    state = _state(once, activity)
+    expected = np.asarray(state["belief"]) @ np.linalg.matrix_power(activity.transition, 2)
+    assert np.allclose(twice.conditional(state)["features"].mixing_distribution.probs, expected, atol=1e-6)
+    assert np.allclose(twice.conditional(state)["position"].variance, 2 * np.asarray(once.conditional(state)["position"].variance))
+    with pytest.raises(InputError, match="learned at 60 frames per second, and the session has 50"):
+        _prior(path, fps=50.0)
+
+
+def test_gradients_reach_every_sampled_variable(path, activity):
+    """Of the density of the second of two frames, which depends on the features of the first through the belief."""
+    prior = _prior(path, momentum=0.5)
+    state = _state(prior, activity)
+    later = prior.sample(jax.random.key(2), prior.sample(jax.random.key(1), state))
+    coordinates = coordinates_of(prior.conditional(state))
+    position = coordinates.unconstrain(prior.sample(jax.random.key(1), state))
+
+    def density(position):
+        middle = prior.state(state, coordinates.constrain(position))
+        return prior.log_density(middle, state) + prior.log_density(later, middle)
+
+    gradient = jax.grad(density)(position)
+    for name, values in gradient.items():
+        at = int(np.abs(values).argmax())
+        plus, minus = (position | {name: position[name].at[at].add(sign * 1e-6)} for sign in (1, -1))
+        assert float(values[at]) == pytest.approx(float(density(plus) - density(minus)) / 2e-6, rel=1e-4)
+
+
+def test_what_does_not_belong_together_is_a_sentence(path, activity, tmp_path):
+    with pytest.raises(InputError, match="'c' is not among its people"):
+        _prior(path, subject="c")
+    other = tmp_path / "other.npz"
+    save_activity(dataclasses.replace(activity, names=("tail", *activity.names[1:])), other)
+    with pytest.raises(InputError, match="learned on the body 'person_31'; the model's body 'person_31' has other dofs, without tail"):
+        _prior(other)
+    for change in ({"transition": activity.transition + 0.1}, {"covariances": -activity.covariances}, {"fps": 0.0}):
+        save_activity(dataclasses.replace(activity, **change), other)
+        with pytest.raises(InputError, match="learn activity-hmm"):
+            load_activity(other)
+    with pytest.raises(InputError, match="no such file"):
+        load_activity(tmp_path / "none.npz")
