@@ -57,6 +57,7 @@ _BUILT_IN: dict[Place, str] = {
     ("potential", "intersection"): "bayes_body.potentials.intersection",
     ("potential", "kinematic"): "bayes_body.potentials.kinematic",
     ("potential", "penetration"): "bayes_body.potentials.penetration",
+    ("potential", "training_limits"): "bayes_body.potentials.training_limits",
     ("kernel", "sir"): "bayes_body.kernels.particle_filter",
     ("kernel", "hmc"): "bayes_body.kernels.hmc_filter",
     ("kernel", "annealed"): "bayes_body.kernels.annealed_filter",
