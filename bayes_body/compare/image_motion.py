@@ -12,13 +12,12 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import input_error
 from bayes_body.evidence.markers import MARKERS
 from bayes_body.files.shipped import definitions_folder
 from bayes_body.initial import load_model
 from bayes_body.kernels import particle_filter
 from bayes_body.learning.walking_cycle import load_cycle, walk
-from bayes_body.metrics.truth import draws_against_truth, true_markers
+from bayes_body.metrics.truth import draws_against_truth, no_truth, true_markers
 from bayes_body.model.build import Model
 from bayes_body.model.definition import Definition, load_definition
 from bayes_body.recording.mocap import landmarks, read_motion, resample
@@ -79,28 +78,29 @@ def film_walk(
     return session
 
 
-def captured_walk(motion: Path | None, seconds: float, seed: int) -> Landmarks:
-    """Return the landmarks of a captured walk, or of the walking cycle that ships, metres, FPS frames per second.
+def captured_walk(motion: Path | None, seconds: float, seed: int, fps: float = FPS) -> Landmarks:
+    """Return the landmarks of a captured walk, or of the walking cycle that ships, metres.
 
     Args:
         motion: the captured walk; None: the cycle.
         seconds: how long the walk by the cycle is.
         seed: of the walk by the cycle.
+        fps: frames per second.
 
     Raises:
         InputError: the motion cannot be read.
     """
     if motion:
-        return landmarks(resample(read_motion(motion), FPS))
+        return landmarks(resample(read_motion(motion), fps))
     cycle = load_cycle()
-    return walk(cycle, seconds, FPS, seed=seed, height_m=cycle.height_m)
+    return walk(cycle, seconds, fps, seed=seed, height_m=cycle.height_m)
 
 
 def by_hand(session: Session, seed: int) -> dict[str, tuple[float, float, float]]:
     """Return the markers of frame 0 as someone places them by hand, as the paper's first pose was: the true ones with errors of HAND_SD_M."""
     truth = true_markers(session)
     if truth is None:
-        raise input_error(session.folder, "no truth", "a session with true markers", "make one with `bayes-body simulate`")
+        raise no_truth(session)
     placed = truth[0] + np.random.default_rng(seed).normal(0.0, HAND_SD_M, truth[0].shape)
     x, y, z = placed.T.tolist()
     return dict(zip(MARKERS, zip(x, y, z, strict=True), strict=True))
@@ -200,5 +200,5 @@ def _errors(session: Session, draws: Draws) -> tuple[Float[np.ndarray, " frame"]
     """Return the absolute and the relative error of each frame, metres, mean over the runs."""
     found = draws_against_truth(session, draws)
     if found is None:
-        raise input_error(session.folder, "no truth", "a session with true markers", "make one with `bayes-body simulate`")
+        raise no_truth(session)
     return found.plain.frame_error.mean(axis=1), found.plain.relative.mean(axis=1)

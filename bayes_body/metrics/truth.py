@@ -23,6 +23,7 @@ from bayes_body.body.placement import joint_transforms
 from bayes_body.body.skeleton import Markers
 from bayes_body.body.solids import Body
 from bayes_body.body.space import configuration_space
+from bayes_body.errors import InputError, input_error
 from bayes_body.evidence.markers import MARKERS
 from bayes_body.metrics.accuracy import FrameAccuracy, frame_accuracy
 from bayes_body.model.build import Model
@@ -212,6 +213,11 @@ def _stacked(runs: Sequence[tuple[FrameAccuracy, NDArray[np.floating]]]) -> tupl
 def _orientations(body: Body, configuration: Configuration) -> Float[Array, "marker 3 3"]:
     """Return `R_world_joint` of each marker's joint."""
     return joint_transforms(body, configuration).rotation[np.array(body.markers.joints, int)]
+
+
+def no_truth(session: Session) -> InputError:
+    """Return the error of a session without truth."""
+    return input_error(session.folder, "no truth", "a session with true markers", "make one with `bayes-body simulate`")
 
 
 def mean_known(values: NDArray[np.floating], axis: int | tuple[int, ...]) -> NDArray[np.floating]:

@@ -1,6 +1,6 @@
 """Plot the errors of found or tracked people: by frame, and how many frames have at most an error (Sigal et al. 2011, section 9)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,33 @@ from bayes_body.files.atomic import replacing
 
 # The limits of the paper's Table 3, metres.
 LIMITS_M = (0.08, 0.12)
+
+
+def draw_error_curves(path: Path, panels: Mapping[str, Mapping[str, Float[np.ndarray, "run frame"]]]) -> None:
+    """Write a .png with a panel for each kind of error: its mean over the runs by frame, and the range of the runs (Darby et al. 2008, Fig. 2).
+
+    Args:
+        path: the file.
+        panels: by the kind of error, such as "absolute", then by what was compared: the errors, metres.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
+
+    figure = Figure(figsize=(5 * len(panels), 4), layout="constrained")
+    for axes, (kind, compared) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):
+        for number, (name, errors) in enumerate(compared.items()):
+            frames, mean = np.arange(errors.shape[1]), 1000 * errors.mean(axis=0)
+            axes.plot(frames, mean, color=f"C{number}", label=f"{name}: {mean.mean():.0f} mm")
+            axes.fill_between(frames, 1000 * errors.min(axis=0), 1000 * errors.max(axis=0), color=f"C{number}", alpha=0.2, linewidth=0)
+        axes.set(title=f"{kind} error", xlabel="frame", ylabel="mean error of the markers, mm")
+        axes.set_ylim(bottom=0)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.legend()
+    with replacing(path) as partial:
+        figure.savefig(partial, format="png", dpi=120)
 
 
 def draw_errors(path: Path, frames: Sequence[int], error_m: Float[np.ndarray, " frame"]) -> None:

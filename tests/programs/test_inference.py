@@ -20,7 +20,7 @@ GRAPHS = {"particle_bp_on_a_grid": "beliefs.png", "particle_bp_smoother": "swing
 FILTERS = [
     path
     for path in PROGRAMS
-    if path.stem not in {"estimator_variance", "loose_limbed", "recover", "image_motion", "bending_arm", "prior_only", *GRAPHS}
+    if path.stem not in {"estimator_variance", "loose_limbed", "recover", "image_motion", "bending_arm", "prior_only", "few_cameras", *GRAPHS}
 ]
 # These compile the gradient of an image likelihood.
 TIERS = dict.fromkeys(("tempered_smc", "hmc_filter"), pytest.mark.long)
@@ -99,9 +99,9 @@ def test_a_wrong_input_is_a_sentence(run, filtering, walk, tmp_path, fault):
     assert done.out == ""
 
 
-@pytest.mark.parametrize("name", ["loose_limbed", "recover", "prior_only"])
+@pytest.mark.parametrize("name", ["loose_limbed", "recover", "prior_only", "few_cameras"])
 def test_a_person_without_a_session_is_a_sentence(run, name, tmp_path):
-    out = ("--json", tmp_path / "figures.json") if name == "loose_limbed" else ("--out", tmp_path)
+    out = ("--json", tmp_path / "figures.json") if name in {"loose_limbed", "few_cameras"} else ("--out", tmp_path)
     done = run(ROOT / "inference" / f"{name}.py", "--session", "nowhere", *out)
     assert done.status == 2 and done.err.count("\n") == 1 and "nowhere: no such file" in done.err
 
@@ -149,6 +149,21 @@ def test_image_motion_beside_the_prior_alone_and_with_edges(run, tmp_path):
     assert done.status == 0, done.err
     assert re.findall(r"^(\w+): \d+ mm from the truth in the mean, \d+ mm in frame 1$", done.out, re.MULTILINE) == ["tracked", "prior_only"]
     assert cv2.imread(str(tmp_path / "again" / "prior_only" / "errors.png")).std() > 10
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("optimised")
+def test_few_cameras_with_and_without_an_activity(run, tmp_path):
+    options = ("--out", tmp_path / "recording", "--json", tmp_path / "figures.json", "--plot", tmp_path / "errors.png", "--quick")
+    done = run(ROOT / "inference" / "few_cameras.py", "--cameras", 2, *options)
+    assert done.status == 0, done.err
+    figures = json.loads((tmp_path / "figures.json").read_text())
+    print(figures)
+    assert figures["hmm_apf"]["evaluations_per_frame"] == 200 and figures["apf"]["evaluations_per_frame"] == 500
+    assert figures["hmm_apf"]["coverage_90"] is None and 0 < figures["hmm_tempered"]["coverage_90"] <= 1
+    for name in ("hmm_apf", "apf", "hmm_tempered"):
+        assert figures[name]["absolute_mm"]["mean"] < 150 and figures[name]["lost_runs"] == 0
+    assert cv2.imread(str(tmp_path / "errors.png")).std() > 10
 
 
 @pytest.mark.long
