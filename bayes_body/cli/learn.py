@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from bayes_body.cli.activity_hmm import activity_hmm
 from bayes_body.cli.edge_statistics import edge_statistics
 from bayes_body.cli.image_motion import image_motion
 from bayes_body.cli.kinematic_potentials import kinematic_potentials
@@ -25,6 +26,7 @@ app.command("image-motion")(image_motion)
 app.command("walking-angles")(walking_angles)
 app.command("smooth-motion")(smooth_motion)
 app.command("kinematic-potentials")(kinematic_potentials)
+app.command("activity-hmm")(activity_hmm)
 
 
 @app.command("walking-cycle")

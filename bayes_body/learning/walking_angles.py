@@ -111,7 +111,8 @@ def learn_angles(walks: Sequence[AngleWalk], body: str, schema: BodySchema) -> L
     """
     skeleton = build_body(body, schema).skeleton
     limits = tuple(np.asarray(side, float)[ROOT:] for side in (skeleton.low, skeleton.high))
-    walks = _alike(walks, skeleton.topology, *limits)
+    near = alike([walk.angles for walk in walks], skeleton.topology, *limits)
+    walks = [walk._replace(angles=each) for walk, each in zip(walks, near, strict=True)]
     strides = [AngleStride(walk.subject, row) for walk in walks for row in _rows(walk)]
     if len(strides) < 2:
         raise input_error("the walks", f"{len(strides)} strides", "at least 2 whole strides", "give straight walks of at least two steps each")
@@ -141,13 +142,16 @@ def near_reference(topology: Topology, angles: Float[np.ndarray, "frame dof"], r
     return np.asarray(branch.sign * whole + np.asarray(branch.offset), float)[:, ROOT:]
 
 
-def _alike(walks: Sequence[AngleWalk], topology: Topology, low: np.ndarray, high: np.ndarray) -> list[AngleWalk]:
-    """Return the walks with the solutions and turns of the first, then with full turns common to all that bring them to the middle of the limits."""
-    near = [near_reference(topology, walk.angles, walks[0].angles.mean(axis=0)) for walk in walks]
+def alike(walks: Sequence[Float[np.ndarray, "_ dof"]], topology: Topology, low: np.ndarray, high: np.ndarray) -> list[Float[np.ndarray, "_ dof"]]:
+    """Return angles of walks (without the root's) with the solutions and turns of the first, then with full turns common to all.
+
+    The common turns bring all of them to the middle of the limits `low` and `high`.
+    """
+    near = [near_reference(topology, walk, walks[0].mean(axis=0)) for walk in walks]
     extremes = np.min([each.min(axis=0) for each in near], axis=0) + np.max([each.max(axis=0) for each in near], axis=0)
     middle = np.where(np.isfinite(low + high), (low + high) / 2, 0.0)
     turns = TURN * np.round((extremes / 2 - middle) / TURN)
-    return [walk._replace(angles=each - turns) for walk, each in zip(walks, near, strict=True)]
+    return [each - turns for each in near]
 
 
 def strikes_of(points: Mapping[str, np.ndarray], fps: float, side: str = "l") -> Int[np.ndarray, " strike"]:
