@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from bayes_body.posterior.blocks import coordinate_blocks, pooled, weights_of_runs
 from bayes_body.posterior.moments import weighted_quantiles
+from bayes_body.view.report.activities import activity_details
 from bayes_body.view.report.densities import density_details
 from bayes_body.view.report.figures import RUNS, encoded, frame_label, frames_a_point, new_panel, shade_lost, whole_frames
 from bayes_body.view.report.inspection import Inspection
@@ -74,9 +75,7 @@ def band_section(it: Inspection) -> Markup:
     for limb, places in by_limb(found.dofs).items():
         panels = figures(_panel(found, place, lost, x_label, not it.diagnosis.mode_seeker) for place in places)
         parts.append(details(limb, panels, shown=True))
-    densities = density_details(it)
-    if densities is not None:
-        parts.append(densities)
+    parts += [found for found in (density_details(it), activity_details(it)) if found is not None]
     return section("angles", "Angles and positions", *parts)
 
 
