@@ -106,7 +106,7 @@ def test_an_edge_is_normalised_in_both_directions(body, options, given, joints, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("blocks", ["diagonal", "full"])
+@pytest.mark.parametrize("blocks", [pytest.param("diagonal", marks=pytest.mark.long), "full"])
 def test_ancestral_draws_have_the_density(body, blocks, joints, learned):
     """E[p/q] under draws of one prior is 1 only if draws and both densities agree: the other prior is narrower within its support."""
     if blocks == "full":

@@ -84,7 +84,8 @@ def with_own_message(total, message):
 MUTANTS = {"no division by q": (passing, "log_density", without_division), "own message kept": (messages, "_without", with_own_message)}
 
 
-@pytest.mark.parametrize("mutant", ["no division by q", pytest.param("own message kept", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("mutant", list(MUTANTS))
 def test_a_wrong_weight_is_found_out(monkeypatch, mutant):
     module, name, function = MUTANTS[mutant]
     monkeypatch.setattr(module, name, function)
