@@ -10,7 +10,8 @@ import typer
 from bayes_body.cli.learned_files import check_out, motion_files, portable
 
 if TYPE_CHECKING:
-    from bayes_body.learning.activity_hmm import Captured, LearnedActivity, LearnOptions
+    from bayes_body.learning.activity_hmm import LearnedActivity, LearnOptions
+    from bayes_body.learning.activity_motions import Captured
     from bayes_body.recording.mocap.motion import Motion
 
 WALK = "walk"
@@ -54,7 +55,8 @@ def activity_hmm(
     configure()
     from bayes_body.dynamics.activity import save_activity
     from bayes_body.files.atomic import write_text
-    from bayes_body.learning.activity_hmm import LearnOptions, captured, check_rate, learn_activity
+    from bayes_body.learning.activity_hmm import LearnOptions, learn_activity
+    from bayes_body.learning.activity_motions import captured, check_rate
     from bayes_body.model.definition import load_body
     from bayes_body.recording.mocap import read_motion
     from bayes_body.view.progress import watched
@@ -88,7 +90,7 @@ def labelled(word: str) -> Given:
 
 def _usable(motions: "Sequence[tuple[str | None, Path, Motion]]") -> "list[tuple[str | None, Path, Motion]]":
     """Return the motions without those that are left out, and say why. Motions with a label are all used."""
-    from bayes_body.learning.activity_hmm import no_walk
+    from bayes_body.learning.activity_motions import no_walk
 
     faults = [no_walk(file.stem, motion) if label is None else None for label, file, motion in motions]
     for sentence in filter(None, faults):

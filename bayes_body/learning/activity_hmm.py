@@ -14,34 +14,20 @@ from sklearn.decomposition import PCA
 
 from bayes_body.body.build import build_body
 from bayes_body.body.schema import BodySchema
-from bayes_body.body.skeleton import Topology
 from bayes_body.dynamics.activity import Activity
 from bayes_body.errors import input_error
-from bayes_body.learning.gait import NEEDED, is_run, points_of, speed
+from bayes_body.learning.activity_motions import Captured, frames_of, half_of_largest_change, learned_dofs
 from bayes_body.learning.hmm_choice import Chosen, Track, choose
 from bayes_body.learning.hmm_join import joined, shares_of
-from bayes_body.learning.walking_angles import ROOT, alike, settled_frames
-from bayes_body.recording.mocap import landmarks, resample
-from bayes_body.recording.mocap.motion import Motion
-from bayes_body.retarget import retarget
+from bayes_body.learning.walking_angles import ROOT, alike
 from bayes_body.view.progress import Watch, unwatched
 
-FREE = "head_"
 # What the features leave of a dof is taken as at least this, degrees.
 LEAST_DEG = 0.5
 # Motions with less variance than this show no motion, radians².
 STILL = 1e-12
 # A motion that is less likely than the others by more nats per frame is reported.
 FAR = 10.0
-
-
-class Captured(NamedTuple):
-    """A motion of a person: its name, the person, the activity, and all dofs of the body in each frame, radians and metres."""
-
-    name: str
-    subject: str
-    label: str
-    dofs: Float[np.ndarray, "_ body_dof"]
 
 
 class LearnOptions(NamedTuple):
@@ -73,46 +59,6 @@ class LearnedActivity(NamedTuple):
     training: float
     held_out: float
     sentences: tuple[str, ...]
-
-
-def no_walk(name: str, motion: Motion) -> str | None:
-    """Return why a motion is not used as a walk, or None."""
-    points = landmarks(motion)
-    if not set(NEEDED) <= set(points_of(points)):
-        return f"{name}: points unknown in some frames: left out"
-    if is_run(points, motion.fps):
-        return f"{name}: {speed(points, motion.fps):.1f} m/s is a run: left out"
-    return None
-
-
-def captured(name: str, subject: str, label: str, motion: Motion, body: str, schema: BodySchema, fps: float) -> Captured:
-    """Retarget a motion to a body, at `fps`. Angles that its points leave open are those nearest to rest.
-
-    Raises:
-        InputError: the motion has fewer frames per second, or lacks points of the body; the body's first joint has not six dofs.
-    """
-    start = build_body(body, schema)
-    if len(start.skeleton.topology.motions[0]) != ROOT:
-        found = f"{len(start.skeleton.topology.motions[0])} dofs of its first joint"
-        raise input_error(f"body '{body}'", found, "6: position and orientation in the world", "name another body")
-    check_rate(name, motion.fps, fps)
-    found = retarget(start, resample(motion, fps), schema=schema)
-    return Captured(name, subject, label, settled_frames(found.body, found.angles))
-
-
-def check_rate(name: str, given: float, fps: float) -> None:
-    """Check that a motion has at least `fps` frames per second: frames in between would be invented.
-
-    Raises:
-        InputError: it has fewer.
-    """
-    if given < fps * (1 - 1e-6):
-        raise input_error(name, f"{given:g} frames a second", f"{fps:g} or more", f"leave it out, or learn at {given:g}")
-
-
-def learned_dofs(topology: Topology) -> np.ndarray:
-    """Return the places of the learned dofs among those of the body: all but the root's and the head's."""
-    return np.array([k for k, name in enumerate(topology.dof_names) if k >= ROOT and not name.startswith(FREE)])
 
 
 def learn_activity(
@@ -152,18 +98,6 @@ def learn_activity(
     return LearnedActivity(activity, training, held_out, tuple(_sentences(motions, space.subjects, chosen)))
 
 
-def frames_of(motions: Sequence[Captured]) -> dict[str, int]:
-    """Return the number of frames of each activity.
-
-    Raises:
-        InputError: no motion at all.
-    """
-    if not motions:
-        raise input_error("the motions", "none", "at least one", "give captured motion of the activity")
-    labels = dict.fromkeys(motion.label for motion in motions)
-    return {label: sum(len(motion.dofs) for motion in motions if motion.label == label) for label in labels}
-
-
 class _Subspace(NamedTuple):
     """What is known of the learned angles before their order in time: see `Activity`. Tracks have the features of the motions."""
 
@@ -201,12 +135,6 @@ def _subspace(motions: Sequence[Captured], body: str, schema: BodySchema, compon
     kept, basis = float(pca.explained_variance_ratio_.sum()), np.asarray(pca.components_).T
     names = tuple(skeleton.topology.dof_names[k] for k in places)
     return names, _Subspace(tracks, subjects, means, np.asarray(pca.mean_), basis, left, every.min(axis=0), every.max(axis=0), kept)
-
-
-def half_of_largest_change(tracks: Sequence[Float[np.ndarray, "_ dof"]], topology: Topology) -> Float[np.ndarray, " dof"]:
-    """Return for every dof half the largest change between two frames (Darby et al. 2008, (10)); full turns are no change."""
-    whole = [np.where(topology.angular, np.unwrap(track, axis=0), track) for track in tracks]
-    return np.max([np.abs(np.diff(track, axis=0)).max(axis=0, initial=0.0) for track in whole], axis=0) / 2
 
 
 def _chosen(

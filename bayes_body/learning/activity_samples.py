@@ -1,5 +1,7 @@
 """Motion and an activity's model: how well a motion fits it, and motion that is drawn from it."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -54,6 +56,7 @@ def _arrays(activity: Activity) -> tuple[Array, Array, Array, Array]:
     return initial, transition, jnp.asarray(activity.locations), jnp.asarray(np.linalg.cholesky(activity.covariances))
 
 
+@partial(jax.jit, static_argnames="frames")
 def _drawn(initial: Array, transition: Array, locations: Array, roots: Array, key: Key, frames: int) -> Float[Array, "frame feature"]:
     first, later, noise = jax.random.split(key, 3)
     begun = jax.random.categorical(first, initial)

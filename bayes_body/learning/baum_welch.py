@@ -32,8 +32,8 @@ from bayes_body.shapes import Flag, Index, Scalar
 # Smallest eigenvalue of a covariance, as a fraction of the data's mean variance.
 FLOOR = 1e-5
 ROUNDS, ENOUGH = 50, 1e-4
-# Frames are padded to a multiple of this, so that data of similar size share a compiled program.
-BLOCK = 60
+# Frames and sequences are padded to multiples of these, so that data of similar size share a compiled program.
+BLOCK, GROUP = 60, 4
 # A state that is expected in fewer frames than this keeps its parameters: nothing can be learned about them.
 EMPTY = 1e-10
 
@@ -82,9 +82,9 @@ class _Statistics(NamedTuple):
 
 
 def padded(sequences: Sequence[Float[np.ndarray, "_ feature"]], count: int = 0) -> Sequences:
-    """Return sequences of different lengths as one array, with empty sequences added if there are fewer than `count`."""
-    longest = max(map(len, sequences))
-    values = np.zeros((max(count, len(sequences)), longest + -longest % BLOCK, sequences[0].shape[1]))
+    """Return sequences of different lengths as one array, with empty sequences added: at least `count` in all."""
+    longest, count = max(map(len, sequences)), max(count, len(sequences))
+    values = np.zeros((count + -count % GROUP, longest + -longest % BLOCK, sequences[0].shape[1]))
     known = np.zeros(values.shape[:2], bool)
     for row, sequence in enumerate(sequences):
         values[row, : len(sequence)] = sequence
