@@ -86,10 +86,10 @@ def test_dynamax_finds_the_same_counts(sequences, begin):
         likelihoods = [float(other.marginal_log_prob(params, sequence)) for sequence in jnp.asarray(data)]
         after, _ = other.fit_em(params, properties, jnp.asarray(data), num_iters=1, verbose=False)
     here = padded(list(data))
-    np.testing.assert_allclose(log_likelihood(one, here)[: len(data)], likelihoods, atol=1e-4)
+    np.testing.assert_allclose(log_likelihood(one, here)[: len(data)], likelihoods, atol=1e-9)
     ours = step(one, here, learn_initial=True)
-    np.testing.assert_allclose(ours.initial, after.initial.probs, atol=1e-4)
-    np.testing.assert_allclose(ours.transition, after.transitions.transition_matrix, atol=1e-4)
+    np.testing.assert_allclose(ours.initial, after.initial.probs, atol=1e-9)
+    np.testing.assert_allclose(ours.transition, after.transitions.transition_matrix, atol=1e-9)
 
 
 def test_the_likelihood_never_falls(found):
