@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.compare.image_motion import captured_walk
+from bayes_body.compare.image_motion import by_hand, captured_walk
 from bayes_body.errors import input_error
 from bayes_body.files.shipped import definitions_folder
 from bayes_body.initial import load_model
@@ -101,17 +101,16 @@ def film_in_room(folder: Path, frames: int = 150, seed: int = 0, motion: Path | 
     return simulate(chosen, rig, person, Options(seed=seed), folder, title="a walk in a room", watch=watch)[0]
 
 
-def with_cameras(session: Session, count: int) -> Session:
-    """Return a session with its first cameras only.
+def with_cameras(session: Session, count: int, seed: int = 0) -> Session:
+    """Return a session with its first cameras only, whose first pose is given: the true markers, with the errors of someone who places them by hand.
 
     Raises:
-        InputError: it has fewer.
+        InputError: it has fewer cameras, or no truth.
     """
     if not 1 <= count <= len(session.views):
         raise input_error("--cameras", str(count), f"1 to {len(session.views)}, which the session has", "give fewer, or another session")
-    kept = session.views[:count]
-    names = {view.camera.name for view in kept}
-    return replace(session, views=kept, initial_keypoints={name: each for name, each in session.initial_keypoints.items() if name in names})
+    placed = by_hand(session, seed)
+    return replace(session, views=session.views[:count], initial={}, initial_keypoints={}, initial_markers=placed)
 
 
 def few_camera_definitions(cameras: int, activity: str | None = None, known: bool = False, gamma: float | None = None) -> dict[str, Definition]:

@@ -256,10 +256,12 @@ def _arrays(options: Options, activity: Activity, body: Body, fps: float) -> _Ar
     dtype, frames, names = body.lengths.dtype, _frames(activity, fps), body.dof_names
     mean, between = _mean(options, activity)
     learned = np.array([names.index(name) for name in activity.names])
-    head = np.array([k for k in range(ROOT, len(names)) if k not in learned])
+    head = np.array([k for k in range(ROOT, len(names)) if k not in learned], int)
     transition = np.linalg.matrix_power(activity.transition / activity.transition.sum(axis=1, keepdims=True), frames)
     change, given = activity.change * math.sqrt(frames), math.sqrt(options.at_fps / fps)
     own = {POSITION: options.position_sd_m, ORIENTATION: options.orientation_sd_deg, HEAD: options.head_sd_deg}
+    # The training motions went one way; a person may walk in any direction.
+    change[:2] = change[:2].max()
     sd = {name: change[at] for name, at in ((POSITION, slice(0, 3)), (ORIENTATION, slice(3, ROOT)), (HEAD, head))}
     sd |= {name: value * given * (1.0 if name == POSITION else math.radians(1.0)) for name, value in own.items() if value is not None}
     keep = math.exp(-1 / (fps * options.residual_s))

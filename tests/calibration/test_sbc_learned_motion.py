@@ -1,4 +1,4 @@
-"""The walking prior on one leg: ranks of the derived pose and the markers are uniform for every sampler. Two modes, cut from a made-up gait."""
+"""Learned motion priors on one leg: ranks of the derived pose and the markers are uniform for every sampler. What is learned is made up."""
 
 import jax
 import numpy as np
@@ -8,6 +8,7 @@ from bayes_body.calibration import bands
 from bayes_body.calibration.check import SBC, experiments
 from bayes_body.calibration.problem import problem_of
 from bayes_body.calibration.scene import model_in_a_room
+from bayes_body.dynamics.activity import Activity, save_activity
 from bayes_body.dynamics.angle_cycle import AngleCycle, save_angle_cycle
 from bayes_body.model.definition import parse_definition
 from bayes_body.registry import find
@@ -78,14 +79,9 @@ l_knee = { joint = "knee" }
 l_ankle = { joint = "knee", offset = { z = "calf" } }
 
 [dynamics]
-kind = "walking_cycle"
-cycle = "CYCLE"
-coefficient_sd = 0.5
-phase_sd = 0.02
+DYNAMICS
 position_sd_m = 0.02
 orientation_sd_deg = 3.0
-heading_sd_deg = 2.0
-upright_s = 0.2
 at_fps = 60
 
 [[likelihood]]
@@ -96,6 +92,22 @@ at_diagonal_px = 800.0
 [kernel]
 kind = "sir"
 """
+DYNAMICS = {
+    "walking_cycle": """
+kind = "walking_cycle"
+cycle = "FILE"
+coefficient_sd = 0.5
+phase_sd = 0.02
+heading_sd_deg = 2.0
+upright_s = 0.2
+""",
+    "activity_hmm": """
+kind = "activity_hmm"
+activity = "FILE"
+residual_s = 0.1
+momentum = 0.5
+""",
+}
 KERNELS = {
     "sir": {"particles": 6000},
     "tempered": {"particles": 600, "moves": 3},
@@ -103,16 +115,34 @@ KERNELS = {
 }
 
 
-@pytest.fixture(scope="module")
-def problem(tmp_path_factory):
+@pytest.fixture(scope="module", params=DYNAMICS)
+def problem(request, tmp_path_factory):
+    path = tmp_path_factory.mktemp("learned") / "leg.npz"
+    (_save_cycle if request.param == "walking_cycle" else _save_activity)(path)
+    text = MODEL.replace("DYNAMICS", DYNAMICS[request.param]).replace("FILE", str(path))
+    return problem_of(model_in_a_room(parse_definition("leg", text, None)))
+
+
+def _save_cycle(path):
+    """Two modes, cut from a made-up gait."""
     rng, terms = np.random.default_rng(3), 7
     mean = np.zeros((terms, 2))
     mean[0], mean[1], mean[4], mean[5] = (-0.1, -0.6), (0.4, 0.1), (0.05, -0.4), (0.0, 0.2)
     cycle = AngleCycle("one leg", ("hip", "knee"), mean, 0.06 * rng.normal(size=(2, terms, 2)), np.array([0.9, 0.6]), 0.05 * rng.normal(size=(2, 2)),
                        np.full(2, 0.04), 0.95)  # fmt: skip
-    path = tmp_path_factory.mktemp("cycle") / "leg.npz"
     save_angle_cycle(cycle, path)
-    return problem_of(model_in_a_room(parse_definition("leg", MODEL.replace("CYCLE", str(path)), None)))
+
+
+def _save_activity(path):
+    """One feature, which swings the leg between three states."""
+    transition = np.array([[0.5, 0.4, 0.1], [0.1, 0.5, 0.4], [0.4, 0.1, 0.5]])
+    swing = Activity(
+        body="one leg", names=("hip", "knee"), subjects=("a", "b"), labels=("walk",) * 3, means=np.array([[-0.1, -0.6], [0.1, -0.7]]),
+        between=np.full(2, 0.05), centre=np.zeros(2), basis=np.array([[0.8], [0.6]]), residual=np.full(2, 0.04), initial=np.full(3, 1 / 3),
+        transition=transition, locations=np.array([[-0.3], [0.0], [0.3]]), covariances=np.array([[[0.01]], [[0.02]], [[0.01]]]),
+        change=np.full(8, 0.02), low=-np.ones(2), high=np.ones(2), kept=1.0, fps=60.0,
+    )  # fmt: skip
+    save_activity(swing, path)
 
 
 def _least_p(problem, kind):
