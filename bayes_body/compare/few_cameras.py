@@ -170,10 +170,10 @@ def follow(
         InputError: the definition or the first pose cannot be used, or the session has no truth.
     """
     model, options = load_model(definition, session, lambda line: None), definition.kernel.options
-    kernel, particles = find("kernel", definition.kernel.kind).build(options=options), particles or options.particles
+    kernel, count = find("kernel", definition.kernel.kind).build(options=options), particles or int(options.particles)
     mode_seeker, found, evaluations, seconds = bool(find("kernel", definition.kernel.kind).note), [], [], []
     for run in watch(range(runs)):
-        draws = track(session, model, kernel, jax.random.key(seed + run), particles, frames=frames)
+        draws = track(session, model, kernel, jax.random.key(seed + run), count, frames=frames)
         against = draws_against_truth(session, draws)
         if against is None:
             raise no_truth(session)

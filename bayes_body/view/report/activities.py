@@ -16,15 +16,15 @@ LEGEND = "The probability of each activity in each frame, given the images so fa
 
 def activity_details(it: Inspection) -> Markup | None:
     """Return a panel for each activity; None if there are not several, or if the spread of the particles means nothing."""
-    posterior = it.run.tree["posterior"]
+    posterior, stats = (it.run.tree[group].to_dataset() for group in ("posterior", "sample_stats"))
     if BELIEF not in posterior or it.diagnosis.mode_seeker:
         return None
     belief = posterior[BELIEF]
-    labels = [str(name).rpartition("_")[0] for name in belief[belief.dims[-1]].values]
+    labels = [str(name).rpartition("_")[0] for name in belief.coords[str(belief.dims[-1])].values]
     if len(set(labels)) < 2:
         return None
     frames = np.arange(0, it.run.frames, frames_a_point(it.run.frames))
-    weights = weights_of_runs(it.run.tree["sample_stats"]["log_weight"].isel(frame=frames).values)
+    weights = weights_of_runs(stats["log_weight"].isel(frame=frames).values)
     found = activity_probabilities(belief.isel(frame=frames).values, weights, labels)
     panels = []
     for label, values in found.items():
