@@ -100,7 +100,9 @@ class _Arrays(NamedTuple):
 def _derive(arrays: _Arrays, sampled: State) -> dict[str, Array]:
     joints = arrays.mean + arrays.basis @ sampled[FEATURES] + sampled.get(RESIDUAL, 0.0)
     pose = jnp.zeros_like(arrays.low).at[:ROOT].set(jnp.concatenate([sampled[POSITION], sampled[ORIENTATION]]))
-    pose = pose.at[arrays.learned].set(joints).at[arrays.head].set(sampled[HEAD])
+    pose = pose.at[arrays.learned].set(joints)
+    if HEAD in sampled:
+        pose = pose.at[arrays.head].set(sampled[HEAD])
     return {POSE: jnp.clip(pose, arrays.low, arrays.high)}
 
 
@@ -117,8 +119,9 @@ def _conditional(arrays: _Arrays, previous: State) -> dict[str, Distribution]:
         FEATURES: MixtureSameFamily(Categorical(probs=ahead), emitted),
         POSITION: _normal(previous[POSITION] + arrays.momentum * step, arrays.sd[POSITION]),
         ORIENTATION: _normal(previous[ORIENTATION], arrays.sd[ORIENTATION]),
-        HEAD: _normal(previous[HEAD], arrays.sd[HEAD]),
     }
+    if HEAD in arrays.sd:
+        found[HEAD] = _normal(previous[HEAD], arrays.sd[HEAD])
     if RESIDUAL in arrays.sd:
         found[RESIDUAL] = _normal(arrays.keep * previous[RESIDUAL], arrays.sd[RESIDUAL])
     return found
@@ -174,8 +177,10 @@ def _begin(arrays: _Arrays, body: Body, first: State) -> dict[str, Array]:
     pose = settled(body, nearest_branch(body.skeleton.topology, given, reference)(given))
     away = pose[arrays.learned] - arrays.mean
     features = arrays.basis.T @ away
-    state = {FEATURES: features, POSITION: pose[:3], ORIENTATION: pose[3:ROOT], HEAD: pose[arrays.head], BEFORE: pose[:3]}
+    state = {FEATURES: features, POSITION: pose[:3], ORIENTATION: pose[3:ROOT], BEFORE: pose[:3]}
     state[BELIEF] = jax.nn.softmax(jnp.log(arrays.initial + jnp.finfo(features.dtype).tiny) + _emissions(arrays, features))
+    if HEAD in arrays.sd:
+        state[HEAD] = pose[arrays.head]
     if RESIDUAL in arrays.sd:
         state[RESIDUAL] = away - arrays.basis @ features
     return state | _derive(arrays, state)
@@ -264,6 +269,8 @@ def _arrays(options: Options, activity: Activity, body: Body, fps: float) -> _Ar
     change[:2] = change[:2].max()
     sd = {name: change[at] for name, at in ((POSITION, slice(0, 3)), (ORIENTATION, slice(3, ROOT)), (HEAD, head))}
     sd |= {name: value * given * (1.0 if name == POSITION else math.radians(1.0)) for name, value in own.items() if value is not None}
+    if not head.size:
+        del sd[HEAD]
     keep = math.exp(-1 / (fps * options.residual_s))
     if options.residual:
         sd[RESIDUAL] = np.sqrt((activity.residual**2 + between**2) * (1 - keep**2))
