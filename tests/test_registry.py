@@ -57,7 +57,7 @@ def test_a_plugin_is_found_and_listed():
     term = registry.find("potential", "spring")
     assert (term.options, term.note) == (Options, "beware")
     assert term.build(options=Options(stiffness=2.0)) == 2.0
-    assert registry.names("potential") == ("intersection", "kinematic", "penetration", "spring")
+    assert registry.names("potential") == ("intersection", "kinematic", "penetration", "spring", "training_limits")
     # A name belongs to its room.
     with pytest.raises(InputError):
         registry.find("kernel", "spring")
