@@ -48,8 +48,10 @@ FEATURES, BELIEF, RESIDUAL, BEFORE = "features", "belief", "residual", "position
 # The free variables, and where they are in the pose. The rest of the free dofs is the head.
 POSITION, ORIENTATION, HEAD = "position", "orientation", "head"
 ROOT = 6
-# No state is left with certainty at every step, or the number of transitions is infinite.
+# The probability of staying in a state is taken as at least and at most this: (12) divides by its logarithm.
 LEAVES, STAYS = 1e-6, 0.999
+# Standard deviations from the training motions are at least this, metres and radians per frame.
+LEAST_CHANGE = 1e-3
 # The frame rate may be a whole fraction of the activity's, up to this.
 ROUNDING = 1e-3
 
@@ -75,9 +77,10 @@ class Options(Schema):
 class _Arrays(NamedTuple):
     """The arrays of the prior.
 
-    `mean`: pose of the learned dofs for f = 0 and r = 0. `transition`, `factor` (Cholesky factors of the covariances) and `stays`: the hidden Markov
-    model at the frame rate. `sd`: of the free variables and the residual, per frame. `keep`: what remains of a residual after a frame. `learned`,
-    `head`: where these dofs are in the pose. `steps`: as many entries as the state that stays longest needs transitions at the full temperature.
+    `mean`: pose of the learned dofs for f = 0 and r = 0. `transition`, `locations` and `factor` (Cholesky factors of the covariances): the hidden
+    Markov model at the frame rate. `sd`: of the free variables and the residual, per frame. `keep`: what remains of a residual after a frame.
+    `learned`, `head`: where these dofs are in the pose. `steps`: as many entries as the state that stays longest needs transitions at the full
+    temperature.
     """
 
     mean: Float[Array, " dof"]
@@ -263,7 +266,8 @@ def _arrays(options: Options, activity: Activity, body: Body, fps: float) -> _Ar
     learned = np.array([names.index(name) for name in activity.names])
     head = np.array([k for k in range(ROOT, len(names)) if k not in learned], int)
     transition = np.linalg.matrix_power(activity.transition / activity.transition.sum(axis=1, keepdims=True), frames)
-    change, given = activity.change * math.sqrt(frames), math.sqrt(options.at_fps / fps)
+    # A dof that no marker shows did not move in training.
+    change, given = np.maximum(activity.change, LEAST_CHANGE) * math.sqrt(frames), math.sqrt(options.at_fps / fps)
     own = {POSITION: options.position_sd_m, ORIENTATION: options.orientation_sd_deg, HEAD: options.head_sd_deg}
     # The training motions went one way; a person may walk in any direction.
     change[:2] = change[:2].max()
