@@ -134,6 +134,7 @@ def test_ancestors_are_drawn_from_their_posterior(linear_gaussian):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_wrong_sign_of_the_weights_is_found_out(monkeypatch):
     target, honest = skewed(PARTICLES), tempered_smc.feynman_kac_step
     kernel = _frozen(target.density, target.density.previous, {})
