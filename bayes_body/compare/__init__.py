@@ -3,7 +3,7 @@
 from bayes_body.compare import estimator_path, estimator_variance
 from bayes_body.compare.benchmark import Pair, Row, Settings, benchmark_rows, pairs
 from bayes_body.compare.bending_arm import film_arm, twist_interval
-from bayes_body.compare.few_cameras import few_camera_definitions, few_camera_figures, film_in_room, follow, with_cameras
+from bayes_body.compare.few_cameras import few_camera_definitions, film_in_room, follow, with_cameras
 from bayes_body.compare.image_motion import compare_walk, film_walk, motion_figures, uniform
 from bayes_body.compare.scenes import Scene, Scenes
 from bayes_body.compare.single_frames import single_frames, track_figures
@@ -19,7 +19,6 @@ __all__ = [
     "estimator_path",
     "estimator_variance",
     "few_camera_definitions",
-    "few_camera_figures",
     "film_arm",
     "film_in_room",
     "film_walk",

@@ -4,7 +4,6 @@ The optimistic error is that of the best particle. The relative error is measure
 relative error over the last LAST_S seconds is above LOST_M: its limbs have nothing to do with the person's by then.
 """
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,19 +12,16 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.compare.image_motion import by_hand, captured_walk
+from bayes_body.compare.image_motion import by_hand, film
 from bayes_body.errors import input_error
 from bayes_body.files.shipped import definitions_folder
 from bayes_body.initial import load_model
+from bayes_body.metrics.figures import coverage_at
 from bayes_body.metrics.truth import Accuracy, draws_against_truth, no_truth
 from bayes_body.model.definition import Definition, TermDefinition, load_definition
 from bayes_body.recording.rig import read_rig
 from bayes_body.registry import find
 from bayes_body.session.session import Session
-from bayes_body.simulation.options import Options
-from bayes_body.simulation.person import build_person
-from bayes_body.simulation.session import simulate
-from bayes_body.simulation.staging import centred, cut, scaled, stature_m
 from bayes_body.tracking.track import track
 from bayes_body.view.progress import Watch, unwatched
 
@@ -33,7 +29,6 @@ from bayes_body.view.progress import Watch, unwatched
 GUIDED, PLAIN, POSTERIOR = "hmm_apf", "apf", "hmm_tempered"
 RIG = "room_4"
 LAST_S, LOST_M = 0.5, 0.15
-LEVEL_90 = -1
 
 
 class Followed(NamedTuple):
@@ -93,22 +88,22 @@ def film_in_room(folder: Path, frames: int = 150, seed: int = 0, motion: Path | 
     Raises:
         InputError: the folder already holds a session, or the motion cannot be read or is too short.
     """
-    rig = read_rig(definitions_folder() / "rigs" / f"{RIG}.toml")
-    whole = captured_walk(motion, 1.2 * frames / rig.fps, seed, rig.fps)
-    chosen = cut(whole, max(0, (len(whole["pelvis"]) - frames) // 2), frames)
-    person = build_person(seed, stature_m(chosen))
-    chosen = centred(scaled(chosen, person.build.height_m / stature_m(chosen)), rig.aim_m)
-    return simulate(chosen, rig, person, Options(seed=seed), folder, title="a walk in a room", watch=watch)[0]
+    return film(folder, read_rig(definitions_folder() / "rigs" / f"{RIG}.toml"), frames, seed, motion, "a walk in a room", watch)
 
 
 def with_cameras(session: Session, count: int, seed: int = 0) -> Session:
     """Return a session with its first cameras only, whose first pose is given: the true markers, with the errors of someone who places them by hand.
 
+    Args:
+        session: a recording with truth.
+        count: number of cameras.
+        seed: of the errors.
+
     Raises:
         InputError: it has fewer cameras, or no truth.
     """
     if not 1 <= count <= len(session.views):
-        raise input_error("--cameras", str(count), f"1 to {len(session.views)}, which the session has", "give fewer, or another session")
+        raise input_error("cameras", str(count), f"1 to {len(session.views)}, which the session has", "give another number, or another session")
     placed = by_hand(session, seed)
     return replace(session, views=session.views[:count], initial={}, initial_keypoints={}, initial_markers=placed)
 
@@ -170,8 +165,9 @@ def follow(
         InputError: the definition or the first pose cannot be used, or the session has no truth.
     """
     model, options = load_model(definition, session, lambda line: None), definition.kernel.options
-    kernel, count = find("kernel", definition.kernel.kind).build(options=options), particles or int(options.particles)
-    mode_seeker, found, evaluations, seconds = bool(find("kernel", definition.kernel.kind).note), [], [], []
+    term, count = find("kernel", definition.kernel.kind), particles or int(options.particles)
+    kernel, mode_seeker = term.build(options=options), bool(term.note)
+    found, evaluations, seconds = [], [], []
     for run in watch(range(runs)):
         draws = track(session, model, kernel, jax.random.key(seed + run), count, frames=frames)
         against = draws_against_truth(session, draws)
@@ -184,7 +180,7 @@ def follow(
         absolute_m=_of(found, "frame_error"),
         optimistic_m=_of(found, "optimistic"),
         relative_m=_of(found, "relative"),
-        coverage_90=np.array([np.nan if mode_seeker else each.coverage[LEVEL_90] for each in found]),
+        coverage_90=np.array([np.nan if mode_seeker else coverage_at(each.coverage, 0.9) for each in found]),
         evaluations=float(np.mean(evaluations)),
         seconds=np.array(seconds),
         fps=session.fps,
@@ -193,8 +189,3 @@ def follow(
 
 def _of(found: list[Accuracy], name: str) -> Float[np.ndarray, "run frame"]:
     return np.stack([getattr(each, name)[:, 0] for each in found])
-
-
-def few_camera_figures(found: Mapping[str, Followed]) -> dict[str, Any]:
-    """Return the figures of all that were compared."""
-    return {name: each.figures() for name, each in found.items()}

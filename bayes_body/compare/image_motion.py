@@ -21,7 +21,7 @@ from bayes_body.metrics.truth import draws_against_truth, no_truth, true_markers
 from bayes_body.model.build import Model
 from bayes_body.model.definition import Definition, load_definition
 from bayes_body.recording.mocap import landmarks, read_motion, resample
-from bayes_body.recording.rig import read_rig
+from bayes_body.recording.rig import Rig, read_rig
 from bayes_body.session.read import save_session
 from bayes_body.session.session import Session
 from bayes_body.simulation.options import Options
@@ -67,15 +67,34 @@ def film_walk(
         InputError: the folder already holds a session, or the motion cannot be read or is too short.
     """
     rig = replace(read_rig(definitions_folder() / "rigs" / f"{MOVING if moving else STILL}.toml"), fps=FPS)
-    whole = captured_walk(motion, 2 * frames / FPS, seed)
-    chosen = cut(whole, max(0, (len(whole["pelvis"]) - frames) // 2), frames)
-    person = build_person(seed, stature_m(chosen))
-    chosen = scaled(chosen, person.build.height_m / stature_m(chosen))
-    chosen = centred(on_circle(chosen, RADIUS_M) if path == "circle" else chosen, rig.aim_m)
-    session = simulate(chosen, rig, person, Options(seed=seed), folder, title=f"a walk, {path}", watch=watch)[0]
+    session = film(folder, rig, frames, seed, motion, f"a walk, {path}", watch, RADIUS_M if path == "circle" else None)
     session = replace(session, initial_keypoints={}, initial_markers=by_hand(session, seed))
     save_session(session)
     return session
+
+
+def film(folder: Path, rig: Rig, frames: int, seed: int, motion: Path | None, title: str, watch: Watch, radius_m: float | None = None) -> Session:
+    """Film the middle of a walk with a rig, and write the session.
+
+    Args:
+        folder: the session's folder.
+        rig: the cameras.
+        frames: number of frames.
+        seed: of the person, the room and the noise.
+        motion: a captured walk; None: the walking cycle that ships.
+        title: of the session.
+        watch: wraps the frames to show progress.
+        radius_m: bends the walk into a circle; None: it stays straight.
+
+    Raises:
+        InputError: the folder already holds a session, or the motion cannot be read or is too short.
+    """
+    whole = captured_walk(motion, 2 * frames / rig.fps, seed, rig.fps)
+    chosen = cut(whole, max(0, (len(whole["pelvis"]) - frames) // 2), frames)
+    person = build_person(seed, stature_m(chosen))
+    chosen = scaled(chosen, person.build.height_m / stature_m(chosen))
+    chosen = centred(chosen if radius_m is None else on_circle(chosen, radius_m), rig.aim_m)
+    return simulate(chosen, rig, person, Options(seed=seed), folder, title=title, watch=watch)[0]
 
 
 def captured_walk(motion: Path | None, seconds: float, seed: int, fps: float = FPS) -> Landmarks:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from bayes_body.errors import input_error
 from bayes_body.files.arrays_file import read_arrays
 from bayes_body.files.atomic import replacing
-from bayes_body.files.shipped import definitions_folder
+from bayes_body.files.shipped import learned_file
 
 NAME = "walking_hmm"
 TEXTS = ("body", "names", "subjects", "labels")
@@ -90,8 +90,7 @@ def load_activity(name: str | Path = NAME) -> Activity:
     Raises:
         InputError: the file does not exist or is malformed.
     """
-    shipped = definitions_folder() / "learned" / f"{name}.npz"
-    path = shipped if shipped.is_file() else Path(name)
+    path = learned_file(name)
     arrays = read_arrays(path, (*TEXTS, *NUMBERS), KIND, REMEDY)
     try:
         return _checked(arrays)

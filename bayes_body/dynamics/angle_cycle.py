@@ -16,7 +16,7 @@ from jaxtyping import Float
 from bayes_body.errors import input_error
 from bayes_body.files.arrays_file import read_arrays
 from bayes_body.files.atomic import replacing
-from bayes_body.files.shipped import definitions_folder
+from bayes_body.files.shipped import learned_file
 
 NAME = "walking_angles"
 ARRAYS = ("body", "names", "mean", "modes", "pace", "pace_modes", "residual", "explained")
@@ -65,8 +65,7 @@ def load_angle_cycle(name: str | Path = NAME) -> AngleCycle:
     Raises:
         InputError: the file does not exist or is malformed.
     """
-    shipped = definitions_folder() / "learned" / f"{name}.npz"
-    path = shipped if shipped.is_file() else Path(name)
+    path = learned_file(name)
     arrays = read_arrays(path, ARRAYS, KIND, REMEDY)
     try:
         return _checked(arrays)

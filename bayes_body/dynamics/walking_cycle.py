@@ -36,14 +36,13 @@ from bayes_body.body.space import pose_space
 from bayes_body.density.factor import State, Transition
 from bayes_body.density.spaces import Space, circle, euclidean
 from bayes_body.dynamics.angle_cycle import NAME, AngleCycle, load_angle_cycle
+from bayes_body.dynamics.root import ROOT_DOFS, check_root
 from bayes_body.errors import input_error
 from bayes_body.registry import register
 from bayes_body.shapes import Pose, Scalar
 from bayes_body.toml.schema import Positive, ProperShare, Schema
 
 GRAVITY = 9.81
-# The root's dofs, in order: shifts along x, y, z, then rotations about z (yaw), x, y.
-ROOT = ((0, True), (1, True), (2, True), (2, False), (0, False), (1, False))
 LEG = ("l_hip", "l_knee", "l_ankle")
 # Phases among which that of the first pose is searched.
 PHASES = 128
@@ -113,12 +112,11 @@ def _conditional(walk: _Walk, previous: State) -> dict[str, Distribution]:
     coefficients, orientation = previous["coefficients"], previous["orientation"]
     heading = previous.get("heading", orientation[:1])
     upright = jnp.concatenate([heading, jnp.zeros_like(orientation[1:])])
-    yaw = heading[0]
     rate = walk.rate * jnp.exp(walk.rate_modes @ coefficients)
     forward = walk.speed * jnp.exp(walk.speed_modes @ coefficients) * walk.step_s
     moved = {
         "phase": previous["phase"] + walk.drift * rate * walk.step_s,
-        "position": previous["position"] + forward * jnp.stack([jnp.cos(yaw), jnp.sin(yaw), jnp.zeros_like(yaw)]),
+        "position": previous["position"] + forward * jnp.concatenate([jnp.cos(heading), jnp.sin(heading), jnp.zeros_like(heading)]),
         "orientation": upright + walk.lean * (orientation - upright),
         "heading": heading,
     }
@@ -137,13 +135,13 @@ def _normal(centre: Array, sd: Array) -> Distribution:
 def _begin(walk: _Walk, body: Body, first: State) -> dict[str, Array]:
     """Return the most likely state given a first pose with errors: ridge regression of the coefficients at each of many phases."""
     given = jnp.asarray(first["pose"], walk.mean.dtype)
-    branch = nearest_branch(body.skeleton.topology, given, jnp.concatenate([given[: len(ROOT)], walk.mean[0]]))
+    branch = nearest_branch(body.skeleton.topology, given, jnp.concatenate([given[:ROOT_DOFS], walk.mean[0]]))
     pose = settled(body, branch(given))
     variance = walk.residual**2 + FIRST_SD**2
 
     def at(phase: Scalar) -> tuple[Scalar, Array, Array]:
         T = _terms(phase, len(walk.mean))
-        away = pose[len(ROOT) :] - T @ walk.mean
+        away = pose[ROOT_DOFS:] - T @ walk.mean
         basis = jnp.tensordot(walk.modes, T, ((1,), (0,)))
         coefficients = jnp.linalg.solve((basis / variance) @ basis.T + jnp.eye(len(basis), dtype=basis.dtype), (basis / variance) @ away)
         left = away - coefficients @ basis
@@ -152,11 +150,9 @@ def _begin(walk: _Walk, body: Body, first: State) -> dict[str, Array]:
     phases = jnp.arange(PHASES, dtype=walk.mean.dtype) / PHASES
     costs, coefficients, left = jax.vmap(at)(phases)
     best = jnp.argmin(costs)
-    state = {"coefficients": coefficients[best], "phase": phases[best][None], "position": pose[:3], "orientation": pose[3 : len(ROOT)]}
-    if "residual" in walk.sd:
-        state["residual"] = left[best]
-    if "heading" in walk.sd:
-        state["heading"] = pose[3:4]
+    state = {"coefficients": coefficients[best], "phase": phases[best][None], "position": pose[:3], "orientation": pose[3:ROOT_DOFS]}
+    optional = {"residual": left[best], "heading": pose[3:4]}
+    state |= {name: value for name, value in optional.items() if name in walk.sd}
     # The transition to frame 0 walks one step. The first pose is that of frame 0, so the state before it is a step behind.
     ahead = _conditional(walk, state)
     state |= {name: 2 * state[name] - ahead[name].mean for name in ("phase", "position")}
@@ -193,18 +189,15 @@ def _spaces(cycle: AngleCycle, body: Body) -> tuple[tuple[str, Space], ...]:
         # Cycles are counted, so that the phase is no angle.
         ("phase", euclidean(("phase",), ("cycles",), "phase_entry")),
         ("position", euclidean(names[:3], ("m",) * 3, "shift")),
-        ("orientation", circle(names[3 : len(ROOT)], "turn")),
+        ("orientation", circle(names[3:ROOT_DOFS], "turn")),
         ("heading", circle(("heading",), "heading_entry")),
         ("residual", euclidean(tuple(f"residual_{name}" for name in cycle.names), ("rad",) * len(cycle.names), "joint_dof")),
     )
 
 
 def _check(cycle: AngleCycle, body: Body) -> None:
-    root = tuple((motion.axis, motion.is_shift) for motion in body.skeleton.topology.motions[0] if motion.sign == 1)
-    if root != ROOT or [motion.dof for motion in body.skeleton.topology.motions[0]] != list(range(len(ROOT))):
-        found = f"the first joint of the body '{body.name}' is {body.skeleton.topology.joint_names[0]}, with other dofs"
-        raise input_error("dynamics walking_cycle", found, "a first joint with the dofs tx, ty, tz, z, x, y in this order", "name another body")
-    if cycle.names != body.dof_names[len(ROOT) :]:
+    check_root(body, "dynamics walking_cycle")
+    if cycle.names != body.dof_names[ROOT_DOFS:]:
         found = f"the cycle was learned on the body '{cycle.body}', and the model's body '{body.name}' has other dofs"
         raise input_error("dynamics.cycle", found, "a cycle of the model's body", "learn one with `bayes-body learn walking-angles --body`")
     if not set(LEG) <= set(body.markers.names):

@@ -6,6 +6,7 @@ does not estimate the evidence, which is reported as NaN.
 A frame has layers $r = R \ldots 1$. At each layer, particles are resampled, crossed over, moved by the prior's noise with its standard deviation
 multiplied by $\tau^{R-r}$ (Darby et al. 2008, (10)), and weighted by $w^{\beta_r}$. Bisection finds the $\beta_r$ at which the survival rate
 $1 / (N \sum_n \pi_n^2)$ is $\tau$. The noise of the layers is a proposal that no weight corrects. This makes the filter a mode seeker.
+A motion prior may have a proposal of its own for the layers (`Transition.explore`).
 
 Crossover: a particle takes an interval of its parameters (a piece of a chain of joints, or of the list of parts) from a second parent, which is drawn
 by weight.

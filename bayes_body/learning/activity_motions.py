@@ -6,15 +6,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayes_body.body.build import build_body
 from bayes_body.body.schema import BodySchema
 from bayes_body.body.skeleton import Topology
 from bayes_body.errors import input_error
 from bayes_body.learning.gait import NEEDED, is_run, points_of, speed
-from bayes_body.learning.walking_angles import ROOT, settled_frames
+from bayes_body.learning.walking_angles import ROOT, retargeted
 from bayes_body.recording.mocap import landmarks, resample
 from bayes_body.recording.mocap.motion import Motion
-from bayes_body.retarget import retarget
 
 # Dofs that are not learned, besides the root's.
 FREE = "head_"
@@ -45,13 +43,8 @@ def captured(name: str, subject: str, label: str, motion: Motion, body: str, sch
     Raises:
         InputError: the motion has fewer frames per second, or lacks points of the body; the body's first joint has not six dofs.
     """
-    start = build_body(body, schema)
-    if len(start.skeleton.topology.motions[0]) != ROOT:
-        found = f"{len(start.skeleton.topology.motions[0])} dofs of its first joint"
-        raise input_error(f"body '{body}'", found, "6: position and orientation in the world", "name another body")
     check_rate(name, motion.fps, fps)
-    found = retarget(start, resample(motion, fps), schema=schema)
-    return Captured(name, subject, label, settled_frames(found.body, found.angles))
+    return Captured(name, subject, label, retargeted(resample(motion, fps), body, schema))
 
 
 def check_rate(name: str, given: float, fps: float) -> None:

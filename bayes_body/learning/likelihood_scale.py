@@ -25,6 +25,7 @@ from bayes_body.errors import input_error
 from bayes_body.initial import FirstPose, apply_first_pose, first_pose
 from bayes_body.metrics import accuracy_figures, draws_against_truth, log_evidence, silhouette_overlap
 from bayes_body.metrics.accuracy import LEVELS
+from bayes_body.metrics.truth import no_truth
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import Definition
 from bayes_body.session.session import Session
@@ -109,7 +110,7 @@ def trials(
     """
     for session in sessions:
         if session.truth_path is None:
-            raise input_error(session.folder, "no truth", "a session with true markers", "make one with `bayes-body simulate`")
+            raise no_truth(session)
     kept = ReplicationLog() if kept is None else kept
     starts: dict[int, FirstPose] = {}
     for number in watch(range(len(sessions) * len(scales))):

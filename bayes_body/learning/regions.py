@@ -24,7 +24,7 @@ from bayes_body.evidence.regions import BAND, EDGES, INSIDE
 from bayes_body.geometry.camera import Camera
 from bayes_body.initial import load_model
 from bayes_body.likelihood.region_samples import PartSamples, projected
-from bayes_body.metrics.truth import true_markers
+from bayes_body.metrics.truth import no_truth, true_markers
 from bayes_body.model.build import Model
 from bayes_body.model.definition import Definition
 from bayes_body.observation.frames import masks_of, read_frame
@@ -108,7 +108,7 @@ def fitted_to_truth(session: Session, definition: Definition) -> tuple[Model, Fl
     """
     truth = true_markers(session)
     if truth is None:
-        raise input_error(session.folder, "no truth", "a session with true markers", "make one with `bayes-body simulate`")
+        raise no_truth(session)
     model = load_model(definition, session)
     points = {name: truth[:, place] for place, name in enumerate(MARKERS)}
     return model, retarget(model.body.by_angles, points, session.fps, fit_lengths=False).angles

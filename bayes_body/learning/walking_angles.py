@@ -82,13 +82,22 @@ def angles_of_walk(name: str, subject: str, motion: Motion, body: str, schema: B
     Raises:
         InputError: the motion lacks points of the body, or the body's first joint has not six dofs.
     """
+    motion = resample(motion, FPS)
+    return AngleWalk(name, subject, retargeted(motion, body, schema)[:, ROOT:], landmarks(motion), FPS)
+
+
+def retargeted(motion: Motion, body: str, schema: BodySchema) -> Float[np.ndarray, "frame dof"]:
+    """Return the dofs of a body that follows a motion, radians and metres. Angles that its points leave open are those nearest to rest.
+
+    Raises:
+        InputError: the motion lacks points of the body, or the body's first joint has not six dofs.
+    """
     start = build_body(body, schema)
     if len(start.skeleton.topology.motions[0]) != ROOT:
         found = f"{len(start.skeleton.topology.motions[0])} dofs of its first joint"
         raise input_error(f"body '{body}'", found, "6: position and orientation in the world", "name another body")
-    motion = resample(motion, FPS)
     found = retarget(start, motion, schema=schema)
-    return AngleWalk(name, subject, settled_frames(found.body, found.angles)[:, ROOT:], landmarks(motion), FPS)
+    return settled_frames(found.body, found.angles)
 
 
 def settled_frames(body: Body, angles: Float[np.ndarray, "frame dof"]) -> Float[np.ndarray, "frame dof"]:

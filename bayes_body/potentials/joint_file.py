@@ -10,7 +10,7 @@ from jaxtyping import Float
 from bayes_body.errors import input_error
 from bayes_body.files.arrays_file import read_arrays
 from bayes_body.files.atomic import replacing
-from bayes_body.files.shipped import definitions_folder
+from bayes_body.files.shipped import learned_file
 
 NUMBERS = ("mean", "covariance", "weight")
 ARRAYS = ("body", "parts", "parents", *NUMBERS)
@@ -58,8 +58,7 @@ def load_joint_mixtures(name: str | Path) -> JointMixtures:
     Raises:
         InputError: the file does not exist or is malformed; a quaternion is no rotation, or a matrix no covariance.
     """
-    shipped = definitions_folder() / "learned" / f"{name}.npz"
-    path = shipped if shipped.is_file() else Path(name)
+    path = learned_file(name)
     arrays = read_arrays(path, ARRAYS, KIND, REMEDY)
     try:
         texts = {key: [str(text) for text in arrays[key]] for key in ("parts", "parents")}

@@ -5,7 +5,6 @@ $$\log C = -\infty \text{ if any learned angle is below } \mathrm{low} - m \text
 with the ranges in a file of `bayes-body learn activity-hmm`. For a person who was among those that it was learned from; others move differently.
 """
 
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -18,7 +17,7 @@ from bayes_body.body.solids import Body
 from bayes_body.density.factor import Factor, Variable, Variables
 from bayes_body.errors import input_error
 from bayes_body.files.arrays_file import read_arrays
-from bayes_body.files.shipped import definitions_folder
+from bayes_body.files.shipped import learned_file
 from bayes_body.registry import register
 from bayes_body.shapes import Scalar
 from bayes_body.toml.schema import NonNegative, Schema
@@ -48,8 +47,7 @@ def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
         InputError: the file cannot be read, or the body lacks one of its dofs.
     """
     require(body, POSE, "constraint 'training_limits'", "another constraint")
-    shipped = definitions_folder() / "learned" / f"{options.activity}.npz"
-    path = shipped if shipped.is_file() else Path(options.activity)
+    path = learned_file(options.activity)
     arrays = read_arrays(path, ("names", "low", "high"), "ranges of joint angles", REMEDY)
     names = tuple(str(each) for each in arrays.get("names", ()))
     missing = [each for each in names if each not in body.dof_names]

@@ -57,7 +57,7 @@ def test_cameras_are_left_out(session_of_two_cameras):
     assert [view.camera.name for view in one.views] == ["left"] and not one.initial_keypoints
     placed, true = np.array([one.initial_markers[name] for name in MARKERS]), np.load(session_of_two_cameras.folder / "truth.npz")["markers"][0]
     assert 0.005 < np.abs(placed - true).mean() < 0.03
-    with pytest.raises(InputError, match="--cameras: 3; expected 1 to 2, which the session has"):
+    with pytest.raises(InputError, match="cameras: 3; expected 1 to 2, which the session has"):
         with_cameras(session_of_two_cameras, 3)
 
 

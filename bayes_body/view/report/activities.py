@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.dynamics.activity_hmm import BELIEF
+from bayes_body.dynamics.activity_arrays import BELIEF
 from bayes_body.posterior.blocks import weights_of_runs
 from bayes_body.view.report.figures import draw_runs, encoded, frame_label, frames_a_point, new_panel
 from bayes_body.view.report.inspection import Inspection
