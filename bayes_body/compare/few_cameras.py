@@ -125,8 +125,9 @@ def few_camera_definitions(cameras: int, activity: str | None = None, known: boo
         terms = tuple(replace(term, options=term.options.model_copy(update={"gamma": gamma})) for term in guided.likelihoods)
         guided = replace(guided, likelihoods=terms)
     # The plain filter differs in its motion prior and its number of particles alone.
-    plain = replace(load_definition("deutscher_apf"), likelihoods=guided.likelihoods)
-    plain = replace(plain, kernel=replace(plain.kernel, options=plain.kernel.options.model_copy(update={"particles": 200})))
+    apf = load_definition("deutscher_apf")
+    kernel = replace(apf.kernel, options=apf.kernel.options.model_copy(update={"particles": 200}))
+    plain = replace(guided, dynamics=apf.dynamics, kernel=kernel)
     posterior = load_definition("darby_2008_bayes")
     if activity is not None:
         guided, posterior = (_by_activity(each, activity, known) for each in (guided, posterior))

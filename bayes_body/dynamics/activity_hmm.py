@@ -18,7 +18,8 @@ unknown subject, the spread of the subjects' mean poses is added. The free varia
 $$K_i^r = \lceil \log(1 - \lambda \rho_T) / \log A_{ii} \rceil \qquad (12)$$
 
 transitions, at least one, and the state j that it reaches emits f from $N(\mu_j, \lambda \Sigma_j)$. If $j = i$ after the first layer, the mean is
-the particle's own f. The free variables get noise with $\lambda$ times their standard deviation (10).
+the particle's own f. The free variables get noise with $\lambda$ times their standard deviation (10). The first layer adds the share of its step
+that the position keeps; the paper has none.
 """
 
 from typing import Any
@@ -26,7 +27,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-from numpyro.distributions import Categorical, Distribution, MixtureSameFamily, MultivariateNormal, Normal
+from numpyro.distributions import Categorical, Distribution, LowRankMultivariateNormal, MixtureSameFamily, MultivariateNormal, Normal
 
 from bayes_body.body.branches import nearest_branch
 from bayes_body.body.placement import POSE, require
@@ -99,7 +100,6 @@ def _perturbation(arrays: ActivityArrays, state: State, scale: Scalar) -> dict[s
 
 def _explore(arrays: ActivityArrays, key: Key, state: State, previous: State, scale: Scalar) -> dict[str, Array]:
     """Return sampled variables of the paper's proposal at one layer."""
-    del previous
     walk_key, emit_key, *keys = jax.random.split(key, 2 + len(arrays.sd))
     start = jnp.argmax(_emissions(arrays, state[FEATURES]))
     needed = transitions_needed(arrays.transition[start, start], arrays.temperature * scale)
@@ -115,11 +115,28 @@ def _explore(arrays: ActivityArrays, key: Key, state: State, previous: State, sc
     noise = arrays.factor[reached] @ jax.random.normal(emit_key, centre.shape, centre.dtype)
     free = zip(arrays.sd.items(), keys, strict=True)
     moved = {name: state[name] + scale * sd * jax.random.normal(each, state[name].shape, centre.dtype) for (name, sd), each in free}
+    moved[POSITION] += jnp.where(scale < 1, 0.0, arrays.momentum) * (previous[POSITION] - previous[BEFORE])
     return {FEATURES: centre + jnp.sqrt(scale) * noise, **moved}
 
 
 def _normal(centre: Array, sd: Array) -> Distribution:
     return Normal(centre, jnp.broadcast_to(sd, centre.shape)).to_event(1)
+
+
+def _features_of(arrays: ActivityArrays, away: Float[Array, " dof"]) -> Float[Array, " feature"]:
+    """Return the features of a first pose.
+
+    Without a residual these are its projection. With one, they are the most probable ones under the state that explains the pose best: a projection
+    far from all states would be left in the first frame, and the pose with it, because the residual changes slowly.
+    """
+    if RESIDUAL not in arrays.sd:
+        return arrays.basis.T @ away
+    spread = jnp.square(arrays.sd[RESIDUAL]) / (1 - jnp.square(arrays.keep))
+    explained = LowRankMultivariateNormal(arrays.locations @ arrays.basis.T, arrays.basis @ arrays.factor, spread).log_prob(away)
+    best = jnp.argmax(jnp.log(arrays.initial) + explained)
+    covariance = arrays.factor[best] @ arrays.factor[best].T
+    gain = covariance @ arrays.basis.T @ jnp.linalg.inv(arrays.basis @ covariance @ arrays.basis.T + jnp.diag(spread))
+    return arrays.locations[best] + gain @ (away - arrays.basis @ arrays.locations[best])
 
 
 def _begin(arrays: ActivityArrays, body: Body, first: State) -> dict[str, Array]:
@@ -128,7 +145,7 @@ def _begin(arrays: ActivityArrays, body: Body, first: State) -> dict[str, Array]
     reference = given.at[arrays.learned].set(arrays.mean)
     pose = settled(body, nearest_branch(body.skeleton.topology, given, reference)(given))
     away = pose[arrays.learned] - arrays.mean
-    features = arrays.basis.T @ away
+    features = _features_of(arrays, away)
     state = {FEATURES: features, POSITION: pose[:3], ORIENTATION: pose[3:ROOT_DOFS], BEFORE: pose[:3]}
     state[BELIEF] = jax.nn.softmax(jnp.log(arrays.initial + jnp.finfo(features.dtype).tiny) + _emissions(arrays, features))
     if HEAD in arrays.sd:

@@ -5,6 +5,10 @@ $$-\log p(z \mid s) = \rho \sum_c \Big[ \frac{1}{W_c\,|\xi|} \sum_{\xi \in \text
 
 $$W_c = \Big(1 - \frac{|g_z - g_x|}{\max(g_z, g_x)}\Big)^\gamma, \qquad g = \text{foreground pixels} / \text{background pixels}.$$
 
+(9) alone is best where the body vanishes: a body that is far away lies within the silhouette, its error is 0, and 0 divided by a small W is 0. So
+`least_error`, the error of a pose that agrees, is added to the error before it is divided by W; the paper adds none. A body has no clothes, and often
+no hands and feet. At the true pose it covers a share of the silhouette, `body_share`, by which the foreground is multiplied in g_z; 1 as printed.
+
 These terms ignore the silhouette that the body leaves uncovered: where clothes are full of edges, all limbs may fold into the torso's silhouette. A
 third term, "cover", is not in the paper and tests the other direction (Sminchisescu & Telea 2002). For points x spread over the silhouette's
 foreground, d is their distance outside the body's projection (likelihood/outlines.py; 0 inside). With h = `cover_soft_px`, it adds to the bracket
@@ -43,6 +47,8 @@ class Options(Schema):
 
     precision: Positive = 1.0
     gamma: NonNegative = 0.0
+    least_error: NonNegative = 0.0
+    body_share: Annotated[float, Field(strict=True, gt=0, le=1)] = 1.0
     terms: Annotated[tuple[Literal["silhouette", "edges", "cover"], ...], Field(min_length=1)] = ("silhouette", "edges")
     lookup: Lookup = "bilinear"
     surface_samples: tuple[Count, Count] = (6, 4)
@@ -55,7 +61,7 @@ class Options(Schema):
 
 @partial(
     jax.tree_util.register_dataclass,
-    meta_fields=["lookup", "gamma", "area_grid", "covers"],
+    meta_fields=["lookup", "gamma", "least_error", "body_share", "area_grid", "covers"],
     data_fields=["body", "rig", "samples", "map_index", "weights", "precision", "soft_px"],
 )
 @dataclass(frozen=True)
@@ -65,6 +71,8 @@ class SilhouetteEdges:
     Attributes:
         lookup: nearest or bilinear.
         gamma: the exponent in (9).
+        least_error: error of a pose that agrees, added before the division by W.
+        body_share: share of the silhouette that the body covers at the true pose.
         area_grid: columns and rows of the grid on which the projected area is measured.
         covers: whether the term "cover" is used.
         body: the body.
@@ -78,6 +86,8 @@ class SilhouetteEdges:
 
     lookup: Lookup
     gamma: float
+    least_error: float
+    body_share: float
     area_grid: tuple[int, int]
     covers: bool
     body: Body
@@ -98,7 +108,7 @@ class SilhouetteEdges:
             error = jnp.sum(errors * (self.weights[SILHOUETTE] + self.weights[EDGES]))
         else:
             silhouette, edges = (jnp.sum(errors * weight, axis=(1, 2)) for weight in self.weights)
-            error = jnp.sum(silhouette / self._area_agreement(maps, configuration) + edges)
+            error = jnp.sum((silhouette + self.least_error) / self._area_agreement(maps, configuration) + edges)
         if self.covers:
             error = error + self._uncovered(maps, in_camera)
         # A nearest look-up would turn NaN into pixel 0 and hide it.
@@ -117,7 +127,7 @@ class SilhouetteEdges:
     def _area_agreement(self, maps: SilhouetteEdgeMaps, configuration: Configuration) -> Float[Array, " camera"]:
         """W of (9), at least 1e-3, since a body that a camera does not see would divide by zero; 1 if the camera did not see the frame."""
         share = projected_area(self.body, self.rig, configuration, self.area_grid)
-        seen, projected = (jnp.clip(s, 1e-6, 1 - 1e-6) / (1 - jnp.clip(s, 1e-6, 1 - 1e-6)) for s in (maps.foreground, share))
+        seen, projected = (jnp.clip(s, 1e-6, 1 - 1e-6) / (1 - jnp.clip(s, 1e-6, 1 - 1e-6)) for s in (self.body_share * maps.foreground, share))
         agreement = 1 - jnp.abs(seen - projected) / jnp.maximum(seen, projected)
         return jnp.where(maps.foreground >= 0, jnp.maximum(agreement**self.gamma, 1e-3), 1.0)
 
@@ -134,6 +144,8 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
     potential = SilhouetteEdges(
         lookup=options.lookup,
         gamma=options.gamma,
+        least_error=options.least_error,
+        body_share=options.body_share,
         area_grid=options.area_grid,
         covers="cover" in options.terms,
         body=body,

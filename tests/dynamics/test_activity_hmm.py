@@ -87,6 +87,27 @@ def test_a_first_pose_is_kept_and_its_state_is_believed(path, activity):
     assert np.allclose(state["belief"], jax.nn.softmax(emitted), atol=1e-4)
 
 
+def test_a_first_pose_unlike_the_activity_leaves_features_that_are_likely(path, activity):
+    """What the states do not explain is residual, by Bayes' rule for a Gaussian; without a residual, the features are the projection."""
+    body, given = _body(), activity.basis @ activity.locations[2] + 0.3 * np.random.default_rng(2).normal(size=len(activity.names))
+    pose = jnp.zeros(len(body.dof_names)).at[2].set(0.9)
+    pose = pose.at[np.array([body.dof_names.index(name) for name in activity.names])].set(activity.means.mean(axis=0) + activity.centre + given)
+    state, projected = _prior(path).begin({"pose": pose}), _prior(path, residual=False).begin({"pose": pose})["features"]
+    # Angles that no marker shows may have changed.
+    away = np.asarray(activity.basis @ state["features"] + state["residual"])
+    spread = np.diag(activity.residual**2 + activity.between**2)
+    explained = [MultivariateNormal(activity.basis @ m, activity.basis @ S @ activity.basis.T + spread) for m, S in _states(activity)]
+    m, S = _states(activity)[int(np.argmax([each.log_prob(away) for each in explained]))]
+    precision = np.linalg.inv(S) + activity.basis.T @ np.linalg.inv(spread) @ activity.basis
+    expected = np.linalg.solve(precision, np.linalg.inv(S) @ m + activity.basis.T @ np.linalg.inv(spread) @ away)
+    assert np.allclose(state["features"], expected, atol=1e-3)
+    assert np.allclose(projected, activity.basis.T @ away, atol=1e-5) and np.abs(projected - expected).max() > 0.05
+
+
+def _states(activity):
+    return list(zip(activity.locations, activity.covariances, strict=True))
+
+
 def test_the_features_are_a_mixture_over_the_states_that_follow(path, activity):
     """Against the formula, written out; the belief is Bayes' rule over the states."""
     prior = _prior(path)
@@ -152,6 +173,16 @@ def test_a_layer_makes_the_transitions_of_the_paper(path, activity, temperature,
     assert np.allclose(kept, around, atol=0.01)
     spread = np.cov(features[reached == start].T)
     assert np.allclose(spread, scale * activity.covariances[start], atol=0.15 * scale * activity.covariances[start].max())
+
+
+def test_the_first_layer_keeps_a_share_of_the_step(path, activity):
+    """Later layers start from a position that has made it."""
+    plain, keeping = _prior(path), _prior(path, momentum=0.75)
+    state = _state(plain, activity)
+    state["position_before"] = state["position"] - jnp.asarray([0.02, -0.01, 0.004])
+    for scale, share in ((1.0, 0.75), (0.5, 0.0)):
+        ways = [prior.explore(jax.random.key(0), state, state, jnp.asarray(scale))["position"] for prior in (plain, keeping)]
+        assert np.allclose(ways[1] - ways[0], share * np.array([0.02, -0.01, 0.004]), atol=1e-6)
 
 
 def test_a_layer_of_an_annealing_kernel_explores(path, activity):

@@ -141,16 +141,17 @@ def test_at_equal_areas_w_is_one(x64, scene):
     assert log_likelihood(man, maps=equal, gamma=5.0) == pytest.approx(float(log_likelihood(man)), rel=1e-12)
 
 
-@pytest.mark.parametrize("gamma", [1.0, 5.0])
-def test_w_is_9(x64, scene, gamma):
+@pytest.mark.parametrize(("gamma", "least", "covered"), [(1.0, 0.0, 1.0), (5.0, 0.0, 1.0), (5.0, 0.07, 0.9)])
+def test_w_is_9(x64, scene, gamma, least, covered):
     man = scene("deutscher_31")
     share = np.asarray(projected_area(man.body, man.rig, man.pose, (80, 60)))
     maps = man.maps()._replace(foreground=jnp.asarray(share * [0.8, 1.3]))
-    g_x, g_z = share / (1 - share), np.asarray(maps.foreground) / (1 - np.asarray(maps.foreground))
+    g_x, g_z = (s / (1 - s) for s in (share, covered * np.asarray(maps.foreground)))
     W = (1 - np.abs(g_z - g_x) / np.maximum(g_z, g_x)) ** gamma
-    one = [silhouette_of(man, maps, c) for c in (0, 1)]
+    one = [silhouette_of(man, maps, c) - least for c in (0, 1)]
     expected = float(one[0] / W[0] + one[1] / W[1] + log_likelihood(man, maps=maps, terms=("edges",)))
-    assert log_likelihood(man, maps=maps, gamma=gamma) == pytest.approx(expected, rel=1e-10)
+    found = log_likelihood(man, maps=maps, gamma=gamma, least_error=least, body_share=covered)
+    assert found == pytest.approx(expected, rel=1e-10)
 
 
 def silhouette_of(man, maps, c) -> jax.Array:
@@ -176,6 +177,11 @@ def test_gamma_holds_a_body_to_its_size(x64, scene):
     assert plain[0] == pytest.approx(plain[1], rel=1e-9)
     assert held[0] == pytest.approx(plain[0], rel=1e-9)
     assert held[1] < 5 * held[0]
+    # Where the silhouette leaves no error, W has nothing to divide but the least error.
+    clear = maps._replace(errors=everything)
+    vanished = [[float(log_likelihood(one, pose, clear, gamma=5.0, least_error=least)) for pose in (one.pose, far)] for least in (0.0, 0.05)]
+    assert vanished[0] == [0.0, 0.0] or np.abs(vanished[0]).max() < 1e-9
+    assert vanished[1][1] < 5 * vanished[1][0] < 0
 
 
 def test_gradient_away_from_cell_borders(x64, scene):
