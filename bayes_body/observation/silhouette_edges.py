@@ -19,6 +19,9 @@ from bayes_body.observation.thickness import spread_points
 from bayes_body.registry import register
 from bayes_body.toml.schema import NonNegative, Positive, Schema, Share
 
+# Pieces of a figure are at most this share of the image's longer side apart.
+GAP = 0.01
+
 
 class Options(Schema):
     """Options of `[likelihood.observation]` of `silhouette_edges`.
@@ -26,6 +29,7 @@ class Options(Schema):
     `proximity` chooses how the maps are made. By distance, h is `silhouette_smooth_px` and `edge_smooth_px`; edges count only within
     `edges_within_px` of the silhouette, because the others belong to the room. A sample outside an image counts as the error `unseen_error`, wherever
     it is; 0.5 is half way between full agreement and none. So does every sample in a camera that did not see the frame, or has no silhouette in it.
+    `area_of` says whose foreground counts in the agreement of areas, (9): all of it, or the largest figure's, for views of more than one person.
     """
 
     proximity: Literal["density", "distance"] = "density"
@@ -34,6 +38,7 @@ class Options(Schema):
     edge_smooth_px: Positive = 3.0
     edges_within_px: NonNegative = 4.0
     unseen_error: Share = 0.5
+    area_of: Literal["all", "largest"] = "all"
 
 
 def edge_proximity(grey: NDArray[np.uint8], threshold: float, smooth_px: float) -> NDArray[np.float32]:
@@ -72,6 +77,15 @@ def closeness(distance: NDArray[np.float32], scale_px: float) -> NDArray[np.floa
     return np.exp(-0.5 * (distance / scale_px) ** 2)
 
 
+def largest_figure(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The largest connected part of a mask (row, column), with the pieces that a narrow gap separates from it."""
+    reach = max(1, round(GAP * max(mask.shape)))
+    joined = cv2.dilate(mask.astype(np.uint8), np.ones((reach, reach), np.uint8))
+    labels = np.asarray(cv2.connectedComponents(joined)[1], np.int32)
+    sizes = np.bincount(labels[mask], minlength=1)
+    return mask & (labels == sizes.argmax())
+
+
 @register("observation", "silhouette_edges", Options)
 def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame], SilhouetteEdgeMaps]:
     """Compute the likelihood's maps from a frame's images and masks, as NumPy arrays.
@@ -106,7 +120,7 @@ def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame
                 points.append(np.zeros((count, 2), np.float32))
             else:
                 stacks.append(maps_of(image, mask, frame.largest))
-                shares.append(mask.mean())
+                shares.append((largest_figure(mask) if options.area_of == "largest" else mask).mean())
                 points.append(spread_points(mask, count))
         return SilhouetteEdgeMaps(np.stack(stacks), np.array(shares, np.float32), np.stack(points))
 

@@ -56,6 +56,18 @@ def test_the_threshold_is_grey_levels_a_pixel():
     assert edge_proximity(ramp, 5.5, 1.0)[5:-5, 5:-5].min() > 0.9
 
 
+def test_the_area_is_that_of_all_or_of_the_largest_figure():
+    mask = np.zeros((120, 200), bool)
+    mask[10:40, 10:30] = mask[41:100, 10:30] = True  # One figure with a gap at the waist.
+    mask[10:95, 120:138] = True
+    image = np.full(mask.shape, 100, np.uint8)
+    frame = Frame(0, (image,), (mask,))
+    assert observe(frame).foreground == pytest.approx(mask.mean())
+    assert observe(frame, area_of="largest").foreground == pytest.approx(20 * 89 / mask.size)
+    empty = Frame(0, (image,), (np.zeros_like(mask),))
+    assert observe(empty, area_of="largest").foreground == 0
+
+
 def test_smoothing_keeps_a_silhouettes_mass():
     mask = np.zeros((80, 100), bool)
     mask[30:50, 40:52] = True
