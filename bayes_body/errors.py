@@ -1,7 +1,11 @@
 """Errors about a user's input. Each names the input, its value, what was expected, and the remedy, in one sentence."""
 
 import difflib
+import unicodedata
 from collections.abc import Iterable
+
+# Categories of characters: controls (line breaks, tabs, escapes), surrogates, line and paragraph separators.
+CONTROL = ("Cc", "Cs", "Zl", "Zp")
 
 
 class InputError(ValueError):
@@ -19,6 +23,16 @@ class FaultyFileError(InputError):
 def input_error(subject: object, found: str, expected: str, remedy: str) -> InputError:
     """Return the error `subject: found; expected ...; remedy.`"""
     return InputError(f"{subject}: {found}; expected {expected}; {remedy}.")
+
+
+def has_controls(text: str) -> bool:
+    """Return whether a text has control characters, such as a line break or the escape that a terminal obeys."""
+    return any(unicodedata.category(character) in CONTROL for character in text)
+
+
+def escaped(text: str) -> str:
+    """Return a text from a file so that a terminal can show it: control characters as Python writes them."""
+    return "".join(ascii(each)[1:-1] if unicodedata.category(each) in CONTROL else each for each in text)
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

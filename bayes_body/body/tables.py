@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from bayes_body.toml.schema import Finite, Positive, Schema
+from bayes_body.toml.schema import Finite, Name, Positive, Schema
 
 Preset = Literal["x90", "x180", "x270", "y90", "y180", "y270", "z90", "z180", "z270"]
 Axis = Literal["x", "y", "z", "-x", "-y", "-z", "tx", "ty", "tz", "width"]
@@ -20,7 +20,7 @@ class Dof(Schema):
     width moves nothing: it is added, in metres, to the radii of the parts whose `widened` names it, and must have limits.
     """
 
-    name: str
+    name: Name
     axis: Axis
     low_deg: Finite | None = None
     high_deg: Finite | None = None
@@ -73,7 +73,7 @@ class Offset(Schema):
 class Joint(Schema):
     """A frame attached to its parent: translated along the parent's axes, rotated by the presets in order, then moved by its dofs in order."""
 
-    name: str
+    name: Name
     parent: str
     preset: tuple[Preset, ...] = ()
     offset: Offset = Offset()
@@ -87,7 +87,7 @@ class Part(Schema):
     `width` that are added to the radii of base and tip; an empty name means none.
     """
 
-    name: str
+    name: Name
     joint: str
     kind: Literal["cylinder", "sphere"] = "cylinder"
     preset: tuple[Preset, ...] = ()
@@ -115,6 +115,6 @@ class BodyTables(Schema):
     lengths_of_height: dict[str, Positive]
     joints: Annotated[tuple[Joint, ...], Field(min_length=1, alias="joint")]
     parts: Annotated[tuple[Part, ...], Field(min_length=1, alias="part")]
-    markers: dict[str, Marker] = {}
+    markers: dict[Name, Marker] = {}
     penetration: tuple[tuple[str, str], ...] = ()
     spheres_per_part: Annotated[int, Field(ge=2, le=20)] = 4

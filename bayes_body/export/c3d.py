@@ -47,8 +47,6 @@ def write_c3d(motion: Motion, path: Path, spread: bool = False) -> None:
     if motion.frames > MOST_FRAMES:
         raise input_error("--to c3d", f"{motion.frames} frames", f"at most {MOST_FRAMES}, the format's limit", "choose npz, csv or trc")
     with replacing(path) as partial:
-        # For a missing folder, ezc3d itself would only report "iostream error".
-        partial.touch()
         _document(motion, motion.moments if spread else ("mean",)).write(str(partial))
 
 

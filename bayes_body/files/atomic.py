@@ -1,14 +1,17 @@
 """Write folders and files for a user: completely or not at all. What the file system refuses becomes an InputError."""
 
 import os
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from bayes_body.errors import InputError, input_error
 
-# A prefix, so that a writer that depends on the suffix sees the file's own.
+# Temporary files begin so. They keep the file's own suffix, for writers that depend on it.
 PARTIAL = ".partial-"
+# Bytes of the random part of their names.
+RANDOM = 8
 
 
 def make_folder(path: Path) -> Path:
@@ -38,13 +41,15 @@ def write_text(path: Path, text: str) -> None:
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary name in the same folder. The file written there replaces `path` after the block, once its content is on the disk.
 
-    If the block is interrupted, `path` is unchanged or complete. The temporary file is removed, or overwritten the next time.
+    If the block is interrupted, `path` is unchanged or complete, and the temporary file is removed. The name is random and the file is new: a link
+    that somebody left in the folder is not followed. If `path` itself is a link, the link is replaced, not the file that it leads to.
 
     Raises:
         InputError: the file system refuses it.
     """
-    partial = path.with_name(PARTIAL + path.name)
+    partial = path.with_name(PARTIAL + secrets.token_hex(RANDOM) + path.suffix)
     try:
+        _make_new(partial)
         yield partial
         _sync(partial)
         partial.replace(path)
@@ -54,6 +59,11 @@ def replacing(path: Path) -> Iterator[Path]:
         if isinstance(error, OSError):
             raise refused(path, "written", error) from None
         raise
+
+
+def _make_new(path: Path) -> None:
+    """Make an empty file where there is nothing yet, not even a link."""
+    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
 
 
 def _sync(path: Path) -> None:

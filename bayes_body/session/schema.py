@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
 from bayes_body.errors import nearest
-from bayes_body.toml.schema import Count, Finite, Positive, Schema, Share
+from bayes_body.toml.schema import Count, Finite, Name, Positive, Schema, Share
 
 # A larger number is assumed to be in millimetres (or centimetres), not in metres.
 FARTHEST_M = 1000.0
@@ -65,7 +65,7 @@ type Rows = tuple[Row, Row, Row]
 class CameraTable(Schema):
     """`[[camera]]`: one calibrated camera and the location of its images."""
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Annotated[Name, Field(min_length=1)]
     size_px: tuple[Count, Count]
     focal_px: tuple[Positive, Positive]
     centre_px: tuple[Finite, Finite]

@@ -5,6 +5,7 @@ are those that the run used. Its images are read from their original place.
 """
 
 import json
+import shlex
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -197,7 +198,7 @@ def _open_posterior(folder: Path, settings: Mapping[str, Any]) -> "xr.DataTree":
 
 def _unfinished(folder: Path, settings: Mapping[str, Any]) -> Exception:
     if any((folder / FRAMES_FOLDER).glob("*.npz")):
-        command = f"bayes-body track {settings['session']} --out {folder} --resume"
+        command = shlex.join(["bayes-body", "track", str(settings["session"]), "--out", str(folder), "--resume"])
         return input_error(folder, f"holds frames but no {POSTERIOR_FILE}", "a finished run", f"continue it with `{command}`")
     return input_error(folder, f"holds no {POSTERIOR_FILE}", "a finished run", AGAIN)
 

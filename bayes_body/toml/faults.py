@@ -11,7 +11,7 @@ from typing import Annotated, Any, NamedTuple, TypeAliasType, Union, get_args, g
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
-from bayes_body.errors import input_error, nearest
+from bayes_body.errors import escaped, input_error, nearest
 
 # Longer values are cut, since the sentence is about the key.
 LONGEST_VALUE = 60
@@ -136,7 +136,7 @@ def _name(data: Any, path: tuple[str | int, ...]) -> str:
             text += f" '{data['name']}'"
         else:
             text += f" #{step + 1}"
-    return text
+    return escaped(text)
 
 
 def _value(data: Any, path: tuple[str | int, ...]) -> Any:

@@ -1,8 +1,10 @@
-"""The base class of all tables of a TOML file, and types of numbers. Numbers must be finite numbers, not strings or booleans."""
+"""The base class of all tables of a TOML file, and types of numbers and names. Numbers must be finite numbers, not strings or booleans."""
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from bayes_body.errors import has_controls
 
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
@@ -10,6 +12,16 @@ NonNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(strict=True, ge=0, le=1)]
 ProperShare = Annotated[float, Field(strict=True, gt=0, lt=1)]
 Count = Annotated[int, Field(strict=True, ge=1)]
+
+
+def _one_line(text: str) -> str:
+    """Return the name, if it has no control characters. Names end up in files for other programs, where a line break would begin a new record."""
+    if has_controls(text):
+        raise ValueError(f"{text!a} has control characters; expected one line of text; rename it")
+    return text
+
+
+Name = Annotated[str, AfterValidator(_one_line)]
 
 
 class Schema(BaseModel):

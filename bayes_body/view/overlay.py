@@ -14,7 +14,7 @@ from cv2.typing import MatLike
 from jaxtyping import Float, Int
 
 from bayes_body.body.space import configuration_space
-from bayes_body.files.atomic import make_folder, replacing
+from bayes_body.files.atomic import make_folder, remove_partial, replacing
 from bayes_body.model.build import Model
 from bayes_body.observation.pictures import read_colour
 from bayes_body.posterior import equal_weight_poses, mean_pose
@@ -48,7 +48,7 @@ def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = un
     """
     frames = len(draws.frames)
     stills = _stills(folder, frames)
-    make_folder(folder / "overlay")
+    remove_partial(make_folder(folder / "overlay"))
     space, runs = configuration_space(draws.model.body), np.full(draws.runs, 1 / draws.runs)
     means = np.stack([np.asarray(space.mean(runs, mean_pose(result, draws.model))) for result in draws.frames])
     windows = person_windows(session, draws.model, means)

@@ -193,7 +193,7 @@ def test_a_file_that_cannot_be_written_is_a_sentence(make_run, tmp_path, name):
         with pytest.raises(InputError, match=r"cannot be made"):
             export(run, name, tmp_path / "file" / f"arm.{name}")
         with pytest.raises(InputError, match=r"cannot be written \(File name too long\)"):
-            export(run, name, tmp_path / f"{'a' * 250}.{name}")
+            export(run, name, tmp_path / f"{'a' * 260}.{name}")
         with pytest.raises(InputError, match=r"a folder; expected the name of a file"):
             export(run, name, tmp_path)
 

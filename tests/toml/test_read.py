@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bayes_body.errors import FaultyFileError, InputError
 from bayes_body.toml.read import read_toml, validate
+from bayes_body.toml.schema import Name, Schema
 
 type Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -127,3 +128,23 @@ def test_no_file_to_read(tmp_path):
 def test_a_byte_order_mark_is_no_error(tmp_path):
     (tmp_path / "m.toml").write_bytes(b"\xef\xbb\xbfa = 1\r\n")
     assert read_toml(tmp_path / "m.toml") == {"a": 1}
+
+
+class Named(Schema):
+    name: Name = "a"
+    markers: dict[Name, int] = {}
+
+
+@pytest.mark.parametrize("break_", ["\n", "\r", "\t", "\x1b[31m", "\x00", "\u2028"])
+@pytest.mark.parametrize("field", ["name", "markers"])
+def test_a_name_is_one_line(field, break_):
+    """It is written to files where a line break begins a new record, and to terminals, which obey an escape."""
+    name = f"wrist{break_}; rm x"
+    with pytest.raises(InputError, match="has control characters; expected one line of text; rename it") as error:
+        validate(Named, {field: name if field == "name" else {name: 1}}, "body.toml")
+    assert break_ not in str(error.value)
+
+
+def test_a_name_may_be_of_any_language():
+    name = "poignet\u00a0gauche \u624b\u9996"
+    assert validate(Named, {"name": name, "markers": {name: 1}}, "body.toml").name == name
