@@ -25,11 +25,6 @@ def input_error(subject: object, found: str, expected: str, remedy: str) -> Inpu
     return InputError(f"{subject}: {found}; expected {expected}; {remedy}.")
 
 
-def has_controls(text: str) -> bool:
-    """Return whether a text has control characters, such as a line break or the escape that a terminal obeys."""
-    return any(unicodedata.category(character) in CONTROL for character in text)
-
-
 def escaped(text: str) -> str:
     """Return a text from a file so that a terminal can show it: control characters as Python writes them."""
     return "".join(ascii(each)[1:-1] if unicodedata.category(each) in CONTROL else each for each in text)

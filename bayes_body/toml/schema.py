@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from bayes_body.errors import has_controls
+from bayes_body.errors import escaped
 
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
@@ -16,7 +16,7 @@ Count = Annotated[int, Field(strict=True, ge=1)]
 
 def _one_line(text: str) -> str:
     """Return the name, if it has no control characters. Names end up in files for other programs, where a line break would begin a new record."""
-    if has_controls(text):
+    if escaped(text) != text:
         raise ValueError(f"{text!a} has control characters; expected one line of text; rename it")
     return text
 

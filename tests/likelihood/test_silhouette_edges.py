@@ -180,7 +180,7 @@ def test_gamma_holds_a_body_to_its_size(x64, scene):
     # Where the silhouette leaves no error, W has nothing to divide but the least error.
     clear = maps._replace(errors=everything)
     vanished = [[float(log_likelihood(one, pose, clear, gamma=5.0, least_error=least)) for pose in (one.pose, far)] for least in (0.0, 0.05)]
-    assert vanished[0] == [0.0, 0.0] or np.abs(vanished[0]).max() < 1e-9
+    assert vanished[0] == pytest.approx([0.0, 0.0], abs=1e-9)
     assert vanished[1][1] < 5 * vanished[1][0] < 0
 
 
