@@ -32,6 +32,7 @@ import jaxtyping
 import numpy as np
 from beartype.roar import BeartypeDecorHintException
 from browser import browser  # noqa: F401
+from sealed import seal
 
 
 def _check_shapes(function):
@@ -53,7 +54,7 @@ _checks.check = _check_shapes
 sys.modules[_checks.__name__] = _checks
 jaxtyping.install_import_hook("bayes_body", f"{_checks.__name__}.check")
 
-from bayes_body.body.space import configuration_space  # noqa: E402
+from bayes_body.body.space import configuration_space, pose_space  # noqa: E402
 from bayes_body.density.spaces import space_to_text  # noqa: E402
 from bayes_body.evidence.markers import MARKERS  # noqa: E402
 from bayes_body.model.build import build_model  # noqa: E402
@@ -300,7 +301,8 @@ def make_run(textured_session, tmp_path):
         lost = arrays.get("lost", np.zeros((runs, frames), bool))
         log_evidence = arrays.get("log_evidence", np.zeros((runs, frames)))
         definition = load_definition(model)
-        posterior = xr.Dataset({"pose": (("chain", "draw", "frame", "dof"), pose)}, {"dof": list(ARM_DOFS), "unit": ("dof", ["rad"] * 4)})
+        space = {SPACE: space_to_text(pose_space(build_model(definition, session).body))}
+        posterior = xr.Dataset({"pose": (("chain", "draw", "frame", "dof"), pose, space)}, {"dof": list(ARM_DOFS), "unit": ("dof", ["rad"] * 4)})
         if parts:
             definition = parse_definition(model, loose_limbed(definition.text), definition.body_text)
             posterior = _parts(build_model(definition, session).body, pose)
@@ -323,6 +325,7 @@ def make_run(textured_session, tmp_path):
         }
         (folder / "run.toml").write_text(tomlkit.dumps(document), encoding="utf-8")
         (folder / "summary.json").write_text('{"rhat_max": 1.5}', encoding="utf-8")
+        seal(folder, frames)
         return folder
 
     return call

@@ -14,12 +14,12 @@ from bayes_body.errors import InputError, input_error
 LARGEST_BYTES = 500_000_000
 
 
-def read_arrays(path: Path, keys: Sequence[str], kind: str, remedy: str) -> dict[str, NDArray[np.generic]]:
+def read_arrays(path: Path, keys: Sequence[str] | None, kind: str, remedy: str) -> dict[str, NDArray[np.generic]]:
     """Read the requested arrays that the archive contains.
 
     Args:
         path: the file.
-        keys: names of the arrays.
+        keys: names of the arrays; None for all.
         kind: what the file should be, as the middle of a sentence.
         remedy: what the user can do, as the end of a sentence.
 
@@ -31,7 +31,8 @@ def read_arrays(path: Path, keys: Sequence[str], kind: str, remedy: str) -> dict
             size = sum(member.file_size for member in archive.infolist())
             if size > LARGEST_BYTES:
                 raise input_error(path, f"{size} bytes when unpacked", f"at most {LARGEST_BYTES}", "name another file")
-            members = [key for key in keys if f"{key}.npy" in archive.namelist()]
+            names = [name.removesuffix(".npy") for name in archive.namelist()]
+            members = names if keys is None else [key for key in keys if key in names]
             return {key: _parsed(f"{path}: {key}", _content(archive, key), kind, remedy) for key in members}
     except InputError:
         raise

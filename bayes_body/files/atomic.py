@@ -1,6 +1,7 @@
 """Write folders and files for a user: completely or not at all. What the file system refuses becomes an InputError."""
 
 import os
+import re
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,6 +13,7 @@ from bayes_body.errors import InputError, input_error
 PARTIAL = ".partial-"
 # Bytes of the random part of their names.
 RANDOM = 8
+RANDOM_NAME = re.compile(rf"{re.escape(PARTIAL)}[0-9a-f]{{{2 * RANDOM}}}(\.[^.]*)?")
 
 
 def make_folder(path: Path) -> Path:
@@ -90,6 +92,9 @@ def remove_partial(folder: Path) -> None:
         InputError: the file system refuses it.
     """
     for path in folder.glob(f"{PARTIAL}*"):
+        if not RANDOM_NAME.fullmatch(path.name):
+            # It has another name than this program gives.
+            continue
         try:
             path.unlink()
         except OSError as error:

@@ -2,25 +2,29 @@
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from filelock import FileLock, Timeout
 
 from bayes_body.errors import input_error
-from bayes_body.files.atomic import refused
+from bayes_body.files.atomic import make_folder, refused
 
 NAME = ".lock"
 
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Lock the folder of a run; the lock file names the process.
+    """Lock the folder of a run, which is made if needed; the lock file names the process.
+
+    If the block fails and has written nothing, a folder that was made is removed again.
 
     Raises:
         InputError: another process holds it, or the file system refuses the lock.
     """
+    made = _made(folder)
     path = folder / NAME
+    _check_own(path)
     lock = FileLock(path, timeout=0, is_singleton=False)
     try:
         lock.acquire()
@@ -34,19 +38,37 @@ def locked(folder: Path) -> Iterator[None]:
         raise refused(path, "written", error) from None
     try:
         yield
+    except BaseException:
+        if made and {entry.name for entry in folder.iterdir()} <= {NAME}:
+            path.unlink(missing_ok=True)
+            _remove(made)
+        raise
     finally:
         lock.release()
 
 
-def check_unlocked(folder: Path) -> None:
-    """Refuse a folder that another process works on, without writing anything into it.
+def _made(folder: Path) -> list[Path]:
+    """Make a folder with its parents. Return the folders that did not exist, the innermost first."""
+    missing = []
+    for path in (folder, *folder.parents):
+        if path.exists():
+            break
+        missing.append(path)
+    make_folder(folder)
+    return missing
 
-    Raises:
-        InputError: as for `locked`.
-    """
-    if (folder / NAME).exists():
-        with locked(folder):
-            pass
+
+def _remove(folders: list[Path]) -> None:
+    """Remove folders, as far as they are empty."""
+    with suppress(OSError):
+        for path in folders:
+            path.rmdir()
+
+
+def _check_own(path: Path) -> None:
+    """Refuse a lock file that leads to another file, which would be overwritten."""
+    if path.is_symlink() or (path.exists() and (not path.is_file() or path.stat().st_nlink > 1)):
+        raise input_error(path, "a link, or no plain file", "a file of the program's own", "remove it")
 
 
 def _holder(path: Path) -> str:

@@ -1,7 +1,8 @@
 """Write `posterior.nc` frame by frame in bounded memory: the tree of `to_datatree`, for xarray and ArviZ.
 
 The groups `posterior` and `sample_stats` are stored in chunks: all draws of one run in some frames. The group `filter` has a few numbers per frame,
-and each of its variables is stored in one piece. The file depends neither on when it was written nor on how often the run was resumed.
+and each of its variables is stored in one chunk. All chunks have checksums, which HDF5 verifies when it reads them. The file depends neither on
+when it was written nor on how often the run was resumed.
 """
 
 import shutil
@@ -54,17 +55,6 @@ def frames_in_chunk(draws: Draws) -> int:
     return int(np.clip(CHUNK_BYTES // a_frame, 1, min(CHUNK_FRAMES, len(draws.frames))))
 
 
-def stored_frames(path: Path) -> int:
-    """Return the number of frames in a `posterior.nc`; 0 if the file is missing or cannot be read."""
-    import h5netcdf
-
-    try:
-        with h5netcdf.File(path, "r") as file:
-            return file["posterior"].dimensions["frame"].size
-    except (OSError, KeyError, ValueError, RuntimeError):
-        return 0
-
-
 def _check_room(draws: Draws, path: Path) -> None:
     a_frame = sum(np.asarray(variable.of(draws.frames[0])).nbytes for members in groups(draws).values() for variable in members)
     wanted, free = len(draws.frames) * a_frame, shutil.disk_usage(path.parent).free
@@ -83,8 +73,10 @@ def _make_group(file: "h5netcdf.File", name: str, members: Sequence[Variable], d
         dtype = np.asarray(variable.of(draws.frames[0])).dtype
         boolean = dtype.kind == "b"
         shape = tuple(lengths[dim] for dim in variable.dims)
-        chunks = tuple(_chunk(dim, length, step) for dim, length in zip(variable.dims, shape, strict=True)) if name in IN_CHUNKS else None
-        array = group.create_variable(variable.name, variable.dims, np.dtype("i1") if boolean else dtype, chunks=chunks)
+        # Checksums need chunks. Without draws, one chunk holds all.
+        chunks = tuple(_chunk(dim, length, step) for dim, length in zip(variable.dims, shape, strict=True)) if name in IN_CHUNKS else shape
+        checked = {"chunks": chunks, "fletcher32": True} if 0 not in shape else {}
+        array = group.create_variable(variable.name, variable.dims, np.dtype("i1") if boolean else dtype, **checked)
         # Follow xarray's conventions: booleans are stored as bytes, and coordinates that are not an index are named in an attribute.
         array.attrs.update({"dtype": "bool"} if boolean else {})
         units = [unit_name(dim) for dim in variable.dims if unit_name(dim) in labels]

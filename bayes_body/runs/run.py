@@ -13,8 +13,8 @@ from typing import Any
 import jax
 
 from bayes_body.errors import input_error
-from bayes_body.files.atomic import make_folder, remove_partial, write_text
-from bayes_body.files.lock import check_unlocked, locked
+from bayes_body.files.atomic import remove_partial, write_text
+from bayes_body.files.lock import locked
 from bayes_body.initial import (
     Show,
     apply_first_pose,
@@ -34,7 +34,6 @@ from bayes_body.model.definition import load_definition
 from bayes_body.model.kernel_options import kernel_options
 from bayes_body.posterior import stream_posterior
 from bayes_body.posterior.diagnostics import diagnose, sentences, worst_figures
-from bayes_body.posterior.stream import stored_frames
 from bayes_body.registry import find, notes
 from bayes_body.runs.frame_pairs import check_pairs
 from bayes_body.runs.model_choice import choose_model
@@ -43,14 +42,16 @@ from bayes_body.runs.settings import AUTO, GIVEN, Record, Settings, choose, stor
 from bayes_body.session.read import load_session
 from bayes_body.session.session import Session
 from bayes_body.storage import FrameFiles
+from bayes_body.storage.inputs import input_digests
 from bayes_body.storage.names import FRAMES_FOLDER, POSTERIOR_FILE, RUN_FILE, SUMMARY_FILE
-from bayes_body.storage.run_file import describe, refuse_changes, write_run_file
-from bayes_body.storage.saved_run import load_run
+from bayes_body.storage.results import Results
+from bayes_body.storage.run_changes import refuse_changes
+from bayes_body.storage.run_file import describe, write_run_file
 from bayes_body.tracking.draws import Draws
 from bayes_body.tracking.program import compiled_ahead
 from bayes_body.tracking.track import track
 from bayes_body.view.figures_text import figures_text, warning_line
-from bayes_body.view.overlay import draw_overlay, is_drawn
+from bayes_body.view.overlay import draw_overlay
 from bayes_body.view.progress import progress_bar, waiting, watched
 
 # Kernels whose runs recover from a loss unless the user says otherwise.
@@ -69,7 +70,12 @@ def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
         InputError: an input cannot be used, the session has no first pose and none is found, the folder has another run or is used by another
             process, or a file cannot be written.
     """
-    check_unlocked(settings.out)
+    # The lock comes first: what another process writes after a look into the folder would not be noticed.
+    with locked(settings.out):
+        return _run(settings, show, bar)
+
+
+def _run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
     before = stored_record(settings)
     chosen, session = choose(settings, before), load_session(settings.session)
     if chosen.init == AUTO:
@@ -87,7 +93,7 @@ def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
     true_markers(session)
     recover = kind in RECOVERING if chosen.recover is None else chosen.recover
     described = {"runs": chosen.runs, "seed": chosen.seed, "frames": chosen.frames, "init": chosen.init, "recover": recover}
-    record = describe(settings.session, name, definition, kind, options.model_dump(), described)
+    record = describe(settings.session, name, definition, kind, options.model_dump(), described, input_digests(session))
     if before:
         refuse_changes(settings.out, before, record)
     pairs = check_pairs(session, model, chosen.frames or session.frames, show, bar)
@@ -97,17 +103,16 @@ def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
     with compiling as ahead, waiting("first pose", bar and must_fit):
         model, record = _with_first_pose(model, session, record, before, settings.out, show, chosen.seed)
     _show_first_fit(session, model, show)
-    with locked(make_folder(settings.out)):
-        frames = _begin(settings.out, chosen.frames or session.frames, show)
-        write_run_file(settings.out, record)
-        for note in notes([("kernel", kind), *(("likelihood", each.kind) for each in definition.likelihoods)]):
-            show(note)
-        with _remark_on_stop(frames, settings.out, show):
-            with progress_bar(bar, len(frames)) as on_frame:
-                key, many = jax.random.key(chosen.seed), options.particles
-                recovery = PersonRecovery(session, model, chosen.seed, show) if recover else None
-                draws = track(session, model, kernel, key, many, chosen.runs, chosen.frames, on_frame, frames, ahead, recovery)
-            return _finish(session, draws, settings.out, {"kernel": kind, "seed": chosen.seed}, pairs, show, bar)
+    frames = _begin(settings.out, before, record, chosen.frames or session.frames, show)
+    for note in notes([("kernel", kind), *(("likelihood", each.kind) for each in definition.likelihoods)]):
+        show(note)
+    with _remark_on_stop(frames, settings.out, show):
+        with progress_bar(bar, len(frames)) as on_frame:
+            key, many = jax.random.key(chosen.seed), options.particles
+            recovery = PersonRecovery(session, model, chosen.seed, show) if recover else None
+            draws = track(session, model, kernel, key, many, chosen.runs, chosen.frames, on_frame, frames, ahead, recovery)
+        results = Results(settings.out, frames)
+        return _finish(session, draws, results, {"kernel": kind, "seed": chosen.seed}, pairs, show, bar)
 
 
 def _chosen_model(session: Session, show: Show) -> str:
@@ -135,10 +140,12 @@ def _show_first_fit(session: Session, model: Model, show: Show) -> None:
         show(warning_line(sentence))
 
 
-def _begin(out: Path, wanted: int, show: Show) -> FrameFiles:
-    """Return the frames that are already stored, up to the first damaged one."""
-    frames = FrameFiles(out / FRAMES_FOLDER)
+def _begin(out: Path, before: Mapping[str, Mapping[str, Any]] | None, record: Record, wanted: int, show: Show) -> FrameFiles:
+    """Write `run.toml`. Return the frames that are already stored, up to the first damaged one."""
     remove_partial(out)
+    if before is None:
+        return FrameFiles(out / FRAMES_FOLDER, write_run_file(out, record))
+    frames = FrameFiles(out / FRAMES_FOLDER, before["check"]["run"])
     damage = frames.mend()
     if damage:
         show(f"{damage} It is computed again.")
@@ -147,6 +154,7 @@ def _begin(out: Path, wanted: int, show: Show) -> FrameFiles:
     if len(frames):
         what = f"continuing at frame {len(frames)} of {wanted}" if len(frames) < wanted else f"all {wanted} frames exist, nothing is left to track"
         show(f"{out}: {what}")
+    write_run_file(out, record)
     return frames
 
 
@@ -161,37 +169,35 @@ def _remark_on_stop(frames: FrameFiles, out: Path, show: Show) -> Iterator[None]
         raise
 
 
-def _finish(session: Session, draws: Draws, out: Path, figures: Mapping[str, Any], remarks: list[str], show: Show, bar: bool) -> dict[str, Any]:
-    """Write posterior, summary and pictures, unless they exist for all frames; `figures` and `remarks` (warnings) go into the summary."""
-    if stored_frames(out / POSTERIOR_FILE) != len(draws.frames):
+def _finish(
+    session: Session, draws: Draws, results: Results, figures: Mapping[str, Any], remarks: list[str], show: Show, bar: bool
+) -> dict[str, Any]:
+    """Write posterior, summary and pictures, unless they exist for these frames; `figures` and `remarks` (warnings) go into the summary."""
+    out = results.folder
+    if not results.is_current(POSTERIOR_FILE):
         stream_posterior(draws, out / POSTERIOR_FILE, figures)
-    diagnosis, warnings = _diagnosed(out, bar)
-    summary = _stored_summary(out / SUMMARY_FILE)
-    if summary.get("frames") != len(draws.frames):
+        results.add(POSTERIOR_FILE)
+    if results.is_current(SUMMARY_FILE):
+        summary = json.loads((out / SUMMARY_FILE).read_text(encoding="utf-8"))
+    else:
+        diagnosis, warnings = _diagnosed(results, bar)
         summary = summarise(session, draws, **figures, watch=watched("figures", bar)) | diagnosis
         summary["frame_pairs"] = remarks
         summary["warnings"] = [*fit_sentences(summary), *remarks, *warnings]
         write_text(out / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
-    if not is_drawn(out, len(draws.frames)):
-        draw_overlay(session, draws, out, watched("pictures", bar))
+        results.add(SUMMARY_FILE)
+    if not results.is_drawn():
+        _, *stills = draw_overlay(session, draws, out, watched("pictures", bar))
+        results.add_pictures(stills)
     show(figures_text(summary))
-    for sentence in summary.get("warnings", warnings):
+    for sentence in summary["warnings"]:
         show(warning_line(sentence))
     return summary
 
 
-def _diagnosed(out: Path, bar: bool) -> tuple[dict[str, Any], list[str]]:
+def _diagnosed(results: Results, bar: bool) -> tuple[dict[str, Any], list[str]]:
     """The worst figures of the posterior's diagnostics, and the warnings."""
-    with load_run(out) as saved, waiting("diagnostics", bar):
-        diagnosis = diagnose(saved)
+    with results.posterior() as tree, waiting("diagnostics", bar):
+        diagnosis = diagnose(tree)
     # For a mode seeker the first sentence only says that it is one. The kernel's note before the run has already said so.
     return worst_figures(diagnosis), sentences(diagnosis)[diagnosis.mode_seeker :]
-
-
-def _stored_summary(path: Path) -> dict[str, Any]:
-    try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        # The file is missing or not a summary, and will be written again.
-        return {}
-    return summary if isinstance(summary, dict) else {}

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 from bayes_body.errors import input_error
 from bayes_body.storage import FrameFiles
-from bayes_body.storage.names import FRAMES_FOLDER, POSTERIOR_FILE, RUN_FILE, SUMMARY_FILE
-from bayes_body.storage.run_file import read_run_file
+from bayes_body.storage.names import FRAMES_FOLDER, RESULTS, RUN_FILE
+from bayes_body.storage.run_file import read_record, read_run_file, refuse_links
 
 # Where the first pose comes from: from the session, or from the pictures where the session gives none; or from the pictures in any case.
 GIVEN, AUTO = "given", "auto"
@@ -65,28 +65,32 @@ class Chosen(NamedTuple):
 
 def choose(settings: Settings, stored: Mapping[str, Mapping[str, Any]] | None) -> Chosen:
     """Return each setting: the user's value, or else the value of the run that is continued, or else the default."""
-    # A run of an older version says nothing of recovery: it had none.
-    defaults = DEFAULTS if stored is None else {**DEFAULTS, "recover": False, **stored["run"], "kernel": stored["kernel"].get("kind")}
+    defaults = DEFAULTS if stored is None else {**stored["run"], "kernel": stored["kernel"]["kind"]}
     values: dict[str, Any] = {name: getattr(settings, name) for name in Chosen._fields}
     chosen: dict[str, Any] = {name: defaults.get(name) if value is None else value for name, value in values.items()}
     return Chosen(**chosen)
 
 
 def stored_record(settings: Settings) -> Record | None:
-    """Return the tables of the run that is to be continued; None if a new run is started.
+    """Return the tables of the run that is to be continued; None if a new run is started. The folder must be locked.
 
     Raises:
-        InputError: a new run is to be started in a folder that has a run, or the run's file cannot be read.
+        InputError: a new run is to be started in a folder that has a run, or files that a run would replace; or the run's file cannot be read.
     """
-    out, frames = settings.out, len(FrameFiles(settings.out / FRAMES_FOLDER))
-    if settings.resume:
-        # A folder without frames has a run that stopped before its first frame, or no run: the same command starts it.
-        return read_run_file(out) if frames or (out / RUN_FILE).exists() else None
-    for name in (POSTERIOR_FILE, SUMMARY_FILE):
-        if (out / name).exists():
-            remedy = "name another with --out, continue it with --resume, or remove it"
-            raise input_error(out, f"holds another run ({name})", "a folder without a run", remedy)
-    if frames:
+    out = settings.out
+    refuse_links(out)
+    if settings.resume and (out / RUN_FILE).exists():
+        return read_run_file(out)
+    frames = len(FrameFiles(out / FRAMES_FOLDER))
+    if frames and (out / RUN_FILE).exists():
         found, remedy = f"holds a run that stopped at frame {frames}", "continue it with --resume, or name another folder with --out"
         raise input_error(out, found, "a folder without a run", remedy)
+    # A run that stopped before its first frame may be started anew. Everything else may be somebody's work.
+    taken = [name for name in RESULTS if (out / name).exists()]
+    if taken:
+        remedy = "name another with --out, continue it with --resume, or remove it" if (out / RUN_FILE).exists() else "name another with --out"
+        raise input_error(out, f"holds {taken[0]}, which a run would replace", "a folder without a run", remedy)
+    if (out / RUN_FILE).exists():
+        # A file of that name that is not a run's is not replaced either.
+        read_record(out)
     return None

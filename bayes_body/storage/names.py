@@ -2,7 +2,10 @@
 
 from pathlib import Path
 
-RUN_FILE, POSTERIOR_FILE, SUMMARY_FILE, FRAMES_FOLDER = "run.toml", "posterior.nc", "summary.json", "frames"
+RUN_FILE, POSTERIOR_FILE, SUMMARY_FILE, MANIFEST_FILE, FRAMES_FOLDER = "run.toml", "posterior.nc", "summary.json", "manifest.json", "frames"
+OVERLAY_FILE, OVERLAY_FOLDER = "overlay.mp4", "overlay"
+# Everything that a run writes, except its settings and its lock.
+RESULTS = (FRAMES_FOLDER, POSTERIOR_FILE, SUMMARY_FILE, MANIFEST_FILE, OVERLAY_FILE, OVERLAY_FOLDER)
 
 
 def free_folder(wanted: Path) -> Path:

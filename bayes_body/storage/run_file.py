@@ -1,13 +1,13 @@
 """`run.toml`, which has everything that is needed to repeat or continue a run.
 
-It contains the settings, every option of the kernel, the versions, and the texts of model and session. The texts of plugins are stored for comparison
-and for people to read. They are never executed from there.
+It contains the settings, every option of the kernel, the versions, digests of the recording, and the texts of model and session. The table `[check]`
+has the id of the run and a digest of all other tables, so that a change by hand is noticed.
 """
 
-import ast
 import hashlib
+import json
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,26 +15,33 @@ from typing import Any
 import jax
 import tomlkit
 
-from bayes_body.errors import input_error
+from bayes_body.errors import escaped, input_error
 from bayes_body.files.atomic import write_text
 from bayes_body.model.definition import Definition, definition_names
-from bayes_body.plugins.load import loaded, providing
+from bayes_body.plugins.load import providing
 from bayes_body.registry import Place, Room
 from bayes_body.session.read import FILE_NAME
-from bayes_body.storage.names import RUN_FILE
-from bayes_body.toml.read import parse_toml, read_toml
+from bayes_body.storage.kept_plugins import check_plugins, kept_plugins
+from bayes_body.storage.names import RESULTS, RUN_FILE
+from bayes_body.storage.run_changes import COMPUTING, run_id
+from bayes_body.storage.run_schema import RunFile
+from bayes_body.toml.read import parse_toml, read_toml, validate
 
-# Packages that determine the numbers of a run: another version of one of them may give other numbers.
-COMPUTING = ("bayes-body", "jax", "jaxlib", "numpyro", "blackjax")
-PACKAGES = (*COMPUTING, "arviz", "opencv-python-headless", "numpy")
+PACKAGES = (*COMPUTING, "arviz")
+# The version of the format of run.toml and of the frames.
+FORMAT = 2
+AGAIN = "make the run again with `bayes-body track`"
 HEADING = "Made by bayes-body track. The same settings with the same versions on the same kind of processor repeat the run."
-# Number of changes that one sentence names.
-NAMED = 4
-TABLES = ("run", "kernel", "versions", "definition", "session")
 
 
 def describe(
-    session: Path, model: str, definition: Definition, kind: str, options: Mapping[str, Any], settings: Mapping[str, Any]
+    session: Path,
+    model: str,
+    definition: Definition,
+    kind: str,
+    options: Mapping[str, Any],
+    settings: Mapping[str, Any],
+    inputs: Mapping[str, str] | None = None,
 ) -> dict[str, dict[str, Any]]:
     """Return the tables of `run.toml`.
 
@@ -45,6 +52,7 @@ def describe(
         kind: the kernel's name.
         options: all options of the kernel.
         settings: the other settings of the run by name, such as its seed; None for one that is not set.
+        inputs: digests of the recording's files, from `input_digests`.
     """
     # A path is stored as an absolute path, so that the run can be continued from another folder.
     model = model if model in definition_names() else str(Path(model).resolve())
@@ -56,11 +64,16 @@ def describe(
         "run": _known(settings),
         "kernel": _known({"kind": kind, **options}),
         "versions": {"python": platform.python_version(), **{package: version(package) for package in PACKAGES}},
-        "machine": {"platform": platform.platform(), "devices": [str(device) for device in jax.devices()]},
+        "machine": {"platform": platform.platform(), "devices": [str(device) for device in jax.devices()], "precision": _precision()},
+        "inputs": dict(inputs or {}),
         "definition": _known(texts),
         "session": {"text": file.read_text(encoding="utf-8-sig")},
         **({"plugins": plugins} if plugins else {}),
     }
+
+
+def _precision() -> str:
+    return "float64" if jax.config.jax_enable_x64 else "float32"
 
 
 def places_of(definition: Definition, kernel: str) -> set[Place]:
@@ -76,8 +89,8 @@ def _known(table: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in table.items() if value is not None}
 
 
-def write_run_file(folder: Path, record: Mapping[str, Mapping[str, Any]]) -> None:
-    """Write `run.toml`, either completely or not at all.
+def write_run_file(folder: Path, record: Mapping[str, Mapping[str, Any]]) -> str:
+    """Write `run.toml`, either completely or not at all. Return the id of the run.
 
     Raises:
         InputError: the file system does not accept it.
@@ -85,8 +98,14 @@ def write_run_file(folder: Path, record: Mapping[str, Mapping[str, Any]]) -> Non
     document = tomlkit.document()
     document.add(tomlkit.comment(HEADING))
     for name, table in record.items():
-        document[name] = {key: tomlkit.string(value, multiline=True) if _is_text(name, key) else value for key, value in table.items()}
+        if name != "check":
+            document[name] = {key: tomlkit.string(value, multiline=True) if _is_text(name, key) else value for key, value in table.items()}
+    # The digests are of what a reader finds.
+    known = parse_toml(tomlkit.dumps(document), RUN_FILE)
+    check = {"format": FORMAT, "run": run_id(known)}
+    document["check"] = check | {"sha256": _seal(known | {"check": check})}
     write_text(folder / RUN_FILE, tomlkit.dumps(document))
+    return str(check["run"])
 
 
 def _is_text(table: str, key: str) -> bool:
@@ -97,87 +116,41 @@ def read_run_file(folder: Path) -> dict[str, dict[str, Any]]:
     """Return the tables of a run's `run.toml`.
 
     Raises:
-        InputError: the file is missing or not valid TOML, a table is missing, or a plugin of the run was not loaded.
+        InputError: the file is missing, not valid TOML, of another version, or was changed by hand; or a plugin of the run was not loaded.
+        FaultyFileError: the file has faults; one sentence for each.
     """
-    record = read_toml(folder / RUN_FILE)
-    missing = [name for name in TABLES if not isinstance(record.get(name), dict)]
-    if missing:
-        raise input_error(folder / RUN_FILE, f"no table [{missing[0]}]", "the settings of a run", "start a new run in another folder with --out")
+    record = read_record(folder)
     check_plugins(folder, kept_plugins(record))
     return record
 
 
-def kept_plugins(record: Mapping[str, Any]) -> dict[str, str]:
-    """Return the texts of the plugins with which a run was made, by file name; empty if it used none."""
-    table = record.get("plugins")
-    return {str(name): str(text) for name, text in table.items()} if isinstance(table, dict) else {}
+def read_record(folder: Path) -> dict[str, dict[str, Any]]:
+    """Return the tables as `read_run_file` does, with its errors, without a look at the plugins."""
+    path = folder / RUN_FILE
+    record = read_toml(path)
+    check = record.get("check")
+    if not isinstance(check, dict) or check.get("format") != FORMAT:
+        version = check.get("format", "none") if isinstance(check, dict) else "none"
+        raise input_error(path, f"format {escaped(str(version))}: written by another version", f"format {FORMAT}", AGAIN)
+    validate(RunFile, record, str(path))
+    if check["sha256"] != _seal(record):
+        found = "was changed since it was written (its digest is another)"
+        raise input_error(path, found, "the settings that the run wrote", f"restore it, or {AGAIN}")
+    return record
 
 
-def check_plugins(folder: Path, kept: Mapping[str, str]) -> None:
-    """Check that the plugins of a run are loaded; the stored text is never executed.
-
-    Raises:
-        InputError: a plugin is not loaded, or it has changed since the run was made.
-    """
-    now = {plugin.path.name: plugin.text for plugin in loaded()}
-    where = f"{folder / RUN_FILE}: plugins"
-    for name, text in kept.items():
-        if name not in now:
-            raise input_error(where, f"the run has terms of {name}, which is not loaded", "the run's plugins", f"give that file with --plugin {name}")
-        if _meaning(now[name]) != _meaning(text):
-            remedy = f"put it back: its text is in {RUN_FILE}, under [plugins]; or start a new run in another folder"
-            raise input_error(where, f"{name} changed since the run was made", "the file that the run was made with", remedy)
+def _seal(record: Mapping[str, Any]) -> str:
+    """Return a digest of all tables except `[check]`, and of the run's id."""
+    known = {name: table for name, table in record.items() if name != "check"} | {"id": record["check"]["run"]}
+    return hashlib.sha256(json.dumps(known, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def _meaning(code: str) -> str:
-    """Return a digest of Python code; comments and layout do not matter."""
-    try:
-        said = ast.dump(ast.parse(code))
-    except (SyntaxError, ValueError):
-        said = code
-    return hashlib.sha256(said.encode()).hexdigest()[:12]
-
-
-def refuse_changes(folder: Path, kept: Mapping[str, Mapping[str, Any]], now: Mapping[str, Mapping[str, Any]]) -> None:
-    """Check that a run can be continued: everything on which its numbers depend must be unchanged. The number of frames may change.
+def refuse_links(folder: Path) -> None:
+    """Check that the files of a run are in its folder themselves: a link in a stranger's folder leads anywhere.
 
     Raises:
-        InputError: something has changed; the sentence names it with the old and the new value.
+        InputError: one of them is a link.
     """
-    before, after = _comparable(kept), _comparable(now)
-    changed = [key for key in dict.fromkeys([*before, *after]) if before.get(key) != after.get(key)]
-    if not changed:
-        return
-    named = [f"{key} was {_shown(before, key)} and is now {_shown(after, key)}" for key in changed[:NAMED]]
-    more = [f"{len(changed) - NAMED} more differ"] if len(changed) > NAMED else []
-    remedy = "change it back, or start a new run in another folder with --out"
-    raise input_error(f"{folder}: cannot be continued", "; ".join([*named, *more]), "the settings with which the run started", remedy)
-
-
-def _comparable(record: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return all values on which the numbers depend, by names that a user knows; comments and layout of the texts do not matter."""
-    run, definition = record["run"], record["definition"]
-    named = {"--model": Path(str(run.get("model"))).stem, "--runs": run.get("runs"), "--seed": run.get("seed"), "--init": run.get("init", "given")}
-    named |= {"--recover": run.get("recover", False)}
-    named |= {f"kernel.{key}": value for key, value in _leaves(record["kernel"])}
-    named |= {f"the version of {package}": record["versions"].get(package) for package in COMPUTING}
-    named |= {f"the plugin {name}": _meaning(text) for name, text in kept_plugins(record).items()}
-    texts = {"the model's file": definition.get("text", ""), "the body's file": definition.get("body_text", ""), FILE_NAME: record["session"]["text"]}
-    return named | {f"{title}: {key}": value for title, text in texts.items() for key, value in _leaves(parse_toml(text, title))}
-
-
-def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield every number and text of a table, with its path; entries of lists are counted from 1."""
-    if isinstance(value, Mapping):
-        entries = [(str(key), entry) for key, entry in value.items()]
-    elif isinstance(value, list | tuple):
-        entries = [(str(number), entry) for number, entry in enumerate(value, 1)]
-    else:
-        yield path, value
-        return
-    for key, entry in entries:
-        yield from _leaves(entry, f"{path}.{key}" if path else key)
-
-
-def _shown(values: Mapping[str, Any], key: str) -> str:
-    return str(values[key]) if key in values else "not set"
+    for name in (RUN_FILE, *RESULTS):
+        if (folder / name).is_symlink():
+            raise input_error(folder / name, "a link to elsewhere", "a file or folder of the run itself", "put the file itself there")

@@ -22,7 +22,7 @@ from bayes_body.session.session import Session, View
 from bayes_body.tracking.draws import Draws, FrameResult
 from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.silhouette import Outline, outlines, seen_in
-from bayes_body.view.video import frames_in, h264_video
+from bayes_body.view.video import h264_video
 from bayes_body.view.windows import EMPTY, TILE_HEIGHT, Window, grid, person_windows
 
 # BGR, the order of OpenCV.
@@ -60,14 +60,7 @@ def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = un
             write(picture)
             if index in stills:
                 _write(stills[index], picture)
-    for path in set((folder / "overlay").glob("frame_*.png")) - set(stills.values()):
-        path.unlink()
     return [folder / VIDEO, *stills.values()]
-
-
-def is_drawn(folder: Path, frames: int) -> bool:
-    """Return whether a folder holds the complete overlay of a run with that number of frames."""
-    return all(path.exists() for path in _stills(folder, frames).values()) and frames_in(folder / VIDEO) == frames
 
 
 def _stills(folder: Path, frames: int) -> dict[int, Path]:

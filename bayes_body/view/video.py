@@ -6,7 +6,6 @@ from fractions import Fraction
 from pathlib import Path
 
 import av
-import cv2
 import numpy as np
 from av.container import OutputContainer
 from av.error import FFmpegError
@@ -51,14 +50,3 @@ def _stream(container: OutputContainer, fps: float, size_px: tuple[int, int]) ->
     stream.width, stream.height = size_px
     stream.pix_fmt = "yuv420p"
     return stream
-
-
-def frames_in(path: Path) -> int:
-    """Return the number of frames of a video; 0 if it does not exist or cannot be read."""
-    if not path.exists():
-        return 0
-    reader = cv2.VideoCapture(str(path))
-    try:
-        return int(reader.get(cv2.CAP_PROP_FRAME_COUNT))
-    finally:
-        reader.release()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import tomlkit
 import xarray as xr
+from sealed import seal
 
 from bayes_body.evidence.markers import MARKERS
 from bayes_body.model.definition import load_definition
@@ -40,6 +41,7 @@ def make_run(textured_session, tmp_path_factory):
         _run_file(folder, session.folder, runs, draws, title)
         figures = {"frames": frames, "frames_lost": 0, "cameras": 2, "runs": runs, "iou_median": None, "seconds_per_frame": 0.25}
         (folder / "summary.json").write_text(json.dumps(figures), encoding="utf-8")
+        seal(folder, frames)
         return folder
 
     return call

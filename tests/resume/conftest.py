@@ -1,5 +1,6 @@
 """Recordings of any length on disk, and what it takes to compare two posteriors bit for bit."""
 
+import hashlib
 import os
 import subprocess
 import sys
@@ -28,6 +29,12 @@ def contents(path: Path) -> dict[str, bytes]:
     """Every array of a posterior's file, as bytes."""
     with xr.open_datatree(path) as tree:
         return {f"{group.path}/{name}": array.values.tobytes() for group in tree.subtree for name, array in group.data_vars.items()}
+
+
+def digests(path: Path) -> dict[str, str]:
+    """The SHA-256 of each file under a path, or of the file itself. The lock names the last process, and is left out."""
+    files = [path] if path.is_file() else sorted(each for each in path.rglob("*") if each.is_file() and each.name != ".lock")
+    return {str(file.relative_to(path)): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
 def command(session: Path, out: Path, *options) -> list[str]:

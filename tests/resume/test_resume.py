@@ -3,8 +3,10 @@
 import errno
 import json
 import os
+import shutil
 import tomllib
 
+import cv2
 import jax
 import numpy as np
 import pytest
@@ -16,13 +18,15 @@ from bayes_body.model.build import build_model
 from bayes_body.runs.run import run
 from bayes_body.runs.settings import Settings
 from bayes_body.storage import FrameFiles, frame_files
+from bayes_body.storage.saved_run import load_run
 from bayes_body.tracking.track import track
 
-from .conftest import contents
+from .conftest import contents, digests
+from .looped import link_looped
 
 FRAMES = 6
 SMALL = {"model": "arm", "overrides": {"particles": 40}, "runs": 2, "seed": 3}
-LEFT = {"run.toml", "posterior.nc", "summary.json", "overlay.mp4", "overlay", "frames", ".lock"}
+LEFT = {"run.toml", "posterior.nc", "summary.json", "manifest.json", "overlay.mp4", "overlay", "frames", ".lock"}
 
 
 @pytest.fixture(scope="module")
@@ -39,11 +43,11 @@ def stopping(monkeypatch):
     def arrange(frame, error):
         save = frame_files.save_frame
 
-        def save_or_stop(path, result):
+        def save_or_stop(path, result, place):
             if path.name == f"{frame:06d}.npz":
                 monkeypatch.setattr(frame_files, "save_frame", save)
                 raise error
-            save(path, result)
+            save(path, result, place)
 
         monkeypatch.setattr(frame_files, "save_frame", save_or_stop)
 
@@ -101,7 +105,9 @@ def test_what_is_missing_of_a_finished_run_is_made_again(looped, tmp_path, unint
         assert (uninterrupted / missing).read_bytes() == kept
     made = {path for path, time in before.items() if path.stat().st_mtime_ns != time}
     pictures = {path for path in before if "overlay" in str(path.relative_to(uninterrupted))}
-    assert made - {uninterrupted / ".lock", uninterrupted / "run.toml"} == (pictures if "overlay" in missing else {uninterrupted / missing})
+    assert made - {uninterrupted / name for name in (".lock", "run.toml", "manifest.json")} == (
+        pictures if "overlay" in missing else {uninterrupted / missing}
+    )
 
 
 def test_a_damaged_frame_is_said_and_computed_again(looped, tmp_path, uninterrupted, stopping):
@@ -112,7 +118,7 @@ def test_a_damaged_frame_is_said_and_computed_again(looped, tmp_path, uninterrup
     path = out / "frames" / "000002.npz"
     path.write_bytes(path.read_bytes()[:-100])
     run(Settings(looped(FRAMES), out, resume=True), lines.append, bar=False)
-    assert any("000002.npz: cannot be read" in line and line.endswith("It is computed again.") for line in lines)
+    assert any("000002.npz: " in line and line.endswith("It is computed again.") for line in lines)
     assert f"{out}: continuing at frame 2 of 6" in lines
     assert contents(out / "posterior.nc") == contents(uninterrupted / "posterior.nc")
 
@@ -126,8 +132,48 @@ def test_a_folder_with_frames_is_refused_without_resume(looped, tmp_path, stoppi
     with pytest.raises(InputError, match=said):
         run(Settings(looped(FRAMES), out, **SMALL), lambda line: None, bar=False)
     (out / "run.toml").unlink()
-    with pytest.raises(InputError, match=r"run\.toml: no such file"):
+    with pytest.raises(InputError, match="holds frames, which a run would replace"):
         run(Settings(looped(FRAMES), out, resume=True), lambda line: None, bar=False)
+
+
+@pytest.mark.parametrize("name", ["overlay", "overlay.mp4", "posterior.nc", "manifest.json", "frames"])
+@pytest.mark.parametrize("resume", [False, True])
+def test_what_a_user_has_in_the_folder_is_not_touched(looped, tmp_path, name, resume):
+    """A session's folder as the folder of the run, say, with pictures of one's own in overlay/."""
+    own = tmp_path / name / "mine.png" if "." not in name else tmp_path / name
+    own.parent.mkdir(exist_ok=True)
+    own.write_text("mine")
+    with pytest.raises(InputError, match=f"holds {name}, which a run would replace; .*; name another with --out"):
+        run(Settings(looped(FRAMES), tmp_path, **SMALL, resume=resume), lambda line: None, bar=False)
+    assert own.read_text() == "mine" and {path.name for path in tmp_path.iterdir()} <= {name, ".lock"}
+
+
+def test_a_settings_file_of_somebody_else_is_not_replaced(looped, tmp_path):
+    (tmp_path / "run.toml").write_text("[mine]\n")
+    with pytest.raises(InputError, match="written by another version"):
+        run(Settings(looped(FRAMES), tmp_path, **SMALL), lambda line: None, bar=False)
+    assert (tmp_path / "run.toml").read_text() == "[mine]\n"
+
+
+@pytest.mark.parametrize("name", ["overlay", "frames", "posterior.nc", "run.toml"])
+def test_a_link_in_the_folder_of_a_run_leads_no_writer_elsewhere(looped, tmp_path, uninterrupted, name):
+    shutil.copytree(uninterrupted, tmp_path / "run")
+    (tmp_path / "run" / name).rename(tmp_path / name)
+    (tmp_path / "run" / name).symlink_to(tmp_path / name)
+    before = digests(tmp_path / name)
+    with pytest.raises(InputError, match=f"{name}: a link to elsewhere"):
+        run(Settings(looped(FRAMES), tmp_path / "run", resume=True), lambda line: None, bar=False)
+    assert digests(tmp_path / name) == before
+
+
+def test_pictures_of_a_user_in_the_overlay_stay(looped, tmp_path):
+    out = tmp_path / "run"
+    run(Settings(looped(FRAMES), out, frames=2, **SMALL), lambda line: None, bar=False)
+    mine = [out / "overlay" / name for name in ("frame_000099.png", ".partial-mine.png")]
+    for path in mine:
+        path.write_text("mine")
+    run(Settings(looped(FRAMES), out, frames=FRAMES, resume=True), lambda line: None, bar=False)
+    assert all(path.read_text() == "mine" for path in mine)
 
 
 def test_a_folder_that_another_process_works_on(looped, uninterrupted):
@@ -164,6 +210,62 @@ def test_another_session_is_not_continued(looped, tmp_path, uninterrupted):
     (tmp_path / "session.toml").write_text(text.replace("fps = 60.0", "fps = 30.0"), encoding="utf-8")
     with pytest.raises(InputError, match=r"session\.toml: fps was 60\.0 and is now 30\.0"):
         run(Settings(tmp_path, uninterrupted, resume=True), lambda line: None, bar=False)
+
+
+def _exchange(folder):
+    """The images of the two cameras."""
+    for before, after in (("view0", "view"), ("view1", "view0"), ("view", "view1")):
+        (folder / before).rename(folder / after)
+
+
+def _other_images(folder):
+    """The same number of files with other pictures."""
+    for path in sorted(folder.glob("view0/image*")):
+        picture = cv2.imread(str(path))
+        path.unlink()
+        cv2.imwrite(str(path), picture[::-1])
+
+
+def _one_is_gone(folder):
+    (folder / "view1" / "image000003.png").unlink()
+
+
+CHANGED = {_exchange: "images of a", _other_images: "images of a", _one_is_gone: "images of b"}
+
+
+@pytest.mark.parametrize("change", CHANGED)
+def test_another_recording_is_not_continued(textured_session, tmp_path, change):
+    session, out = link_looped(textured_session, tmp_path / "session", FRAMES), tmp_path / "run"
+    run(Settings(session, out, frames=2, **SMALL), lambda line: None, bar=False)
+    change(session)
+    before = digests(out)
+    with pytest.raises(InputError, match=rf"cannot be continued: the recording has changed \({CHANGED[change]}\)"):
+        run(Settings(session, out, frames=FRAMES, resume=True), lambda line: None, bar=False)
+    assert digests(out) == before
+
+
+def test_frames_of_another_seed_are_not_adopted(looped, tmp_path, uninterrupted, stopping):
+    out = tmp_path / "run"
+    stopping(2, InputError("stopped"))
+    with pytest.raises(InputError, match="stopped"):
+        run(Settings(looped(FRAMES), out, **{**SMALL, "seed": 4}), lambda line: None, bar=False)
+    shutil.copyfile(uninterrupted / "frames" / "000002.npz", out / "frames" / "000002.npz")
+    before = digests(out)
+    with pytest.raises(InputError, match=r"000002\.npz: belongs to another run"):
+        run(Settings(looped(FRAMES), out, resume=True), lambda line: None, bar=False)
+    assert digests(out) == before
+
+
+@pytest.mark.parametrize("name", ["posterior.nc", "summary.json", "manifest.json"])
+def test_a_changed_result_is_made_again_from_the_frames(looped, tmp_path, uninterrupted, name):
+    out = shutil.copytree(uninterrupted, tmp_path / "run")
+    content = bytearray((out / name).read_bytes())
+    content[len(content) // 2] ^= 1
+    (out / name).write_bytes(content)
+    run(Settings(looped(FRAMES), out, resume=True), lambda line: None, bar=False)
+    assert (out / "posterior.nc").read_bytes() == (uninterrupted / "posterior.nc").read_bytes()
+    with load_run(out) as run_again:
+        assert run_again.summary["seed"] == 3
 
 
 def test_the_run_file_keeps_the_session_s_text(looped, uninterrupted):

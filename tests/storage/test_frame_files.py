@@ -2,6 +2,7 @@
 
 import dataclasses
 import errno
+import zipfile
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from bayes_body.density.kernel import FilterInfo
 from bayes_body.errors import InputError
 from bayes_body.files.atomic import PARTIAL
 from bayes_body.storage import FrameFiles
-from bayes_body.storage.frame_files import load_frame, save_frame
+from bayes_body.storage.frame_files import Place, load_frame, save_frame
 from bayes_body.tracking.draws import FrameResult, Frames, FrameStore
 
 RUNS, PARTICLES, DOFS, LAYERS, CAMERAS = 2, 7, 3, 2, 4
@@ -52,10 +53,15 @@ def same(a: FrameResult, b: FrameResult) -> bool:
 @pytest.fixture
 def kept(tmp_path):
     """Files of four frames."""
-    files = FrameFiles(tmp_path / "frames")
+    files = FrameFiles(tmp_path / "frames", "this")
     for seed in range(4):
         files.append(result(seed))
     return files
+
+
+def files(kept):
+    """The same files, opened again."""
+    return FrameFiles(kept.folder, "this")
 
 
 def test_they_are_frames_like_a_list(kept):
@@ -64,20 +70,13 @@ def test_they_are_frames_like_a_list(kept):
 
 
 def test_what_was_kept_comes_back(kept):
-    again = FrameFiles(kept.folder)
+    again = files(kept)
     assert len(again) == 4
     assert all(same(frame, result(seed)) for seed, frame in enumerate(again))
     assert same(again[-1], result(3))
     for outside in (4, -5):
         with pytest.raises(IndexError):
             again[outside]
-
-
-def test_a_frame_without_figures_of_message_passing_is_read(kept):
-    """Versions before message passing wrote none."""
-    with np.load(kept.path(1)) as file:
-        np.savez(kept.path(1), **{name: values for name, values in file.items() if not name.startswith("messages.")})
-    assert FrameFiles(kept.folder)[1].info.messages == {} and FrameFiles(kept.folder)[2].info.messages.keys() == {"belief_ess", "samples"}
 
 
 def test_a_folder_that_is_not_there_has_no_frames_and_is_not_made(tmp_path):
@@ -87,16 +86,16 @@ def test_a_folder_that_is_not_there_has_no_frames_and_is_not_made(tmp_path):
 
 
 def test_half_a_file_is_no_frame(kept):
-    half = kept.folder / f"{PARTIAL}000004.npz"
+    half = kept.folder / f"{PARTIAL}0123456789abcdef.npz"
     half.write_bytes(kept.path(0).read_bytes()[:100])
-    again = FrameFiles(kept.folder)
+    again = files(kept)
     assert len(again) == 4
     assert again.mend() == "" and not half.exists()
 
 
 def test_frames_behind_a_gap_do_not_count(kept):
     kept.path(1).unlink()
-    assert len(FrameFiles(kept.folder)) == 1
+    assert len(files(kept)) == 1
 
 
 def _cut(content: bytes) -> bytes:
@@ -116,22 +115,22 @@ DAMAGE = {"cut short": _cut, "one bit": _flip, "empty": lambda content: b"", "so
 def test_damage_is_noticed_and_the_frames_before_it_stay(kept, damage):
     path = kept.path(2)
     path.write_bytes(DAMAGE[damage](path.read_bytes()))
-    with pytest.raises(InputError, match=r"000002\.npz: cannot be read .* --resume"):
+    with pytest.raises(InputError, match=r"000002\.npz: .*compute it again with --resume"):
         load_frame(path)
-    again = FrameFiles(kept.folder)
+    again = files(kept)
     assert "000002.npz" in again.mend() and len(again) == 2
     again.append(result(2))
     assert same(again[2], result(2))
-    # The one behind it was never damaged: a run that stops here goes on after it.
-    assert FrameFiles(kept.folder).mend() == "" and len(FrameFiles(kept.folder)) == 4
+    # The one behind it was never damaged, and its digest of the one before it is right again: a run that stops here goes on after it.
+    assert files(kept).mend() == "" and len(files(kept)) == 4
 
 
 def test_python_objects_are_neither_written_nor_read(tmp_path):
     with pytest.raises(ValueError, match="allow_pickle"):
-        save_frame(tmp_path / "000000.npz", dataclasses.replace(result(0), states={"pose": np.array([{}], object)}))
+        save_frame(tmp_path / "000000.npz", dataclasses.replace(result(0), states={"pose": np.array([{}], object)}), Place("this", 0, ""))
     assert not list(tmp_path.iterdir())
     np.savez(tmp_path / "000000.npz", pose=np.array([{}], object))
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="bytes of object"):
         load_frame(tmp_path / "000000.npz")
 
 
@@ -143,4 +142,56 @@ def test_a_full_disk_leaves_the_frames_before(kept, monkeypatch):
     monkeypatch.setattr(np, "savez", full)
     with pytest.raises(InputError, match=r"000004\.npz: cannot be written \(No space left on device\)"):
         kept.append(result(4))
-    assert len(kept) == len(FrameFiles(kept.folder)) == len(list(kept.folder.iterdir())) == 4
+    assert len(kept) == len(files(kept)) == len(list(kept.folder.iterdir())) == 4
+
+
+def _exchange(kept):
+    one, two = kept.path(1).read_bytes(), kept.path(2).read_bytes()
+    kept.path(1).write_bytes(two)
+    kept.path(2).write_bytes(one)
+
+
+def _copy(kept):
+    kept.path(1).write_bytes(kept.path(0).read_bytes())
+
+
+def _another_before(kept):
+    """The same run and number, after another frame: two runs that were mixed."""
+    save_frame(kept.path(1), result(9), Place("this", 1, load_frame(kept.path(1)).place.before))
+
+
+@pytest.mark.parametrize(("mix", "first"), [(_exchange, 1), (_copy, 1), (_another_before, 2)])
+def test_a_frame_in_the_wrong_place_is_noticed(kept, mix, first):
+    mix(kept)
+    again = files(kept)
+    assert f"{first:06d}.npz: was stored as frame" in again.mend() and len(again) == first
+
+
+def test_a_frame_of_another_run_is_refused_and_stays(kept):
+    save_frame(kept.path(2), result(2), Place("that", 2, load_frame(kept.path(1)).digest))
+    content = kept.path(2).read_bytes()
+    with pytest.raises(
+        InputError, match=r"000002\.npz: belongs to another run \('that'\); expected a frame of this run \('this'\); move the file away"
+    ):
+        files(kept).mend()
+    with pytest.raises(InputError, match="belongs to another run"):
+        files(kept)[2]
+    assert kept.path(2).read_bytes() == content
+
+
+@pytest.mark.parametrize("kind", ["states.pose", "seconds", "number"])
+def test_a_changed_array_in_a_sound_archive_is_noticed(kept, kind):
+    with np.load(kept.path(1)) as file:
+        arrays = dict(file)
+    np.savez(kept.path(1), **(arrays | {kind: arrays[kind] + 1}))
+    with pytest.raises(InputError, match=r"000001\.npz: was changed since it was written"):
+        load_frame(kept.path(1))
+
+
+def test_a_header_that_promises_too_much_is_a_sentence(kept):
+    """10^14 numbers."""
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (100000000000000,), }\n"
+    with zipfile.ZipFile(kept.path(1), "w") as file:
+        file.writestr("log_weights.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+    with pytest.raises(InputError, match=r"000001\.npz.*compute it again"):
+        load_frame(kept.path(1))

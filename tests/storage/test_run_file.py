@@ -7,7 +7,8 @@ import pytest
 
 from bayes_body.errors import InputError
 from bayes_body.model.definition import load_definition
-from bayes_body.storage.run_file import describe, read_run_file, refuse_changes, write_run_file
+from bayes_body.storage.run_changes import refuse_changes, run_id
+from bayes_body.storage.run_file import describe, read_run_file, write_run_file
 
 SESSION = "title = \"blobs\"\nfps = 60.0\n# a \"comment\" with '''quotes'''\n[[camera]]\nname = \"a\"\nfocal_px = [200.0, 205.0]\n"
 
@@ -16,12 +17,15 @@ SESSION = "title = \"blobs\"\nfps = 60.0\n# a \"comment\" with '''quotes'''\n[[c
 def record(tmp_path):
     (tmp_path / "session.toml").write_text(SESSION, encoding="utf-8")
     settings = {"runs": 2, "seed": 3, "frames": None, "init": "auto", "recover": False}
-    return describe(tmp_path, "arm", load_definition("arm"), "annealed", {"particles": 40, "layers": 2, "unset": None}, settings)
+    return describe(
+        tmp_path, "arm", load_definition("arm"), "annealed", {"particles": 40, "layers": 2, "unset": None}, settings, {"images of a": "0123"}
+    )
 
 
 def test_it_comes_back(tmp_path, record):
-    write_run_file(tmp_path, record)
+    known_as = write_run_file(tmp_path, record)
     read = read_run_file(tmp_path)
+    assert known_as == read["check"]["run"] == run_id(read)
     refuse_changes(tmp_path, read, record)
     assert read["run"] == {"session": str(tmp_path), "model": "arm", "runs": 2, "seed": 3, "init": "auto", "recover": False}
     assert read["kernel"] == {"kind": "annealed", "particles": 40, "layers": 2}
@@ -46,6 +50,9 @@ CHANGES = {
     "kernel": (_put("kernel", "kind", "sir"), "kernel.kind was annealed and is now sir"),
     "an option": (_put("kernel", "particles", 41), "kernel.particles was 40 and is now 41"),
     "a new option": (_put("kernel", "moves", 2), "kernel.moves was not set and is now 2"),
+    "a decoder": (_put("versions", "av", "0.1"), "the version of av was .* and is now 0.1"),
+    "the precision": (_put("machine", "precision", "float64"), "the precision was float32 and is now float64"),
+    "the images": (_put("inputs", "images of a", "4567"), r"the recording has changed \(images of a\)"),
     "a version": (_put("versions", "jax", "0.1"), "the version of jax was .* and is now 0.1"),
     "the model's text": (_edit("definition", "text", "precision = 200.0", "precision = 10.0"), "the model's file: likelihood.1.precision was 200.0"),
     "the body's text": (_edit("definition", "body_text", "title", "titel"), "the body's file: title was .*the body's file: titel was not set"),
@@ -75,6 +82,7 @@ def test_what_no_number_depends_on_may_change(tmp_path, record):
     ):
         change(now)
     refuse_changes(tmp_path, record, now)
+    assert run_id(now) == run_id(record)
 
 
 def test_many_changes_are_counted(tmp_path, record):
@@ -84,7 +92,42 @@ def test_many_changes_are_counted(tmp_path, record):
         refuse_changes(tmp_path, record, now)
 
 
-@pytest.mark.parametrize(("text", "said"), [("", r"no table \[run\]"), ("[run", "line 1"), ("[run]\n[kernel]\n", r"no table \[versions\]")])
+@pytest.mark.parametrize("change", ["seed = 3", "focal_px = [200.0, 205.0]", "precision = 200.0", "particles = 40"])
+def test_a_change_by_hand_is_noticed(tmp_path, record, change):
+    write_run_file(tmp_path, record)
+    path = tmp_path / "run.toml"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text + "# a comment", encoding="utf-8")
+    read_run_file(tmp_path)
+    assert change in text
+    path.write_text(text.replace(change, change.replace("0", "1").replace("3", "4")), encoding="utf-8")
+    with pytest.raises(InputError, match=r"run\.toml: was changed since it was written"):
+        read_run_file(tmp_path)
+
+
+TYPES = {
+    "seed = 3": 'seed = "x"',
+    "frames = 9": "frames = true",
+    'kind = "annealed"': "kind = 5",
+    "runs = 2": "runs = 0",
+}
+
+
+@pytest.mark.parametrize("before", TYPES)
+def test_wrong_types_are_sentences(tmp_path, record, before):
+    record["run"]["frames"] = 9
+    write_run_file(tmp_path, record)
+    path = tmp_path / "run.toml"
+    text = path.read_text(encoding="utf-8")
+    assert before in text
+    path.write_text(text.replace(before, TYPES[before], 1), encoding="utf-8")
+    with pytest.raises(InputError, match=r"run\.toml: "):
+        read_run_file(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"), [("", "format none: written by another version"), ("[run", "line 1"), ("[check]\nformat = 1\n", "format 1")]
+)
 def test_a_run_file_that_is_none(tmp_path, text, said):
     (tmp_path / "run.toml").write_text(text)
     with pytest.raises(InputError, match=said):

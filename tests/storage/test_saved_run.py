@@ -2,8 +2,10 @@
 
 import shutil
 
+import h5py
 import numpy as np
 import pytest
+from sealed import seal
 
 from bayes_body.body.space import pose_space
 from bayes_body.errors import InputError
@@ -56,17 +58,6 @@ def test_the_session_is_that_of_the_run_when_its_folder_has_changed_or_gone(make
         assert run.session == before
 
 
-def test_a_run_that_kept_no_session_takes_the_one_that_is_there(make_run):
-    folder = make_run()
-    text = (folder / "run.toml").read_text(encoding="utf-8")
-    (folder / "run.toml").write_text(text[: text.index("[session]")], encoding="utf-8")
-    with load_run(folder) as run:
-        assert run.session.title == "blobs"
-    (folder.parent / "session" / "session.toml").unlink()
-    with load_run(folder) as run, pytest.raises(InputError, match=r"session"):
-        assert run.session
-
-
 def test_parsed_from_its_text_a_definition_is_the_same():
     for name in ("arm", "deutscher_apf"):
         loaded = load_definition(name)
@@ -85,11 +76,13 @@ def test_faults_of_a_text_are_sentences():
         assert str(error.value).startswith("arm: ") and said in str(error.value)
 
 
-def _edit(name, old, new):
+def _edit(name, old, new, sealed=True):
     def change(folder):
         text = (folder / name).read_text(encoding="utf-8")
         assert old in text
         (folder / name).write_text(text.replace(old, new, 1), encoding="utf-8")
+        if sealed:
+            seal(folder)
 
     return change
 
@@ -105,18 +98,59 @@ def _truncated(folder):
     (folder / "posterior.nc").write_bytes(content[: len(content) // 3])
 
 
+def _sealed(change):
+    """The change, and all digests made right again: what a person with bad intentions would do."""
+
+    def changed(folder):
+        change(folder)
+        seal(folder)
+
+    return changed
+
+
+def _hdf5(make):
+    def change(folder):
+        with h5py.File(folder / "posterior.nc", "a") as file:
+            make(file)
+
+    return change
+
+
+_external = _hdf5(lambda file: file.create_dataset("a", (10,), "u1", external=[("/etc/hostname", 0, 10)]))
+_linked = _hdf5(lambda file: file.__setitem__("a", h5py.ExternalLink("/etc/hostname", "/")))
+_huge = _hdf5(lambda file: file.create_dataset("a", (10**12,), "f8", chunks=(1000,)))
+_looped = _hdf5(lambda file: file.create_group("a").__setitem__("b", file["a"]))
+
+
+def _link(folder):
+    (folder / "posterior.nc").rename(folder.parent / "elsewhere.nc")
+    (folder / "posterior.nc").symlink_to(folder.parent / "elsewhere.nc")
+
+
 FAULTS = {
     "no run.toml": (lambda folder: (folder / "run.toml").unlink(), ["no run.toml in it", "`bayes-body track`"]),
-    "no TOML": (_edit("run.toml", "[kernel]", "[kernel"), ["run.toml: line "]),
-    "no table": (_edit("run.toml", "[versions]", "[version]"), ["run.toml: versions: missing", "[versions]"]),
+    "no TOML": (_edit("run.toml", "[kernel]", "[kernel", sealed=False), ["run.toml: line "]),
+    "no table": (_edit("run.toml", "[versions]", "[version]"), ["run.toml: versions: missing"]),
+    "another seed": (_edit("run.toml", "seed = 0", "seed = 1", sealed=False), ["run.toml: was changed since it was written"]),
     "no kind": (_edit("run.toml", "kind =", "knid ="), ["run.toml: kernel.kind: missing"]),
     "no session": (_edit("run.toml", "session =", "sesion ="), ["run.toml: run.session: missing"]),
     "no posterior": (lambda folder: (folder / "posterior.nc").unlink(), ["holds no posterior.nc", "`bayes-body track`"]),
     "stopped": (_stopped, ["holds frames but no posterior.nc", "continue it with `bayes-body track", "--resume`"]),
-    "truncated": (_truncated, ["posterior.nc: cannot be read"]),
-    "not a posterior": (lambda folder: (folder / "posterior.nc").write_bytes(b"mine" * 9), ["posterior.nc: cannot be read"]),
-    "figures": (lambda folder: (folder / "summary.json").write_text("{"), ["summary.json: cannot be read", "remove it"]),
-    "figures of another kind": (lambda folder: (folder / "summary.json").write_text("[]"), ["summary.json: list", "remove it"]),
+    "truncated": (_truncated, ["posterior.nc: was changed since it was written", "--resume`"]),
+    "truncated and sealed": (_sealed(_truncated), ["posterior.nc: damaged, HDF5 cannot read it", "--resume`"]),
+    "not a posterior": (_sealed(lambda folder: (folder / "posterior.nc").write_bytes(b"mine" * 9)), ["posterior.nc: damaged"]),
+    "data elsewhere": (_sealed(_external), ["posterior.nc: the array 'a' lies in another file"]),
+    "a link inside": (_sealed(_linked), ["posterior.nc: the entry 'a' is a link to elsewhere"]),
+    "arrays without end": (_sealed(_huge), ["posterior.nc: 8000000000000 bytes of arrays in a file of "]),
+    "a group in itself": (_sealed(_looped), ["posterior.nc: the group 'b' occurs twice"]),
+    "the posterior of another run": (_edit("manifest.json", '"run": "', '"run": "f', sealed=False), ["manifest.json: belongs to another run"]),
+    "no manifest": (lambda folder: (folder / "manifest.json").unlink(), ["manifest.json: no such file"]),
+    "a damaged manifest": (lambda folder: (folder / "manifest.json").write_text("{" * 10**5), ["manifest.json: damaged", "--resume"]),
+    "stills elsewhere": (_edit("manifest.json", '"stills": []', '"stills": ["../victim.png"]', sealed=False), ["manifest.json: damaged"]),
+    "a link": (_link, ["posterior.nc: a link to elsewhere"]),
+    "figures": (lambda folder: (folder / "summary.json").write_text("{"), ["summary.json: was changed since it was written"]),
+    "figures that are none": (_sealed(lambda folder: (folder / "summary.json").write_text("[" * 10**5)), ["summary.json: cannot be read"]),
+    "figures of another kind": (_sealed(lambda folder: (folder / "summary.json").write_text("[]")), ["summary.json: list"]),
     "the body's text": (_edit("run.toml", 'name = \\"elbow\\"', 'name = \\"elbwo\\"'), ["elbwo"]),
 }
 
@@ -173,6 +207,7 @@ def test_the_model_s_body_must_be_the_posterior_s(make_run):
     document = tomlkit.parse((folder / "run.toml").read_text(encoding="utf-8"))
     document["definition"] = {"text": definition.text, "body_text": definition.body_text}
     (folder / "run.toml").write_text(tomlkit.dumps(document), encoding="utf-8")
+    seal(folder)
     with load_run(folder) as run, pytest.raises(InputError, match=r"posterior.nc: dofs shoulder_x"):
         assert build_model(definition, run.session) and run.model
 
@@ -191,13 +226,9 @@ def test_only_an_angle_without_limits_winds(make_run, tmp_path):
     assert (sd[:, 2] < 0.15).all() and (sd[:, 1] > 1.0).all()
 
 
-def test_a_run_without_spaces_has_those_of_its_body(make_run):
+def test_the_spaces_are_those_that_are_stored(make_run):
     with load_run(make_run()) as run:
         assert run.spaces == {"pose": pose_space(run.model.body)}
-    folder = make_run("damaged")
-    _edit("run.toml", 'name = \\"elbow\\"', 'name = \\"elbwo\\"')(folder)
-    with load_run(folder) as run:
-        assert run.spaces["pose"].tangent_labels == ("shoulder_x", "shoulder_y", "shoulder_z", "elbow")
 
 
 def test_a_space_that_cannot_be_read_is_a_sentence(make_run):
