@@ -83,7 +83,8 @@ def stored_record(settings: Settings) -> Record | None:
         return read_run_file(out)
     frames = len(FrameFiles(out / FRAMES_FOLDER))
     if frames and (out / RUN_FILE).exists():
-        found, remedy = f"holds a run that stopped at frame {frames}", "continue it with --resume, or name another folder with --out"
+        found = f"holds a run that has {frames} frames"
+        remedy = "continue it with --resume, or name another folder with --out"
         raise input_error(out, found, "a folder without a run", remedy)
     # A run that stopped before its first frame may be started anew. Everything else may be somebody's work.
     taken = [name for name in RESULTS if (out / name).exists()]

@@ -59,7 +59,16 @@ def same(a: xr.DataTree, b: xr.DataTree) -> bool:
 
 
 def test_a_run_leaves_its_files_and_no_others(run):
-    assert {path.name for path in run.iterdir()} == {"run.toml", "posterior.nc", "summary.json", "overlay.mp4", "overlay", "frames", ".lock"}
+    assert {path.name for path in run.iterdir()} == {
+        "run.toml",
+        "posterior.nc",
+        "summary.json",
+        "manifest.json",
+        "overlay.mp4",
+        "overlay",
+        "frames",
+        ".lock",
+    }
 
 
 def test_the_posterior_opens_as_an_arviz_tree(run):
@@ -180,7 +189,7 @@ def test_options_that_cannot_be_used(cli, walk, tmp_path, fault):
 
 def test_a_folder_that_holds_another_run(cli, walk, run):
     before = (run / "posterior.nc").read_bytes()
-    cli("track", walk, "--out", run).refuses(str(run), "holds another run", "expected", "--out")
+    cli("track", walk, "--out", run).refuses(str(run), f"holds a run that has {FRAMES} frames", "expected", "--out")
     assert (run / "posterior.nc").read_bytes() == before
 
 

@@ -6,6 +6,7 @@ import json
 import ezc3d
 import numpy as np
 import pytest
+from sealed import seal
 
 from bayes_body.errors import InputError
 from bayes_body.export.formats import export
@@ -99,6 +100,7 @@ def test_csv(written, make_run):
     run = make_run(lost=lost)
     # The body is off the person in frame 1.
     (run / "summary.json").write_text(json.dumps({"frames_off": [1]}), encoding="utf-8")
+    seal(run)
     motion, path = written("csv", run=run)
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))

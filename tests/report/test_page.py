@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from sealed import seal
 
 from bayes_body.errors import InputError
 from bayes_body.metrics.fit import fit_sentences
@@ -109,6 +110,7 @@ def test_a_body_off_the_person_is_a_warning(make_run):
     figures = {"fit_by": "silhouettes", "fit_first": 0.31, "fit_worst": 0.12, "fit_worst_frame": 4, "frames_off": [2, 3, 4]}
     path = folder / "summary.json"
     path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | figures), encoding="utf-8")
+    seal(folder)
     with load_run(folder) as run:
         first, later = Inspection(run).warnings[:2]
     assert first.startswith("frame 0: the body in its first pose does not fit the image") and "0.31" in first
@@ -232,11 +234,11 @@ def test_how_it_was_made(inspect):
     assert cells["cameras"] == "a 160 × 120\u00a0px; b 128 × 144\u00a0px" and "kind = &quot;silhouette_edges&quot;" in text
 
 
-def test_a_run_whose_session_is_gone(make_run, parse):
+def test_a_run_whose_session_cannot_be_used(make_run, parse):
     folder = make_run()
     record = (folder / "run.toml").read_text(encoding="utf-8")
-    (folder / "run.toml").write_text(record[: record.index("[session]")], encoding="utf-8")
-    (folder.parent / "session" / "session.toml").unlink()
+    (folder / "run.toml").write_text(record.replace("fps = ", "fsp = "), encoding="utf-8")
+    seal(folder)
     with load_run(folder) as run:
         found = parse(page(run))
     assert "The session can no longer be read" in found.text and "left hip y over the frames" in alts(found)

@@ -128,7 +128,7 @@ def test_a_folder_with_frames_is_refused_without_resume(looped, tmp_path, stoppi
     stopping(3, InputError("stopped"))
     with pytest.raises(InputError, match="stopped"):
         run(Settings(looped(FRAMES), out, **SMALL), lambda line: None, bar=False)
-    said = "holds a run that stopped at frame 3; .*; continue it with --resume, or name another folder"
+    said = "holds a run that has 3 frames; .*; continue it with --resume, or name another folder"
     with pytest.raises(InputError, match=said):
         run(Settings(looped(FRAMES), out, **SMALL), lambda line: None, bar=False)
     (out / "run.toml").unlink()
