@@ -4,11 +4,13 @@ import random
 import signal
 import subprocess
 import time
+from collections import Counter
 
 import pytest
 
 from bayes_body.runs.run import run
 from bayes_body.runs.settings import Settings
+from bayes_body.storage.run_file import read_record
 
 from .conftest import command, contents, track
 
@@ -55,22 +57,66 @@ def test_killed_among_the_frames_twice(looped, tmp_path, uninterrupted):
 
 
 @pytest.mark.long
-def test_killed_twenty_times_at_any_moment(looped, tmp_path, uninterrupted):
+def test_killed_a_hundred_times_at_any_moment(looped, tmp_path, uninterrupted):
     rng = random.Random(20)
     begun = time.monotonic()
     assert track(looped(FRAMES), tmp_path / "timed", *OPTIONS).returncode == 0
     whole = time.monotonic() - begun
-    out, kills = tmp_path / "run0", 0
+    out, phases = tmp_path / "run0", Counter()
     for number in range(1000):
-        until = time.monotonic() + rng.uniform(0.2, 1.0) * whole
-        kills += kill_when(start(looped(FRAMES), out), lambda until=until: time.monotonic() > until)
-        if (out / "overlay.mp4").exists():
+        until = time.monotonic() + rng.uniform(0.1, 1.0) * whole
+        if kill_when(start(looped(FRAMES), out), lambda until=until: time.monotonic() > until):
+            phases[phase(out)] += 1
+        if phase(out) == "finished":
             assert contents(out / "posterior.nc") == uninterrupted
             out = tmp_path / f"run{number + 1}"
-        if kills == 20:
+        if phases.total() == 100:
             break
-    assert kills == 20
+    assert phases.total() == 100
+    # The posterior is written within milliseconds: whether a kill hits it is the clock's choice.
+    assert phases.keys() >= {"before the first frame", "frames", "pictures"}, phases
+    print(dict(phases))
     assert finish(looped(FRAMES), out) == uninterrupted
+
+
+def phase(out):
+    """What a run was doing when it stopped."""
+    if not (out / "frames").exists():
+        return "before the first frame"
+    if not (out / "frames" / f"{FRAMES - 1:06d}.npz").exists():
+        return "frames"
+    if not (out / "posterior.nc").exists():
+        return "posterior"
+    return "finished" if "overlay.mp4" in (out / "manifest.json").read_text() else "pictures"
+
+
+@pytest.mark.long
+def test_twenty_pairs_of_processes_on_one_folder(looped, tmp_path, uninterrupted):
+    """Of different seeds, begun and paused at random moments: one of them works, the other one is told so, and nothing is mixed."""
+    rng = random.Random(5)
+    session = looped(FRAMES)
+    begun = time.monotonic()
+    assert track(session, tmp_path / "other", *OPTIONS, "--seed", 1).returncode == 0
+    whole = time.monotonic() - begun
+    ends = {0: uninterrupted, 1: contents(tmp_path / "other" / "posterior.nc")}
+    for number in range(20):
+        out = tmp_path / f"run{number}"
+        pair = []
+        for seed in (0, 1):
+            options = [*OPTIONS, "--seed", seed, *(["--resume"] if rng.random() < 0.5 else [])]
+            pair.append(subprocess.Popen(command(session, out, *options), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True))
+            time.sleep(rng.uniform(0, 0.5) * whole)
+        for _ in range(4):
+            paused = rng.choice(pair)
+            paused.send_signal(signal.SIGSTOP)
+            time.sleep(rng.uniform(0, 0.3) * whole)
+            paused.send_signal(signal.SIGCONT)
+        said = [process.communicate()[1] for process in pair]
+        assert sorted(process.returncode for process in pair) == [0, 2], said
+        assert any(
+            sentence in "".join(said) for sentence in ("works on it", "holds a run that has", "cannot be continued", "which a run would replace")
+        ), said
+        assert contents(out / "posterior.nc") == ends[read_record(out)["run"]["seed"]]
 
 
 @pytest.mark.long
