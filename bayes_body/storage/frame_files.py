@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.density.kernel import FilterInfo
-from bayes_body.errors import InputError, input_error
+from bayes_body.errors import InputError, escaped, input_error
 from bayes_body.files.arrays_file import read_arrays
 from bayes_body.files.atomic import make_folder, remove_partial, replacing
 from bayes_body.tracking.draws import FrameResult
@@ -24,6 +24,8 @@ from bayes_body.tracking.draws import FrameResult
 MAPPINGS = ("markov", "messages")
 # Readers go through the frames in order, and look back one frame.
 KEPT_IN_MEMORY = 2
+# Characters of a foreign id that a sentence shows.
+SHOWN = 16
 KIND, REMEDY = "a frame written by `bayes-body track`", "compute it again with --resume"
 
 
@@ -133,7 +135,9 @@ class FrameFiles:
     def _check_run(self, index: int, place: Place) -> None:
         if self.run and place.run != self.run:
             remedy = "move the file away, or start a new run in another folder with --out"
-            raise input_error(self.path(index), f"belongs to another run ('{place.run}')", f"a frame of this run ('{self.run}')", remedy)
+            raise input_error(
+                self.path(index), f"belongs to another run ('{escaped(place.run[:SHOWN])}')", f"a frame of this run ('{self.run}')", remedy
+            )
 
 
 def _count_files(folder: Path) -> int:

@@ -16,6 +16,7 @@ from bayes_body.files.text import read_text
 from bayes_body.storage.names import MANIFEST_FILE, OVERLAY_FOLDER
 
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+RunId = Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
 # The only names that a manifest may list; other paths in a stranger's manifest are not touched.
 STILL = rf"^{OVERLAY_FOLDER}/frame_\d{{6,9}}\.png$"
 AGAIN = "write it again with `bayes-body track SESSION --out RUN --resume`"
@@ -41,7 +42,7 @@ class Manifest(BaseModel):
     """The whole file: the id of the run, results by name, and the stills of the overlay."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-    run: str
+    run: RunId
     results: dict[str, Result] = {}
     stills: list[Annotated[str, Field(pattern=STILL)]] = []
 

@@ -30,6 +30,8 @@ from bayes_body.toml.read import parse_toml, read_toml, validate
 PACKAGES = (*COMPUTING, "arviz")
 # The version of the format of run.toml and of the frames.
 FORMAT = 2
+# Characters of a strange version that a sentence shows.
+SHOWN = 16
 AGAIN = "make the run again with `bayes-body track`"
 HEADING = "Made by bayes-body track. The same settings with the same versions on the same kind of processor repeat the run."
 
@@ -131,7 +133,7 @@ def read_record(folder: Path) -> dict[str, dict[str, Any]]:
     check = record.get("check")
     if not isinstance(check, dict) or check.get("format") != FORMAT:
         version = check.get("format", "none") if isinstance(check, dict) else "none"
-        raise input_error(path, f"format {escaped(str(version))}: written by another version", f"format {FORMAT}", AGAIN)
+        raise input_error(path, f"format {escaped(str(version)[:SHOWN])}: written by another version", f"format {FORMAT}", AGAIN)
     validate(RunFile, record, str(path))
     if check["sha256"] != _seal(record):
         found = "was changed since it was written (its digest is another)"

@@ -152,7 +152,7 @@ def load_run(folder: Path | str) -> SavedRun:
         raise _unfinished(folder, record["run"])
     manifest = read_manifest(folder)
     if manifest.run != record["check"]["run"]:
-        found, expected = f"belongs to another run ('{escaped(manifest.run)}')", f"the results of this run ('{record['check']['run']}')"
+        found, expected = f"belongs to another run ('{manifest.run}')", f"the results of this run ('{record['check']['run']}')"
         raise input_error(folder / MANIFEST_FILE, found, expected, MANIFEST_AGAIN)
     summary, tree = _summary(folder, manifest), open_posterior(folder, manifest)
     return SavedRun(

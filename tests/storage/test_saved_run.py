@@ -143,7 +143,7 @@ FAULTS = {
     "a link inside": (_sealed(_linked), ["posterior.nc: the entry 'a' is a link to elsewhere"]),
     "arrays without end": (_sealed(_huge), ["posterior.nc: 8000000000000 bytes of arrays in a file of "]),
     "a group in itself": (_sealed(_looped), ["posterior.nc: the group 'b' occurs twice"]),
-    "the posterior of another run": (_edit("manifest.json", '"run": "', '"run": "f', sealed=False), ["manifest.json: belongs to another run"]),
+    "the posterior of another run": (_edit("manifest.json", '"run": "0123', '"run": "ffff', sealed=False), ["manifest.json: belongs to another run"]),
     "no manifest": (lambda folder: (folder / "manifest.json").unlink(), ["manifest.json: no such file"]),
     "a damaged manifest": (lambda folder: (folder / "manifest.json").write_text("{" * 10**5), ["manifest.json: damaged", "--resume"]),
     "stills elsewhere": (_edit("manifest.json", '"stills": []', '"stills": ["../victim.png"]', sealed=False), ["manifest.json: damaged"]),
