@@ -25,6 +25,7 @@ from bayes_body.posterior.diagnosis import is_mode_seeker
 from bayes_body.posterior.stored_spaces import stored_spaces
 from bayes_body.session.read import parse_session
 from bayes_body.session.session import Session
+from bayes_body.storage.inputs import input_digests
 from bayes_body.storage.kept_plugins import check_plugins, kept_plugins
 from bayes_body.storage.manifest import AGAIN as MANIFEST_AGAIN
 from bayes_body.storage.manifest import Manifest, check_result, read_manifest
@@ -75,6 +76,18 @@ class SavedRun:
         folder = Path(self.settings["session"])
         where = f"{self.folder / RUN_FILE}: the session's text"
         return parse_session(parse_toml(self.texts["session"], where), folder, where)
+
+    @cached_property
+    def changed_inputs(self) -> frozenset[str]:
+        """The files of the recording, as `input_digests` names them, that are not those from which the run was made, or are gone.
+
+        A stranger's run may name any file of this machine. Only files that are not among these may be shown.
+
+        Raises:
+            InputError: the session cannot be used, or a file cannot be read.
+        """
+        now = input_digests(self.session)
+        return frozenset(name for name in now if now[name] != self.inputs.get(name))
 
     @cached_property
     def model(self) -> Model:

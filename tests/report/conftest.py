@@ -15,7 +15,8 @@ from sealed import seal
 from bayes_body.evidence.markers import MARKERS
 from bayes_body.model.definition import load_definition
 from bayes_body.posterior.message_passing import DIMS as MESSAGES
-from bayes_body.session.read import save_session
+from bayes_body.session.read import load_session, save_session
+from bayes_body.storage.inputs import input_digests
 from bayes_body.storage.saved_run import load_run
 from bayes_body.view.report.inspection import Inspection
 
@@ -89,6 +90,7 @@ def _run_file(folder, session, runs, draws, title) -> None:
         "machine": {"platform": "an abacus", "devices": ["bead:0"]},
         "definition": {"title": title or definition.title, "text": definition.text + f"\n# {title}", "body_text": definition.body_text},
         "session": {"text": (session / "session.toml").read_text(encoding="utf-8")},
+        "inputs": input_digests(load_session(session)),
     }
     (folder / "run.toml").write_text(tomlkit.dumps(document), encoding="utf-8")
 

@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 
 from bayes_body.model.definition import load_definition
-from bayes_body.view.report.chains import chain_section, worst_mixed
+from bayes_body.storage.inputs import input_digests
+from bayes_body.storage.saved_run import load_run
+from bayes_body.view.report.chains import _image, chain_section, worst_mixed
 from bayes_body.view.report.figures import style
+from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.page import page, sections_of
 
 RUNS, CHAINS, LENGTH, FRAMES = 2, 3, 20, 4
@@ -60,6 +63,22 @@ def test_the_path_is_drawn_from_first_to_last(chained):
     content = base64.b64decode(text.split('<img src="data:image/webp;base64,')[1].split('"')[0])
     picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
     assert picture.shape[1] > 100 and picture.std() > 5
+
+
+def test_the_image_is_that_of_the_run_or_none(chained):
+    """A stranger's run may name any folder of this machine as that of its images."""
+    it = chained()
+    view = it.run.session.views[0]
+    (it.run.session.folder / "a").mkdir()
+    width, height = view.camera.size_px
+    picture = np.random.default_rng(0).integers(0, 255, (height, width, 3), np.uint8)
+    for frame in range(it.run.session.frames):
+        path = it.run.session.image_path(view, frame)
+        cv2.imwrite(str(path), picture)
+    assert np.unique(_image(it, 0, 0)).size == 1 and _image(it, 0, 0).max() < 100
+    with load_run(it.run.folder) as known:
+        known.inputs.update(input_digests(known.session))
+        assert (_image(Inspection(known), 0, 0) == picture).all()
 
 
 def test_without_a_body_that_fits_there_is_no_path_but_all_else(chained):

@@ -69,3 +69,17 @@ def test_an_animation_too_large_loses_frames_and_says_so(tmp_path, draw_pictures
 def test_pictures_are_never_enlarged():
     assert narrowed(np.zeros((30, 40, 3), np.uint8), 100).shape == (30, 40, 3)
     assert narrowed(np.zeros((300, 400, 3), np.uint8), 100).shape == (75, 100, 3)
+
+
+def test_links_and_lists_of_files_are_not_shown(tmp_path, draw_pictures):
+    """A picture of this machine, and a list that names it, in the folder of a stranger's run."""
+    (tmp_path / "mine").mkdir()
+    draw_pictures(tmp_path / "mine", 6)
+    run = tmp_path / "run"
+    (run / "overlay").mkdir(parents=True)
+    (run / "overlay.mp4").symlink_to(tmp_path / "mine" / "overlay.mp4")
+    (run / "overlay" / "frame_000000.png").symlink_to(tmp_path / "mine" / "overlay" / "frame_000000.png")
+    assert "<img" in picture_section(tmp_path / "mine", QUALITIES[0]) and "<img" not in picture_section(run, QUALITIES[0])
+    (run / "overlay.mp4").unlink()
+    (run / "overlay.mp4").write_text(f"ffconcat version 1.0\nfile '{tmp_path}/mine/overlay.mp4'\n")
+    assert "<img" not in picture_section(run, QUALITIES[0])

@@ -120,6 +120,10 @@ def test_a_truth_that_is_gone_or_of_other_markers_is_said(make_run, inspect, par
     (folder.parent / "session" / "truth.npz").unlink()
     with load_run(folder) as run:
         assert "can no longer be compared with the truth" in parse(truth_section(Inspection(run))).text
+    # Another file of the same name, such as a stranger's run may name.
+    np.savez(folder.parent / "session" / "truth.npz", markers=truth_of(arm, centres, [0, 0, 1]), names=np.array(MARKERS))
+    with load_run(folder) as run:
+        assert "truth.npz: not the file of the time of the run" in parse(truth_section(Inspection(run))).text
     # The posterior of this one is of another body than its definition says.
     other = parse(truth_section(inspect(truth=truth_of(arm, centres, [0, 0, 0.01])))).text
     assert "can no longer be compared with the truth" in other and "dofs root_x" in other

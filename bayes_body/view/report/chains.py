@@ -18,6 +18,7 @@ from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
 from bayes_body.view.silhouette import outlines, seen_in
+from bayes_body.view.windows import EMPTY
 
 if TYPE_CHECKING:
     pass
@@ -117,6 +118,15 @@ def _autocorrelations(it: Inspection, mixing: Mixing, draws: Float[np.ndarray, "
     return encoded(figure, f"Autocorrelation within the chains of frame {frame}; effective draws of the slowest dofs: {named}.")
 
 
+def _image(it: Inspection, frame: int, camera: int) -> MatLike:
+    """Return the camera's image, or a dark one if the recording is not the one that the run was made from."""
+    view = it.run.session.views[camera]
+    if it.run.changed_inputs & {f"images of {view.camera.name}", f"video of {view.camera.name}"}:
+        width, height = view.camera.size_px
+        return np.full((height, width, 3), EMPTY, np.uint8)
+    return backdrop(it.run.session, frame, view)[0]
+
+
 def _path(it: Inspection, mixing: Mixing, frame: int) -> Picture:
     """Return the picture of a chain's path: outlines of evenly spaced states over the image of the first camera that saw the frame."""
     session = it.run.session
@@ -124,7 +134,7 @@ def _path(it: Inspection, mixing: Mixing, frame: int) -> Picture:
     (block,) = pose_blocks(it.run.tree, range(frame, frame + 1), variable=model.body.variable)
     chain = by_chain(block.poses[:1], mixing.length)[0, 0, :, 0]
     shown = _camera(it, frame)
-    image = backdrop(session, frame, session.views[shown])[0]
+    image = _image(it, frame, shown)
     chosen = np.unique(np.linspace(0, len(chain) - 1, STATES).round().astype(int))
     thin = max(1, round(image.shape[1] / 900))
     inks = cv2.applyColorMap(np.linspace(255, 60, len(chosen)).astype(np.uint8)[:, None], cv2.COLORMAP_PLASMA)[:, 0]

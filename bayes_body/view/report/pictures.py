@@ -51,7 +51,7 @@ def picture_section(folder: Path, quality: Quality | None) -> Markup:
 
 def _stills(folder: Path, quality: Quality) -> Iterator[Picture]:
     for path in sorted(folder.glob("frame_*.png")):
-        image = cv2.imread(str(path))
+        image = None if path.is_symlink() or not path.is_file() else cv2.imread(str(path))
         if image is not None:
             name = path.stem.removeprefix("frame_").lstrip("0") or "0"
             yield _picture(_still_uri(image, quality), f"Frame {name}: the recording with the posterior drawn over it.", f"Frame {name}")
@@ -98,12 +98,20 @@ def _pace(slower: float) -> str:
     return f"slowed {slower:.2g} times" if slower > 1 else f"sped up {1 / slower:.2g} times"
 
 
+def _is_mp4(path: Path) -> bool:
+    """Return whether a file is an mp4 itself. A link, or a list of other files, could show any file of this machine."""
+    if path.is_symlink() or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(8)[4:] == b"ftyp"
+
+
 def read_video(path: Path, width: int, most: int = MOST_FRAMES) -> tuple[list[MatLike], float, int]:
     """Return frames of a video, its frames a second, and its number of frames.
 
     The frames are evenly spaced, at most `most` of them, and at most `width` pixels wide. If the video cannot be read, there are none.
     """
-    if not path.is_file():
+    if not _is_mp4(path):
         return [], 0.0, 0
     video = cv2.VideoCapture(str(path))
     try:

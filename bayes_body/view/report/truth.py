@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import InputError
+from bayes_body.errors import InputError, input_error
 from bayes_body.metrics.accuracy import LEVELS
 from bayes_body.metrics.figures import accuracy_figures, width
 from bayes_body.metrics.truth import AgainstTruth, Cloud, Clouds, against_truth, mean_known, true_markers
@@ -63,8 +63,10 @@ def measured(run: "SavedRun") -> AgainstTruth | None:
     """Compare the run with its session's truth, at no more than MOST_POINTS evenly spaced frames; None if there is no truth.
 
     Raises:
-        InputError: the truth, the session or the body can no longer be read.
+        InputError: the truth, the session or the body can no longer be read, or the truth has changed since the run was made.
     """
+    if "truth" in run.changed_inputs:
+        raise input_error(f"{run.session.truth_path}", "not the file of the time of the run", "that file", "restore it")
     truth = true_markers(run.session)
     if truth is None:
         return None
