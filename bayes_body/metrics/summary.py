@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from bayes_body.body.space import configuration_space
 from bayes_body.metrics.figures import accuracy_figures
-from bayes_body.metrics.fit import Fit, fit_figures, frame_fit
+from bayes_body.metrics.fit import Fit, frame_fit
+from bayes_body.metrics.plausibility import fit_figures
 from bayes_body.metrics.truth import draws_against_truth
 from bayes_body.model.build import Model
 from bayes_body.posterior import frame_rhat, markers, mean_pose

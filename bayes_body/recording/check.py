@@ -1,8 +1,10 @@
-"""Check that a session's files exist and match its cameras, without reading all of them."""
+"""Check that a session's files exist and match its cameras, without reading all of them, and that its cameras and its person are possible."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from bayes_body.errors import input_error
 from bayes_body.recording.camera_path import read_camera_path
@@ -13,6 +15,10 @@ from bayes_body.recording.video import probe, readable_frames
 from bayes_body.session.session import Session, View
 
 BLIND = "the camera counts as not seeing the person there"
+# A newborn child is longer. Taller than the schema's limit nobody is.
+SHORTEST_M = 0.4
+# Cameras that are closer together tell as little about depth as a single one.
+LEAST_APART_M = 0.01
 
 
 def check_session(session: Session) -> list[str]:
@@ -22,9 +28,13 @@ def check_session(session: Session) -> list[str]:
         Remarks for the user, one sentence each: which frames some cameras did not see.
 
     Raises:
-        FaultyFileError: one sentence for each camera without any image, and for each file that does not match the session.
+        FaultyFileError: one sentence for each camera without any image, and for each file that does not match the session; if all cameras stand in
+            one place, and if nobody is as small as the person.
     """
     faults, remarks = Faults(), []
+    for check in (_check_height, _check_places):
+        with faults.collect():
+            check(session)
     for view in session.views:
         owner = f"camera '{view.camera.name}'"
         with faults.collect():
@@ -45,6 +55,21 @@ def check_session(session: Session) -> list[str]:
                 read_camera_path(path, session.frames)
     faults.raise_any()
     return remarks
+
+
+def _check_height(session: Session) -> None:
+    height = session.subject.height_m
+    if height is not None and height < SHORTEST_M:
+        raise input_error("session.toml: subject.height_m", f"{height:g}", f"metres, at least {SHORTEST_M:g}", "give the person's height in metres")
+
+
+def _check_places(session: Session) -> None:
+    centres = np.array([-view.camera.rotation.T @ view.camera.translation_m for view in session.views])
+    if len(centres) > 1 and np.linalg.norm(centres - centres[0], axis=-1).max() < LEAST_APART_M:
+        place = ", ".join(f"{each:.3g}" for each in centres[0] + 0.0)
+        found = f"all {len(centres)} cameras stand in one place, ({place}) m in the world"
+        remedy = "check rotation and translation_m of each [[camera]]: X_camera = rotation X_world + translation; or keep one camera"
+        raise input_error("session.toml: camera", found, f"cameras at least {LEAST_APART_M:g} m apart", remedy)
 
 
 def _check_series(faults: Faults, owner: str, kind: str, paths: Sequence[Path], read: Callable[[Path], Any]) -> list[str]:

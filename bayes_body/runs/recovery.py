@@ -10,7 +10,8 @@ from bayes_body.initial import apply_first_pose
 from bayes_body.initial.automatic import TRUNK, known_markers, poses_of
 from bayes_body.initial.measurements import FEWEST
 from bayes_body.initial.person_search import PersonSearch
-from bayes_body.metrics.fit import frame_fit, is_off
+from bayes_body.metrics.fit import frame_fit
+from bayes_body.metrics.plausibility import is_off
 from bayes_body.model.build import Model
 from bayes_body.observation.frames import read_frame
 from bayes_body.posterior import mean_pose
@@ -38,7 +39,7 @@ class PersonRecovery:
         self._told = False
 
     def off(self, result: FrameResult, frame: int) -> Bool[np.ndarray, " run"]:
-        """Return whether each run's mean body is off the person by the limits of `metrics.fit`; False where the picture does not show the person."""
+        """Return whether each run's mean body is off the person by the limits of `metrics.plausibility`; False where nothing tells."""
         return is_off(frame_fit(self.session, self.model, mean_pose(result, self.model), frame))
 
     def found(self, frame: int, is_first: bool) -> Model | None:

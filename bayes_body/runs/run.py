@@ -28,7 +28,8 @@ from bayes_body.initial import (
     with_first_keypoints,
 )
 from bayes_body.metrics import summarise, true_markers
-from bayes_body.metrics.fit import first_fit, fit_sentences
+from bayes_body.metrics.plausibility import check_silhouettes, check_view, first_fit
+from bayes_body.metrics.plausibility_sentences import fit_sentences
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.model.kernel_options import kernel_options
@@ -88,8 +89,12 @@ def _run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
     if chosen.init == GIVEN:
         session = with_first_keypoints(model, session)
     fitted_before = "first_pose" in (before or {})
+    must_fit = (is_fitted(session) or not is_posed(model, session)) and not fitted_before
     if not fitted_before:
         check_first_pose(model, session)
+        check_silhouettes(session, model)
+        if not must_fit:
+            check_view(session, model)
     true_markers(session)
     recover = kind in RECOVERING if chosen.recover is None else chosen.recover
     described = {"runs": chosen.runs, "seed": chosen.seed, "frames": chosen.frames, "init": chosen.init, "recover": recover}
@@ -97,7 +102,6 @@ def _run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
     if before:
         refuse_changes(settings.out, before, record)
     pairs = check_pairs(session, model, chosen.frames or session.frames, show, bar)
-    must_fit = (is_fitted(session) or not is_posed(model, session)) and not fitted_before
     kernel = term.build(options=options)
     compiling = compiled_ahead(session, model, kernel, options.particles) if must_fit else nullcontext()
     with compiling as ahead, waiting("first pose", bar and must_fit):
@@ -135,9 +139,12 @@ def _with_first_pose(
 
 
 def _show_first_fit(session: Session, model: Model, show: Show) -> None:
-    """Show a warning before the tracking if the first pose does not fit the first frame."""
-    for sentence in fit_sentences(first_fit(session, model)):
+    """Show a warning before the tracking if the first pose does not fit the first frame, and a note if nothing tells."""
+    figures = first_fit(session, model)
+    for sentence in fit_sentences(figures):
         show(warning_line(sentence))
+    if figures["fit_by"] is None:
+        show("note: neither silhouettes nor keypoints tell whether the body is on the person in frame 0: look at the overlay.")
 
 
 def _begin(out: Path, before: Mapping[str, Mapping[str, Any]] | None, record: Record, wanted: int, show: Show) -> FrameFiles:

@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 
 from bayes_body.evidence.markers import MARKERS
-from bayes_body.metrics.fit import FEWEST_FRAMES, Fit, cover_of, fit_figures, fit_sentences, frame_fit
+from bayes_body.metrics.fit import Fit, cover_of, frame_fit
+from bayes_body.metrics.plausibility import FEWEST_FRAMES, fit_figures
+from bayes_body.metrics.plausibility_sentences import fit_sentences
 from bayes_body.recording.keypoint_series import KeypointSeries, write_series
 from bayes_body.view.silhouette import outlines
 
 
-def _fit(cover=np.nan, distance=np.nan, cameras=2):
-    return Fit(*(np.full((1, cameras), value) for value in (np.nan, cover, distance)))
+def _fit(cover=np.nan, distance=np.nan, overlap=np.nan, body=0.1, silhouette=0.1, cameras=2):
+    values = (np.full((1, cameras), value) for value in (overlap, cover, distance, body))
+    return Fit(*values, np.full(cameras, silhouette), bool(np.isfinite(overlap)))
 
 
 def test_the_cover_is_one_of_a_part_and_nothing_beside_it():
@@ -28,9 +31,11 @@ def test_the_cover_is_one_of_a_part_and_nothing_beside_it():
 
 
 def test_the_median_camera_and_the_worst_run_count():
-    frames = [Fit(np.full((2, 3), np.nan), np.array([[0.9, 0.8, 0.1], [0.95, np.nan, 0.85]]), np.full((2, 3), np.nan))]
+    nothing, cover = np.full((2, 3), np.nan), np.array([[0.9, 0.8, 0.1], [0.95, np.nan, 0.85]])
+    frames = [Fit(nothing, cover, nothing, np.full((2, 3), 0.1), np.full(3, 0.1))]
     figures = fit_figures(_fit(0.9), frames)
-    assert figures == {"fit_by": "silhouettes", "fit_first": 0.9, "fit_worst": 0.8, "fit_worst_frame": 0, "frames_off": []}
+    assert figures["fit_by"] == "silhouettes" and figures["fit_first"] == 0.9 and figures["frames_off"] == []
+    assert (figures["fit_worst"], figures["fit_worst_frame"]) == (0.8, 0)
 
 
 @pytest.mark.parametrize("by", ["silhouettes", "keypoints"])
@@ -52,10 +57,36 @@ def test_a_stretch_of_frames_is_a_warning_and_a_single_one_is_none(by):
 def test_a_short_recording_needs_no_more_frames_than_it_has():
     figures = fit_figures(_fit(0.2), [_fit(0.2)] * 2) | {"frames": 2}
     assert figures["frames_off"] == [0, 1] and len(fit_sentences(figures)) == 2
+    assert fit_sentences(figures)[1].startswith("from the first frame to the last the body does not cover the person")
+
+
+def test_a_small_body_in_a_large_silhouette_is_off_the_person_if_it_is_a_whole_body():
+    figures = fit_figures(_fit(1.0, overlap=0.05), [_fit(1.0, overlap=0.06), _fit(1.0, overlap=0.04)]) | {"frames": 2}
+    assert (figures["overlap_first"], figures["overlap_worst"], figures["overlap_worst_frame"], figures["frames_off"]) == (0.05, 0.04, 1, [0, 1])
+    first, later = fit_sentences(figures)
+    assert "IoU) is 0.05 (limit 0.4" in first and "at frame 1, its overlap with the silhouettes (IoU) is 0.04 (limit 0.4" in later
+    part = fit_figures(_fit(1.0), [_fit(1.0)] * 2) | {"frames": 2}
+    assert part["overlap_worst"] is None and fit_sentences(part) == []
+
+
+@pytest.mark.parametrize("share", [0.0, 0.9])
+def test_empty_silhouettes_and_those_of_the_background_tell_nothing(share):
+    blind = _fit(np.nan if share == 0 else 1.0, silhouette=share, overlap=0.1)
+    figures = fit_figures(_fit(0.9), [_fit(0.9)] * 2 + [blind] * 3) | {"frames": 5}
+    assert figures["frames_off"] == [] and figures["frames_blind"] == [2, 3, 4]
+    (sentence,) = fit_sentences(figures)
+    assert sentence.startswith("frames 2-4: no camera's silhouette can be a person's")
+
+
+def test_a_body_that_no_camera_can_see_is_off_whatever_the_session_has():
+    figures = fit_figures(_fit(silhouette=np.nan), [_fit(body=0.0, silhouette=np.nan)] * 3) | {"frames": 3}
+    assert figures["fit_by"] is None and figures["frames_off"] == figures["frames_outside"] == [0, 1, 2]
+    (sentence,) = fit_sentences(figures)
+    assert sentence.startswith("frames 0-2: the body is outside of the image of every camera")
 
 
 def test_without_silhouettes_and_keypoints_nothing_is_said():
-    figures = fit_figures(_fit(), [_fit()] * 4) | {"frames": 4}
+    figures = fit_figures(_fit(silhouette=np.nan), [_fit(silhouette=np.nan)] * 4) | {"frames": 4}
     assert figures["fit_by"] is None and figures["fit_first"] is None and figures["fit_worst"] is None and fit_sentences(figures) == []
     # A summary of an older version.
     assert fit_sentences({"frames": 4}) == []

@@ -8,7 +8,7 @@ import pytest
 from sealed import seal
 
 from bayes_body.errors import InputError
-from bayes_body.metrics.fit import fit_sentences
+from bayes_body.metrics.plausibility_sentences import fit_sentences
 from bayes_body.storage.saved_run import load_run
 from bayes_body.view.report import page as pages
 from bayes_body.view.report.bands import band_section

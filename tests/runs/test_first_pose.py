@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from bayes_body.errors import InputError
-from bayes_body.metrics.fit import first_fit, fit_sentences
+from bayes_body.metrics.plausibility import first_fit
+from bayes_body.metrics.plausibility_sentences import fit_sentences
 from bayes_body.model.build import build_model
 from bayes_body.runs import run as module
 from bayes_body.runs.run import run

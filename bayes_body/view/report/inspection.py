@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from bayes_body.errors import InputError
-from bayes_body.metrics.fit import fit_sentences
+from bayes_body.metrics.plausibility_sentences import fit_sentences
 from bayes_body.posterior.diagnostics import Diagnosis, Thresholds, diagnose, sentences
 from bayes_body.view.report.figures import frame_label, frames_a_point
 
