@@ -4,30 +4,19 @@ Among n ranks in B equally likely bins, $R_k$ are in the first k bins. With $R_k
 
 $$\gamma = 2 \min_{k < B} \min\big(P(\mathrm{Bin} \le R_k),\, P(\mathrm{Bin} \ge R_k)\big)$$
 
-is the smallest two-sided tail probability along the curve. Its distribution under uniform ranks is simulated. A curve's p-value is the fraction of
-simulated curves with a $\gamma$ that is no larger. The band of a level is where $\gamma$ is above the quantile of that level. For m quantities, each
-band has the level $1 - \alpha / m$ (Bonferroni), so all curves together lie inside with probability at least $1 - \alpha$. Holm's procedure rejects a
-quantity if and only if some curve leaves its band.
+is the smallest two-sided tail probability along the curve. The p-value is the probability that uniform ranks have a $\gamma$ that is no larger. It is
+computed exactly: uniform ranks have a larger $\gamma$ if their curve stays inside the band of all $R_k$ whose tails are larger, and the counts of the
+bins are independent Poisson numbers, given their sum. Simulation, as in ArviZ, cannot give the small p-values of many quantities and looks.
 """
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import bdtr
+from scipy.stats import binom, poisson
 
-# Number of simulated curves. A p-value of 0.05 / 100 still rests on twenty of them.
-SIMULATED = 40_000
-SEED = 214
-
-
-class Bands(NamedTuple):
-    """The band around one quantity's curve: at each k / B the expected fraction of ranks, and the lowest and highest fraction inside the band."""
-
-    points: Float[np.ndarray, " point"]
-    low: Float[np.ndarray, " point"]
-    high: Float[np.ndarray, " point"]
+# Tail probabilities that differ by less are equal up to rounding.
+ROUNDING = 1e-9
 
 
 def rank_counts(ranks: Int[np.ndarray, "replication quantity"], bins: int) -> Int[np.ndarray, "quantity bin"]:
@@ -37,47 +26,35 @@ def rank_counts(ranks: Int[np.ndarray, "replication quantity"], bins: int) -> In
 
 def p_values(counts: Int[np.ndarray, "quantity bin"]) -> Float[np.ndarray, " quantity"]:
     """The p-value of each quantity by itself, for uniform ranks."""
-    null = _null(int(counts[0].sum()), counts.shape[1])
-    # The simulated values are discrete too; ties count against a rejection.
-    return np.array([(np.sum(null <= gamma * (1 + 1e-9)) + 1) / (len(null) + 1) for gamma in _gamma(counts)])
+    total, bins = int(counts[0].sum()), counts.shape[1]
+    least = _smaller_tails(total, bins)[np.cumsum(counts, axis=1)[:, :-1], np.arange(bins - 1)].min(axis=1)
+    different, places = np.unique(least, return_inverse=True)
+    return np.array([_p_value(one, total, bins) for one in different])[places]
 
 
-def bands(replications: int, bins: int, level: float) -> Bands:
-    """The band that contains a whole curve with probability `level`."""
-    from arviz_stats.ecdf_utils import get_pointwise_confidence_band
-
-    points = np.arange(1, bins) / bins
-    gamma = np.quantile(_null(replications, bins), 1 - level, method="inverted_cdf")
-    low, high = get_pointwise_confidence_band(1 - gamma, replications, points)
-    return Bands(points, low, high)
-
-
-def family_level(quantities: int, family: float = 0.95) -> float:
-    """The level of each single band for which all bands together have the level `family`."""
-    return 1 - (1 - family) / max(quantities, 1)
-
-
-def holm(p: Float[np.ndarray, " test"], family: float = 0.95) -> Float[np.ndarray, " test"]:
-    """Which of several tests reject (1.0), so that the probability of any false rejection is at most 1 - `family` (Holm 1979)."""
-    order, rejected = np.argsort(p), np.zeros(len(p))
-    for place, index in enumerate(order):
-        if p[index] > (1 - family) / (len(p) - place):
-            break
-        rejected[index] = 1.0
-    return rejected
+def _p_value(least: float, total: int, bins: int) -> float:
+    """The probability that uniform ranks have a smallest tail probability of at most `least`."""
+    inside = _smaller_tails(total, bins) > least * (1 + ROUNDING)
+    if not inside.any(axis=0).all():
+        # No curve has larger tails in each bin.
+        return 1.0
+    low, high = inside.argmax(axis=0), total - inside[::-1].argmax(axis=0)
+    # Not below the rounding errors of the sums.
+    return float(np.clip(1 - _stays_inside(low, high, total), np.finfo(float).eps, 1.0))
 
 
 @lru_cache(maxsize=8)
-def _null(replications: int, bins: int) -> Float[np.ndarray, " curve"]:
-    rng = np.random.default_rng(SEED)
-    return _gamma(rng.multinomial(replications, np.full(bins, 1 / bins), SIMULATED))
+def _smaller_tails(total: int, bins: int) -> Float[np.ndarray, "count point"]:
+    """The smaller of both tail probabilities of each number of ranks in the first k bins, for k from 1 to bins - 1."""
+    count, points = np.arange(total + 1)[:, None], np.arange(1, bins) / bins
+    return np.minimum(binom.cdf(count, total, points), binom.sf(count - 1, total, points))
 
 
-def _gamma(counts: Int[np.ndarray, "curve bin"]) -> Float[np.ndarray, " curve"]:
-    total, bins = int(counts[0].sum()), counts.shape[1]
-    below = np.cumsum(counts, axis=1)[:, :-1]
-    points = np.arange(1, bins) / bins
-    at_most = bdtr(below, total, points)
-    # bdtr is not defined below zero, where the probability is 0.
-    at_least = 1 - np.where(below > 0, bdtr(np.maximum(below - 1, 0), total, points), 0.0)
-    return 2 * np.minimum(at_most, at_least).min(axis=1)
+def _stays_inside(low: Int[np.ndarray, " point"], high: Int[np.ndarray, " point"], total: int) -> float:
+    """The probability that the curve of uniform ranks has between `low` and `high` of them in the first k bins, for every k."""
+    one_bin = poisson.pmf(np.arange(total + 1), total / (len(low) + 1))
+    chances, first = np.ones(1), 0
+    for least, most in zip([*low, total], [*high, total], strict=True):
+        chances = np.convolve(chances, one_bin[: most - first + 1])[least - first : most - first + 1]
+        first = least
+    return float(chances[0] / poisson.pmf(total, total))

@@ -1,16 +1,17 @@
-"""Check a model and a kernel: the experiments, how they run, and their results."""
+"""Check a model and a kernel: the experiments, and their results at a look."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bayes_body.calibration import invariance, sbc
+from bayes_body.calibration.looks import REPLICATIONS
 from bayes_body.calibration.markov_moves import markov_move
 from bayes_body.calibration.problem import Problem, check_cases, problem_of
 from bayes_body.calibration.replication_log import ReplicationLog
-from bayes_body.calibration.replications import Experiments, Figures, run_replications
+from bayes_body.calibration.replications import Compute, Experiments, Figures, add_replications
 from bayes_body.calibration.scene import model_in_a_room
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import load_definition
@@ -22,7 +23,7 @@ from bayes_body.view.progress import Watch, unwatched
 
 SBC, INVARIANCE = "sbc", "invariance"
 # A move is much cheaper than a filter, so more replications are affordable.
-MOVES_A_REPLICATION = 2
+EACH = {SBC: 1, INVARIANCE: 2}
 
 
 @dataclass(frozen=True)
@@ -55,12 +56,23 @@ class Plan:
 
 
 class Findings(NamedTuple):
-    """The results of the experiments: names and figures of the ranks, and of the Markov move if the kernel has one."""
+    """The replications of a check at a look.
+
+    Attributes:
+        names: names of the ranked quantities.
+        ranks: figures of the ranks.
+        bins: number of bins of the ranks.
+        move_names: names of the figures of the Markov move.
+        moves: figures of the Markov move; None if the kernel has none.
+        looks: number of the look that each test has reached, from 0.
+    """
 
     names: tuple[str, ...]
     ranks: Figures
-    move_names: tuple[str, ...]
-    moves: Figures | None
+    bins: int
+    move_names: tuple[str, ...] = ()
+    moves: Figures | None = None
+    looks: Mapping[str, int] = MappingProxyType({SBC: 0, INVARIANCE: 0})
 
 
 def model_of(plan: Plan) -> Model:
@@ -102,37 +114,30 @@ def experiments(problem: Problem, kind: str, options: Any, frames: int = 2, bins
     return Experiments(seed, found, problem)
 
 
-def run_check(plan: Plan, replications: int, jobs: int = 0, kept: ReplicationLog | None = None, watch: Watch = unwatched) -> Findings:
-    """Run all replications of a plan.
+def has_move(plan: Plan) -> bool:
+    """Whether the plan's kernel has a Markov move that leaves the posterior invariant."""
+    return markov_move(plan.kernel, validate(find("kernel", plan.kernel).options, plan.options, plan.kernel)) is not None
+
+
+def findings(
+    problem: Problem, compute: Compute, looks: Mapping[str, int], replications: int, bins: int, kept: ReplicationLog, watch: Watch = unwatched
+) -> Findings:
+    """The replications that the tests need at their looks. Those in `kept` are not computed again.
 
     Args:
-        plan: what is checked.
-        replications: number of replications for the ranks.
-        jobs: number of processes; 0 computes in this one.
+        problem: the problem of the experiments.
+        compute: computes their blocks.
+        looks: number of the look of each test, from 0.
+        replications: number of replications of the ranks at the first look.
+        bins: number of bins of the ranks.
         kept: existing replications, to which new ones are added.
         watch: shows the progress.
 
     Raises:
         InputError: nothing can be simulated from the model.
     """
-    problem = problem_of(model_of(plan), plan.wandering)
-    has_move = markov_move(plan.kernel, validate(find("kernel", plan.kernel).options, plan.options, plan.kernel)) is not None
-    return findings(problem, partial(experiments_of, plan), has_move, replications, jobs, kept, watch)
-
-
-def findings(
-    problem: Problem,
-    make: Callable[[], Experiments],
-    has_move: bool,
-    replications: int,
-    jobs: int = 0,
-    kept: ReplicationLog | None = None,
-    watch: Watch = unwatched,
-) -> Findings:
-    """Like `run_check`, for any problem; `make` builds its experiments."""
-    counts = {SBC: replications} | ({INVARIANCE: MOVES_A_REPLICATION * replications} if has_move else {})
-    found = run_replications(make, counts, jobs, kept, watch)
+    found = add_replications(compute, {name: replications * EACH[name] * REPLICATIONS[look] for name, look in looks.items()}, kept, watch)
     for figures in found.values():
         check_cases(figures["refused"], figures["unbounded"])
     names = (*problem.quantities.names, sbc.LOG_LIKELIHOOD)
-    return Findings(names, found[SBC], invariance.figure_names(problem), found.get(INVARIANCE))
+    return Findings(names, found[SBC], bins, invariance.figure_names(problem), found.get(INVARIANCE), dict(looks))

@@ -1,60 +1,59 @@
-"""Plot the ranks of each quantity: the difference between their distribution function and the uniform one, with its band."""
+"""Plot the ranks of each quantity with ArviZ: the difference between their distribution function and the uniform one, and ArviZ's test POT-C.
+
+POT-C (Tesso & Vehtari 2026) combines a test of each sorted value by Cauchy's distribution, and marks the values that contribute most to a deviation.
+It shows where ranks deviate. The verdict rests on the bands (calibration/bands.py), whose p-values are exact.
+"""
 
 from pathlib import Path
 
-import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from numpy.typing import NDArray
+import matplotlib.pyplot as plt
 
-from bayes_body.calibration import bands
 from bayes_body.calibration.check import Findings
-from bayes_body.calibration.verdict import FAMILY, curve, ranked_quantities
+from bayes_body.calibration.rank_tree import rank_tree
+from bayes_body.calibration.verdict import rank_limits, ranked_quantities
 from bayes_body.files.atomic import replacing
+from bayes_body.view.report.close_ups import arviz_plots
 
-COLUMNS = 4
-INSIDE, OUTSIDE, BAND = "#1f5f8b", "#b3261e", "#cfd8dc"
+COLUMNS, PANEL = 4, (3.0, 2.1)
 
 
-def draw_ranks(findings: Findings, bins: int, path: Path, title: str) -> None:
+def draw_ranks(findings: Findings, path: Path, title: str) -> None:
     """Draw one panel per quantity.
 
     Args:
         findings: the replications' figures.
-        bins: number of bins of the ranks.
         path: the picture; its suffix gives the format.
         title: title above all panels.
 
     Raises:
         InputError: the file cannot be written.
     """
-    places = ranked_quantities(findings)
-    counts = bands.rank_counts(findings.ranks["ranks"][:, places], bins)
-    band = bands.bands(int(counts[0].sum()), bins, bands.family_level(len(places), FAMILY))
-    limit, p = (1 - FAMILY) / len(places), bands.p_values(counts)
-    rows = -(-len(places) // COLUMNS)
-    figure = Figure(figsize=(3.0 * COLUMNS, 2.1 * rows + 0.9), layout="constrained")
-    axes = figure.subplots(rows, COLUMNS, sharex=True, sharey=True, squeeze=False)
-    for axis, place, ranked, value in zip(axes.flat, places, counts, p, strict=False):
-        _panel(axis, findings.names[place], ranked, band, float(value), bool(value > limit))
-    for axis in list(axes.flat)[len(places) :]:
-        axis.set_visible(False)
-    for axis in list(axes.flat)[max(len(places) - COLUMNS, 0) : len(places)]:
-        axis.tick_params(labelbottom=True)
-    figure.suptitle(title, fontsize=11)
-    figure.supxlabel("posterior level of the truth", fontsize=9)
-    figure.supylabel("fraction of truths below, minus the level", fontsize=9)
-    with replacing(path) as partial:
-        figure.savefig(partial, dpi=110)
+    import arviz as az
+    from arviz_base.labels import NoVarLabeller
 
-
-def _panel(axis: Axes, name: str, counts: NDArray[np.integer], band: bands.Bands, p: float, inside: bool) -> None:
-    ends = np.array([0.0])
-    points = np.concatenate([ends, band.points, ends + 1])
-    low, high, ranked = (np.concatenate([ends, side - band.points, ends]) for side in (band.low, band.high, curve(counts)))
-    axis.fill_between(points, low, high, color=BAND, linewidth=0)
-    axis.axhline(0, color="white", linewidth=1)
-    axis.plot(points, ranked, color=INSIDE if inside else OUTSIDE, linewidth=1.6)
-    axis.set_title(f"{name}   p = {p:.2g}", fontsize=9, color="black" if inside else OUTSIDE)
-    axis.tick_params(labelsize=8)
-    axis.set_xlim(0, 1)
+    count, fails = len(ranked_quantities(findings)), rank_limits(findings).fails
+    size = (PANEL[0] * COLUMNS, PANEL[1] * -(-count // COLUMNS) + 0.9)
+    with arviz_plots():
+        drawn = az.plot_ecdf_pit(
+            rank_tree(findings),
+            method="pot_c",
+            envelope_prob=1 - fails,
+            backend="matplotlib",
+            labeller=NoVarLabeller(),
+            col_wrap=COLUMNS,
+            figure_kwargs={"figsize": size},
+            visuals={
+                "title": {"parse_math": False, "size": 9},
+                "xlabel": False,
+                "p_value_text": {"text": lambda p: f"POT-C p = {p:.2g}", "size": 8},
+            },
+        )
+        figure = drawn.viz["figure"].item()
+        try:
+            figure.suptitle(title, fontsize=11, parse_math=False)
+            figure.supxlabel("posterior level of the truth", fontsize=9)
+            figure.supylabel("fraction of truths below, minus the level", fontsize=9)
+            with replacing(path) as partial:
+                figure.savefig(partial, dpi=110)
+        finally:
+            plt.close(figure)

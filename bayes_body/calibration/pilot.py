@@ -40,5 +40,9 @@ def enough_particles(plan: Plan, jobs: int, show: Callable[[str], None]) -> Plan
         if ess >= needed or particles >= MOST_PARTICLES:
             return plan
         # The effective size grows approximately with the number of particles, except for a mode seeker.
-        doublings = int(np.clip(np.ceil(np.log2(needed / max(ess, 1.0))), 1, 3))
-        plan = replace(plan, options={**plan.options, "particles": min(particles * 2**doublings, MOST_PARTICLES)})
+        plan = more_particles(plan, int(np.clip(np.ceil(np.log2(needed / max(ess, 1.0))), 1, 3)))
+
+
+def more_particles(plan: Plan, doublings: int = 1) -> Plan:
+    """The plan with the number of particles doubled, up to `MOST_PARTICLES`."""
+    return replace(plan, options={**plan.options, "particles": min(plan.options["particles"] * 2**doublings, MOST_PARTICLES)})

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
+from functools import cache
 from multiprocessing import get_context
 from typing import Any, NamedTuple
 
@@ -35,6 +36,10 @@ class Experiments(NamedTuple):
     problem: Any = None
 
 
+type Task = tuple[str, int]
+type Compute = Callable[[Sequence[Task]], Iterator[tuple[Task, Figures]]]
+
+
 def run_replications(
     make: Callable[[], Experiments], counts: Mapping[str, int], jobs: int = 0, kept: ReplicationLog | None = None, watch: Watch = unwatched
 ) -> dict[str, Figures]:
@@ -47,12 +52,17 @@ def run_replications(
         kept: existing blocks, to which new ones are added.
         watch: shows the progress, in blocks.
     """
-    kept = ReplicationLog() if kept is None else kept
+    with computing(make, jobs) as compute:
+        return add_replications(compute, counts, ReplicationLog() if kept is None else kept, watch)
+
+
+def add_replications(compute: Compute, counts: Mapping[str, int], kept: ReplicationLog, watch: Watch = unwatched) -> dict[str, Figures]:
+    """Like `run_replications`, with a function from `computing`: its compiled programs serve several calls with increasing counts."""
     missing = [(name, block) for name, count in counts.items() for block in range(-(-count // BLOCK)) if (name, block) not in kept]
-    with _results(make, missing, jobs) as results:
-        for _ in watch(range(len(missing))):
-            task, figures = next(results)
-            kept.add(*task, figures)
+    results = compute(missing)
+    for _ in watch(range(len(missing))):
+        task, figures = next(results)
+        kept.add(*task, figures)
     return {name: _joined([kept[name, block] for block in range(-(-count // BLOCK))], count) for name, count in counts.items()}
 
 
@@ -78,15 +88,21 @@ class _Runner:
 
 
 @contextmanager
-def _results(make: Callable[[], Experiments], tasks: Sequence[tuple[str, int]], jobs: int) -> Iterator[Iterator[tuple[tuple[str, int], Figures]]]:
-    if not tasks or jobs < 1:
-        run = _Runner(make()) if tasks else None
-        yield ((task, run(*task)) for task in tasks if run)
+def computing(make: Callable[[], Experiments], jobs: int = 0) -> Iterator[Compute]:
+    """Yield a function that computes blocks, given by experiment and number, in any order. Programs are built when first needed, and kept."""
+    if jobs < 1:
+        run = cache(lambda: _Runner(make()))
+        yield lambda tasks: ((task, run()(*task)) for task in tasks)
         return
-    pool = ProcessPoolExecutor(min(jobs, len(tasks)), get_context("spawn"), _begin, (make, os.getpid()))
-    try:
+    # A process starts when there is a block for it.
+    pool = ProcessPoolExecutor(jobs, get_context("spawn"), _begin, (make, os.getpid()))
+
+    def compute(tasks: Sequence[Task]) -> Iterator[tuple[Task, Figures]]:
         futures = {pool.submit(_work, *task): task for task in tasks}
-        yield ((futures[future], future.result()) for future in as_completed(futures))
+        return ((futures[future], future.result()) for future in as_completed(futures))
+
+    try:
+        yield compute
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
 

@@ -2,26 +2,23 @@
 
 import json
 import time
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from bayes_body.calibration.check import Findings, Plan, model_of, run_check
-from bayes_body.calibration.markov_moves import markov_move
+from bayes_body.calibration.check import Findings, Plan, model_of
 from bayes_body.calibration.picture import draw_ranks
-from bayes_body.calibration.pilot import enough_particles
+from bayes_body.calibration.pilot import enough_particles, more_particles
+from bayes_body.calibration.rank_tree import ranks_file, save_ranks
 from bayes_body.calibration.reference import check_reference
 from bayes_body.calibration.replication_log import SUFFIX, ReplicationLog, settings_of
-from bayes_body.calibration.verdict import Verdict, verdict
+from bayes_body.calibration.sequential import Show, run_check
+from bayes_body.calibration.verdict import Verdict
 from bayes_body.files.atomic import write_text
 from bayes_body.model.definition import load_definition
 from bayes_body.registry import find
-from bayes_body.toml.read import validate
 from bayes_body.view.progress import watched
-
-type Show = Callable[[str], None]
 
 # Packages whose version may affect the figures.
 COMPUTING = ("bayes-body", "jax", "jaxlib", "numpyro", "blackjax")
@@ -33,9 +30,9 @@ def run_and_report(plan: Plan, pilot: bool, replications: int, jobs: int, json_f
     Args:
         plan: what is checked.
         pilot: whether a pilot determines the number of particles; otherwise the plan's is used.
-        replications: number of truths to draw.
+        replications: number of truths to draw for the first look.
         jobs: number of processes.
-        json_file: file for the figures.
+        json_file: file for the figures; the ranks are written beside it (calibration/rank_tree.py).
         plot: file for the picture.
         show: receives lines for the user.
         bar: whether to show a progress bar on standard error.
@@ -52,12 +49,11 @@ def run_and_report(plan: Plan, pilot: bool, replications: int, jobs: int, json_f
     else:
         partial_file = None if json_file is None else json_file.with_name(json_file.name + SUFFIX)
         plan = _with_particles(plan, partial_file, jobs, show) if pilot else plan
-        blocks = ReplicationLog(partial_file, _settings(plan))
-        if len(blocks):
-            show(f"{partial_file}: continuing with {len(blocks)} blocks of replications")
-        found = run_check(plan, replications, jobs, blocks, watched("blocks of replications", bar))
-        result = verdict(found, plan.bins, _without_move(plan))
-        _draw(found, plan, plot, result)
+        plan, found, result = _checked(plan, pilot, replications, jobs, partial_file, show, bar)
+        if plot is not None:
+            _draw(found, plan, plot, result)
+        if json_file is not None:
+            save_ranks(found, ranks_file(json_file))
         extra = {"replications": replications}
     for sentence in result.sentences:
         show(sentence)
@@ -67,6 +63,27 @@ def run_and_report(plan: Plan, pilot: bool, replications: int, jobs: int, json_f
         write_text(json_file, json.dumps(figures, indent=2) + "\n")
         json_file.with_name(json_file.name + SUFFIX).unlink(missing_ok=True)
     return result.passed
+
+
+def _checked(
+    plan: Plan, pilot: bool, replications: int, jobs: int, partial_file: Path | None, show: Show, bar: bool
+) -> tuple[Plan, Findings, Verdict]:
+    """The check. Where the pilot's number of particles turns out too small, it starts again with twice as many.
+
+    This causes no false alarms: effective sizes depend on the data, and given the data the ranks of a correct kernel are uniform.
+    """
+    while True:
+        blocks = ReplicationLog(partial_file, _settings(plan))
+        if len(blocks):
+            show(f"{partial_file}: continuing with {len(blocks)} blocks of replications")
+        found, result = run_check(plan, replications, jobs, blocks, watched("blocks of replications", bar), show)
+        more = more_particles(plan)
+        if result.enough or not pilot or more == plan:
+            return plan, found, result
+        short, particles = result.figures["effective"]["short_share"], plan.options["particles"]
+        show(f"particles: {particles} are too few for {short:.1%} of the replications: once more with {more.options['particles']}.")
+        blocks.remove()
+        plan = more
 
 
 def _settings(plan: Plan) -> dict[str, Any]:
@@ -87,14 +104,6 @@ def _with_particles(plan: Plan, partial_file: Path | None, jobs: int, show: Show
     return enough_particles(plan, jobs, show)
 
 
-def _without_move(plan: Plan) -> str:
-    options = validate(find("kernel", plan.kernel).options, plan.options, plan.kernel)
-    if markov_move(plan.kernel, options) is not None:
-        return ""
-    return f"Markov move: '{plan.kernel}' has none that leaves the posterior invariant, so exact invariance is not tested."
-
-
-def _draw(found: Findings, plan: Plan, plot: Path | None, result: Verdict) -> None:
-    if plot is not None:
-        outcome = "passed" if result.passed else "not passed"
-        draw_ranks(found, plan.bins, plot, f"{plan.kernel} on {Path(plan.model).stem}: {outcome}")
+def _draw(found: Findings, plan: Plan, plot: Path, result: Verdict) -> None:
+    outcome = "passed" if result.passed else "not passed"
+    draw_ranks(found, plot, f"{plan.kernel} on {Path(plan.model).stem}: {outcome}")

@@ -21,11 +21,14 @@ LARGEST_BINS = 200
 def check(
     model: str = typer.Argument(help="A definition's name (`bayes-body models`) or the path of your own."),
     kernel: str | None = typer.Option(None, "--kernel", help="annealed, sir, tempered, hmc or particle_bp; the model's own by default."),
-    replications: int = typer.Option(200, "--replications", help="Number of truths that are drawn and filtered."),
+    replications: int = typer.Option(
+        200, "--replications", help="Number of truths that are drawn and filtered; up to four times as many where the result is close."
+    ),
     json_file: Path | None = typer.Option(
         None,
         "--json",
-        help="File for all figures. Until the check is complete, the finished part is in a file beside it; the same command continues it.",
+        help="File for all figures; the ranks for ArviZ are written beside it (.ranks.nc). Until the check is complete, the finished part is beside "
+        "it too; the same command continues it.",
     ),
     plot: Path | None = typer.Option(None, "--plot", help="A picture of the ranks (.png, .pdf or .svg)."),
     particles: int | None = typer.Option(None, "--particles", help="Number of particles; by default a pilot finds how many are enough."),
@@ -80,7 +83,10 @@ def _run(plan: "Plan", pilot: bool, replications: int, jobs: int, json_file: Pat
 
 def _check_files(json_file: Path | None, plot: Path | None) -> None:
     """Check that the output files can be written, before minutes of computation."""
-    for option, path in (("--json", json_file), ("--plot", plot)):
+    from bayes_body.calibration.rank_tree import ranks_file
+
+    ranks = None if json_file is None else ranks_file(json_file)
+    for option, path in (("--json", json_file), ("--json", ranks), ("--plot", plot)):
         if path is not None and (path.is_dir() or not path.parent.is_dir()):
             found = "a folder" if path.is_dir() else f"there is no folder {path.parent}"
             raise input_error(f"{option} {path}", found, "a file in a folder that exists", "make the folder, or name another file")
