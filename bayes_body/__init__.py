@@ -4,11 +4,15 @@ Every public name is imported at its first use (PEP 562): `import bayes_body` co
 first computation.
 """
 
+import os
 from importlib import import_module
 from importlib.metadata import version
 from typing import Any
 
 __version__ = version("bayes-body")
+
+# OpenCV reads it when it is loaded. An image's header can claim any size, and OpenCV's own limit lets a small file take 3 GB.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**27))
 
 _HOME = {
     "InputError": "errors",

@@ -1,16 +1,23 @@
-"""Process-wide settings of JAX. Importing bayes_body sets none. The command line and the programs call `configure()` before they trace anything."""
+"""Process-wide settings of JAX and of plots. The command line and the programs call `configure()` before they trace or plot anything."""
 
 import os
 import sys
+from importlib import import_module
 from pathlib import Path
+
+from bayes_body.program_cache import check_programs
 
 CACHE_LIMIT_BYTES = 2**30
 # `compiler_options` for a program whose optimisation by XLA would take longer than its run.
 FAST_COMPILE: dict[str, int] = {"xla_backend_optimization_level": 0}
+# Settings that a plotting library reads from the current folder when it is imported, and the module that reads them.
+FOUND_IN_FOLDERS = {"matplotlibrc": "matplotlib", "arvizrc": "arviz_base.rcparams"}
 
 
 def configure(devices: int | None = None, cache: bool = True) -> None:
     """Prepare JAX: one host device per core (at most `devices`), and a persistent compilation cache in the user's cache folder.
+
+    Settings of matplotlib and ArviZ in the current folder are ignored.
 
     Particles are distributed over the host devices. Call this before the first JAX computation. Settings made by environment variables are kept.
 
@@ -30,6 +37,27 @@ def configure(devices: int | None = None, cache: bool = True) -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     jax.config.update("jax_compilation_cache_max_size", CACHE_LIMIT_BYTES)
+    check_programs()
+    ignore_plot_settings_here()
+
+
+def ignore_plot_settings_here() -> None:
+    """Import the plotting libraries now if the current folder has settings for them, without reading those.
+
+    Settings can import code (a `module://` backend) and start programs (`usetex`), and a folder from someone else may hold any. Settings in the
+    user's own folders and environment still count. The current folder is changed meanwhile, so no other thread may use relative paths.
+    """
+    modules = [module for name, module in FOUND_IN_FOLDERS.items() if os.path.lexists(name) and module not in sys.modules]
+    if not modules:
+        return
+    before = os.open(".", os.O_RDONLY)
+    os.chdir(Path(__file__).parent)
+    try:
+        for module in modules:
+            import_module(module)
+    finally:
+        os.chdir(before)
+        os.close(before)
 
 
 def _cores() -> int:

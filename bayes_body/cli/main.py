@@ -5,12 +5,14 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Sequence
+from pathlib import Path
 
 import typer
 
 from bayes_body import __version__
 from bayes_body.cli import benchmark, check, demo, export, import_, learn, mocap, models, report, simulate, track
 from bayes_body.errors import FaultyFileError, InputError
+from bayes_body.files.read import check_native
 
 WRONG_INPUT, OUR_FAULT, INTERRUPTED = 2, 1, 130
 
@@ -44,6 +46,9 @@ def _common(version: bool = typer.Option(False, "--version", help="Print the ver
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its status."""
     try:
+        # Libraries that read and write files would crash on other paths, some of them after hours of tracking.
+        for argument in (".", *(sys.argv[1:] if arguments is None else arguments)):
+            check_native(Path(argument))
         app(args=list(arguments) if arguments is not None else None)
     except InputError as error:
         for sentence in error.sentences if isinstance(error, FaultyFileError) else [str(error)]:

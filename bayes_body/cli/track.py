@@ -62,7 +62,7 @@ def track(
     from bayes_body.storage.names import RUN_FILE
     from bayes_body.storage.run_file import read_run_file
 
-    most = _frames_of(session)
+    most = _frames_of(session, frames)
     counts = {"particles": particles, "layers": layers, "moves": moves, "leapfrog_steps": leapfrog_steps}
     for name, value in (counts | {"runs": runs}).items():
         check_range(f"--{name.replace('_', '-')}", value, 1)
@@ -105,7 +105,7 @@ def _setting(text: str) -> tuple[str, Any]:
         raise InputError(f"--set: {error}") from None
 
 
-def _frames_of(folder: Path) -> int:
+def _frames_of(folder: Path, wanted: int | None) -> int:
     """Return the session's number of frames, after a check that its files exist, so that the run does not fail half way."""
     from bayes_body.recording.check import check_session
     from bayes_body.session.read import FILE_NAME, load_session
@@ -114,7 +114,7 @@ def _frames_of(folder: Path) -> int:
         found = f"no {FILE_NAME} in it" if folder.exists() else "no such folder"
         raise input_error(folder, found, "the folder of a session", "check the path, or make a session with `bayes-body import`")
     session = load_session(folder)
-    for remark in check_session(session):
+    for remark in check_session(session, wanted):
         typer.echo(f"note: {remark}")
     return session.frames
 

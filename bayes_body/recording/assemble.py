@@ -12,7 +12,7 @@ from bayes_body.recording.images import read_mask
 from bayes_body.recording.numbered import Series, find_series
 from bayes_body.recording.options import Axis, Options, check_fps, check_height
 from bayes_body.recording.sources import Source, find_background, find_source, settled_size
-from bayes_body.recording.timing import align, frame_rate
+from bayes_body.recording.timing import SAME_RATE, align, frame_rate
 from bayes_body.recording.truth import read_truth
 from bayes_body.session.read import load_session, save_session
 from bayes_body.session.session import Session, Subject, View
@@ -60,7 +60,7 @@ def assemble(rig: Rig, folder: Path, title: str, options: Options) -> tuple[Sess
     counts = {each.camera.name: (each.source.first, each.source.count) for each in filmed}
     timing = align(counts, options.offsets)
     fps, remarks = frame_rate({each.camera.name: each.source.fps for each in filmed}, options.fps)
-    views = tuple(_view(each, folder, timing.offsets[each.camera.name]) for each in filmed)
+    views = tuple(_view(each, folder, timing.offsets[each.camera.name], fps) for each in filmed)
     subject = Subject(height_m=options.height_m)
     session = Session(folder, title, rig.up, fps, timing.frames, timing.first_frame, views, subject)
     remarks = [*(each.remark for each in filmed if each.remark), *timing.remarks, *remarks]
@@ -84,10 +84,12 @@ def _filmed(rig: Rig) -> list[Filmed]:
     return filmed
 
 
-def _view(filmed: Filmed, folder: Path, offset: int) -> View:
+def _view(filmed: Filmed, folder: Path, offset: int, fps: float) -> View:
     camera, source = filmed.camera.spec(filmed.source.size_px), filmed.source
     if source.series is None:
-        return View(camera, video=written(source.path, folder), offset=offset)
+        # Only --fps overrides a video's rate. The session keeps both, since another rate would mean another video.
+        stated = source.fps if abs(source.fps - fps) > SAME_RATE * fps and source.fps > 0 else None
+        return View(camera, video=written(source.path, folder), offset=offset, video_fps=stated)
     return View(camera, images=_pattern(source.series, folder), offset=offset)
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from bayes_body.errors import input_error
 from bayes_body.recording.faults import Faults
+from bayes_body.session.lens import lens_faults
 from bayes_body.session.schema import rotation_fault
 from bayes_body.session.session import CameraSpec
 
@@ -29,6 +30,8 @@ DISTORTION_LENGTHS = (4, 5, 8, 12, 14)
 # Largest rounding error between a rotation matrix and the Rodrigues vector beside it. Beyond it they belong to two cameras.
 TWICE_TOLERANCE = 1e-3
 type Numbers = Sequence[Any] | NDArray[np.floating]
+# The session's fields as this module calls them.
+LENS_FIELDS = {"focal_px": "focal length", "centre_px": "principal point", "distortion": "distortion"}
 AGAIN = "copy it from the calibration again"
 
 
@@ -106,6 +109,10 @@ def calibrated(
             raise input_error(where, "a camera without a name", "a name", "name it in the calibration")
     faults.raise_any()
     fx, skew, cx, fy, cy = values
+    for field, found, expected in lens_faults(size_px, (fx, fy), (cx, cy), coefficients) if size_px else ():
+        with faults.collect():
+            raise input_error(f"{where}: {LENS_FIELDS[field]}", found, expected, AGAIN)
+    faults.raise_any()
     return Calibrated(name, size_px, (fx, fy), (cx, cy), skew / fx, coefficients, R, T)
 
 

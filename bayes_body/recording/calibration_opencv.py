@@ -4,6 +4,7 @@ Camera matrix, distortion, rotation (matrix or Rodrigues vector) and translation
 EasyMocap's names end in `_CAMERA`. The files do not state the unit of the translation.
 """
 
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -31,6 +32,10 @@ WIDTH, HEIGHT = ("image_width", "image_Width", "width"), ("image_height", "image
 SIZE = ("image_size", "imageSize", "size")
 # Larger than any array of a camera.
 MOST_NUMBERS = 100
+# OpenCV's reader recurses and crashes where a file is nested some ten thousand deep. A camera has some 20 brackets or tags; YAML can also nest by
+# indentation, which needs as many bytes as the square of the depth.
+MOST_OPENED, LARGEST_BYTES = 10_000, 2_000_000
+OPENING = re.compile(r"[\[{<]|-[ \t\n]")
 
 
 def read_opencv(path: Path, unit_m: float) -> list[Calibrated]:
@@ -156,7 +161,9 @@ def _size(file: _File, end: str) -> list[float] | None:
 
 
 def _open(path: Path) -> _File:
-    text = read_text(path, KIND)
+    text = read_text(path, KIND, LARGEST_BYTES)
+    if (opened := sum(1 for _ in OPENING.finditer(text))) > MOST_OPENED:
+        raise input_error(path, f"{opened} brackets, tags or items", f"{KIND} with at most {MOST_OPENED}", "restore the file")
     storage = cv2.FileStorage()
     try:
         with silent():

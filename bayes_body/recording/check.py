@@ -11,9 +11,12 @@ from bayes_body.recording.camera_path import read_camera_path
 from bayes_body.recording.faults import Faults
 from bayes_body.recording.images import NotSeenError, check_size, is_image, read_colour, read_grey, read_mask
 from bayes_body.recording.keypoint_series import read_series
-from bayes_body.recording.video import probe, readable_frames
+from bayes_body.recording.timing import SAME_RATE
+from bayes_body.recording.video import damaged_frames, probe, readable_frames
 from bayes_body.session.session import Session, View
 
+# Relative difference up to which two rates are mistaken for each other, as 59.94 and 60 are.
+NEAR_RATE = 0.01
 BLIND = "the camera counts as not seeing the person there"
 # A newborn child is longer. Taller than the schema's limit nobody is.
 SHORTEST_M = 0.4
@@ -21,8 +24,12 @@ SHORTEST_M = 0.4
 LEAST_APART_M = 0.01
 
 
-def check_session(session: Session) -> list[str]:
-    """Look for every file of every frame, read the first and the last image of every camera, and check how many frames every video has.
+def check_session(session: Session, frames: int | None = None) -> list[str]:
+    """Look for every file of every frame, read the first and the last image of every camera, and check every video's rate and frames.
+
+    Args:
+        session: the recording.
+        frames: how many of its first frames will be used, all by default. Videos are decoded that far, to find damage.
 
     Returns:
         Remarks for the user, one sentence each: which frames some cameras did not see.
@@ -39,7 +46,7 @@ def check_session(session: Session) -> list[str]:
         owner = f"camera '{view.camera.name}'"
         with faults.collect():
             if view.video is not None:
-                remarks += _check_video(session, view, owner)
+                remarks += _check_video(session, view, owner, min(frames or session.frames, session.frames))
         for kind, path_of, read in (("images", session.image_path, read_grey), ("masks", session.mask_path, read_mask)):
             if getattr(view, kind) is not None:
                 paths = [path for k in range(session.frames) if (path := path_of(view, k)) is not None]
@@ -99,21 +106,43 @@ def _share(count: int, whole: int, kind: str) -> str:
     return f"{count} of {whole} {kind} {'is' if count == 1 else 'are'} missing"
 
 
-def _check_video(session: Session, view: View, owner: str) -> list[str]:
+def _check_video(session: Session, view: View, owner: str, used: int) -> list[str]:
     path = session.video_path(view)
     if path is None:
         return []
-    check_size(path, probe(path).size_px, view.camera.size_px)
+    info = probe(path)
+    check_size(path, info.size_px, view.camera.size_px)
+    remarks = _check_rate(path, info.fps, session.fps, view)
     first = session.number(view, 0)
     readable = max(0, readable_frames(path, first + session.frames) - first)
+    damaged = [number - first for number in damaged_frames(path, range(first, first + min(readable, used)))]
     if readable == 0:
         found = f"{path} has {readable_frames(path, first + 1)} frames"
         raise input_error(owner, found, f"more than {first}, the number of the first", "correct first_frame and the camera's offset in session.toml")
-    if readable == session.frames:
+    if damaged and len(damaged) == min(readable, used):
+        raise input_error(owner, f"{path}: every frame is damaged", "a video that can be decoded without errors", "copy the video again")
+    if damaged:
+        found = f"{len(damaged)} of {session.frames} frames cannot be decoded without errors ({named(damaged)}), {path} is damaged"
+        remarks.append(f"{owner}: {found}: {BLIND}; copy the video again.")
+    if readable < session.frames:
+        missing = range(readable, session.frames)
+        found = f"{_share(len(missing), session.frames, 'frames')} ({named(missing)}), {path} ends before them"
+        remarks.append(f"{owner}: {found}: {BLIND}; copy the video again, or correct first_frame and frames in session.toml.")
+    return remarks
+
+
+def _check_rate(path: Path, stated: float, fps: float, view: View) -> list[str]:
+    """Compare the rate that a video states (0 if it does not) with the session's, or with the one that the session expects of this file."""
+    expected = view.video_fps or fps
+    off = abs(stated - expected) / expected
+    if not stated or off <= SAME_RATE:
         return []
-    missing = range(readable, session.frames)
-    found = f"{_share(len(missing), session.frames, 'frames')} ({named(missing)}), {path} ends before them"
-    return [f"{owner}: {found}: {BLIND}; copy the video again, or correct first_frame and frames in session.toml."]
+    if off <= NEAR_RATE:
+        after = f"after {1 / off / expected:.0f} s the session's times are one frame off"
+        return [f"{path}: {stated:g} frames per second, and {expected:g} in session.toml: {after}; correct fps if the video is right."]
+    key = "fps" if view.video_fps is None else f"video_fps of camera '{view.camera.name}'"
+    remedy = "name the right video, or correct fps; where the camera filmed at fps but its file states another rate, add video_fps to the camera"
+    raise input_error(path, f"{stated:g} frames per second", f"{expected:g}, {key} in session.toml", remedy)
 
 
 def _check_background(session: Session, view: View) -> None:

@@ -1,5 +1,6 @@
 """Read image files as grey values and silhouettes, through OpenCV. A missing, truncated or wrongly sized file raises an InputError."""
 
+import os
 import struct
 import threading
 from collections.abc import Iterator
@@ -8,12 +9,16 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from cv2.typing import MatLike
 from numpy.typing import NDArray
 
 from bayes_body.errors import InputError, input_error
+from bayes_body.files.read import NoSuchFileError, native_path, read_bytes
 
 # A silhouette pixel that is brighter than this belongs to the subject.
 MASK_THRESHOLD = 127
+# No image of a camera is larger.
+LARGEST_BYTES = 1_000_000_000
 # OpenCV's log level is global: two threads that both restore it could leave it silent for good.
 _LOG_LEVEL = threading.Lock()
 
@@ -31,7 +36,7 @@ def read_grey(path: Path, size_px: tuple[int, int] | None = None) -> NDArray[np.
 
     Raises:
         NotSeenError: missing, truncated, or not an image.
-        InputError: not readable, or of another size.
+        InputError: not a regular file, not readable, of another size, or of more pixels than any camera has.
     """
     return _read(path, size_px, cv2.IMREAD_GRAYSCALE)
 
@@ -47,8 +52,10 @@ def read_mask(path: Path, size_px: tuple[int, int] | None = None) -> NDArray[np.
 
 
 def is_image(path: Path) -> bool:
-    """Whether OpenCV recognises the first bytes of a file as an image."""
-    return cv2.haveImageReader(str(path))
+    """Whether OpenCV recognises the first bytes of a file as an image. False if it is not a regular file."""
+    if not path.is_file():
+        return False
+    return cv2.haveImageReader(native_path(path))
 
 
 def check_size(path: Path, found: tuple[int, int], size_px: tuple[int, int] | None) -> None:
@@ -72,8 +79,7 @@ def _read(path: Path, size_px: tuple[int, int] | None, flag: int) -> NDArray[np.
     missing = _missing_bytes(content)
     if missing:
         raise not_seen(path, f"cut short, {missing} of {len(content) + missing} bytes are missing", "a whole image", "copy the file again")
-    with silent():
-        image = cv2.imdecode(np.frombuffer(content, np.uint8), flag)
+    image = _decoded(path, content, flag)
     if image is None:
         found = f"not an image that OpenCV can read, or cut short ({len(content)} bytes)"
         raise not_seen(path, found, "a whole bmp, png, jpg or tiff", "copy the file again")
@@ -81,21 +87,27 @@ def _read(path: Path, size_px: tuple[int, int] | None, flag: int) -> NDArray[np.
     return np.asarray(image, np.uint8)
 
 
+def _decoded(path: Path, content: bytes, flag: int) -> MatLike | None:
+    try:
+        with silent():
+            return cv2.imdecode(np.frombuffer(content, np.uint8), flag)
+    except cv2.error as error:
+        # OpenCV reads the size in the header first, and refuses it before it allocates memory (`bayes_body` sets the limit).
+        if "CV_IO_MAX_IMAGE" in str(error):
+            found = "more pixels than any camera has, according to its header"
+            raise input_error(path, found, f"at most {os.environ['OPENCV_IO_MAX_IMAGE_PIXELS']}", "copy the file again") from None
+        return None
+
+
 def _content(path: Path) -> bytes:
     try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise _unreadable(path, error) from None
+        content = read_bytes(path, "an image", LARGEST_BYTES)
+    except NoSuchFileError:
+        raise not_seen(path, "no such file", "an image", "restore it, or correct the session's image paths, first_frame and frames") from None
     if not content:
         # OpenCV raises an assertion error on an empty buffer.
         raise not_seen(path, "empty", "an image", "copy the file again")
     return content
-
-
-def _unreadable(path: Path, error: OSError) -> InputError:
-    if isinstance(error, FileNotFoundError):
-        return not_seen(path, "no such file", "an image", "restore it, or correct the session's image paths, first_frame and frames")
-    return input_error(path, f"cannot be read ({error.strerror})", "an image", "check the path and its permissions")
 
 
 def _missing_bytes(content: bytes) -> int:

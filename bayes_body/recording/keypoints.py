@@ -3,7 +3,6 @@
 Pose2Sim and the converters of MMPose and AlphaPose write the same. A keypoint that was not found is 0, 0, 0 in the file and NaN, NaN, 0 here.
 """
 
-import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,8 +11,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import InputError, input_error
-from bayes_body.files.text import read_text
+from bayes_body.errors import input_error
+from bayes_body.files.text import parse_json, read_text
 from bayes_body.recording.faults import Faults
 
 KIND = "keypoints as OpenPose writes them, {people: [{pose_keypoints_2d: [x, y, confidence, ...]}]}"
@@ -49,15 +48,7 @@ def read_people(path: Path) -> Float[np.ndarray, "person keypoint 3"]:
 
 
 def _people(path: Path) -> list[Any]:
-    try:
-        content = json.loads(read_text(path, KIND))
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise input_error(path, f"not JSON ({error})", KIND, "restore the file") from None
-    except InputError:
-        raise
-    except ValueError as error:
-        # An integer with thousands of digits.
-        raise input_error(path, f"not JSON with valid numbers ({error})", KIND, "restore the file") from None
+    content = parse_json(read_text(path, KIND), path, KIND)
     people = content.get("people") if isinstance(content, dict) else None
     if not isinstance(people, list) or len(people) > MOST_PEOPLE:
         found = "no list `people`" if not isinstance(people, list) else f"{len(people)} people"

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.errors import input_error
+from bayes_body.files.read import read_bytes
+from bayes_body.files.text import LARGEST_BYTES
 from bayes_body.recording.calibration import Calibrated
 from bayes_body.recording.faults import Faults
 from bayes_body.session.schema import rotation_fault
@@ -65,11 +67,8 @@ def read_numbers(path: Path, count: int, layout: str) -> NDArray[np.float64]:
         InputError: no file, a word that is not a finite number, or another count.
     """
     remedy = "restore the file from the recording"
-    try:
-        lines = path.read_text(encoding="ascii", errors="replace").splitlines()
-    except OSError as error:
-        found = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror})"
-        raise input_error(path, found, f"a text file of {count} numbers: {layout}", remedy) from None
+    content = read_bytes(path, f"a text file of {count} numbers: {layout}", LARGEST_BYTES)
+    lines = content.decode("ascii", errors="replace").splitlines()
     numbers = [_number(path, line, token) for line, text in enumerate(lines, 1) for token in text.split()]
     if len(numbers) != count:
         raise input_error(path, f"{len(numbers)} numbers", f"{count}: {layout}", remedy)

@@ -9,8 +9,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from bayes_body.session.schema import Far, Rows, rotation_fault
-from bayes_body.toml.schema import Count, Finite, NonNegative, Positive, Schema
+from bayes_body.session.lens import lens_faults
+from bayes_body.session.schema import Far, Rows, Size, rotation_fault
+from bayes_body.toml.schema import Finite, NonNegative, Positive, Schema
 
 type Point = tuple[Far, Far, Far]
 # Two points nearer than this (metres) give no direction. A view closer to the vertical than this (sine) has no horizontal axis.
@@ -73,7 +74,7 @@ class RigCameraTable(Schema):
     """`[[camera]]`: one camera. Exactly one of these is given: position_m and look_at_m, rotation and translation_m, or a path."""
 
     name: Annotated[str, Field(min_length=1), AfterValidator(file_name)]
-    size_px: tuple[Count, Count]
+    size_px: Size
     focal_px: Annotated[tuple[Positive, Positive], BeforeValidator(_both)]
     centre_px: tuple[Finite, Finite] | None = None
     skew: Finite = 0.0
@@ -88,7 +89,7 @@ class RigCameraTable(Schema):
 
     @model_validator(mode="after")
     def _check_place(self) -> "RigCameraTable":
-        sentences = [*self._place_faults(), *direction_faults(self.position_m, self.look_at_m), *self._path_faults()]
+        sentences = [*self._place_faults(), *self._lens_faults(), *direction_faults(self.position_m, self.look_at_m), *self._path_faults()]
         if sentences:
             raise ValueError("\n".join(sentences))
         return self
@@ -104,6 +105,11 @@ class RigCameraTable(Schema):
         if ways != 1:
             found = "no place" if ways == 0 else f"{ways} places"
             yield f"{found}; expected position_m and look_at_m, rotation and translation_m, or [[camera.path]]; give one of the three"
+
+    def _lens_faults(self) -> Iterator[str]:
+        centre = self.centre_px or (self.size_px[0] / 2, self.size_px[1] / 2)
+        for field, found, expected in lens_faults(self.size_px, self.focal_px, centre, self.distortion):
+            yield f"{field}: {found}; expected {expected}; copy it from the calibration again"
 
     def _path_faults(self) -> Iterator[str]:
         if len(self.path) == 1:

@@ -7,7 +7,7 @@ within frames that were decoded before: it must arrive at the time recorded for 
 import os
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.errors import input_error
+from bayes_body.files.read import NoSuchFileError, native_path, open_regular
 from bayes_body.recording.images import check_size, not_seen, silent
+from bayes_body.recording.video_damage import LARGEST_BYTES, Damage
 
 # FFmpeg's messages add nothing to the error that follows. The variable is read when OpenCV opens its first video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -70,12 +72,14 @@ def read_video_frame(path: Path, number: int, size_px: tuple[int, int] | None = 
         size_px: the required (width, height); None accepts any.
 
     Raises:
-        NotSeenError: the video ends, or cannot be decoded, before this frame.
+        NotSeenError: the frame is damaged, or the video ends, or cannot be decoded, before it.
         InputError: missing, not a video, a negative number, or another size.
     """
     if number < 0:
         raise input_error(path, f"frame {number}", "0 or later", "correct first_frame and the camera's offset in session.toml")
     with _reading(path) as reader:
+        if reader.damage.of(number):
+            raise not_seen(path, f"frame {number} is damaged", "a frame that can be decoded without errors", "copy the file again")
         image, end = reader.read(number), reader.end
     if image is None:
         found, expected = f"frame {number} cannot be read, the video ends after {end} frames", f"more than {number}"
@@ -94,12 +98,23 @@ def readable_frames(path: Path, frames: int) -> int:
         return frames if reader.leads_to(frames - 1) else min(frames, reader.count())
 
 
+def damaged_frames(path: Path, numbers: Sequence[int]) -> list[int]:
+    """Which of these frames are damaged. The video is decoded up to the last of them.
+
+    Raises:
+        InputError: missing, or not a video.
+    """
+    with _reading(path) as reader:
+        return [number for number in numbers if reader.damage.of(number)]
+
+
 class _Reader:
     """An open video and the timestamps of the frames that were decoded so far."""
 
     def __init__(self, path: Path):
         self.lock = threading.Lock()
         self.end: int | None = None
+        self.damage = Damage(path)
         self._path = path
         self._times: list[float] = []
         self._next = 0
@@ -109,7 +124,7 @@ class _Reader:
 
     def _open(self) -> cv2.VideoCapture:
         with silent():
-            capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
+            capture = cv2.VideoCapture(native_path(self._path), cv2.CAP_FFMPEG)
         if not capture.isOpened():
             found = "not a video that OpenCV can read, or cut short"
             raise input_error(self._path, found, "a whole mp4, avi, mov or mkv", "copy the file again, or convert it to mp4 (H.264)")
@@ -199,10 +214,10 @@ _readers_lock = threading.Lock()
 def _reading(path: Path) -> Iterator[_Reader]:
     """The open video of a path, for one thread at a time."""
     try:
-        state = path.stat()
-    except OSError as error:
-        found = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror})"
-        raise input_error(path, found, "a video", "restore it, or correct the camera's video in session.toml") from None
+        with open_regular(path, "a video", LARGEST_BYTES) as file:
+            state = os.fstat(file.fileno())
+    except NoSuchFileError:
+        raise input_error(path, "no such file", "a video", "restore it, or correct the camera's video in session.toml") from None
     # A forked child shares its parent's file position, and a file may be rewritten under the same name.
     key = (os.getpid(), str(path), state.st_mtime_ns, state.st_size)
     with _readers_lock:

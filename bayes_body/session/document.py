@@ -122,6 +122,8 @@ def _camera_table(view: "View") -> Table:
         _add(table, "images", view.images, "%04d: the frame's number in four digits")
     if view.video is not None:
         _add(table, "video", view.video)
+    if view.video_fps is not None:
+        _add(table, "video_fps", float(view.video_fps), "the rate that the video's file states; the camera filmed at the session's fps")
     if view.masks is not None:
         _add(table, "masks", view.masks, "white where the subject is")
     if view.background is not None:

@@ -8,6 +8,7 @@ import numpy as np
 import tomlkit
 
 from bayes_body.errors import input_error
+from bayes_body.files.read import check_native
 from bayes_body.session.document import document
 from bayes_body.session.schema import CameraTable, SessionFile, SubjectTable, to_radians
 from bayes_body.session.session import CameraSpec, Segmentation, Session, Subject, View
@@ -20,11 +21,12 @@ def load_session(path: Path | str) -> Session:
     """Load the session of a folder that holds `session.toml`, or of that file.
 
     Raises:
-        InputError: no such file, or not TOML.
+        InputError: no such file, not TOML, or a path that the libraries that read images and videos cannot open.
         FaultyFileError: the file has faults; one sentence for each.
     """
     path = Path(path)
     path = path / FILE_NAME if path.is_dir() else path
+    check_native(path)
     return parse_session(read_toml(path), path.resolve().parent, str(path))
 
 
@@ -66,7 +68,7 @@ def _view(table: CameraTable) -> View:
         rotation=np.array(table.rotation),
         translation_m=np.array(table.translation_m),
     )
-    return View(camera, table.images, table.masks, table.video, table.background, table.offset, table.keypoints, table.path)
+    return View(camera, table.images, table.masks, table.video, table.background, table.offset, table.keypoints, table.path, table.video_fps)
 
 
 def _subject(table: SubjectTable) -> Subject:

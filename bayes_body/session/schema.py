@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
 from bayes_body.errors import nearest
+from bayes_body.session.lens import lens_faults
 from bayes_body.toml.schema import Count, Finite, Name, Positive, Schema, Share
 
 # A larger number is assumed to be in millimetres (or centimetres), not in metres.
@@ -18,8 +19,16 @@ FARTHEST_M = 1000.0
 LONGEST_M = 3.0
 # Largest accepted distance of a rotation from orthonormal. Calibration files have six digits or more.
 ROTATION_TOLERANCE = 1e-4
-# Exactly one printf conversion of a whole number (%d, %04d); %% is a literal percent sign.
-PATTERN = re.compile(r"([^%]|%%)*%0?\d*d([^%]|%%)*")
+# Exactly one printf conversion of a whole number (%d, %04d), of at most 99 digits; %% is a literal percent sign.
+PATTERN = re.compile(r"([^%]|%%)*%0?\d{0,2}d([^%]|%%)*")
+# Four hours at 60 frames per second. The files of every frame are looked for before a run.
+MOST_FRAMES = 1_000_000
+LARGEST_NUMBER = 10**9
+MOST_CAMERAS = 1000
+# A side of an image, and an image, pixels (`bayes_body` gives OpenCV the same limit).
+LONGEST_SIDE, MOST_PIXELS = 65_535, 2**27
+# Frames from which a background is learned are all in memory.
+MOST_LEARNING_FRAMES = 1000
 
 
 def rotation_fault(R: NDArray[np.float64]) -> str | None:
@@ -55,9 +64,19 @@ def _pattern(text: str) -> str:
     return text
 
 
+def _size(sides: tuple[int, int]) -> tuple[int, int]:
+    if sides[0] * sides[1] > MOST_PIXELS:
+        raise ValueError(f"{sides[0]} x {sides[1]} pixels; expected at most {MOST_PIXELS} in all; correct it to the size of the images")
+    return sides
+
+
+Frames = Annotated[Count, Field(le=MOST_FRAMES)]
+Side = Annotated[Count, Field(le=LONGEST_SIDE)]
+Size = Annotated[tuple[Side, Side], AfterValidator(_size)]
+FilePath = Annotated[Name, Field(min_length=1)]
 Far = Annotated[Finite, _metres(FARTHEST_M)]
 Length = Annotated[Positive, _metres(LONGEST_M)]
-Pattern = Annotated[str, AfterValidator(_pattern)]
+Pattern = Annotated[Name, AfterValidator(_pattern)]
 type Row = tuple[Finite, Finite, Finite]
 type Rows = tuple[Row, Row, Row]
 
@@ -66,7 +85,7 @@ class CameraTable(Schema):
     """`[[camera]]`: one calibrated camera and the location of its images."""
 
     name: Annotated[Name, Field(min_length=1)]
-    size_px: tuple[Count, Count]
+    size_px: Size
     focal_px: tuple[Positive, Positive]
     centre_px: tuple[Finite, Finite]
     skew: Finite = 0.0
@@ -74,12 +93,20 @@ class CameraTable(Schema):
     rotation: Annotated[Rows, AfterValidator(_rotation)]
     translation_m: tuple[Far, Far, Far]
     images: Pattern | None = None
-    video: Annotated[str, Field(min_length=1)] | None = None
+    video: FilePath | None = None
+    video_fps: Positive | None = None
     masks: Pattern | None = None
-    background: Annotated[str, Field(min_length=1)] | None = None
-    offset: Annotated[int, Field(strict=True)] = 0
-    keypoints: Annotated[str, Field(min_length=1)] | None = None
-    path: Annotated[str, Field(min_length=1)] | None = None
+    background: FilePath | None = None
+    offset: Annotated[int, Field(strict=True, ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)] = 0
+    keypoints: FilePath | None = None
+    path: FilePath | None = None
+
+    @model_validator(mode="after")
+    def _check_lens(self) -> "CameraTable":
+        faults = lens_faults(self.size_px, self.focal_px, self.centre_px, self.distortion)
+        if sentences := [f"{field}: {found}; expected {expected}; copy it from the calibration again" for field, found, expected in faults]:
+            raise ValueError("\n".join(sentences))
+        return self
 
 
 class SubjectTable(Schema):
@@ -110,7 +137,7 @@ class SegmentationTable(Schema):
     """`[segmentation]`: how silhouettes are found if there are no masks."""
 
     threshold: Positive = 16.0
-    learning_frames: Count = 200
+    learning_frames: Annotated[Count, Field(le=MOST_LEARNING_FRAMES)] = 200
     shadows: Annotated[bool, Field(strict=True)] = True
     follow_exposure: Annotated[bool, Field(strict=True)] = True
 
@@ -121,13 +148,13 @@ class SessionFile(Schema):
     title: str
     up: Literal["x", "y", "z"]
     fps: Positive
-    frames: Count
-    first_frame: Annotated[int, Field(strict=True, ge=0)] = 0
-    cameras: Annotated[tuple[CameraTable, ...], Field(alias="camera", min_length=1)]
+    frames: Frames
+    first_frame: Annotated[int, Field(strict=True, ge=0, le=LARGEST_NUMBER)] = 0
+    cameras: Annotated[tuple[CameraTable, ...], Field(alias="camera", min_length=1, max_length=MOST_CAMERAS)]
     subject: SubjectTable = SubjectTable()
     initial: InitialTable = InitialTable()
     segmentation: SegmentationTable = SegmentationTable()
-    truth: Annotated[str, Field(min_length=1)] | None = None
+    truth: FilePath | None = None
 
     @property
     def positions(self) -> frozenset[str]:

@@ -56,6 +56,7 @@ class View:
         offset: the session's frame k is this camera's frame k + offset.
         keypoints: path of an .npz with the subject's keypoints in each frame; None if there are none.
         path: path of an .npz with a moving camera's extrinsics in each frame (`camera` holds those of frame 0); None if the camera stands still.
+        video_fps: the rate that the video's container states, if it is not the session's: a slow-motion video is played at another rate than filmed.
     """
 
     camera: CameraSpec
@@ -66,6 +67,7 @@ class View:
     offset: int = 0
     keypoints: str | None = None
     path: str | None = None
+    video_fps: float | None = None
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,8 @@ from bayes_body.errors import escaped, input_error, nearest
 
 # Longer values are cut, since the sentence is about the key.
 LONGEST_VALUE = 60
+# A file with more faults than this is another kind of file.
+MOST_FAULTS = 100
 
 TABLE = ("a table", "write it as a header in brackets, then lines key = value")
 LIST = ("a list", "write its entries in brackets, with commas between")
@@ -64,14 +66,15 @@ def sentences(schema: type[BaseModel], data: Mapping[str, Any], where: str, erro
         errors: the result of `ValidationError.errors()`.
     """
     faults: dict[tuple[str | int, ...], list[_Fault]] = {}
-    for error in errors:
+    for error in errors[:MOST_FAULTS]:
         if _is_echo(error):
             continue
         fault = _locate(schema, error)
         # Pydantic reports a separate error for each missing entry of a tuple, and for each member of a union. To the user it is one error.
         path = fault.path[:-1] if _is_short_tuple(fault) else fault.path
         faults.setdefault(path, []).append(fault)
-    return list(dict.fromkeys(sentence for path, group in faults.items() for sentence in _describe(where, data, path, group)))
+    found = list(dict.fromkeys(sentence for path, group in faults.items() for sentence in _describe(where, data, path, group)))
+    return [*found, f"{where}: further faults, {len(errors)} in all; correct these first."] if len(errors) > MOST_FAULTS else found
 
 
 def _is_echo(error: ErrorDetails) -> bool:
@@ -131,9 +134,9 @@ def _name(data: Any, path: tuple[str | int, ...]) -> str:
     for step in path:
         data = _child(data, step)
         if isinstance(step, str):
-            text += f".{step}" if text else step
+            text += f".{_short(step)}" if text else _short(step)
         elif isinstance(data, Mapping) and isinstance(data.get("name"), str):
-            text += f" '{data['name']}'"
+            text += f" '{_short(data['name'])}'"
         else:
             text += f" #{step + 1}"
     return escaped(text)
@@ -155,6 +158,10 @@ def _child(data: Any, step: str | int) -> Any:
 def shown(value: Any) -> str:
     """Return a value as in the file, shortened if it is long."""
     text = f'"{value}"' if isinstance(value, str) else "a table" if isinstance(value, Mapping) else str(value)
+    return _short(text)
+
+
+def _short(text: str) -> str:
     return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."
 
 

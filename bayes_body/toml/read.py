@@ -9,29 +9,25 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from bayes_body.errors import FaultyFileError, InputError, input_error
+from bayes_body.files.text import read_text
 from bayes_body.toml.faults import sentences, shown
+
+# Much more than a run's file, which holds its session, definition and body; tomllib reads it in some seconds.
+LARGEST_BYTES = 2_000_000
+# tomllib's time grows with the square of the number of parts of a key a.b.c; no schema has more than four.
+MOST_PARTS = 32
+_PART = r"""(?:[A-Za-z0-9_-]+|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')[ \t]*\.[ \t]*"""
+LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_-])(?:{_PART}){{{MOST_PARTS}}}")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Return the tables of a TOML file.
 
     Raises:
-        InputError: the file does not exist, is a folder, cannot be read, is not UTF-8, or is not TOML (line and column are given).
+        InputError: the file does not exist, is not a regular file, cannot be read, has more than 2 MB, is not UTF-8, or is not TOML (line and
+            column are given).
     """
-    if path.is_dir():
-        raise input_error(path, "a folder", "a TOML file", "name the file in it")
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise input_error(path, "no such file", "a TOML file", "check the path") from None
-    except OSError as error:
-        raise input_error(path, f"cannot be read ({error.strerror})", "a TOML file", "check the path and its permissions") from None
-    try:
-        # Some editors write a byte order mark, which tomllib does not accept.
-        return parse_toml(content.decode("utf-8-sig"), path)
-    except UnicodeDecodeError as error:
-        line = content[: error.start].count(b"\n") + 1
-        raise input_error(f"{path}: line {line}", f"the byte 0x{content[error.start]:02x}", "text in UTF-8", "save the file as UTF-8") from None
+    return parse_toml(read_text(path, "a TOML file", LARGEST_BYTES), path)
 
 
 def parse_toml(text: str, where: object) -> dict[str, Any]:
@@ -44,6 +40,9 @@ def parse_toml(text: str, where: object) -> dict[str, Any]:
     Raises:
         InputError: the text is not TOML (line and column are given).
     """
+    if key := LONG_KEY.search(text):
+        place = f"{where}: line {text.count(chr(10), 0, key.start()) + 1}"
+        raise input_error(place, f"a key of {MOST_PARTS} parts or more", "TOML, such as key = value or [table]", "restore the file")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

@@ -81,7 +81,7 @@ def test_a_first_image_that_is_none_is_an_error(damaged):
 def filmed(textured_session, tmp_path):
     """`filmed(frames=..., **fields)`: a session of one camera with a video of 12 frames."""
     camera = textured_session.views[0].camera
-    writer = cv2.VideoWriter(str(tmp_path / "a.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, camera.size_px)
+    writer = cv2.VideoWriter(str(tmp_path / "a.avi"), cv2.VideoWriter.fourcc(*"MJPG"), textured_session.fps, camera.size_px)
     for level in range(12):
         image = np.full((*camera.size_px[::-1], 3), 40, np.uint8)
         image[level : level + 30] = 200

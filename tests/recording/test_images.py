@@ -72,6 +72,6 @@ def test_other_size(path):
 def test_no_image(tmp_path):
     (tmp_path / "text.png").write_text("hello")
     (tmp_path / "empty.png").touch()
-    for name, found in [("text.png", "not an image"), ("empty.png", "empty"), ("none.png", "no such file"), ("", "cannot be read")]:
+    for name, found in [("text.png", "not an image"), ("empty.png", "empty"), ("none.png", "no such file"), ("", "a folder")]:
         with pytest.raises(InputError, match=f"{name}: {found}"):
             read_grey(tmp_path / name)

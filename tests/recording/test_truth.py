@@ -77,7 +77,7 @@ def test_no_such_archive(tmp_path, markers):
         "text.npz": "not such an archive",
         "other.npz": "no `markers`",
         "cut.npz": "damaged",
-        "": "cannot be read",
+        "": "a folder",
     }.items():
         with pytest.raises(InputError, match=f"{name}: .*{found}"):
             read_truth(tmp_path / name, 3)

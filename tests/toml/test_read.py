@@ -107,7 +107,7 @@ def test_a_validators_lines_are_sentences_as_they_are():
         (b"[x]\na = 1\n[x]\nb = 2\n", "line 3: the table [x] is given twice; expected one header for each table; put its keys under one header"),
         (b"[[x]]\na = 1\n[x]\nb = 2\n", "line 3: the table [x] is given twice"),
         (b'\xef\xbb\xbfa = "x', 'line 1, column 7: unterminated string in the line `a = "x`'),
-        (b"a = 1\nb = '\xe9'\n", "line 2: the byte 0xe9; expected text in UTF-8; save the file as UTF-8."),
+        (b"a = 1\nb = '\xe9'\n", "line 2: the byte 0xe9; expected a TOML file, text in UTF-8; save the file as UTF-8, or restore it."),
     ],
 )
 def test_not_toml(tmp_path, content, sentence):

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.errors import InputError, input_error
+from bayes_body.files.read import read_bytes as read_regular
 
 # Twice the size of an hour with a hundred markers.
 LARGEST_BYTES = 1_000_000_000
@@ -23,19 +24,9 @@ def read_bytes(path: Path, kind: str) -> bytes:
         kind: what it should be, such as `a BVH file`.
 
     Raises:
-        InputError: no such file, a folder, unreadable, or longer than 1 GB.
+        InputError: no such file, not a regular file, unreadable, or longer than 1 GB.
     """
-    try:
-        if path.stat().st_size > LARGEST_BYTES:
-            raise input_error(path, f"{path.stat().st_size} bytes", f"{kind} of at most {LARGEST_BYTES}", "cut the recording into pieces")
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise input_error(path, "no such file", kind, "check the path") from None
-    except OSError as error:
-        raise input_error(path, f"cannot be read ({error.strerror})", kind, "check the path and its permissions") from None
-    # The path contains a null character.
-    except ValueError as error:
-        raise input_error(repr(str(path)), str(error), kind, "check the path") from None
+    return read_regular(path, kind, LARGEST_BYTES)
 
 
 def read_text(path: Path, kind: str) -> str:
