@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from bayes_body.errors import input_error
 from bayes_body.files.arrays_file import read_arrays
-from bayes_body.session.schema import FARTHEST_M, rotation_fault
+from bayes_body.session.schema import FARTHEST_M, MOST_FRAMES, rotation_fault
 from bayes_body.session.session import CameraSpec, Session
 
 KIND = "an .npz with `rotation` (frame, 3, 3) and `translation_m` (frame, 3)"
@@ -67,6 +67,8 @@ def _read(path: Path, state: tuple[int, int]) -> Extrinsics:
     rotations, translations = (arrays[key].astype(np.float64) for key in ("rotation", "translation_m"))
     if len(rotations) != len(translations):
         raise input_error(path, f"{len(rotations)} rotations and {len(translations)} translations", "equal numbers of both", REMEDY)
+    if len(rotations) > MOST_FRAMES:
+        raise input_error(path, f"{len(rotations)} frames", f"at most {MOST_FRAMES}", REMEDY)
     for frame, (R, t) in enumerate(zip(rotations, translations, strict=True)):
         fault = rotation_fault(R)
         if fault:

@@ -1,6 +1,7 @@
 """Check that a session's files exist and match its cameras, without reading all of them, and that its cameras and its person are possible."""
 
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from bayes_body.recording.timing import SAME_RATE
 from bayes_body.recording.video import damaged_frames, probe, readable_frames
 from bayes_body.session.session import Session, View
 
+MOST_RANGES = 20
 # Relative difference up to which two rates are mistaken for each other, as 59.94 and 60 are.
 NEAR_RATE = 0.01
 BLIND = "the camera counts as not seeing the person there"
@@ -47,10 +49,11 @@ def check_session(session: Session, frames: int | None = None) -> list[str]:
         with faults.collect():
             if view.video is not None:
                 remarks += _check_video(session, view, owner, min(frames or session.frames, session.frames))
-        for kind, path_of, read in (("images", session.image_path, read_grey), ("masks", session.mask_path, read_mask)):
-            if getattr(view, kind) is not None:
-                paths = [path for k in range(session.frames) if (path := path_of(view, k)) is not None]
-                remarks += _check_series(faults, owner, kind, paths, lambda path, read=read, view=view: read(path, view.camera.size_px))
+        for kind, read in (("images", read_grey), ("masks", read_mask)):
+            if (pattern := getattr(view, kind)) is not None:
+                # Strings: a session of a million frames would need minutes to make so many `Path`.
+                files = (os.path.join(session.folder, pattern % session.number(view, k)) for k in range(session.frames))  # noqa: PTH118
+                remarks += _check_series(faults, owner, kind, files, lambda path, read=read, view=view: read(path, view.camera.size_px))
         with faults.collect():
             _check_background(session, view)
         if (keypoints := session.keypoints_path(view)) is not None:
@@ -79,24 +82,29 @@ def _check_places(session: Session) -> None:
         raise input_error("session.toml: camera", found, f"cameras at least {LEAST_APART_M:g} m apart", remedy)
 
 
-def _check_series(faults: Faults, owner: str, kind: str, paths: Sequence[Path], read: Callable[[Path], Any]) -> list[str]:
+def _check_series(faults: Faults, owner: str, kind: str, files: Iterable[str], read: Callable[[Path], Any]) -> list[str]:
     """Check one series of files. Returns remarks on missing files; errors go to `faults`."""
-    present = [path for path in paths if path.exists()]
-    missing = [k for k, path in enumerate(paths) if not path.exists()]
+    ends, missing, count, where = list[Path](), list[int](), 0, ""
+    for k, file in enumerate(files):
+        count, where = k + 1, where or file
+        if os.path.exists(file):  # noqa: PTH110
+            # Only the first and the last are read.
+            ends[1:] = [Path(file)] if ends else []
+            ends = ends or [Path(file)]
+        else:
+            missing.append(k)
     remedy = f"correct {kind}, first_frame and frames in session.toml"
-    if not present:
+    if not ends:
         with faults.collect():
-            raise input_error(
-                owner, f"all {len(paths)} {kind} are missing, the first is {paths[0]}", "a file for every frame", f"restore them, or {remedy}"
-            )
+            raise input_error(owner, f"all {count} {kind} are missing, the first is {where}", "a file for every frame", f"restore them, or {remedy}")
         return []
-    remarks = [f"{owner}: {_share(len(missing), len(paths), kind)} ({named(missing)}): {BLIND}; restore them, or {remedy}."] if missing else []
+    remarks = [f"{owner}: {_share(len(missing), count, kind)} ({named(missing)}): {BLIND}; restore them, or {remedy}."] if missing else []
     with faults.collect():
-        read(present[0])
-    if len(present) > 1:
+        read(ends[0])
+    if len(ends) > 1:
         with faults.collect():
             try:
-                read(present[-1])
+                read(ends[1])
             except NotSeenError as error:
                 remarks.append(f"{owner}: {str(error).rstrip('.')}; in this frame {BLIND.removesuffix(' there')}.")
     return remarks
@@ -156,11 +164,12 @@ def _check_background(session: Session, view: View) -> None:
 
 
 def named(frames: Sequence[int]) -> str:
-    """`frames 3, 7-9` of ascending numbers."""
+    """`frames 3, 7-9` of ascending numbers; the first twenty ranges."""
     ranges: list[list[int]] = []
     for frame in frames:
         if ranges and ranges[-1][1] == frame - 1:
             ranges[-1][1] = frame
         else:
             ranges.append([frame, frame])
-    return f"frame{'s' if len(frames) > 1 else ''} " + ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in ranges)
+    listed = [str(a) if a == b else f"{a}-{b}" for a, b in ranges[:MOST_RANGES]]
+    return f"frame{'s' if len(frames) > 1 else ''} " + ", ".join([*listed, *(["..."] if len(ranges) > MOST_RANGES else [])])

@@ -5,6 +5,7 @@
 - `first`, the number of the first row's frame in the camera's numbering; 0 if missing.
 """
 
+from collections import Counter
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from bayes_body.errors import input_error
 from bayes_body.files.arrays_file import read_arrays
 from bayes_body.files.atomic import make_folder, replacing
-from bayes_body.recording.keypoints import FARTHEST_PX
+from bayes_body.recording.keypoints import FARTHEST_PX, MOST_KEYPOINTS
 
 KIND = "an .npz with `keypoints` (frame, keypoint, 3), pixels and confidence, and `names` of the keypoints"
 REMEDY = "import the keypoints again, or write it with numpy.savez(path, keypoints=..., names=...)"
@@ -81,8 +82,8 @@ def _read(path: Path, state: tuple[int, int]) -> KeypointSeries:
 def _names(path: Path, names: NDArray[np.generic]) -> tuple[str, ...]:
     found = tuple(str(name) for name in names.ravel()) if names.dtype.kind == "U" and names.ndim == 1 else ()
     mapped = [MARKERS.get(name, name) for name in found]
-    if not found or len(set(mapped)) < len(mapped):
-        twice = next((name for name in mapped if mapped.count(name) > 1), None)
+    if not 0 < len(found) <= MOST_KEYPOINTS or len(set(mapped)) < len(mapped):
+        twice = next((name for name, count in Counter(mapped).items() if count > 1), None)
         what = f"'{twice[:40]}' twice" if twice is not None else f"{names.dtype} of shape {names.shape}"
         raise input_error(f"{path}: names", what, "unique names of the keypoints", REMEDY)
     return found

@@ -1,7 +1,8 @@
 """Find frames of a video that cannot be trusted: a decoder that meets damaged bytes repairs or drops frames, and OpenCV does not say so.
 
 The video is decoded once more, with PyAV, which reports it. In most codecs a frame builds on those before it, so damage lasts until the next key
-frame; if a frame was dropped, later ones cannot be counted, and the damage lasts until the end. A codec of key frames only loses single frames.
+frame. If a frame was dropped, later ones may be counted wrongly, and the damage lasts until the end; unless all are key frames, and the file has as
+many as it states.
 """
 
 from collections.abc import Iterator
@@ -31,29 +32,33 @@ class Damage:
     """Which frames of a video are damaged, found by decoding as far as asked. Frames are numbered from 0, in the order of display."""
 
     def __init__(self, path: Path):
-        self._damaged: list[bool] = []
-        self._outcomes = _outcomes(path)
-        self._spoiled = self._dropped = False
-        self._only_keys = True
+        self._path, self._outcomes = path, _outcomes(path)
+        self._damaged = list[bool]()
+        # From here on all frames are damaged.
+        self._end: int | None = None
+        self._spoiled = False
 
     def of(self, number: int) -> bool:
         """Whether a frame is damaged; False beyond the end of a sound video."""
-        while number >= len(self._damaged):
+        while number >= len(self._damaged) and self._end is None:
             outcome = next(self._outcomes, None)
             if outcome is None:
-                # OpenCV may count frames here that PyAV dropped.
-                return self._dropped and not self._only_keys
-            self._add(outcome)
-        return self._damaged[number]
+                return False
+            if outcome.dropped:
+                self._decode_the_rest()
+            else:
+                self._spoiled = not outcome.sound or (self._spoiled and not outcome.key)
+                self._damaged.append(self._spoiled)
+        return self._damaged[number] if number < len(self._damaged) else self._end is not None
 
-    def _add(self, outcome: Outcome) -> None:
-        self._dropped |= outcome.dropped
-        self._only_keys &= outcome.key or outcome.dropped
-        if not outcome.sound:
-            self._spoiled = True
-        elif self._only_keys or (outcome.key and not self._dropped):
-            self._spoiled = False
-        self._damaged.append(self._spoiled)
+    def _decode_the_rest(self) -> None:
+        """A frame was dropped: decide whether those after it can be counted."""
+        rest = [DROPPED, *self._outcomes]
+        counted = len(rest) == 1 or len(self._damaged) + len(rest) == _stated_frames(self._path)
+        if counted and all(outcome.key or outcome.dropped for outcome in rest):
+            self._damaged += [not outcome.sound for outcome in rest]
+        else:
+            self._end = len(self._damaged)
 
 
 def _outcomes(path: Path) -> Iterator[Outcome]:
@@ -66,6 +71,14 @@ def _outcomes(path: Path) -> Iterator[Outcome]:
     else:
         yield first
         yield from strict
+
+
+def _stated_frames(path: Path) -> int:
+    import av
+
+    with open_regular(path, "a video", LARGEST_BYTES) as file, av.open(file, mode="r") as container:
+        stream = container.streams.best("video")
+        return stream.frames if isinstance(stream, av.VideoStream) else 0
 
 
 def _decoded(path: Path, options: dict[str, str]) -> Iterator[Outcome]:

@@ -211,6 +211,8 @@ REFUSED = {
     "four numbers": ({"rotation": np.zeros(4)}, "rotation: 4 numbers .*; expected 9 finite numbers by rows, or 3"),
     "infinitely far": ({"translation_m": [0, np.inf, 0]}, "translation: 3 numbers .*; expected three finite numbers"),
     "half a pixel": ({"size": (640.5, 480)}, "image size: .*; expected width and height, whole numbers"),
+    "folds at once": ({"distortion": [-300.0, 0, 0, 0]}, "distortion: k1, k2, k3 = -300, 0, 0: the lens folds the picture .* pixels from"),
+    "sees nothing": ({"matrix": np.diag([1.0, 1000, 1.0])}, "focal length: x = 1: the camera sees nothing; expected .* pixels for an image of"),
     "no name": ({"name": " "}, "without a name"),
 }
 

@@ -104,6 +104,35 @@ def test_a_video_that_ends_early_is_a_remark(filmed):
     )
 
 
+def test_another_frame_rate_is_noticed(filmed):
+    session = filmed(12)
+    at = [dataclasses.replace(session, fps=session.fps * factor) for factor in (1.0003, 1.001, 0.5)]
+    assert check_session(at[0]) == []
+    (remark,) = check_session(at[1])
+    assert "a.avi: 60 frames per second, and 60.06 in session.toml: after 17 s the session's times are one frame off; correct fps" in remark
+    (sentence,) = sentences(at[2])
+    assert "a.avi: 60 frames per second; expected 30, fps in session.toml; name the right video, or correct fps" in sentence
+    # A slow-motion video.
+    slow = dataclasses.replace(at[2], views=tuple(dataclasses.replace(view, video_fps=session.fps) for view in session.views))
+    assert check_session(slow) == []
+    (sentence,) = sentences(dataclasses.replace(slow, views=tuple(dataclasses.replace(view, video_fps=25.0) for view in slow.views)))
+    assert "a.avi: 60 frames per second; expected 25, video_fps of camera 'a' in session.toml" in sentence
+
+
+def test_damaged_frames_are_a_remark(filmed, tmp_path):
+    content = bytearray((tmp_path / "a.avi").read_bytes())
+    middle = content.index(b"00dc", len(content) // 2)
+    number = content[content.index(b"movi") : middle].count(b"00dc")
+    size = int.from_bytes(content[middle + 4 : middle + 8], "little")
+    content[middle + 8 : middle + 8 + size] = b"\xff" * size
+    (tmp_path / "a.avi").write_bytes(content)
+    (remark,) = check_session(filmed(12))
+    assert remark.startswith(f"camera 'a': 1 of 12 frames cannot be decoded without errors (frame {number}), ")
+    assert remark.endswith("a.avi is damaged: the camera counts as not seeing the person there; copy the video again.")
+    # Of frames that are not used nothing is said.
+    assert check_session(filmed(12), number) == []
+
+
 def test_a_video_that_cannot_be_used_is_an_error(filmed, tmp_path):
     assert "a.avi has 12 frames; expected more than 30, the number of the first" in sentences(filmed(3, first_frame=30))[0]
     assert "a.avi: 160 x 120 pixels; expected 100 x 120 as its camera has" in sentences(filmed(3, camera={"size_px": (100, 120)}))[0]

@@ -1,6 +1,7 @@
 """Image files, whole and broken."""
 
 import struct
+import zlib
 
 import cv2
 import numpy as np
@@ -60,6 +61,18 @@ def test_a_bmp_whose_header_gives_a_wrong_file_size_is_read(tmp_path, size):
     struct.pack_into("<I", content, 2, size)
     path.write_bytes(content)
     np.testing.assert_array_equal(read_grey(path), GREY)
+
+
+def test_a_size_that_no_camera_has_is_refused_before_the_image_is_decoded(tmp_path):
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+    for side in (60_000, 30_000):
+        header = chunk(b"IHDR", struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0))
+        path = tmp_path / "large.png"
+        path.write_bytes(b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(bytes(1000))) + chunk(b"IEND", b""))
+        with pytest.raises(InputError, match=r"large.png: more pixels than any camera has, according to its header; expected at most 134217728"):
+            read_colour(path)
 
 
 def test_other_size(path):

@@ -10,7 +10,7 @@ import pytest
 
 from bayes_body.errors import InputError
 from bayes_body.recording.images import NotSeenError
-from bayes_body.recording.video import probe, read_video_frame, readable_frames
+from bayes_body.recording.video import damaged_frames, probe, read_video_frame, readable_frames
 
 SIZE, FRAMES, RATE = (96, 64), 100, 50.0
 
@@ -121,6 +121,38 @@ def test_a_video_cut_short_is_seen_up_to_its_end(cut):
         read_video_frame(cut, end)
     # The end does not spoil what comes before it.
     np.testing.assert_array_equal(read_video_frame(cut, 2), decoded(cut)[2])
+
+
+# In the middle of the file, 4 kB: about the bytes of two frames.
+WHAT = {"zeros": bytes(4000), "ones": b"\xff" * 4000, "noise": np.random.default_rng(3).bytes(4000)}
+
+
+@pytest.mark.parametrize("what", WHAT)
+def test_bytes_overwritten_in_the_middle_are_noticed(video, what):
+    assert damaged_frames(video, range(FRAMES)) == []
+    expected, content = decoded(video), bytearray(video.read_bytes())
+    middle = len(content) // 2
+    content[middle : middle + 4000] = WHAT[what]
+    video.write_bytes(content)
+    damaged = damaged_frames(video, range(FRAMES))
+    assert damaged and 30 < damaged[0] < 60
+    with pytest.raises(NotSeenError, match=f"{video.name}: frame {damaged[0]} is damaged; expected a frame that can be decoded without errors"):
+        read_video_frame(video, damaged[0])
+    # A frame that is not damaged is what it was.
+    for number in sorted({*range(FRAMES)} - {*damaged}):
+        np.testing.assert_array_equal(read_video_frame(video, number), expected[number], err_msg=f"frame {number}")
+
+
+@pytest.mark.slow
+def test_real_videos_are_sound_and_damage_in_them_is_noticed(pose2sim_beam, tmp_path):
+    path = pose2sim_beam / "videos" / "cam01.mp4"
+    assert damaged_frames(path, range(100)) == []
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2 : len(content) // 2 + 20_000] = bytes(20_000)
+    (tmp_path / "damaged.mp4").write_bytes(content)
+    damaged = damaged_frames(tmp_path / "damaged.mp4", range(100))
+    # The video has one key frame, its first: damage lasts.
+    assert 40 < damaged[0] < 70 and damaged == list(range(damaged[0], 100))
 
 
 def test_readable_frames_of_a_whole_video(video):

@@ -187,6 +187,12 @@ def test_wrong_numbers(path):
     assert refused(path, "frames = 3", "frames = 2.5") == ["frames = 2.5; expected a whole number; write it without quotes, such as 5."]
     assert refused(path, "frames = 3", "frames = 0") == ["frames = 0; expected a number greater than or equal to 1; write a larger number."]
     assert refused(path, "[640, 480]", "[640]") == ["camera 'left'.size_px = [640]; expected 2 entries, not 1; add what is missing."]
+    assert refused(path, "frames = 3", "frames = 100000000")[0].startswith("frames = 100000000; expected a number less than or equal to 1000000;")
+    assert refused(path, "first_frame = 7", "first_frame = " + "9" * 4000)[0].startswith("first_frame = 999999")
+    assert refused(path, "[640, 480]", "[640, 100000]")[0].startswith("camera 'left'.size_px #2 = 100000; expected a number less than")
+    assert refused(path, "[640, 480]", "[20000, 20000]")[0].startswith(
+        "camera 'left'.size_px: 20000 x 20000 pixels; expected at most 134217728 in all"
+    )
     assert refused(path, 'up = "y"', 'up = "Y"') == ['up = "Y": no such choice; known: x, y, z']
 
 
@@ -221,7 +227,37 @@ def test_cameras_that_do_not_fit_together(path):
     assert sentence.startswith("camera 'right'.masks: missing, others have masks; expected all or none")
 
 
-@pytest.mark.parametrize("pattern", ["left.png", "%04d/%04d.png", "%s.png", "50%/%04d.png"])
+IMAGES = 'images = "left/%04d.png"'
+BLIND = {
+    "focal_px: x = 1e-30: the camera sees nothing; expected 32 to 640000 pixels": ("[600.0, 610.0]", "[1e-30, 610.0]"),
+    "focal_px: y = 1e+09: the camera sees nothing; expected 24 to 480000 pixels": ("[600.0, 610.0]", "[600.0, 1e9]"),
+    "centre_px: x = 1e+07: the camera looks beside the scene; expected -6000 to 6640 pixels": ("[319.5, 239.5]", "[1e7, 239.5]"),
+    "distortion: k1, k2, k3 = -300, 0, 0: the lens folds the picture 13 pixels from": (IMAGES, f"{IMAGES}\ndistortion = [-300, 0, 0, 0, 0]"),
+    "distortion: k1, k2, k3 = 1e+300, 0, 0: the lens folds the picture 0 pixels from": (IMAGES, f"{IMAGES}\ndistortion = [1e300, 0, 0, 0, 0]"),
+    "distortion: p1, p2 = 0, 300: the lens folds the picture 0.33 pixels from": (IMAGES, f"{IMAGES}\ndistortion = [0, 0, 0, 300, 0]"),
+}
+
+
+@pytest.mark.parametrize("fault", BLIND)
+def test_a_camera_that_sees_nothing(path, fault):
+    (sentence,) = refused(path, *BLIND[fault])
+    assert sentence.startswith(f"camera 'left': {fault}")
+    assert sentence.endswith("copy it from the calibration again")
+
+
+def test_lenses_of_real_cameras(path):
+    # A GoPro, a lens whose polynomial grows for ever, one with all three coefficients, a coefficient below what can be divided by.
+    for distortion in ([-0.26, 0.09, 0.001, -0.001, -0.016], [0.4, 0.1, 0, 0, 0], [-0.45, 0.3, 0.004, 0.002, -0.15], [0, 0, 0, 0, 1e-320]):
+        path.write_text(SOUND.replace(IMAGES, f"{IMAGES}\ndistortion = {distortion}"))
+        assert load_session(path).views[0].camera.distortion == tuple(distortion)
+
+
+def test_paths_are_one_line_of_text(path):
+    (sentence,) = refused(path, "left/%04d.png", "le\\u0000ft/%04d.png")
+    assert sentence.startswith("camera 'left'.images: 'le\\x00ft/%04d.png' has control characters; expected one line of text")
+
+
+@pytest.mark.parametrize("pattern", ["left.png", "%04d/%04d.png", "%s.png", "50%/%04d.png", "left%099999999999d.png"])
 def test_patterns_have_one_place_for_the_number(path, pattern):
     (sentence,) = refused(path, "left/%04d.png", pattern)
     assert sentence.startswith(f"camera 'left'.images: \"{pattern}\"; expected one placeholder for the frame number; write %d")
