@@ -16,6 +16,7 @@ from bayes_body.errors import InputError, input_error
 from bayes_body.files.text import read_text
 from bayes_body.recording.calibration import Calibrated, calibrated
 from bayes_body.recording.faults import Faults
+from bayes_body.session.schema import MOST_CAMERAS
 
 UP = "z"
 MM = 1e-3
@@ -34,6 +35,8 @@ def read_qualisys(path: Path) -> list[Calibrated]:
     elements = [camera for camera in _root(path).iter("camera") if _films(camera)]
     if not elements:
         raise input_error(path, "no video camera in it", KIND, "name the file that the calibration program wrote")
+    if len(elements) > MOST_CAMERAS:
+        raise input_error(path, f"{len(elements)} cameras", f"{KIND} of at most {MOST_CAMERAS}", "restore the file")
     faults, cameras = Faults(), []
     for number, element in enumerate(elements, 1):
         name = element.get("serial", "")

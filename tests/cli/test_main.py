@@ -1,5 +1,6 @@
 """The verbs as a whole: help, version, interruption, and an error of our own."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -45,6 +46,26 @@ def test_a_fault_of_the_program_is_a_sentence_that_names_a_file_with_the_details
     log = Path(outcome.err.split("details in ")[1].strip().rstrip("."))
     assert "ZeroDivisionError" in log.read_text()
     log.unlink()
+
+
+def test_a_path_that_is_not_utf8_is_refused_before_anything_is_done(tmp_path):
+    folder = tmp_path / "gehört"
+    folder.mkdir()
+    bad = os.fsdecode(os.fsencode(tmp_path) + b"/\xff")
+    Path(bad).mkdir()
+
+    def said(*arguments: str, cwd: str | Path = tmp_path, **environment: str) -> str:
+        command = [sys.executable, "-m", "bayes_body.cli.main", *arguments]
+        done = subprocess.run(command, cwd=cwd, env={**os.environ, **environment}, capture_output=True, timeout=120, check=False)
+        assert done.returncode == 2
+        return done.stderr.decode()
+
+    expected = "a byte that is not UTF-8 in the path; expected a path in UTF-8; rename the folder or the file."
+    assert expected in said("track", "session", "--out", bad)
+    assert expected in said("report", "run", cwd=bad)
+    assert "no session.toml in it" in said("track", str(folder))
+    posix = said("track", str(folder), LC_ALL="C", PYTHONUTF8="0", PYTHONCOERCECLOCALE="0")
+    assert "Python's encoding of paths is another one; expected a locale in UTF-8; set LC_ALL=C.UTF-8 or PYTHONUTF8=1" in posix
 
 
 def test_interruption(cli, monkeypatch):

@@ -324,16 +324,16 @@ def test_many_damaged_files(kind, tmp_path):
 def test_only_regular_files_of_a_sane_size_are_read(kind, tmp_path):
     name, _, read = HOSTILE[kind]
     os.mkfifo(tmp_path / name)
-    assert f"{name}: a pipe; expected a" in refusal(read, tmp_path / name)
+    assert f"{name}: a pipe; expected " in refusal(read, tmp_path / name)
     (tmp_path / name).unlink()
     (tmp_path / name).symlink_to("/dev/zero")
-    assert f"{name}: a device; expected a" in refusal(read, tmp_path / name)
+    assert f"{name}: a device; expected " in refusal(read, tmp_path / name)
     (tmp_path / name).unlink()
     if kind != "video":
         # It takes no space on the disk. Videos may be as long as the disk has room for.
         (tmp_path / name).touch()
         os.truncate(tmp_path / name, 3_000_000_000)
-        assert f"{name}: 3000000000 bytes; expected a" in refusal(read, tmp_path / name)
+        assert f"{name}: 3000000000 bytes; expected " in refusal(read, tmp_path / name)
 
 
 DEEP = 200_000
@@ -399,9 +399,7 @@ def test_paths_that_are_not_utf8(tmp_path):
     said = alone("session", folder / "session.toml", "image", folder / "a.png", "is image", folder / "a.png", "video", folder / "a.avi")
     # An image is read by Python, and needs no other path.
     assert said[1] == "True"
-    assert all(
-        "walk" in line and "a byte that is not UTF-8 in the path; expected a path in UTF-8; rename the folder" in line for line in said[:1] + said[2:]
-    )
+    assert all("a byte that is not UTF-8 in the path; expected a path in UTF-8; rename the folder" in line for line in said[:1] + said[2:])
 
 
 def test_paths_in_utf8_where_the_locale_is_not(tmp_path):

@@ -10,6 +10,7 @@ import pytest
 from bayes_body.errors import InputError
 from bayes_body.evidence.markers import MARKERS
 from bayes_body.recording.calibration_opencv import read_opencv
+from bayes_body.recording.check import check_session
 from bayes_body.recording.opencv import import_opencv
 from bayes_body.recording.options import Options
 from bayes_body.recording.pose2sim import import_pose2sim
@@ -205,6 +206,9 @@ def test_everything_beside_the_source(opencv, tmp_path):
     assert session.truth_path == (tmp_path / "truth.npz").resolve()
     assert not any("no masks" in remark for remark in remarks)
     assert any("--fps 25 overrides the videos' rates (left 30, right 30)" in remark for remark in remarks)
+    # The session keeps the videos' own rate, so that another video is noticed.
+    assert [view.video_fps for view in load_session(save_session(session)).views] == [30.0, 30.0]
+    check_session(session)
 
 
 WRONG = {
