@@ -83,6 +83,14 @@ def test_a_first_pose_that_does_not_fit_is_a_warning_before_the_tracking_and_at_
     assert summary["fit_first"] < 0.7 and summary["warnings"][0] in lines[said[1]]
 
 
+def test_where_nothing_tells_whether_the_body_is_on_the_person_the_user_reads_so(textured_session):
+    views = tuple(dataclasses.replace(view, masks=None) for view in textured_session.views)
+    lines = []
+    module._show_first_fit(dataclasses.replace(textured_session, views=views), build_model("arm", textured_session), lines.append)
+    (line,) = lines
+    assert line.startswith("note: neither silhouettes nor keypoints tell")
+
+
 def test_a_body_that_loses_the_person_is_a_warning_from_that_frame_on(arm_session, tmp_path):
     summary, lines = _run(arm_session(lambda frame: 50 * (frame >= 2)), tmp_path / "run")
     assert summary["fit_first"] > 0.95 and summary["frames_off"] == [2, 3, 4] and summary["fit_worst"] < 0.7
