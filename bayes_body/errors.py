@@ -21,13 +21,18 @@ class FaultyFileError(InputError):
 
 
 def input_error(subject: object, found: str, expected: str, remedy: str) -> InputError:
-    """Return the error `subject: found; expected ...; remedy.`"""
-    return InputError(f"{subject}: {found}; expected {expected}; {remedy}.")
+    """Return the error `subject: found; expected ...; remedy.`, one line: names in it may hold line breaks and other control characters."""
+    return InputError(escaped(f"{subject}: {found}; expected {expected}; {remedy}."))
 
 
 def escaped(text: str) -> str:
     """Return a text from a file so that a terminal can show it: control characters as Python writes them."""
     return "".join(ascii(each)[1:-1] if unicodedata.category(each) in CONTROL else each for each in text)
+
+
+def printable(text: str) -> str:
+    """Return the text with all control characters escaped, except line breaks."""
+    return "\n".join(map(escaped, text.split("\n")))
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

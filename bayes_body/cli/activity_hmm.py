@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import typer
 
 from bayes_body.cli.learned_files import check_out, motion_files, portable
+from bayes_body.cli.terminal import say
 
 if TYPE_CHECKING:
     from bayes_body.learning.activity_hmm import LearnedActivity, LearnOptions
@@ -74,8 +75,8 @@ def activity_hmm(
     words = [*(one.told() for one in given), *_options(body, options), "--out", portable(out)]
     write_text(table, _told(found, tracks, options, source, words))
     for sentence in found.sentences:
-        typer.echo(sentence)
-    typer.echo(
+        say(sentence)
+    say(
         f"{out}: {len(found.activity.labels)} states from {sum(len(track.dofs) for track in tracks)} frames of {len(tracks)} motions of "
         f"{len(found.activity.subjects)} people; {components} features keep {100 * found.activity.kept:.0f} % of the variance; "
         f"log-likelihood {found.held_out:.2f} nats a frame held out, {found.training:.2f} in training."
@@ -94,7 +95,7 @@ def _usable(motions: "Sequence[tuple[str | None, Path, Motion]]") -> "list[tuple
 
     faults = [no_walk(file.stem, motion) if label is None else None for label, file, motion in motions]
     for sentence in filter(None, faults):
-        typer.echo(sentence)
+        say(sentence)
     return [motion for motion, fault in zip(motions, faults, strict=True) if not fault]
 
 

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from bayes_body.cli.plugin_option import Plugins, own_terms
+from bayes_body.cli.terminal import say, show
 from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
@@ -27,7 +28,6 @@ COLUMNS = (
     ("log evidence", "log_evidence", ",.1f"),
     ("lost", "frames_lost", "d"),
 )
-WIDTH = 160
 
 
 def benchmark(
@@ -112,13 +112,12 @@ def _show(rows: "list[Row]") -> None:
     for row in rows:
         if row["why_not"] is None and row["error"] is None:
             table.add_row(Path(row["model"]).stem, row["kernel"], row["scene"], *(_cell(row[key], form) for _, key, form in COLUMNS))
-    console = Console() if Console().is_terminal else Console(width=WIDTH)
     if table.row_count:
-        console.print(table)
+        show(table)
     for row in rows:
         said = row["why_not"] or (f"an internal error, {row['error']}; this is a bug in the program" if row["error"] else None)
         if said:
-            console.print(f"{Path(row['model']).stem} × {row['kernel']}: {said}", markup=False, highlight=False, soft_wrap=True)
+            say(f"{Path(row['model']).stem} × {row['kernel']}: {said}")
 
 
 def _cell(value: float | int | None, form: str) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from bayes_body.cli.plugin_option import Plugins, own_terms
+from bayes_body.cli.terminal import say
 from bayes_body.cli.track import LARGEST_SEED, check_range
 from bayes_body.errors import input_error
 
@@ -78,7 +79,7 @@ def _run(plan: "Plan", pilot: bool, replications: int, jobs: int, json_file: Pat
     """Run the check, and return whether it passed."""
     from bayes_body.calibration.report import run_and_report
 
-    return run_and_report(plan, pilot, replications, jobs, json_file, plot, lambda line: typer.echo(line), sys.stderr.isatty())
+    return run_and_report(plan, pilot, replications, jobs, json_file, plot, lambda line: say(line), sys.stderr.isatty())
 
 
 def _check_files(json_file: Path | None, plot: Path | None) -> None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from bayes_body.cli.terminal import say, show
 from bayes_body.cli.track import LARGEST_SEED, check_range
 
 if TYPE_CHECKING:
@@ -43,29 +44,28 @@ def demo(
 
     folder, lines = free_folder(Path(FOLDER)) if out is None else out, list[str]()
     try:
-        found = demonstrate(folder, seed, QUICK if quick else WHOLE, typer.echo, lines.append, sys.stderr.isatty())
+        found = demonstrate(folder, seed, QUICK if quick else WHOLE, say, lines.append, sys.stderr.isatty())
         # The result is printed first, then the lines of the run.
-        typer.echo(f"result     {result_of(found.summary)}\n")
+        say(f"result     {result_of(found.summary)}\n")
         _table(found.summary)
-        typer.echo("")
+        say()
     finally:
         for line in lines:
-            typer.echo(line)
+            say(line)
     _where(found)
 
 
 def _table(summary: dict[str, Any]) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     table = Table("figure", "value", box=None, pad_edge=False)
     for key, what, form in ROWS:
         table.add_row(what, "-" if summary[key] is None else form.format(summary[key]))
-    Console(width=100).print(table)
+    show(table)
 
 
 def _where(found: "Demo") -> None:
-    typer.echo("")
+    say()
     for what, path in (("overlay", found.overlay), ("report", found.report), ("posterior", found.posterior), ("recording", found.recording)):
-        typer.echo(f"{what:<11}{path}")
-    typer.echo(f'open the report in a browser; in Python: xarray.open_datatree("{found.posterior}")')
+        say(f"{what:<11}{path}")
+    say(f'open the report in a browser; in Python: xarray.open_datatree("{found.posterior}")')

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from bayes_body.cli.terminal import say
 from bayes_body.cli.track import check_range
 from bayes_body.errors import input_error
 
@@ -45,17 +46,17 @@ def edge_statistics(
             found = images.at(wavelength, asked)
             learned.append((wavelength, fit(found[0], found[-1]), found[0]))
             compared.append([mean_log_density(each, learned[-1][1]) for each in (others.at(wavelength, asked) if others else found)])
-    typer.echo("\n".join(_table(wavelength, statistics) for wavelength, statistics, _ in learned))
+    say("\n".join(_table(wavelength, statistics) for wavelength, statistics, _ in learned))
     whose = "held-out recordings" if others else "training recordings"
-    typer.echo(f"# mean log-density per sample, nats, on the {whose}: on boundaries displaced by ... px, and elsewhere")
-    typer.echo("# wavelength px " + "".join(f"{by:8g}" for by in DISPLACED_PX) + "   elsewhere")
+    say(f"# mean log-density per sample, nats, on the {whose}: on boundaries displaced by ... px, and elsewhere")
+    say("# wavelength px " + "".join(f"{by:8g}" for by in DISPLACED_PX) + "   elsewhere")
     for (wavelength, *_), values in zip(learned, compared, strict=True):
-        typer.echo(f"# {wavelength:13g} " + "".join(f"{value:8.2f}" for value in values[:-1]) + f"{values[-1]:12.2f}")
+        say(f"# {wavelength:13g} " + "".join(f"{value:8.2f}" for value in values[:-1]) + f"{values[-1]:12.2f}")
     if plot is not None:
         from bayes_body.view.edge_plot import draw_edge_statistics
 
         draw_edge_statistics(plot, learned)
-        typer.echo(f"# {plot}")
+        say(f"# {plot}")
 
 
 def _table(wavelength: float, statistics: "EdgeStatistics") -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from bayes_body.cli.plugin_option import Plugins, own_terms
+from bayes_body.cli.terminal import say
 from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def export(
         motion = write(saved, check_format(to), file, fps=rate, up=axis, overwrite=overwrite, spread=spread)
         kernel = str(saved.kernel["kind"])
     for line in _report(motion, files_of(to, file, motion.moments), kernel):
-        typer.echo(line)
+        say(line)
 
 
 def _report(motion: "Motion", files: tuple[Path, ...], kernel: str) -> Iterator[str]:

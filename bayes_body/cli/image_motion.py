@@ -4,6 +4,7 @@ from pathlib import Path
 
 import typer
 
+from bayes_body.cli.terminal import say
 from bayes_body.cli.track import check_range
 
 
@@ -27,6 +28,6 @@ def image_motion(
         found = motion_noise(pairs)
         everything += pairs
         told = f"noise_grey {found.noise_grey:.2f}, outlier_share {found.outlier_share:.3f}, precision {found.precision:.3f}"
-        typer.echo(f"# {path.name}: {told}, {sum(pair.difference.size for pair in pairs):,} points")
+        say(f"# {path.name}: {told}, {sum(pair.difference.size for pair in pairs):,} points")
     found = motion_noise(everything)
-    typer.echo(f"noise_grey = {found.noise_grey:.2f}\noutlier_share = {found.outlier_share:.3f}\nprecision = {found.precision:.3f}")
+    say(f"noise_grey = {found.noise_grey:.2f}\noutlier_share = {found.outlier_share:.3f}\nprecision = {found.precision:.3f}")

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bayes_body.cli.terminal import say
 from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
@@ -194,10 +195,10 @@ def _import(importer: "Importer", source: Path, folder: Path, options: "Options"
         checked_definition(model)
     session, remarks = importer(source, folder, options)
     for remark in remarks:
-        typer.echo(f"note: {remark}")
+        say(f"note: {remark}")
     picture = draw_first_frame(session, model, folder / "check.png")
-    typer.echo(f"{size_of(session)}: {folder / FILE_NAME}")
-    typer.echo(f"Look at {picture}: the body should cover the person in every view, and the axes should stand where the world's origin is.")
+    say(f"{size_of(session)}: {folder / FILE_NAME}")
+    say(f"Look at {picture}: the body should cover the person in every view, and the axes should stand where the world's origin is.")
 
 
 def size_of(session: "Session") -> str:
@@ -220,6 +221,6 @@ def draw_first_frame(session: "Session", name: str, path: Path) -> Path:
 
         found = first_pose(model, session)
         for remark in found.remarks:
-            typer.echo(f"note: first pose: {remark}")
+            say(f"note: first pose: {remark}")
         model = apply_first_pose(model, session, found)
     return draw_check(session, model, path)

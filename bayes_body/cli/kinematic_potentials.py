@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from bayes_body.cli.learned_files import check_out, motion_files, portable
+from bayes_body.cli.terminal import say, show
 
 if TYPE_CHECKING:
     from bayes_body.body.schema import BodySchema
@@ -57,7 +58,7 @@ def kinematic_potentials(
     words = [*map(portable, motions), *own, *(word for path in test for word in ("--held-out", portable(path))), "--out", portable(out)]
     write_text(table, _told(joints, source, words, train, compared if test else [], results))
     _show(joints, f"{len(compared)} motions" + (" held out" if test else ", the same that were learned from"), *results)
-    typer.echo(f"{out}: {len(joints.parts)} joints, {components} components each, from {len(train)} motions of {_people(train)} people.")
+    say(f"{out}: {len(joints.parts)} joints, {components} components each, from {len(train)} motions of {_people(train)} people.")
 
 
 def _poses(paths: Sequence[Path], body: str, schema: "BodySchema", frames: int) -> "list[JointPoses]":
@@ -76,11 +77,8 @@ def _people(motions: "Sequence[JointPoses]") -> int:
 
 
 def _show(joints: "JointMixtures", what: str, mixture: "HeldOut", single: "HeldOut") -> None:
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console() if Console().is_terminal else Console(width=160)
-    console.print(f"log-density of {what}, nats a frame, mean of {len(mixture.subjects)} people", highlight=False)
     table = Table("joint", "mixture", "one Gaussian", "difference", "by person", box=None, pad_edge=False)
     for column in table.columns[1:]:
         column.justify = "right"
@@ -88,7 +86,7 @@ def _show(joints: "JointMixtures", what: str, mixture: "HeldOut", single: "HeldO
     for part, ours, other in [*rows, ("all", mixture.values.sum(axis=1), single.values.sum(axis=1))]:
         gain = ours - other
         table.add_row(part, f"{ours.mean():.2f}", f"{other.mean():.2f}", f"{gain.mean():.2f}", f"{gain.min():.2f} to {gain.max():.2f}")
-    console.print(table)
+    show(f"log-density of {what}, nats a frame, mean of {len(mixture.subjects)} people", table)
 
 
 def _told(

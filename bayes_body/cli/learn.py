@@ -13,6 +13,7 @@ from bayes_body.cli.learned_files import check_out, motion_files, portable
 from bayes_body.cli.likelihood_scale import likelihood_scale
 from bayes_body.cli.regions import regions
 from bayes_body.cli.smooth_motion import smooth_motion
+from bayes_body.cli.terminal import say
 from bayes_body.cli.walking_angles import walking_angles
 
 if TYPE_CHECKING:
@@ -49,13 +50,11 @@ def walking_cycle(
     motions = [(file.stem, read_motion(file)) for file in files]
     found = learn([(name, landmarks(motion), motion.fps) for name, motion in motions])
     for sentence in found.left_out:
-        typer.echo(sentence)
+        say(sentence)
     save_cycle(found.cycle, out)
     used = [file.stem for file in files if not any(sentence.startswith(f"{file.stem}:") for sentence in found.left_out)]
     write_text(table, _told(found, source, used, [*map(portable, walks), "--out", portable(out)]))
-    typer.echo(
-        f"{out}: {found.strides} strides of {', '.join(used)}, {len(found.cycle.modes)} modes explain {100 * found.explained:.0f} % of the variance."
-    )
+    say(f"{out}: {found.strides} strides of {', '.join(used)}, {len(found.cycle.modes)} modes explain {100 * found.explained:.0f} % of the variance.")
 
 
 def _told(found: "Learned", source: str, used: list[str], words: list[str]) -> str:

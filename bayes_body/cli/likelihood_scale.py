@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from bayes_body.cli.terminal import say
 from bayes_body.cli.track import LARGEST_SEED, check_range
 from bayes_body.errors import input_error
 
@@ -50,15 +51,13 @@ def likelihood_scale(
     found = _tried(sessions, definition, tried, kind, options, settings, json_file)
     of, coverage = pooled(found)
     for scale, share in zip(of, coverage, strict=True):
-        typer.echo(f"{'all':32} {scale:7g} {share:17.3f}")
+        say(f"{'all':32} {scale:7g} {share:17.3f}")
     chosen = choose_scale(of, coverage)
     if json_file is not None:
         _write(json_file, settings | {"trials": [trial._asdict() for trial in found], "coverage_90": coverage.tolist(), "precision": chosen})
     if coverage.max() < LEVEL:
-        typer.echo(
-            f"no scale reaches {LEVEL:.0%}: small ones are limited by the motion prior, large ones by the misfit; the largest of the best is used"
-        )
-    typer.echo(f"precision = {chosen:.3g}")
+        say(f"no scale reaches {LEVEL:.0%}: small ones are limited by the motion prior, large ones by the misfit; the largest of the best is used")
+    say(f"precision = {chosen:.3g}")
 
 
 def _tried(
@@ -74,10 +73,10 @@ def _tried(
     kernel, found = find("kernel", kind).build(options=options), []
     loaded = [load_session(path) for path in sessions]
     kept = ReplicationLog(None if out is None else out.with_name(out.name + SUFFIX), settings)
-    typer.echo(HEADINGS)
+    say(HEADINGS)
     watch = watched("recordings × scales", sys.stderr.isatty())
     for trial in trials(loaded, definition, scales, kernel, options.particles, settings["seed"], settings["frames"], kept, watch):
-        typer.echo(f"{trial.recording[:32]:32} {trial.scale:7g} {trial.coverage:17.3f} {trial.error_mm:9.1f} {trial.iou:8.3f} {trial.ess:6.0f}")
+        say(f"{trial.recording[:32]:32} {trial.scale:7g} {trial.coverage:17.3f} {trial.error_mm:9.1f} {trial.iou:8.3f} {trial.ess:6.0f}")
         found.append(trial)
     return found
 

@@ -5,16 +5,20 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import typer
 
 from bayes_body import __version__
 from bayes_body.cli import benchmark, check, demo, export, import_, learn, mocap, models, report, simulate, track
-from bayes_body.errors import FaultyFileError, InputError
+from bayes_body.cli.stopping import STOPPED, stoppable
+from bayes_body.cli.surroundings import fault_of_surroundings
+from bayes_body.cli.terminal import Guarded, complain, guarded, say
+from bayes_body.errors import FaultyFileError, InputError, input_error
 from bayes_body.files.read import check_native
 
-WRONG_INPUT, OUR_FAULT, INTERRUPTED = 2, 1, 130
+WRONG_INPUT, OUR_FAULT, OUTPUT_LOST = 2, 1, 1
 
 app = typer.Typer(
     help="Bayesian 3D human pose and motion, with honest uncertainty, from calibrated video.",
@@ -39,34 +43,66 @@ app.add_typer(models.app, name="models")
 @app.callback(invoke_without_command=True)
 def _common(version: bool = typer.Option(False, "--version", help="Print the version and exit.")) -> None:
     if version:
-        typer.echo(f"bayes-body {__version__}")
+        say(f"bayes-body {__version__}")
         raise typer.Exit
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its status."""
+    with guarded() as (output, _), stoppable():
+        status = _status(sys.argv[1:] if arguments is None else list(arguments))
+        status = _told(output) if output.error and not status else status
+    sys.exit(status)
+
+
+def _status(arguments: list[str]) -> int:
+    """Run a command and return its exit status."""
     try:
+        _check_given(arguments)
         # Libraries that read and write files would crash on other paths, some of them after hours of tracking.
-        for argument in (".", *(sys.argv[1:] if arguments is None else arguments)):
+        for argument in (".", *arguments):
             check_native(Path(argument))
-        app(args=list(arguments) if arguments is not None else None)
-    except InputError as error:
-        for sentence in error.sentences if isinstance(error, FaultyFileError) else [str(error)]:
-            typer.secho(f"bayes-body: {sentence}", err=True, fg="red")
-        sys.exit(WRONG_INPUT)
+        app(args=arguments)
     except SystemExit as stopped:
-        # On an interruption, typer exits with this status and prints nothing.
-        if stopped.code == INTERRUPTED:
-            typer.secho("bayes-body: interrupted.", err=True, fg="red")
-        raise
+        if stopped.code in STOPPED:
+            complain(f"{STOPPED[stopped.code]}.")
+        return stopped.code if isinstance(stopped.code, int) else 0
     except Exception as error:
-        typer.secho(f"bayes-body: {_internal(error)}", err=True, fg="red")
-        sys.exit(OUR_FAULT)
+        known = error if isinstance(error, InputError) else fault_of_surroundings(error)
+        if known is None:
+            complain(_internal(error))
+            return OUR_FAULT
+        for sentence in known.sentences if isinstance(known, FaultyFileError) else [str(known)]:
+            complain(sentence)
+        return WRONG_INPUT
+    return 0
+
+
+def _check_given(arguments: list[str]) -> None:
+    """Refuse an empty argument: as a path it would be the current folder.
+
+    Raises:
+        InputError: there is one.
+    """
+    for before, text in pairwise(["", *arguments]):
+        name, equals, value = text.partition("=")
+        if not text or (name.startswith("--") and equals and not value):
+            where = name or (before if before.startswith("--") else "an argument")
+            raise input_error(where, "empty", "a name, a path or a number", "give it, or leave it out")
+
+
+def _told(output: Guarded) -> int:
+    """Say that standard output was lost, and return the status; a stream that was closed on purpose is no fault."""
+    reason = output.error and output.error.strerror
+    if not reason:
+        return 0
+    complain(f"standard output cannot be written ({reason}), what was printed is lost; files that the command writes are complete.")
+    return OUTPUT_LOST
 
 
 def _internal(error: Exception) -> str:
     handle, path = tempfile.mkstemp(prefix="bayes-body-", suffix=".log")
-    with os.fdopen(handle, "w") as log:
+    with os.fdopen(handle, "w", errors="backslashreplace") as log:
         log.write("".join(traceback.format_exception(error)))
     return f"an internal error, {type(error).__name__}: {error}; this is a bug in the program: report it with the details in {path}."
 

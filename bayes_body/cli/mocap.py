@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from bayes_body.cli.terminal import say, show
 from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def mocap(
         found = retarget(build_body(body, schema, Shape(height)), motion, fit_lengths=not keep_lengths, schema=schema)
     _write(out, found, landmarks(motion), motion.fps)
     _tell(found, motion.fps)
-    typer.echo(f"{out}: {len(found.angles)} frames.")
+    say(f"{out}: {len(found.angles)} frames.")
 
 
 def _check(out: Path, height: float | None, overwrite: bool) -> None:
@@ -82,22 +83,18 @@ def _write(out: Path, found: "Retargeted", points: "dict[str, np.ndarray]", fps:
 
 
 def _tell(found: "Retargeted", fps: float) -> None:
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console() if Console().is_terminal else Console(width=160)
     way = "the motion's own angles: its skeleton is the body's" if found.exact else "fitted to the motion's points"
-    console.print(f"{len(found.body.dof_names)} dofs of {found.body.name}, {len(found.angles)} frames at {fps:g} a second, {way}", highlight=False)
+    say(f"{len(found.body.dof_names)} dofs of {found.body.name}, {len(found.angles)} frames at {fps:g} a second, {way}")
     table = Table("marker", "mean mm", "95 % mm", "max mm", box=None, pad_edge=False)
     for column in table.columns[1:]:
         column.justify = "right"
     for name in (*found.marker_names, None):
         residual = found.residual(name)
         table.add_row("all" if name is None else name, *(f"{value:.1f}" for value in residual))
-    console.print(table)
+    show(table)
     if found.lengths_m:
-        console.print(
-            "lengths: " + ", ".join(f"{name} {length:.3f}" for name, length in found.lengths_m.items()) + " m", highlight=False, soft_wrap=True
-        )
+        say("lengths: " + ", ".join(f"{name} {length:.3f}" for name, length in found.lengths_m.items()) + " m")
     for remark in found.remarks:
-        console.print(remark, style="yellow", highlight=False, soft_wrap=True)
+        say(remark)

@@ -3,11 +3,11 @@
 from typing import TYPE_CHECKING, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 from typer.core import TyperGroup
 
 from bayes_body.cli.plugin_option import Plugins, own_terms
+from bayes_body.cli.terminal import say, show
 
 if TYPE_CHECKING:
     from bayes_body.model.definition import Definition
@@ -38,10 +38,7 @@ def list_models() -> None:
     for name in definition_names():
         definition = load_definition(name)
         table.add_row(name, str(configuration_space(body_of(definition)).dimension), definition.kernel.kind, definition.title)
-    # Console() alone would wrap piped output to 80 columns.
-    console = Console() if Console().is_terminal else Console(width=160)
-    console.print(table)
-    console.print(f"The files are in {definitions_folder()}; copy one to make your own.", highlight=False, soft_wrap=True)
+    show(table, f"The files are in {definitions_folder()}; copy one to make your own.")
 
 
 @app.command()
@@ -50,7 +47,7 @@ def check(file: str = typer.Argument(help="A definition's name or the path of yo
     with own_terms(plugin):
         definition = checked_definition(file)
     terms = ", ".join(term.kind for term in (*definition.likelihoods, *definition.constraints))
-    typer.echo(f"{file}: valid: {definition.title} (body {definition.body_name}; {definition.dynamics.kind}; {terms}; {definition.kernel.kind}).")
+    say(f"{file}: valid: {definition.title} (body {definition.body_name}; {definition.dynamics.kind}; {terms}; {definition.kernel.kind}).")
 
 
 def checked_definition(name: str) -> "Definition":

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import typer
 
+from bayes_body.cli.terminal import say
 from bayes_body.cli.track import check_range
 
 
@@ -26,6 +27,6 @@ def regions(
         sums = list(region_sums(load_session(path), definition, frames))
         found = region_statistics(sums)
         everything += sums
-        typer.echo(f"# {path.name}: inside {found.inside:.3f}, band {found.band:.3f}, E² on sides {found.on_sides:.2f}, nearby {found.nearby:.2f}")
+        say(f"# {path.name}: inside {found.inside:.3f}, band {found.band:.3f}, E² on sides {found.on_sides:.2f}, nearby {found.nearby:.2f}")
     found = region_statistics(everything)
-    typer.echo(f"[likelihood.observation]\ninside = {found.inside:.2f}\nband = {found.band:.2f}\nedge_elsewhere = {found.edge_elsewhere:.2f}")
+    say(f"[likelihood.observation]\ninside = {found.inside:.2f}\nband = {found.band:.2f}\nedge_elsewhere = {found.edge_elsewhere:.2f}")

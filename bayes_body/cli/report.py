@@ -6,11 +6,13 @@ from pathlib import Path
 import typer
 
 from bayes_body.cli.plugin_option import Plugins, own_terms
+from bayes_body.cli.terminal import say
 
 
 def report(
     run: Path = typer.Argument(help="Folder of a run made by `bayes-body track`."),
     out: Path | None = typer.Option(None, "--out", help="The file; report.html in the run's folder by default."),
+    overwrite: bool = typer.Option(False, "--overwrite", help="Replace an existing file even if it is not a report of this program."),
     plugin: Plugins = None,
 ) -> None:
     """Write one HTML file that opens without a network: figures, pictures, joint angles, diagnostics, and how the run was made."""
@@ -25,5 +27,5 @@ def report(
     with own_terms(plugin), load_run(run) as saved:
         # Checked here, because otherwise everything that needs the model would silently be missing from the page.
         check_plugins(saved.folder, saved.plugins)
-        path = write_report(saved, out, watched("report", sys.stderr.isatty()))
-    typer.echo(f"{path}: {path.stat().st_size / 1e6:.1f} MB; open it in a browser.")
+        path = write_report(saved, out, watched("report", sys.stderr.isatty()), overwrite)
+    say(f"{path}: {path.stat().st_size / 1e6:.1f} MB; open it in a browser.")

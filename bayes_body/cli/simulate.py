@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import typer
 
+from bayes_body.cli.terminal import say
 from bayes_body.errors import InputError, nearest
 
 if TYPE_CHECKING:
@@ -108,9 +109,9 @@ def simulate(
     title = f"{Path(mocap).stem}, simulated with {chosen.name}"
     session, remarks = film(landmarks, chosen, person, options, out, title=title, truth=truth, watch=watched("filming"))
     for remark in remarks:
-        typer.echo(f"note: {remark}")
+        say(f"note: {remark}")
     _draw(session, out)
-    typer.echo(f"{size_of(session)}, a person of {person.build.height_m:.2f} m: {out / 'session.toml'}")
+    say(f"{size_of(session)}, a person of {person.build.height_m:.2f} m: {out / 'session.toml'}")
 
 
 def _quality(text: str | None) -> Literal["good", "poor"] | None:
@@ -168,9 +169,9 @@ def _angles(name: str, landmarks: "Landmarks", fps: float) -> dict[str, "np.ndar
     with waiting(f"fitting {name} to the motion"):
         found = retarget(build_body(name, schema), landmarks, fps, schema=schema)
     residual = found.residual()
-    typer.echo(f"{name} follows the motion to within {residual.mean_mm:.0f} mm on average, {residual.most_mm:.0f} mm for 95 % of its markers.")
+    say(f"{name} follows the motion to within {residual.mean_mm:.0f} mm on average, {residual.most_mm:.0f} mm for 95 % of its markers.")
     for remark in found.remarks:
-        typer.echo(f"note: {remark}.")
+        say(f"note: {remark}.")
     lengths = list(found.lengths_m.items())
     return {
         "angles": found.angles,
@@ -185,4 +186,4 @@ def _draw(session: "Session", folder: Path) -> None:
     from bayes_body.cli.import_ import DEFAULT_MODEL, draw_first_frame
 
     picture = draw_first_frame(session, DEFAULT_MODEL, folder / "check.png")
-    typer.echo(f"Look at {picture}: the fitted body should cover the person in every view.")
+    say(f"Look at {picture}: the fitted body should cover the person in every view.")

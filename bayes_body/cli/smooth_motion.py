@@ -5,6 +5,7 @@ from pathlib import Path
 import typer
 
 from bayes_body.cli.learned_files import motion_files
+from bayes_body.cli.terminal import say
 
 
 def smooth_motion(
@@ -26,8 +27,8 @@ def smooth_motion(
     files = [file for path in motions for file in motion_files(path)]
     tracks = [track_of(files[k].resolve().parent.name, read_motion(files[k]), body, schema) for k in watched("retargeting")(range(len(files)))]
     found = smooth_noise(tracks, body, schema)
-    typer.echo(f"at_fps = {FPS:g}")
+    say(f"at_fps = {FPS:g}")
     for name, values in (("sd", found.pose), ("velocity_sd", found.velocity)):
         for unit, ending, factor in (("m", "m", 1.0), ("rad", "deg", math.degrees(1.0))):
             rows = [f'"{pattern}" = {factor * value:.2g}' for pattern, value in values.items() if found.units[pattern] == unit]
-            typer.echo("\n".join(["", f"[dynamics.{name}_{ending}]", *rows]))
+            say("\n".join(["", f"[dynamics.{name}_{ending}]", *rows]))

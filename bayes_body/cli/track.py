@@ -9,6 +9,7 @@ import typer
 
 from bayes_body.cli.arguments import setting
 from bayes_body.cli.plugin_option import Plugins, own_terms
+from bayes_body.cli.terminal import say
 from bayes_body.errors import InputError, input_error
 
 # The largest seed of a JAX key without 64-bit arrays.
@@ -71,10 +72,10 @@ def track(
     if init not in (None, GIVEN, AUTO):
         raise input_error("--init", f"'{init}'", f"{GIVEN} or {AUTO}", "give one of them")
     overrides = {name: value for name, value in (counts | {"move": move}).items() if value is not None}
-    overrides |= dict(_setting(text) for text in settings)
+    overrides = _with_settings(overrides, settings)
     folder = out or _free_run(session, resume)
     if out is None:
-        typer.echo(f"run        {folder}")
+        say(f"run        {folder}")
     asked = Settings(session, folder, model, kernel, overrides, runs, frames, seed, init, recover, resume)
     with own_terms(plugin):
         if resume and (folder / RUN_FILE).exists():
@@ -82,8 +83,8 @@ def track(
             read_run_file(folder)
         if model is not None:
             checked_definition(model)
-        run(asked, show=lambda line: typer.echo(line), bar=sys.stderr.isatty())
-    typer.echo(f"{folder}: posterior.nc, summary.json, overlay.mp4, overlay/, frames/, run.toml")
+        run(asked, show=lambda line: say(line), bar=sys.stderr.isatty())
+    say(f"{folder}: posterior.nc, summary.json, overlay.mp4, overlay/, frames/, run.toml")
 
 
 def _free_run(session: Path, resume: bool) -> Path:
@@ -98,11 +99,22 @@ def _free_run(session: Path, resume: bool) -> Path:
     return free_folder(folder.with_name(f"{folder.name}_run"))
 
 
-def _setting(text: str) -> tuple[str, Any]:
-    try:
-        return setting(text)
-    except ArgumentTypeError as error:
-        raise InputError(f"--set: {error}") from None
+def _with_settings(overrides: dict[str, Any], texts: list[str]) -> dict[str, Any]:
+    """Return the options of the kernel with those that --set gives.
+
+    Raises:
+        InputError: a text has another form, or an option is given twice.
+    """
+    given = dict(overrides)
+    for text in texts:
+        try:
+            name, value = setting(text)
+        except ArgumentTypeError as error:
+            raise InputError(f"--set: {error}") from None
+        if name in given:
+            raise input_error(f"--set {text}", f"{name} is given already, {given[name]}", "one value for each option", "leave one of them out")
+        given[name] = value
+    return given
 
 
 def _frames_of(folder: Path, wanted: int | None) -> int:
@@ -115,7 +127,7 @@ def _frames_of(folder: Path, wanted: int | None) -> int:
         raise input_error(folder, found, "the folder of a session", "check the path, or make a session with `bayes-body import`")
     session = load_session(folder)
     for remark in check_session(session, wanted):
-        typer.echo(f"note: {remark}")
+        say(f"note: {remark}")
     return session.frames
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from bayes_body.cli.learned_files import check_out, motion_files, portable
+from bayes_body.cli.terminal import say
 
 if TYPE_CHECKING:
     from bayes_body.learning.walking_angles import LearnedAngles
@@ -38,7 +39,7 @@ def walking_angles(
     motions = [(file, read_motion(file)) for file in files]
     faults = {file: unusable(file.stem, motion) for file, motion in motions}
     for sentence in filter(None, faults.values()):
-        typer.echo(sentence)
+        say(sentence)
     usable = [(file, motion) for file, motion in motions if not faults[file]]
     each = watched("retargeting")(range(len(usable)))
     found = learn_angles(
@@ -49,7 +50,7 @@ def walking_angles(
     write_text(table, _told(found, source, [*map(portable, walks), *own, "--out", portable(out)]))
     people = len({file.resolve().parent for file, _ in usable})
     share = 100 * found.cycle.explained
-    typer.echo(
+    say(
         f"{out}: {found.strides} strides of {people} people in {len(usable)} walks, "
         f"{len(found.cycle.modes)} modes explain {share:.0f} % of the variance."
     )

@@ -4,14 +4,15 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from bayes_body.errors import InputError, input_error, nearest
+from bayes_body.errors import InputError, nearest
 from bayes_body.export.bvh import write_bvh
 from bayes_body.export.c3d import write_c3d
 from bayes_body.export.csv import write_csv
 from bayes_body.export.motion import MODE_SEEKER_MOMENTS, Axis, Motion, read_motion
 from bayes_body.export.npz import write_npz
 from bayes_body.export.trc import trc_files, write_trc
-from bayes_body.files.atomic import make_folder, refused
+from bayes_body.files.atomic import make_folder
+from bayes_body.files.existing import check_free
 from bayes_body.posterior.moments import Moments
 from bayes_body.storage.saved_run import SavedRun
 
@@ -55,20 +56,8 @@ def export(
     """
     writer = partial(write_c3d, spread=spread) if check_format(name) == "c3d" else WRITERS[name]
     for file in files_of(name, out, MODE_SEEKER_MOMENTS if run.mode_seeker else Moments._fields):
-        _check_free(file, overwrite)
+        check_free(file, overwrite)
     make_folder(out.parent)
     motion = read_motion(run, fps, up or USUAL_UP.get(name))
     writer(motion, out)
     return motion
-
-
-def _check_free(file: Path, overwrite: bool) -> None:
-    try:
-        folder, there = file.is_dir(), file.exists()
-    # For example, the name is too long.
-    except OSError as error:
-        raise refused(file, "written", error) from None
-    if folder:
-        raise input_error(file, "a folder", "the name of a file", "name a file in it with --out")
-    if there and not overwrite:
-        raise input_error(file, "already exists", "a file that does not exist yet", "name another with --out, or replace it with --overwrite")

@@ -226,8 +226,10 @@ def _initial_pose(session: Session, body: Body, definition: Definition) -> Pose:
     values = np.array([session.initial.get(name, default) for name, default in zip(body.dof_names, middle, strict=True)])
     for name, value, least, most in zip(body.dof_names, values, low, high, strict=True):
         if not least <= value <= most:
-            unit = "rad" if name in _angles(body) else "m"
-            found, expected = f"{value:.4g} {unit}", f"a value between {least:.4g} and {most:.4g} {unit}, the limits of the body '{body.name}'"
+            # In the units of the session's file.
+            unit, factor = ("degrees", 180 / np.pi) if name in _angles(body) else ("m", 1.0)
+            found, limits = f"{factor * value:.4g} {unit}", f"{factor * least:.4g} and {factor * most:.4g} {unit}"
+            expected = f"a value between {limits}, the limits of the body '{body.name}'"
             raise input_error(
                 f"session.toml: initial: '{name}'", found, expected, "correct the initial pose, or widen the limits in your own body file"
             )

@@ -12,7 +12,7 @@ from typing import Any
 
 import jax
 
-from bayes_body.errors import input_error
+from bayes_body.errors import InputError, input_error
 from bayes_body.files.atomic import remove_partial, write_text
 from bayes_body.files.lock import locked
 from bayes_body.initial import (
@@ -40,6 +40,7 @@ from bayes_body.runs.frame_pairs import check_pairs
 from bayes_body.runs.model_choice import choose_model
 from bayes_body.runs.recovery import PersonRecovery
 from bayes_body.runs.settings import AUTO, GIVEN, Record, Settings, choose, stored_record
+from bayes_body.runs.size import check_size
 from bayes_body.session.read import load_session
 from bayes_body.session.session import Session
 from bayes_body.storage import FrameFiles
@@ -52,8 +53,9 @@ from bayes_body.tracking.draws import Draws
 from bayes_body.tracking.program import compiled_ahead
 from bayes_body.tracking.track import track
 from bayes_body.view.figures_text import figures_text, warning_line
-from bayes_body.view.overlay import draw_overlay
+from bayes_body.view.overlay import VIDEO, draw_overlay
 from bayes_body.view.progress import progress_bar, waiting, watched
+from bayes_body.view.video import playing_rate
 
 # Kernels whose runs recover from a loss unless the user says otherwise.
 RECOVERING = ("particle_bp",)
@@ -85,6 +87,7 @@ def _run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
     definition = load_definition(name)
     kind, options = kernel_options(definition, chosen.kernel, settings.overrides, (before or {}).get("kernel"))
     term, model = find("kernel", kind), build_model(definition, session)
+    check_size(model, options.model_dump(), chosen.runs)
     # Everything that a user can correct is checked before the program is compiled.
     if chosen.init == GIVEN:
         session = with_first_keypoints(model, session)
@@ -193,13 +196,25 @@ def _finish(
         summary["warnings"] = [*fit_sentences(summary), *remarks, *warnings]
         write_text(out / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
         results.add(SUMMARY_FILE)
-    if not results.is_drawn():
-        _, *stills = draw_overlay(session, draws, out, watched("pictures", bar))
-        results.add_pictures(stills)
+    _draw(session, draws, results, show, bar)
     show(figures_text(summary))
     for sentence in summary["warnings"]:
         show(warning_line(sentence))
     return summary
+
+
+def _draw(session: Session, draws: Draws, results: Results, show: Show, bar: bool) -> None:
+    """Draw the pictures, unless they exist. The run is complete without them: if they cannot be made, a note says why."""
+    if results.is_drawn():
+        return
+    try:
+        _, *stills = draw_overlay(session, draws, results.folder, watched("pictures", bar))
+        results.add_pictures(stills)
+    except InputError as error:
+        show(f"note: no overlay: {error} The run is complete; the same command with --resume tries again to draw it.")
+        return
+    if (rate := playing_rate(session.fps)) != session.fps:
+        show(f"note: {VIDEO} plays {rate:g} frames a second: players do not show the session's {session.fps:g}.")
 
 
 def _diagnosed(results: Results, bar: bool) -> tuple[dict[str, Any], list[str]]:

@@ -4,8 +4,8 @@ The posterior mean is a translucent body with an outline (left side blue, right 
 they spread where the posterior is wide.
 """
 
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import cv2
@@ -14,6 +14,7 @@ from cv2.typing import MatLike
 from jaxtyping import Float, Int
 
 from bayes_body.body.space import configuration_space
+from bayes_body.errors import input_error
 from bayes_body.files.atomic import make_folder, remove_partial, replacing
 from bayes_body.model.build import Model
 from bayes_body.observation.pictures import read_colour
@@ -31,6 +32,8 @@ LEFT, RIGHT, MIDDLE, INK = (255, 160, 40), (30, 130, 255), (90, 220, 60), (255, 
 INSIDE, MEAN, DRAW, LIGHTER = 0.15, 0.75, 0.3, 0.55
 VIDEO = "overlay.mp4"
 FAN = 20
+# Pixels of a whole image that is scaled to a tile; only a camera of an odd shape is wider.
+WIDEST = 4 * TILE_HEIGHT
 STILLS = 5
 
 
@@ -52,14 +55,14 @@ def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = un
     space, runs = configuration_space(draws.model.body), np.full(draws.runs, 1 / draws.runs)
     means = np.stack([np.asarray(space.mean(runs, mean_pose(result, draws.model))) for result in draws.frames])
     windows = person_windows(session, draws.model, means)
-    with replacing(folder / VIDEO) as partial, ExitStack() as video:
+    with drawable(folder / VIDEO), replacing(folder / VIDEO) as partial, ExitStack() as video:
         write = None
         for index in watch(range(frames)):
             picture = mosaic(session, draws.model, index, means[index], _fan(draws.frames[index], index, draws.model.body.variable), windows)
             write = write or video.enter_context(h264_video(partial, session.fps, (picture.shape[1], picture.shape[0])))
             write(picture)
             if index in stills:
-                _write(stills[index], picture)
+                write_png(stills[index], picture)
     return [folder / VIDEO, *stills.values()]
 
 
@@ -147,11 +150,14 @@ def colour(part: str) -> tuple[int, int, int]:
 
 
 def fit(picture: MatLike) -> MatLike:
-    """Return the picture scaled to the height of a tile."""
+    """Return the picture scaled to the height of a tile; a very wide one to WIDEST pixels, with empty room below it."""
     height, width = picture.shape[:2]
-    if height == TILE_HEIGHT:
+    if height == TILE_HEIGHT and width <= WIDEST:
         return picture
-    return cv2.resize(picture, (round(width * TILE_HEIGHT / height), TILE_HEIGHT), interpolation=cv2.INTER_AREA)
+    scale = min(TILE_HEIGHT / height, WIDEST / width)
+    size = max(round(width * scale), 1), min(max(round(height * scale), 1), TILE_HEIGHT)
+    scaled = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    return cv2.copyMakeBorder(scaled, 0, TILE_HEIGHT - size[1], 0, 0, cv2.BORDER_CONSTANT, value=(EMPTY,) * 3)
 
 
 def label(picture: MatLike, text: str) -> MatLike:
@@ -162,7 +168,22 @@ def label(picture: MatLike, text: str) -> MatLike:
     return picture
 
 
-def _write(path: Path, picture: MatLike) -> None:
+def write_png(path: Path, picture: MatLike) -> None:
+    """Write a picture, completely or not at all.
+
+    Raises:
+        InputError: the picture is too large for the format, or the file system refuses the file.
+    """
     # Encoded in memory, because OpenCV writes truncated files to a full disk without an error.
-    with replacing(path) as partial:
+    with drawable(path), replacing(path) as partial:
         partial.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+
+
+@contextmanager
+def drawable(path: Path) -> Iterator[None]:
+    """Within it, what OpenCV refuses to draw or to encode, such as a picture that is too large, is an InputError about `path`."""
+    try:
+        yield
+    except cv2.error as error:
+        found = f"cannot be drawn ({error.err or 'OpenCV refuses it'})"
+        raise input_error(path, found, "cameras whose pictures OpenCV can draw", "check the cameras' size_px") from None

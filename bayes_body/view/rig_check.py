@@ -9,13 +9,12 @@ import numpy as np
 from cv2.typing import MatLike
 from jaxtyping import Bool, Float
 
-from bayes_body.errors import input_error
 from bayes_body.files.atomic import make_folder
 from bayes_body.geometry.camera import Camera, project
 from bayes_body.model.build import Model
 from bayes_body.observation.frames import read_frame
 from bayes_body.session.session import Session
-from bayes_body.view.overlay import backdrop, fit, label, paint
+from bayes_body.view.overlay import backdrop, fit, label, paint, write_png
 from bayes_body.view.silhouette import intersection_over_union, outlines, projected_masks
 from bayes_body.view.windows import grid
 
@@ -53,8 +52,7 @@ def draw_check(session: Session, model: Model, path: Path) -> Path:
             note = f"\nIoU with its mask {intersection_over_union(silhouettes[c], mask):.2f}{note}"
         tiles.append(label(fit(picture), f"{view.camera.name}{note}"))
     make_folder(path.parent)
-    if not cv2.imwrite(str(path), grid(tiles)):
-        raise input_error(path, "cannot be written", "a folder that can be written", "check its permissions and free space")
+    write_png(path, grid(tiles))
     return path
 
 

@@ -8,12 +8,14 @@ from pathlib import Path
 import av
 import numpy as np
 from av.container import OutputContainer
-from av.error import FFmpegError
+from av.error import ExternalError, FFmpegError
 from av.video.stream import VideoStream
 from cv2.typing import MatLike
 
 from bayes_body.errors import input_error
 
+# Slowest and fastest rate of a video, frames a second. Players show nothing useful outside of them, and far outside encoders fail.
+SLOWEST, FASTEST = 0.1, 1000.0
 # Options of x264: speed of the encoder, and quality (lower is better; at 18 no difference from the original is visible).
 PRESET, QUALITY = "veryfast", 21
 
@@ -24,22 +26,26 @@ def h264_video(path: Path, fps: float, size_px: tuple[int, int]) -> Iterator[Cal
 
     Args:
         path: the video's file.
-        fps: frames a second.
+        fps: frames a second; the video's are those of `playing_rate`.
         size_px: (width, height), both even.
 
     Raises:
-        InputError: the video cannot be written.
+        InputError: the encoder refuses the size, or the file system refuses the file.
     """
     try:
         # The index comes first, so that a browser can play the video while it loads.
         with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
-            stream = _stream(container, fps, size_px)
+            stream = _stream(container, playing_rate(fps), size_px)
 
             def write(picture: MatLike) -> None:
                 container.mux(stream.encode(av.VideoFrame.from_ndarray(np.asarray(picture, np.uint8), format="bgr24")))
 
             yield write
             container.mux(stream.encode())
+    except ExternalError:
+        # The encoder's own error, not one of the file system.
+        found = f"the encoder refuses {size_px[0]} x {size_px[1]} pixels"
+        raise input_error(path, found, "a picture of at most 16384 pixels in width and height", "use fewer cameras, or read posterior.nc") from None
     except FFmpegError as error:
         found = f"cannot be written as a video ({error.strerror})"
         raise input_error(path, found, "a folder that can be written, with enough free space", "check its permissions and free space") from None
@@ -50,3 +56,8 @@ def _stream(container: OutputContainer, fps: float, size_px: tuple[int, int]) ->
     stream.width, stream.height = size_px
     stream.pix_fmt = "yuv420p"
     return stream
+
+
+def playing_rate(fps: float) -> float:
+    """Return the rate at which a video of that rate plays: the nearest one from SLOWEST to FASTEST."""
+    return min(max(fps, SLOWEST), FASTEST)

@@ -24,6 +24,8 @@ EMPTY = 30
 MARGIN = 0.15
 # Standard deviation of the smoothing of the centre, seconds.
 SMOOTHING_S = 0.3
+# The same in frames, at most: the smoothing takes memory for each of them.
+MOST_SMOOTHING = 1000
 # Narrowest and widest shape, width / height; and the largest zoom, tile pixels per image pixel. Instead of more zoom, a window shows more of the
 # scene.
 SHAPES, MOST_ZOOM = (0.6, 1.6), 3.0
@@ -99,7 +101,7 @@ def _followed(
     middles = boxes[seen].mean(axis=1)
     frames = np.arange(len(boxes))
     followed = np.stack([np.interp(frames, seen, middles[:, axis]) for axis in range(2)], axis=1)
-    centres = gaussian_filter1d(followed, SMOOTHING_S * fps, axis=0, mode="nearest")
+    centres = gaussian_filter1d(followed, min(SMOOTHING_S * fps, MOST_SMOOTHING), axis=0, mode="nearest")
     reach = np.maximum(boxes[seen, 1] - centres[seen], centres[seen] - boxes[seen, 0]).max(axis=0)
     return centres, np.minimum(2 * (reach + MARGIN * 2 * reach.max()), image)
 

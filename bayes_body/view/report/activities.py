@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.dynamics.activity_arrays import BELIEF
+from bayes_body.errors import escaped
 from bayes_body.posterior.blocks import weights_of_runs
 from bayes_body.view.report.figures import draw_runs, encoded, frame_label, frames_a_point, new_panel
 from bayes_body.view.report.inspection import Inspection
@@ -20,7 +21,7 @@ def activity_details(it: Inspection) -> Markup | None:
     if BELIEF not in posterior or it.diagnosis.mode_seeker:
         return None
     belief = posterior[BELIEF]
-    labels = [str(name).rpartition("_")[0] for name in belief.coords[str(belief.dims[-1])].values]
+    labels = [escaped(str(name)).rpartition("_")[0] for name in belief.coords[str(belief.dims[-1])].values]
     if len(set(labels)) < 2:
         return None
     frames = np.arange(0, it.run.frames, frames_a_point(it.run.frames))

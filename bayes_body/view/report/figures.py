@@ -53,6 +53,8 @@ STYLE: Any = {
     "savefig.transparent": True,
     # Makes the page reproducible: the same run gives the same page.
     "svg.hashsalt": "bayes_body",
+    # A dollar sign in a name is one, not the beginning of a formula.
+    "text.parse_math": False,
     "xtick.labelsize": 8.5,
     "ytick.labelsize": 8.5,
 }
@@ -88,9 +90,12 @@ def set_margins(figure: "Figure", left: float = MARGINS[0], right: float = MARGI
 
 def log_counts(axes: "Axes", most: int) -> None:
     """Set a logarithmic scale for counts from 1 to `most`, with numbers written out."""
+    from matplotlib.ticker import NullFormatter
+
     axes.set_yscale("log")
     axes.set_ylim(0.8, most * 1.3)
     axes.yaxis.set_major_formatter("{x:,.0f}")
+    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def log_values(axes: "Axes") -> None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 
+from bayes_body.errors import escaped
 from bayes_body.view.report.figures import (
     INK,
     LEGEND,
@@ -177,6 +178,7 @@ def _stretches(seen: Bool[np.ndarray, " frame"]) -> list[tuple[float, float]]:
 
 
 def _short(name: str) -> str:
+    name = escaped(name)
     return name if len(name) <= 9 else f"{name[:8]}…"
 
 

@@ -3,6 +3,8 @@
 import re
 from collections.abc import Mapping, Sequence
 
+from bayes_body.errors import escaped
+
 SIDES = {"l": "left", "r": "right"}
 # Words in the names of joints. Joints with other names are grouped under OTHER.
 LIMBS = {
@@ -31,8 +33,8 @@ def limb(dof: str) -> str:
 
 
 def spoken(dof: str) -> str:
-    """Return the readable name of a dof: `left hip y` for `l_hip_y`."""
-    side, joint = _side(dof)
+    """Return the readable name of a dof or part: `left hip y` for `l_hip_y`. It is one line, which a plot can show."""
+    side, joint = _side(escaped(dof))
     return f"{side} {joint}".strip().replace("_", " ")
 
 

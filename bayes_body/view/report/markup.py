@@ -1,12 +1,14 @@
 """Build HTML from plain text. Text from a file or a user is escaped when it is added, so that all markup on the page comes from this package.
 
-A number and its unit stay on one line: the space between them is a non-breaking space.
+Control characters are escaped as on a terminal. A number and its unit stay on one line: the space between them is a non-breaking space.
 """
 
 import re
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import NamedTuple
+
+from bayes_body.errors import printable
 
 UNITS = re.compile(r"(?<=\d) (?=(?:%|°|mm|m|px|ms|s|kB|MB|nats)(?!\w))")
 
@@ -40,11 +42,11 @@ def tag(name: str, *content: str, **attributes: str) -> Markup:
 
 
 def _escaped(text: str) -> Markup:
-    return text if isinstance(text, Markup) else Markup(UNITS.sub("\u00a0", escape(text)))
+    return text if isinstance(text, Markup) else Markup(UNITS.sub("\u00a0", escape(printable(text))))
 
 
 def _attributes(attributes: dict[str, str]) -> str:
-    return "".join(f' {key.rstrip("_")}="{escape(value)}"' for key, value in attributes.items())
+    return "".join(f' {key.rstrip("_")}="{escape(printable(value))}"' for key, value in attributes.items())
 
 
 def joined(parts: Iterable[str]) -> Markup:

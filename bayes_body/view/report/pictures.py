@@ -51,10 +51,18 @@ def picture_section(folder: Path, quality: Quality | None) -> Markup:
 
 def _stills(folder: Path, quality: Quality) -> Iterator[Picture]:
     for path in sorted(folder.glob("frame_*.png")):
-        image = None if path.is_symlink() or not path.is_file() else cv2.imread(str(path))
+        image = _read(path)
         if image is not None:
             name = path.stem.removeprefix("frame_").lstrip("0") or "0"
             yield _picture(_still_uri(image, quality), f"Frame {name}: the recording with the posterior drawn over it.", f"Frame {name}")
+
+
+def _read(path: Path) -> MatLike | None:
+    """Return the picture; None if it is a link, cannot be read, or is larger than OpenCV reads."""
+    try:
+        return None if path.is_symlink() or not path.is_file() else cv2.imread(str(path))
+    except cv2.error:
+        return None
 
 
 def _picture(uri: str, alt: str, caption: str, still: str | None = None) -> Picture:

@@ -1,0 +1,48 @@
+"""Errors that come from the surroundings of the program, not from a fault in it: files, the current folder, the memory, the platform of JAX."""
+
+import os
+import sys
+from pathlib import Path
+
+from bayes_body.errors import InputError, input_error
+
+
+def fault_of_surroundings(error: Exception) -> InputError | None:
+    """Return the sentence about an error that the surroundings explain; None if it is a fault of the program."""
+    if isinstance(error, OSError):
+        return _of_files(error)
+    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
+        found = f"not enough for this command ({str(error).splitlines()[0] if str(error) else 'out of memory'})"
+        return input_error("memory", found, "a command that fits", "give fewer particles, runs or frames, or use a machine with more memory")
+    return _of_platform()
+
+
+def _of_files(error: OSError) -> InputError | None:
+    if not _has_folder():
+        return input_error("the current folder", "does not exist any more", "a folder that exists", "change to another folder")
+    if error.filename is None or not error.errno:
+        return None
+    path = os.fsdecode(error.filename) if isinstance(error.filename, bytes) else error.filename
+    found = f"cannot be used ({os.strerror(error.errno)})"
+    return input_error(path, found, "a file or folder that can be used", "check the path, its permissions and the free space")
+
+
+def _has_folder() -> bool:
+    try:
+        Path.cwd()
+    except OSError:
+        return False
+    return True
+
+
+def _of_platform() -> InputError | None:
+    """Return a sentence if JAX does not have the platform that the environment names: JAX then raises errors of any kind."""
+    name, jax = os.environ.get("JAX_PLATFORMS"), sys.modules.get("jax")
+    if not name or jax is None:
+        return None
+    try:
+        jax.devices()
+    except Exception as error:
+        reason = str(error).splitlines()[0] if str(error) else "no such device"
+        return input_error(f"the environment variable JAX_PLATFORMS={name}", reason, "a platform of this machine, such as cpu", "correct or unset it")
+    return None
