@@ -41,7 +41,7 @@ def draw_ranks(findings: Findings, path: Path, title: str) -> None:
             backend="matplotlib",
             labeller=NoVarLabeller(),
             col_wrap=COLUMNS,
-            figure_kwargs={"figsize": size},
+            figure_kwargs={"figsize": size, "layout": "constrained"},
             visuals={
                 "title": {"parse_math": False, "size": 9},
                 "xlabel": False,

@@ -139,9 +139,10 @@ def _effective(findings: Findings) -> tuple[bool, str, dict[str, Any]]:
         # A single frame has no ancestors to distinguish.
         figures[name] = {"median": float(np.median(column)), "least": float(column.min())} if np.isfinite(column).all() else None
     said = f"particles: {np.median(least):.0f} effective (median), {least.min():.0f} (least), {needed} wanted for {bins} bins"
+    enough = float(np.mean(first < needed)) <= MOST_SHORT
     if short:
-        said += f"; {short:.1%} of the replications have too few: raise --particles, or lower --bins"
-    return float(np.mean(first < needed)) <= MOST_SHORT, f"{said}.", figures
+        said += f"; {short:.1%} of the replications have too few" + ("" if enough else ": raise --particles, or lower --bins")
+    return enough, f"{said}.", figures
 
 
 def _moves(findings: Findings) -> tuple[_Test, str, dict[str, Any]]:

@@ -8,12 +8,13 @@ import pytest
 from calibration import toys
 from scipy.stats import binom, norm
 
-from bayes_body.calibration import bands, looks
-from bayes_body.calibration.check import SBC
-from bayes_body.calibration.replication_log import ReplicationLog
+from bayes_body.calibration import bands, looks, report
+from bayes_body.calibration.check import SBC, Findings, Plan
+from bayes_body.calibration.replication_log import ReplicationLog, settings_of
 from bayes_body.calibration.replications import Experiments
 from bayes_body.calibration.sbc import Replication
 from bayes_body.calibration.sequential import decide
+from bayes_body.calibration.verdict import Verdict
 
 BINS, QUANTITIES, FIRST = 20, 11, 200
 EVEN = np.full(BINS, 1 / BINS)
@@ -151,3 +152,24 @@ def test_a_clear_check_ends_at_the_first_look():
     found, told, lines = _decided(1, 0.9)
     assert not told.passed and not lines and len(found.ranks["ranks"]) == 40
     assert "too high" in told.sentences[0] and told.sentences[-1] == "FAIL. A correct kernel fails in at most 1% of all checks."
+
+
+def test_a_pilot_that_chose_too_few_particles_is_corrected_once_they_are_counted(tmp_path, monkeypatch):
+    path, plan = tmp_path / "kept", Plan("arm_markers", "sir", {"particles": 500})
+    tried, lines = [], []
+
+    def checked(plan, replications, jobs, kept, watch, show):
+        # The log was begun with this number of particles.
+        tried.append((plan.options["particles"], settings_of(path)["options"]["particles"]))
+        kept.add(SBC, 0, {"rank": np.zeros(1)})
+        return Findings((), {}, BINS), Verdict(False, (), {"effective": {"short_share": 0.1}}, enough=plan.options["particles"] >= 2000)
+
+    monkeypatch.setattr(report, "run_check", checked)
+    used, _, told = report._checked(plan, True, 10, 0, path, lines.append, False)
+    assert tried == [(500, 500), (1000, 1000), (2000, 2000)] and used.options["particles"] == 2000 and told.enough
+    assert lines[0] == "particles: 500 are too few for 10.0% of the replications: once more with 1000."
+    tried.clear()
+    path.unlink()
+    # The user's own number stays.
+    used, _, told = report._checked(plan, False, 10, 0, path, lines.append, False)
+    assert tried == [(500, 500)] and used == plan and not told.enough

@@ -9,7 +9,7 @@ import pytest
 from calibration import toys
 
 from bayes_body import kernels
-from bayes_body.calibration import bands, sbc
+from bayes_body.calibration import bands, looks, sbc
 from bayes_body.calibration.coverage import coverage
 from bayes_body.calibration.problem import point_mass
 from bayes_body.density.coordinates import Coordinates
@@ -20,6 +20,8 @@ pytestmark = pytest.mark.usefixtures("optimised")
 
 REPLICATIONS, BINS, SEED = 200, 20, 100
 LIMIT = 0.05 / 3
+# A check with two tests would fail at its first look.
+FAILS = looks.limits(0, 2, 3).fails
 
 
 def ranks(one, seed=SEED, count=REPLICATIONS):
@@ -64,7 +66,7 @@ def test_sir_is_calibrated(sir):
 
 @pytest.mark.parametrize("fault", [{"power": -1.0}, {"power": 0.5}, {"forgets": True}], ids=["sign", "root of the weights", "weights forgotten"])
 def test_a_faulty_sir_is_found_out(sir, fault):
-    assert least_p(sir(**fault)) < 0.001
+    assert least_p(sir(**fault)) <= FAILS
 
 
 # -- tempered sequential Monte Carlo ----------------------------------------------------------------------------------------------------------
@@ -117,7 +119,7 @@ def test_tempered_is_calibrated(tempered):
 @pytest.mark.long
 @pytest.mark.parametrize("fault", [{"sign": -1.0}, {"forgets": True}], ids=["sign", "weights forgotten"])
 def test_a_faulty_tempered_is_found_out(tempered, fault):
-    assert least_p(tempered(**fault)) < 0.001
+    assert least_p(tempered(**fault)) <= FAILS
 
 
 @pytest.mark.long
@@ -125,7 +127,7 @@ def test_a_dropped_jacobian_is_found_out(tempered_slowly):
     """By default its moves alone, in tests/closed_forms/test_invariance.py."""
     assert least_p(tempered_slowly()) > LIMIT
     found = tempered_slowly(jacobian=0.0)
-    assert least_p(found) < 0.001
+    assert least_p(found) <= FAILS
     # Moves that a wrong density refuses leave equal particles behind.
     assert np.median(found.ess[:, 1]) < 0.5 * np.median(found.ess[:, 0])
 
@@ -137,7 +139,7 @@ def test_a_dropped_jacobian_is_found_out(tempered_slowly):
 def test_annealed_is_not_calibrated():
     """A mode seeker: truths lie outside of its spread."""
     found = ranks(sbc.replicate(toys.skewed(), kernels.annealed(), 500, bins=BINS))
-    assert least_p(found) < 0.001
+    assert least_p(found) <= FAILS
     assert coverage(found.levels[:, 0], 0.9).high < 0.6
 
 
