@@ -13,7 +13,7 @@ import typer
 from bayes_body import __version__
 from bayes_body.cli import benchmark, check, demo, export, import_, learn, mocap, models, report, simulate, track
 from bayes_body.cli.stopping import STOPPED, stoppable
-from bayes_body.cli.surroundings import fault_of_surroundings
+from bayes_body.cli.surroundings import check_current_folder, fault_of_surroundings
 from bayes_body.cli.terminal import Guarded, complain, guarded, say
 from bayes_body.errors import FaultyFileError, InputError, input_error
 from bayes_body.files.read import check_native
@@ -58,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _status(arguments: list[str]) -> int:
     """Run a command and return its exit status."""
     try:
+        check_current_folder()
         _check_given(arguments)
         # Libraries that read and write files would crash on other paths, some of them after hours of tracking.
         for argument in (".", *arguments):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 import typer
 
 from bayes_body.cli.terminal import say
-from bayes_body.errors import InputError, nearest
+from bayes_body.errors import InputError, input_error, nearest
 
 if TYPE_CHECKING:
     import numpy as np
@@ -22,6 +22,8 @@ MOTION, PERSON, PICTURE = "Motion", "Person", "Picture"
 WALK = "walk"
 # Duration of the walk that ships, if no number of frames is given.
 WALK_S = 2.0
+# Half an hour at 60 frames a second; many more would not fit into the memory.
+MOST_FRAMES = 100_000
 
 Mocap = Annotated[str, typer.Argument(help="Motion capture: .amc, .bvh, .c3d, .trc; or `walk`, a walking cycle that ships.", show_default=False)]
 Out = Annotated[Path, typer.Option("--out", help="Folder to write the session into.", show_default=False)]
@@ -93,6 +95,8 @@ def simulate(
     from bayes_body.simulation.staging import centred, cut, scaled, stature_m
     from bayes_body.view.progress import watched
 
+    if frames is not None and frames > MOST_FRAMES:
+        raise input_error("--frames", str(frames), f"at most {MOST_FRAMES}", "give a smaller number")
     options = Options(clutter, noise, _quality(segmentation), masks, background, seed=seed)
     check_folder(out)
     chosen = _rig(rig, cameras)

@@ -1,10 +1,22 @@
-"""Errors that come from the surroundings of the program, not from a fault in it: files, the current folder, the memory, the platform of JAX."""
+"""Errors that come from the surroundings of the program, not from a fault in it: the current folder, files, the memory, the platform of JAX."""
 
 import os
 import sys
 from pathlib import Path
 
 from bayes_body.errors import InputError, input_error
+
+
+def check_current_folder() -> None:
+    """Refuse to work in a folder that was deleted: no path could be trusted there, and libraries fail in their own ways.
+
+    Raises:
+        InputError: there is no current folder.
+    """
+    try:
+        Path.cwd()
+    except OSError:
+        raise input_error("the current folder", "does not exist any more", "a folder that exists", "change to another folder") from None
 
 
 def fault_of_surroundings(error: Exception) -> InputError | None:
@@ -18,21 +30,11 @@ def fault_of_surroundings(error: Exception) -> InputError | None:
 
 
 def _of_files(error: OSError) -> InputError | None:
-    if not _has_folder():
-        return input_error("the current folder", "does not exist any more", "a folder that exists", "change to another folder")
     if error.filename is None or not error.errno:
         return None
     path = os.fsdecode(error.filename) if isinstance(error.filename, bytes) else error.filename
     found = f"cannot be used ({os.strerror(error.errno)})"
     return input_error(path, found, "a file or folder that can be used", "check the path, its permissions and the free space")
-
-
-def _has_folder() -> bool:
-    try:
-        Path.cwd()
-    except OSError:
-        return False
-    return True
 
 
 def _of_platform() -> InputError | None:

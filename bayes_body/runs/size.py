@@ -35,10 +35,11 @@ def check_size(model: Model, options: Mapping[str, Any], runs: int) -> None:
     """
     for name, value in options.items():
         if isinstance(value, int) and name != "particles" and value > MOST:
-            raise input_error(name, str(value), f"at most {MOST}", "give a smaller number")
+            raise input_error(f"the kernel's {name}", str(value), f"at most {MOST}", "give a smaller number")
     needed, there = least_bytes(configuration_space(model.body).dimension, options["particles"], runs), memory_bytes()
     if there is not None and needed > there:
-        found = f"at least {_gigabytes(needed)} of memory for {options['particles']} particles in each of {runs} {'run' if runs == 1 else 'runs'}"
+        many = f"{options['particles']} particles" + (f" in each of {runs} runs" if runs > 1 else "")
+        found = f"at least {_gigabytes(needed)} of memory for {many}"
         raise input_error("--particles, --runs", found, f"at most the {_gigabytes(there)} that there are", "give fewer particles or runs")
     if runs > MOST:
         raise input_error("--runs", str(runs), f"at most {MOST}", "give a smaller number")

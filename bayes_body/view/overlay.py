@@ -35,6 +35,7 @@ FAN = 20
 # Pixels of a whole image that is scaled to a tile; only a camera of an odd shape is wider.
 WIDEST = 4 * TILE_HEIGHT
 STILLS = 5
+CAMERAS = "use fewer cameras, and check their size_px"
 
 
 def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = unwatched) -> list[Path]:
@@ -175,8 +176,13 @@ def write_png(path: Path, picture: MatLike) -> None:
         InputError: the picture is too large for the format, or the file system refuses the file.
     """
     # Encoded in memory, because OpenCV writes truncated files to a full disk without an error.
-    with drawable(path), replacing(path) as partial:
-        partial.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+    with drawable(path):
+        done, content = cv2.imencode(".png", picture)
+    if not done:
+        found = f"{picture.shape[1]} x {picture.shape[0]} pixels cannot be written as a picture"
+        raise input_error(path, found, "at most a million pixels in width and height", CAMERAS)
+    with replacing(path) as partial:
+        partial.write_bytes(content.tobytes())
 
 
 @contextmanager
@@ -186,4 +192,4 @@ def drawable(path: Path) -> Iterator[None]:
         yield
     except cv2.error as error:
         found = f"cannot be drawn ({error.err or 'OpenCV refuses it'})"
-        raise input_error(path, found, "cameras whose pictures OpenCV can draw", "check the cameras' size_px") from None
+        raise input_error(path, found, "cameras whose pictures OpenCV can draw", CAMERAS) from None

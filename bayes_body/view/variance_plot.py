@@ -36,12 +36,8 @@ def _ratios_by_dof(axes: Any, ratios: Mapping[str, Mapping[str, Sequence[float]]
         value, low, high = np.array(list(of_dofs.values())).T
         axes.errorbar(value, places + 0.15 * number, xerr=np.stack([value - low, high - value]), fmt="o", capsize=3, label=f"at equal {name}")
     axes.axvline(1, color="0.5")
-    axes.set(
-        xscale="log",
-        yticks=places,
-        yticklabels=[plot_text(dof) for dof in dofs],
-        xlabel="error² of the particle filter / error² of hybrid Monte Carlo",
-    )
+    axes.set_yticks(places, [plot_text(dof) for dof in dofs])
+    axes.set(xscale="log", xlabel="error² of the particle filter / error² of hybrid Monte Carlo")
     axes.invert_yaxis()
     axes.legend()
 

@@ -174,6 +174,19 @@ OPTIONS = {
     "too many frames": (["--frames", "99"], ["--frames: 99", "expected a whole number from 1 to 4", "give another"]),
     "a seed too large": (["--seed", str(10**30)], ["--seed: 1000000", "expected a whole number from 0 to"]),
     "no such first pose": (["--init", "guessed"], ["--init: 'guessed'", "expected given or auto", "give one of them"]),
+    "more particles than memory": (
+        ["--particles", str(10**13)],
+        ["GB of memory for 10000000000000 particles; expected at most", "GB that there"],
+    ),
+    "more runs than memory": (
+        ["--runs", str(10**10)],
+        ["GB of memory for 1000 particles in each of 10000000000 runs;", "give fewer"],
+    ),
+    "absurdly many layers": (["--layers", str(10**9)], ["the kernel's layers: 1000000000", "expected at most 100000"]),
+    "absurdly many moves": (["--kernel", "tempered", "--set", "moves=1000000000"], ["the kernel's moves: 1000000000", "expected at most 100000"]),
+    "absurdly many steps": (["--kernel", "hmc", "--leapfrog-steps", str(10**9)], ["the kernel's leapfrog_steps: 1000000000", "expected at most"]),
+    "an option twice": (["--particles", "20", "--set", "particles=5"], ["--set particles=5: particles is given already, 20", "leave one"]),
+    "a setting twice": (["--set", "layers=3", "--set", "layers=5"], ["--set layers=5: layers is given already, 3", "leave one"]),
     "layers of sir": (["--kernel", "sir", "--layers", "3"], ["--layers", "'sir' has no such option", "expected one of particles", "leave it out"]),
 }
 
@@ -227,7 +240,7 @@ SESSIONS = {
     "NaN": (("fps = 60.0", "fps = nan"), ["fps = nan", "expected a"]),
     "millimetres": (("torso = 0.578571268", "torso = 578.5"), ["torso", "578.5", "millimetres", "divide by 1000"]),
     "no such dof": (("[initial.angles_deg]\n", "[initial.angles_deg]\nl_kneee = 1.0\n"), ["'l_kneee'", "not a dof", "did you mean 'l_knee'?"]),
-    "outside the limits": (("l_knee = ", "l_knee = 200.0 # "), ["'l_knee'", "expected a value between", "limits"]),
+    "outside the limits": (("l_knee = ", "l_knee = 200.0 # "), ["'l_knee'", "200 degrees", "expected a value between -155 and 10 degrees", "limits"]),
 }
 
 

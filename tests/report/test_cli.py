@@ -32,6 +32,19 @@ def test_a_report(report, make_run, draw_pictures, tmp_path):
     assert status == 0 and str(tmp_path / "walk.html") in out and (tmp_path / "walk.html").read_bytes() == path.read_bytes()
 
 
+def test_a_file_that_is_no_report_is_not_replaced_unasked(report, make_run, tmp_path):
+    folder, mine = make_run(), tmp_path / "session.toml"
+    mine.write_text('title = "mine"')
+    status, out, err = report(folder, "--out", mine)
+    assert (status, out) == (2, "") and "session.toml: already exists; " in err and "--overwrite" in err
+    assert mine.read_text() == 'title = "mine"'
+    status, _, err = report(folder, "--out", tmp_path)
+    assert status == 2 and "a folder; expected the name of a file" in err
+    assert report(folder, "--out", mine, "--overwrite")[0] == 0
+    # Now it is a report, which may be replaced by a newer one.
+    assert report(folder, "--out", mine)[0] == 0
+
+
 def test_what_is_no_run_is_a_sentence(report, make_run, tmp_path):
     def refused(folder, *parts):
         status, out, err = report(folder)

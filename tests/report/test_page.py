@@ -1,10 +1,13 @@
 """The page: it opens alone, says what is so, holds what it promises, and stays below its size."""
 
+import base64
 import json
 import re
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import xarray as xr
 from sealed import seal
 
 from bayes_body.errors import InputError
@@ -74,6 +77,23 @@ def test_what_comes_from_files_cannot_be_markup(make_run, parse):
     assert not found.of("script") and not found.of("b") and evil not in text
     assert found.text.count(evil) >= 3
     assert not any(key.startswith("on") for _, attributes in found.tags for key in attributes)
+
+
+def test_names_in_plots_are_no_formulas_and_hold_no_control_characters(make_run, parse):
+    names = (r"$\frac{$", r"l_$\frac{$ $", "a\x1b[31m", "r_a\nb", "<&>")
+    folder = make_run(dofs=names)
+    with xr.open_datatree(folder / "posterior.nc") as tree:
+        loaded = tree.load()
+    loaded["filter"] = loaded["filter"].to_dataset().assign_coords(camera=[r"$\frac{$", "c\x1b]0;x\x07"])
+    loaded.to_netcdf(folder / "posterior.nc", engine="h5netcdf")
+    with load_run(folder) as run:
+        found = parse(page(run))
+    assert "\x1b" not in found.text + alts(found) and r"c\x1b]0;x\x07" in alts(found) and r"$\frac{$" in alts(found)
+    images = [base64.b64decode(image["src"].partition("base64,")[2]) for image in found.of("img") if "svg+xml" in image["src"]]
+    assert len(images) > len(names)
+    for image in images:
+        # A control character would not be XML.
+        assert ElementTree.fromstring(image).tag.endswith("svg")
 
 
 def test_a_valid_run_is_said_to_be_one_and_a_bad_one_has_warnings(inspect):

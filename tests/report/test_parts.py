@@ -1,6 +1,7 @@
 """What the plots are made of: quantiles, limbs, bins, ranks, equal-weight draws, the command that repeats a run."""
 
 import dataclasses
+import shlex
 
 import numpy as np
 import pytest
@@ -116,11 +117,12 @@ def test_a_figure_becomes_the_smaller_of_svg_and_png():
 def test_markup_escapes_what_is_not_markup():
     assert tag("p", "a < b & c", Markup("<b>d</b>"), title='"q"') == '<p title="&quot;q&quot;">a &lt; b &amp; c<b>d</b></p>'
     assert joined(["<", Markup("<hr>")]) == "&lt;\n<hr>"
+    assert tag("pre", "a\x1b[1m\nb\0", title="\x07") == r'<pre title="\x07">a\x1b[1m' + "\n" + r"b\x00</pre>"
 
 
 def test_the_command_repeats_the_run_into_another_folder(inspect):
     run = inspect().run
-    words = command(run).split()
+    words = shlex.split(command(run))
     assert words[:2] == ["bayes-body", "track"] and words[2] == run.settings["session"]
     options = dict(zip(words[3::2], words[4::2], strict=True))
     expected = {"--model": "arm", "--kernel": "sir", "--particles": "60", "--runs": "2", "--seed": "7"}

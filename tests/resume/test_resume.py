@@ -1,9 +1,11 @@
 """A run that stopped and went on ends as one that never stopped, and goes on only as what it was."""
 
+import dataclasses
 import errno
 import json
 import os
 import shutil
+import signal
 import tomllib
 
 import cv2
@@ -11,12 +13,14 @@ import jax
 import numpy as np
 import pytest
 
+from bayes_body.cli.main import main
 from bayes_body.errors import InputError
 from bayes_body.files.lock import locked
 from bayes_body.kernels import annealed
 from bayes_body.model.build import build_model
 from bayes_body.runs.run import run
 from bayes_body.runs.settings import Settings
+from bayes_body.session.read import load_session, save_session
 from bayes_body.storage import FrameFiles, frame_files
 from bayes_body.storage.saved_run import load_run
 from bayes_body.tracking.track import track
@@ -298,7 +302,7 @@ def test_frames_of_another_size_are_not_continued(textured_session, sizes, said)
         track(textured_session, model, kernel, key, **{"particles": 40, "runs": 2, **sizes}, into=list(whole.frames))
 
 
-@pytest.mark.parametrize("what", ["posterior", "summary", "pictures"])
+@pytest.mark.parametrize("what", ["posterior", "summary"])
 def test_what_fails_after_the_last_frame_is_made_by_the_next_one(looped, tmp_path, uninterrupted, monkeypatch, what):
     """A disk that is full once the frames are kept."""
     out, lines = tmp_path / "run", []
@@ -306,7 +310,7 @@ def test_what_fails_after_the_last_frame_is_made_by_the_next_one(looped, tmp_pat
     def full(*arguments, **options):
         raise InputError(f"{what}: {errno.ENOSPC}")
 
-    name = {"posterior": "stream_posterior", "summary": "summarise", "pictures": "draw_overlay"}[what]
+    name = {"posterior": "stream_posterior", "summary": "summarise"}[what]
     with monkeypatch.context() as patch:
         patch.setattr(f"bayes_body.runs.run.{name}", full)
         with pytest.raises(InputError, match=what):
@@ -315,3 +319,47 @@ def test_what_fails_after_the_last_frame_is_made_by_the_next_one(looped, tmp_pat
     run(Settings(looped(FRAMES), out, resume=True), lines.append, bar=False)
     assert {path.name for path in out.iterdir()} == LEFT
     assert contents(out / "posterior.nc") == contents(uninterrupted / "posterior.nc")
+
+
+def test_a_run_whose_pictures_cannot_be_drawn_is_complete_each_time(looped, tmp_path, uninterrupted, monkeypatch):
+    out, lines = tmp_path / "run", []
+
+    def refuse(*arguments, **options):
+        raise InputError("overlay.mp4: the encoder refuses it.")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bayes_body.runs.run.draw_overlay", refuse)
+        for settings in (Settings(looped(FRAMES), out, **SMALL), Settings(looped(FRAMES), out, resume=True)):
+            lines.clear()
+            assert run(settings, lines.append, bar=False)["frames"] == FRAMES
+            assert "note: no overlay: overlay.mp4: the encoder refuses it. The run is complete; the same command with --resume" in "\n".join(lines)
+    assert {path.name for path in out.iterdir()} == LEFT - {"overlay.mp4", "overlay"}
+    assert contents(out / "posterior.nc") == contents(uninterrupted / "posterior.nc")
+
+
+def test_a_video_that_plays_at_another_rate_is_said(looped, tmp_path, uninterrupted):
+    session, lines = tmp_path / "fast", []
+    save_session(dataclasses.replace(load_session(looped(FRAMES)), folder=session, fps=70_000.0))
+    for folder in looped(FRAMES).iterdir():
+        if folder.is_dir():
+            (session / folder.name).symlink_to(folder)
+    run(Settings(session, tmp_path / "run", **SMALL), lines.append, bar=False)
+    assert "note: overlay.mp4 plays 1000 frames a second: players do not show the session's 70000." in lines
+    assert {path.name for path in (tmp_path / "run").iterdir()} == LEFT
+
+
+def test_a_run_that_is_terminated_says_how_to_go_on(looped, tmp_path, monkeypatch, capsys):
+    append = FrameFiles.append
+
+    def terminated(frames, result):
+        append(frames, result)
+        if len(frames) == 2:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr(FrameFiles, "append", terminated)
+    with pytest.raises(SystemExit) as stopped:
+        main(["track", str(looped(FRAMES)), "--model", "arm", "--out", str(tmp_path / "run"), "--particles", "40"])
+    out, err = capsys.readouterr()
+    assert stopped.value.code == 143
+    assert "2 frames are kept; the same command with --resume continues from there." in out
+    assert err == "bayes-body: terminated.\n"

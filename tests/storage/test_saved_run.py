@@ -1,6 +1,8 @@
 """A run read back: as it was when it was made, whatever became of the files it was made from; and sentences about what is not there."""
 
+import shlex
 import shutil
+import tomllib
 
 import h5py
 import numpy as np
@@ -165,6 +167,17 @@ def test_a_faulty_run_is_a_sentence(make_run, fault):
     assert str(folder) in str(error.value)
     for part in parts:
         assert part in str(error.value)
+
+
+def test_the_suggested_command_is_one_for_a_shell(make_run):
+    folder = make_run(name="run; touch x")
+    _edit("run.toml", 'session = "', 'session = "/$(touch y) ')(folder)
+    session = tomllib.loads((folder / "run.toml").read_text(encoding="utf-8"))["run"]["session"]
+    _stopped(folder)
+    with pytest.raises(InputError) as error:
+        load_run(folder)
+    found = str(error.value).split("`")[1]
+    assert shlex.split(found) == ["bayes-body", "track", session, "--out", str(folder), "--resume"]
 
 
 def test_no_folder_and_no_figures(make_run, tmp_path):

@@ -69,6 +69,22 @@ def test_a_video_that_cannot_be_written_is_an_error_with_its_reason(tmp_path):
         write(np.zeros((SIZE[1], SIZE[0], 3), np.uint8))
 
 
+@pytest.mark.parametrize(("fps", "rate"), [(1e-9, 0.1), (0.001, 0.1), (29.97, 29.97), (70_000.0, 1000), (1e10, 1000)])
+def test_a_rate_that_no_player_shows_is_the_nearest_one_that_it_does(tmp_path, fps, rate):
+    with h264_video(tmp_path / "a.mp4", fps, SIZE) as write:
+        for _ in range(3):
+            write(np.zeros((SIZE[1], SIZE[0], 3), np.uint8))
+    assert frames_in(tmp_path / "a.mp4") == 3
+    with av.open(str(tmp_path / "a.mp4")) as container:
+        assert float(container.streams.video[0].average_rate) == pytest.approx(rate)
+
+
+def test_a_picture_that_is_too_large_for_the_encoder(tmp_path):
+    size = (20_000, 16)
+    with pytest.raises(InputError, match=r"the encoder refuses 20000 x 16 pixels; .* 16384"), h264_video(tmp_path / "a.mp4", FPS, size) as write:
+        write(np.zeros((size[1], size[0], 3), np.uint8))
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full, which is a full disk")
 def test_a_full_disk_is_an_error(tmp_path):
     (tmp_path / "a.mp4").symlink_to("/dev/full")

@@ -12,7 +12,8 @@ from bayes_body.errors import InputError
 from bayes_body.kernels.particle_filter import build_kernel
 from bayes_body.model.build import build_model
 from bayes_body.tracking.track import track
-from bayes_body.view.overlay import LEFT, MIDDLE, RIGHT, colour, draw_overlay, mosaic, paint
+from bayes_body.view.error_plot import draw_error_curves
+from bayes_body.view.overlay import LEFT, MIDDLE, RIGHT, WIDEST, colour, draw_overlay, fit, mosaic, paint, write_png
 from bayes_body.view.rig_check import AXIS_COLOURS, draw_check
 from bayes_body.view.silhouette import Outline, outlines, projected_masks
 from bayes_body.view.windows import EMPTY, person_windows
@@ -178,3 +179,39 @@ def test_a_folder_that_cannot_be_written_is_said(model, textured_session, tmp_pa
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be made"):
         draw_check(textured_session, model, tmp_path / "file" / "check.png")
+
+
+@pytest.mark.parametrize("size", [(3000, 1), (1, 3000), (640, 480), (100_000, 40)])
+def test_a_camera_of_any_shape_has_a_tile(size):
+    tile = fit(np.full((size[1], size[0], 3), 200, np.uint8))
+    assert tile.shape[0] == 480 and 1 <= tile.shape[1] <= WIDEST
+    assert tile.max() == 200
+
+
+def test_a_thin_camera_is_drawn(model, textured_session, tmp_path):
+    first, *others = textured_session.views
+    thin = dataclasses.replace(first, camera=dataclasses.replace(first.camera, name="thin", size_px=(3000, 1)), images=None, masks=None)
+    session = dataclasses.replace(textured_session, views=(thin, *others))
+    mask = np.full((1, 3000), 255, np.uint8)
+    folder = _flat(textured_session, tmp_path)
+    (folder / "thin").mkdir()
+    for frame in range(session.frames):
+        cv2.imwrite(str(folder / "thin" / f"image{frame:04d}.png"), mask)
+    thin = dataclasses.replace(thin, images="thin/image%04d.png", masks="thin/image%04d.png")
+    session = dataclasses.replace(session, folder=folder, views=(thin, *others))
+    assert draw_check(session, build_model("arm", session), tmp_path / "check.png").exists()
+    draws = track(session, build_model("arm", session), build_kernel(), jax.random.key(0), particles=30, frames=2)
+    assert all(path.exists() for path in draw_overlay(session, draws, tmp_path))
+
+
+def test_a_picture_that_is_too_large_is_an_error(tmp_path):
+    with pytest.raises(InputError, match=r"large\.png: cannot be drawn"):
+        write_png(tmp_path / "large.png", np.zeros((1, 2_000_000), np.uint8))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_name_in_a_plot_is_no_formula(tmp_path):
+    errors = np.ones((2, 3))
+    for number, name in enumerate((r"$\frac{$", r"$\frac{$ $", "a\x1b[31m", "\udcff", r"\$")):
+        draw_error_curves(tmp_path / f"{number}.png", {"absolute": {name: errors}})
+        assert cv2.imread(str(tmp_path / f"{number}.png")) is not None

@@ -13,6 +13,8 @@ from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
 
 LARGEST_ANIMATION = 4_000_000
 MOST_FRAMES = 100
+# Pixels; WebP takes 16383.
+TALLEST = 4000
 # Shortest and longest time for which a frame is shown, seconds. Between them the animation runs in real time.
 SHOWN = (1 / 12, 1 / 5)
 
@@ -75,10 +77,12 @@ def _still_uri(image: MatLike, quality: Quality) -> str:
 
 
 def narrowed(image: MatLike, width: int) -> MatLike:
-    """Return the image, scaled down to at most that width."""
-    if image.shape[1] <= width:
+    """Return the image, scaled down to at most that width, and to at most TALLEST."""
+    scale = min(width / image.shape[1], TALLEST / image.shape[0])
+    if scale >= 1:
         return image
-    return cv2.resize(image, (width, round(image.shape[0] * width / image.shape[1])), interpolation=cv2.INTER_AREA)
+    size = (max(round(image.shape[1] * scale), 1), max(round(image.shape[0] * scale), 1))
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
 
 def _animation(path: Path, quality: Quality) -> Picture | None:
