@@ -269,7 +269,7 @@ def test_the_file_is_written_where_it_is_asked_for(make_run, tmp_path, monkeypat
     with load_run(make_run()) as run:
         assert write_report(run) == run.folder / "report.html"
         assert write_report(run, tmp_path / "made" / "walk.html").read_text(encoding="utf-8") == "a page"
-        with pytest.raises(InputError, match="cannot be written"):
+        with pytest.raises(InputError, match="a folder; expected the name of a file"):
             write_report(run, run.folder)
 
 

@@ -217,9 +217,12 @@ def test_another_session_is_not_continued(looped, tmp_path, uninterrupted):
 
 
 def _exchange(folder):
-    """The images of the two cameras."""
-    for before, after in (("view0", "view"), ("view1", "view0"), ("view", "view1")):
-        (folder / before).rename(folder / after)
+    """Two images of a camera."""
+    first, last = folder / "view0" / "image000000.png", folder / "view0" / "image000005.png"
+    one, other = first.resolve(), last.resolve()
+    for path, target in ((first, other), (last, one)):
+        path.unlink()
+        path.symlink_to(target)
 
 
 def _other_images(folder):

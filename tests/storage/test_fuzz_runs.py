@@ -30,18 +30,18 @@ SECONDS, MEMORY_BYTES = 10, 2 * 2**30
 
 @contextmanager
 def soon():
-    """A block that takes at most ten seconds; a reader without end is an error, not a test that never ends."""
+    """A block that takes at most ten seconds of the processor; a reader without end is an error, not a test that never ends."""
 
     def late(number, frame):
-        raise TimeoutError(f"no end after {SECONDS} s")
+        raise TimeoutError(f"no end after {SECONDS} s of the processor")
 
-    before = signal.signal(signal.SIGALRM, late)
-    signal.alarm(SECONDS)
+    before = signal.signal(signal.SIGPROF, late)
+    signal.setitimer(signal.ITIMER_PROF, SECONDS)
     try:
         yield
     finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
 
 
 @pytest.fixture(scope="module")
