@@ -121,14 +121,9 @@ def test_an_empty_value_after_an_equals_sign(cli):
 
 LONG = "n" * 300
 TOO_LONG = [
-    *(["track", LONG], ["report", LONG], ["export", LONG, "--to", "csv"], ["simulate", "walk", "--out", LONG]),
-    *(
-        ["simulate", "walk", "--out", "s", "--rig", LONG],
-        ["import", "opencv", LONG, "x"],
-        ["models", "check", LONG],
-        ["check", LONG],
-        ["mocap", "x.bvh", "--out", f"{LONG}.npz"],
-    ),
+    *(["track", LONG], ["report", LONG], ["export", LONG, "--to", "csv"], ["import", "opencv", LONG, "x"]),
+    *(["simulate", "walk", "--out", LONG], ["simulate", "walk", "--out", "s", "--rig", LONG]),
+    *(["models", "check", LONG], ["check", LONG], ["mocap", "x.bvh", "--out", f"{LONG}.npz"]),
 ]
 
 

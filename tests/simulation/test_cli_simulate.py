@@ -87,6 +87,7 @@ def test_a_name_is_always_the_same_person():
         (("--cameras", "C1,C7"), "rig room_4: camera 'C7': no such camera"),
         (("--segmentation", "god"), "--segmentation: there is no segmenter 'god'; did you mean 'good'?"),
         (("--frames", "99"), "--frames: 99; expected 1 to 12"),
+        (("--frames", "1000000000"), "--frames: 1000000000; expected at most 100000"),
         (("--first-frame", "12"), "--first-frame: 12; expected 0 to 11"),
         (("--height", "18"), "height: 18 m"),
         (("--noise", "9"), "--noise: 9; expected 0 to 5"),
