@@ -86,6 +86,7 @@ def test_names_in_plots_are_no_formulas_and_hold_no_control_characters(make_run,
         loaded = tree.load()
     loaded["filter"] = loaded["filter"].to_dataset().assign_coords(camera=[r"$\frac{$", "c\x1b]0;x\x07"])
     loaded.to_netcdf(folder / "posterior.nc", engine="h5netcdf")
+    seal(folder)
     with load_run(folder) as run:
         found = parse(page(run))
     assert "\x1b" not in found.text + alts(found) and r"c\x1b]0;x\x07" in alts(found) and r"$\frac{$" in alts(found)
