@@ -32,7 +32,6 @@ import jaxtyping
 import numpy as np
 from beartype.roar import BeartypeDecorHintException
 from browser import browser  # noqa: F401
-from sealed import seal
 
 
 def _check_shapes(function):
@@ -53,6 +52,8 @@ _checks = types.ModuleType("bayes_body_shape_checks")
 _checks.check = _check_shapes
 sys.modules[_checks.__name__] = _checks
 jaxtyping.install_import_hook("bayes_body", f"{_checks.__name__}.check")
+
+from sealed import seal  # noqa: E402
 
 from bayes_body.body.space import configuration_space, pose_space  # noqa: E402
 from bayes_body.density.spaces import space_to_text  # noqa: E402

@@ -42,7 +42,7 @@ def test_the_initial_pose_is_the_sessions_and_the_rest_the_middle(textured_sessi
     ("initial", "said"),
     [
         ({"elbo": -0.5}, "'elbo' is not a dof of the body 'arm_4'; did you mean 'elbow'"),
-        ({"elbow": 0.5}, "'elbow': 0.5 rad; expected a value between -2.618 and 0 rad"),
+        ({"elbow": 0.5}, "'elbow': 28.65 degrees; expected a value between -150 and 0 degrees"),
     ],
 )
 def test_an_initial_pose_that_the_body_cannot_take(textured_session, initial, said):

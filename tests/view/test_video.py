@@ -74,9 +74,9 @@ def test_a_rate_that_no_player_shows_is_the_nearest_one_that_it_does(tmp_path, f
     with h264_video(tmp_path / "a.mp4", fps, SIZE) as write:
         for _ in range(3):
             write(np.zeros((SIZE[1], SIZE[0], 3), np.uint8))
-    assert frames_in(tmp_path / "a.mp4") == 3
     with av.open(str(tmp_path / "a.mp4")) as container:
-        assert float(container.streams.video[0].average_rate) == pytest.approx(rate)
+        stream = container.streams.video[0]
+        assert float(stream.average_rate) == pytest.approx(rate) and sum(1 for _ in container.decode(stream)) == 3
 
 
 def test_a_picture_that_is_too_large_for_the_encoder(tmp_path):
