@@ -5,7 +5,7 @@ from pathlib import Path
 
 import tomlkit
 
-from bayes_body.storage.manifest import Frames, Manifest
+from bayes_body.storage.manifest import MadeOf, Manifest
 from bayes_body.storage.names import POSTERIOR_FILE, RUN_FILE, SUMMARY_FILE
 from bayes_body.storage.run_file import FORMAT, _seal
 
@@ -19,5 +19,5 @@ def seal(folder: Path, frames: int = 5) -> None:
     path.write_text(tomlkit.dumps(tables), encoding="utf-8")
     manifest = Manifest(run=check["run"])
     for name in (POSTERIOR_FILE, SUMMARY_FILE):
-        manifest = manifest.with_result(folder, name, Frames(frames, "last")) if (folder / name).exists() else manifest
+        manifest = manifest.with_result(folder, name, MadeOf(frames, "last")) if (folder / name).exists() else manifest
     manifest.write(folder)

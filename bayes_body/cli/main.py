@@ -67,7 +67,7 @@ def _status(arguments: list[str]) -> int:
     except SystemExit as stopped:
         if stopped.code in STOPPED:
             complain(f"{STOPPED[stopped.code]}.")
-        return stopped.code if isinstance(stopped.code, int) else 0
+        return stopped.code if isinstance(stopped.code, int) else int(stopped.code is not None)
     except Exception as error:
         known = error if isinstance(error, InputError) else fault_of_surroundings(error)
         if known is None:

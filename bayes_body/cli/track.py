@@ -121,12 +121,16 @@ def _frames_of(folder: Path, wanted: int | None) -> int:
     """Return the session's number of frames, after a check that its files exist, so that the run does not fail half way."""
     from bayes_body.recording.check import check_session
     from bayes_body.session.read import FILE_NAME, load_session
+    from bayes_body.view.progress import waiting
 
     if not folder.exists() or (folder.is_dir() and not (folder / FILE_NAME).exists()):
         found = f"no {FILE_NAME} in it" if folder.exists() else "no such folder"
         raise input_error(folder, found, "the folder of a session", "check the path, or make a session with `bayes-body import`")
     session = load_session(folder)
-    for remark in check_session(session, wanted):
+    # All videos are decoded once, to find damage.
+    with waiting("looking at the recording's files", sys.stderr.isatty()):
+        remarks = check_session(session, wanted)
+    for remark in remarks:
         say(f"note: {remark}")
     return session.frames
 

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from numpy.typing import NDArray
 
+from bayes_body.geometry.folding import folding_radius
 from bayes_body.shapes import Rotation, Scalar, Vector3
 
 # A point nearer to the camera's plane than this (metres) counts as behind it, so the division stays finite.
@@ -101,12 +102,9 @@ def project(camera: Camera, points: Float[Array, "*batch 3"]) -> tuple[Float[Arr
 
 
 def turning_radius(distortion: NDArray[np.floating], limit: float = 1e3) -> float:
-    r"""The radius $\sqrt{x^2 + y^2}$ at which $r (1 + k_1 r^2 + k_2 r^4 + k_3 r^6)$ stops growing; `limit` if that is further out or never."""
+    """The distance from the optical axis at unit depth at which the lens folds its picture (`folding_radius`); `limit` if that is further out."""
     k1, k2, _, _, k3 = np.asarray(distortion, float)
-    # The roots in 1 / r^2: a leading coefficient of 1 needs no division, which could overflow.
-    roots = np.roots([1.0, 3 * k1, 5 * k2, 7 * k3])
-    real = roots[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)].real
-    return float(min(1 / np.sqrt(real.max()), limit)) if real.size else limit
+    return min(folding_radius(k1, k2, k3), limit)
 
 
 def stack(cameras: list[Camera]) -> Camera:

@@ -20,7 +20,7 @@ MOST_RANGES = 20
 # Relative difference up to which two rates are mistaken for each other, as 59.94 and 60 are.
 NEAR_RATE = 0.01
 BLIND = "the camera counts as not seeing the person there"
-# A newborn child is longer. Taller than the schema's limit nobody is.
+# A newborn child is longer.
 SHORTEST_M = 0.4
 # Cameras that are closer together tell as little about depth as a single one.
 LEAST_APART_M = 0.01

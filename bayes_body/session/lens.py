@@ -1,12 +1,13 @@
 r"""What a camera with given intrinsics can see: a lens that folds its picture at once, or an absurd focal length, sees nothing.
 
-With $r$ the distance from the optical axis at unit depth, the lens maps $r$ to $r (1 + k_1 r^2 + k_2 r^4 + k_3 r^6)$. Where this stops growing, the
-picture folds back, and points beyond are not visible. The tangential coefficients fold it at about $r = 1 / (6 |p|)$.
+The radial coefficients fold the picture where their polynomial stops growing (`geometry/folding.py`), the tangential ones at about
+$r = 1 / (6 |p|)$, with $r$ the distance from the optical axis at unit depth.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 
-import numpy as np
+from bayes_body.geometry.folding import folding_radius
 
 # Image side over focal length: from a twentieth of a degree to 168 degrees. A pinhole with distortion describes no wider lens.
 NARROWEST, WIDEST = 1e-3, 20.0
@@ -14,8 +15,6 @@ NARROWEST, WIDEST = 1e-3, 20.0
 FARTHEST = 10.0
 # The lens must reach this share of the image's shorter side, from the principal point. A real lens folds near the image's edge, or outside.
 LEAST_REACH = 0.25
-# No lens has coefficients like this; their powers would overflow.
-LARGEST_COEFFICIENT = 1e9
 
 
 def lens_faults(
@@ -59,13 +58,5 @@ def _distortion_faults(side: int, focal: float, distortion: Sequence[float]) -> 
 
 def _radial_reach(k1: float, k2: float, k3: float) -> float:
     """The largest distance from the axis in the image, in focal lengths, before the picture folds; infinite if it never does."""
-    # The derivative's roots in 1 / r^2: so the leading coefficient is 1.
-    coefficients = np.array([1.0, 3 * k1, 5 * k2, 7 * k3])
-    if not (np.abs(coefficients) <= LARGEST_COEFFICIENT).all():
-        return 0.0
-    roots = np.roots(coefficients)
-    inverse = roots[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)].real
-    if not inverse.size:
-        return np.inf
-    s = 1 / float(inverse.max())
-    return abs(np.sqrt(s) * (1 + s * (k1 + s * (k2 + s * k3))))
+    r = folding_radius(k1, k2, k3)
+    return r * abs(1 + r**2 * (k1 + r**2 * (k2 + r**2 * k3))) if math.isfinite(r) else math.inf

@@ -56,6 +56,8 @@ class FrameFiles:
     def __init__(self, folder: Path, run: str = ""):
         self.folder, self.run = folder, run
         self._count = _count_files(folder)
+        # The digest of the last frame, once it is known.
+        self._last: str | None = None
         self._read = lru_cache(KEPT_IN_MEMORY)(self._load)
 
     def path(self, index: int) -> Path:
@@ -82,7 +84,9 @@ class FrameFiles:
     @property
     def last_digest(self) -> str:
         """The digest of the last frame, which depends on all frames before it; empty if there is none."""
-        return self._read(self._count - 1).digest if self._count else ""
+        if self._last is None:
+            self._last = self._read(self._count - 1).digest if self._count else ""
+        return self._last
 
     def append(self, result: FrameResult, /) -> None:
         """Store the next frame. It is on the disk when this function returns.
@@ -92,7 +96,7 @@ class FrameFiles:
         """
         if not self._count:
             make_folder(self.folder)
-        save_frame(self.path(self._count), result, Place(self.run, self._count, self.last_digest))
+        self._last = save_frame(self.path(self._count), result, Place(self.run, self._count, self.last_digest))
         self._read.cache_clear()
         self._count += 1
 
@@ -121,7 +125,7 @@ class FrameFiles:
         return ""
 
     def _end_before(self, index: int, damage: str) -> str:
-        self._count = index
+        self._count, self._last = index, None
         self._read.cache_clear()
         return damage
 
@@ -148,8 +152,8 @@ def _count_files(folder: Path) -> int:
     return count
 
 
-def save_frame(path: Path, result: FrameResult, place: Place) -> None:
-    """Write one frame, either completely or not at all.
+def save_frame(path: Path, result: FrameResult, place: Place) -> str:
+    """Write one frame, either completely or not at all. Return its digest.
 
     Raises:
         InputError: the file system does not accept it.
@@ -160,8 +164,10 @@ def save_frame(path: Path, result: FrameResult, place: Place) -> None:
         arrays |= {f"{mapping}.{name}": values for name, values in getattr(result.info, mapping).items()}
     arrays |= {name: getattr(result, name) for name in ("log_weights", "seen", "seconds", "seconds_ready", "restarted")}
     arrays = {name: np.asarray(values) for name, values in (arrays | place._asdict()).items()}
+    digest = _digest(arrays)
     with replacing(path) as partial, partial.open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays, digest=np.asarray(_digest(arrays)))
+        np.savez(file, allow_pickle=False, **arrays, digest=np.asarray(digest))
+    return digest
 
 
 def load_frame(path: Path) -> Stored:

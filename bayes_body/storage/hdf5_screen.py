@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     import h5py
 
 SECONDS, MEMORY_BYTES = 60, 4 * 2**30
+# A slow disk reads so many bytes a second.
+SLOWEST_BYTES = 10_000_000
 # Arrays that were never written take no room in the file. A posterior has a few small ones: dimensions without coordinates.
 SLACK_BYTES = 2**20
 
@@ -23,10 +25,11 @@ def screened(path: Path) -> str:
     """Return what is wrong with a file, as the middle of a sentence; empty if it is a plain HDF5 file whose checksums are right."""
     # The module has no imports of the package, so that the process starts fast.
     command = [sys.executable, "-I", str(Path(__file__)), str(path)]
+    seconds = SECONDS + path.stat().st_size / SLOWEST_BYTES
     try:
-        done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=SECONDS, check=False, stdin=subprocess.DEVNULL)
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=seconds, check=False, stdin=subprocess.DEVNULL)
     except subprocess.TimeoutExpired:
-        return f"HDF5 did not finish reading it within {SECONDS} s"
+        return f"HDF5 did not finish reading it within {seconds:.0f} s"
     if done.returncode < 0:
         return f"HDF5 ended with signal {-done.returncode} when reading it"
     return done.stdout.strip() if done.returncode == 0 else "damaged, HDF5 cannot read it"
@@ -87,10 +90,13 @@ def _read(array: "h5py.Dataset") -> None:
 
 
 def main() -> None:
-    """Print the first fault, within a limit of memory."""
-    import resource
-
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    """Print the first fault, within a limit of memory where the system has one."""
+    try:
+        import resource
+    except ImportError:
+        pass
+    else:
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     print(first_fault(Path(sys.argv[1])))
 
 

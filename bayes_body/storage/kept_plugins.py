@@ -13,8 +13,7 @@ from bayes_body.storage.names import RUN_FILE
 
 def kept_plugins(record: Mapping[str, Any]) -> dict[str, str]:
     """Return the texts of the plugins with which a run was made, by file name; empty if it used none."""
-    table = record.get("plugins")
-    return {str(name): str(text) for name, text in table.items()} if isinstance(table, dict) else {}
+    return dict(record.get("plugins", {}))
 
 
 def check_plugins(folder: Path, kept: Mapping[str, str]) -> None:

@@ -4,7 +4,6 @@ The manifest says of which frames a result was made: their number, and the diges
 """
 
 import hashlib
-import json
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -12,17 +11,18 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bayes_body.errors import input_error
 from bayes_body.files.atomic import write_text
-from bayes_body.files.text import read_text
+from bayes_body.files.text import parse_json, read_text
 from bayes_body.storage.names import MANIFEST_FILE, OVERLAY_FOLDER
 
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 RunId = Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
 # The only names that a manifest may list; other paths in a stranger's manifest are not touched.
 STILL = rf"^{OVERLAY_FOLDER}/frame_\d{{6,9}}\.png$"
+KIND = "the list of a run's results"
 AGAIN = "write it again with `bayes-body track SESSION --out RUN --resume`"
 
 
-class Frames(NamedTuple):
+class MadeOf(NamedTuple):
     """The frames of which a result was made: their number, and the digest of the last one."""
 
     number: int
@@ -46,12 +46,12 @@ class Manifest(BaseModel):
     results: dict[str, Result] = {}
     stills: list[Annotated[str, Field(pattern=STILL)]] = []
 
-    def is_current(self, folder: Path, name: str, frames: Frames) -> bool:
+    def is_current(self, folder: Path, name: str, frames: MadeOf) -> bool:
         """Return whether a file is listed, was made of exactly these frames, and has not changed since."""
         result, path = self.results.get(name), folder / name
         return result is not None and (result.frames, result.last) == frames and path.is_file() and sha256_of(path) == result.sha256
 
-    def with_result(self, folder: Path, name: str, frames: Frames) -> "Manifest":
+    def with_result(self, folder: Path, name: str, frames: MadeOf) -> "Manifest":
         """Return the manifest with a file that was just written."""
         result = Result(sha256=sha256_of(folder / name), frames=frames.number, last=frames.last)
         return self.model_copy(update={"results": {**self.results, name: result}})
@@ -72,12 +72,11 @@ def read_manifest(folder: Path) -> Manifest:
         InputError: there is none, or it is damaged.
     """
     path = folder / MANIFEST_FILE
-    text = read_text(path, "the list of a run's results")
+    listed = parse_json(read_text(path, KIND), path, KIND, AGAIN)
     try:
-        return Manifest.model_validate(json.loads(text))
-    except (ValueError, RecursionError) as error:
-        found = f"{error.errors()[0]['msg']}" if isinstance(error, ValidationError) else str(error)
-        raise input_error(path, f"damaged ({found})", "the list of a run's results", AGAIN) from None
+        return Manifest.model_validate(listed)
+    except ValidationError as error:
+        raise input_error(path, f"damaged ({error.errors()[0]['msg']})", KIND, AGAIN) from None
 
 
 def check_result(folder: Path, manifest: Manifest, name: str) -> Result:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from bayes_body.errors import InputError
 from bayes_body.storage.frame_files import FrameFiles
-from bayes_body.storage.manifest import Frames, Manifest, read_manifest
+from bayes_body.storage.manifest import MadeOf, Manifest, read_manifest
 from bayes_body.storage.names import OVERLAY_FILE
 from bayes_body.storage.posterior_file import open_posterior
 
@@ -24,7 +24,7 @@ class Results:
 
     def __init__(self, folder: Path, frames: FrameFiles):
         self.folder = folder
-        self._frames = Frames(len(frames), frames.last_digest)
+        self._frames = MadeOf(len(frames), frames.last_digest)
         self._manifest = _kept(folder, frames.run)
 
     def is_current(self, name: str) -> bool:

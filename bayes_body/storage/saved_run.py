@@ -4,7 +4,6 @@ The model is built from the text in `run.toml`, not from the user's file, which 
 are those that the run used. Its images are read from their original place.
 """
 
-import json
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ import numpy as np
 from bayes_body.body.space import configuration_space
 from bayes_body.density.spaces import Space
 from bayes_body.errors import escaped, input_error
+from bayes_body.files.text import parse_json, read_text
 from bayes_body.initial import apply_first_pose, restored
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import parse_definition
@@ -36,6 +36,10 @@ from bayes_body.toml.read import parse_toml
 
 if TYPE_CHECKING:
     import xarray as xr
+
+
+# It lists frames: some millions of them.
+LARGEST_SUMMARY_BYTES = 200_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,11 +198,8 @@ def _summary(folder: Path, manifest: Manifest) -> dict[str, Any]:
     if not (folder / SUMMARY_FILE).exists():
         return {}
     check_result(folder, manifest, SUMMARY_FILE)
-    path = folder / SUMMARY_FILE
-    try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise input_error(path, f"cannot be read ({error})", "the figures of a run, as JSON", MANIFEST_AGAIN) from None
+    path, kind = folder / SUMMARY_FILE, "the figures of a run, as JSON"
+    summary = parse_json(read_text(path, kind, LARGEST_SUMMARY_BYTES), path, kind, MANIFEST_AGAIN)
     if not isinstance(summary, dict):
-        raise input_error(path, type(summary).__name__, "the figures of a run, as JSON", MANIFEST_AGAIN)
+        raise input_error(path, type(summary).__name__, kind, MANIFEST_AGAIN)
     return summary

@@ -147,11 +147,11 @@ FAULTS = {
     "a group in itself": (_sealed(_looped), ["posterior.nc: the group 'b' occurs twice"]),
     "the posterior of another run": (_edit("manifest.json", '"run": "0123', '"run": "ffff', sealed=False), ["manifest.json: belongs to another run"]),
     "no manifest": (lambda folder: (folder / "manifest.json").unlink(), ["manifest.json: no such file"]),
-    "a damaged manifest": (lambda folder: (folder / "manifest.json").write_text("{" * 10**5), ["manifest.json: damaged", "--resume"]),
+    "a damaged manifest": (lambda folder: (folder / "manifest.json").write_text("{" * 10**5), ["manifest.json: not JSON", "--resume"]),
     "stills elsewhere": (_edit("manifest.json", '"stills": []', '"stills": ["../victim.png"]', sealed=False), ["manifest.json: damaged"]),
     "a link": (_link, ["posterior.nc: a link to elsewhere"]),
     "figures": (lambda folder: (folder / "summary.json").write_text("{"), ["summary.json: was changed since it was written"]),
-    "figures that are none": (_sealed(lambda folder: (folder / "summary.json").write_text("[" * 10**5)), ["summary.json: cannot be read"]),
+    "figures that are none": (_sealed(lambda folder: (folder / "summary.json").write_text("[" * 10**5)), ["summary.json: not JSON"]),
     "figures of another kind": (_sealed(lambda folder: (folder / "summary.json").write_text("[]")), ["summary.json: list"]),
     "the body's text": (_edit("run.toml", 'name = \\"elbow\\"', 'name = \\"elbwo\\"'), ["elbwo"]),
 }
