@@ -121,6 +121,10 @@ class Density:
         """Whether the prior has factors other than the transition."""
         return any(factor.side == "prior" for factor in self.factors)
 
+    def links(self, state: State, previous: State) -> Scalar:
+        """Return the sum of the factors that depend on the previous frame."""
+        return self._sum([factor for factor in self.factors if factor.reads_previous], state, previous)
+
     def log_weight(self, state: State, previous: State) -> Scalar:
         """Return all terms but the transition: the log-weight of a particle drawn from the transition."""
         return self._sum(self.factors, state, previous)

@@ -98,7 +98,7 @@ def nothing_before(first: State) -> State:
 
 @partial(
     jax.tree_util.register_dataclass,
-    meta_fields=["name", "spaces"],
+    meta_fields=["name", "spaces", "memory"],
     data_fields=["conditional", "perturbation", "carry", "begin", "derive", "chart", "explore"],
 )
 @dataclass(frozen=True)
@@ -121,6 +121,8 @@ class Transition:
         explore: (key, state, previous, scale) -> sampled variables: a layer of an annealing kernel, in place of `perturbation`. The first layer gets
             the previous state twice and scale 1, in place of a draw of `conditional`. It is a proposal, not part of the density. None: those two.
         spaces: where variables live, as pairs of a name and a space. A variable that is not among them is an array of plain numbers.
+        memory: number of frames before whose sampled variables determine `conditional`, such as 2 for a second-order process. None: 1 if nothing is
+            carried, else without a bound.
     """
 
     name: str
@@ -132,6 +134,13 @@ class Transition:
     chart: Callable[[State], Any] | None = None
     explore: Callable[[Key, State, State, Scalar], State] | None = None
     spaces: tuple[tuple[str, Space], ...] = ()
+    memory: int | None = None
+
+    @property
+    def frames_read(self) -> int | None:
+        """The number of frames before that determine `conditional`; None if it has no bound, as for a filter that is carried along."""
+        carries = getattr(self.carry, "func", self.carry) is not nothing_carried
+        return 1 if self.memory is None and not carries else self.memory
 
     def space(self, name: str, shape: tuple[int, ...]) -> Space:
         """Return where a variable of this shape lives."""

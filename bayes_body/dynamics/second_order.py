@@ -115,6 +115,7 @@ def build(options: Options, body: Body, fps: float, **_: Any) -> Transition:
         jax.tree_util.Partial(_carry),
         jax.tree_util.Partial(_begin),
         spaces=((POSE, pose_space(body)), (BEFORE, pose_space(body))),
+        memory=2,
     )
 
 

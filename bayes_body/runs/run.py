@@ -4,16 +4,15 @@
 are kept. A later call continues it to the same result.
 """
 
-import json
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import jax
 
-from bayes_body.errors import InputError, input_error
-from bayes_body.files.atomic import remove_partial, write_text
+from bayes_body.errors import input_error
+from bayes_body.files.atomic import remove_partial
 from bayes_body.files.lock import locked
 from bayes_body.initial import (
     Show,
@@ -27,15 +26,14 @@ from bayes_body.initial import (
     unposed,
     with_first_keypoints,
 )
-from bayes_body.metrics import summarise, true_markers
+from bayes_body.metrics import true_markers
 from bayes_body.metrics.plausibility import check_silhouettes, check_view, first_fit
 from bayes_body.metrics.plausibility_sentences import fit_sentences
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.model.kernel_options import kernel_options
-from bayes_body.posterior import stream_posterior
-from bayes_body.posterior.diagnostics import diagnose, sentences, worst_figures
 from bayes_body.registry import find, notes
+from bayes_body.runs.finish import finish, remark_on_stop
 from bayes_body.runs.frame_pairs import check_pairs
 from bayes_body.runs.model_choice import choose_model
 from bayes_body.runs.recovery import PersonRecovery
@@ -45,17 +43,14 @@ from bayes_body.session.read import load_session
 from bayes_body.session.session import Session
 from bayes_body.storage import FrameFiles
 from bayes_body.storage.inputs import input_digests
-from bayes_body.storage.names import FRAMES_FOLDER, POSTERIOR_FILE, RUN_FILE, SUMMARY_FILE
+from bayes_body.storage.names import FRAMES_FOLDER, RUN_FILE
 from bayes_body.storage.results import Results
 from bayes_body.storage.run_changes import refuse_changes
 from bayes_body.storage.run_file import describe, write_run_file
-from bayes_body.tracking.draws import Draws
 from bayes_body.tracking.program import compiled_ahead
 from bayes_body.tracking.track import track
-from bayes_body.view.figures_text import figures_text, warning_line
-from bayes_body.view.overlay import VIDEO, draw_overlay
-from bayes_body.view.progress import progress_bar, waiting, watched
-from bayes_body.view.video import playing_rate
+from bayes_body.view.figures_text import warning_line
+from bayes_body.view.progress import progress_bar, waiting
 
 # Kernels whose runs recover from a loss unless the user says otherwise.
 RECOVERING = ("particle_bp",)
@@ -113,13 +108,13 @@ def _run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
     frames = _begin(settings.out, before, record, chosen.frames or session.frames, show)
     for note in notes([("kernel", kind), *(("likelihood", each.kind) for each in definition.likelihoods)]):
         show(note)
-    with _remark_on_stop(frames, settings.out, show):
+    with remark_on_stop(frames, settings.out, show):
         with progress_bar(bar, len(frames)) as on_frame:
             key, many = jax.random.key(chosen.seed), options.particles
             recovery = PersonRecovery(session, model, chosen.seed, show) if recover else None
             draws = track(session, model, kernel, key, many, chosen.runs, chosen.frames, on_frame, frames, ahead, recovery)
         results = Results(settings.out, frames)
-        return _finish(session, draws, results, {"kernel": kind, "seed": chosen.seed}, pairs, show, bar)
+        return finish(session, draws, results, {"kernel": kind, "seed": chosen.seed}, pairs, show, bar)
 
 
 def _chosen_model(session: Session, show: Show) -> str:
@@ -166,60 +161,3 @@ def _begin(out: Path, before: Mapping[str, Mapping[str, Any]] | None, record: Re
         show(f"{out}: {what}")
     write_run_file(out, record)
     return frames
-
-
-@contextmanager
-def _remark_on_stop(frames: FrameFiles, out: Path, show: Show) -> Iterator[None]:
-    """If the run stops early, tell the user how to continue it."""
-    try:
-        yield
-    except BaseException:
-        if len(frames):
-            show(f"{out}: {len(frames)} frames are kept; the same command with --resume continues from there.")
-        raise
-
-
-def _finish(
-    session: Session, draws: Draws, results: Results, figures: Mapping[str, Any], remarks: list[str], show: Show, bar: bool
-) -> dict[str, Any]:
-    """Write posterior, summary and pictures, unless they exist for these frames; `figures` and `remarks` (warnings) go into the summary."""
-    out = results.folder
-    if not results.is_current(POSTERIOR_FILE):
-        stream_posterior(draws, out / POSTERIOR_FILE, figures)
-        results.add(POSTERIOR_FILE)
-    if results.is_current(SUMMARY_FILE):
-        summary = json.loads((out / SUMMARY_FILE).read_text(encoding="utf-8"))
-    else:
-        diagnosis, warnings = _diagnosed(results, bar)
-        summary = summarise(session, draws, **figures, watch=watched("figures", bar)) | diagnosis
-        summary["frame_pairs"] = remarks
-        summary["warnings"] = [*fit_sentences(summary), *remarks, *warnings]
-        write_text(out / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
-        results.add(SUMMARY_FILE)
-    _draw(session, draws, results, show, bar)
-    show(figures_text(summary))
-    for sentence in summary["warnings"]:
-        show(warning_line(sentence))
-    return summary
-
-
-def _draw(session: Session, draws: Draws, results: Results, show: Show, bar: bool) -> None:
-    """Draw the pictures, unless they exist. The run is complete without them: if they cannot be made, a note says why."""
-    if results.is_drawn():
-        return
-    try:
-        _, *stills = draw_overlay(session, draws, results.folder, watched("pictures", bar))
-        results.add_pictures(stills)
-    except InputError as error:
-        show(f"note: no overlay: {error} The run is complete; the same command with --resume tries again to draw it.")
-        return
-    if (rate := playing_rate(session.fps)) != session.fps:
-        show(f"note: {VIDEO} plays {rate:g} frames a second: players do not show the session's {session.fps:g}.")
-
-
-def _diagnosed(results: Results, bar: bool) -> tuple[dict[str, Any], list[str]]:
-    """The worst figures of the posterior's diagnostics, and the warnings."""
-    with results.posterior() as tree, waiting("diagnostics", bar):
-        diagnosis = diagnose(tree)
-    # For a mode seeker the first sentence only says that it is one. The kernel's note before the run has already said so.
-    return worst_figures(diagnosis), sentences(diagnosis)[diagnosis.mode_seeker :]

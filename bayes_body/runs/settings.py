@@ -80,7 +80,21 @@ def stored_record(settings: Settings) -> Record | None:
     out = settings.out
     refuse_links(out)
     if settings.resume and (out / RUN_FILE).exists():
-        return read_run_file(out)
+        record = read_run_file(out)
+        if record.get("smoothing"):
+            raise input_error(out, "a smoothed run", "the run of a filter", "continue it with `bayes-body smooth`")
+        return record
+    refuse_occupied(out)
+    return None
+
+
+def refuse_occupied(out: Path) -> None:
+    """Check that a new run can be made in a folder.
+
+    Raises:
+        InputError: it has a run, or files that a run would replace.
+    """
+    refuse_links(out)
     frames = len(FrameFiles(out / FRAMES_FOLDER))
     if frames and (out / RUN_FILE).exists():
         found = f"holds a run that has {frames} frames"
@@ -94,4 +108,3 @@ def stored_record(settings: Settings) -> Record | None:
     if (out / RUN_FILE).exists():
         # A file of that name that is not a run's is not replaced either.
         read_record(out)
-    return None

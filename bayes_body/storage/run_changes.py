@@ -51,6 +51,7 @@ def _comparable(record: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     named = {"--model": Path(str(run.get("model"))).stem, "--runs": run.get("runs"), "--seed": run.get("seed"), "--init": run.get("init", "given")}
     named |= {"--recover": run.get("recover", False)}
     named |= {f"kernel.{key}": value for key, value in _leaves(record["kernel"])}
+    named |= {f"smoothing.{key}": value for key, value in _leaves(record.get("smoothing") or {})}
     named |= {"the precision": record.get("machine", {}).get("precision")}
     named |= {f"the version of {package}": record["versions"].get(package) for package in COMPUTING}
     named |= {f"the plugin {name}": meaning(text) for name, text in kept_plugins(record).items()}

@@ -65,12 +65,19 @@ def describe(
     return {
         "run": _known(settings),
         "kernel": _known({"kind": kind, **options}),
-        "versions": {"python": platform.python_version(), **{package: version(package) for package in PACKAGES}},
-        "machine": {"platform": platform.platform(), "devices": [str(device) for device in jax.devices()], "precision": _precision()},
+        **computing_here(),
         "inputs": dict(inputs or {}),
         "definition": _known(texts),
         "session": {"text": file.read_text(encoding="utf-8-sig")},
         **({"plugins": plugins} if plugins else {}),
+    }
+
+
+def computing_here() -> dict[str, dict[str, Any]]:
+    """Return the tables `versions` and `machine` of this process."""
+    return {
+        "versions": {"python": platform.python_version(), **{package: version(package) for package in PACKAGES}},
+        "machine": {"platform": platform.platform(), "devices": [str(device) for device in jax.devices()], "precision": _precision()},
     }
 
 

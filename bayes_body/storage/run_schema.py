@@ -30,6 +30,20 @@ class KernelTable(Schema):
     kind: Text
 
 
+class SmoothingTable(Schema):
+    """`[smoothing]` of a smoothed run: the run whose frames were smoothed, and the options of the smoother."""
+
+    folder: Text
+    run: Text
+    last: Text
+    frames: Count
+    seed: Annotated[int, Field(strict=True, ge=0)]
+    draws: Count
+    moves: Annotated[int, Field(strict=True, ge=0)]
+    leapfrog_steps: Count
+    candidates: Count
+
+
 class DefinitionTable(Schema):
     """`[definition]`: the text of the definition and of its body."""
 
@@ -64,4 +78,5 @@ class RunFile(Schema):
     session: SessionText
     plugins: dict[str, Text] = {}
     first_pose: dict[str, Any] = {}
+    smoothing: SmoothingTable | None = None
     check: CheckTable

@@ -57,6 +57,8 @@ class SavedRun:
         inputs: digests of the recording's files.
         first_pose: the pose and the lengths that were fitted to the session's markers or keypoints; empty if nothing was fitted.
         plugins: the texts of the user's plugins that registered terms of this run, by file name.
+        id: the run's id.
+        smoothing: the run whose frames were smoothed, and the options; empty for the run of a filter.
     """
 
     folder: Path
@@ -69,6 +71,13 @@ class SavedRun:
     inputs: Mapping[str, str] = field(default_factory=dict)
     first_pose: Mapping[str, Any] = field(default_factory=dict)
     plugins: Mapping[str, str] = field(default_factory=dict)
+    id: str = ""
+    smoothing: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def smoothed(self) -> bool:
+        """Whether draw d is one path through all frames, given all images. The particles of a filter's frame know only the images up to it."""
+        return bool(self.smoothing)
 
     @cached_property
     def session(self) -> Session:
@@ -166,7 +175,7 @@ def load_run(folder: Path | str) -> SavedRun:
     refuse_links(folder)
     record = read_record(folder)
     if not (folder / POSTERIOR_FILE).exists():
-        raise _unfinished(folder, record["run"])
+        raise _unfinished(folder, record)
     manifest = read_manifest(folder)
     if manifest.run != record["check"]["run"]:
         found, expected = f"belongs to another run ('{manifest.run}')", f"the results of this run ('{record['check']['run']}')"
@@ -183,12 +192,15 @@ def load_run(folder: Path | str) -> SavedRun:
         inputs=record.get("inputs", {}),
         first_pose=record.get("first_pose", {}),
         plugins=kept_plugins(record),
+        id=record["check"]["run"],
+        smoothing=record.get("smoothing", {}),
     )
 
 
-def _unfinished(folder: Path, settings: Mapping[str, Any]) -> Exception:
+def _unfinished(folder: Path, record: Mapping[str, Any]) -> Exception:
     if any((folder / FRAMES_FOLDER).glob("*.npz")):
-        command = shlex.join(["bayes-body", "track", str(settings["session"]), "--out", str(folder), "--resume"])
+        verb, given = ("smooth", record["smoothing"]["folder"]) if record.get("smoothing") else ("track", record["run"]["session"])
+        command = shlex.join(["bayes-body", verb, str(given), "--out", str(folder), "--resume"])
         return input_error(folder, f"holds frames but no {POSTERIOR_FILE}", "a finished run", f"continue it with `{escaped(command)}`")
     return input_error(folder, f"holds no {POSTERIOR_FILE}", "a finished run", AGAIN)
 

@@ -6,10 +6,10 @@ process. A filter that continues from stored frames therefore gives the same res
 """
 
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -20,11 +20,11 @@ from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.errors import input_error
 from bayes_body.kernels.parts.batching import everywhere
 from bayes_body.model.build import Model
-from bayes_body.observation.frames import prefetch, read_frame
 from bayes_body.plugins.load import check_own_factors
 from bayes_body.session.session import Session
 from bayes_body.shapes import Key
 from bayes_body.tracking.draws import Draws, FrameResult, FrameStore, timing_of
+from bayes_body.tracking.observations import Observed, observations
 from bayes_body.tracking.program import Ahead, program_from
 from bayes_body.tracking.rejected_chains import raise_if_all_rejected
 from bayes_body.tracking.restarts import Recovery, Restarts
@@ -94,9 +94,9 @@ def track(
     done = len(store)
     filters = _filters_after(store, particles, runs, count) if done else _first_filters(model, key, particles, runs)
     if done < count:
-        with closing(_observations(session, model, range(done, count))) as observations:
+        with closing(observations(session, model, range(done, count))) as observed:
             restarts = None if recovery is None else Restarts(recovery, runs, store)
-            _follow(store, _filter(model, kernel, key, filters, done, observations, ahead, restarts), count, on_frame)
+            _follow(store, _filter(model, kernel, key, filters, done, observed, ahead, restarts), count, on_frame)
     return Draws(model, store, timing_of(store), tuple(view.camera.name for view in session.views))
 
 
@@ -116,23 +116,6 @@ def _filters_after(store: FrameStore, particles: int, runs: int, count: int) -> 
     return [Particles({name: values[run] for name, values in last.states.items()}, last.log_weights[run]) for run in range(runs)]
 
 
-class _Observed(NamedTuple):
-    """A frame's data: which cameras saw it, the factors' arrays, and the factors themselves if a camera moves (None: those of the model)."""
-
-    seen: np.ndarray
-    data: Any
-    factors: Any
-
-
-def _observations(session: Session, model: Model, frames: range) -> Generator[_Observed]:
-    def observe(index: int) -> _Observed:
-        frame = read_frame(session, index, model.reads_before)
-        factors = everywhere(model.at(frame.cameras).factors) if session.moves else None
-        return _Observed(np.array(frame.seen), everywhere(model.observe(frame)), factors)
-
-    return prefetch(frames, observe)
-
-
 def _follow(store: FrameStore, results: Iterator[FrameResult], count: int, on_frame: Callable[[Progress], None] | None) -> None:
     """Store each frame as soon as it is computed."""
     first, seconds = len(store), 0.0
@@ -149,7 +132,7 @@ def _filter(
     key: Key,
     filters: list[Particles],
     first: int,
-    observations: Iterator[_Observed],
+    observed: Iterator[Observed],
     ahead: Ahead | None,
     restarts: Restarts | None,
 ) -> Iterator[FrameResult]:
@@ -159,7 +142,7 @@ def _filter(
     filters = [everywhere(particles) for particles in filters]
     model = replace(model, **{name: everywhere(getattr(model, name)) for name in ("transition", "after_found", "factors")})
     step = None
-    for frame, (seen, data, factors) in enumerate(observations, first):
+    for frame, (seen, data, factors) in enumerate(observed, first):
         restarted = np.zeros(0, bool) if restarts is None else restarts.restart(frame, filters, run_keys)
         placed = model if factors is None else replace(model, factors=factors)
         density, ready = placed.density(data, filters[0]), 0.0

@@ -8,6 +8,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 from rich.progress import Progress as Bar
 from rich.progress import track as follow
 
+from bayes_body.tracking.smooth import SmoothProgress
 from bayes_body.tracking.track import Progress
 
 type Watch = Callable[[Sequence[int]], Iterable[int]]
@@ -65,5 +66,19 @@ def progress_bar(visible: bool = True, done: int = 0) -> Iterator[Callable[[Prog
                 survival=f"{progress.survival_rate:.2f}",
                 lost=f"{lost} lost" if lost else "",
             )
+
+        yield show
+
+
+@contextmanager
+def smoothing_bar(visible: bool = True, done: int = 0) -> Iterator[Callable[[SmoothProgress], None]]:
+    """Yield a function that draws the progress of a smoother on standard error. The arguments are those of `progress_bar`."""
+    columns = (TextColumn("frame"), MofNCompleteColumn(), BarColumn(), TextColumn("{task.fields[figures]}  left"), TimeRemainingColumn())
+    with Bar(*columns, console=Console(stderr=True), disable=not visible) as bar:
+        task = bar.add_task("", total=None, completed=done, figures="compiling")
+
+        def show(progress: SmoothProgress) -> None:
+            figures = f"{progress.seconds_per_frame:.2f} s/frame  {progress.distinct} distinct states"
+            bar.update(task, completed=progress.frame, total=progress.frames, figures=figures)
 
         yield show

@@ -331,7 +331,7 @@ def test_a_run_whose_pictures_cannot_be_drawn_is_complete_each_time(looped, tmp_
         raise InputError("overlay.mp4: the encoder refuses it.")
 
     with monkeypatch.context() as patch:
-        patch.setattr("bayes_body.runs.run.draw_overlay", refuse)
+        patch.setattr("bayes_body.runs.finish.draw_overlay", refuse)
         for settings in (Settings(looped(FRAMES), out, **SMALL), Settings(looped(FRAMES), out, resume=True)):
             lines.clear()
             assert run(settings, lines.append, bar=False)["frames"] == FRAMES

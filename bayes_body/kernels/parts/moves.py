@@ -196,12 +196,17 @@ def walk(
 
 
 def whitening(position: Float[Array, "particle dof"], log_weights: LogWeights) -> Float[Array, "dof dof"]:
-    """Return a root L of the weighted covariance, shrunk by a tenth towards its diagonal. If z is standard normal, L z spreads like the particles."""
+    """Return a root L of the weighted covariance. If z is standard normal, L z spreads like the particles."""
+    return jnp.linalg.cholesky(shrunk_covariance(position, log_weights))
+
+
+def shrunk_covariance(values: Float[Array, "particle dof"], log_weights: LogWeights) -> Float[Array, "dof dof"]:
+    """Return the weighted covariance, shrunk by a tenth towards its diagonal."""
     weights = jax.nn.softmax(log_weights)[:, None]
     # A particle with weight zero may be NaN.
-    clean = jnp.where(weights > 0, position, 0.0)
+    clean = jnp.where(weights > 0, values, 0.0)
     centred = jnp.where(weights > 0, clean - jnp.sum(weights * clean, axis=0), 0.0)
     covariance = (weights * centred).T @ centred
     variances = jnp.diagonal(covariance)
     floor = jnp.maximum(1e-6 * jnp.max(variances), 1e-10)
-    return jnp.linalg.cholesky(0.9 * covariance + jnp.diag(0.1 * variances + floor))
+    return 0.9 * covariance + jnp.diag(0.1 * variances + floor)

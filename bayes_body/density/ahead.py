@@ -1,0 +1,70 @@
+r"""The frames after a frame on one path, as far as their transitions read it.
+
+Given the rest of a path, the density of a state $s_t$ has the factor
+
+$$\prod_{k=1}^{m} p(x_{t+k} \mid s_{t+k-1}) \; \psi_{t+1}(s_{t+1}, s_t),$$
+
+with the sampled variables $x$, the transition's memory $m$ and the factors $\psi$ that read the frame before. The states between are rebuilt from
+$s_t$: what a later state carries, such as the previous pose of a second-order prior, follows from $s_t$. With its old value the product would be
+another density.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from bayes_body.density.density import Density
+from bayes_body.density.factor import State, Transition
+from bayes_body.shapes import Scalar
+
+
+class Ahead(NamedTuple):
+    """The next frames of a path, the nearest first.
+
+    Attributes:
+        sampled: their sampled variables, (frame, ...); where there is no such frame, any value inside the support.
+        known: whether there is such a frame.
+    """
+
+    sampled: State
+    known: Bool[Array, " frame"]
+
+    def pushed(self, sampled: State, known: bool = True) -> "Ahead":
+        """Return the frames ahead of the frame before: with these variables first, and without the last frame."""
+        kept = {name: jnp.concatenate([sampled[name][None], later[:-1]]) for name, later in self.sampled.items()}
+        return Ahead(kept, jnp.concatenate([jnp.full((1,), known), self.known[:-1]]))
+
+
+def nothing_ahead(sampled: State, memory: int) -> Ahead:
+    """Return the frames ahead of the last frame of a path: none. `sampled` gives the shapes, and values inside the support."""
+    filled = jax.tree.map(lambda value: jnp.broadcast_to(value, (memory, *value.shape)), dict(sampled))
+    return Ahead(filled, jnp.zeros((memory,), bool))
+
+
+def log_ahead(transition: Transition, state: State, ahead: Ahead, after: Density | None = None) -> Scalar:
+    """Return the log-density of the frames ahead given a whole state.
+
+    Args:
+        transition: the motion prior.
+        state: the whole state of the frame, including what it carries.
+        ahead: the frames that follow, at least as many as the transition's memory.
+        after: the density of the next frame, if a factor reads the frame before.
+    """
+    total, before = jnp.zeros(()), state
+    for k in range(ahead.known.shape[0]):
+        sampled = {name: later[k] for name, later in ahead.sampled.items()}
+        here = transition.state(before, sampled)
+        term = transition.log_density(here, before)
+        if k == 0 and after is not None:
+            term += after.links(here, before)
+        total += jnp.where(ahead.known[k], term, 0.0)
+        before = here
+    return total
+
+
+def sampled_of(transition: Transition, state: State) -> dict[str, Array]:
+    """Return the sampled variables of a whole state."""
+    names = jax.eval_shape(transition.conditional, state)
+    return {name: state[name] for name in names}

@@ -1,0 +1,112 @@
+r"""The step back in time of the ensemble Rauch-Tung-Striebel smoother (Raanes 2016), in unconstrained coordinates.
+
+Let $u_i$ be the coordinates of a particle of the frame before, and $v_i$ those of the next frames, drawn from the motion prior given it. A path whose
+next frames are at $v$ continues backwards from a particle $i$, drawn by its weight, at
+
+$$u = u_i + K (v - v_i), \qquad K = \mathrm{Cov}(u, v)\, \mathrm{Cov}(v, v)^{-1}.$$
+
+If everything is normal, $u$ is a draw from its distribution given the next frames and the images so far. Unlike one of the particles, it can lie
+anywhere: paths do not share their past.
+"""
+
+from collections.abc import Mapping
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, Int
+
+from bayes_body.density.ahead import Ahead, sampled_of
+from bayes_body.density.chart import Chart
+from bayes_body.density.factor import Particles, State, Transition
+from bayes_body.density.spaces import Flat
+from bayes_body.kernels.parts.weights import LogWeights
+from bayes_body.shapes import Key, Scalar
+
+# Predictions of each particle.
+REPEATS = 8
+
+
+def regressed(
+    key: Key, particles: Particles, indices: Int[Array, " path"], nexts: Ahead, transition: Transition, chart: Chart, frames: int
+) -> dict[str, Array]:
+    """Return the sampled variables of each path in the frame before (path, ...).
+
+    Args:
+        key: random key of the predictions.
+        particles: the particles of the frame before.
+        indices: the particle from which each path continues.
+        nexts: the next frames of each path, the nearest first (path, frame, ...).
+        transition: the motion prior.
+        chart: the unconstrained coordinates.
+        frames: how many next frames of the paths are known, at least one; as many are used.
+    """
+    first = jax.tree.map(lambda leaf: leaf[0], dict(particles.states))
+    _, unravel = ravel_pytree(chart.unconstrain(first))
+
+    def flat(sampled: State) -> Array:
+        return ravel_pytree(chart.unconstrain(sampled))[0]
+
+    def predicted(key: Key, state: State) -> Array:
+        found = []
+        for step in range(frames):
+            state = transition.sample(jax.random.fold_in(key, step), state)
+            found.append(flat(sampled_of(transition, state)))
+        return jnp.concatenate(found)
+
+    weights = jax.nn.softmax(particles.log_weights)
+    centre = {name: _mean(name, leaf, weights, transition) for name, leaf in jax.vmap(lambda s: sampled_of(transition, s))(particles.states).items()}
+
+    def near(sampled: State) -> State:
+        return {name: _on_turn(name, value, centre[name], transition) for name, value in sampled.items()}
+
+    states = {**particles.states, **jax.vmap(near)(jax.vmap(lambda s: sampled_of(transition, s))(particles.states))}
+    u, keys = jax.vmap(lambda state: flat(sampled_of(transition, state)))(states), jax.random.split(key, (REPEATS, particles.log_weights.shape[0]))
+    v = jax.vmap(lambda some: jax.vmap(predicted)(some, states))(keys)
+    gain = _gain(u, v, particles.log_weights)
+    known = [jax.vmap(lambda path, k=k: flat(near({name: values[k] for name, values in path.items()})))(nexts.sampled) for k in range(frames)]
+    moved = u[indices] + (jnp.concatenate(known, axis=1) - v[0][indices]) @ gain.T
+    return jax.vmap(lambda row: chart.constrain(unravel(row)))(moved)
+
+
+def _gain(u: Float[Array, "particle size"], v: Float[Array, "repeat particle all_sizes"], log_weights: LogWeights) -> Float[Array, "size all_sizes"]:
+    r"""Return K. With the regression $v = B u + e$ it is $C B^\top (B C B^\top + S)^{-1}$, with the covariances C of u and S of e.
+
+    A regression of u on v with few particles would find too small a gain in every coordinate, and chance correlations between all of them. B comes
+    from all repeats together, and the correlations of C and S are shrunk, the less the more particles there are.
+    """
+    weights, size = jax.nn.softmax(log_weights), u.shape[1]
+    mean_u, mean_v = weights @ u, jnp.mean(weights @ v, axis=0)
+    covariance = (weights[:, None] * (u - mean_u)).T @ (u - mean_u)
+    # The slope beyond that of a random walk, which is known to be one.
+    rest = v - jnp.tile(u, v.shape[2] // size)
+    cross = jnp.mean(jnp.einsum("p,rpv,pu->rvu", weights, rest - jnp.mean(weights @ rest, axis=0), u - mean_u), axis=0)
+    share = size / (size + 1 / jnp.sum(weights**2))
+    spread = _shrunk(covariance, share)
+    slope = jnp.tile(jnp.eye(size, dtype=u.dtype), (v.shape[2] // size, 1)) + jnp.linalg.solve(spread, cross.T).T
+    noise = v - mean_v - (u - mean_u) @ slope.T
+    residual = _shrunk(jnp.mean(jnp.einsum("p,rpa,rpb->rab", weights, noise, noise), axis=0), share)
+    return jnp.linalg.solve(slope @ spread @ slope.T + residual, slope @ spread).T
+
+
+def _shrunk(covariance: Float[Array, "size size"], share: Scalar) -> Float[Array, "size size"]:
+    variances = jnp.diagonal(covariance)
+    floor = jnp.maximum(1e-6 * jnp.max(variances), 1e-10)
+    return (1 - share) * covariance + jnp.diag(share * variances + floor)
+
+
+def _mean(name: str, values: Array, weights: Float[Array, " particle"], transition: Transition) -> Array:
+    space = transition.space(name, values.shape[1:])
+    return jnp.asarray(space.mean(weights, values))
+
+
+def _on_turn(name: str, value: Array, centre: Array, transition: Transition) -> Array:
+    """Return a value with its angles on the circle within half a turn of a centre: full turns between paths are no distance."""
+    space = transition.space(name, value.shape)
+    return jnp.asarray(space.coordinates(centre, value)).reshape(value.shape) if isinstance(space, Flat) else value
+
+
+def replaced(particles: Particles, indices: Int[Array, " path"], sampled: Mapping[str, Array], transition: Transition) -> dict[str, Array]:
+    """Return the particles of the paths as whole states, with other sampled variables and what follows from these."""
+    kept = jax.tree.map(lambda leaf: leaf[indices], dict(particles.states))
+    return {**kept, **jax.vmap(transition.with_derived)(sampled)}

@@ -1,0 +1,79 @@
+"""What a run makes of its frames: posterior, figures, pictures."""
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from bayes_body.errors import InputError
+from bayes_body.files.atomic import write_text
+from bayes_body.initial import Show
+from bayes_body.metrics import summarise
+from bayes_body.metrics.plausibility_sentences import fit_sentences
+from bayes_body.posterior import stream_posterior
+from bayes_body.posterior.diagnostics import diagnose, sentences, worst_figures
+from bayes_body.session.session import Session
+from bayes_body.storage import FrameFiles
+from bayes_body.storage.names import POSTERIOR_FILE, SUMMARY_FILE
+from bayes_body.storage.results import Results
+from bayes_body.tracking.draws import Draws
+from bayes_body.view.figures_text import figures_text, warning_line
+from bayes_body.view.overlay import VIDEO, draw_overlay
+from bayes_body.view.progress import waiting, watched
+from bayes_body.view.video import playing_rate
+
+
+@contextmanager
+def remark_on_stop(frames: FrameFiles, out: Path, show: Show) -> Iterator[None]:
+    """If the run stops early, tell the user how to continue it."""
+    try:
+        yield
+    except BaseException:
+        if len(frames):
+            show(f"{out}: {len(frames)} frames are kept; the same command with --resume continues from there.")
+        raise
+
+
+def finish(session: Session, draws: Draws, results: Results, figures: Mapping[str, Any], remarks: list[str], show: Show, bar: bool) -> dict[str, Any]:
+    """Write posterior, summary and pictures, unless they exist for these frames; `figures` and `remarks` (warnings) go into the summary."""
+    out = results.folder
+    if not results.is_current(POSTERIOR_FILE):
+        stream_posterior(draws, out / POSTERIOR_FILE, figures)
+        results.add(POSTERIOR_FILE)
+    if results.is_current(SUMMARY_FILE):
+        summary = json.loads((out / SUMMARY_FILE).read_text(encoding="utf-8"))
+    else:
+        diagnosis, warnings = _diagnosed(results, bar)
+        summary = summarise(session, draws, **figures, watch=watched("figures", bar)) | diagnosis
+        summary["frame_pairs"] = remarks
+        summary["warnings"] = [*fit_sentences(summary), *remarks, *warnings]
+        write_text(out / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
+        results.add(SUMMARY_FILE)
+    _draw(session, draws, results, show, bar)
+    show(figures_text(summary))
+    for sentence in summary["warnings"]:
+        show(warning_line(sentence))
+    return summary
+
+
+def _draw(session: Session, draws: Draws, results: Results, show: Show, bar: bool) -> None:
+    """Draw the pictures, unless they exist. The run is complete without them: if they cannot be made, a note says why."""
+    if results.is_drawn():
+        return
+    try:
+        _, *stills = draw_overlay(session, draws, results.folder, watched("pictures", bar))
+        results.add_pictures(stills)
+    except InputError as error:
+        show(f"note: no overlay: {error} The run is complete; the same command with --resume tries again to draw it.")
+        return
+    if (rate := playing_rate(session.fps)) != session.fps:
+        show(f"note: {VIDEO} plays {rate:g} frames a second: players do not show the session's {session.fps:g}.")
+
+
+def _diagnosed(results: Results, bar: bool) -> tuple[dict[str, Any], list[str]]:
+    """The worst figures of the posterior's diagnostics, and the warnings."""
+    with results.posterior() as tree, waiting("diagnostics", bar):
+        diagnosis = diagnose(tree)
+    # For a mode seeker the first sentence only says that it is one. The kernel's note before the run has already said so.
+    return worst_figures(diagnosis), sentences(diagnosis)[diagnosis.mode_seeker :]

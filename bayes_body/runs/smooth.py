@@ -1,0 +1,162 @@
+"""Smooth a run on disk: paths through all its frames, as a run of its own that reports, exports and diagnostics read like any other.
+
+The frames are computed and stored from the last to the first. If it stops, a later call continues it to the same result.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from bayes_body.errors import input_error
+from bayes_body.files.atomic import remove_partial
+from bayes_body.files.lock import locked
+from bayes_body.initial import Show
+from bayes_body.kernels.smoother import Options, Smoother
+from bayes_body.posterior.diagnostics import frame_ranges
+from bayes_body.runs.finish import finish, remark_on_stop
+from bayes_body.runs.settings import Record, refuse_occupied
+from bayes_body.storage import FrameFiles
+from bayes_body.storage.names import FRAMES_FOLDER, RUN_FILE
+from bayes_body.storage.results import Results
+from bayes_body.storage.run_changes import refuse_changes
+from bayes_body.storage.run_file import computing_here, read_run_file, write_run_file
+from bayes_body.storage.saved_run import SavedRun, load_run
+from bayes_body.tracking.draws import Draws, timing_of
+from bayes_body.tracking.smooth import smooth
+from bayes_body.view.progress import smoothing_bar
+
+FILTER = "the run of a filter, made by `bayes-body track`"
+
+
+@dataclass(frozen=True)
+class SmoothSettings:
+    """The settings of a smoothed run.
+
+    Attributes:
+        source: folder of the filter's run.
+        out: folder of the smoothed run.
+        options: options of the smoother by name; those of the continued run, or the defaults, where they are not given.
+        seed: seed of everything random; None for that of the continued run, or 0.
+        resume: whether to continue the run in `out`.
+    """
+
+    source: Path
+    out: Path
+    options: Mapping[str, int]
+    seed: int | None = None
+    resume: bool = False
+
+
+def smooth_run(settings: SmoothSettings, show: Show, bar: bool) -> dict[str, Any]:
+    """Smooth a run and write everything. Return the content of `summary.json`.
+
+    Args:
+        settings: what to smooth, and how.
+        show: receives lines for the user.
+        bar: whether to draw a progress bar on standard error.
+
+    Raises:
+        InputError: the run cannot be smoothed, its recording has changed, the folder has another run, or a file cannot be written.
+    """
+    if settings.out.resolve() == settings.source.resolve():
+        raise input_error("--out", str(settings.out), "another folder than the filter's", "leave it out, or name a new one")
+    with load_run(settings.source) as source, locked(settings.out):
+        return _smooth(source, settings, show, bar)
+
+
+def _smooth(source: SavedRun, settings: SmoothSettings, show: Show, bar: bool) -> dict[str, Any]:
+    _check_source(source)
+    before = _continued(settings)
+    kept = (before or {}).get("smoothing", {})
+    options = Options(**{name: settings.options.get(name, kept.get(name, field.default)) for name, field in Options.model_fields.items()})
+    seed = kept.get("seed", 0) if settings.seed is None else settings.seed
+    model, session = source.model, source.session
+    if options.moves and source.changed_inputs:
+        found = f"{', '.join(sorted(source.changed_inputs))}: changed or gone since the run was made"
+        raise input_error(source.folder, found, "the recording of the run", "put it back, or give --moves 0, which reads no images")
+    filtered = FrameFiles(source.folder / FRAMES_FOLDER, source.id)
+    if len(filtered) < source.frames:
+        raise input_error(filtered.folder, f"{len(filtered)} frames", f"the {source.frames} frames of the run", _again(source))
+    record = _record(source, filtered, options, seed)
+    if before:
+        refuse_changes(settings.out, before, record)
+    frames = _begin(settings.out, before, record, show)
+    for note in _notes(source):
+        show(note)
+    with remark_on_stop(frames, settings.out, show):
+        with smoothing_bar(bar, len(frames)) as on_frame:
+            paths = smooth(session, model, Smoother(options), filtered, jax.random.key(seed), frames, on_frame)
+        draws = Draws(model, paths, timing_of(paths), tuple(view.camera.name for view in session.views))
+        figures = {"kernel": str(source.kernel["kind"]), "seed": seed}
+        return finish(session, draws, Results(settings.out, frames), figures, [], show, bar)
+
+
+def _check_source(run: SavedRun) -> None:
+    """Check that a run has a posterior of a filter.
+
+    Raises:
+        InputError: it is smoothed already, or its particles are no posterior.
+    """
+    if run.smoothed:
+        raise input_error(run.folder, "smoothed paths", FILTER, f"smooth {run.smoothing['folder']}, from which it was made, again")
+    if run.mode_seeker:
+        found = f"the kernel '{run.kernel['kind']}' seeks modes: its particles are not a sample of the posterior"
+        raise input_error(run.folder, found, "the run of a kernel that samples the posterior", "track again with --kernel tempered, for one")
+
+
+def _continued(settings: SmoothSettings) -> Record | None:
+    """Return the tables of the smoothed run that is to be continued; None if a new one is started."""
+    if settings.resume and (settings.out / RUN_FILE).exists():
+        record = read_run_file(settings.out)
+        if not record.get("smoothing"):
+            raise input_error(settings.out, "the run of a filter", "a smoothed run", "name another folder with --out")
+        return record
+    refuse_occupied(settings.out)
+    return None
+
+
+def _record(source: SavedRun, filtered: FrameFiles, options: Options, seed: int) -> Record:
+    """Return the tables of `run.toml`: those of the filter's run, and how it was smoothed."""
+    record = {name: table for name, table in read_run_file(source.folder).items() if name != "check"}
+    origin = {"folder": str(source.folder.resolve()), "run": source.id, "last": filtered.last_digest, "frames": len(filtered)}
+    return {**record, **computing_here(), "smoothing": {**origin, "seed": seed, **options.model_dump()}}
+
+
+def _begin(out: Path, before: Record | None, record: Record, show: Show) -> FrameFiles:
+    """Write `run.toml`. Return the frames that are already stored, the last frame of the recording first."""
+    remove_partial(out)
+    if before is None:
+        return FrameFiles(out / FRAMES_FOLDER, write_run_file(out, record))
+    frames = FrameFiles(out / FRAMES_FOLDER, before["check"]["run"])
+    damage = frames.mend()
+    if damage:
+        show(f"{damage} It is computed again.")
+    if len(frames):
+        show(f"{out}: {len(frames)} of {record['smoothing']['frames']} frames exist")
+    write_run_file(out, record)
+    return frames
+
+
+def _notes(source: SavedRun) -> list[str]:
+    """Return what a user should know about this smoothing."""
+    found = []
+    if source.model.transition.frames_read is None:
+        found.append(
+            f"note: '{source.model.transition.name}' carries what it learned from all frames before. Its paths follow the filter's ancestors, "
+            "and early frames have few distinct ones."
+        )
+    lost, restarted = source.summary.get("frames_lost"), source.summary.get("frames_restarted")
+    if lost:
+        found.append(f"note: {lost} frames were lost. There the paths follow from the frames around them, not from the images.")
+    if restarted:
+        found.append(
+            f"note: the filter started anew in {frame_ranges(restarted)}. No path leads across: the parts before and after do not belong together."
+        )
+    return found
+
+
+def _again(source: SavedRun) -> str:
+    return f"compute them again with `bayes-body track {source.settings['session']} --out {source.folder} --resume`"

@@ -1,0 +1,265 @@
+r"""Walk back through the frames of one filter run, and yield one frame of all paths after the other (kernels/smoother.py).
+
+The last frame comes first. A first walk, which reads no images, lays the paths. A second walk follows some frames behind and moves each state given
+the frames before and after it. Memory holds a few frames, whatever their number. To continue, the first walk is repeated, since it is fast; the
+second one goes on from the stored frames.
+
+Where the transition's memory has no bound, as with a filter of activities that each particle carries along, paths follow the filter's ancestors and
+are not moved. That is exact too, but few paths are distinct.
+"""
+
+from collections.abc import Callable, Iterator
+from functools import cached_property, partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int
+
+from bayes_body.density.ahead import Ahead, nothing_ahead, sampled_of
+from bayes_body.density.chart import Chart
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Particles, State, Transition
+from bayes_body.kernels.parts.ensemble import regressed, replaced
+from bayes_body.kernels.smoother import Moved, Moves, OnParticles, Smoother, adapted, whitening_between
+from bayes_body.shapes import Key, Scalar
+
+# Folded into a key for the second walk, so that it has other random numbers than the first.
+MOVES = 1
+
+
+class Filtered(NamedTuple):
+    """One frame of a filter.
+
+    Attributes:
+        particles: its particles.
+        ancestors: the index of each one's ancestor among the particles of the frame before.
+        begins: whether no transition leads here from a stored frame: the first frame, or the first after a loss.
+        fixed: whether states are not moved here, such as in a frame that no particle explained.
+    """
+
+    particles: Particles
+    ancestors: Int[Array, " particle"]
+    begins: bool
+    fixed: bool = False
+
+
+class PathFrame(NamedTuple):
+    """One frame of all paths.
+
+    Attributes:
+        frame: its number.
+        states: whole states (path, ...).
+        begins: whether the paths begin here, so that the frame before belongs to others.
+        acceptance_rate: of the moves; NaN without moves.
+        log_step_size: logarithm of the step size for the frame before.
+    """
+
+    frame: int
+    states: State
+    begins: bool
+    acceptance_rate: Scalar
+    log_step_size: Scalar
+
+
+class _Laid(NamedTuple):
+    """How far the first walk is: a frame, the paths' states there, their indices in the frame before, and the frames ahead."""
+
+    frame: int
+    states: State
+    ancestors: Int[Array, " path"]
+    ahead: Ahead
+    known: int
+    density: Density | None
+    begins: bool
+
+
+class Backward:
+    """Paths through the frames of one filter run.
+
+    Args:
+        smoother: chooses and moves.
+        transition: the motion prior.
+        filtered: frame number -> that frame of the filter.
+        density: (frame number, particles of the frame before) -> the density of the frame; its data matter only if states are moved or a factor reads
+            the frame before.
+    """
+
+    def __init__(self, smoother: Smoother, transition: Transition, filtered: Callable[[int], Filtered], density: Callable[[int, Particles], Density]):
+        self.smoother, self.transition, self.filtered, self.density = smoother, transition, filtered, density
+        self.memory = transition.frames_read
+        # What a state carries is known when the frames before it are.
+        self.delay = 0 if self.memory is None else self.memory - 1
+
+    def follow(self, key: Key, count: int, stored: Callable[[int], PathFrame] | None = None, first: int | None = None) -> Iterator[PathFrame]:
+        """Yield the frames of the paths, the last one first.
+
+        Args:
+            key: random key; each frame folds its own from it.
+            count: number of frames of the filter.
+            stored: frame number -> a frame that was yielded before.
+            first: the lowest number of a stored frame, after which to continue; None to begin at the last frame.
+        """
+        laid = self._final(self._lay(key, count))
+        if not self.smoother.options.moves or self.memory is None:
+            return (each for each in laid if first is None or each.frame < first)
+        return self._final(self._move(jax.random.fold_in(key, MOVES), laid, stored, count if first is None else first))
+
+    def _final(self, frames: Iterator[PathFrame]) -> Iterator[PathFrame]:
+        """Yield each frame as soon as what its states carry follows from the frames before it."""
+        later: list[PathFrame] = []
+        for here in frames:
+            later = [here, *later]
+            whole = later[:1]
+            for each in later[1:]:
+                whole.append(each._replace(states=self._carried(whole[-1].states, each.states)))
+            yield from reversed(whole if here.begins else whole[self.delay :])
+            later = [] if here.begins else later[: self.delay]
+
+    # -- the first walk ---------------------------------------------------------------------------------------------------------------------
+
+    def _lay(self, key: Key, count: int) -> Iterator[PathFrame]:
+        after, unknown = None, jnp.full((), jnp.nan)
+        for frame in range(count - 1, -1, -1):
+            after = self._step_back(jax.random.fold_in(key, frame), frame, self.filtered(frame), after)
+            yield PathFrame(frame, after.states, after.begins, unknown, unknown)
+
+    def _step_back(self, key: Key, frame: int, here: Filtered, after: _Laid | None) -> _Laid:
+        """Return the paths at a frame, given how they go on."""
+        begin_key, step_key = jax.random.split(key)
+        particles = here.particles
+        if after is None or after.begins:
+            index = self._begun(begin_key, particles)
+            states, ahead, known = self._at(particles, index), None, 0
+        elif self.memory is None:
+            index = after.ancestors
+            states, ahead, known = self._at(particles, index), after.ahead, 0
+        else:
+            ahead, known = self._pushed(after.ahead, self._sampled(after.states)), min(after.known + 1, self.memory)
+            if self.smoother.options.start == "particles":
+                density = self.density(frame + 1, particles)
+                paths = OnParticles(after.ancestors, self._sampled(after.states), after.ahead)
+                index = self._chosen(step_key, paths, density, after.density)
+                states = self._at(particles, index)
+                linked = density if density.reads_previous else None
+                return _Laid(frame, states, here.ancestors[index], ahead, known, linked, here.begins)
+            index = self._begun(begin_key, particles)
+            states = self._regressed(step_key, particles, index, ahead, frames=known)
+        ahead = self._none_ahead(self._sampled(states)) if ahead is None else ahead
+        return _Laid(frame, states, here.ancestors[index], ahead, known, None, here.begins)
+
+    # -- the second walk --------------------------------------------------------------------------------------------------------------------
+
+    def _move(self, key: Key, laid: Iterator[PathFrame], stored: Callable[[int], PathFrame] | None, first: int) -> Iterator[PathFrame]:
+        """Yield the moved frames before frame `first`."""
+        here, ahead, after, step_size = next(laid), None, None, self._first_step_size
+        while here is not None:
+            before = next(laid, None)
+            if here.frame >= first and stored is not None:
+                moved = stored(here.frame)._replace(begins=here.begins)
+            else:
+                moved, after = self._frame(jax.random.fold_in(key, here.frame), here, before, ahead, after, step_size)
+                yield moved
+            step_size, sampled = moved.log_step_size, self._sampled(moved.states)
+            # After a gap the paths are others.
+            ahead = None if here.begins else self._pushed(self._none_ahead(sampled) if ahead is None else ahead, sampled)
+            after = None if here.begins else after
+            here = before
+
+    def _frame(
+        self, key: Key, here: PathFrame, before: PathFrame | None, ahead: Ahead | None, after: Density | None, step_size: Scalar
+    ) -> tuple[PathFrame, Density | None]:
+        """Return one frame with its states moved, and its density if the frame before needs it."""
+        filtered = self.filtered(here.frame)
+        # At the beginning of paths, what a state carries comes from a particle, and is not that of the path.
+        early = any(self.filtered(here.frame - k).begins for k in range(1, self.delay + 1) if here.frame >= k)
+        if here.begins or before is None or filtered.fixed or early:
+            return here._replace(log_step_size=step_size), None
+        previous, sampled = self.filtered(here.frame - 1).particles, self._sampled(here.states)
+        density = self.density(here.frame, previous)
+        linked = after if density.reads_previous and ahead is not None else None
+        neighbours = (before.states, self._none_ahead(sampled) if ahead is None else ahead)
+        moved = self._moved(key, sampled, *neighbours, density, filtered.particles, filtered.ancestors, step_size, linked)
+        states = self._completed(before.states, moved.sampled)
+        step_size = adapted(step_size, moved.acceptance_rate, self.smoother.move)
+        return PathFrame(here.frame, states, False, moved.acceptance_rate, step_size), density if density.reads_previous else None
+
+    # -- compiled parts -----------------------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _first_step_size(self) -> Scalar:
+        particles = self.filtered(0).particles
+        first = jax.tree.map(lambda leaf: leaf[0], dict(particles.states))
+        size = sum(leaf.size for leaf in jax.tree.leaves(sampled_of(self.transition, first)))
+        return jnp.log(jnp.asarray(self.smoother.move.step_size(size), particles.log_weights.dtype))
+
+    @cached_property
+    def _begun(self) -> Callable[[Key, Particles], Int[Array, " path"]]:
+        return jax.jit(self.smoother.begin)
+
+    @cached_property
+    def _chosen(self) -> Callable[..., Int[Array, " path"]]:
+        return jax.jit(self.smoother.choose)
+
+    @cached_property
+    def _at(self) -> Callable[[Particles, Int[Array, " path"]], State]:
+        return jax.jit(lambda particles, index: jax.tree.map(lambda leaf: leaf[index], dict(particles.states)))
+
+    @cached_property
+    def _sampled(self) -> Callable[[State], dict[str, Array]]:
+        return jax.jit(jax.vmap(lambda state: sampled_of(self.transition, state)))
+
+    @cached_property
+    def _none_ahead(self) -> Callable[[State], Ahead]:
+        memory = self.memory or 0
+        return jax.jit(jax.vmap(lambda sampled: nothing_ahead(sampled, memory)))
+
+    @cached_property
+    def _pushed(self) -> Callable[[Ahead, State], Ahead]:
+        return jax.jit(jax.vmap(lambda ahead, sampled: ahead.pushed(sampled)))
+
+    @cached_property
+    def _completed(self) -> Callable[[State, State], State]:
+        return jax.jit(jax.vmap(self.transition.state))
+
+    @cached_property
+    def _carried(self) -> Callable[[State, State], State]:
+        return jax.jit(jax.vmap(lambda before, state: self.transition.state(before, sampled_of(self.transition, state))))
+
+    @cached_property
+    def _regressed(self) -> Callable[..., State]:
+        def back(key: Key, particles: Particles, index: Int[Array, " path"], nexts: Ahead, frames: int) -> State:
+            chart = _coordinates(self.transition, particles)
+            sampled = regressed(key, particles, index, nexts, self.transition, chart, frames)
+            return replaced(particles, index, sampled, self.transition)
+
+        return partial(jax.jit, static_argnames="frames")(back)
+
+    @cached_property
+    def _moved(self) -> Callable[..., Moved]:
+        def moved(
+            key: Key,
+            sampled: State,
+            before: State,
+            ahead: Ahead,
+            density: Density,
+            particles: Particles,
+            ancestors: Int[Array, " particle"],
+            log_step_size: Scalar,
+            after: Density | None,
+        ) -> Moved:
+            chart, count = density.coordinates(), particles.log_weights.shape[0]
+            position = jax.vmap(chart.unconstrain)(particles.states)
+            earlier = jax.vmap(chart.unconstrain)(jax.tree.map(lambda leaf: leaf[ancestors], dict(density.previous.states)))
+            roots = {
+                name: whitening_between(values.reshape(count, -1), earlier[name].reshape(count, -1), particles.log_weights)
+                for name, values in position.items()
+            }
+            return self.smoother.moved(key, sampled, before, ahead, Moves(density, chart, after, roots, jnp.exp(log_step_size)))
+
+        return jax.jit(moved)
+
+
+def _coordinates(transition: Transition, particles: Particles) -> Chart:
+    """Return the coordinates of the states after these particles."""
+    return Density(transition, (), {}, particles).coordinates()

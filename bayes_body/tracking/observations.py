@@ -1,0 +1,44 @@
+"""The data of frames, read ahead of the filter that needs them: forwards, or backwards for a smoother."""
+
+from collections.abc import Generator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bayes_body.kernels.parts.batching import everywhere
+from bayes_body.model.build import Model
+from bayes_body.observation.frames import prefetch, read_frame
+from bayes_body.session.session import Session
+
+# Frames that are read forwards before they are taken backwards: a video cannot be read backwards.
+PIECE = 8
+
+
+class Observed(NamedTuple):
+    """A frame's data: which cameras saw it, the factors' arrays, and the factors themselves if a camera moves (None: those of the model)."""
+
+    seen: np.ndarray
+    data: Any
+    factors: Any
+
+
+def observations(session: Session, model: Model, frames: range) -> Generator[Observed]:
+    """Yield the data of each frame; a background thread reads the next one.
+
+    Raises:
+        InputError: a frame cannot be read.
+    """
+    return prefetch(frames, lambda index: _observe(session, model, index))
+
+
+def observations_backwards(session: Session, model: Model, last: int) -> Generator[Observed]:
+    """Yield the data of each frame from `last` to the first, as `observations` does."""
+    pieces = [range(max(stop - PIECE, 0), stop) for stop in range(last + 1, 0, -PIECE)]
+    for piece in prefetch(pieces, lambda some: [_observe(session, model, index) for index in some]):
+        yield from reversed(piece)
+
+
+def _observe(session: Session, model: Model, index: int) -> Observed:
+    frame = read_frame(session, index, model.reads_before)
+    factors = everywhere(model.at(frame.cameras).factors) if session.moves else None
+    return Observed(np.array(frame.seen), everywhere(model.observe(frame)), factors)

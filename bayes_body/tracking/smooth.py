@@ -1,0 +1,196 @@
+"""Smooth a filtered session: paths through all frames, from the frames of its filters (tracking/backward.py).
+
+The last frame is computed first, and stored first: the frames of a smoothed run are stored in this order (`LastFirst`). Each run of the filter gives
+its own paths. A lost frame is one without images: its states are not moved, and its neighbours decide. No path leads across a restart.
+"""
+
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Particles
+from bayes_body.density.kernel import FilterInfo
+from bayes_body.errors import input_error
+from bayes_body.kernels.parts.batching import everywhere
+from bayes_body.kernels.smoother import Smoother
+from bayes_body.model.build import Model
+from bayes_body.session.session import Session
+from bayes_body.shapes import Key
+from bayes_body.tracking.backward import Backward, Filtered, PathFrame
+from bayes_body.tracking.draws import FrameResult, Frames, FrameStore
+from bayes_body.tracking.observations import Observed, observations_backwards
+
+# Frames whose data are held for the runs that are behind.
+HELD = 8
+
+
+class SmoothProgress(NamedTuple):
+    """The figures of a progress bar: frames done, frames in all, mean seconds a frame so far, and the smallest number of distinct states of a run."""
+
+    frame: int
+    frames: int
+    seconds_per_frame: float
+    distinct: int
+
+
+class LastFirst:
+    """Frames that are stored from the last to the first, in the order of time."""
+
+    def __init__(self, stored: Frames):
+        self._stored = stored
+
+    def __len__(self) -> int:
+        return len(self._stored)
+
+    def __getitem__(self, index: int, /) -> FrameResult:
+        if not -len(self) <= index < len(self):
+            raise IndexError(index)
+        return self._stored[len(self) - 1 - index % len(self)]
+
+    def __iter__(self) -> Iterator[FrameResult]:
+        return (self[index] for index in range(len(self)))
+
+
+def smooth(
+    session: Session,
+    model: Model,
+    smoother: Smoother,
+    filtered: Frames,
+    key: Key,
+    into: FrameStore,
+    on_frame: Callable[[SmoothProgress], None] | None = None,
+) -> LastFirst:
+    """Draw paths, and return their frames in the order of time.
+
+    Args:
+        session: the recording.
+        model: the model with which it was filtered.
+        smoother: from `kernels.smoother.build_smoother`.
+        filtered: the frames of the filters.
+        key: random key of all paths.
+        into: the store of the frames, the last frame first; those that it holds already are not computed again.
+        on_frame: called after each frame is stored.
+
+    Raises:
+        InputError: a frame cannot be read or stored, or `into` holds more frames than the filters have.
+    """
+    count, done, seconds = len(filtered), len(into), 0.0
+    if done > count:
+        raise input_error("the frames of the smoother", str(done), f"at most the {count} of the filter", "start again in another folder")
+    if done < count:
+        # If a factor reads the frame before, the first walk needs all images again.
+        last = count - 1 if model.reads_before or not done else count - 1 - done
+        with closing(_Recording(session, model, smoother, last)) as recording:
+            walk = _Walk(model, smoother, filtered, into, recording)
+            for number, result in enumerate(walk.frames(key), done + 1):
+                into.append(result)
+                seconds += result.seconds
+                if on_frame is not None:
+                    on_frame(SmoothProgress(number, count, seconds / (number - done), int(result.info.ess.min())))
+    return LastFirst(into)
+
+
+class _Recording:
+    """The data of frames, asked for in descending order; each is read once, and only if it is needed."""
+
+    def __init__(self, session: Session, model: Model, smoother: Smoother, last: int):
+        moves = smoother.options.moves > 0 and model.transition.frames_read is not None
+        self.needed = moves or model.reads_before
+        self._data, self._next = observations_backwards(session, model, last), last
+        # Runs that restarted are some frames ahead of the others.
+        self._held: OrderedDict[int, Observed] = OrderedDict()
+
+    def at(self, frame: int) -> Observed | None:
+        """Return the data of a frame; None if they do not matter."""
+        while self.needed and self._next >= frame:
+            self._held[self._next] = next(self._data)
+            self._next -= 1
+            if len(self._held) > HELD:
+                self._held.popitem(last=False)
+        return self._held.get(frame)
+
+    def close(self) -> None:
+        """Stop reading."""
+        self._data.close()
+
+
+class _Walk:
+    """The walk of all runs side by side."""
+
+    def __init__(self, model: Model, smoother: Smoother, filtered: Frames, stored: Frames, recording: _Recording):
+        placed = {name: everywhere(getattr(model, name)) for name in ("transition", "factors")}
+        self.model, self.smoother, self.filtered, self.stored, self.recording = replace(model, **placed), smoother, filtered, stored, recording
+        self.runs = filtered[0].log_weights.shape[0]
+
+    def frames(self, key: Key) -> Iterator[FrameResult]:
+        """Yield the frames of all runs, the last one first."""
+        count, done = len(self.filtered), len(self.stored)
+        follow = [
+            self._run(run).follow(jax.random.fold_in(key, run), count, self._stored(run), count - done if done else None) for run in range(self.runs)
+        ]
+        last = time.perf_counter()
+        for number, each in enumerate(zip(*follow, strict=True)):
+            paths = jax.device_get(each)
+            last, seconds = time.perf_counter(), time.perf_counter() - last
+            # The first frame of a process waits for the compiler.
+            yield self._result(paths, seconds, 0.0 if number else seconds)
+
+    def _run(self, run: int) -> Backward:
+        return Backward(self.smoother, self.model.transition, lambda frame: self._filtered(run, frame), self._density)
+
+    def _filtered(self, run: int, frame: int) -> Filtered:
+        kept = self.filtered[frame]
+        particles = Particles({name: values[run] for name, values in kept.states.items()}, kept.log_weights[run])
+        restarted = bool(kept.restarted.size and kept.restarted[run])
+        fixed = bool(np.asarray(kept.info.lost)[run])
+        return Filtered(*everywhere((particles, kept.info.ancestors[run].astype(np.int32))), frame == 0 or restarted, fixed)
+
+    def _density(self, frame: int, previous: Particles) -> Density:
+        observed = self.recording.at(frame)
+        if observed is None:
+            return Density(self.model.transition, self.model.factors, {}, previous)
+        return Density(self.model.transition, self.model.factors if observed.factors is None else observed.factors, observed.data, previous)
+
+    def _stored(self, run: int) -> Callable[[int], PathFrame]:
+        def path_frame(frame: int) -> PathFrame:
+            kept = self.stored[len(self.filtered) - 1 - frame]
+            states = {name: values[run] for name, values in kept.states.items()}
+            info = kept.info
+            states, rate, step = everywhere((states, info.acceptance_rate[run, 0], info.markov["log_step"][run, 0]))
+            return PathFrame(frame, states, False, rate, step)
+
+        return path_frame
+
+    def _result(self, paths: tuple[PathFrame, ...], seconds: float, ready: float) -> FrameResult:
+        kept = self.filtered[paths[0].frame]
+        states = {name: np.stack([np.asarray(path.states[name]) for path in paths]) for name in kept.states}
+        draws = self.smoother.options.draws
+        moves = self.smoother.options.moves * self.smoother.move.evaluations
+        ones = np.ones((self.runs, 1), kept.log_weights.dtype)
+        info: dict[str, Any] = {
+            # A draw is a path: its own ancestor in every frame.
+            "ancestors": np.broadcast_to(np.arange(draws, dtype=np.int32), (self.runs, draws)),
+            "ess": np.array([_distinct(path.states) for path in paths], kept.log_weights.dtype),
+            "survival_rate": ones,
+            "inverse_temperatures": ones,
+            "log_evidence": np.asarray(kept.info.log_evidence),
+            "lost": np.asarray(kept.info.lost),
+            "acceptance_rate": np.array([[path.acceptance_rate] for path in paths], kept.log_weights.dtype),
+            "evaluations": np.array([draws * moves * np.isfinite(path.acceptance_rate) for path in paths], np.int32),
+            "markov": {"log_step": np.array([[path.log_step_size] for path in paths])},
+        }
+        log_weights = np.full((self.runs, draws), -np.log(draws), kept.log_weights.dtype)
+        return FrameResult(states, log_weights, FilterInfo(**info), kept.seen, seconds - ready, ready, kept.restarted)
+
+
+def _distinct(states: Any) -> int:
+    """Return the number of different states among the paths."""
+    rows = np.concatenate([np.asarray(leaf).reshape(len(leaf), -1) for leaf in jax.tree.leaves(dict(states))], axis=1)
+    return len(np.unique(rows, axis=0))

@@ -1,0 +1,247 @@
+"""Backward simulation against exact smoothers: of linear Gaussian processes of first and of second order, and of a walk between limits."""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpyro.distributions as dist
+import pytest
+
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Factor, Particles, Transition, Variable
+from bayes_body.dynamics import diffusion
+from bayes_body.dynamics.diffusion import TruncatedWalk
+from bayes_body.kernels import smoother
+from bayes_body.kernels.particle_filter import build_kernel
+from bayes_body.kernels.smoother import build_smoother
+from bayes_body.tracking.backward import Backward, Filtered
+
+# These programs run for longer than they compile.
+pytestmark = pytest.mark.usefixtures("optimised")
+
+KEYS, PARTICLES, DRAWS, BEFORE = 16, 1000, 500, "x_before"
+ROOT, LOOK, LOOK_SD, FIRST_ROOT = np.array([[0.5, 0.0], [0.2, 0.3]]), np.array([[1.0, -0.5]]), 0.4, np.array([[1.0, 0.0], [-0.3, 0.7]])
+# Fixed, and not drawn from the model: the smoother's equations hold for any data.
+SEEN = np.array([[0.4], [0.9], [0.5], [-0.3], [0.2], [0.9]])
+
+
+def _conditional(on, back, root, previous):
+    return {"x": dist.MultivariateNormal(on @ previous["x"] + back @ previous.get(BEFORE, previous["x"]), scale_tril=root)}
+
+
+def _noise(root, state, scale):
+    return {"x": dist.MultivariateNormal(state["x"], scale_tril=scale * root)}
+
+
+def _carry(previous, known):
+    return {"x": known["x"], BEFORE: previous["x"]}
+
+
+def _seen(look, sd, values, z):
+    return jnp.sum(dist.Normal(look @ values[Variable("x")], sd).log_prob(z))
+
+
+class Process(NamedTuple):
+    """x_t = on x_{t-1} + back x_{t-2} + N(0, Q), z = H x + N(0, R): correlated noise, and one observed mixture of two coordinates."""
+
+    on: np.ndarray
+    back: np.ndarray
+    memory: int
+
+    @property
+    def transition(self):
+        arguments = (jnp.asarray(self.on, float), jnp.asarray(self.back, float), jnp.asarray(ROOT))
+        carried = {"carry": jax.tree_util.Partial(_carry), "memory": 2} if self.memory == 2 else {}
+        return Transition("process", jax.tree_util.Partial(_conditional, *arguments), jax.tree_util.Partial(_noise, jnp.asarray(ROOT)), **carried)
+
+    def density(self, frame, previous):
+        look = jax.tree_util.Partial(_seen, jnp.asarray(LOOK), jnp.asarray(LOOK_SD))
+        return Density(self.transition, (Factor("z", "likelihood", (Variable("x"),), look),), {"z": jnp.asarray(SEEN[frame])}, previous)
+
+    def start(self, key):
+        x = jax.random.normal(key, (PARTICLES, 2)) @ FIRST_ROOT.T
+        return Particles({"x": x} | ({BEFORE: x} if self.memory == 2 else {}), jnp.full(PARTICLES, -jnp.log(PARTICLES)))
+
+    def exact(self):
+        """Mean (6 x 2,) and covariance of all frames together, given all that is seen: one large normal distribution."""
+        frames, size = len(SEEN), 2 * (len(SEEN) + 1)
+        # Rows: the states from before the first frame on, as mixtures of the first state and the noise.
+        mixture = np.zeros((size, size))
+        mixture[:2, :2] = FIRST_ROOT
+        for t in range(1, frames + 1):
+            here, before, earlier = (slice(2 * k, 2 * k + 2) for k in (t, t - 1, max(t - 2, 0)))
+            mixture[here] = self.on @ mixture[before] + self.back @ mixture[earlier]
+            mixture[here, here] += ROOT
+        prior = (mixture @ mixture.T)[2:, 2:]
+        look = np.kron(np.eye(frames), LOOK)
+        gain = prior @ look.T @ np.linalg.inv(look @ prior @ look.T + LOOK_SD**2 * np.eye(frames))
+        return gain @ SEEN.ravel(), prior - gain @ look @ prior
+
+
+FIRST = Process(np.array([[1.0, 0.5], [-0.2, 0.9]]), np.zeros((2, 2)), 1)
+SECOND = Process(np.array([[1.6, 0.2], [0.0, 1.2]]), np.array([[-0.7, 0.0], [0.1, -0.4]]), 2)
+
+
+def smoothed(process, change=lambda transition: transition, frames=len(SEEN), **options):
+    """Mean and covariance of the paths of each key, (key, 12) and (key, 12, 12)."""
+    kernel, found, count = build_kernel(), [], frames
+    step = jax.jit(lambda key, particles, frame, density: kernel(key, particles, density))
+    built = build_smoother(draws=DRAWS, **options)
+
+    def density(frame, previous):
+        made = process.density(frame, previous)
+        return Density(change(made.transition), made.factors, made.data, made.previous)
+
+    frames: list[Filtered] = []
+    walk = Backward(built, change(process.transition), lambda t: frames[t], density)
+    for seed in range(KEYS):
+        key, particles = jax.random.key(seed), process.start(jax.random.key(seed + 1000))
+        frames.clear()
+        for frame in range(count):
+            particles, info = step(jax.random.fold_in(key, frame), particles, frame, process.density(frame, particles))
+            frames.append(Filtered(particles, info.ancestors, frame == 0))
+        paths = {one.frame: np.asarray(one.states["x"], float) for one in walk.follow(jax.random.key(seed + 2000), count)}
+        found.append(np.concatenate([paths[t] for t in range(count)], axis=1))
+    draws = np.array(found)
+    means = draws.mean(axis=1)
+    return means, np.array([np.cov(each.T) for each in draws])
+
+
+def check(process, change=lambda transition: transition, **options):
+    """Means and covariances of all frames together, those of neighbours too, within four standard errors over the keys."""
+    exact, runs = process.exact(), smoothed(process, change, **options)
+    for name, given, found in zip(("mean", "covariance"), exact, runs, strict=True):
+        errors = found.std(axis=0, ddof=1) / np.sqrt(KEYS)
+        # With few keys, the spread of one entry is known badly; entries of one kind have similar spreads.
+        distance = np.abs(found.mean(axis=0) - given) / np.maximum(errors, np.median(errors))
+        assert distance.max() < 4, f"{name}: {distance.max():.1f} standard errors from the exact smoother"
+
+
+WAYS = {
+    "particles": {"start": "particles", "moves": 0},
+    "particles moved": {"start": "particles", "moves": 2},
+    "ensemble": {"start": "ensemble", "moves": 0},
+    "ensemble moved": {"start": "ensemble", "moves": 2},
+}
+
+
+# One of each kind; the others take as long.
+DEFAULT = {("first order", "particles moved"), ("second order", "particles"), ("second order", "ensemble moved")}
+CASES = [
+    pytest.param(process, way, id=f"{order}, {way}", marks=[] if (order, way) in DEFAULT else pytest.mark.slow)
+    for order, process in (("first order", FIRST), ("second order", SECOND))
+    for way in WAYS
+]
+
+
+@pytest.mark.parametrize(("process", "way"), CASES)
+def test_the_paths_are_those_of_the_exact_smoother(process, way):
+    check(process, **WAYS[way])
+
+
+def test_a_smoother_that_ignores_the_second_frame_is_found_out():
+    with pytest.raises(AssertionError, match="standard errors from the exact smoother"):
+        check(SECOND, lambda transition: dataclasses.replace(transition, memory=1), **WAYS["particles"])
+
+
+@pytest.mark.slow
+def test_a_smoother_that_keeps_what_a_particle_carries_is_found_out(monkeypatch):
+    """The naive form: the frame after the next is weighed with the pose that the particle of the next frame came from."""
+
+    def naive(transition, state, ahead, after=None):
+        total, before = jnp.zeros(()), state
+        for k in range(ahead.known.shape[0]):
+            here = {**before, "x": ahead.sampled["x"][k]}
+            total += jnp.where(ahead.known[k], transition.log_density(here, before), 0.0)
+            before = here
+        return total
+
+    monkeypatch.setattr(smoother, "log_ahead", naive)
+    with pytest.raises(AssertionError, match="standard errors from the exact smoother"):
+        check(SECOND, **WAYS["particles"])
+
+
+# -- a walk between two limits: its density has another normaliser from each place --------------------------------------------------------------
+
+LOW, HIGH, SD, GRID = 0.0, 1.0, 0.4, (np.arange(400) + 0.5) / 400
+NEAR = np.array([0.05, 0.4, 0.15, 0.9, 0.6])
+
+
+def _between(previous):
+    return {"x": TruncatedWalk(previous["x"], jnp.full(1, SD), jnp.full(1, LOW), jnp.full(1, HIGH))}
+
+
+def _between_noise(state, scale):
+    return {"x": TruncatedWalk(state["x"], scale * jnp.full(1, SD), jnp.full(1, LOW), jnp.full(1, HIGH))}
+
+
+def _near(values, z):
+    return jnp.sum(dist.Normal(values[Variable("x")], 0.3).log_prob(z))
+
+
+class Walled(NamedTuple):
+    """A random walk truncated to [0, 1], seen with noise."""
+
+    @property
+    def transition(self):
+        return Transition("walled", jax.tree_util.Partial(_between), jax.tree_util.Partial(_between_noise))
+
+    def density(self, frame, previous):
+        factor = Factor("z", "likelihood", (Variable("x"),), jax.tree_util.Partial(_near))
+        return Density(self.transition, (factor,), {"z": jnp.asarray(NEAR[frame])}, previous)
+
+    def start(self, key):
+        return Particles({"x": jnp.full((PARTICLES, 1), 0.5)}, jnp.full(PARTICLES, -jnp.log(PARTICLES)))
+
+    def exact(self):
+        """Means and the covariance of all frames, by quadrature: forwards and backwards on a grid."""
+        steps = np.exp(-0.5 * ((GRID[:, None] - GRID) / SD) ** 2)
+        steps /= steps.sum(axis=1, keepdims=True)
+        seen = np.exp(-0.5 * ((GRID - NEAR[:, None]) / 0.3) ** 2)
+        first = np.exp(-0.5 * ((GRID - 0.5) / SD) ** 2)
+        forward, backward = [first / first.sum() * seen[0]], [np.ones_like(GRID)]
+        for each in seen[1:]:
+            forward.append(forward[-1] @ steps * each)
+        for each in seen[:0:-1]:
+            backward.insert(0, steps @ (each * backward[0]))
+        frames = len(NEAR)
+        marginals = [f * b / (f @ b) for f, b in zip(forward, backward, strict=True)]
+        means = np.array([m @ GRID for m in marginals])
+        covariance = np.empty((frames, frames))
+        for i in range(frames):
+            onward = forward[i] * GRID
+            for j in range(i, frames):
+                onward = onward if j == i else onward @ steps * seen[j]
+                both = (onward * GRID) @ backward[j] / (forward[j] @ backward[j])
+                covariance[i, j] = covariance[j, i] = both - means[i] * means[j]
+        return means, covariance
+
+
+@pytest.mark.slow
+def test_between_limits_the_paths_are_those_of_quadrature():
+    check(Walled(), frames=len(NEAR), **WAYS["particles moved"])
+
+
+@pytest.mark.slow
+def test_the_moves_mend_an_ensemble_that_is_not_normal():
+    check(Walled(), frames=len(NEAR), start="ensemble", moves=40)
+
+
+def test_a_density_without_its_normaliser_is_found_out(monkeypatch):
+    monkeypatch.setattr(diffusion, "_log_mass", lambda a, b: jnp.zeros_like(a))
+    with pytest.raises(AssertionError, match="standard errors from the exact smoother"):
+        check(Walled(), frames=len(NEAR), **WAYS["particles"])
+
+
+def test_a_smoother_that_forgets_the_forward_weights_is_found_out(monkeypatch):
+    chosen = smoother.Smoother.choose
+
+    def forgetful(self, key, paths, density, after=None):
+        equal = density.previous._replace(log_weights=jnp.full(PARTICLES, -jnp.log(PARTICLES)))
+        return chosen(self, key, paths, density.with_previous(equal), after)
+
+    monkeypatch.setattr(smoother.Smoother, "choose", forgetful)
+    with pytest.raises(AssertionError, match="standard errors from the exact smoother"):
+        check(FIRST, **WAYS["particles"])
