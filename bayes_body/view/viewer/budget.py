@@ -4,11 +4,11 @@ import math
 from typing import NamedTuple
 
 # Bytes of a page: small enough to be mailed. Of them, for the draws and for the images.
-LARGEST, DRAWS, IMAGES = 10_000_000, 4_000_000, 4_500_000
+LARGEST, DRAWS, IMAGES = 10_000_000, 4_800_000, 3_800_000
 # The most frames.
 FRAMES = 300
 # Bytes in the page, measured: of a part's axis in a draw, of the mean body and the points of a frame, and of a pixel of an image.
-AXIS, FRAME, PIXEL = 22.0, 2000.0, 0.2
+AXIS, FRAME, PIXEL = 20.0, 1500.0, 0.13
 # Shortest and longest of an image's longer side, pixels.
 SIDES = (96, 400)
 # Height / width of a usual image.
@@ -21,12 +21,10 @@ class Budget(NamedTuple):
     Attributes:
         axes: number of lines of a frame: draws times parts.
         cameras: number of cameras with images.
-        largest: bytes of the page.
     """
 
     axes: int
     cameras: int
-    largest: int = LARGEST
 
     def step(self, frames: int) -> int:
         """Return the step between the frames that are shown."""

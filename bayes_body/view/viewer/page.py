@@ -12,7 +12,7 @@ from bayes_body.files.existing import check_free, has_mark
 from bayes_body.view.overlay import LEFT, MIDDLE, RIGHT
 from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.report.markup import Markup, joined, tag
-from bayes_body.view.viewer.budget import Budget
+from bayes_body.view.viewer.budget import LARGEST, Budget
 from bayes_body.view.viewer.motion import read_poses
 from bayes_body.view.viewer.recording import Recording, read_recording
 from bayes_body.view.viewer.scene import KEYPOINTS, TRUTH, Colour, Scene, look_at, rgb
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 FILE_NAME = "view.html"
 # What tells a view from other files (`has_mark`).
 MARK = b'<meta name="generator" content="bayes-body view">'
-# Nothing may be loaded from anywhere. viser's page unpacks itself with a program in WebAssembly, and makes pictures from blobs.
+# Nothing may be loaded from anywhere. viser's page unpacks itself with WebAssembly, which makes functions from texts, and pictures from blobs.
 POLICY = (
-    "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
+    "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
     "connect-src data: blob:; worker-src blob:"
 )
 CONTROLS = (
@@ -68,7 +68,7 @@ def write_view(
         shown = frames[::step]
         remarks = [*_thinned(frames, step), *([SEEKER] if run.mode_seeker else []), *recording.missing]
         page = _page(run, recording, shown, draws, budget.side(len(shown)), remarks, watch)
-        if len(page.encode()) < budget.largest or len(shown) == 1:
+        if len(page.encode()) < LARGEST or len(shown) == 1:
             break
         step *= 2
     make_folder(path.parent)
@@ -88,7 +88,7 @@ def _page(run: "SavedRun", recording: Recording, frames: range, draws: int, side
     # The first look needs the whole path. The budget keeps all of this small.
     poses = list(read_poses(run, frames, draws))
     with deaf_server() as server:
-        scene = Scene(server.scene, body, up, look := look_at(poses, recording.session, up))
+        scene = Scene(server.scene, body, up, look := look_at(poses, [view.camera for view in recording.session.views], up))
         camera = server.initial_camera
         camera.position, camera.look_at, camera.fov = look.eye, look.middle, look.fov
         record = server.get_scene_serializer()

@@ -14,7 +14,7 @@ from bayes_body.body.solids import Body
 from bayes_body.errors import escaped
 from bayes_body.geometry import rotations
 from bayes_body.observation.pictures import Colours
-from bayes_body.session.session import CameraSpec, Session
+from bayes_body.session.session import CameraSpec
 from bayes_body.view.overlay import colour
 from bayes_body.view.report.limbs import spoken
 from bayes_body.view.viewer.motion import Pose
@@ -33,9 +33,10 @@ LINE, POINT, PYRAMID, AXES, AROUND = 0.003, 0.035, 0.35, 0.4, 4.0
 OPACITY, DARKER = 0.6, 0.7
 # JPEG's quality, up to 100.
 QUALITY = 60
-# The first look: metres to the path's box, and radians beside the first camera and above the horizon.
-DISTANCE, BESIDE, ABOVE = 2.3, math.radians(35), math.radians(15)
-NEAR = 1e-3
+# The first look: metres to the path's box, and radians from the next camera, at most, and above the horizon.
+DISTANCE, BESIDE, ABOVE = 2.3, math.radians(60), math.radians(15)
+# Metres in front of the path's middle, where the time stands.
+FRONT = 0.7
 
 
 class Look(NamedTuple):
@@ -54,18 +55,20 @@ class Look(NamedTuple):
     fov: float = math.radians(50)
 
 
-def look_at(poses: Sequence[Pose], session: Session, up: str) -> Look:
-    """Return the first look at the path of the mean body: beside the first camera, a little from above."""
-    points, height = np.concatenate([pose.origins for pose in poses]), np.eye(3)["xyz".index(up)]
+def look_at(poses: Sequence[Pose], cameras: Sequence[CameraSpec], up: str) -> Look:
+    """Return the first look at the path of the mean body, a little from above, and from where no camera stands in the way."""
+    points, axis = np.concatenate([pose.origins for pose in poses]), "xyz".index(up)
     low, high = points.min(axis=0), points.max(axis=0)
     middle, size = (low + high) / 2, float((high - low).max())
-    first = session.views[0].camera if session.views else None
-    side = np.roll(height, 1) if first is None else -first.rotation.T @ first.translation_m - middle
-    side = side - (side @ height) * height
-    # A camera straight above gives no direction.
-    side = side / np.linalg.norm(side) if np.linalg.norm(side) > NEAR else np.roll(height, 1)
-    turned = math.cos(BESIDE) * side + math.sin(BESIDE) * np.cross(height, side)
-    return Look(middle, size, middle + (DISTANCE + size) * (math.cos(ABOVE) * turned + math.sin(ABOVE) * height))
+    # The horizontal axes, such that a positive angle turns from the first to the second about the upward axis.
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    places = [-camera.rotation.T @ camera.translation_m - middle for camera in cameras]
+    angles = np.sort([math.atan2(place[second], place[first]) for place in places] or [0.0])
+    gaps = np.diff(angles, append=angles[0] + 2 * math.pi)
+    angle = angles[gaps.argmax()] + min(gaps.max() / 2, BESIDE)
+    towards = np.zeros(3)
+    towards[[first, second, axis]] = math.cos(ABOVE) * math.cos(angle), math.cos(ABOVE) * math.sin(angle), math.sin(ABOVE)
+    return Look(middle, size, middle + (DISTANCE + size) * towards)
 
 
 class Scene:
@@ -77,8 +80,9 @@ class Scene:
         self.nodes: dict[str, Any] = {}
         self.radii: dict[str, np.ndarray] = {}
         scene.set_up_direction(np.eye(3)[self.up])
-        # The time stands on the floor, between the path and the eye.
-        self.before = look.middle + (0.5 + look.size / 2) * (look.eye - look.middle) / np.linalg.norm(look.eye - look.middle)
+        # The time stands on the floor before the person.
+        ahead = (look.eye - look.middle) * (np.arange(3) != self.up)
+        self.before = look.middle + FRONT * ahead / np.linalg.norm(ahead)
         self.before[self.up] = 0.0
         self._floor(look)
 
