@@ -109,7 +109,8 @@ def test_nothing_listens_and_nothing_is_printed(make_arm, monkeypatch, capfd):
 
 
 def test_a_mode_seeker_has_no_draws_and_a_sentence_why(make_arm):
-    path, remarks = written(make_arm(log_evidence=np.full((2, 5), np.nan)))
+    path, remarks = written(make_arm(log_evidence=np.full((2, 5), np.nan), lost=np.arange(5) == [[2], [3]]))
+    assert remarks[0] == "Frames 2-3: lost, or the body is off the person."
     assert "/Draws" not in names(path) and any("not a measure of uncertainty" in remark for remark in remarks)
     assert "not a measure of uncertainty" in path.read_text(encoding="utf-8")
 

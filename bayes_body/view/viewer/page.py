@@ -7,9 +7,11 @@ from string import Template
 from typing import TYPE_CHECKING
 
 from bayes_body.errors import input_error
+from bayes_body.export.motion import lost_frames
 from bayes_body.files.atomic import make_folder, write_text
 from bayes_body.files.existing import check_free, has_mark
-from bayes_body.view.overlay import LEFT, MIDDLE, RIGHT
+from bayes_body.posterior.diagnostics import frame_ranges
+from bayes_body.view.overlay import LEFT, MIDDLE, RIGHT, colour
 from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.report.markup import Markup, joined, tag
 from bayes_body.view.viewer.budget import LARGEST, Budget
@@ -34,6 +36,7 @@ CONTROLS = (
     "the layers: a click on an eye hides or shows one."
 )
 SEEKER = "There are no draws: the spread of a mode seeker's particles is not a measure of uncertainty."
+SIDES = {LEFT: "left side", RIGHT: "right side", MIDDLE: "middle"}
 UNREADABLE = "the page that viser makes"
 
 
@@ -66,7 +69,7 @@ def write_view(
     step = budget.step(len(frames))
     while True:
         shown = frames[::step]
-        remarks = [*_thinned(frames, step), *([SEEKER] if run.mode_seeker else []), *recording.missing]
+        remarks = [*_lost(run), *_thinned(frames, step), *([SEEKER] if run.mode_seeker else []), *recording.missing]
         page = _page(run, recording, shown, draws, budget.side(len(shown)), remarks, watch)
         if len(page.encode()) < LARGEST or len(shown) == 1:
             break
@@ -74,6 +77,12 @@ def write_view(
     make_folder(path.parent)
     write_text(path, page)
     return path, remarks
+
+
+def _lost(run: "SavedRun") -> Iterator[str]:
+    lost = lost_frames(run)
+    if lost.any():
+        yield f"{frame_ranges(lost.nonzero()[0].tolist()).capitalize()}: lost, or the body is off the person."
 
 
 def _thinned(frames: range, step: int) -> Iterator[str]:
@@ -104,20 +113,20 @@ def _page(run: "SavedRun", recording: Recording, frames: range, draws: int, side
 
 
 def _text(run: "SavedRun", draws: int, has_truth: bool, has_keypoints: bool, remarks: Sequence[str]) -> Markup:
+    inks = {colour(name) for name in run.model.body.topology.names}
     layers = [
-        tag("li", _dot(rgb(LEFT)), "left side of the mean body"),
-        tag("li", _dot(rgb(RIGHT)), "right side"),
-        tag("li", _dot(rgb(MIDDLE)), "middle"),
-        *([tag("li", f"Lines: {draws} draws from the posterior of each frame, an axis for each part")] if draws else []),
+        *(tag("li", _dot(rgb(ink)), f"mean body, {side}") for ink, side in SIDES.items() if ink in inks),
+        *([tag("li", f"Lines: {draws} draws from the posterior of each frame. A line is the axis of a part.")] if draws else []),
         *([tag("li", _dot(TRUTH), "true markers")] if has_truth else []),
         *([tag("li", _dot(KEYPOINTS), "keypoints, triangulated")] if has_keypoints else []),
     ]
-    made = f"{run.session.title}: model {run.settings['model']}, kernel {run.kernel['kind']}."
-    return joined([tag("p", made), tag("ul", *layers), *(tag("p", remark) for remark in remarks), tag("p", CONTROLS, class_="soft")])
+    made = f"{run.session.title}: model {run.settings['model']}, kernel {run.kernel['kind']}"
+    axes = "World axes: x red, y green, z blue. Tiles of the floor: 1 m."
+    return joined([tag("p", made), tag("ul", *layers, tag("li", axes)), *(tag("p", remark) for remark in remarks), tag("p", CONTROLS, class_="soft")])
 
 
-def _dot(colour: Colour) -> Markup:
-    return tag("i", style=f"background: rgb{colour}")
+def _dot(ink: Colour) -> Markup:
+    return tag("i", style=f"background: rgb{ink}")
 
 
 def _filled(html: str, run: "SavedRun", text: Markup) -> str:
