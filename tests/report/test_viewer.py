@@ -186,7 +186,7 @@ def test_a_long_run_is_thinned_and_says_so(make_arm, monkeypatch):
     folder, frames = make_arm(), []
     monkeypatch.setattr(pages, "LARGEST", 10)
     path, remarks = written(folder, draws=1, watch=lambda places: frames.append(len(places)) or places)
-    assert frames == [5, 3, 2, 1] and remarks[0].startswith("Every 8th of 5 frames is shown")
+    assert frames == [5, 3, 2, 1] and remarks[0].startswith("One frame in 8 of 5 is shown")
     assert path.stat().st_size < LARGEST == 10_000_000
 
 

@@ -87,8 +87,7 @@ def _lost(run: "SavedRun") -> Iterator[str]:
 
 def _thinned(frames: range, step: int) -> Iterator[str]:
     if step > 1:
-        ordinal = {2: "2nd", 3: "3rd"}.get(step, f"{step}th")
-        yield f"Every {ordinal} of {len(frames):,} frames is shown, so that the file stays small. Fewer draws leave room for more frames."
+        yield f"One frame in {step} of {len(frames):,} is shown, so that the file stays small. Fewer draws leave room for more frames."
 
 
 def _page(run: "SavedRun", recording: Recording, frames: range, draws: int, side: int, remarks: Sequence[str], watch: Watch) -> str:
