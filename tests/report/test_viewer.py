@@ -3,6 +3,7 @@
 import base64
 import dataclasses
 import re
+import shutil
 import socket
 
 import cv2
@@ -63,9 +64,12 @@ def names(page):
 
 
 @pytest.fixture(scope="module")
-def page(make_arm, keypoint_session):
+def page(make_arm, keypoint_session, tmp_path_factory):
+    folder = shutil.copytree(keypoint_session.folder, tmp_path_factory.mktemp("unseen") / "session")
+    # The first camera did not see the last frame.
+    (folder / "a" / "image0004.png").unlink()
     views = [dataclasses.replace(view, camera=dataclasses.replace(view.camera, name=f"{EVIL}/{view.camera.name}")) for view in keypoint_session.views]
-    return written(make_arm(recording=dataclasses.replace(keypoint_session, views=tuple(views)), title=EVIL))[0]
+    return written(make_arm(recording=dataclasses.replace(keypoint_session, folder=folder, views=tuple(views)), title=EVIL))[0]
 
 
 def test_a_browser_without_a_network_shows_it_and_moves_to_a_later_frame(tab, page):
@@ -94,8 +98,11 @@ def test_what_is_in_it(page):
     # A camera is one node, whatever its name.
     assert sorted(name.count("/") for name in found if name.startswith("/Cameras/")) == [2, 2]
     assert EVIL not in page.read_text(encoding="utf-8") and 800_000 < page.stat().st_size < 1_500_000
-    images = [message for _, message in whole["messages"] if "_image_data" in message.get("props", message.get("updates", {}))]
-    assert len(images) >= 2 * 5
+    # An image stays no longer than its frame: the first camera did not see the last one.
+    cameras = [message for _, message in whole["messages"] if "_image_data" in message.get("props", message.get("updates", {}))]
+    images = {camera: [each for each in cameras if each["name"].startswith(f"/Cameras/{camera} ")] for camera in (1, 2)}
+    assert [len(images[camera]) for camera in (1, 2)] == [5, 5]
+    assert [images[camera][-1]["updates"]["_image_data"] is None for camera in (1, 2)] == [True, False]
 
 
 def test_nothing_listens_and_nothing_is_printed(make_arm, monkeypatch, capfd):

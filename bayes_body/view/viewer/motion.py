@@ -18,7 +18,6 @@ from bayes_body.geometry import rotations
 from bayes_body.posterior.blocks import pooled, pose_blocks, weights_of_runs
 from bayes_body.posterior.resampling import RESAMPLING_SEED
 from bayes_body.shapes import Configuration
-from bayes_body.view.progress import Watch, unwatched
 
 if TYPE_CHECKING:
     from bayes_body.storage.saved_run import SavedRun
@@ -40,14 +39,13 @@ class Pose(NamedTuple):
     draws: Float[np.ndarray, "draw part 2 3"]
 
 
-def read_poses(run: "SavedRun", frames: range, draws: int, watch: Watch = unwatched) -> Iterator[Pose]:
+def read_poses(run: "SavedRun", frames: range, draws: int) -> Iterator[Pose]:
     """Yield the body in each frame; a block of frames is in memory at a time.
 
     Args:
         run: the run, loaded from its folder.
         frames: numbers of the frames.
         draws: number of draws in each frame.
-        watch: wraps the places of the frames to show progress.
 
     Raises:
         InputError: the body cannot be used.
@@ -58,7 +56,7 @@ def read_poses(run: "SavedRun", frames: range, draws: int, watch: Watch = unwatc
     points: Iterator[tuple[np.ndarray, np.ndarray]] = (
         each for block in blocks for each in zip(pooled(block.poses), pooled(weights_of_runs(block.log_weights)), strict=True)
     )
-    for _, (cloud, weights) in zip(watch(range(len(frames))), points, strict=True):
+    for cloud, weights in points:
         weights = weights / weights.sum()
         mean = jnp.asarray(space.mean(weights, cloud), body.lengths.dtype)
         rotation, origins, radii = (np.asarray(each, float) for each in _solids(body, mean))

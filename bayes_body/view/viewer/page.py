@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 FILE_NAME = "view.html"
 # What tells a view from other files (`has_mark`).
 MARK = b'<meta name="generator" content="bayes-body view">'
-# Nothing may be loaded from anywhere. viser's page unpacks itself with WebAssembly, which makes functions from texts, and pictures from blobs.
+# Nothing may be loaded from anywhere. viser's page runs WebAssembly, which makes functions from texts, and shows images from blobs.
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
     "connect-src data: blob:; worker-src blob:"
@@ -69,7 +69,7 @@ def write_view(
     step = budget.step(len(frames))
     while True:
         shown = frames[::step]
-        remarks = [*_lost(run), *_thinned(frames, step), *([SEEKER] if run.mode_seeker else []), *recording.missing]
+        remarks = [*_lost(run, frames), *_thinned(frames, step), *([SEEKER] if run.mode_seeker else []), *recording.missing]
         page = _page(run, recording, shown, draws, budget.side(len(shown)), remarks, watch)
         if len(page.encode()) < LARGEST or len(shown) == 1:
             break
@@ -79,10 +79,10 @@ def write_view(
     return path, remarks
 
 
-def _lost(run: "SavedRun") -> Iterator[str]:
+def _lost(run: "SavedRun", frames: range) -> Iterator[str]:
     lost = lost_frames(run)
-    if lost.any():
-        yield f"{frame_ranges(lost.nonzero()[0].tolist()).capitalize()}: lost, or the body is off the person."
+    if lost[frames].any():
+        yield f"{frame_ranges([frame for frame in frames if lost[frame]]).capitalize()}: lost, or the body is off the person."
 
 
 def _thinned(frames: range, step: int) -> Iterator[str]:

@@ -138,7 +138,7 @@ class Scene:
             style: dict[str, Any] = {"scale": PYRAMID, "color": DARK, "thickness": 0.008, "cast_shadow": False, "jpeg_quality": QUALITY}
             fov, aspect = 2 * math.atan(height / (2 * fy)), width * fy / (height * fx)
             node = self.nodes[name] = self.scene.add_camera_frustum(name, fov, aspect, format="jpeg", image=image, **style)
-        elif image is not None:
+        else:
             node.image = image
         node.position, node.wxyz = place, turn
         self._label(f"/Camera names/{last}", escaped(camera.name), place + PYRAMID * np.eye(3)[self.up])
