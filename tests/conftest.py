@@ -31,7 +31,7 @@ import jax.numpy as jnp
 import jaxtyping
 import numpy as np
 from beartype.roar import BeartypeDecorHintException
-from browser import browser  # noqa: F401
+from browser import browser, tab  # noqa: F401
 
 
 def _check_shapes(function):

@@ -111,7 +111,7 @@ def read_motion(run: SavedRun, fps: float | None = None, up: Axis | None = None)
         dof_names=names,
         dof_units=units,
         dofs=dofs,
-        lost=_lost(run),
+        lost=lost_frames(run),
         body=run.model.body,
         order=order,
         moments=MODE_SEEKER_MOMENTS if run.mode_seeker else Moments._fields,
@@ -119,7 +119,8 @@ def read_motion(run: SavedRun, fps: float | None = None, up: Axis | None = None)
     )
 
 
-def _lost(run: SavedRun) -> Bool[np.ndarray, " frame"]:
+def lost_frames(run: SavedRun) -> Bool[np.ndarray, " frame"]:
+    """Return which frames are lost in at least one run, or have a body that is off the person (see `Motion`)."""
     lost = np.asarray(run.tree["filter"]["lost"], bool).any(axis=0)
     off = np.asarray(run.summary.get("frames_off") or [], int)
     lost[off[off < len(lost)]] = True

@@ -44,6 +44,8 @@ def test_from_track_to_export(cli, model, keypoint_session, tmp_path):
     assert cli("report", run).status == 0
     page = (run / "report.html").read_text(encoding="utf-8")
     assert "forearm ry" in page and "upper arm x" in page
+    outcome = cli("view", run)
+    assert outcome.status == 0 and (run / "view.html").stat().st_size > 800_000, outcome.err
     for name in ("trc", "c3d", "csv", "bvh", "npz"):
         outcome = cli("export", run, "--to", name)
         assert outcome.status == 0, outcome.err

@@ -102,8 +102,16 @@ def test_termination(cli, monkeypatch):
 
 
 EMPTY = {
-    "--out": ["demo --out", "report run --out", "simulate walk --out", "export run --to csv --out", "track session --out", "mocap x.bvh --out"],
-    "an argument": ["track", "report", "import parsec source", "models check", "learn regions"],
+    "--out": [
+        "demo --out",
+        "report run --out",
+        "view run --out",
+        "simulate walk --out",
+        "export run --to csv --out",
+        "track session --out",
+        "mocap x.bvh --out",
+    ],
+    "an argument": ["track", "report", "view", "import parsec source", "models check", "learn regions"],
     "--json": ["benchmark --json"],
 }
 
@@ -121,7 +129,7 @@ def test_an_empty_value_after_an_equals_sign(cli):
 
 LONG = "n" * 300
 TOO_LONG = [
-    *(["track", LONG], ["report", LONG], ["export", LONG, "--to", "csv"], ["import", "opencv", LONG, "x"]),
+    *(["track", LONG], ["report", LONG], ["view", LONG], ["export", LONG, "--to", "csv"], ["import", "opencv", LONG, "x"]),
     *(["simulate", "walk", "--out", LONG], ["simulate", "walk", "--out", "s", "--rig", LONG]),
     *(["models", "check", LONG], ["check", LONG], ["mocap", "x.bvh", "--out", f"{LONG}.npz"]),
 ]

@@ -60,7 +60,7 @@ def test_a_run_of_built_in_terms_keeps_none(alone, textured_session, files, tmp_
     assert "plugins" not in tomllib.loads((tmp_path / "run" / "run.toml").read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("verb", [["report"], ["export", "--to", "csv"]])
+@pytest.mark.parametrize("verb", [["report"], ["view"], ["export", "--to", "csv"]])
 def test_what_reads_a_run_asks_for_its_plugin(alone, run, files, verb, tmp_path):
     command = [verb[0], run, *verb[1:], "--out", tmp_path / "out"]
     alone(*command).refuses("run.toml: plugins", "the run has terms of mine.py, which is not loaded", "--plugin mine.py")

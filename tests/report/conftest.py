@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -26,14 +27,19 @@ UNITS = ("m", "rad", "rad", "rad", "rad")
 
 @pytest.fixture(scope="session")
 def make_run(textured_session, tmp_path_factory):
-    """`make_run(runs=2, frames=5, truth=..., pose=..., log_weight=...)`: the folder of a run, arrays as (chain, draw, frame, ...)."""
+    """`make_run(runs=2, frames=5, truth=..., pose=..., log_weight=...)`: the folder of a run, arrays as (chain, draw, frame, ...).
 
-    def call(runs=2, draws=60, frames=5, dofs=DOFS, units=UNITS, title=None, truth=None, **arrays) -> Path:
+    A `recording` is copied with its files.
+    """
+
+    def call(runs=2, draws=60, frames=5, dofs=DOFS, units=UNITS, title=None, truth=None, recording=None, **arrays) -> Path:
         base = tmp_path_factory.mktemp("report")
-        session = dataclasses.replace(textured_session, folder=base / "session", **({"title": title} if title else {}))
+        session = dataclasses.replace(recording or textured_session, folder=base / "session", **({"title": title} if title else {}))
+        if recording is not None:
+            shutil.copytree(recording.folder, session.folder)
         if truth is not None:
             session = dataclasses.replace(session, frames=frames, truth="truth.npz")
-            session.folder.mkdir()
+            session.folder.mkdir(exist_ok=True)
             np.savez(session.folder / "truth.npz", markers=truth, names=np.array(MARKERS))
         save_session(session)
         folder = base / "run"

@@ -315,7 +315,7 @@ def test_what_fails_after_the_last_frame_is_made_by_the_next_one(looped, tmp_pat
 
     name = {"posterior": "stream_posterior", "summary": "summarise"}[what]
     with monkeypatch.context() as patch:
-        patch.setattr(f"bayes_body.runs.run.{name}", full)
+        patch.setattr(f"bayes_body.runs.finish.{name}", full)
         with pytest.raises(InputError, match=what):
             run(Settings(looped(FRAMES), out, **SMALL), lines.append, bar=False)
     assert "6 frames are kept" in lines[-1]

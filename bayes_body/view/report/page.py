@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from bayes_body.errors import input_error
 from bayes_body.files.atomic import make_folder, write_text
-from bayes_body.files.existing import check_free
+from bayes_body.files.existing import check_free, has_mark
 from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.report.bands import band_section
 from bayes_body.view.report.chains import chain_section
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 FILE_NAME = "report.html"
 # Bytes; small enough to be mailed and to be opened on a phone.
 LARGEST = 10_000_000
-# What tells a report from other files, within its first bytes.
-MARK, HEAD = b'<meta name="generator" content="bayes-body report">', 1000
+# What tells a report from other files (`has_mark`).
+MARK = b'<meta name="generator" content="bayes-body report">'
 SECTIONS: Sequence[tuple[str, str, Callable[[Inspection], Markup]]] = (
     ("warnings", "Warnings", lambda it: findings(it.warnings)),
     ("pictures", "Pictures", lambda it: picture_section(it.run.folder, QUALITIES[0])),
@@ -58,22 +58,10 @@ def write_report(run: "SavedRun", out: Path | None = None, watch: Watch = unwatc
         InputError: the file exists and is not a report, it cannot be written, or the body has too many dofs for a page of LARGEST bytes.
     """
     path = out or run.folder / FILE_NAME
-    check_free(path, overwrite or _is_report(path))
+    check_free(path, overwrite or has_mark(path, MARK))
     make_folder(path.parent)
     write_text(path, page(run, watch))
     return path
-
-
-def _is_report(path: Path) -> bool:
-    """Return whether a file begins like a report of this program."""
-    try:
-        # A pipe would have to be waited for.
-        if not path.is_file():
-            return False
-        with path.open("rb") as file:
-            return MARK in file.read(HEAD)
-    except OSError:
-        return False
 
 
 def page(run: "SavedRun", watch: Watch = unwatched) -> str:

@@ -1,5 +1,6 @@
 """Stills and a moving picture of the run's overlay, small enough for a page. An animated WebP needs no controls; on paper a still replaces it."""
 
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -48,7 +49,10 @@ def picture_section(folder: Path, quality: Quality | None) -> Markup:
     ]
     parts += [figures([video], "moving")] if video else [tag("p", "overlay.mp4 is missing or cannot be read: there is no moving picture.")]
     parts += [figures(stills, "stills")] if stills else [tag("p", "There are no stills in overlay/.")]
-    return section("pictures", "Pictures", *(parts if video or stills else parts[1:]))
+    command = tag("code", f"bayes-body view {shlex.quote(folder.resolve().name)}")
+    # No link: the page has scripts, and in a stranger's folder they are the stranger's.
+    scene = tag("p", command, " makes a page on which this run can be turned and played in 3D.", class_="note")
+    return section("pictures", "Pictures", *(parts if video or stills else parts[1:]), scene)
 
 
 def _stills(folder: Path, quality: Quality) -> Iterator[Picture]:

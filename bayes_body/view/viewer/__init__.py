@@ -1,0 +1,5 @@
+"""A run as a 3D scene in one HTML file, for people who want to turn, zoom and play what was tracked."""
+
+from bayes_body.view.viewer.page import write_view
+
+__all__ = ["write_view"]

@@ -1,0 +1,82 @@
+"""Where the body is in the frames that are shown: the mean of the posterior, and draws of equal weight.
+
+The draws of a frame are made by systematic resampling over all runs, with the same random offset in every frame. Draws of equal weight are therefore
+the same draws in every frame, so that the paths of a smoother stay whole.
+"""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from bayes_body.body.solids import Body, part_transforms, widened
+from bayes_body.body.space import configuration_space
+from bayes_body.geometry import rotations
+from bayes_body.posterior.blocks import pooled, pose_blocks, weights_of_runs
+from bayes_body.posterior.resampling import RESAMPLING_SEED
+from bayes_body.shapes import Configuration
+
+if TYPE_CHECKING:
+    from bayes_body.storage.saved_run import SavedRun
+
+
+class Pose(NamedTuple):
+    """The body in one frame.
+
+    Attributes:
+        origins: of the parts of the mean body in the world, metres.
+        quaternions: of the parts of the mean body, (w, x, y, z).
+        radii: of the mean body's parts as cameras see them (base, tip), metres.
+        draws: the two ends of each part's axis in each draw, metres.
+    """
+
+    origins: Float[np.ndarray, "part 3"]
+    quaternions: Float[np.ndarray, "part 4"]
+    radii: Float[np.ndarray, "part 2"]
+    draws: Float[np.ndarray, "draw part 2 3"]
+
+
+def read_poses(run: "SavedRun", frames: range, draws: int) -> Iterator[Pose]:
+    """Yield the body in each frame; a block of frames is in memory at a time.
+
+    Args:
+        run: the run, loaded from its folder.
+        frames: numbers of the frames.
+        draws: number of draws in each frame.
+
+    Raises:
+        InputError: the body cannot be used.
+    """
+    body = run.model.body
+    space, offset = configuration_space(body), np.random.default_rng(RESAMPLING_SEED).random()
+    blocks = pose_blocks(run.tree, frames, variable=body.variable)
+    points: Iterator[tuple[np.ndarray, np.ndarray]] = (
+        each for block in blocks for each in zip(pooled(block.poses), pooled(weights_of_runs(block.log_weights)), strict=True)
+    )
+    for cloud, weights in points:
+        weights = weights / weights.sum()
+        mean = jnp.asarray(space.mean(weights, cloud), body.lengths.dtype)
+        rotation, origins, radii = (np.asarray(each, float) for each in _solids(body, mean))
+        chosen = jnp.asarray(cloud[_resampled(weights, draws, offset)], body.lengths.dtype)
+        ends = np.asarray(_axes(body, chosen)) if draws else np.zeros((0, len(origins), 2, 3))
+        yield Pose(origins, np.asarray(rotations.from_matrix(rotation)), radii, ends)
+
+
+def _resampled(weights: Float[np.ndarray, " draw"], count: int, offset: float) -> Int[np.ndarray, " count"]:
+    levels = (np.arange(count) + offset) / max(count, 1)
+    return np.minimum(np.searchsorted(np.cumsum(weights), levels), len(weights) - 1)
+
+
+@jax.jit
+def _solids(body: Body, configuration: Configuration) -> tuple[Float[Array, "part 3 3"], Float[Array, "part 3"], Float[Array, "part 2"]]:
+    T_world_part = part_transforms(body, configuration)
+    return T_world_part.rotation, T_world_part.origin, widened(body, configuration).outline_radii
+
+
+@jax.jit
+def _axes(body: Body, configurations: Float[Array, "draw *shape"]) -> Float[Array, "draw part 2 3"]:
+    T_world_part = jax.vmap(part_transforms, (None, 0))(body, configurations)
+    return jnp.stack([T_world_part.origin, T_world_part.origin + body.lengths[:, None] * T_world_part.z], axis=2)

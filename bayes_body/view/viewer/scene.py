@@ -1,0 +1,173 @@
+"""The nodes of a run's scene in viser: the floor, the mean body, draws, cameras, points, and the time.
+
+The first frame makes a node, and each later frame changes it. The names of the nodes are what the page lists as layers.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.body.solids import Body
+from bayes_body.errors import escaped
+from bayes_body.geometry import rotations
+from bayes_body.observation.pictures import Colours
+from bayes_body.session.session import CameraSpec
+from bayes_body.view.overlay import colour
+from bayes_body.view.report.limbs import spoken
+from bayes_body.view.viewer.motion import Pose
+from bayes_body.view.viewer.recording import Seen
+from bayes_body.view.viewer.solids import part_mesh
+
+if TYPE_CHECKING:
+    from viser import SceneApi
+
+type Colour = tuple[int, int, int]
+
+TRUTH, KEYPOINTS, DARK, FLOOR = (214, 39, 120), (240, 190, 0), (70, 78, 88), (200, 205, 211)
+# Metres: thickness of a draw's lines, size of points, size of a camera's pyramid, length of the world's axes, and floor around the path.
+LINE, POINT, PYRAMID, AXES, AROUND = 0.003, 0.035, 0.35, 0.4, 4.0
+# The mean is translucent, so that draws and markers inside it are seen. Draws are darker than the mean, by this factor.
+OPACITY, DARKER = 0.6, 0.7
+# JPEG's quality, up to 100.
+QUALITY = 60
+# The first look: metres to the path's box, and radians from the next camera, at most, and above the horizon.
+DISTANCE, BESIDE, ABOVE = 2.3, math.radians(60), math.radians(15)
+# Metres in front of the path's middle, where the time stands.
+FRONT = 0.7
+
+
+class Look(NamedTuple):
+    """What the scene is about, metres.
+
+    Attributes:
+        middle: the middle of the body's path.
+        size: the longest side of the box around the path.
+        eye: from where the scene is seen at first.
+        fov: height of what is seen, radians.
+    """
+
+    middle: Float[np.ndarray, "3"]
+    size: float
+    eye: Float[np.ndarray, "3"]
+    fov: float = math.radians(50)
+
+
+def look_at(poses: Sequence[Pose], cameras: Sequence[CameraSpec], up: str) -> Look:
+    """Return the first look at the path of the mean body, a little from above, and from where no camera stands in the way."""
+    points, axis = np.concatenate([pose.origins for pose in poses]), "xyz".index(up)
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, size = (low + high) / 2, float((high - low).max())
+    # The horizontal axes, such that a positive angle turns from the first to the second about the upward axis.
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    places = [-camera.rotation.T @ camera.translation_m - middle for camera in cameras]
+    angles = np.sort([math.atan2(place[second], place[first]) for place in places] or [0.0])
+    gaps = np.diff(angles, append=angles[0] + 2 * math.pi)
+    angle = angles[gaps.argmax()] + min(gaps.max() / 2, BESIDE)
+    towards = np.zeros(3)
+    towards[[first, second, axis]] = math.cos(ABOVE) * math.cos(angle), math.cos(ABOVE) * math.sin(angle), math.sin(ABOVE)
+    return Look(middle, size, middle + (DISTANCE + size) * towards)
+
+
+class Scene:
+    """A scene to which frames are shown, one after the other."""
+
+    def __init__(self, scene: "SceneApi", body: Body, up: Literal["x", "y", "z"], look: Look) -> None:
+        self.scene, self.body, self.up = scene, body, "xyz".index(up)
+        self.parts = [rgb(colour(name)) for name in body.topology.names]
+        self.nodes: dict[str, Any] = {}
+        self.radii: dict[str, np.ndarray] = {}
+        scene.set_up_direction(np.eye(3)[self.up])
+        # The time stands on the floor before the person.
+        ahead = (look.eye - look.middle) * (np.arange(3) != self.up)
+        self.before = look.middle + FRONT * ahead / np.linalg.norm(ahead)
+        self.before[self.up] = 0.0
+        self._floor(look)
+
+    def _floor(self, look: Look) -> None:
+        """Draw tiles of one metre at height 0 under the path, and the world's axes at its origin."""
+        place = np.round(look.middle)
+        place[self.up] = 0.0
+        size = 2 * float(np.ceil(look.size / 2 + AROUND))
+        plane: Literal["yz", "xz", "xy"] = ("yz", "xz", "xy")[self.up]
+        style: dict[str, Any] = {"cell_color": FLOOR, "section_color": FLOOR, "cell_size": 1.0, "section_size": 1.0, "shadow_opacity": 0.2}
+        self.scene.add_grid("/Floor, tiles of 1 m", size, size, plane=plane, position=place, **style)
+        axes = self.scene.world_axes
+        axes.axes_length, axes.axes_radius, axes.visible = AXES, 0.008, True
+
+    def show(self, pose: Pose, seen: Seen, time: str) -> None:
+        """Show a frame; `time` is its label."""
+        for part in range(len(self.parts)):
+            self._part(part, pose)
+        if len(pose.draws):
+            self._draws(pose.draws)
+        for number, (camera, image) in enumerate(zip(seen.cameras, seen.images, strict=True), 1):
+            self._camera(f"{number} {_named(camera.name)}", camera, image)
+        self._points("/True markers", seen.truth, TRUTH)
+        self._points("/Triangulated keypoints", seen.keypoints, KEYPOINTS)
+        self._label("/Time", time, self.before)
+
+    def _part(self, part: int, pose: Pose) -> None:
+        name = f"/Mean body/{part + 1} {_named(spoken(self.body.topology.names[part]))}"
+        radii, node = pose.radii[part], self.nodes.get(name)
+        if node is None:
+            vertices, faces = part_mesh(self.body, part, radii)
+            node = self.nodes[name] = self.scene.add_mesh_simple(name, vertices, faces, color=self.parts[part], opacity=OPACITY)
+        elif not np.array_equal(radii, self.radii[name]):
+            node.vertices = part_mesh(self.body, part, radii).vertices
+        self.radii[name] = radii
+        node.position, node.wxyz = pose.origins[part], pose.quaternions[part]
+
+    def _draws(self, draws: Float[np.ndarray, "draw part 2 3"]) -> None:
+        # Whole tenths of a millimetre, so that the file compresses.
+        lines = np.round(draws.reshape(-1, 2, 3), 4).astype(np.float32)
+        if node := self.nodes.get("/Draws"):
+            node.points = lines
+            return
+        dark = (DARKER * np.array(self.parts)).astype(np.uint8)
+        colours = np.broadcast_to(dark[None, :, None], draws.shape).reshape(-1, 2, 3)
+        self.nodes["/Draws"] = self.scene.add_line_segments("/Draws", lines, colours, thickness=LINE)
+
+    def _camera(self, last: str, camera: CameraSpec, image: Colours | None) -> None:
+        (width, height), (fx, fy), name = camera.size_px, camera.focal_px, f"/Cameras/{last}"
+        place, turn = -camera.rotation.T @ camera.translation_m, np.asarray(rotations.from_matrix(camera.rotation.T))
+        node = self.nodes.get(name)
+        if node is None:
+            style: dict[str, Any] = {"scale": PYRAMID, "color": DARK, "thickness": 0.008, "cast_shadow": False, "jpeg_quality": QUALITY}
+            fov, aspect = 2 * math.atan(height / (2 * fy)), width * fy / (height * fx)
+            node = self.nodes[name] = self.scene.add_camera_frustum(name, fov, aspect, format="jpeg", image=image, **style)
+        else:
+            node.image = image
+        node.position, node.wxyz = place, turn
+        self._label(f"/Camera names/{last}", escaped(camera.name), place + PYRAMID * np.eye(3)[self.up])
+
+    def _points(self, name: str, points: Float[np.ndarray, "point 3"], colour: Colour) -> None:
+        """Show points; without any in this frame the node is hidden."""
+        node = self.nodes.get(name)
+        if node is not None:
+            node.visible = bool(len(points))
+            if len(points):
+                node.points = points.astype(np.float32)
+        elif len(points):
+            style: dict[str, Any] = {"point_size": POINT, "point_shape": "circle", "precision": "float32"}
+            self.nodes[name] = self.scene.add_point_cloud(name, points, colour, **style)
+
+    def _label(self, name: str, text: str, place: Float[np.ndarray, "3"]) -> None:
+        node = self.nodes.get(name)
+        if node is None:
+            self.nodes[name] = self.scene.add_label(name, text, position=place, anchor="top-center")
+        else:
+            node.text, node.position = text, place
+
+
+def rgb(colour: Colour) -> Colour:
+    """Return a colour of OpenCV's (blue, green, red) as red, green, blue."""
+    blue, green, red = colour
+    return red, green, blue
+
+
+def _named(text: str) -> str:
+    """Return a text as the last part of a node's name, in which / would begin another part."""
+    return escaped(text).replace("/", "∕")
