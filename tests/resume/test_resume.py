@@ -51,7 +51,7 @@ def stopping(monkeypatch):
             if path.name == f"{frame:06d}.npz":
                 monkeypatch.setattr(frame_files, "save_frame", save)
                 raise error
-            save(path, result, place)
+            return save(path, result, place)
 
         monkeypatch.setattr(frame_files, "save_frame", save_or_stop)
 

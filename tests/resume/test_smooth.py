@@ -1,0 +1,119 @@
+"""A smoothed run on disk: it goes on after a stop to the same paths, is read like any other run, and refuses what it cannot smooth."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from bayes_body.cli.main import main
+from bayes_body.errors import InputError
+from bayes_body.export.formats import export
+from bayes_body.runs.run import run
+from bayes_body.runs.settings import Settings
+from bayes_body.runs.smooth import SmoothSettings, smooth_run
+from bayes_body.storage import FrameFiles, frame_files
+from bayes_body.storage.saved_run import load_run
+from bayes_body.view.report.page import page
+
+from .conftest import contents
+
+FRAMES, DRAWS = 6, {"draws": 30}
+FILTER = {"model": "arm", "kernel": "sir", "overrides": {"particles": 200}, "runs": 2, "seed": 3}
+
+
+def quiet(line):
+    """Show nothing."""
+
+
+@pytest.fixture(scope="module")
+def filtered(looped, tmp_path_factory):
+    """The run of a particle filter; in its frame 2 the first of two runs is said to be lost, and at frame 4 the second to be found again."""
+    out = tmp_path_factory.mktemp("filtered") / "run"
+    run(Settings(looped(FRAMES), out, **FILTER), quiet, bar=False)
+    return out
+
+
+@pytest.fixture(scope="module")
+def smoothed(filtered, tmp_path_factory):
+    out = tmp_path_factory.mktemp("smoothed") / "run"
+    smooth_run(SmoothSettings(filtered, out, DRAWS), quiet, bar=False)
+    return out
+
+
+def test_a_smoothed_run_is_read_like_any_other(filtered, smoothed, tmp_path):
+    with load_run(smoothed) as paths, load_run(filtered) as source:
+        assert paths.smoothed and not source.smoothed and not paths.mode_seeker
+        poses, weights = paths.tree["posterior"]["pose"], paths.tree["sample_stats"]["log_weight"]
+        assert poses.sizes == {"chain": 2, "draw": 30, "frame": FRAMES, "dof": source.tree["posterior"].sizes["dof"]}
+        np.testing.assert_allclose(weights, -np.log(30), rtol=1e-6)
+        # The last frame knows all images already in the filter, the frames before do not.
+        assert np.array_equal(paths.tree["filter"]["log_evidence"], source.tree["filter"]["log_evidence"])
+        text = page(paths)
+        assert "smoothed" in text
+        export(paths, "csv", tmp_path / "motion.csv")
+    assert len((tmp_path / "motion.csv").read_text().splitlines()) == FRAMES + 1
+
+
+def test_after_a_stop_it_goes_on_to_the_same_paths(filtered, smoothed, tmp_path, monkeypatch):
+    out, lines, save = tmp_path / "run", [], frame_files.save_frame
+
+    def save_or_stop(path, result, place):
+        if path.name == "000003.npz":
+            monkeypatch.setattr(frame_files, "save_frame", save)
+            raise KeyboardInterrupt
+        return save(path, result, place)
+
+    monkeypatch.setattr(frame_files, "save_frame", save_or_stop)
+    with pytest.raises(KeyboardInterrupt):
+        smooth_run(SmoothSettings(filtered, out, DRAWS), lines.append, bar=False)
+    assert lines[-1] == f"{out}: 3 frames are kept; the same command with --resume continues from there."
+    with pytest.raises(InputError, match=r"bayes-body smooth .* --resume"):
+        load_run(out)
+    with pytest.raises(InputError, match=r"smoothing.draws was 30 and is now 31"):
+        smooth_run(SmoothSettings(filtered, out, {"draws": 31}, resume=True), lines.append, bar=False)
+    smooth_run(SmoothSettings(filtered, out, {}, resume=True), lines.append, bar=False)
+    assert contents(out / "posterior.nc") == contents(smoothed / "posterior.nc")
+    assert (out / "posterior.nc").read_bytes() == (smoothed / "posterior.nc").read_bytes()
+
+
+def test_other_folders_are_refused(filtered, smoothed, looped, tmp_path):
+    seeker = tmp_path / "seeker"
+    run(Settings(looped(2), seeker, **FILTER | {"kernel": "annealed", "overrides": {"particles": 20, "layers": 2}}), quiet, bar=False)
+    for source, out, said in (
+        (seeker, tmp_path / "a", "the kernel 'annealed' seeks modes: its particles are not a sample of the posterior"),
+        (smoothed, tmp_path / "b", "smoothed paths; expected the run of a filter"),
+        (filtered, filtered, "expected another folder than the filter's"),
+        (filtered, smoothed, "holds a run that has 6 frames"),
+        (tmp_path / "none", tmp_path / "c", "no such folder"),
+    ):
+        with pytest.raises(InputError, match=said):
+            smooth_run(SmoothSettings(source, out, DRAWS), quiet, bar=False)
+    with pytest.raises(InputError, match="a smoothed run; expected the run of a filter"):
+        run(Settings(looped(FRAMES), smoothed, resume=True), quiet, bar=False)
+    with pytest.raises(InputError, match="the run of a filter; expected a smoothed run"):
+        smooth_run(SmoothSettings(smoothed, filtered, DRAWS, resume=True), quiet, bar=False)
+
+
+def test_without_its_recording_a_run_is_smoothed_only_without_moves(filtered, tmp_path):
+    moved = tmp_path / "moved"
+    shutil.copytree(filtered, moved)
+    text = (moved / "run.toml").read_text()
+    with load_run(filtered) as source:
+        folder = source.session.folder
+    kept = {path: path.read_bytes() for path in folder.rglob("*.png") if not path.is_symlink()}
+    first = next(iter(sorted(kept)))
+    first.write_bytes(kept[first] + b" ")
+    try:
+        with pytest.raises(InputError, match=r"changed or gone since the run was made; .*--moves 0"):
+            smooth_run(SmoothSettings(moved, tmp_path / "a", DRAWS), quiet, bar=False)
+        smooth_run(SmoothSettings(moved, tmp_path / "b", {**DRAWS, "moves": 0}), quiet, bar=False)
+    finally:
+        first.write_bytes(kept[first])
+    assert len(FrameFiles(tmp_path / "b" / "frames")) == FRAMES and text
+
+
+def test_the_command_says_where_the_result_is(filtered, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["smooth", str(filtered), "--draws", "10", "--moves", "0"])
+    assert stopped.value.code == 0
+    assert f"{filtered}_smoothed: posterior.nc" in capsys.readouterr().out
