@@ -12,6 +12,7 @@ from bayes_body.files.existing import check_free
 from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.report.bands import band_section
 from bayes_body.view.report.chains import chain_section
+from bayes_body.view.report.clinical import clinical_section
 from bayes_body.view.report.figures import style
 from bayes_body.view.report.filtering import filter_section
 from bayes_body.view.report.head import findings, key_figures, verdict
@@ -35,6 +36,7 @@ SECTIONS: Sequence[tuple[str, str, Callable[[Inspection], Markup]]] = (
     ("warnings", "Warnings", lambda it: findings(it.warnings)),
     ("pictures", "Pictures", lambda it: picture_section(it.run.folder, QUALITIES[0])),
     ("truth", "Comparison with the truth", truth_section),
+    ("clinical", "Clinical angles", clinical_section),
     ("angles", "Angles and positions", band_section),
     ("filter", "Filter", filter_section),
     ("chains", "Markov chains", chain_section),
@@ -86,8 +88,13 @@ def page(run: "SavedRun", watch: Watch = unwatched) -> str:
 
 
 def sections_of(it: Inspection) -> Sequence[tuple[str, str, Callable[[Inspection], Markup]]]:
-    """Return SECTIONS, without the truth if the session names none, and without Markov chains or message passing if the kernel has none."""
-    missing = {"truth": not it.has_truth, "chains": it.diagnosis.mixing is None, "messages": it.diagnosis.messages is None}
+    """Return SECTIONS, without those about which the run says nothing: the truth, clinical angles, Markov chains, message passing."""
+    missing = {
+        "truth": not it.has_truth,
+        "clinical": not it.clinical.names,
+        "chains": it.diagnosis.mixing is None,
+        "messages": it.diagnosis.messages is None,
+    }
     return [each for each in SECTIONS if not missing.get(each[0], False)]
 
 
