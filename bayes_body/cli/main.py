@@ -11,7 +11,7 @@ from pathlib import Path
 import typer
 
 from bayes_body import __version__
-from bayes_body.cli import benchmark, check, demo, export, import_, learn, mocap, models, report, simulate, track
+from bayes_body.cli import benchmark, check, demo, export, gait, import_, learn, mocap, models, report, simulate, track
 from bayes_body.cli.stopping import STOPPED, stoppable
 from bayes_body.cli.surroundings import check_current_folder, fault_of_surroundings
 from bayes_body.cli.terminal import Guarded, complain, guarded, say
@@ -32,6 +32,7 @@ app.add_typer(import_.app, name="import")
 app.command("track")(track.track)
 app.command("report")(report.report)
 app.command("export")(export.export)
+app.command("gait")(gait.gait)
 app.command("simulate")(simulate.simulate)
 app.command("mocap")(mocap.mocap)
 app.command("check")(check.check)

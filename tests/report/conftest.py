@@ -28,7 +28,7 @@ UNITS = ("m", "rad", "rad", "rad", "rad")
 def make_run(textured_session, tmp_path_factory):
     """`make_run(runs=2, frames=5, truth=..., pose=..., log_weight=...)`: the folder of a run, arrays as (chain, draw, frame, ...)."""
 
-    def call(runs=2, draws=60, frames=5, dofs=DOFS, units=UNITS, title=None, truth=None, **arrays) -> Path:
+    def call(runs=2, draws=60, frames=5, dofs=DOFS, units=UNITS, title=None, truth=None, model="arm", **arrays) -> Path:
         base = tmp_path_factory.mktemp("report")
         session = dataclasses.replace(textured_session, folder=base / "session", **({"title": title} if title else {}))
         if truth is not None:
@@ -39,7 +39,7 @@ def make_run(textured_session, tmp_path_factory):
         folder = base / "run"
         folder.mkdir()
         _tree(runs, draws, frames, dofs, units, arrays).to_netcdf(folder / "posterior.nc", engine="h5netcdf")
-        _run_file(folder, session.folder, runs, draws, title)
+        _run_file(folder, session.folder, runs, draws, title, model)
         figures = {"frames": frames, "frames_lost": 0, "cameras": 2, "runs": runs, "iou_median": None, "seconds_per_frame": 0.25}
         (folder / "summary.json").write_text(json.dumps(figures), encoding="utf-8")
         seal(folder, frames)
@@ -81,10 +81,10 @@ def _tree(runs, draws, frames, dofs, units, arrays) -> xr.DataTree:
     return tree
 
 
-def _run_file(folder, session, runs, draws, title) -> None:
-    definition = load_definition("arm")
+def _run_file(folder, session, runs, draws, title, model) -> None:
+    definition = load_definition(model)
     document = {
-        "run": {"session": str(session), "model": "arm", "runs": runs, "seed": 7},
+        "run": {"session": str(session), "model": model, "runs": runs, "seed": 7},
         "kernel": {"kind": "sir", "particles": draws, "resampling": "systematic"},
         "versions": {"python": "3.12", "bayes-body": "0.0.9"},
         "machine": {"platform": "an abacus", "devices": ["bead:0"]},

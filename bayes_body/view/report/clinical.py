@@ -67,7 +67,9 @@ def _panel(it: Inspection, convention: Convention, angle: Angle, place: int) -> 
 def _draw(axes: "Axes", seconds: Float[np.ndarray, " frame"], curve: Moments, colour: str, bands: bool) -> None:
     """Draw one side: a line or, for a single frame, a point; with its band."""
     if len(seconds) == 1:
-        axes.errorbar(seconds, curve.mean, [curve.mean - curve.q05, curve.q95 - curve.mean] if bands else None, color=colour, marker="o", capsize=4)
+        # The mean of a skewed angle can be outside its interval.
+        ends = np.maximum([curve.mean - curve.q05, curve.q95 - curve.mean], 0)
+        axes.errorbar(seconds, curve.mean, ends if bands else None, color=colour, marker="o", capsize=4)
         return
     if bands:
         axes.fill_between(seconds, curve.q05, curve.q95, color=colour, alpha=0.25, linewidth=0)
