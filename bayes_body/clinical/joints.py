@@ -1,6 +1,6 @@
 """The joints of a body whose angles can be read: between two segments of its table `[clinical]`, without the angles that the body holds fixed."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax
@@ -10,9 +10,8 @@ from jaxtyping import Array, Float
 
 from bayes_body.body.placement import ByParts, joint_transforms
 from bayes_body.body.solids import Body
-from bayes_body.body.tables import Segment
+from bayes_body.body.tables import Segment, SegmentName
 from bayes_body.clinical.conventions import CLINICAL, LABORATORY, Convention, Side, angles_of
-from bayes_body.model.build import Model
 
 # Random configurations on which it is seen which angles a body can change, and the change that counts, radians.
 TRIALS, CHANGE = 64, 1e-3
@@ -62,29 +61,32 @@ def axes_of(segment: Segment) -> Float[np.ndarray, "3 3"]:
     return np.column_stack([forward, up, np.cross(forward, up)])
 
 
-def joints_of(model: Model, laboratory: tuple[int, int, int], conventions: Sequence[Convention] = CLINICAL) -> tuple[Joint, ...]:
-    """Return the joints of a model's body between segments that its body file names, if it can change at least one of their angles.
+def joints_of(
+    body: Body, segments: Mapping[SegmentName, Segment], laboratory: tuple[int, int, int], conventions: Sequence[Convention] = CLINICAL
+) -> tuple[Joint, ...]:
+    """Return the joints of a body between segments that its file names, if it can change at least one of their angles.
 
     Args:
-        model: the model.
+        body: the body.
+        segments: the table `[clinical]` of its file.
         laboratory: the world's axes that are the laboratory's x, y (up) and z.
         conventions: the conventions, in order.
     """
-    segments, index = model.definition.body.clinical, model.body.skeleton.topology.joint_names.index
+    index, by_name = body.skeleton.topology.joint_names.index, {str(name): segment for name, segment in segments.items()}
     found = []
     for convention in conventions:
         for side in convention.sides:
             proximal, distal = convention.segments(side)
-            if distal not in segments or (proximal != LABORATORY and proximal not in segments):
+            if distal not in by_name or (proximal != LABORATORY and proximal not in by_name):
                 continue
-            below, axes = segments[distal], np.eye(3)[:, list(laboratory)]
+            below, axes = by_name[distal], np.eye(3)[:, list(laboratory)]
             above = -1
             if proximal != LABORATORY:
-                above, axes = index(segments[proximal].joint), axes_of(segments[proximal])
+                above, axes = index(by_name[proximal].joint), axes_of(by_name[proximal])
             found.append(Joint(convention, side, above, index(below.joint), axes, axes_of(below)))
     if not found:
         return ()
-    rotations = np.asarray(_rotations(model.body, _trials(model.body)), float)
+    rotations = np.asarray(_rotations(body, _trials(body)), float)
     freed = [joint._replace(free=_changing(joint.angles(rotations))) for joint in found]
     return tuple(joint for joint in freed if joint.free)
 

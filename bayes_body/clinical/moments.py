@@ -88,7 +88,8 @@ def opensim_coordinates(run: SavedRun, frames: range | None = None, block: int =
 
 def _angles(run: SavedRun, conventions: Sequence[Convention], frames: range | None, block: int) -> tuple[tuple[str, ...], tuple[str, ...], Moments]:
     """Return names, OpenSim's names, and moments in degrees."""
-    joints = joints_of(run.model, laboratory_of("xyz".index(run.session.up)), conventions)
+    laboratory = laboratory_of("xyz".index(run.session.up))
+    joints = joints_of(run.model.body, run.model.definition.body.clinical, laboratory, conventions)
     names = tuple(name for joint in joints for name in joint.names)
     coordinates = tuple(name for joint in joints for name in joint.coordinates)
     if not names:
