@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator
 
-from bayes_body.body.tables import BodyTables, Offset
+from bayes_body.body.tables import SEGMENTS, BodyTables, Offset
 from bayes_body.errors import nearest
 
 WORLD = "world"
@@ -64,6 +64,8 @@ def _widths(body: BodyTables) -> Iterator[str]:
 def _segments(body: BodyTables) -> Iterator[str]:
     joints = {joint.name for joint in body.joints}
     for name, segment in body.clinical.items():
+        if name not in SEGMENTS:
+            yield f"clinical segment '{name}' is unknown; {nearest(name, SEGMENTS)}"
         if segment.joint not in joints:
             yield f"clinical segment '{name}': joint '{segment.joint}' does not exist; {nearest(segment.joint, joints)}"
         if segment.forward[-1] == segment.up[-1]:

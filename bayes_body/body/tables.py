@@ -13,23 +13,8 @@ Preset = Literal["x90", "x180", "x270", "y90", "y180", "y270", "z90", "z180", "z
 Direction = Literal["x", "y", "z", "-x", "-y", "-z"]
 Axis = Literal[Direction, "tx", "ty", "tz", "width"]
 # Segments between which joint angles are defined (bayes_body/clinical/conventions.py).
-SegmentName = Literal[
-    "pelvis",
-    "thorax",
-    "head",
-    "r_thigh",
-    "r_shank",
-    "r_foot",
-    "r_upper_arm",
-    "r_forearm",
-    "r_hand",
-    "l_thigh",
-    "l_shank",
-    "l_foot",
-    "l_upper_arm",
-    "l_forearm",
-    "l_hand",
-]
+LIMB_SEGMENTS = ("thigh", "shank", "foot", "upper_arm", "forearm", "hand")
+SEGMENTS = ("pelvis", "thorax", "head", *(f"{side}_{name}" for side in "rl" for name in LIMB_SEGMENTS))
 
 
 class Dof(Schema):
@@ -146,6 +131,6 @@ class BodyTables(Schema):
     joints: Annotated[tuple[Joint, ...], Field(min_length=1, alias="joint")]
     parts: Annotated[tuple[Part, ...], Field(min_length=1, alias="part")]
     markers: dict[Name, Marker] = {}
-    clinical: dict[SegmentName, Segment] = {}
+    clinical: dict[Name, Segment] = {}
     penetration: tuple[tuple[str, str], ...] = ()
     spheres_per_part: Annotated[int, Field(ge=2, le=20)] = 4

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from bayes_body.body.placement import ByParts, joint_transforms
 from bayes_body.body.solids import Body
-from bayes_body.body.tables import Segment, SegmentName
+from bayes_body.body.tables import Segment
 from bayes_body.clinical.conventions import CLINICAL, LABORATORY, Convention, Side, angles_of
 
 # Random configurations on which it is seen which angles a body can change, and the change that counts, radians.
@@ -62,7 +62,7 @@ def axes_of(segment: Segment) -> Float[np.ndarray, "3 3"]:
 
 
 def joints_of(
-    body: Body, segments: Mapping[SegmentName, Segment], laboratory: tuple[int, int, int], conventions: Sequence[Convention] = CLINICAL
+    body: Body, segments: Mapping[str, Segment], laboratory: tuple[int, int, int], conventions: Sequence[Convention] = CLINICAL
 ) -> tuple[Joint, ...]:
     """Return the joints of a body between segments that its file names, if it can change at least one of their angles.
 
@@ -72,17 +72,17 @@ def joints_of(
         laboratory: the world's axes that are the laboratory's x, y (up) and z.
         conventions: the conventions, in order.
     """
-    index, by_name = body.skeleton.topology.joint_names.index, {str(name): segment for name, segment in segments.items()}
+    index = body.skeleton.topology.joint_names.index
     found = []
     for convention in conventions:
         for side in convention.sides:
             proximal, distal = convention.segments(side)
-            if distal not in by_name or (proximal != LABORATORY and proximal not in by_name):
+            if distal not in segments or (proximal != LABORATORY and proximal not in segments):
                 continue
-            below, axes = by_name[distal], np.eye(3)[:, list(laboratory)]
+            below, axes = segments[distal], np.eye(3)[:, list(laboratory)]
             above = -1
             if proximal != LABORATORY:
-                above, axes = index(by_name[proximal].joint), axes_of(by_name[proximal])
+                above, axes = index(segments[proximal].joint), axes_of(segments[proximal])
             found.append(Joint(convention, side, above, index(below.joint), axes, axes_of(below)))
     if not found:
         return ()

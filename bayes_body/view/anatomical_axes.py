@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.body.solids import Body
-from bayes_body.body.tables import Segment, SegmentName
+from bayes_body.body.tables import Segment
 from bayes_body.clinical.conventions import LABORATORY
 from bayes_body.clinical.joints import Joint, axes_of, joints_of
 from bayes_body.errors import input_error
@@ -62,7 +62,7 @@ class Stance(NamedTuple):
     origins: Float[np.ndarray, "joint 3"]
 
 
-def draw_axes(body: Body, segments: Mapping[SegmentName, Segment], path: Path) -> tuple[str, ...]:
+def draw_axes(body: Body, segments: Mapping[str, Segment], path: Path) -> tuple[str, ...]:
     """Write the picture as .png, and return the names of the body's clinical angles.
 
     Args:
@@ -99,7 +99,7 @@ def draw_axes(body: Body, segments: Mapping[SegmentName, Segment], path: Path) -
     return tuple(name for joint in joints for name in joint.names)
 
 
-def stance_of(body: Body, segments: Mapping[SegmentName, Segment]) -> Stance:
+def stance_of(body: Body, segments: Mapping[str, Segment]) -> Stance:
     """Return the stance: a joint that carries a segment has its anatomical axes, any other is where its parent holds it with angles of zero."""
     skeleton, topology = body.skeleton, body.skeleton.topology
     own = {segment.joint: axes_of(segment).T for segment in segments.values()}
@@ -133,7 +133,7 @@ def _draw_body(axes: "Axes", body: Body, stance: Stance, panel: Panel) -> None:
         axes.fill(*np.transpose(corners), facecolor=SKIN, edgecolor="white", linewidth=1.2, zorder=1)
 
 
-def _draw_triads(axes: "Axes", stance: Stance, segments: Mapping[SegmentName, Segment], body: Body, panel: Panel) -> None:
+def _draw_triads(axes: "Axes", stance: Stance, segments: Mapping[str, Segment], body: Body, panel: Panel) -> None:
     index = body.skeleton.topology.joint_names.index
     for segment in segments.values():
         j = index(segment.joint)

@@ -1,12 +1,29 @@
 """The conventions of joint angles: round trips, movements of positive sign on both sides, Grood & Suntay's own definition, gimbal lock."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from bayes_body.clinical.conventions import ANKLE, ARM, ELBOW, HIP, KNEE, LUMBAR, MIRROR, OPENSIM, PELVIS, SHOULDER, WRIST, angles_of, rotation_of
+from bayes_body.clinical.conventions import (
+    ANKLE,
+    ARM,
+    CLINICAL,
+    ELBOW,
+    HIP,
+    KNEE,
+    LUMBAR,
+    MIRROR,
+    OPENSIM,
+    PELVIS,
+    SHOULDER,
+    WRIST,
+    angles_of,
+    rotation_of,
+)
 
 SIDED = [(convention, side) for convention in OPENSIM for side in convention.sides]
 FORWARD, UP, RIGHT = np.eye(3)
@@ -98,3 +115,12 @@ def test_the_knee_is_grood_and_suntay_s():
     np.testing.assert_allclose(-floating @ UP, np.sin(flexion), atol=1e-9)
     np.testing.assert_allclose(y @ RIGHT, np.sin(adduction), atol=1e-9)
     np.testing.assert_allclose(np.einsum("na,na->n", floating, z), np.sin(internal), atol=1e-9)
+
+
+def test_the_guide_has_every_angle_and_its_sign():
+    guide = (Path(__file__).parents[2] / "docs" / "guide" / "clinical_angles.md").read_text(encoding="utf-8")
+    for convention in CLINICAL:
+        assert f"{' '.join(convention.sequence)} (" in guide
+        for angle in convention.angles:
+            opensim = f"`{angle.opensim}`" if angle.opensim else ""
+            assert f"| `{angle.name}` | {angle.positive} | {angle.negative} | {opensim} |".replace("|  |", "| |") in guide
