@@ -12,6 +12,7 @@ from bayes_body.body.placement import ByParts, joint_transforms
 from bayes_body.body.solids import Body
 from bayes_body.body.tables import Segment
 from bayes_body.clinical.conventions import CLINICAL, LABORATORY, Convention, Side, angles_of
+from bayes_body.geometry.transforms import Transform
 
 # Random configurations on which it is seen which angles a body can change, and the change that counts, radians.
 TRIALS, CHANGE = 64, 1e-3
@@ -86,9 +87,15 @@ def joints_of(
             found.append(Joint(convention, side, above, index(below.joint), axes, axes_of(below)))
     if not found:
         return ()
-    rotations = np.asarray(_rotations(body, _trials(body)), float)
+    rotations = np.asarray(joint_frames(body, _trials(body)).rotation, float)
     freed = [joint._replace(free=_changing(joint.angles(rotations))) for joint in found]
     return tuple(joint for joint in freed if joint.free)
+
+
+@jax.jit
+def joint_frames(body: Body, configurations: Float[Array, "draw *shape"]) -> Transform:
+    """Return `T_world_joint` of every joint of many configurations: rotations (draw, joint, 3, 3) and origins (draw, joint, 3), metres."""
+    return jax.vmap(joint_transforms, (None, 0))(body, configurations)
 
 
 def _direction(axis: str) -> Float[np.ndarray, "3"]:
@@ -104,11 +111,6 @@ def _trials(body: Body) -> Float[Array, "trial *shape"]:
         return jnp.asarray(parts, skeleton.offsets.dtype)
     low, high = (np.clip(np.asarray(limits, float), -1.0, 1.0) for limits in (skeleton.low, skeleton.high))
     return jnp.asarray(rng.uniform(low, high, (TRIALS, len(low))), skeleton.offsets.dtype)
-
-
-@jax.jit
-def _rotations(body: Body, configurations: Float[Array, "trial *shape"]) -> Float[Array, "trial joint 3 3"]:
-    return jax.vmap(joint_transforms, (None, 0))(body, configurations).rotation
 
 
 def _changing(angles: Float[np.ndarray, "trial angle"]) -> tuple[int, ...]:

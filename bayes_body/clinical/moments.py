@@ -3,17 +3,13 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from bayes_body.body.placement import joint_transforms
-from bayes_body.body.solids import Body
 from bayes_body.clinical.conventions import CLINICAL, GROUND, OPENSIM, PELVIS, Convention
-from bayes_body.clinical.joints import joints_of
+from bayes_body.clinical.joints import joint_frames, joints_of
 from bayes_body.density.spaces import circle
 from bayes_body.errors import input_error
-from bayes_body.geometry.transforms import Transform
 from bayes_body.posterior.blocks import BLOCK
 from bayes_body.posterior.moments import Moments, moments_in, weighted_moments
 from bayes_body.storage.saved_moments import moments_of, of_each
@@ -74,7 +70,7 @@ def opensim_coordinates(run: SavedRun, frames: range | None = None, block: int =
     order = list(laboratory_of("xyz".index(run.session.up)))
 
     def places(poses: Float[np.ndarray, "frame draw *shape"], weights: Float[np.ndarray, "frame draw"]) -> Moments:
-        return weighted_moments(of_each(poses, lambda chunk: np.asarray(_placed(body, chunk).origin))[:, :, pelvis][..., order], weights)
+        return weighted_moments(of_each(poses, lambda chunk: np.asarray(joint_frames(body, chunk).origin))[:, :, pelvis][..., order], weights)
 
     origin = moments_of(run, frames, block, 3 * len(body.skeleton.topology.joint_names), places)
     _, names, moments = _angles(run, OPENSIM, frames, block)
@@ -97,16 +93,11 @@ def _angles(run: SavedRun, conventions: Sequence[Convention], frames: range | No
     body, space = run.model.body, circle(names)
 
     def turns(poses: Float[np.ndarray, "frame draw *shape"], weights: Float[np.ndarray, "frame draw"]) -> Moments:
-        rotations = of_each(poses, lambda chunk: np.asarray(_placed(body, chunk).rotation))
+        rotations = of_each(poses, lambda chunk: np.asarray(joint_frames(body, chunk).rotation))
         return moments_in(space, np.concatenate([joint.angles(rotations) for joint in joints], axis=-1), weights)
 
     found = moments_of(run, frames, block, 9 * len(body.skeleton.topology.joint_names), turns)
     return names, coordinates, _near(Moments(*map(np.degrees, found)), [name in UNBOUNDED for name in names])
-
-
-@jax.jit
-def _placed(body: Body, configurations: Float[Array, "chunk *shape"]) -> Transform:
-    return jax.vmap(joint_transforms, (None, 0))(body, configurations)
 
 
 def _near(moments: Moments, unbounded: Sequence[bool]) -> Moments:

@@ -9,7 +9,9 @@ import pytest
 from bayes_body.clinical.gait import CONTACT
 from bayes_body.model.build import body_of
 from bayes_body.model.definition import load_definition
-from bayes_body.storage.saved_run import SavedRun
+from bayes_body.storage.saved_run import SavedRun, load_run
+from bayes_body.view.report.gait import gait_section
+from bayes_body.view.report.inspection import Inspection
 
 
 def stepping(frames=150):
@@ -41,6 +43,13 @@ def test_the_command_prints_a_table_and_writes_all_strides(make_run, cli, monkey
     assert float(rows["foot_strike", "r", "1"]["mean"]) == pytest.approx(0.5 - CONTACT.mean, abs=0.02)
     assert 0 < float(rows["foot_strike", "r", "1"]["sd"]) < 0.05
     cli("gait", folder).refuses("gait.csv", "already exists", "--overwrite")
+    with load_run(folder) as run:
+        page = gait_section(Inspection(run))
+    assert (
+        "cadence" in page
+        and f"{float(rows['speed', '', '0']['mean']):.3f}" in page
+        and page.count("toe off") == sum("toe_off" in key for key in rows)
+    )
 
 
 def test_a_body_without_feet_has_no_gait(make_run, cli, monkeypatch):

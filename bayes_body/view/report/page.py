@@ -15,6 +15,7 @@ from bayes_body.view.report.chains import chain_section
 from bayes_body.view.report.clinical import clinical_section
 from bayes_body.view.report.figures import style
 from bayes_body.view.report.filtering import filter_section
+from bayes_body.view.report.gait import gait_section, has_gait
 from bayes_body.view.report.head import findings, key_figures, verdict
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, joined, tag
@@ -37,6 +38,7 @@ SECTIONS: Sequence[tuple[str, str, Callable[[Inspection], Markup]]] = (
     ("pictures", "Pictures", lambda it: picture_section(it.run.folder, QUALITIES[0])),
     ("truth", "Comparison with the truth", truth_section),
     ("clinical", "Clinical angles", clinical_section),
+    ("gait", "Gait", gait_section),
     ("angles", "Angles and positions", band_section),
     ("filter", "Filter", filter_section),
     ("chains", "Markov chains", chain_section),
@@ -88,10 +90,11 @@ def page(run: "SavedRun", watch: Watch = unwatched) -> str:
 
 
 def sections_of(it: Inspection) -> Sequence[tuple[str, str, Callable[[Inspection], Markup]]]:
-    """Return SECTIONS, without those about which the run says nothing: the truth, clinical angles, Markov chains, message passing."""
+    """Return SECTIONS, without those about which the run says nothing: the truth, clinical angles, gait, Markov chains, message passing."""
     missing = {
         "truth": not it.has_truth,
         "clinical": not it.clinical.names,
+        "gait": not has_gait(it),
         "chains": it.diagnosis.mixing is None,
         "messages": it.diagnosis.messages is None,
     }
