@@ -22,7 +22,9 @@ def export(
     run: Path = typer.Argument(help="Folder of a run made by `bayes-body track`."),
     to: str = typer.Option(..., "--to", help="trc (OpenSim, Pose2Sim), mot (OpenSim), c3d, bvh (Blender), csv or npz."),
     out: Path | None = typer.Option(None, "--out", help="The file; motion.FORMAT in the run's folder by default."),
-    up: str | None = typer.Option(None, "--up", help="Axis that points up: x, y or z; the session's, or y for bvh and mot. OpenSim needs y."),
+    up: str | None = typer.Option(
+        None, "--up", help="Axis that points up: x, y or z; by default the session's, or y for bvh and mot. OpenSim needs y for trc too."
+    ),
     rate: float | None = typer.Option(None, "--rate", help="Frames a second, if the session's are wrong; no frame is added or left out."),
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace existing files."),
     spread: bool = typer.Option(False, "--spread", help="c3d only: standard deviation and quantiles of each axis as further points."),

@@ -112,12 +112,17 @@ def gait_of(paths: Float[np.ndarray, "draw frame 4 3"], fps: float, up: int) -> 
     # The mean path is one more draw: its events are those that the draws' are assigned to.
     smooth = _smoothed(np.concatenate([paths, paths.mean(axis=0, keepdims=True)]), fps)
     rng = np.random.default_rng(SEED)
+    # What the method misses in a whole walk is the same for both feet.
+    walks = [error.mean + error.walks * rng.standard_t(FREEDOM, size=len(paths)) for error in (CONTACT, LIFT)]
     events, strides = [], []
-    for foot, side in enumerate(FEET):
-        ankle = smooth[:, :, POINTS.index(f"{side}_ankle")]
+    for side in FEET:
+        hip, ankle = (smooth[:, :, POINTS.index(f"{side}_{joint}")] for joint in ("hip", "ankle"))
         ahead = _ahead(smooth, ankle, fps, up)
-        least_swing = PROMINENCE * float(np.percentile(np.linalg.norm(smooth[-1, :, 1 - foot] - ankle[-1], axis=-1), 95))
-        strikes, lifts = (_times(sign * ahead, fps, least_swing, error, rng) for sign, error in ((1, CONTACT), (-1, LIFT)))
+        least_swing = PROMINENCE * float(np.percentile(np.linalg.norm(hip[-1] - ankle[-1], axis=-1), 95))
+        strikes, lifts = (
+            [time - walk - error.events * rng.normal(size=len(paths)) for time in _times(sign * ahead, fps, least_swing)]
+            for sign, walk, error in zip((1, -1), walks, (CONTACT, LIFT), strict=True)
+        )
         events += [Event("foot strike", side, times) for times in strikes] + [Event("toe off", side, times) for times in lifts]
         strides += _strides(side, strikes, lifts, np.delete(ankle[:-1], up, axis=-1), fps)
     return Gait(tuple(sorted(events, key=_when)), tuple(sorted(strides, key=lambda stride: float(np.nanmean(stride.start)))))
@@ -160,10 +165,8 @@ def _ahead(
     return np.einsum("sfa,sfa->sf", ankle - smooth[:, :, :2].mean(axis=2), forward)
 
 
-def _times(
-    values: Float[np.ndarray, "row frame"], fps: float, least: float, error: MethodError, rng: np.random.Generator
-) -> list[Float[np.ndarray, " draw"]]:
-    """Return the times of the events at the maxima of the last row, the mean path, in each other draw, s; NaN where a draw has none nearby."""
+def _times(values: Float[np.ndarray, "row frame"], fps: float, least: float) -> list[Float[np.ndarray, " draw"]]:
+    """Return the times of the maxima of the last row, the mean path, in each other row, a draw, s; NaN where a draw has none nearby."""
     found = [_maxima(row, fps, least) for row in values]
     draws, mean = found[:-1], found[-1]
     if not len(mean):
@@ -173,8 +176,7 @@ def _times(
         if len(own):
             nearest = own[np.abs(own - mean[:, None]).argmin(axis=1)]
             times[:, d] = np.where(np.abs(nearest - mean) < NEAR_S, nearest, np.nan)
-    missed = error.mean + error.walks * rng.standard_t(FREEDOM, size=len(draws)) + error.events * rng.normal(size=times.shape)
-    return [event for event in times - missed if np.isfinite(event).any()]
+    return [event for event in times if np.isfinite(event).any()]
 
 
 def _maxima(row: Float[np.ndarray, " frame"], fps: float, least: float) -> Float[np.ndarray, " event"]:
