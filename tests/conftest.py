@@ -269,10 +269,6 @@ def loose_limbed(text: str) -> str:
     return text.replace(by_angles, 'kind = "rigid_walk"\n').replace(body, f'{body}placement = "parts"\n')
 
 
-# Of the model `arm`.
-ARM_DOFS = ("shoulder_x", "shoulder_y", "shoulder_z", "elbow")
-
-
 def _parts(body, pose):
     """The posterior of a body that is placed by its parts, from poses."""
     space = configuration_space(body)
@@ -288,7 +284,7 @@ def _parts(body, pose):
 
 @pytest.fixture
 def make_run(textured_session, tmp_path):
-    """`make_run(frames=5, pose=..., log_weight=..., lost=...)`: the folder of a run of the model `arm`, arrays as (chain, draw, frame, ...).
+    """`make_run(frames=5, pose=..., log_weight=..., lost=...)`: the folder of a run of a model, arrays as (chain, draw, frame, ...).
 
     With `parts=True` the body is placed by its parts, which are where the poses place them.
     """
@@ -302,8 +298,9 @@ def make_run(textured_session, tmp_path):
         lost = arrays.get("lost", np.zeros((runs, frames), bool))
         log_evidence = arrays.get("log_evidence", np.zeros((runs, frames)))
         definition = load_definition(model)
-        space = {SPACE: space_to_text(pose_space(build_model(definition, session).body))}
-        posterior = xr.Dataset({"pose": (("chain", "draw", "frame", "dof"), pose, space)}, {"dof": list(ARM_DOFS), "unit": ("dof", ["rad"] * 4)})
+        body = build_model(definition, session).body
+        labels = {"dof": list(body.dof_names), "unit": ("dof", list(body.skeleton.topology.dof_units))}
+        posterior = xr.Dataset({"pose": (("chain", "draw", "frame", "dof"), pose, {SPACE: space_to_text(pose_space(body))})}, labels)
         if parts:
             definition = parse_definition(model, loose_limbed(definition.text), definition.body_text)
             posterior = _parts(build_model(definition, session).body, pose)

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator
 
-from bayes_body.body.tables import BodyTables, Offset
+from bayes_body.body.tables import SEGMENTS, BodyTables, Offset
 from bayes_body.errors import nearest
 
 WORLD = "world"
@@ -11,7 +11,7 @@ WORLD = "world"
 
 def faults(body: BodyTables) -> list[str]:
     """All faults, one sentence each; empty for a valid body."""
-    return [*_duplicate_names(body), *_unknown_names(body), *_cycles(body), *_widths(body)]
+    return [*_duplicate_names(body), *_unknown_names(body), *_cycles(body), *_widths(body), *_segments(body)]
 
 
 def _duplicate_names(body: BodyTables) -> Iterator[str]:
@@ -59,6 +59,18 @@ def _widths(body: BodyTables) -> Iterator[str]:
             yield f"dof '{name}' is a width without limits; give low_m and high_m"
         if name not in named:
             yield f"dof '{name}' widens no part; name it in a part's `widened`, or remove it"
+
+
+def _segments(body: BodyTables) -> Iterator[str]:
+    joints = {joint.name for joint in body.joints}
+    for name, segment in body.clinical.items():
+        if name not in SEGMENTS:
+            yield f"clinical segment '{name}' is unknown; {nearest(name, SEGMENTS)}"
+        if segment.joint not in joints:
+            yield f"clinical segment '{name}': joint '{segment.joint}' does not exist; {nearest(segment.joint, joints)}"
+        if segment.forward[-1] == segment.up[-1]:
+            found = f"forward = '{segment.forward}' and up = '{segment.up}' are the same axis"
+            yield f"clinical segment '{name}': {found} of joint '{segment.joint}'; give two different axes"
 
 
 def _unknown_lengths(body: BodyTables, owner: str, offset: Offset) -> Iterator[str]:

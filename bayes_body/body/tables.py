@@ -10,7 +10,11 @@ from pydantic import Field, model_validator
 from bayes_body.toml.schema import Finite, Name, Positive, Schema
 
 Preset = Literal["x90", "x180", "x270", "y90", "y180", "y270", "z90", "z180", "z270"]
-Axis = Literal["x", "y", "z", "-x", "-y", "-z", "tx", "ty", "tz", "width"]
+Direction = Literal["x", "y", "z", "-x", "-y", "-z"]
+Axis = Literal[Direction, "tx", "ty", "tz", "width"]
+# Segments between which joint angles are defined (bayes_body/clinical/conventions.py).
+LIMB_SEGMENTS = ("thigh", "shank", "foot", "upper_arm", "forearm", "hand")
+SEGMENTS = ("pelvis", "thorax", "head", *(f"{side}_{name}" for side in "rl" for name in LIMB_SEGMENTS))
 
 
 class Dof(Schema):
@@ -105,6 +109,17 @@ class Marker(Schema):
     offset: Offset = Offset()
 
 
+class Segment(Schema):
+    """The anatomical axes of a segment: which axes of a joint's frame point forward and up in a person who stands upright with hanging arms.
+
+    The palms face forward. The third axis points to the person's right.
+    """
+
+    joint: str
+    forward: Direction
+    up: Direction
+
+
 class BodyTables(Schema):
     """All tables of a body file; `BodySchema` also checks that their names fit together."""
 
@@ -116,5 +131,6 @@ class BodyTables(Schema):
     joints: Annotated[tuple[Joint, ...], Field(min_length=1, alias="joint")]
     parts: Annotated[tuple[Part, ...], Field(min_length=1, alias="part")]
     markers: dict[Name, Marker] = {}
+    clinical: dict[Name, Segment] = {}
     penetration: tuple[tuple[str, str], ...] = ()
     spheres_per_part: Annotated[int, Field(ge=2, le=20)] = 4

@@ -20,16 +20,19 @@ DEFAULT_STEM = "motion"
 
 def export(
     run: Path = typer.Argument(help="Folder of a run made by `bayes-body track`."),
-    to: str = typer.Option(..., "--to", help="trc (OpenSim, Pose2Sim), c3d, bvh (Blender), csv or npz."),
+    to: str = typer.Option(..., "--to", help="trc (OpenSim, Pose2Sim), mot (OpenSim), c3d, bvh (Blender), csv or npz."),
     out: Path | None = typer.Option(None, "--out", help="The file; motion.FORMAT in the run's folder by default."),
-    up: str | None = typer.Option(None, "--up", help="Axis that points up: x, y or z; by default the session's, or y for bvh. OpenSim needs y."),
+    up: str | None = typer.Option(
+        None, "--up", help="Axis that points up: x, y or z; by default the session's, or y for bvh and mot. OpenSim needs y for trc too."
+    ),
     rate: float | None = typer.Option(None, "--rate", help="Frames a second, if the session's are wrong; no frame is added or left out."),
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace existing files."),
     spread: bool = typer.Option(False, "--spread", help="c3d only: standard deviation and quantiles of each axis as further points."),
     plugin: Plugins = None,
 ) -> None:
-    """Write mean, standard deviation and 5 % and 95 % quantiles of markers, and (csv, npz) of joint angles; or (bvh) the mean pose of a skeleton.
+    """Write mean, standard deviation and 5 % and 95 % quantiles of markers and (csv, npz) of joint angles, those of clinicians included.
 
+    A mot file has the mean of OpenSim's coordinates, with their standard deviation in a second file; a bvh file has the mean pose of a skeleton.
     For a mode seeker's run only means are written: the spread of its particles is not a measure of uncertainty.
     """
     from bayes_body.config import configure

@@ -1,5 +1,6 @@
-"""`bayes-body models`: list the definitions, and check a user's own definition."""
+"""`bayes-body models`: list the definitions, check a user's own, and draw the anatomical axes of its body."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -23,7 +24,7 @@ class _ListByDefault(TyperGroup):
         return super().parse_args(ctx, args or ["list"])
 
 
-app = typer.Typer(cls=_ListByDefault, help="List the model definitions (the default), or check one.")
+app = typer.Typer(cls=_ListByDefault, help="List the model definitions (the default), check one, or draw its body's axes.")
 
 
 @app.command("list")
@@ -48,6 +49,28 @@ def check(file: str = typer.Argument(help="A definition's name or the path of yo
         definition = checked_definition(file)
     terms = ", ".join(term.kind for term in (*definition.likelihoods, *definition.constraints))
     say(f"{file}: valid: {definition.title} (body {definition.body_name}; {definition.dynamics.kind}; {terms}; {definition.kernel.kind}).")
+
+
+@app.command()
+def axes(
+    file: str = typer.Argument(help="A definition's name or the path of your own .toml file."),
+    out: Path = typer.Option(Path("axes.png"), "--out", help="The picture, .png."),
+    overwrite: bool = typer.Option(False, "--overwrite", help="Replace an existing file."),
+    plugin: Plugins = None,
+) -> None:
+    """Draw the anatomical axes of a definition's body and the positive directions of its clinical angles, and list the angles."""
+    from bayes_body.files.atomic import make_folder
+    from bayes_body.files.existing import check_free
+    from bayes_body.model.build import body_of
+    from bayes_body.model.definition import load_definition
+    from bayes_body.view.anatomical_axes import draw_axes
+
+    with own_terms(plugin):
+        definition = load_definition(file)
+    check_free(out, overwrite)
+    make_folder(out.parent)
+    names = draw_axes(body_of(definition), definition.body.clinical, out)
+    say(f"{out}: {len(names)} clinical angles of the body {definition.body_name}: {', '.join(names)}.")
 
 
 def checked_definition(name: str) -> "Definition":

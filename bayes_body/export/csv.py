@@ -12,7 +12,7 @@ from bayes_body.geometry import rigid
 
 
 def write_csv(motion: Motion, path: Path) -> None:
-    """Write the file: `frame` (from 0), `time_s`, `lost` (0 or 1), then the moments of each marker's axes and of each dof or part; six decimals.
+    """Write the file: `frame` (from 0), `time_s`, `lost` (0 or 1), then moments of markers, dofs or parts, and clinical angles; six decimals.
 
     A part of a loose-limbed body has its origin, the mean unit quaternion (unit 1), and the spread of the rotation about the part's own axes.
 
@@ -34,6 +34,9 @@ def _columns(motion: Motion) -> Iterator[tuple[str, Float[np.ndarray, " frame"]]
     for d, (dof, unit) in enumerate(zip(motion.dof_names, motion.dof_units, strict=True)):
         for name in motion.moments:
             yield f"{dof}_{name}_{unit}", getattr(motion.dofs, name)[:, d]
+    for k, angle in enumerate(motion.clinical.names):
+        for name in motion.moments:
+            yield f"{angle}_{name}_deg", getattr(motion.clinical.moments, name)[:, k]
     if motion.parts is not None:
         yield from _part_columns(motion.parts, motion.moments)
 

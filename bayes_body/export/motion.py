@@ -3,6 +3,7 @@
 The particles of a mode seeker are not a sample of the posterior. Of such a run only the means are exported.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -11,6 +12,7 @@ from jaxtyping import Bool, Float
 
 from bayes_body.body.placement import ByParts
 from bayes_body.body.solids import Body
+from bayes_body.clinical.moments import Curves, clinical_angles
 from bayes_body.geometry import rigid, rotations
 from bayes_body.posterior.moments import Moments
 from bayes_body.storage.saved_moments import angle_moments, marker_moments, mean_configurations
@@ -56,6 +58,7 @@ class Motion:
         order: the session's axes that are x, y and z here.
         moments: the fields of `Moments` that are written; only the mean for a mode seeker.
         parts: the parts of a loose-limbed body, in the axes of this motion; None if the body is placed by joint angles.
+        clinical: clinical angles, degrees; for OpenSim the coordinates of its models, degrees and metres. Empty for formats that store neither.
     """
 
     title: str
@@ -71,6 +74,7 @@ class Motion:
     order: tuple[int, int, int]
     moments: tuple[str, ...] = Moments._fields
     parts: Parts | None = None
+    clinical: Curves = Curves((), Moments(*np.zeros((4, 0, 0))))
 
     @property
     def has_intervals(self) -> bool:
@@ -88,13 +92,14 @@ class Motion:
         return np.arange(self.frames) / self.fps
 
 
-def read_motion(run: SavedRun, fps: float | None = None, up: Axis | None = None) -> Motion:
+def read_motion(run: SavedRun, fps: float | None = None, up: Axis | None = None, clinical: Callable[[SavedRun], Curves] = clinical_angles) -> Motion:
     """Return the motion of a run.
 
     Args:
         run: the run, loaded from its folder.
         fps: frames a second, if the session's value is wrong; no frame is added or left out.
         up: the axis that points up in the result; the session's by default. The axes are permuted cyclically (x, y, z to y, z, x): no reflection.
+        clinical: what computes the clinical angles, or other quantities in their place.
 
     Raises:
         InputError: a file of the run cannot be used.
@@ -116,7 +121,13 @@ def read_motion(run: SavedRun, fps: float | None = None, up: Axis | None = None)
         order=order,
         moments=MODE_SEEKER_MOMENTS if run.mode_seeker else Moments._fields,
         parts=parts,
+        clinical=clinical(run),
     )
+
+
+def no_angles(run: SavedRun) -> Curves:
+    """Return no clinical angles, for formats that cannot store them."""
+    return Curves((), Moments(*np.zeros((4, run.frames, 0))))
 
 
 def lost_frames(run: SavedRun) -> Bool[np.ndarray, " frame"]:

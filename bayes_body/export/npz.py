@@ -16,7 +16,8 @@ def write_npz(motion: Motion, path: Path) -> None:
     Arrays: `frame` (from 0), `time_s`, `lost`, `fps`, `up`; `marker_names` and `marker_mean_m`, `marker_sd_m`, `marker_q05_m`, `marker_q95_m`
     (frame, marker, 3); `angle_names` and `angle_mean_deg`, ... (frame, angle); `shift_names` and `shift_mean_m`, ... (frame, shift). A loose-limbed
     body has no angles and no shifts, but `part_names`, `part_mean_m`, ... (frame, part, 3), `part_quaternion_mean` (frame, part, 4), and
-    `part_rotation_sd_deg`, ... (frame, part, 3) about the part's own axes. The file of a mode seeker's run has the means only.
+    `part_rotation_sd_deg`, ... (frame, part, 3) about the part's own axes. Every body with anatomical axes has `clinical_names` and
+    `clinical_mean_deg`, ... (frame, angle). The file of a mode seeker's run has the means only.
 
     Raises:
         InputError: the file system does not accept the file.
@@ -37,6 +38,9 @@ def write_npz(motion: Motion, path: Path) -> None:
         values = getattr(motion.dofs, name)
         arrays[f"angle_{name}_deg"] = values[:, units == "deg"]
         arrays[f"shift_{name}_m"] = values[:, units == "m"]
+    if motion.clinical.names:
+        arrays["clinical_names"] = np.array(motion.clinical.names, str)
+        arrays |= {f"clinical_{name}_deg": getattr(motion.clinical.moments, name) for name in motion.moments}
     if motion.parts is not None:
         arrays |= _of_parts(motion.parts, motion.moments)
     # The file is opened here, because NumPy would append an ending to a name.

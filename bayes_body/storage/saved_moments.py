@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import NDArray
 
 from bayes_body.body.space import configuration_space
 from bayes_body.errors import input_error
@@ -31,12 +32,19 @@ def marker_moments(run: SavedRun, frames: range | None = None, block: int = BLOC
         raise input_error(f"the body '{run.model.body.name}'", "no virtual markers", "at least one", "give the body file a table [markers]")
 
     def place(poses: Float[np.ndarray, "frame draw *shape"], weights: Float[np.ndarray, "frame draw"]) -> Moments:
-        flat = poses.reshape(-1, *poses.shape[2:])
-        # All pieces have the same shape: a shorter last one would need another compilation.
-        chunks = [markers(run.model, _padded(flat[start : start + CHUNK])) for start in range(0, len(flat), CHUNK)]
-        return weighted_moments(np.concatenate(chunks)[: len(flat)].reshape(*poses.shape[:2], -1, 3).astype(float), weights)
+        return weighted_moments(of_each(poses, lambda chunk: markers(run.model, chunk)), weights)
 
-    return _moments(run, frames, block, 3 * len(run.model.body.markers.names), place)
+    return moments_of(run, frames, block, 3 * len(run.model.body.markers.names), place)
+
+
+def of_each(
+    poses: Float[np.ndarray, "frame draw *shape"], function: Callable[[Float[np.ndarray, "chunk *shape"]], NDArray[np.floating]]
+) -> Float[np.ndarray, "frame draw *of"]:
+    """Return a compiled function's values of each configuration; it gets CHUNK of them at a time."""
+    flat = poses.reshape(-1, *poses.shape[2:])
+    # All pieces have the same shape: a shorter last one would need another compilation.
+    found = np.concatenate([function(_padded(flat[start : start + CHUNK])) for start in range(0, len(flat), CHUNK)])[: len(flat)]
+    return found.reshape(*poses.shape[:2], *found.shape[1:]).astype(float)
 
 
 def angle_moments(run: SavedRun, frames: range | None = None, block: int = BLOCK) -> Moments:
@@ -47,7 +55,7 @@ def angle_moments(run: SavedRun, frames: range | None = None, block: int = BLOCK
     arguments are those of `marker_moments`.
     """
     space = configuration_space(run.model.body)
-    return _moments(run, frames, block, space.dimension, lambda points, weights: moments_in(space, points, weights))
+    return moments_of(run, frames, block, space.dimension, lambda points, weights: moments_in(space, points, weights))
 
 
 def mean_configurations(run: SavedRun, frames: range | None = None, block: int = BLOCK) -> Float[np.ndarray, "frame *shape"]:
@@ -59,8 +67,11 @@ def mean_configurations(run: SavedRun, frames: range | None = None, block: int =
     return np.concatenate([np.asarray(space.mean(weights, points)) for points, weights in _pieces(run, frames, block, space.dimension)])
 
 
-def _moments(run: SavedRun, frames: range | None, block: int, width: int, of: Callable[..., Moments]) -> Moments:
-    """Return the moments that `of` computes from the configurations and weights (frame, draw, ...) of each piece."""
+def moments_of(run: SavedRun, frames: range | None, block: int, width: int, of: Callable[..., Moments]) -> Moments:
+    """Return the moments that `of` computes from the configurations and weights (frame, draw, ...) of each piece.
+
+    `width` is how many numbers it computes from one draw of one frame. The other arguments are those of `marker_moments`.
+    """
     found = [of(points, weights) for points, weights in _pieces(run, frames, block, width)]
     return Moments(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 

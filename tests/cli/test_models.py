@@ -155,3 +155,26 @@ def test_a_body_written_out_that_cannot_be_used(cli, own_model, fault):
     change, parts = BODY_FAULTS[fault]
     path = own_model(*WRITTEN_OUT, change)
     cli("models", "check", path).refuses(str(path), *parts)
+
+
+def test_the_axes_of_a_body_are_drawn_and_its_angles_named(cli, tmp_path):
+    outcome = cli("models", "axes", "markers_31", "--out", tmp_path / "axes.png")
+    assert outcome.status == 0, outcome.err
+    assert "30 clinical angles of the body deutscher_31: pelvic_rotation," in outcome.out and (tmp_path / "axes.png").stat().st_size > 20_000
+    cli("models", "axes", "markers_31", "--out", tmp_path / "axes.png").refuses("already exists", "--overwrite")
+
+
+def test_segments_that_cannot_be_right(cli, tmp_path):
+    body = (MODELS / "bodies" / "arm_4.toml").read_text(encoding="utf-8")
+    (tmp_path / "arm.toml").write_text((MODELS / "arm.toml").read_text(encoding="utf-8").replace('"arm_4"', '"body.toml"'), encoding="utf-8")
+    forearm = 'l_forearm = { joint = "elbow", forward = "-x", up = "-z" }'
+    wrong = {
+        'l_forearm = { joint = "elbo", forward = "-x", up = "-z" }': ("segment 'l_forearm'", "'elbo' does not exist", "did you mean 'elbow'?"),
+        'l_forearm = { joint = "elbow", forward = "-x", up = "x" }': ("forward = '-x' and up = 'x' are the same axis", "two different axes"),
+        'l_forarm = { joint = "elbow", forward = "-x", up = "-z" }': ("segment 'l_forarm' is unknown", "did you mean 'l_forearm'?"),
+        "": ("no joint with clinical angles", "both sides of a joint"),
+    }
+    for line, parts in wrong.items():
+        assert forearm in body
+        (tmp_path / "body.toml").write_text(body.replace(forearm, line), encoding="utf-8")
+        cli("models", "axes", tmp_path / "arm.toml", "--out", tmp_path / "axes.png").refuses(*parts)

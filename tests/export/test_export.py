@@ -105,7 +105,7 @@ def test_csv(written, make_run):
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["lost"] for row in rows] == ["0", "1", "0", "1", "0"] and [row["frame"] for row in rows] == list("01234")
-    assert len(rows[0]) == 3 + 4 * (9 + 4)
+    assert len(rows[0]) == 3 + 4 * (9 + 4 + 1)
 
     def column(name):
         return np.array([float(row[name]) for row in rows])
@@ -125,15 +125,15 @@ def test_a_mode_seeker_s_csv_has_means_only(written, sought):
     motion, path = written("csv", run=sought)
     with path.open(encoding="utf-8", newline="") as file:
         header = next(csv.reader(file))
-    assert not motion.has_intervals and len(header) == 3 + 9 + 4
+    assert not motion.has_intervals and len(header) == 3 + 9 + 4 + 1
     assert all(name.split("_")[-2] == "mean" for name in header[3:])
 
 
 def test_a_mode_seeker_s_npz_has_means_only(written, sought):
     _, path = written("npz", run=sought)
     with np.load(path) as arrays:
-        values = {name for name in arrays if name.startswith(("marker_", "angle_", "shift_")) and not name.endswith("names")}
-    assert values == {"marker_mean_m", "angle_mean_deg", "shift_mean_m"}
+        values = {name for name in arrays if name.startswith(("marker_", "angle_", "shift_", "clinical_")) and not name.endswith("names")}
+    assert values == {"marker_mean_m", "angle_mean_deg", "shift_mean_m", "clinical_mean_deg"}
 
 
 def test_a_mode_seeker_s_trc_is_one_file(written, sought):

@@ -77,13 +77,18 @@ def test_npz(exported):
 def test_csv_places_the_parts_in_the_axes_of_the_file(exported, up):
     by_angles, by_parts = (columns(path) for path in exported("csv", up, pose=still_poses()))
     markers = [name for name in by_parts if name.startswith("l_")]
+    # The elbow of the tree and that between two free parts are read in the same convention; only the parts can leave the hinge.
+    np.testing.assert_allclose(by_parts["elbow_flexion_l_mean_deg"], by_angles["elbow_flexion_l_mean_deg"], atol=1e-3)
+    np.testing.assert_allclose(by_angles["elbow_flexion_l_mean_deg"], -by_angles["elbow_mean_deg"], atol=1e-3)
+    clinical = [name for name in by_parts if name.startswith(("elbow_", "forearm_"))]
+    assert len(clinical) == 3 * 4
     assert len(markers) == 3 * 3 * 4
     for name in markers:
         np.testing.assert_allclose(by_parts[name], by_angles[name], atol=CLOSE_M)
     # A loose-limbed body has no angles: a part has an origin, a quaternion, and the spread of its rotation, with its unit at the end of each name.
     own = [name for name in by_parts if name.startswith("part_upper_arm_")]
     assert len(own) == 3 * 4 + 4 + 3 * 3 and {name.rsplit("_", 1)[1] for name in own} == {"m", "1", "deg"}
-    assert len(by_parts) == 3 + 3 * 3 * 4 + 2 * len(own)
+    assert len(by_parts) == 3 + 3 * 3 * 4 + 2 * len(own) + len(clinical)
 
     def entries(part, names, unit):
         return np.stack([by_parts[f"part_{part}_{name}_mean_{unit}"] for name in names], axis=-1)

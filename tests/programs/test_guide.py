@@ -191,6 +191,7 @@ def _value(text: str) -> object:
         ("`[[joint]]`", tables.Joint),
         ("A dof", tables.Dof),
         ("`[[part]]`", tables.Part),
+        ("`[clinical]`", tables.Segment),
         ("`[[likelihood.scale]]`", Scale),
         ("`[[potential.component]]`", Component),
     ],

@@ -32,7 +32,7 @@ def make_run(textured_session, tmp_path_factory):
     A `recording` is copied with its files.
     """
 
-    def call(runs=2, draws=60, frames=5, dofs=DOFS, units=UNITS, title=None, truth=None, recording=None, **arrays) -> Path:
+    def call(runs=2, draws=60, frames=5, dofs=DOFS, units=UNITS, title=None, truth=None, recording=None, model="arm", **arrays) -> Path:
         base = tmp_path_factory.mktemp("report")
         session = dataclasses.replace(recording or textured_session, folder=base / "session", **({"title": title} if title else {}))
         if recording is not None:
@@ -45,7 +45,7 @@ def make_run(textured_session, tmp_path_factory):
         folder = base / "run"
         folder.mkdir()
         _tree(runs, draws, frames, dofs, units, arrays).to_netcdf(folder / "posterior.nc", engine="h5netcdf")
-        _run_file(folder, session.folder, runs, draws, title)
+        _run_file(folder, session.folder, runs, draws, title, model)
         figures = {"frames": frames, "frames_lost": 0, "cameras": 2, "runs": runs, "iou_median": None, "seconds_per_frame": 0.25}
         (folder / "summary.json").write_text(json.dumps(figures), encoding="utf-8")
         seal(folder, frames)
@@ -87,10 +87,10 @@ def _tree(runs, draws, frames, dofs, units, arrays) -> xr.DataTree:
     return tree
 
 
-def _run_file(folder, session, runs, draws, title) -> None:
-    definition = load_definition("arm")
+def _run_file(folder, session, runs, draws, title, model) -> None:
+    definition = load_definition(model)
     document = {
-        "run": {"session": str(session), "model": "arm", "runs": runs, "seed": 7},
+        "run": {"session": str(session), "model": model, "runs": runs, "seed": 7},
         "kernel": {"kind": "sir", "particles": draws, "resampling": "systematic"},
         "versions": {"python": "3.12", "bayes-body": "0.0.9"},
         "machine": {"platform": "an abacus", "devices": ["bead:0"]},

@@ -109,16 +109,18 @@ def _panel(found: Bands, place: int, lost: Bool[np.ndarray, " frame"], x_label: 
         axes.fill_between(frames, first, third, color=RUNS[0], alpha=0.4, linewidth=0)
     axes.plot(frames, middle, color=RUNS[0], marker="o" if len(frames) == 1 else "")
     whole_frames(axes, len(lost))
-    axes.set_ylim(*_limits(low if intervals else middle, high if intervals else middle, LEAST_SPAN[unit]))
+    axes.set_ylim(*limits(low if intervals else middle, high if intervals else middle, LEAST_SPAN[unit]))
     widest = f", widest 90 % band {float(np.max(high - low)):.3g} {unit}" if intervals else ""
-    return encoded(figure, f"{spoken(name)} over the frames: median {_range(middle)} {unit}{widest}.")
+    return encoded(figure, f"{spoken(name)} over the frames: median {value_range(middle)} {unit}{widest}.")
 
 
-def _limits(low: NDArray[np.floating], high: NDArray[np.floating], least: float) -> tuple[float, float]:
+def limits(low: NDArray[np.floating], high: NDArray[np.floating], least: float) -> tuple[float, float]:
+    """Return the ends of an axis that shows these values with a margin, and spans at least `least`."""
     bottom, top = float(np.min(low)), float(np.max(high))
     margin = max(0.05 * (top - bottom), (least - (top - bottom)) / 2)
     return bottom - margin, top + margin
 
 
-def _range(values: NDArray[np.floating]) -> str:
+def value_range(values: NDArray[np.floating]) -> str:
+    """Return for example `from 3 to 58.2`."""
     return f"from {float(np.min(values)):.4g} to {float(np.max(values)):.4g}"

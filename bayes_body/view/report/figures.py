@@ -168,11 +168,11 @@ def frame_label(fps: float | None, thinned: str = "") -> str:
     return f"frame{rate}" + (f"; {thinned}" if thinned else "")
 
 
-def shade_lost(axes: "Axes", lost: Bool[np.ndarray, " frame"]) -> None:
-    """Shade the lost frames over the whole height of the axes."""
+def shade_lost(axes: "Axes", lost: Bool[np.ndarray, " frame"], step: float = 1.0) -> None:
+    """Shade the lost frames over the whole height of the axes; `step` is the distance between two frames on the axis."""
     from matplotlib.collections import PolyCollection
 
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]]))) - 0.5
+    edges = (np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]]))) - 0.5) * step
     spans = [[(start, 0), (stop, 0), (stop, 1), (start, 1)] for start, stop in edges.reshape(-1, 2)]
     # One artist for all spans: hundreds of `axvspan` took half of a long report's time.
     axes.add_collection(PolyCollection(spans, transform=axes.get_xaxis_transform(), color=LOST, alpha=0.18, linewidth=0), autolim=False)

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool
 
+from bayes_body.clinical.moments import Curves, clinical_angles
 from bayes_body.errors import InputError
 from bayes_body.metrics.plausibility_sentences import fit_sentences
 from bayes_body.posterior.diagnostics import Diagnosis, Thresholds, diagnose, sentences
+from bayes_body.posterior.moments import Moments
 from bayes_body.view.report.figures import frame_label, frames_a_point
 
 if TYPE_CHECKING:
@@ -68,6 +70,19 @@ class Inspection:
             return self.run.session.truth is not None
         except InputError:
             return False
+
+    @cached_property
+    def clinical_frames(self) -> range:
+        """The frames at which clinical angles are computed: no more than MOST_POINTS, evenly spaced."""
+        return range(0, self.run.frames, frames_a_point(self.run.frames))
+
+    @cached_property
+    def clinical(self) -> Curves:
+        """The clinical angles at those frames; none if the body file names no segments, or if the model can no longer be built."""
+        try:
+            return clinical_angles(self.run, self.clinical_frames)
+        except InputError:
+            return Curves((), Moments(*np.zeros((4, len(self.clinical_frames), 0))))
 
     @property
     def x_label(self) -> str:

@@ -12,8 +12,10 @@ from bayes_body.files.existing import check_free, has_mark
 from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.report.bands import band_section
 from bayes_body.view.report.chains import chain_section
+from bayes_body.view.report.clinical import clinical_section
 from bayes_body.view.report.figures import style
 from bayes_body.view.report.filtering import filter_section
+from bayes_body.view.report.gait import gait_section, has_gait
 from bayes_body.view.report.head import findings, key_figures, verdict
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, joined, tag
@@ -35,6 +37,8 @@ SECTIONS: Sequence[tuple[str, str, Callable[[Inspection], Markup]]] = (
     ("warnings", "Warnings", lambda it: findings(it.warnings)),
     ("pictures", "Pictures", lambda it: picture_section(it.run.folder, QUALITIES[0])),
     ("truth", "Comparison with the truth", truth_section),
+    ("clinical", "Clinical angles", clinical_section),
+    ("gait", "Gait", gait_section),
     ("angles", "Angles and positions", band_section),
     ("filter", "Filter", filter_section),
     ("chains", "Markov chains", chain_section),
@@ -74,8 +78,14 @@ def page(run: "SavedRun", watch: Watch = unwatched) -> str:
 
 
 def sections_of(it: Inspection) -> Sequence[tuple[str, str, Callable[[Inspection], Markup]]]:
-    """Return SECTIONS, without the truth if the session names none, and without Markov chains or message passing if the kernel has none."""
-    missing = {"truth": not it.has_truth, "chains": it.diagnosis.mixing is None, "messages": it.diagnosis.messages is None}
+    """Return SECTIONS, without those about which the run says nothing: the truth, clinical angles, gait, Markov chains, message passing."""
+    missing = {
+        "truth": not it.has_truth,
+        "clinical": not it.clinical.names,
+        "gait": not has_gait(it),
+        "chains": it.diagnosis.mixing is None,
+        "messages": it.diagnosis.messages is None,
+    }
     return [each for each in SECTIONS if not missing.get(each[0], False)]
 
 

@@ -1,0 +1,47 @@
+"""The gait of a smoothed run as tables: the walk, and its events."""
+
+from collections.abc import Sequence
+
+from bayes_body.clinical.gait import POINTS, gait_of
+from bayes_body.clinical.gait_table import Row, event_rows, walk_rows
+from bayes_body.clinical.trajectories import marker_paths
+from bayes_body.errors import InputError
+from bayes_body.view.report.inspection import Inspection
+from bayes_body.view.report.markup import Markup, details, section, table, tag
+
+LEGEND = "Computed for each draw, which is a whole path of the smoothed run. Intervals hold 90 % of the posterior, with the error of the method."
+SIDES = {"r": "right", "l": "left", "": ""}
+
+
+def has_gait(it: Inspection) -> bool:
+    """Whether the run's draws are paths, and its body has the markers of a gait."""
+    try:
+        return it.run.smoothed and set(POINTS) <= set(it.run.model.body.markers.names)
+    except InputError:
+        return False
+
+
+def gait_section(it: Inspection) -> Markup:
+    """Return the section; a sentence if nobody walks."""
+    try:
+        gait = gait_of(marker_paths(it.run, POINTS), it.run.fps, "xyz".index(it.run.session.up))
+    except InputError as error:
+        return section("gait", "Gait", tag("p", f"{error}"))
+    if not gait.events:
+        return section("gait", "Gait", tag("p", "No steps were found."))
+    parts = [tag("p", LEGEND)]
+    if gait.strides:
+        parts.append(_table("the walk", walk_rows(gait)))
+    parts.append(details(f"{len(gait.events)} events, s from the first frame", _table("event", event_rows(gait)), shown=not gait.strides))
+    return section("gait", "Gait", *parts)
+
+
+def _table(first: str, rows: Sequence[Row]) -> Markup:
+    head = (first, "side", "mean", "sd", "90 % interval", "unit", "share of the draws")
+    return table(head, (_cells(row) for row in rows))
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    digits = 1 if row.unit in ("%", "steps/min") else 3
+    mean, sd, low, high = (f"{value:.{digits}f}" for value in (row.mean, row.sd, row.q05, row.q95))
+    return row.quantity.replace("_", " "), SIDES[row.side], mean, sd, f"{low} to {high}", row.unit, f"{row.share_of_draws:.0%}"
