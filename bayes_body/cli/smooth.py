@@ -14,8 +14,11 @@ from bayes_body.errors import input_error
 def smooth(
     run: Path = typer.Argument(help="Folder of a run made by `bayes-body track`."),
     out: Path | None = typer.Option(None, "--out", help="Folder for the smoothed run; by default RUN_smoothed, or the next free RUN_smoothed_2 ..."),
-    draws: int | None = typer.Option(None, "--draws", help="Paths of each run of the filter, 500 by default."),
+    draws: int | None = typer.Option(None, "--draws", help="Paths of each run of the filter, 250 by default."),
     moves: int | None = typer.Option(None, "--moves", help="Markov moves of each state, 1 by default; with 0 no images are read."),
+    start: str | None = typer.Option(
+        None, "--start", help="How paths go back before they move: `ensemble` (the default), or `particles`, which is exact for small models only."
+    ),
     seed: int | None = typer.Option(None, "--seed", help="Seed of everything random, 0 by default."),
     resume: bool = typer.Option(False, "--resume", help="Continue the smoothed run in --out."),
     plugin: Plugins = None,
@@ -33,13 +36,15 @@ def smooth(
     check_range("--draws", draws, 1)
     check_range("--moves", moves, 0)
     check_range("--seed", seed, 0, LARGEST_SEED)
+    if start not in (None, "ensemble", "particles"):
+        raise input_error("--start", f"'{start}'", "ensemble or particles", "give one of them")
     if resume and out is None:
         raise input_error("--resume", "no --out", "the folder of the smoothed run to continue", "name it with --out")
     whole = run.resolve()
     folder = out or free_folder(run.with_name(f"{run.name}_smoothed") if run.name not in ("", "..") else whole.with_name(f"{whole.name}_smoothed"))
     if out is None:
         say(f"run        {folder}")
-    options = {name: value for name, value in (("draws", draws), ("moves", moves)) if value is not None}
+    options = {name: value for name, value in (("draws", draws), ("moves", moves), ("start", start)) if value is not None}
     with own_terms(plugin):
         smooth_run(SmoothSettings(run, folder, options, seed, resume), show=lambda line: say(line), bar=sys.stderr.isatty())
     say(f"{folder}: posterior.nc, summary.json, overlay.mp4, overlay/, frames/, run.toml")

@@ -45,7 +45,7 @@ class SmoothSettings:
 
     source: Path
     out: Path
-    options: Mapping[str, int]
+    options: Mapping[str, int | str]
     seed: int | None = None
     resume: bool = False
 
