@@ -156,10 +156,10 @@ class Smoother:
         """
 
         def one(item: tuple[Key, State, State, Ahead], settings: Moves) -> tuple[State, Scalar]:
-            key, here, *neighbours = item
+            key, here, before, ahead = item
             rates = []
             for number in range(self.options.moves):
-                here, rate = self._moved(jax.random.fold_in(key, number), here, *neighbours, settings)
+                here, rate = self._moved(jax.random.fold_in(key, number), here, before, ahead, settings)
                 rates.append(rate)
             return here, jnp.mean(jnp.stack(rates))
 

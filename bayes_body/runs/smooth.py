@@ -71,7 +71,8 @@ def _smooth(source: SavedRun, settings: SmoothSettings, show: Show, bar: bool) -
     _check_source(source)
     before = _continued(settings)
     kept = (before or {}).get("smoothing", {})
-    options = Options(**{name: settings.options.get(name, kept.get(name, field.default)) for name, field in Options.model_fields.items()})
+    given = {name: settings.options.get(name, kept.get(name, field.default)) for name, field in Options.model_fields.items()}
+    options = Options.model_validate(given)
     seed = kept.get("seed", 0) if settings.seed is None else settings.seed
     model, session = source.model, source.session
     if options.moves and source.changed_inputs:
