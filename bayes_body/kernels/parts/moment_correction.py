@@ -1,0 +1,87 @@
+r"""Correct the mean and the covariance of weighted draws by the slope of the log-density from which they come.
+
+For a smooth density π without walls, the slope $s = \nabla \log \pi$ has known expectations (Stein's identity):
+
+$$E[s] = 0, \qquad E[s\, (u - \mu)^T] = -I.$$
+
+What the draws give instead is an error of the draws, and it tells the error of their moments (zero-variance control variates: Assaraf & Caffarel 1999;
+Mira, Solgi & Imparato 2013). In coordinates z in which the draws have mean 0 and covariance I, and in which the covariance of the remainder
+$e = s + z$ is diagonal with entries $\epsilon_j$, the corrections with the least variance are, if z is Gaussian and independent of e,
+
+$$\Delta\mu_j = \frac{\bar s_j}{1 + \epsilon_j}, \qquad
+\Delta C_{jk} = a_{jk} H_{jk} + a_{kj} H_{kj}, \quad H = \overline{s z^T} + I, \quad a_{jk} = \frac{1 / \epsilon_j}{1 + 1 / \epsilon_j + 1 / \epsilon_k}.$$
+
+Of a Gaussian, e is 0 and both moments become exact, whatever the draws. Of a direction in which the likelihood tells nothing, they become those of the
+prior: without this, such a direction would take a random step in every frame. The draws are moved to the corrected moments, by a fraction of their
+standard deviation that shrinks with the square root of their number.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayes_body.kernels.parts.weights import LogWeights
+
+# Limits of the factor by which a variance is corrected.
+FACTORS = (0.25, 4.0)
+# What is added to the variances so that float32 finds a root of the covariance, relative.
+FLOOR = 1e-5
+
+
+class Moments(NamedTuple):
+    """A mean, and a root of a covariance."""
+
+    mean: Float[Array, " dof"]
+    root: Float[Array, "dof dof"]
+
+
+def corrected_moments(draws: Float[Array, "draw dof"], log_weights: LogWeights, slopes: Float[Array, "draw dof"]) -> Moments:
+    """Return the corrected moments of weighted draws.
+
+    Args:
+        draws: in coordinates without limits.
+        log_weights: their log-weights.
+        slopes: the gradient of the log-density at each draw.
+    """
+    weights = jax.nn.softmax(log_weights)
+    identity = jnp.eye(draws.shape[1], dtype=draws.dtype)
+    mean, root = moments(draws, log_weights)
+    white, steep = _whitened(draws - mean, root), slopes @ root
+    remainder = steep + white
+    remainder = remainder - weights @ remainder
+    epsilon, axes = jnp.linalg.eigh((weights[:, None] * remainder).T @ remainder)
+    white, steep, epsilon = white @ axes, steep @ axes, jnp.maximum(epsilon, 1e-6)
+    excess = (weights[:, None] * steep).T @ white + identity
+    trust = 1 / epsilon
+    part = trust[:, None] / (1 + trust[:, None] + trust[None, :]) * excess
+    precisions, directions = jnp.linalg.eigh(identity - part - part.T)
+    precisions = jnp.clip(precisions, *FACTORS)
+    shift = ((weights @ steep / (1 + epsilon)) @ directions / precisions) @ directions.T
+    covariance = (directions / precisions) @ directions.T
+    across = root @ axes
+    return Moments(mean + across @ shift, _root(across @ covariance @ across.T))
+
+
+def moments(draws: Float[Array, "draw dof"], log_weights: LogWeights) -> Moments:
+    """Return the moments of weighted draws."""
+    weights = jax.nn.softmax(log_weights)
+    mean = weights @ draws
+    centred = draws - mean
+    return Moments(mean, _root((weights[:, None] * centred).T @ centred))
+
+
+def with_moments(draws: Float[Array, "draw dof"], log_weights: LogWeights, wanted: Moments) -> Float[Array, "draw dof"]:
+    """Return weighted draws moved and stretched to the moments `wanted`; unchanged if these are not finite."""
+    own = moments(draws, log_weights)
+    moved = wanted.mean + _whitened(draws - own.mean, own.root) @ wanted.root.T
+    return jnp.where(jnp.all(jnp.isfinite(moved)), moved, draws)
+
+
+def _whitened(centred: Float[Array, "draw dof"], root: Float[Array, "dof dof"]) -> Float[Array, "draw dof"]:
+    return jax.scipy.linalg.solve_triangular(root, centred.T, lower=True).T
+
+
+def _root(covariance: Float[Array, "dof dof"]) -> Float[Array, "dof dof"]:
+    return jnp.linalg.cholesky(covariance + FLOOR * jnp.diag(jnp.diagonal(covariance)))
