@@ -5,8 +5,8 @@ For a smooth density π without walls, the slope $s = \nabla \log \pi$ has known
 $$E[s] = 0, \qquad E[s\, (u - \mu)^T] = -I.$$
 
 What the draws give instead is an error of the draws, and it tells the error of their moments (zero-variance control variates: Assaraf & Caffarel 1999;
-Mira, Solgi & Imparato 2013). In coordinates z in which the draws have mean 0 and covariance I, and in which the covariance of the remainder
-$e = s + z$ is diagonal with entries $\epsilon_j$, the corrections with the least variance are, if z is Gaussian and independent of e,
+Mira, Solgi & Imparato 2013). In coordinates z in which the draws have mean 0 and covariance I, and in which the covariance of the remainder e
+of a linear fit of s to z is diagonal with entries $\epsilon_j$, the corrections with the least variance are, if z is Gaussian and independent of e,
 
 $$\Delta\mu_j = \frac{\bar s_j}{1 + \epsilon_j}, \qquad
 \Delta C_{jk} = a_{jk} H_{jk} + a_{kj} H_{kj}, \quad H = \overline{s z^T} + I, \quad a_{jk} = \frac{1 / \epsilon_j}{1 + 1 / \epsilon_j + 1 / \epsilon_k}.$$
@@ -49,16 +49,15 @@ def corrected_moments(draws: Float[Array, "draw dof"], log_weights: LogWeights, 
     identity = jnp.eye(draws.shape[1], dtype=draws.dtype)
     mean, root = moments(draws, log_weights)
     white, steep = _whitened(draws - mean, root), slopes @ root
-    remainder = steep + white
-    remainder = remainder - weights @ remainder
+    slope = (weights[:, None] * steep).T @ white
+    remainder = steep - weights @ steep - white @ slope.T
     epsilon, axes = jnp.linalg.eigh((weights[:, None] * remainder).T @ remainder)
-    white, steep, epsilon = white @ axes, steep @ axes, jnp.maximum(epsilon, 1e-6)
-    excess = (weights[:, None] * steep).T @ white + identity
+    epsilon, excess = jnp.maximum(epsilon, 1e-6), axes.T @ slope @ axes + identity
     trust = 1 / epsilon
     part = trust[:, None] / (1 + trust[:, None] + trust[None, :]) * excess
     precisions, directions = jnp.linalg.eigh(identity - part - part.T)
     precisions = jnp.clip(precisions, *FACTORS)
-    shift = ((weights @ steep / (1 + epsilon)) @ directions / precisions) @ directions.T
+    shift = ((weights @ steep @ axes / (1 + epsilon)) @ directions / precisions) @ directions.T
     covariance = (directions / precisions) @ directions.T
     across = root @ axes
     return Moments(mean + across @ shift, _root(across @ covariance @ across.T))
