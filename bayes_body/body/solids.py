@@ -271,9 +271,7 @@ def _sphere_pairs(body: Body, T_world_part: Transform) -> tuple[Float[Array, "xy
     return first, second
 
 
-def _sphere_depths(
-    first: Float[Array, "xyzr sphere pair"], second: Float[Array, "xyzr sphere pair"]
-) -> Float[Array, "sphere sphere pair"]:
+def _sphere_depths(first: Float[Array, "xyzr sphere pair"], second: Float[Array, "xyzr sphere pair"]) -> Float[Array, "sphere sphere pair"]:
     a, b = first[:, :, None], second[:, None]
     x, y, z = (a[k] - b[k] for k in range(3))
     # sqrt of a clamped square: its gradient at coinciding centres would be infinite.

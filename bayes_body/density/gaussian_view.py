@@ -2,7 +2,7 @@ r"""The Gaussian view of a frame's posterior: the prediction is one Gaussian in 
 
 $$\pi_{\alpha\beta}(u) \propto \mathcal{N}(u; m, V)\, C\, \psi^\alpha L^\beta,$$
 
-where m and V are the mean and the covariance of draws from the prediction: one transition of each particle of the previous frame.
+where m and V are the mean and the covariance of the prediction, from `TRANSITIONS` draws for each weighted particle of the previous frame.
 
 The extended view (density/extended.py) predicts by those transitions themselves. It is exact for the particles that it is given. In many dimensions,
 though, only a few of them explain the next image, so after some frames all particles descend from one, and dofs that the images hardly determine keep
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from bayes_body.density.chart import Chart
 from bayes_body.density.density import Density
@@ -25,6 +25,9 @@ from bayes_body.shapes import Index, Key, Scalar
 
 # What is added to the variances of the prediction, relative and absolute, so that float32 finds a root of the covariance.
 FLOOR = (1e-4, 1e-10)
+# Draws cost little, as no likelihood is evaluated. Resampled particles with one draw each would have chance correlations between dofs that the images
+# determine and dofs that they do not; each new image would then push the latter at random.
+TRANSITIONS = 32
 
 
 class GaussianView(NamedTuple):
@@ -72,27 +75,27 @@ class GaussianView(NamedTuple):
         return split(self.mean + jnp.sum(self.root * noise, axis=-1), self.coordinates.unconstrain(self.density.ancestor(0)))
 
 
-def gaussian_view(key: Key, density: Density, ancestors: Int[Array, " particle"]) -> GaussianView:
-    """Return the Gaussian view of a density, from one draw of the transition for each ancestor.
+def gaussian_view(key: Key, density: Density) -> GaussianView:
+    """Return the Gaussian view of a density, given the weighted particles of its previous frame.
 
     Args:
         key: random key.
-        density: the density of the frame, with the particles of the previous frame.
-        ancestors: indices of particles of the previous frame, drawn by weight.
+        density: the density of the frame.
 
     Raises:
         InputError: a state takes more from the previous frame than what a draw of the transition holds.
     """
     _check(density)
-    coordinates = density.coordinates()
+    coordinates, weights = density.coordinates(), jax.nn.softmax(density.previous.log_weights) / TRANSITIONS
 
-    def one(key: Key, ancestor: Index) -> Float[Array, " dof"]:
-        return joined(coordinates.unconstrain(density.transition.sample(key, density.ancestor(ancestor))))
+    def one(key: Key, before: State) -> Float[Array, "draw dof"]:
+        draws = jax.vmap(lambda k: density.transition.sample(k, before))(jax.random.split(key, TRANSITIONS))
+        return jax.vmap(lambda state: joined(coordinates.unconstrain(state)))(draws)
 
-    drawn = jax.vmap(one)(jax.random.split(key, ancestors.shape[0]), ancestors)
-    mean = jnp.mean(drawn, axis=0)
-    centred = drawn - mean
-    covariance = centred.T @ centred / ancestors.shape[0]
+    drawn = jax.vmap(one)(jax.random.split(key, weights.shape[0]), dict(density.previous.states))
+    mean = jnp.einsum("p,pkd->d", weights, drawn)
+    centred = (drawn - mean) * jnp.sqrt(weights)[:, None, None]
+    covariance = jnp.einsum("pkd,pke->de", centred, centred)
     relative, absolute = FLOOR
     root = jnp.linalg.cholesky(covariance + jnp.diag(relative * jnp.diagonal(covariance) + absolute))
     inverse = jax.scipy.linalg.solve_triangular(root, jnp.eye(root.shape[0], dtype=root.dtype), lower=True)

@@ -13,6 +13,10 @@ $\pi_\beta$ invariant, and reweights to the next temperature. That is the highes
 `target_ess` of the particles. A move redraws the ancestor, and then the state by HMC or a random walk. The state moves in unconstrained coordinates,
 whitened for each variable by the covariance of the weighted particles. The step size is adapted from stage to stage by the acceptance rate.
 
+With `prediction = "gaussian"`, the mixture of the particles' transitions is replaced by one Gaussian (density/gaussian_view.py). Then no particle has
+an ancestor, and the moves by HMC at the posterior itself give slopes, by which the moments of the particles are corrected
+(parts/moment_correction.py). Independent runs then agree even about dofs that the images hardly determine (docs/decisions).
+
 The particles are a weighted sample of the posterior. `waste_free` keeps every state of the moves' chains (Dau & Chopin 2022). Temperatures and step
 sizes that depend on the particles bias the evidence by O(1/N). With those of a pilot run, `frozen_at`, it is unbiased.
 """
@@ -34,8 +38,8 @@ from bayes_body.density.tempering import LogTerms
 from bayes_body.errors import input_error
 from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.kernels.parts.ladder import Ladder, increment, is_at_top, potentials_share
-from bayes_body.kernels.parts.moves import ExtendedParticle, Move, MoveName, MoveSettings, check_gradients, hmc, random_walk, walk, whitening
 from bayes_body.kernels.parts.moment_correction import corrected_moments, with_moments
+from bayes_body.kernels.parts.moves import ExtendedParticle, Move, MoveName, MoveSettings, check_gradients, hmc, random_walk, walk, whitening
 from bayes_body.kernels.parts.resampling import Resample, Scheme, resampler
 from bayes_body.kernels.parts.tempering import Finals, TemperedState, feynman_kac_step, finite_log, init_state
 from bayes_body.kernels.parts.weights import LogWeights, Weighed, effective_sample_size, normalise, predict, weigh
@@ -55,8 +59,10 @@ GAIN = 1.0
 class Options(Schema):
     """Options of `[kernel] kind = "tempered"`.
 
-    A stage makes `moves` Markov moves. `final_stages` more stages follow at the posterior itself; they keep the particles' weights. A move chooses
-    its ancestor among `candidates`, including the current one. The last of `most_stages` goes to the posterior, even if few particles survive.
+    A stage makes `moves` Markov moves. `final_stages` more stages follow at the posterior itself; they keep the particles' weights. With
+    `prediction = "particles"`, a move chooses its ancestor among `candidates`, including the current one. With "gaussian" and moves by HMC,
+    `correct_moments` moves the particles to moments that are computed from the draws and slopes of all final stages; `waste_free` does without. The
+    last of `most_stages` goes to the posterior, even if few particles survive.
     """
 
     particles: Count = 1000
@@ -139,7 +145,7 @@ class _Sampler:
         ancestors = self.resample(ancestor_key, density.previous.log_weights)
         if self.options.prediction == "gaussian":
             fit_key, draw_key = jax.random.split(draw_key)
-            view = gaussian_view(fit_key, density, ancestors)
+            view = gaussian_view(fit_key, density)
             keys = jax.random.split(draw_key, ancestors.shape[0])
             drawn = over_particles(_draw_one, (keys, ancestors), view)
         else:
@@ -242,9 +248,9 @@ class _Sampler:
         options = self.options
 
         def one(particle: tuple[Key, ExtendedParticle], shared: tuple[View, MoveSettings]) -> tuple[ExtendedParticle, Scalar, Scalar]:
-            chain, *rates = walk(*particle, *shared, self.move, options.moves, options.candidates)
+            chain, accepted, impossible = walk(*particle, *shared, self.move, options.moves, options.candidates)
             moved = chain if options.waste_free else jax.tree.map(lambda leaf: leaf[-1], chain)
-            return moved._replace(terms=jax.tree.map(finite_log, moved.terms)), *rates
+            return moved._replace(terms=jax.tree.map(finite_log, moved.terms)), accepted, impossible
 
         return over_particles(one, (keys, particles), (view, settings))
 

@@ -32,9 +32,7 @@ class Options(Schema):
     soft_sd_m: Positive = 0.01
 
 
-def _depths(
-    body: Body, yield_m: Scalar, configuration: Configuration, of: Callable[[Body, Transform], jax.Array] = penetration_depths
-) -> jax.Array:
+def _depths(body: Body, yield_m: Scalar, configuration: Configuration, of: Callable[[Body, Transform], jax.Array] = penetration_depths) -> jax.Array:
     T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, configuration))))
     return of(widened(body, configuration), T_world_part) - yield_m
 

@@ -4,16 +4,18 @@ For a smooth density π without walls, the slope $s = \nabla \log \pi$ has known
 
 $$E[s] = 0, \qquad E[s\, (u - \mu)^T] = -I.$$
 
-What the draws give instead is an error of the draws, and it tells the error of their moments (zero-variance control variates: Assaraf & Caffarel 1999;
-Mira, Solgi & Imparato 2013). In coordinates z in which the draws have mean 0 and covariance I, and in which the covariance of the remainder e
-of a linear fit of s to z is diagonal with entries $\epsilon_j$, the corrections with the least variance are, if z is Gaussian and independent of e,
+Where the draws give other values, their moments are wrong too, and the slopes tell by how much (zero-variance control variates: Assaraf & Caffarel
+1999; Mira, Solgi & Imparato 2013). Take coordinates z in which the draws have mean 0 and covariance I, and in which the covariance of what a linear
+fit of s to z leaves over is diagonal, with entries $\epsilon_j$. In these coordinates the mean is estimated as $\Lambda^{-1} m$ and the covariance
+as $\Lambda^{-1}$, with
 
-$$\Delta\mu_j = \frac{\bar s_j}{1 + \epsilon_j}, \qquad
-\Delta C_{jk} = a_{jk} H_{jk} + a_{kj} H_{kj}, \quad H = \overline{s z^T} + I, \quad a_{jk} = \frac{1 / \epsilon_j}{1 + 1 / \epsilon_j + 1 / \epsilon_k}.$$
+$$m_j = \frac{\bar s_j}{1 + \epsilon_j}, \qquad
+\Lambda_{jk} = \delta_{jk} - a_{jk} H_{jk} - a_{kj} H_{kj}, \quad H = \overline{s z^T} + I, \quad
+a_{jk} = \frac{1 / \epsilon_j}{1 + 1 / \epsilon_j + 1 / \epsilon_k}.$$
 
-Of a Gaussian, e is 0 and both moments become exact, whatever the draws. Of a direction in which the likelihood tells nothing, they become those of the
-prior: without this, such a direction would take a random step in every frame. The draws are moved to the corrected moments, by a fraction of their
-standard deviation that shrinks with the square root of their number.
+The factors give the least variance if z is Gaussian and independent of what is left over. Of a Gaussian nothing is left over, and both moments are
+exact, whatever the draws. In a direction in which the likelihood says nothing, they are those of the prior. Without the correction, a filter's mean
+would take a random step in such a direction in every frame.
 """
 
 from typing import NamedTuple

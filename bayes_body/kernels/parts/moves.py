@@ -118,7 +118,8 @@ def random_walk() -> Move:
         step_key, accept_key = jax.random.split(key)
         proposed = _along(position, _normal(step_key, position), step_size)
         both = jax.tree.map(lambda here, there: jnp.stack([here, there]), dict(position), proposed)
-        points = _Point(both, *jax.lax.map(target, both), jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), both))
+        log_densities, terms = jax.lax.map(target, both)
+        points = _Point(both, log_densities, terms, jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), both))
         first, last = (jax.tree.map(lambda leaf, k=k: leaf[k], points) for k in (0, 1))
         return _accept(accept_key, first, last)
 

@@ -79,9 +79,7 @@ def init_state(
     powers, ladder = LogTerms(zero, jnp.full((), potential_power, dtype)), Ladder(unknown, unknown, unknown, roots)
     dofs = sum(x.shape[1] for x in particles.position.values())
     empty = jnp.zeros((finals, log_weights.shape[0], dofs), dtype)
-    return TemperedState(
-        particles, log_weights, powers, none, none, zero, log_step_size, ladder, unknown, unknown, zero, Finals(empty, empty)
-    )
+    return TemperedState(particles, log_weights, powers, none, none, zero, log_step_size, ladder, unknown, unknown, zero, Finals(empty, empty))
 
 
 class Reweighted(NamedTuple):
