@@ -257,11 +257,15 @@ class _Sampler:
     # -- results ------------------------------------------------------------------------------------------------------------------------
 
     def _result(self, view: View, last: TemperedState, predicted: Particles, lost: Flag) -> tuple[Particles, FilterInfo]:
-        states = jax.vmap(view.state)(last.particles.ancestor, self._corrected(last))
+        ancestors = last.particles.ancestor
+        states = jax.vmap(view.state)(ancestors, self._corrected(last))
+        if isinstance(view, GaussianView):
+            # All particles of the previous frame contribute to the Gaussian, and none is an ancestor: each is counted once.
+            ancestors = jnp.arange(ancestors.shape[0], dtype=ancestors.dtype)
         posterior = Particles(states, normalise(last.log_weights).log_weights)
         after = jax.tree.map(lambda prediction, found: jnp.where(lost, prediction, found), predicted, posterior)
         info = FilterInfo(
-            ancestors=last.particles.ancestor,
+            ancestors=ancestors,
             ess=effective_sample_size(after.log_weights),
             survival_rate=last.survival_rates,
             inverse_temperatures=last.ladder.inverse_temperatures,
