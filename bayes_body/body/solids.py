@@ -245,15 +245,39 @@ def penetration_depths(body: Body, T_world_part: Transform) -> Float[Array, " pa
     """The largest penetration of the spheres of each pair in `topology.penetration`, metres; negative if they are apart."""
     if not body.topology.penetration:
         return jnp.zeros((0,), body.lengths.dtype)
+    return _deepest(_sphere_depths(*_sphere_pairs(body, T_world_part)))
+
+
+def smooth_penetration_depths(body: Body, T_world_part: Transform) -> Float[Array, " pair"]:
+    """The same, for gradients: they go through the deepest spheres of each pair alone, which takes a fraction of the time."""
+    if not body.topology.penetration:
+        return jnp.zeros((0,), body.lengths.dtype)
+    first, second = _sphere_pairs(body, T_world_part)
+    depths = jax.lax.stop_gradient(_sphere_depths(first, second))
+    is_deepest = (depths == _deepest(depths)).astype(depths.dtype)
+    # Equally deep ones share the gradient.
+    shares = is_deepest / jnp.sum(is_deepest, axis=(0, 1))
+    a, b = (jnp.sum(shares.sum(axis=1 - side) * spheres, axis=1) for side, spheres in enumerate((first, second)))
+    return _sphere_depths(a[:, None], b[:, None])[0, 0]
+
+
+def _sphere_pairs(body: Body, T_world_part: Transform) -> tuple[Float[Array, "xyzr sphere pair"], Float[Array, "xyzr sphere pair"]]:
+    """The spheres of the first and of the second part of each pair. Pairs are last, so that everything is elementwise over them."""
     spheres = sphere_approximation(body, T_world_part)
-    # (x y z r, sphere, part): pairs of parts last, so that everything is elementwise over them.
     table = jnp.concatenate([jnp.transpose(spheres.centres, (2, 1, 0)), spheres.radii.T[None]])
     first, second = (
         jax.lax.optimization_barrier(jnp.stack([table[:, :, pair[side]] for pair in body.topology.penetration], axis=-1)) for side in (0, 1)
     )
+    return first, second
+
+
+def _sphere_depths(first: Float[Array, "xyzr sphere pair"], second: Float[Array, "xyzr sphere pair"]) -> Float[Array, "sphere sphere pair"]:
     a, b = first[:, :, None], second[:, None]
     x, y, z = (a[k] - b[k] for k in range(3))
     # sqrt of a clamped square: its gradient at coinciding centres would be infinite.
-    depths = a[3] + b[3] - jnp.sqrt(jnp.maximum(x * x + y * y + z * z, 1e-12))
+    return a[3] + b[3] - jnp.sqrt(jnp.maximum(x * x + y * y + z * z, 1e-12))
+
+
+def _deepest(depths: Float[Array, "sphere sphere pair"]) -> Float[Array, " pair"]:
     # Not a reduction over two small axes, which XLA runs unvectorised, ten times slower.
     return reduce(jnp.maximum, depths.reshape(-1, depths.shape[-1]))

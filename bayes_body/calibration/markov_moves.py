@@ -88,11 +88,11 @@ def tempered_walk(move: Move, moves: int, candidates: int, repeated: int = REPEA
             size_key, move_key = jax.random.split(turn_key)
             size = largest * jnp.exp(jax.random.uniform(size_key, (), minval=jnp.log(SCALES[0]), maxval=jnp.log(SCALES[1])))
             settings = MoveSettings(LogTerms(jnp.ones_like(size), jnp.ones_like(size)), size, roots)
-            chain, _ = walk(move_key, particle, view, settings, move, moves, candidates)
+            chain, *_ = walk(move_key, particle, view, settings, move, moves, candidates)
             return jax.tree.map(lambda leaf, before: leaf[-1].astype(before.dtype), chain, particle), None
 
         position = view.coordinates.unconstrain(state)
-        start = ExtendedParticle(ancestor, position, view.terms(ancestor, position))
+        start = ExtendedParticle(ancestor, position, view.terms(ancestor, position), jax.tree.map(jnp.zeros_like, position))
         last, _ = jax.lax.scan(again, start, jax.random.split(walk_key, repeated))
         return view.state(last.ancestor, last.position), last.ancestor
 

@@ -13,12 +13,16 @@ $\pi_\beta$ invariant, and reweights to the next temperature. That is the highes
 `target_ess` of the particles. A move redraws the ancestor, and then the state by HMC or a random walk. The state moves in unconstrained coordinates,
 whitened for each variable by the covariance of the weighted particles. The step size is adapted from stage to stage by the acceptance rate.
 
+With `prediction = "gaussian"`, the mixture of the particles' transitions is replaced by one Gaussian (density/gaussian_view.py). Then no particle has
+an ancestor, and the moves by HMC at the posterior itself give slopes, by which the moments of the particles are corrected
+(parts/moment_correction.py). Independent runs then agree even about dofs that the images hardly determine (docs/decisions).
+
 The particles are a weighted sample of the posterior. `waste_free` keeps every state of the moves' chains (Dau & Chopin 2022). Temperatures and step
 sizes that depend on the particles bias the evidence by O(1/N). With those of a pilot run, `frozen_at`, it is unbiased.
 """
 
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -28,20 +32,26 @@ from pydantic import Field
 from bayes_body.density.density import Density
 from bayes_body.density.extended import Extended, extended
 from bayes_body.density.factor import Particles
+from bayes_body.density.gaussian_view import GaussianView, gaussian_view, joined, split
 from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.density.tempering import LogTerms
 from bayes_body.errors import input_error
 from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.kernels.parts.ladder import Ladder, increment, is_at_top, potentials_share
+from bayes_body.kernels.parts.moment_correction import corrected_moments, with_moments
 from bayes_body.kernels.parts.moves import ExtendedParticle, Move, MoveName, MoveSettings, check_gradients, hmc, random_walk, walk, whitening
 from bayes_body.kernels.parts.resampling import Resample, Scheme, resampler
-from bayes_body.kernels.parts.tempering import TemperedState, feynman_kac_step, finite_log, init_state
-from bayes_body.kernels.parts.weights import LogWeights, effective_sample_size, normalise, predict
+from bayes_body.kernels.parts.tempering import Finals, TemperedState, feynman_kac_step, finite_log, init_state
+from bayes_body.kernels.parts.weights import LogWeights, Weighed, effective_sample_size, normalise, predict, weigh
 from bayes_body.registry import register
-from bayes_body.shapes import Flag, Key, Keys, Scalar
+from bayes_body.shapes import Flag, Index, Key, Keys, Scalar
 from bayes_body.toml.read import validate
 from bayes_body.toml.schema import Count, ProperShare, Schema
 
+type View = Extended | GaussianView
+
+# The share of the last proposals behind a wall up to which the moments are corrected. Stein's identity does not hold at a wall.
+MOST_IMPOSSIBLE = 0.01
 # The gain with which the acceptance rate of a stage adapts the logarithm of the step size.
 GAIN = 1.0
 
@@ -49,8 +59,10 @@ GAIN = 1.0
 class Options(Schema):
     """Options of `[kernel] kind = "tempered"`.
 
-    A stage makes `moves` Markov moves. `final_stages` more stages follow at the posterior itself; they keep the particles' weights. A move chooses
-    its ancestor among `candidates`, including the current one. The last of `most_stages` goes to the posterior, even if few particles survive.
+    A stage makes `moves` Markov moves. `final_stages` more stages follow at the posterior itself; they keep the particles' weights. With
+    `prediction = "particles"`, a move chooses its ancestor among `candidates`, including the current one. With "gaussian" and moves by HMC,
+    `correct_moments` moves the particles to moments that are computed from the draws and slopes of all final stages; `waste_free` does without. The
+    last of `most_stages` goes to the posterior, even if few particles survive.
     """
 
     particles: Count = 1000
@@ -60,6 +72,8 @@ class Options(Schema):
     target_ess: ProperShare = 0.5
     final_stages: Annotated[int, Field(strict=True, ge=0)] = 1
     candidates: Count = 8
+    prediction: Literal["particles", "gaussian"] = "particles"
+    correct_moments: bool = True
     waste_free: Annotated[bool, Field(strict=True)] = False
     most_stages: Count = 60
     resampling: Scheme = "systematic"
@@ -100,6 +114,8 @@ class _Sampler:
         self.options, self.frozen = options, frozen_at
         self.move: Move = hmc(options.leapfrog_steps) if options.move == "hmc" else random_walk()
         self.resample: Resample = resampler(options.resampling)
+        is_corrected = options.prediction == "gaussian" and options.move == "hmc" and not options.waste_free
+        self.finals = options.final_stages if is_corrected and options.correct_moments else 0
         self.stages = options.most_stages + options.final_stages if frozen_at is None else frozen_at.inverse_temperatures.shape[0]
 
     def frame(self, key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo, Ladder]:
@@ -110,8 +126,7 @@ class _Sampler:
         if self.options.waste_free and count % (self.options.moves + 1):
             found, expected = f"{count} particles with chains of {self.options.moves} moves", f"a multiple of {self.options.moves + 1} particles"
             raise input_error("tempered(waste_free=true)", found, expected, "change the particles or the moves")
-        view = extended(density.with_previous(particles))
-        first, predicted, lost = self._begin(start_key, view)
+        first, predicted, lost, view = self._begin(start_key, density.with_previous(particles))
 
         def unfinished(state: TemperedState) -> Array:
             if self.frozen is not None:
@@ -124,30 +139,39 @@ class _Sampler:
 
     # -- stages -------------------------------------------------------------------------------------------------------------------------
 
-    def _begin(self, key: Key, view: Extended) -> tuple[TemperedState, Particles, Flag]:
+    def _begin(self, key: Key, density: Density) -> tuple[TemperedState, Particles, Flag, View]:
         """Return the constrained prediction reweighted to the first temperature, the prediction, and whether no particle explains the frame."""
         ancestor_key, draw_key, resample_key = jax.random.split(key, 3)
-        ancestors = self.resample(ancestor_key, view.density.previous.log_weights)
-        drawn = predict(draw_key, ancestors, view.density)
+        ancestors = self.resample(ancestor_key, density.previous.log_weights)
+        if self.options.prediction == "gaussian":
+            fit_key, draw_key = jax.random.split(draw_key)
+            view = gaussian_view(fit_key, density)
+            keys = jax.random.split(draw_key, ancestors.shape[0])
+            drawn = over_particles(_draw_one, (keys, ancestors), view)
+        else:
+            view = extended(density)
+            drawn = predict(draw_key, ancestors, density)
         constrained = normalise(drawn.log_constraints).log_weights
         terms = LogTerms(finite_log(drawn.log_likelihoods), finite_log(drawn.log_potentials))
-        particles = ExtendedParticle(ancestors, jax.vmap(view.coordinates.unconstrain)(drawn.states), terms)
-        start = init_state(particles, constrained, self.stages, self.move.step_size, 0.0 if view.density.has_potentials else 1.0)
-        first = self._step(resample_key, start, lambda keys, parents: (parents, jnp.nan), ancestors.shape[0])
+        positions = jax.vmap(view.coordinates.unconstrain)(drawn.states)
+        particles = ExtendedParticle(ancestors, positions, terms, jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), positions))
+        start = init_state(particles, constrained, self.stages, self.move.step_size, 0.0 if view.density.has_potentials else 1.0, self.finals)
+        first = self._step(resample_key, start, lambda keys, parents: (parents, (jnp.nan, 0.0)), ancestors.shape[0])
         predicted = Particles(drawn.states, jnp.full_like(constrained, -jnp.log(constrained.shape[0])))
-        return first, predicted, drawn.normalised().lost
+        return first, predicted, drawn.normalised().lost, view
 
-    def _stage(self, key: Key, state: TemperedState, view: Extended) -> TemperedState:
+    def _stage(self, key: Key, state: TemperedState, view: View) -> TemperedState:
         """Resample, move at the current temperature, and reweight to the next."""
         state, settings = self._with_moves(state)
         states_a_chain = self.options.moves + 1 if self.options.waste_free else 1
 
-        def move(keys: Keys, parents: ExtendedParticle) -> tuple[ExtendedParticle, Scalar]:
-            chains, rates = self._walk(keys, parents, view, settings)
+        def move(keys: Keys, parents: ExtendedParticle) -> tuple[ExtendedParticle, tuple[Scalar, Scalar]]:
+            chains, *rates = self._walk(keys, parents, view, settings)
+            accepted, impossible = map(jnp.mean, rates)
             if not self.options.waste_free:
-                return chains, jnp.mean(rates)
+                return chains, (accepted, impossible)
             join = jax.tree.map(lambda first, rest: jnp.concatenate([first, rest.reshape(-1, *first.shape[1:])]), parents, chains)
-            return join, jnp.mean(rates)
+            return join, (accepted, impossible)
 
         return self._step(key, state, move, state.log_weights.shape[0] // states_a_chain)
 
@@ -170,7 +194,7 @@ class _Sampler:
         reached = jax.tree.map(jnp.add, state.powers, step)
         # If rounding in float32 left the sum just below 1, that would cost one more stage.
         reached = jax.tree.map(lambda power: jnp.where(power > 1 - 1e-6, 1.0, power), reached)
-        acceptance = jnp.asarray(after.info, state.log_step_size.dtype)
+        acceptance, impossible = (jnp.asarray(rate, state.log_step_size.dtype) for rate in after.info)
         excess = jnp.where(jnp.isnan(acceptance), 0.0, GAIN * (acceptance - self.move.acceptance_rate))
         return TemperedState(
             particles=after.particles,
@@ -183,7 +207,16 @@ class _Sampler:
             ladder=state.ladder.with_powers(stage, reached),
             survival_rates=state.survival_rates.at[stage].set(effective_sample_size(after.log_weights) / count),
             acceptance_rates=state.acceptance_rates.at[stage].set(acceptance),
+            impossible=impossible,
+            finals=self._kept(state, after.particles, at_top),
         )
+
+    def _kept(self, state: TemperedState, particles: ExtendedParticle, at_top: Flag) -> Finals:
+        """Return the positions and slopes of the stages at the posterior, with those of this stage if it is one."""
+        if not self.finals:
+            return state.finals
+        now = Finals(jax.vmap(joined)(particles.position), jax.vmap(joined)(particles.slope))
+        return jax.tree.map(lambda kept, new: jnp.where(at_top, kept.at[state.stages_at_top].set(new), kept), state.finals, now)
 
     def _increment(self, terms: LogTerms, state: TemperedState) -> LogTerms:
         if self.frozen is not None:
@@ -205,26 +238,34 @@ class _Sampler:
         return state._replace(ladder=ladder), MoveSettings(state.powers, jnp.exp(log_step_size), roots)
 
     def _walk(
-        self, keys: Keys, particles: ExtendedParticle, view: Extended, settings: MoveSettings
-    ) -> tuple[ExtendedParticle, Float[Array, " particle"]]:
-        """Move all particles. Return their last states, or with `waste_free` all states (particle, move, ...), and their acceptance rates."""
+        self, keys: Keys, particles: ExtendedParticle, view: View, settings: MoveSettings
+    ) -> tuple[ExtendedParticle, Float[Array, " particle"], Float[Array, " particle"]]:
+        """Move all particles.
+
+        Return their last states, or with `waste_free` all states (particle, move, ...), their acceptance rates, and their shares of impossible
+        proposals.
+        """
         options = self.options
 
-        def one(particle: tuple[Key, ExtendedParticle], shared: tuple[Extended, MoveSettings]) -> tuple[ExtendedParticle, Scalar]:
-            chain, rate = walk(*particle, *shared, self.move, options.moves, options.candidates)
+        def one(particle: tuple[Key, ExtendedParticle], shared: tuple[View, MoveSettings]) -> tuple[ExtendedParticle, Scalar, Scalar]:
+            chain, accepted, impossible = walk(*particle, *shared, self.move, options.moves, options.candidates)
             moved = chain if options.waste_free else jax.tree.map(lambda leaf: leaf[-1], chain)
-            return moved._replace(terms=jax.tree.map(finite_log, moved.terms)), rate
+            return moved._replace(terms=jax.tree.map(finite_log, moved.terms)), accepted, impossible
 
         return over_particles(one, (keys, particles), (view, settings))
 
     # -- results ------------------------------------------------------------------------------------------------------------------------
 
-    def _result(self, view: Extended, last: TemperedState, predicted: Particles, lost: Flag) -> tuple[Particles, FilterInfo]:
-        states = jax.vmap(view.state)(last.particles.ancestor, last.particles.position)
+    def _result(self, view: View, last: TemperedState, predicted: Particles, lost: Flag) -> tuple[Particles, FilterInfo]:
+        ancestors = last.particles.ancestor
+        states = jax.vmap(view.state)(ancestors, self._corrected(last))
+        if isinstance(view, GaussianView):
+            # All particles of the previous frame contribute to the Gaussian, and none is an ancestor: each is counted once.
+            ancestors = jnp.arange(ancestors.shape[0], dtype=ancestors.dtype)
         posterior = Particles(states, normalise(last.log_weights).log_weights)
         after = jax.tree.map(lambda prediction, found: jnp.where(lost, prediction, found), predicted, posterior)
         info = FilterInfo(
-            ancestors=last.particles.ancestor,
+            ancestors=ancestors,
             ess=effective_sample_size(after.log_weights),
             survival_rate=last.survival_rates,
             inverse_temperatures=last.ladder.inverse_temperatures,
@@ -235,11 +276,28 @@ class _Sampler:
         )
         return after, info
 
+    def _corrected(self, last: TemperedState) -> dict[str, Array]:
+        """Return the positions of the particles, with corrected moments if no wall is near."""
+        position = last.particles.position
+        if not self.finals:
+            return position
+        positions, slopes = (values.reshape(-1, values.shape[-1]) for values in last.finals)
+        wanted = corrected_moments(positions, jnp.tile(last.log_weights, self.finals), slopes)
+        moved = with_moments(jax.vmap(joined)(position), last.log_weights, wanted)
+        one = jax.tree.map(lambda leaf: leaf[0], position)
+        split_up = jax.vmap(lambda vector: split(vector, one))(moved)
+        return jax.tree.map(lambda new, old: jnp.where(last.impossible <= MOST_IMPOSSIBLE, new, old), split_up, position)
+
     def _evaluations(self, last: TemperedState) -> Array:
         """Return the number of evaluations in the prediction and in the moves of all stages."""
         count, options = last.log_weights.shape[0], self.options
         moved = count // (options.moves + 1) if options.waste_free else count
         return count + (last.stage - 1) * moved * options.moves * self.move.evaluations
+
+
+def _draw_one(key_and_ancestor: tuple[Key, Index], view: GaussianView) -> Weighed:
+    key, ancestor = key_and_ancestor
+    return weigh(view.state(ancestor, view.draw(key)), view.density.ancestor(ancestor), view.density)
 
 
 @register("kernel", "tempered", Options)

@@ -26,7 +26,10 @@ class Thresholds:
             standard error of the mean is 1/7 of the posterior's standard deviation.
         pareto_k: largest k of a frame's weights (Vehtari et al. 2024).
         ancestors: smallest number of particles of the frame before that have descendants.
-        rhat: largest R-hat. Vehtari et al. (2021) recommend 1.01 for long chains; the runs of a filter are short.
+        rhat: largest R-hat. Vehtari et al. (2021) recommend 1.01 for long chains; the runs of a filter are short. The means of two runs are then half
+            a posterior standard deviation apart.
+        rhat_share: smallest share of a frame's dofs that must not exceed it. Of many dofs, a few exceed it by chance.
+        rhat_single: R-hat of a single dof from which there is a warning whatever the others: the means are further apart than one standard deviation.
         evidence_sd: largest standard deviation over the runs of the log-evidence, nats. At this value, noise hides Bayes factors below e².
         markov_rhat: largest R-hat over the Markov chains of a frame, which are even shorter.
         divergent_share: largest fraction of a frame's trajectories that diverge.
@@ -47,6 +50,8 @@ class Thresholds:
     pareto_k: float = 0.7
     ancestors: float = 10.0
     rhat: float = 1.05
+    rhat_share: float = 0.95
+    rhat_single: float = 1.2
     evidence_sd: float = 2.0
     acceptance: tuple[float, float] = (0.15, 0.98)
     belief_ess_share: float = 0.05

@@ -72,11 +72,12 @@ def _unseen(diagnosis: Diagnosis) -> str | None:
 
 
 def _rhat(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
-    worst = largest(diagnosis.rhat)
-    crossed = worst > thresholds.rhat
+    worst, known = largest(diagnosis.rhat), np.isfinite(diagnosis.rhat).sum(axis=1)
+    above = (diagnosis.rhat > thresholds.rhat).sum(axis=1)
+    crossed = (above > (1 - thresholds.rhat_share) * known) | (worst > max(thresholds.rhat, thresholds.rhat_single))
     if not crossed.any():
         return None
-    frame = int(worst.argmax())
+    frame = int(np.where(crossed, worst, -np.inf).argmax())
     dof = diagnosis.dofs[int(np.nan_to_num(diagnosis.rhat[frame], nan=-np.inf).argmax())]
     figure = f"R-hat up to {worst[frame]:.2f} ({dof} at frame {frame}; limit {thresholds.rhat:g})"
     return f"{frames_where(crossed)}: the runs disagree, {figure}; {_remedy(diagnosis, 'layers', 'particles', 'moves')}."

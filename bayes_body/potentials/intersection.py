@@ -10,12 +10,13 @@ As a constraint it has full power at every temperature. It has no normaliser of 
 prediction that it excludes. The soft form is for kernels that need a gradient.
 """
 
+from collections.abc import Callable
 from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 
-from bayes_body.body.solids import Body, part_transforms, penetration_depths, widened
+from bayes_body.body.solids import Body, part_transforms, penetration_depths, smooth_penetration_depths, widened
 from bayes_body.density.factor import Factor, Variable, Variables
 from bayes_body.geometry.transforms import Transform
 from bayes_body.registry import register
@@ -31,9 +32,9 @@ class Options(Schema):
     soft_sd_m: Positive = 0.01
 
 
-def _depths(body: Body, yield_m: Scalar, configuration: Configuration) -> jax.Array:
+def _depths(body: Body, yield_m: Scalar, configuration: Configuration, of: Callable[[Body, Transform], jax.Array] = penetration_depths) -> jax.Array:
     T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, configuration))))
-    return penetration_depths(widened(body, configuration), T_world_part) - yield_m
+    return of(widened(body, configuration), T_world_part) - yield_m
 
 
 def _hard(body: Body, yield_m: Scalar, soft_sd: Scalar, values: Variables, data: None) -> Scalar:
@@ -44,7 +45,8 @@ def _hard(body: Body, yield_m: Scalar, soft_sd: Scalar, values: Variables, data:
 
 def _soft(body: Body, yield_m: Scalar, soft_sd: Scalar, values: Variables, data: None) -> Scalar:
     del data
-    return -0.5 * jnp.sum((jnp.maximum(_depths(body, yield_m, values[Variable(body.variable)]), 0.0) / soft_sd) ** 2)
+    depths = _depths(body, yield_m, values[Variable(body.variable)], smooth_penetration_depths)
+    return -0.5 * jnp.sum((jnp.maximum(depths, 0.0) / soft_sd) ** 2)
 
 
 @register("potential", "intersection", Options)

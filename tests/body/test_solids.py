@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from bayes_body.body.build import build_body
-from bayes_body.body.solids import outline_samples, part_transforms, patches, penetration_depths, sphere_approximation, surface_samples
+from bayes_body.body.solids import (
+    outline_samples,
+    part_transforms,
+    patches,
+    penetration_depths,
+    smooth_penetration_depths,
+    sphere_approximation,
+    surface_samples,
+)
 from bayes_body.geometry import transforms
 from bayes_body.model.definition import load_body
 
@@ -165,6 +173,17 @@ def test_depths_of_several_pairs_are_each_their_own(free_parts):
     assert dict(zip(body.topology.penetration, depths.tolist(), strict=True)) == pytest.approx(expected, abs=1e-12)
 
 
+def test_the_cheap_gradient_of_the_depths_is_the_same(free_parts):
+    part = {"length": 0.4, "radii": (0.12, 0.07)}
+    body = free_parts(part, part, part)
+    poses = jnp.asarray(np.random.default_rng(1).normal(scale=0.3, size=(20, 18)))
+    both = [
+        jax.vmap(jax.jacobian(lambda pose, f=f: f(body, part_transforms(body, pose))))(poses) for f in (penetration_depths, smooth_penetration_depths)
+    ]
+    assert (jnp.abs(both[0]).max(axis=2) > 0.1).all()
+    np.testing.assert_allclose(*both, atol=1e-9)
+
+
 def test_gradients_are_finite_where_formulas_are_singular(free_parts):
     part = {"length": 0.4, "radii": (0.1, 0.05)}
     body = free_parts(part, part | {"kind": "sphere"})
@@ -172,7 +191,8 @@ def test_gradients_are_finite_where_formulas_are_singular(free_parts):
 
     def total(pose):
         T = part_transforms(body, pose)
-        return penetration_depths(body, T).sum() + sum(leaf.sum() for leaf in patches(body, T, end_on))
+        depths = penetration_depths(body, T).sum() + smooth_penetration_depths(body, T).sum()
+        return depths + sum(leaf.sum() for leaf in patches(body, T, end_on))
 
     # Both parts in the same place, seen along their own axis.
     value, gradient = jax.value_and_grad(total)(jnp.zeros(12))

@@ -10,7 +10,7 @@ from bayes_body.registry import names
 
 def test_the_definition_s_kernel_has_the_definition_s_options():
     kind, options = kernel_options(load_definition("tempered_smc"))
-    assert kind == "tempered" and options.particles == 500 and options.leapfrog_steps == 6
+    assert kind == "tempered" and options.particles == 300 and options.prediction == "gaussian"
 
 
 def test_another_kernel_has_its_own_defaults():

@@ -137,6 +137,15 @@ def test_a_sentence_appears_exactly_when_its_limit_is_crossed(make_tree, limit):
     assert sentences(diagnose(make_tree(**within)), alone) == []
 
 
+@pytest.mark.parametrize(("above", "rhat", "warned"), [(2, 1.19, False), (3, 1.06, True), (1, 1.21, True)])
+def test_a_few_of_many_dofs_may_differ_a_little(make_tree, above, rhat, warned):
+    """Of forty dofs, two are five per cent."""
+    rhats = np.ones((FRAMES, 40))
+    rhats[6, :above] = rhat
+    told = sentences(dataclasses.replace(diagnose(make_tree()), rhat=rhats, dofs=tuple(f"dof_{k}" for k in range(40))))
+    assert [f"frame 6: the runs disagree, R-hat up to {rhat} (dof_0 at frame 6" in sentence for sentence in told] == [True] * warned
+
+
 def test_the_limits_are_those_given(make_tree):
     found = diagnose(make_tree(log_weight=few(51, [4])))
     assert len(sentences(found, Thresholds(pareto_k=np.inf, ess=52))) == len(sentences(found, Thresholds(pareto_k=np.inf, ess_share=0.14))) == 1

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from bayes_body.density.density import Density
 from bayes_body.density.extended import Extended
 from bayes_body.density.factor import State
+from bayes_body.density.gaussian_view import GaussianView
 from bayes_body.density.sharding import varying_like
 from bayes_body.density.tempering import LogTerms
 from bayes_body.errors import input_error
@@ -47,10 +48,14 @@ def check_gradients(density: Density, what: str, other: str = "") -> None:
 
 
 class Moved(NamedTuple):
-    """The end of a move, the tempered terms there, and the acceptance rate of the move."""
+    """The end of a move, the tempered terms and the slope of the log-density there, and the acceptance rate of the move.
+
+    A random walk knows no slope; it is NaN.
+    """
 
     position: Position
     terms: LogTerms
+    slope: Position
     acceptance_rate: Scalar
 
 
@@ -71,11 +76,12 @@ class Move(NamedTuple):
 
 
 class _Point(NamedTuple):
-    """A point of a trajectory: log-density minus kinetic energy, and the tempered terms."""
+    """A point of a trajectory: log-density minus kinetic energy, the tempered terms, and the slope of the log-density."""
 
     position: Position
     log_density: Scalar
     terms: LogTerms
+    slope: Position
 
 
 def hmc(leapfrog_steps: int) -> Move:
@@ -91,13 +97,13 @@ def hmc(leapfrog_steps: int) -> Move:
             # Half a kick at each end, and whole kicks in between. The energy is computed after the first half of a kick.
             ends = (k == 0) | (k == leapfrog_steps)
             half = _along(momentum, slope, size / 2)
-            here = _Point(position, log_density - _kinetic(jax.tree.map(lambda p, h: jnp.where(k == 0, p, h), momentum, half)), terms)
+            here = _Point(position, log_density - _kinetic(jax.tree.map(lambda p, h: jnp.where(k == 0, p, h), momentum, half)), terms, slope)
             kicked = jax.tree.map(lambda h, g: jnp.where(ends, h, h + size / 2 * g), half, slope)
             onward = _along(position, kicked, jnp.where(k == leapfrog_steps, 0.0, size))
             return onward, kicked, jax.tree.map(lambda new, old: jnp.where(k == 0, new, old), here, first), here
 
         unknown = varying_like(jnp.full_like(_kinetic(position), jnp.nan), position)
-        unvisited = _Point(position, unknown, LogTerms(unknown, unknown))
+        unvisited = _Point(position, unknown, LogTerms(unknown, unknown), dict(position))
         start = position, _normal(momentum_key, position), unvisited, unvisited
         *_, first, last = jax.lax.fori_loop(0, leapfrog_steps + 1, visit, start)
         return _accept(accept_key, first, last)
@@ -112,7 +118,8 @@ def random_walk() -> Move:
         step_key, accept_key = jax.random.split(key)
         proposed = _along(position, _normal(step_key, position), step_size)
         both = jax.tree.map(lambda here, there: jnp.stack([here, there]), dict(position), proposed)
-        points = _Point(both, *jax.lax.map(target, both))
+        log_densities, terms = jax.lax.map(target, both)
+        points = _Point(both, log_densities, terms, jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), both))
         first, last = (jax.tree.map(lambda leaf, k=k: leaf[k], points) for k in (0, 1))
         return _accept(accept_key, first, last)
 
@@ -125,7 +132,7 @@ def _accept(key: Key, first: _Point, last: _Point) -> Moved:
     rate = jnp.exp(jnp.minimum(jnp.where(jnp.isnan(log_ratio), -jnp.inf, log_ratio), 0.0))
     accepted = jax.random.uniform(key, (), rate.dtype) < rate
     end = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), last, first)
-    return Moved(end.position, end.terms, rate)
+    return Moved(end.position, end.terms, end.slope, rate)
 
 
 def _normal(key: Key, like: Position) -> dict[str, Array]:
@@ -145,11 +152,15 @@ def _kinetic(momentum: Position) -> Scalar:
 
 
 class ExtendedParticle(NamedTuple):
-    """A point of the extended view: its ancestor, its unconstrained coordinates, and the tempered terms there."""
+    """A point of the extended view: its ancestor, its unconstrained coordinates, and the tempered terms there.
+
+    The slope is the gradient of the log-density for which the particle was moved last.
+    """
 
     ancestor: Index
     position: dict[str, Array]
     terms: LogTerms
+    slope: dict[str, Array]
 
 
 class MoveSettings(NamedTuple):
@@ -161,9 +172,9 @@ class MoveSettings(NamedTuple):
 
 
 def walk(
-    key: Key, particle: ExtendedParticle, view: Extended, settings: MoveSettings, move: Move, moves: int, candidates: int
-) -> tuple[ExtendedParticle, Scalar]:
-    """Return the chain of a particle's states (a leading axis of `moves`), and the mean acceptance rate.
+    key: Key, particle: ExtendedParticle, view: Extended | GaussianView, settings: MoveSettings, move: Move, moves: int, candidates: int
+) -> tuple[ExtendedParticle, Scalar, Scalar]:
+    """Return the chain of a particle's states (a leading axis of `moves`), the mean acceptance rate, and the share of impossible proposals.
 
     Args:
         key: random key.
@@ -186,13 +197,16 @@ def walk(
         # Without potentials their sum is a constant, but in a loop over devices it must have the type of the likelihood.
         return log_density, varying_like(terms, log_density)
 
-    def one(whitened: State, move_key: Key) -> tuple[State, tuple[dict[str, Array], LogTerms, Scalar]]:
-        after = move.step(move_key, whitened, target, settings.step_size)
-        return after.position, (coordinates(after.position), after.terms, after.acceptance_rate)
+    def solved(values: State, transposed: int) -> dict[str, Array]:
+        roots = settings.whitening
+        return {name: jax.scipy.linalg.solve_triangular(roots[name], x, lower=True, trans=transposed) for name, x in sorted(values.items())}
 
-    start = {name: jax.scipy.linalg.solve_triangular(settings.whitening[name], x, lower=True) for name, x in sorted(particle.position.items())}
-    _, (chain, terms, rates) = jax.lax.scan(one, start, jax.random.split(chain_key, moves))
-    return ExtendedParticle(jnp.broadcast_to(ancestor, (moves,)), chain, terms), jnp.mean(rates)
+    def one(whitened: State, move_key: Key) -> tuple[State, tuple[dict[str, Array], LogTerms, dict[str, Array], Scalar]]:
+        after = move.step(move_key, whitened, target, settings.step_size)
+        return after.position, (coordinates(after.position), after.terms, solved(after.slope, 1), after.acceptance_rate)
+
+    _, (chain, terms, slopes, rates) = jax.lax.scan(one, solved(particle.position, 0), jax.random.split(chain_key, moves))
+    return ExtendedParticle(jnp.broadcast_to(ancestor, (moves,)), chain, terms, slopes), jnp.mean(rates), jnp.mean(rates == 0)
 
 
 def whitening(position: Float[Array, "particle dof"], log_weights: LogWeights) -> Float[Array, "dof dof"]:

@@ -25,8 +25,19 @@ def finite_log(log_likelihood: Array) -> Array:
     return jnp.maximum(jnp.where(jnp.isnan(log_likelihood), LOG_ZERO, log_likelihood), LOG_ZERO)
 
 
+class Finals(NamedTuple):
+    """Positions and slopes, as vectors."""
+
+    positions: Float[Array, "stage particle dof"]
+    slopes: Float[Array, "stage particle dof"]
+
+
 class TemperedState(NamedTuple):
-    """The state passed from stage to stage. Rates have one value per stage, like the ladder."""
+    """The state passed from stage to stage. Rates have one value per stage, like the ladder.
+
+    `impossible` is the share of the last stage's proposals that had no density, such as those behind a constraint. `finals` are the positions and
+    slopes after each stage at the posterior itself, if they are needed.
+    """
 
     particles: ExtendedParticle
     log_weights: LogWeights
@@ -38,10 +49,17 @@ class TemperedState(NamedTuple):
     ladder: Ladder
     survival_rates: Float[Array, " stage"]
     acceptance_rates: Float[Array, " stage"]
+    impossible: Scalar
+    finals: Finals
 
 
 def init_state(
-    particles: ExtendedParticle, log_weights: LogWeights, stages: int, step_size: Callable[[int], float], potential_power: float
+    particles: ExtendedParticle,
+    log_weights: LogWeights,
+    stages: int,
+    step_size: Callable[[int], float],
+    potential_power: float,
+    finals: int = 0,
 ) -> TemperedState:
     """Return the state at inverse temperature zero, before any stage.
 
@@ -51,6 +69,7 @@ def init_state(
         stages: the largest possible number of stages.
         step_size: the step size of the first moves, as a function of the number of coordinates.
         potential_power: the power of the prior's potentials: 0 if there are any, else 1.
+        finals: the number of stages at the posterior itself whose positions and slopes are kept.
     """
     dtype = log_weights.dtype
     unknown = jnp.full((stages,), jnp.nan, dtype)
@@ -58,7 +77,9 @@ def init_state(
     log_step_size = jnp.log(jnp.asarray(step_size(sum(x.shape[1] for x in particles.position.values())), dtype))
     zero, none = jnp.zeros((), dtype), jnp.zeros((), int)
     powers, ladder = LogTerms(zero, jnp.full((), potential_power, dtype)), Ladder(unknown, unknown, unknown, roots)
-    return TemperedState(particles, log_weights, powers, none, none, zero, log_step_size, ladder, unknown, unknown)
+    dofs = sum(x.shape[1] for x in particles.position.values())
+    empty = jnp.zeros((finals, log_weights.shape[0], dofs), dtype)
+    return TemperedState(particles, log_weights, powers, none, none, zero, log_step_size, ladder, unknown, unknown, zero, Finals(empty, empty))
 
 
 class Reweighted(NamedTuple):

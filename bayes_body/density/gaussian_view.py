@@ -1,0 +1,124 @@
+r"""The Gaussian view of a frame's posterior: the prediction is one Gaussian in unconstrained coordinates (Kotecha & Djurić 2003).
+
+$$\pi_{\alpha\beta}(u) \propto \mathcal{N}(u; m, V)\, C\, \psi^\alpha L^\beta,$$
+
+where m and V are the mean and the covariance of the prediction, from `TRANSITIONS` draws for each weighted particle of the previous frame.
+
+The extended view (density/extended.py) predicts by those transitions themselves. It is exact for the particles that it is given. In many dimensions,
+though, only a few of them explain the next image, so after some frames all particles descend from one, and dofs that the images hardly determine keep
+the value of that one. Here nothing descends from anything, at the price of the prediction's shape: what is not Gaussian in it is lost.
+"""
+
+import itertools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayes_body.density.chart import Chart
+from bayes_body.density.density import Density
+from bayes_body.density.factor import State, nothing_carried
+from bayes_body.density.tempering import LogTerms, tempered
+from bayes_body.errors import input_error
+from bayes_body.shapes import Index, Key, Scalar
+
+# What is added to the variances of the prediction, relative and absolute, so that float32 finds a root of the covariance.
+FLOOR = (1e-4, 1e-10)
+# Draws cost little, as no likelihood is evaluated. Resampled particles with one draw each would have chance correlations between dofs that the images
+# determine and dofs that they do not; each new image would then push the latter at random.
+TRANSITIONS = 32
+
+
+class GaussianView(NamedTuple):
+    """The Gaussian view. Create it with `gaussian_view`.
+
+    Attributes:
+        density: the density of the frame.
+        coordinates: the unconstrained coordinates.
+        mean: mean of the prediction in these coordinates.
+        root: a root of its covariance.
+        inverse_root: the inverse of the root.
+    """
+
+    density: Density
+    coordinates: Chart
+    mean: Float[Array, " dof"]
+    root: Float[Array, "dof dof"]
+    inverse_root: Float[Array, "dof dof"]
+
+    def state(self, ancestor: Index, position: State) -> State:
+        """Return the whole state at a position. It takes nothing from its ancestor."""
+        return self.density.transition.state(self.density.ancestor(ancestor), self.coordinates.constrain(position))
+
+    def log_density(
+        self, ancestor: Index, position: State, inverse_temperature: float | Scalar = 1.0, potential_power: float | Scalar = 1.0
+    ) -> tuple[Scalar, LogTerms]:
+        """Return log π_αβ(u) up to a constant, and both tempered terms. There is no Jacobian, because the Gaussian is a density over u."""
+        state, previous = self.state(ancestor, position), self.density.ancestor(ancestor)
+        terms = LogTerms(self.density.log_likelihood(state, previous), self.density.log_potential(state, previous))
+        noise = jnp.sum(self.inverse_root * (joined(position) - self.mean), axis=-1)
+        prior = -0.5 * jnp.sum(noise * noise) + self.density.log_constraint(state, previous)
+        potentials = potential_power * terms.potential if self.density.has_potentials else 0.0
+        return prior + potentials + tempered(inverse_temperature, terms.likelihood), terms
+
+    def choose_ancestor(
+        self, key: Key, ancestor: Index, position: State, inverse_temperature: float | Scalar, candidates: int, potential_power: float | Scalar = 1.0
+    ) -> Index:
+        """Return the ancestor. A state has none in this view: the index only says from which particle the draw of the prediction came."""
+        del key, position, inverse_temperature, candidates, potential_power
+        return ancestor
+
+    def draw(self, key: Key) -> State:
+        """Draw a position from the prediction."""
+        noise = jax.random.normal(key, self.mean.shape, self.mean.dtype)
+        return split(self.mean + jnp.sum(self.root * noise, axis=-1), self.coordinates.unconstrain(self.density.ancestor(0)))
+
+
+def gaussian_view(key: Key, density: Density) -> GaussianView:
+    """Return the Gaussian view of a density, given the weighted particles of its previous frame.
+
+    Args:
+        key: random key.
+        density: the density of the frame.
+
+    Raises:
+        InputError: a state takes more from the previous frame than what a draw of the transition holds.
+    """
+    _check(density)
+    coordinates, weights = density.coordinates(), jax.nn.softmax(density.previous.log_weights) / TRANSITIONS
+
+    def one(key: Key, before: State) -> Float[Array, "draw dof"]:
+        draws = jax.vmap(lambda k: density.transition.sample(k, before))(jax.random.split(key, TRANSITIONS))
+        return jax.vmap(lambda state: joined(coordinates.unconstrain(state)))(draws)
+
+    drawn = jax.vmap(one)(jax.random.split(key, weights.shape[0]), dict(density.previous.states))
+    mean = jnp.einsum("p,pkd->d", weights, drawn)
+    centred = (drawn - mean) * jnp.sqrt(weights)[:, None, None]
+    covariance = jnp.einsum("pkd,pke->de", centred, centred)
+    relative, absolute = FLOOR
+    root = jnp.linalg.cholesky(covariance + jnp.diag(relative * jnp.diagonal(covariance) + absolute))
+    inverse = jax.scipy.linalg.solve_triangular(root, jnp.eye(root.shape[0], dtype=root.dtype), lower=True)
+    return GaussianView(density, coordinates, mean, root, inverse)
+
+
+def joined(position: State) -> Float[Array, " dof"]:
+    """Return the coordinates of all variables as one vector, in the order of their names."""
+    return jnp.concatenate([position[name] for name in sorted(position)])
+
+
+def split(vector: Float[Array, " dof"], like: State) -> dict[str, Array]:
+    """Return the coordinates of each variable: the inverse of `joined`, for variables with the shapes of `like`."""
+    names = sorted(like)
+    ends = list(itertools.accumulate(like[name].shape[0] for name in names))
+    return dict(zip(names, jnp.split(vector, ends[:-1]), strict=True))
+
+
+def _check(density: Density) -> None:
+    remedy = 'set prediction = "particles" in [kernel], or --set prediction=particles'
+    if density.reads_previous:
+        name = next(factor.name for factor in density.factors if factor.reads_previous)
+        raise input_error('prediction = "gaussian"', f"'{name}' compares a frame with the frame before", "a model whose terms read one frame", remedy)
+    if getattr(density.transition.carry, "func", density.transition.carry) is not nothing_carried:
+        found = f"the dynamics '{density.transition.name}' remember more than the pose of one frame"
+        raise input_error('prediction = "gaussian"', found, "dynamics that depend on the pose of the frame before alone", remedy)

@@ -1,0 +1,88 @@
+"""Moments corrected by slopes: exact for a Gaussian, consistent for another law, and no worse if the slopes say little."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_body.kernels.parts import moment_correction
+
+DOFS, DRAWS = 12, 150
+EQUAL = np.zeros(DRAWS)
+
+
+def _called(name, *arguments):
+    """A function of the module on 32-bit arrays."""
+    return getattr(moment_correction, name)(*(jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), each) for each in arguments))
+
+
+def _gaussian(seed):
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((DOFS, DOFS))
+    covariance, mean = A @ A.T / DOFS + 0.1 * np.eye(DOFS), rng.standard_normal(DOFS)
+    draws = mean + rng.standard_normal((DRAWS, DOFS)) @ np.linalg.cholesky(covariance).T
+    return rng, mean, covariance, draws, -(draws - mean) @ np.linalg.inv(covariance)
+
+
+def _errors(found, mean, covariance):
+    """Root mean squares, of the mean in standard deviations, and of the covariance relative to the exact one."""
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    own = np.asarray(found.root, float)
+    off = root @ own @ own.T @ root.T - np.eye(len(mean))
+    return np.sqrt(np.mean((root @ (np.asarray(found.mean) - mean)) ** 2)), np.sqrt(np.mean(off**2))
+
+
+def test_of_a_gaussian_the_moments_are_exact_whatever_the_draws():
+    _, mean, covariance, draws, slopes = _gaussian(1)
+    assert min(_errors(_called("moments", draws, EQUAL), mean, covariance)) > 0.05
+    found = _called("corrected_moments", draws, EQUAL, slopes)
+    assert max(_errors(found, mean, covariance)) < 2e-3
+
+
+def test_where_the_likelihood_says_nothing_they_are_those_of_the_prior():
+    """Noisy slopes in eight of twelve directions: the other four stay exact."""
+    rng, mean, covariance, draws, slopes = _gaussian(2)
+    root = np.linalg.cholesky(covariance)
+    noisy = slopes + 2 * np.concatenate([rng.standard_normal((DRAWS, 8)), np.zeros((DRAWS, 4))], axis=1) @ np.linalg.inv(root)
+    found = _called("corrected_moments", draws, EQUAL, noisy)
+    off = np.linalg.solve(root, np.asarray(found.mean) - mean)
+    by_draws = np.linalg.solve(root, draws.mean(axis=0) - mean)
+    assert np.abs(off[8:]).max() < 0.01 < np.abs(by_draws[8:]).max()
+
+
+def test_noisy_slopes_do_not_make_them_worse():
+    errors = []
+    for seed in range(40):
+        rng, mean, covariance, draws, slopes = _gaussian(seed)
+        noisy = slopes + 3 * rng.standard_normal((DRAWS, DOFS)) @ np.linalg.inv(np.linalg.cholesky(covariance))
+        found = _called("corrected_moments", draws, EQUAL, noisy)
+        errors.append([_errors(each, mean, covariance) for each in (_called("moments", draws, EQUAL), found)])
+    plain, corrected = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert (corrected <= plain).all()
+
+
+@pytest.mark.parametrize("sign", [1.0, pytest.param(-1.0, marks=pytest.mark.xfail(strict=True, reason="the mutant: slopes of the wrong sign"))])
+def test_of_a_skewed_law_they_are_right_in_the_mean(sign):
+    """Log of a Gamma variable of shape 2, independent dofs: mean digamma(2), variance trigamma(2); weighted draws of shape 2.3."""
+    rng, shape = np.random.default_rng(3), 2.0
+    draws = np.log(rng.gamma(2.3, size=(300, DRAWS, 3)))
+    log_weights = -0.3 * draws.sum(axis=2)
+    slopes = sign * (shape - np.exp(draws))
+    corrected = jax.jit(jax.vmap(moment_correction.corrected_moments))
+    found = corrected(*(jnp.asarray(each, jnp.float32) for each in (draws, log_weights, slopes)))
+    means, variances = np.asarray(found.mean), np.sum(np.asarray(found.root) ** 2, axis=2)
+    by_weights = np.asarray(jax.vmap(moment_correction.moments)(jnp.asarray(draws, jnp.float32), jnp.asarray(log_weights, jnp.float32)).mean)
+    assert means.mean() == pytest.approx(0.42278, abs=0.01)
+    assert variances.mean() == pytest.approx(0.64493, rel=0.03)
+    assert np.mean((means - 0.42278) ** 2) < 0.7 * np.mean((by_weights - 0.42278) ** 2)
+
+
+def test_draws_get_the_moments_wanted():
+    draws = _gaussian(5)[3]
+    log_weights = np.linspace(0, 2, DRAWS)
+    wanted = _called("moments", 2 * draws + 1, EQUAL)
+    found = _called("moments", _called("with_moments", draws, log_weights, wanted), log_weights)
+    np.testing.assert_allclose(found.mean, wanted.mean, atol=1e-3)
+    np.testing.assert_allclose(found.root @ found.root.T, wanted.root @ wanted.root.T, atol=2e-3)
+    broken = wanted._replace(mean=wanted.mean.at[0].set(jnp.nan))
+    np.testing.assert_array_equal(_called("with_moments", draws, log_weights, broken), draws.astype(np.float32))
