@@ -214,18 +214,18 @@ def adapted(log_step_size: Scalar, acceptance_rate: Scalar, move: Move) -> Scala
     return log_step_size + GAIN * (acceptance_rate - move.acceptance_rate)
 
 
-def whitening_between(
-    position: Float[Array, "particle dof"], before: Float[Array, "particle dof"], log_weights: LogWeights
-) -> Float[Array, "dof dof"]:
-    r"""Return a root of $(C^{-1} + D^{-1})^{-1}$, with the covariance C of the particles and D of their steps from their ancestors.
+type Weighted = tuple[Float[Array, "particle dof"], LogWeights]
+
+
+def whitening_between(states: Weighted, steps: Weighted) -> Float[Array, "dof dof"]:
+    r"""Return a root of $(C^{-1} + D^{-1})^{-1}$, with the covariance C of a filter's states and D of the steps of the motion prior.
 
     About so wide is a state given the frames before and after it: a coordinate that no image shows is held by its neighbours alone, and one that the
     images show well is held by them.
 
     Args:
-        position: the filter's particles of the frame, in unconstrained coordinates.
-        before: their ancestors.
-        log_weights: their weights.
+        states: the filter's particles of the frame, in unconstrained coordinates, and their log-weights.
+        steps: steps that the prior draws from the particles of the frame before, and the log-weights of these.
     """
-    spread, steps = (shrunk_covariance(values, log_weights) for values in (position, position - before))
-    return jnp.linalg.cholesky(spread @ jnp.linalg.solve(spread + steps, steps))
+    spread, step = (shrunk_covariance(*values) for values in (states, steps))
+    return jnp.linalg.cholesky(spread @ jnp.linalg.solve(spread + step, step))

@@ -179,7 +179,7 @@ class Backward:
         density = self.density(here.frame, previous)
         linked = after if density.reads_previous and ahead is not None else None
         neighbours = (before.states, self._none_ahead(sampled) if ahead is None else ahead)
-        moved = self._moved(key, sampled, *neighbours, density, filtered.particles, filtered.ancestors, step_size, linked)
+        moved = self._moved(key, sampled, *neighbours, density, filtered.particles, step_size, linked)
         states = self._completed(before.states, moved.sampled)
         step_size = adapted(step_size, moved.acceptance_rate, self.smoother.move)
         return PathFrame(here.frame, states, False, moved.acceptance_rate, step_size), density if density.reads_previous else None
@@ -244,18 +244,20 @@ class Backward:
             ahead: Ahead,
             density: Density,
             particles: Particles,
-            ancestors: Int[Array, " particle"],
             log_step_size: Scalar,
             after: Density | None,
         ) -> Moved:
-            chart, count = density.coordinates(), particles.log_weights.shape[0]
-            position = jax.vmap(chart.unconstrain)(particles.states)
-            earlier = jax.vmap(chart.unconstrain)(jax.tree.map(lambda leaf: leaf[ancestors], dict(density.previous.states)))
+            chart, (step_key, move_key) = density.coordinates(), jax.random.split(key)
+            count, previous = particles.log_weights.shape[0], density.previous
+            drawn = jax.vmap(density.transition.sample)(jax.random.split(step_key, count), previous.states)
+            position, onward, start = (jax.vmap(chart.unconstrain)(states) for states in (particles.states, drawn, previous.states))
             roots = {
-                name: whitening_between(values.reshape(count, -1), earlier[name].reshape(count, -1), particles.log_weights)
+                name: whitening_between(
+                    (values.reshape(count, -1), particles.log_weights), ((onward[name] - start[name]).reshape(count, -1), previous.log_weights)
+                )
                 for name, values in position.items()
             }
-            return self.smoother.moved(key, sampled, before, ahead, Moves(density, chart, after, roots, jnp.exp(log_step_size)))
+            return self.smoother.moved(move_key, sampled, before, ahead, Moves(density, chart, after, roots, jnp.exp(log_step_size)))
 
         return jax.jit(moved)
 
