@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from bayes_body.view.report.activities import activity_details
 from bayes_body.view.report.curves import LEGEND, draw_filter
 from bayes_body.view.report.densities import density_details
-from bayes_body.view.report.figures import RUNS, encoded, frame_label, new_panel, shade_lost, whole_frames
+from bayes_body.view.report.figures import RUNS, encoded, new_panel, shade_lost, time_axis, time_label
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import by_limb, spoken
 from bayes_body.view.report.markup import Markup, Picture, details, figures, section, tag
@@ -25,7 +25,7 @@ ROTATIONS = (
     " The rotation of a part (rx, ry, rz, about its own axes) is measured from its mean in the same frame: the bands show how uncertain it is, and "
     "not how it changes over time."
 )
-BANDS = "The line is the mean of all runs together, and the band is 90 % of the posterior (5 to 95 %). The draws' weights are taken into account."
+BANDS = "The line is the mean of all runs together, and the band the 90 % interval. The draws' weights are taken into account."
 # A panel spans at least this much, in degrees and metres, so that noise looks like noise.
 LEAST_SPAN = {"°": 5.0, "m": 0.02}
 
@@ -60,7 +60,8 @@ def _ordinal(number: int) -> str:
 def _panel(it: Inspection, place: int) -> Picture:
     """Return the plot of a dof over time: the mean and, unless the kernel is a mode seeker, the band."""
     name, unit, bands = spoken(it.dofs[place]), it.units[place], not it.diagnosis.mode_seeker
-    label = frame_label(it.fps, sparse_frames(it.frames.step))
+    sparse = sparse_frames(it.frames.step)
+    label = time_label(it.fps, f"{sparse} frame" if sparse else "")
     figure, axes = new_panel(name, label, "angle, degrees" if unit == "°" else "position, m", (3.6, 2.1))
     mean, low, high = (values[:, place] for values in (it.curves.mean, it.curves.q05, it.curves.q95))
     frames = np.asarray(it.frames)
@@ -68,7 +69,7 @@ def _panel(it: Inspection, place: int) -> Picture:
     if it.filtered:
         draw_filter(axes, frames, it.filtered.dofs, place, bands)
     draw_band(axes, frames, mean, (low, high) if bands else None, RUNS[0])
-    whole_frames(axes, it.run.frames)
+    time_axis(axes, it.run.frames, it.fps)
     axes.set_ylim(*limits(low if bands else mean, high if bands else mean, LEAST_SPAN[unit]))
     widest = f", widest 90 % band {float(np.max(high - low)):.3g} {unit}" if bands else ""
     return encoded(figure, f"{name} over the frames: mean {value_range(mean)} {unit}{widest}.")

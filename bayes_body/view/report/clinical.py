@@ -14,7 +14,7 @@ COLOURS, SIDES = {"r": RUNS[0], "l": RUNS[2], "": INK}, {"r": "right", "l": "lef
 LINES = (
     "Joint angles as clinicians read them. Blue is the right side, green the left; the same sign is the same movement on both sides. The line is the "
 )
-BANDS = f"{LINES}posterior mean of all runs together, and the band is 90 % of the posterior (5 to 95 %): angles of the draws, not angles of a mean."
+BANDS = f"{LINES}posterior mean of all runs together, and the band the 90 % interval: angles of the draws, not angles of a mean."
 SEEKER = (
     f"{LINES}mean of the particles of all runs together. There are no bands: the kernel is a mode seeker, and the spread of its particles is not a "
     "measure of uncertainty."

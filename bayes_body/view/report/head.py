@@ -12,6 +12,7 @@ from bayes_body.view.report.markup import Markup, joined, section, table, tag
 if TYPE_CHECKING:
     from bayes_body.posterior.diagnostics import Diagnosis
     from bayes_body.storage.saved_run import SavedRun
+    from bayes_body.view.report.inspection import Inspection
 
 # Key of summary.json, label, format.
 WHAT = (
@@ -44,6 +45,12 @@ def subtitle(run: "SavedRun") -> str:
     if run.smoothed:
         how = f"{how}, smoothed: {run.smoothing['draws']:,} paths of each run, given all images"
     return f"Model {run.settings['model']}, {how}; {run.texts.get('title', 'no title')}."
+
+
+def scales(it: "Inspection") -> str:
+    """Return what holds for the whole page: how wide its intervals are, and where its time begins."""
+    wide = "" if it.diagnosis.mode_seeker else "Every interval and band of this page holds 90 % of the posterior (5 to 95 %). "
+    return f"{wide}Time is in seconds from frame 0; there are {it.fps:g} frames per second." if it.fps else wide
 
 
 def verdict(summary: Mapping[str, Any], warnings: Sequence[str], agreement_known: bool) -> Markup:

@@ -13,7 +13,7 @@ from bayes_body.metrics.plausibility_sentences import fit_sentences
 from bayes_body.posterior.diagnostics import Diagnosis, Thresholds, diagnose, sentences
 from bayes_body.posterior.moments import Moments
 from bayes_body.view.report.curves import FilterCurves, clinical_curves, dof_curves, filter_curves, units_of
-from bayes_body.view.report.figures import frame_label, frames_a_point
+from bayes_body.view.report.figures import frames_a_point, time_label
 
 if TYPE_CHECKING:
     from bayes_body.storage.saved_run import SavedRun
@@ -94,9 +94,9 @@ class Inspection:
 
     @property
     def x_label(self) -> str:
-        """Label of an axis of frames whose points are bins."""
+        """Label of an axis of time whose points are bins of frames."""
         size = frames_a_point(self.run.frames)
-        return frame_label(self.fps, f"{size} per point" if size > 1 else "")
+        return time_label(self.fps, f"{size} frames per point" if size > 1 else "")
 
     @cached_property
     def dofs(self) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from bayes_body.view.report.clinical import clinical_section
 from bayes_body.view.report.figures import style
 from bayes_body.view.report.filtering import filter_section
 from bayes_body.view.report.gait import gait_section, has_gait
-from bayes_body.view.report.head import findings, key_figures, subtitle, verdict
+from bayes_body.view.report.head import findings, key_figures, scales, subtitle, verdict
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, joined, tag
 from bayes_body.view.report.message_passing import message_section
@@ -115,6 +115,7 @@ def _filled(it: Inspection, sections: Sequence[Markup]) -> str:
         "title": f"Posterior of {it.run.folder.resolve().name}",
         "subtitle": subtitle(it.run),
         "verdict": verdict(it.run.summary, it.warnings, it.agreement_known),
+        "scales": scales(it),
         "contents": joined(tag("li", tag("a", title, href=f"#{name}")) for name, title, _ in sections_of(it)),
         "figures": key_figures(it.run.summary, it.diagnosis, it.run.smoothed),
         "sections": joined(sections),
