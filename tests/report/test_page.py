@@ -187,7 +187,7 @@ def test_a_mode_seeker_has_no_intervals_and_a_sentence_why(inspect, parse):
         angles, runs = parse(band_section(seeker)), parse(run_section(seeker))
         sampler = inspect()
         bands, close = parse(band_section(sampler)), parse(run_section(sampler))
-    assert "not a measure of uncertainty" in angles.text and "band" not in alts(angles) and "left hip y over the frames: median" in alts(angles)
+    assert "not a measure of uncertainty" in angles.text and "band" not in alts(angles) and "left hip y over the frames: mean" in alts(angles)
     assert "not a measure of uncertainty" in runs.text and "Rank plot" in alts(runs)
     for shown in ("intervals of", "Distribution of", "Effective sample size"):
         assert shown in alts(close) and shown not in alts(runs)
@@ -292,4 +292,4 @@ def test_a_long_run_of_a_whole_body_stays_below_the_limit(make_run, draw_picture
     assert 1_000_000 < len(text.encode()) < LARGEST == 10_000_000
     found = parse(text)
     assert "The plots show every 5th frame of 2,000" in found.text
-    assert alts(found).count("over the frames: median") == len(dofs)
+    assert alts(found).count("over the frames: mean") == len(dofs)

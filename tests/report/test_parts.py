@@ -1,4 +1,4 @@
-"""What the plots are made of: quantiles, limbs, bins, ranks, equal-weight draws, the command that repeats a run."""
+"""What the plots are made of: means and quantiles, limbs, bins, ranks, equal-weight draws, the command that repeats a run."""
 
 import dataclasses
 import shlex
@@ -6,7 +6,6 @@ import shlex
 import numpy as np
 import pytest
 
-from bayes_body.view.report.bands import SHARES, bands
 from bayes_body.view.report.choice import FEWEST_DRAWS, MOST_DRAWS, chosen_dofs, chosen_frames, equal_weight_sample
 from bayes_body.view.report.figures import MOST_POINTS, bins, draw_runs, encoded, new_panel, style
 from bayes_body.view.report.limbs import OTHER, by_limb, limb, spoken
@@ -15,22 +14,23 @@ from bayes_body.view.report.provenance import LONGEST, command, provenance_secti
 from bayes_body.view.report.ranks import rank_region
 
 
-def test_bands_are_weighted_quantiles_in_degrees_and_metres(inspect):
+def test_curves_are_weighted_means_and_quantiles_in_degrees_and_metres(inspect):
     rng = np.random.default_rng(2)
     pose, log_weight = rng.normal(size=(2, 300, 3, 2)), rng.normal(size=(2, 300, 3))
-    found = bands(inspect(draws=300, frames=3, dofs=("root_x", "l_knee"), units=("m", "rad"), pose=pose, log_weight=log_weight))
+    it = inspect(draws=300, frames=3, dofs=("root_x", "l_knee"), units=("m", "rad"), pose=pose, log_weight=log_weight)
     weights = np.exp(log_weight) / np.exp(log_weight).sum(axis=1, keepdims=True) / 2
-    assert found.units == ("m", "°") and found.quantiles.shape == (len(SHARES), 3, 2)
+    assert it.units == ("m", "°") and it.curves.mean.shape == (3, 2)
     for place, factor in ((0, 1.0), (1, 180 / np.pi)):
-        for share, row in zip(SHARES, found.quantiles[:, :, place], strict=True):
-            for frame, value in enumerate(row):
-                below = pose[:, :, frame, place] * factor <= value + 1e-5
-                assert abs(weights[:, :, frame][below].sum() - share) < weights.max() + 1e-9
+        values = pose[..., place] * factor
+        np.testing.assert_allclose(it.curves.mean[:, place], (weights * values).sum(axis=(0, 1)), rtol=1e-4, atol=1e-5)
+        for share, ends in ((0.05, it.curves.q05), (0.95, it.curves.q95)):
+            held = (weights * (values <= ends[:, place] + 1e-5)).sum(axis=(0, 1))
+            assert np.abs(held - share).max() < weights.max() + 1e-9
 
 
 def test_long_runs_are_thinned_evenly(inspect):
-    found = bands(inspect(frames=2 * MOST_POINTS + 1, draws=30))
-    assert found.frames == range(0, 2 * MOST_POINTS + 1, 3) and found.quantiles.shape[1] == len(found.frames) <= MOST_POINTS
+    it = inspect(frames=2 * MOST_POINTS + 1, draws=30)
+    assert it.frames == range(0, 2 * MOST_POINTS + 1, 3) and len(it.curves.mean) == len(it.frames) <= MOST_POINTS
 
 
 @pytest.mark.parametrize("frames", [1, 4, MOST_POINTS, MOST_POINTS + 1, 5 * MOST_POINTS + 3])

@@ -1,5 +1,7 @@
 """A smoothed run on disk: it goes on after a stop to the same paths, is read like any other run, and refuses what it cannot smooth."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from bayes_body.runs.settings import Settings
 from bayes_body.runs.smooth import SmoothSettings, smooth_run
 from bayes_body.storage import FrameFiles, frame_files
 from bayes_body.storage.saved_run import SavedRun, load_run
+from bayes_body.view.report.curves import dof_curves, filter_curves
 from bayes_body.view.report.page import page
 
 from .conftest import contents
@@ -47,7 +50,15 @@ def test_a_smoothed_run_is_read_like_any_other(filtered, smoothed, tmp_path):
         # The last frame knows all images already in the filter, the frames before do not.
         assert np.array_equal(paths.tree["filter"]["log_evidence"], source.tree["filter"]["log_evidence"])
         text = page(paths)
-        assert "smoothed" in text
+        assert "smoothed: 30 paths of each run, given all images" in text and 'id="filter"' not in text and "the filter&#x27;s mean" in text
+        assert f"bayes-body smooth {filtered} --out {smoothed}_again --draws 30 --moves 1 --seed 0" in text
+        # The curves beside are those of the filter's run, and of no other run to which a stranger's run may lead.
+        frames = range(FRAMES)
+        np.testing.assert_array_equal(filter_curves(paths, frames).dofs.mean, dof_curves(source, frames).mean)
+        for other in ({"run": "0" * 32}, {"folder": str(smoothed)}, {"folder": "\0"}, {"folder": str(tmp_path)}):
+            assert filter_curves(dataclasses.replace(paths, smoothing=paths.smoothing | other), frames) is None
+        assert filter_curves(dataclasses.replace(paths, texts=paths.texts | {"session": ""}), frames) is None
+        assert filter_curves(source, frames) is None
         export(paths, "csv", tmp_path / "motion.csv")
     assert len((tmp_path / "motion.csv").read_text().splitlines()) == FRAMES + 1
 

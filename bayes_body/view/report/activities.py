@@ -8,7 +8,7 @@ from jaxtyping import Float
 from bayes_body.dynamics.activity_arrays import BELIEF
 from bayes_body.errors import escaped
 from bayes_body.posterior.blocks import weights_of_runs
-from bayes_body.view.report.figures import draw_runs, encoded, frame_label, frames_a_point, new_panel
+from bayes_body.view.report.figures import draw_runs, encoded, frames_a_point, new_panel, time_axis, time_label
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, details, figures, tag
 
@@ -29,8 +29,9 @@ def activity_details(it: Inspection) -> Markup | None:
     found = activity_probabilities(belief.isel(frame=frames).values, weights, labels)
     panels = []
     for label, values in found.items():
-        figure, axes = new_panel(label, frame_label(it.fps), "probability")
+        figure, axes = new_panel(label, time_label(it.fps), "probability")
         draw_runs(axes, frames, values)
+        time_axis(axes, it.run.frames, it.fps)
         axes.set_ylim(-0.03, 1.03)
         panels.append(encoded(figure, f"Probability of the activity {label} over the frames; {values.mean():.2f} in the mean."))
     return details("Activities", tag("p", LEGEND), figures(panels))

@@ -13,7 +13,7 @@ from bayes_body.posterior.blocks import coordinate_blocks, pose_blocks
 from bayes_body.posterior.mixing import Mixing, autocorrelation, by_chain
 from bayes_body.view.overlay import backdrop
 from bayes_body.view.report.dof_map import dof_map
-from bayes_body.view.report.figures import INK, RUNS, data_uri, draw_runs, encoded, new_panel, shade_lost, whole_frames
+from bayes_body.view.report.figures import INK, RUNS, data_uri, draw_runs, encoded, new_panel, shade_lost, time_axis
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
@@ -90,7 +90,7 @@ def _panel(
     for limit in limits:
         axes.axhline(limit, color=INK, linestyle="--", linewidth=0.9)
     axes.set_ylim(*span)
-    whole_frames(axes, values.shape[1])
+    time_axis(axes, values.shape[1], it.fps)
     return encoded(figure, f"{title} over the frames: median {np.nanmedian(values):.3g}, from {np.nanmin(values):.3g} to {np.nanmax(values):.3g}.")
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from bayes_body.posterior.blocks import coordinate_blocks, weights_of_runs
 from bayes_body.posterior.resampling import RESAMPLING_SEED
-from bayes_body.view.report.bands import dof_scale
+from bayes_body.view.report.curves import dof_scale
 from bayes_body.view.report.inspection import Inspection
 
 FEWEST_DRAWS, MOST_DRAWS, DOFS = 20, 200, 3

@@ -1,25 +1,20 @@
 """The clinical angles over time: mean and 90 % interval of all runs together, the right and the left side in one panel."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from jaxtyping import Float
 
 from bayes_body.clinical.conventions import CLINICAL, Angle, Convention
 from bayes_body.posterior.moments import Moments
-from bayes_body.view.report.bands import LEAST_SPAN, limits, sparse_frames, value_range
+from bayes_body.view.report.bands import LEAST_SPAN, draw_band, limits, sparse_frames, value_range
+from bayes_body.view.report.curves import LEGEND, draw_filter
 from bayes_body.view.report.figures import INK, RUNS, encoded, new_panel, shade_lost
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, Picture, details, figures, section, tag
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 COLOURS, SIDES = {"r": RUNS[0], "l": RUNS[2], "": INK}, {"r": "right", "l": "left", "": ""}
 LINES = (
     "Joint angles as clinicians read them. Blue is the right side, green the left; the same sign is the same movement on both sides. The line is the "
 )
-BANDS = f"{LINES}posterior mean of all runs together, and the band is 90 % of the posterior (5 to 95 %): angles of the draws, not angles of a mean."
+BANDS = f"{LINES}posterior mean of all runs together, and the band the 90 % interval: angles of the draws, not angles of a mean."
 SEEKER = (
     f"{LINES}mean of the particles of all runs together. There are no bands: the kernel is a mode seeker, and the spread of its particles is not a "
     "measure of uncertainty."
@@ -31,8 +26,8 @@ FOLDED = ("shoulder",)
 
 def clinical_section(it: Inspection) -> Markup:
     """Return the section, one group of panels for each joint."""
-    parts: list[str] = [tag("p", SEEKER if it.diagnosis.mode_seeker else BANDS)]
-    sparse = sparse_frames(it.clinical_frames.step)
+    parts: list[str] = [tag("p", f"{SEEKER if it.diagnosis.mode_seeker else BANDS}{LEGEND if it.filtered else ''}")]
+    sparse = sparse_frames(it.frames.step)
     if sparse:
         parts.append(tag("p", f"The plots show {sparse} frame of {it.run.frames:,}.", class_="note"))
     for convention in CLINICAL:
@@ -52,28 +47,18 @@ def _panel(it: Inspection, convention: Convention, angle: Angle, place: int) -> 
     found = {side: Moments(*(values[:, column] for values in moments)) for side, column in sides.items()}
     title = angle.name.replace("_", " ").capitalize()
     figure, axes = new_panel(title, "time, s", "degrees", (3.6, 2.1))
-    seconds, bands = np.asarray(it.clinical_frames) / it.run.fps, not it.diagnosis.mode_seeker
+    seconds, bands = np.asarray(it.frames) / it.run.fps, not it.diagnosis.mode_seeker
     shade_lost(axes, it.lost, 1 / it.run.fps)
     for side, curve in found.items():
-        _draw(axes, seconds, curve, COLOURS[side], bands)
+        if it.filtered and names == it.filtered.clinical.names:
+            draw_filter(axes, seconds, it.filtered.clinical.moments, sides[side], bands)
+        draw_band(axes, seconds, curve.mean, (curve.q05, curve.q95) if bands else None, COLOURS[side])
     low, high = (np.concatenate([getattr(curve, end if bands else "mean") for curve in found.values()]) for end in ("q05", "q95"))
     if len(seconds) > 1:
         axes.set_xlim(seconds[0], seconds[-1])
     axes.set_ylim(*limits(low, high, LEAST_SPAN["°"]))
     told = [f"{SIDES[side]} mean {value_range(curve.mean)} °{_widest(curve) if bands else ''}".strip() for side, curve in found.items()]
     return encoded(figure, f"{title} over time: {'; '.join(told)}.", f"+ {angle.positive}; − {angle.negative}")
-
-
-def _draw(axes: "Axes", seconds: Float[np.ndarray, " frame"], curve: Moments, colour: str, bands: bool) -> None:
-    """Draw one side: a line or, for a single frame, a point; with its band."""
-    if len(seconds) == 1:
-        # The mean of a skewed angle can be outside its interval.
-        ends = np.maximum([curve.mean - curve.q05, curve.q95 - curve.mean], 0)
-        axes.errorbar(seconds, curve.mean, ends if bands else None, color=colour, marker="o", capsize=4)
-        return
-    if bands:
-        axes.fill_between(seconds, curve.q05, curve.q95, color=colour, alpha=0.25, linewidth=0)
-    axes.plot(seconds, curve.mean, color=colour)
 
 
 def _widest(curve: Moments) -> str:

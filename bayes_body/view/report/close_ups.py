@@ -138,7 +138,7 @@ def forest_plot(it: Inspection, sample: Sample) -> Picture:
     form = {
         "labels": ["dof"],
         "point_estimate": "median",
-        "ci_probs": (0.5, 0.9),
+        "ci_probs": (0.9, 0.9),
         "combined": together,
         "aes": {} if together else {"color": ["chain"]},
     }

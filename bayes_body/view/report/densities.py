@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.posterior.blocks import coordinate_blocks, pooled, weights_of_runs
-from bayes_body.view.report.figures import encoded, frame_label, frames_a_point, new_panel, set_margins, whole_frames
+from bayes_body.view.report.figures import encoded, frames_a_point, new_panel, set_margins, time_axis, time_label
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import spoken
 from bayes_body.view.report.markup import Markup, Picture, details, figures, tag
@@ -29,7 +29,7 @@ def density_details(it: Inspection) -> Markup | None:
     blocks = list(coordinate_blocks(it.run.tree, frames, spaces=it.run.spaces))
     weights = np.concatenate([pooled(weights_of_runs(piece.log_weights)) / piece.poses.shape[0] for piece in blocks])
     angles = np.degrees(np.concatenate([pooled(piece.poses)[..., places] for piece in blocks]))
-    label = frame_label(it.fps)
+    label = time_label(it.fps)
     panels = figures(_panel(it, it.dofs[place], frames, log_density(angles[..., k], weights), label) for k, place in enumerate(places))
     return details("Log posterior of the shoulders' angles", tag("p", LEGEND), panels)
 
@@ -70,6 +70,6 @@ def _panel(it: Inspection, name: str, frames: range, found: LogDensity, label: s
         vmin=-FAINTEST,
         vmax=0,
     )
-    whole_frames(axes, it.run.frames)
+    time_axis(axes, it.run.frames, it.fps)
     figure.colorbar(shown, ax=axes, pad=0.03, ticks=[-FAINTEST, -FAINTEST / 2, 0])
     return encoded(figure, f"Log posterior of {spoken(name)} over the frames, angles from {low:.0f} to {high:.0f} degrees.")

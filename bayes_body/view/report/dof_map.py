@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.view.report.figures import INK, bins, encoded, new_panel, set_margins, whole_frames
+from bayes_body.view.report.figures import INK, bins, encoded, new_panel, set_margins, time_axis
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import spoken
 from bayes_body.view.report.markup import Picture
@@ -27,7 +27,7 @@ def dof_map(it: Inspection, rhat: Float[np.ndarray, "frame dof"], title: str, li
         vmax=max(2 * limit - 1, 1.2),
     )
     axes.set_yticks(range(count), [spoken(name) for name in it.diagnosis.dofs], fontsize=8.5)
-    whole_frames(axes, frames)
+    time_axis(axes, frames, it.fps)
     axes.set_xlim(-0.5, frames - 0.5)
     bar = figure.colorbar(shown, ax=axes, extend="max", pad=0.03, ticks=MaxNLocator(5, steps=[1, 2, 5, 10]), format="%.2f")
     bar.ax.axhline(limit, color=INK, linewidth=1.2)

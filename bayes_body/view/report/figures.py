@@ -162,10 +162,9 @@ def bins(frames: int) -> Sequence[slice]:
     return [slice(start, min(start + size, frames)) for start in range(0, frames, max(size, 1))]
 
 
-def frame_label(fps: float | None, thinned: str = "") -> str:
-    """Return the label of an axis of frames: their rate, and how they are thinned."""
-    rate = f" ({fps:g} per second)" if fps else ""
-    return f"frame{rate}" + (f"; {thinned}" if thinned else "")
+def time_label(fps: float | None, thinned: str = "") -> str:
+    """Return the label of an axis of time, in seconds if the rate of the frames is known, and how the frames are thinned."""
+    return ("time, s" if fps else "frame") + (f"; {thinned}" if thinned else "")
 
 
 def shade_lost(axes: "Axes", lost: Bool[np.ndarray, " frame"], step: float = 1.0) -> None:
@@ -178,9 +177,13 @@ def shade_lost(axes: "Axes", lost: Bool[np.ndarray, " frame"], step: float = 1.0
     axes.add_collection(PolyCollection(spans, transform=axes.get_xaxis_transform(), color=LOST, alpha=0.18, linewidth=0), autolim=False)
 
 
-def whole_frames(axes: "Axes", frames: int) -> None:
-    """Put ticks at whole frames, and leave no empty margin."""
+def time_axis(axes: "Axes", frames: int, fps: float | None) -> None:
+    """Number an axis of frames in seconds, or in frames if their rate is unknown, and leave no empty margin."""
     from matplotlib.ticker import MaxNLocator
 
-    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True, min_n_ticks=1))
+    if fps and frames > 1:
+        seconds = np.asarray(MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(0, (frames - 1) / fps))
+        axes.set_xticks(seconds * fps, [f"{second:g}" for second in seconds])
+    else:
+        axes.xaxis.set_major_locator(MaxNLocator(6, integer=True, min_n_ticks=1))
     axes.set_xlim(-0.5 if frames <= 12 else 0, frames - 0.5 if frames <= 12 else frames - 1)

@@ -14,12 +14,12 @@ from bayes_body.view.report.figures import (
     bins,
     draw_runs,
     encoded,
-    frame_label,
     log_counts,
     log_values,
     new_panel,
     shade_lost,
-    whole_frames,
+    time_axis,
+    time_label,
 )
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
@@ -142,7 +142,7 @@ def _by_layer(
         axes.set_ylim(-0.03, 1.2)
     for limit in limits:
         _limit(axes, limit)
-    whole_frames(axes, values.shape[1])
+    time_axis(axes, values.shape[1], it.fps)
     if len(layers) > 1 and not logarithmic:
         axes.legend(loc="upper right", ncols=2, handlelength=1.2)
     return encoded(figure, f"{title} over the frames, the median of the runs, from {np.nanmin(values):.3g} to {np.nanmax(values):.3g}.")
@@ -159,13 +159,13 @@ def _cameras(it: Inspection) -> Iterator[Picture]:
     if diagnosis.seen is None:
         return
     count = diagnosis.seen.shape[1]
-    figure, axes = new_panel("Cameras in use", frame_label(it.fps), "camera", (3.6, max(1.6, 0.9 + 0.25 * count)))
+    figure, axes = new_panel("Cameras in use", time_label(it.fps), "camera", (3.6, max(1.6, 0.9 + 0.25 * count)))
     for camera in range(count):
         axes.broken_barh(_stretches(diagnosis.seen[:, camera]), (camera - 0.35, 0.7), color=RUNS[0], linewidth=0)
     axes.set_yticks(range(count), [_short(name) for name in diagnosis.cameras])
     axes.set_ylim(count - 0.5, -0.5)
     axes.grid(visible=False)
-    whole_frames(axes, diagnosis.seen.shape[0])
+    time_axis(axes, diagnosis.seen.shape[0], it.fps)
     axes.set_xlim(-0.5, diagnosis.seen.shape[0] - 0.5)
     alone = "; ".join(f"{name} in {share:.0%}" for name, share in zip(diagnosis.cameras, diagnosis.seen.mean(axis=0), strict=True))
     yield encoded(figure, f"Fraction of frames in which each camera was used: {alone}.")
@@ -185,7 +185,7 @@ def _short(name: str) -> str:
 def _draw(axes: "Axes", it: Inspection, values: Float[np.ndarray, "run frame"]) -> None:
     shade_lost(axes, it.lost)
     draw_runs(axes, np.arange(values.shape[1]), values)
-    whole_frames(axes, values.shape[1])
+    time_axis(axes, values.shape[1], it.fps)
 
 
 def _limit(axes: "Axes", value: float) -> None:

@@ -9,7 +9,7 @@ from bayes_body.errors import InputError
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, details, section, table, tag
 
-LEGEND = "Computed for each draw, which is a whole path of the smoothed run. Intervals hold 90 % of the posterior, with the error of the method."
+LEGEND = "Computed for each draw, which is a whole path of the smoothed run. The intervals include the error of the method."
 SIDES = {"r": "right", "l": "left", "": ""}
 
 

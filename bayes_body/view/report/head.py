@@ -11,6 +11,8 @@ from bayes_body.view.report.markup import Markup, joined, section, table, tag
 
 if TYPE_CHECKING:
     from bayes_body.posterior.diagnostics import Diagnosis
+    from bayes_body.storage.saved_run import SavedRun
+    from bayes_body.view.report.inspection import Inspection
 
 # Key of summary.json, label, format.
 WHAT = (
@@ -35,6 +37,20 @@ QUALITY = (
     ("evaluations_per_second", "evaluations of the likelihood", "{:,.0f} per second"),
     ("peak_memory_mb", "peak memory", "{:,.0f} MB"),
 )
+
+
+def subtitle(run: "SavedRun") -> str:
+    """Return the model, the kernel, for a smoothed run how it was smoothed, and the definition's title."""
+    how = f"kernel {run.kernel['kind']}"
+    if run.smoothed:
+        how = f"{how}, smoothed: {run.smoothing['draws']:,} paths of each run, given all images"
+    return f"Model {run.settings['model']}, {how}; {run.texts.get('title', 'no title')}."
+
+
+def scales(it: "Inspection") -> str:
+    """Return what holds for the whole page: how wide its intervals are, and where its time begins."""
+    wide = "" if it.diagnosis.mode_seeker else "Every interval and band of this page holds 90 % of the posterior (5 to 95 %). "
+    return f"{wide}Time is in seconds from frame 0; there are {it.fps:g} frames per second." if it.fps else wide
 
 
 def verdict(summary: Mapping[str, Any], warnings: Sequence[str], agreement_known: bool) -> Markup:
@@ -67,13 +83,22 @@ def sentence(text: str, capital: bool = True) -> Markup:
     return Markup("".join(tag("code", part) if part.startswith("--") else joined([part]) for part in parts))
 
 
-def key_figures(summary: Mapping[str, Any], diagnosis: "Diagnosis") -> Markup:
-    """Return the main figures. A figure that does not exist is a dash; figures that need a truth are left out without one."""
+def key_figures(summary: Mapping[str, Any], diagnosis: "Diagnosis", smoothed: bool = False) -> Markup:
+    """Return the main figures. A figure that does not exist is a dash; figures that need a truth are left out without one.
+
+    Args:
+        summary: the content of summary.json.
+        diagnosis: the run's diagnostic figures.
+        smoothed: whether the draws are paths. Their effective number is that of the different states of a frame.
+    """
     known = [row for row in TRUTH if summary.get(row[0]) is not None]
     what, truth, quality = ([(label, written(summary[key], form)) for key, label, form in rows if key in summary] for rows in (WHAT, known, QUALITY))
     ess = f"{np.median(diagnosis.ess):.0f} (median), {diagnosis.ess.min():.0f} (minimum) of {diagnosis.particles:,}"
     rhat = written(_largest(diagnosis.rhat), "{:.2f}")
-    mine = [("effective particles", ess), ("R-hat over the runs, at most", rhat), ("log-evidence", _evidence(diagnosis))]
+    effective = "different states of a frame" if smoothed else "effective particles"
+    mine = [(effective, ess), ("R-hat over the runs, at most", rhat), ("log-evidence", _evidence(diagnosis))]
+    if smoothed:
+        what = [("paths of each run" if label == "particles per run" else label, value) for label, value in what if label != "layers per frame"]
     return tag("div", table((), what), table((), [*truth, *mine, *quality]), class_="pair")
 
 

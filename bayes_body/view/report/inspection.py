@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool
 
-from bayes_body.clinical.moments import Curves, clinical_angles
+from bayes_body.clinical.moments import Curves
 from bayes_body.errors import InputError
 from bayes_body.metrics.plausibility_sentences import fit_sentences
 from bayes_body.posterior.diagnostics import Diagnosis, Thresholds, diagnose, sentences
 from bayes_body.posterior.moments import Moments
-from bayes_body.view.report.figures import frame_label, frames_a_point
+from bayes_body.view.report.curves import FilterCurves, clinical_curves, dof_curves, filter_curves, units_of
+from bayes_body.view.report.figures import frames_a_point, time_label
 
 if TYPE_CHECKING:
     from bayes_body.storage.saved_run import SavedRun
@@ -72,23 +73,30 @@ class Inspection:
             return False
 
     @cached_property
-    def clinical_frames(self) -> range:
-        """The frames at which clinical angles are computed: no more than MOST_POINTS, evenly spaced."""
+    def frames(self) -> range:
+        """The frames of curves: no more than MOST_POINTS, evenly spaced."""
         return range(0, self.run.frames, frames_a_point(self.run.frames))
+
+    @cached_property
+    def curves(self) -> Moments:
+        """The dofs at those frames, degrees and metres."""
+        return dof_curves(self.run, self.frames)
 
     @cached_property
     def clinical(self) -> Curves:
         """The clinical angles at those frames; none if the body file names no segments, or if the model can no longer be built."""
-        try:
-            return clinical_angles(self.run, self.clinical_frames)
-        except InputError:
-            return Curves((), Moments(*np.zeros((4, len(self.clinical_frames), 0))))
+        return clinical_curves(self.run, self.frames)
+
+    @cached_property
+    def filtered(self) -> FilterCurves | None:
+        """The same curves of the filter's run that was smoothed; None if there is none."""
+        return filter_curves(self.run, self.frames)
 
     @property
     def x_label(self) -> str:
-        """Label of an axis of frames whose points are bins."""
+        """Label of an axis of time whose points are bins of frames."""
         size = frames_a_point(self.run.frames)
-        return frame_label(self.fps, f"{size} per point" if size > 1 else "")
+        return time_label(self.fps, f"{size} frames per point" if size > 1 else "")
 
     @cached_property
     def dofs(self) -> tuple[str, ...]:
@@ -98,4 +106,4 @@ class Inspection:
     @cached_property
     def units(self) -> tuple[str, ...]:
         """Unit of each dof, `°` or `m`."""
-        return tuple("m" if unit == "m" else "°" for space in self.run.spaces.values() for unit in space.tangent_units)
+        return units_of(self.run)

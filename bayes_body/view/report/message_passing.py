@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.posterior.message_passing import PARTS, MessagePassing
-from bayes_body.view.report.figures import GREY, INK, RUNS, draw_runs, encoded, log_counts, new_panel, shade_lost, whole_frames
+from bayes_body.view.report.figures import GREY, INK, RUNS, draw_runs, encoded, log_counts, new_panel, shade_lost, time_axis
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
@@ -72,7 +72,7 @@ def _panel(it: Inspection, values: Float[np.ndarray, "run frame"], title: str, l
         axes.set_ylim(0, 1.15 * max(limit, float(np.nanmax(values))))
     else:
         log_counts(axes, most)
-    whole_frames(axes, values.shape[1])
+    time_axis(axes, values.shape[1], it.fps)
     span = f"median {np.nanmedian(values):.3g}, from {np.nanmin(values):.3g} to {np.nanmax(values):.3g}"
     return encoded(figure, f"{title} over the frames, the worst part of each: {span}; the limit is {limit:g}.")
 
@@ -88,7 +88,7 @@ def _shares(it: Inspection, passing: MessagePassing) -> Picture:
     axes.set_ylim(-0.03, 1.35)
     axes.set_yticks([0, 0.25, 0.5, 0.75, 1])
     axes.legend(loc="upper left", ncols=4, handlelength=0.9, columnspacing=0.9, handletextpad=0.4)
-    whole_frames(axes, len(mean))
+    time_axis(axes, len(mean), it.fps)
     named = ", ".join(f"{PARTS[number]} {np.nanmean(mean[:, number]):.2f}" for number in brought)
     return encoded(figure, f"Share of each part of the proposal in the weight of the particles, mean over the frames: {named}.")
 

@@ -16,7 +16,7 @@ from bayes_body.view.report.clinical import clinical_section
 from bayes_body.view.report.figures import style
 from bayes_body.view.report.filtering import filter_section
 from bayes_body.view.report.gait import gait_section, has_gait
-from bayes_body.view.report.head import findings, key_figures, verdict
+from bayes_body.view.report.head import findings, key_figures, scales, subtitle, verdict
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, joined, tag
 from bayes_body.view.report.message_passing import message_section
@@ -78,11 +78,12 @@ def page(run: "SavedRun", watch: Watch = unwatched) -> str:
 
 
 def sections_of(it: Inspection) -> Sequence[tuple[str, str, Callable[[Inspection], Markup]]]:
-    """Return SECTIONS, without those about which the run says nothing: the truth, clinical angles, gait, Markov chains, message passing."""
+    """Return SECTIONS, without those about which the run says nothing: the truth, clinical angles, gait, the filter, Markov chains, messages."""
     missing = {
         "truth": not it.has_truth,
         "clinical": not it.clinical.names,
         "gait": not has_gait(it),
+        "filter": it.run.smoothed,
         "chains": it.diagnosis.mixing is None,
         "messages": it.diagnosis.messages is None,
     }
@@ -109,15 +110,14 @@ def fitted(it: Inspection, sections: Sequence[Markup], largest: int) -> str:
 
 def _filled(it: Inspection, sections: Sequence[Markup]) -> str:
     template = Template(files(__package__).joinpath("page.html").read_text(encoding="utf-8"))
-    settings = it.run.settings
-    subtitle = f"Model {settings['model']}, kernel {it.run.kernel['kind']}; {it.run.texts.get('title', 'no title')}."
     version = it.run.versions.get("bayes-body", "of unknown version")
     values = {
         "title": f"Posterior of {it.run.folder.resolve().name}",
-        "subtitle": subtitle,
+        "subtitle": subtitle(it.run),
         "verdict": verdict(it.run.summary, it.warnings, it.agreement_known),
+        "scales": scales(it),
         "contents": joined(tag("li", tag("a", title, href=f"#{name}")) for name, title, _ in sections_of(it)),
-        "figures": key_figures(it.run.summary, it.diagnosis),
+        "figures": key_figures(it.run.summary, it.diagnosis, it.run.smoothed),
         "sections": joined(sections),
         "footer": f"Made by bayes-body report from a run of bayes-body {version}. This file is complete in itself and needs no network.",
     }

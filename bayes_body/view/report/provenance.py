@@ -13,15 +13,26 @@ if TYPE_CHECKING:
 
 # Texts with more characters than this are cut, because the page has a size limit.
 LONGEST = 200_000
+AGAIN, AGAIN_SMOOTH = "This command repeats the run.", "This command smooths the same run of the filter again."
+IDENTICAL = "With the same versions on the same kind of processor, the result is identical to the last bit."
+SMOOTHER_OPTIONS = ("draws", "moves", "seed")
 KERNEL_OPTIONS = ("particles", "layers", "move", "moves", "leapfrog_steps")
 
 
 def command(run: "SavedRun") -> str:
-    """Return `bayes-body track ...` with the settings that are command-line options; the other settings are in the definition."""
-    settings, words = run.settings, ["bayes-body", "track", str(run.settings["session"]), "--out", f"{run.folder.resolve()}_again"]
+    """Return `bayes-body track ...`, or `bayes-body smooth ...`, with the settings that are command-line options; the definition has the others."""
+    again = f"{run.folder.resolve()}_again"
+    if run.smoothed:
+        words = ["bayes-body", "smooth", str(run.smoothing["folder"]), "--out", again]
+        return _with_options(words, {name: run.smoothing[name] for name in SMOOTHER_OPTIONS})
+    settings = run.settings
     options = {"model": settings["model"], "kernel": run.kernel["kind"]}
     options |= {name: run.kernel[name] for name in KERNEL_OPTIONS if name in run.kernel}
     options |= {name: settings[name] for name in ("runs", "frames", "seed") if name in settings}
+    return _with_options(["bayes-body", "track", str(settings["session"]), "--out", again], options)
+
+
+def _with_options(words: list[str], options: Mapping[str, Any]) -> str:
     for name, value in options.items():
         words += [f"--{name.replace('_', '-')}", str(value)]
     return shlex.join(words)
@@ -30,9 +41,10 @@ def command(run: "SavedRun") -> str:
 def provenance_section(run: "SavedRun") -> Markup:
     """Return the section. It needs neither the session's folder nor its images."""
     parts: list[str] = [
-        tag("p", "This command repeats the run. With the same versions on the same kind of processor, the result is identical to the last bit."),
+        tag("p", f"{AGAIN_SMOOTH if run.smoothed else AGAIN} {IDENTICAL}"),
         tag("pre", tag("code", command(run))),
-        tag("h3", "Kernel"),
+        *([tag("h3", "Smoother"), table((), _rows(run.smoothing))] if run.smoothed else []),
+        tag("h3", "Kernel of the filter" if run.smoothed else "Kernel"),
         table((), [(key, str(value)) for key, value in run.kernel.items()]),
         tag("h3", "Recording"),
         _recording(run),

@@ -27,7 +27,7 @@ SEEKER = (
     "the runs differ, the pose is doubtful. If they agree, the pose can still be wrong."
 )
 FOREST = (
-    "Median, middle half (thick) and 90 % interval (thin) of each run's draws, relative to the median of all runs. That median is written beside the "
+    "Median and 90 % interval of each run's draws, relative to the median of all runs. That median is written beside the "
     "name. Short lines belong to joints that the recording determines well. If the lines of a joint lie apart, the runs disagree."
 )
 

@@ -12,7 +12,7 @@ from bayes_body.metrics.figures import accuracy_figures, width
 from bayes_body.metrics.truth import AgainstTruth, Cloud, Clouds, against_truth, mean_known, true_markers
 from bayes_body.posterior.blocks import pose_blocks
 from bayes_body.view.report.bands import sparse_frames
-from bayes_body.view.report.figures import INK, LEGEND, RUNS, encoded, frame_label, frames_a_point, new_panel, shade_lost, whole_frames
+from bayes_body.view.report.figures import INK, LEGEND, RUNS, encoded, frames_a_point, new_panel, shade_lost, time_axis, time_label
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, table, tag
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 ERROR = "Each line is the error of a run: the distance of its mean markers from the true ones, averaged over the markers."
 EXPECTED = (
-    "The bands show the error that the runs expect, which is the distance of a draw from the mean: its middle half (dark) and 90 % of it (light). If "
-    "the posterior is calibrated, the error is inside the light band in nine of ten frames."
+    "The band shows the error that the runs expect, which is the distance of a draw from the mean. If the posterior is calibrated, the error is "
+    "in the band in nine of ten frames."
 )
-SEEKER = "There are no bands and no coverage: the spread of a mode seeker's particles is not a measure of uncertainty."
+SEEKER = "There is no band and no coverage: the spread of a mode seeker's particles is not a measure of uncertainty."
 CALIBRATION = (
     "Coverage: the fraction of intervals of each nominal level that contain the truth, over frames, markers and axes. On the dashed line the "
     "intervals are right. Below it they are too narrow, and above it too wide."
@@ -96,10 +96,8 @@ def told(found: AgainstTruth, mode_seeker: bool) -> list[str]:
     if mode_seeker:
         sentences.append(SEEKER)
     else:
-        half, most = it["coverage_50"], it["coverage_90"]
-        sentences.append(
-            f"The 90 % intervals contain the truth in {percent(most)} of cases: {width(most)}. The 50 % intervals contain it in {percent(half)}."
-        )
+        most = it["coverage_90"]
+        sentences.append(f"The 90 % intervals contain the truth in {percent(most)} of cases: {width(most)}.")
     if it["error_mm_mean_fitted_offset"] is not None:
         held = "" if mode_seeker else f", and the 90 % intervals contain the truth in {percent(it['coverage_90_fitted_offset'])} of cases"
         sentences.append(f"With the offset between the two skeletons fitted, the error is {it['error_mm_mean_fitted_offset']:.0f} mm{held}.")
@@ -107,19 +105,18 @@ def told(found: AgainstTruth, mode_seeker: bool) -> list[str]:
 
 
 def _error(it: Inspection, found: AgainstTruth) -> Picture:
-    """Return the plot of the error: one line for each run, over bands of the error that the runs expect."""
+    """Return the plot of the error: one line for each run, over a band of the error that the runs expect."""
     step = frames_a_point(it.run.frames)
-    figure, axes = new_panel("Error", frame_label(it.fps, sparse_frames(step)), "mean over the markers, mm")
+    figure, axes = new_panel("Error", time_label(it.fps, f"{sparse_frames(step)} frame" if step > 1 else ""), "mean over the markers, mm")
     frames, error = np.arange(0, it.run.frames, step), 1000 * found.plain.frame_error.T
     mark = {"marker": "o", "markersize": 3.5} if len(frames) <= 12 else {}
     shade_lost(axes, it.lost)
     if not it.diagnosis.mode_seeker:
-        low, first, third, high = 1000 * found.plain.expected.T
+        low, *_, high = 1000 * found.plain.expected.T
         axes.fill_between(frames, low, high, color=INK, alpha=0.12, linewidth=0)
-        axes.fill_between(frames, first, third, color=INK, alpha=0.2, linewidth=0)
     for run, line in enumerate(error):
         axes.plot(frames, line, color=RUNS[run % len(RUNS)], label=f"run {run + 1}", **mark)
-    whole_frames(axes, it.run.frames)
+    time_axis(axes, it.run.frames, it.fps)
     axes.set_ylim(bottom=0)
     if 1 < len(error) <= LEGEND:
         axes.legend(loc="best", ncols=3, handlelength=1.2, columnspacing=1.0)
@@ -149,8 +146,7 @@ def _by_marker(found: AgainstTruth, mode_seeker: bool) -> Markup:
         columns.append(("offset fitted, mm", _mm(mean_known(fitted.error, (0, 1)))))
         columns.append(("length of the offset, mm", _mm(np.linalg.norm(found.offsets, axis=-1))))
     if not mode_seeker:
-        held = plain.coverage_by_marker
-        columns += [(f"inside {percent(level)}", [percent(share) for share in held[LEVELS.index(level)]]) for level in (0.5, 0.9)]
+        columns.append(("inside 90 %", [percent(share) for share in plain.coverage_by_marker[LEVELS.index(0.9)]]))
     order = np.argsort(-np.nan_to_num(mean_known(plain.error, (0, 1)), nan=-1.0), kind="stable")
     rows = [[spoken(plain.names[place]), *(cells[place] for _, cells in columns)] for place in order]
     return table(["marker", *(name for name, _ in columns)], rows)
