@@ -167,7 +167,7 @@ class Density:
 
     def marginal(self, state: State, inverse_temperature: float | Scalar = 1.0, predictions: Predictions | None = None) -> Scalar:
         r"""Return $\log \sum_i \exp \ell(i, s_t)$. If many states are evaluated, pass `predictions` from `self.predictions()`."""
-        by_ancestor = self._by_ancestor(state, inverse_temperature, predictions)
+        by_ancestor = self.by_ancestor(state, inverse_temperature, predictions)
         # A factor that does not read the previous frame is the same for all ancestors. It is evaluated once, outside the sum.
         shared = [factor for factor in self.factors if not factor.reads_previous]
         common = self._tempered_sum(shared, state, self.ancestor(0), inverse_temperature)
@@ -182,9 +182,11 @@ class Density:
 
     def ancestor_log_probs(self, state: State, predictions: Predictions | None = None) -> Float[Array, " particle"]:
         """Return log p(i | s_t), where i is the state's ancestor among the particles of the previous frame; `predictions` as in `marginal`."""
-        return jax.nn.log_softmax(self._by_ancestor(state, 1.0, predictions))
+        return jax.nn.log_softmax(self.by_ancestor(state, 1.0, predictions))
 
-    def _by_ancestor(self, state: State, inverse_temperature: float | Scalar, predictions: Predictions | None = None) -> Float[Array, " particle"]:
+    def by_ancestor(
+        self, state: State, inverse_temperature: float | Scalar = 1.0, predictions: Predictions | None = None
+    ) -> Float[Array, " particle"]:
         """Return, for each ancestor, the terms of the log-density that depend on the ancestor."""
         linking = [factor for factor in self.factors if factor.reads_previous]
         distributions = self.predictions() if predictions is None else predictions

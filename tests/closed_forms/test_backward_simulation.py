@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro.distributions as dist
 import pytest
+from closed_forms.processes import FIRST, PARTICLES, SECOND, SEEN, distance
 
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
@@ -21,67 +22,7 @@ from bayes_body.tracking.backward import Backward, Filtered
 # These programs run for longer than they compile.
 pytestmark = pytest.mark.usefixtures("optimised")
 
-KEYS, PARTICLES, DRAWS, BEFORE = 16, 1000, 500, "x_before"
-ROOT, LOOK, LOOK_SD, FIRST_ROOT = np.array([[0.5, 0.0], [0.2, 0.3]]), np.array([[1.0, -0.5]]), 0.4, np.array([[1.0, 0.0], [-0.3, 0.7]])
-# Fixed, and not drawn from the model: the smoother's equations hold for any data.
-SEEN = np.array([[0.4], [0.9], [0.5], [-0.3], [0.2], [0.9]])
-
-
-def _conditional(on, back, root, previous):
-    return {"x": dist.MultivariateNormal(on @ previous["x"] + back @ previous.get(BEFORE, previous["x"]), scale_tril=root)}
-
-
-def _noise(root, state, scale):
-    return {"x": dist.MultivariateNormal(state["x"], scale_tril=scale * root)}
-
-
-def _carry(previous, known):
-    return {"x": known["x"], BEFORE: previous["x"]}
-
-
-def _seen(look, sd, values, z):
-    return jnp.sum(dist.Normal(look @ values[Variable("x")], sd).log_prob(z))
-
-
-class Process(NamedTuple):
-    """x_t = on x_{t-1} + back x_{t-2} + N(0, Q), z = H x + N(0, R): correlated noise, and one observed mixture of two coordinates."""
-
-    on: np.ndarray
-    back: np.ndarray
-    memory: int
-
-    @property
-    def transition(self):
-        arguments = (jnp.asarray(self.on, float), jnp.asarray(self.back, float), jnp.asarray(ROOT))
-        carried = {"carry": jax.tree_util.Partial(_carry), "memory": 2} if self.memory == 2 else {}
-        return Transition("process", jax.tree_util.Partial(_conditional, *arguments), jax.tree_util.Partial(_noise, jnp.asarray(ROOT)), **carried)
-
-    def density(self, frame, previous):
-        look = jax.tree_util.Partial(_seen, jnp.asarray(LOOK), jnp.asarray(LOOK_SD))
-        return Density(self.transition, (Factor("z", "likelihood", (Variable("x"),), look),), {"z": jnp.asarray(SEEN[frame])}, previous)
-
-    def start(self, key):
-        x = jax.random.normal(key, (PARTICLES, 2)) @ FIRST_ROOT.T
-        return Particles({"x": x} | ({BEFORE: x} if self.memory == 2 else {}), jnp.full(PARTICLES, -jnp.log(PARTICLES)))
-
-    def exact(self):
-        """Mean (6 x 2,) and covariance of all frames together, given all that is seen: one large normal distribution."""
-        frames, size = len(SEEN), 2 * (len(SEEN) + 1)
-        # Rows: the states from before the first frame on, as mixtures of the first state and the noise.
-        mixture = np.zeros((size, size))
-        mixture[:2, :2] = FIRST_ROOT
-        for t in range(1, frames + 1):
-            here, before, earlier = (slice(2 * k, 2 * k + 2) for k in (t, t - 1, max(t - 2, 0)))
-            mixture[here] = self.on @ mixture[before] + self.back @ mixture[earlier]
-            mixture[here, here] += ROOT
-        prior = (mixture @ mixture.T)[2:, 2:]
-        look = np.kron(np.eye(frames), LOOK)
-        gain = prior @ look.T @ np.linalg.inv(look @ prior @ look.T + LOOK_SD**2 * np.eye(frames))
-        return gain @ SEEN.ravel(), prior - gain @ look @ prior
-
-
-FIRST = Process(np.array([[1.0, 0.5], [-0.2, 0.9]]), np.zeros((2, 2)), 1)
-SECOND = Process(np.array([[1.6, 0.2], [0.0, 1.2]]), np.array([[-0.7, 0.0], [0.1, -0.4]]), 2)
+KEYS, DRAWS = 16, 500
 
 
 def smoothed(process, change=lambda transition: transition, frames=len(SEEN), **options):
@@ -111,12 +52,8 @@ def smoothed(process, change=lambda transition: transition, frames=len(SEEN), **
 
 def check(process, change=lambda transition: transition, **options):
     """Means and covariances of all frames together, those of neighbours too, within four standard errors over the keys."""
-    exact, runs = process.exact(), smoothed(process, change, **options)
-    for name, given, found in zip(("mean", "covariance"), exact, runs, strict=True):
-        errors = found.std(axis=0, ddof=1) / np.sqrt(KEYS)
-        # With few keys, the spread of one entry is known badly; entries of one kind have similar spreads.
-        distance = np.abs(found.mean(axis=0) - given) / np.maximum(errors, np.median(errors))
-        assert distance.max() < 4, f"{name}: {distance.max():.1f} standard errors from the exact smoother"
+    for name, given, found in zip(("mean", "covariance"), process.exact(), smoothed(process, change, **options), strict=True):
+        assert distance(given, found) < 4, f"{name}: {distance(given, found):.1f} standard errors from the exact smoother"
 
 
 WAYS = {

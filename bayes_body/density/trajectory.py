@@ -1,0 +1,188 @@
+r"""The joint posterior of consecutive frames, as one log-density of their sampled variables in unconstrained coordinates.
+
+$$\log \sum_i w_i \prod_{t=1}^{F} p(x_t \mid s^{(i)}_{t-1})\, \psi_t(x_t, s^{(i)}_{t-1}) \; + \sum_t \log \psi_t(x_t)\, L(z_t; x_t)\, C
+  + \sum_t \log |\det \partial x_t / \partial y_t| + \log p(\mathrm{ahead} \mid s_F).$$
+
+$(w_i, s^i_0)$ are the particles of the frame before the window: the marginal view of the first frame (density/density.py). With one particle, the
+window is conditioned on that state. All states are rebuilt from the particle on, so what they carry, such as the pose before of a second-order prior,
+belongs to the same path. Only the first frames of the window read the particle, as many as the transition's memory. So only these are summed over the
+particles.
+
+Frames after the window that are fixed (density/ahead.py) have a density given the window. With them, a window is one block of a longer path.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayes_body.density.ahead import Ahead, log_ahead, sampled_of
+from bayes_body.density.chart import Chart
+from bayes_body.density.density import Density, Predictions
+from bayes_body.density.factor import Particles, State
+from bayes_body.density.frames import Frames, Own
+from bayes_body.shapes import Index, Key, Scalar
+
+
+@partial(jax.tree_util.register_dataclass, meta_fields=[], data_fields=["frames", "before", "predictions", "references", "ahead", "after"])
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """The joint log-density of a window's frames. Create it with `trajectory`. A position has a leading frame axis.
+
+    Attributes:
+        frames: the frames of the window.
+        before: the particles of the frame before.
+        predictions: the motion prior of the first frame given each of them.
+        references: (frame, ...) for each frame a state of the frame before, around which its coordinates are laid.
+        ahead: the fixed frames after the window; None if there are none.
+        after: the density of the first of them, if a factor reads the frame before.
+    """
+
+    frames: Frames
+    before: Particles
+    predictions: Predictions
+    references: State
+    ahead: Ahead | None = None
+    after: Density | None = None
+
+    def __call__(self, position: State) -> Scalar:
+        """Return the log-density at a position, including the Jacobians, up to the evidence."""
+        sampled, log_determinant = self._constrained(position)
+        alone = jax.vmap(lambda own, here: self.frames.alone(own, self.frames.transition.with_derived(here)))(self.frames.own, sampled)
+        by_ancestor = self._by_ancestor(sampled)
+        linked = by_ancestor[0] if by_ancestor.shape == (1,) else jax.nn.logsumexp(by_ancestor)
+        return linked + self._rest(sampled) + jnp.sum(alone) + log_determinant
+
+    def states(self, position: State, ancestor: int | Index = 0) -> State:
+        """Return the whole states of the frames (frame, ...) at a position, which follow a particle of the frame before."""
+        return self._states(self._particle(ancestor), self._constrained(position)[0])
+
+    def position(self, states: State) -> dict[str, Array]:
+        """Return the position of states (frame, ...): the inverse of `states`."""
+        return jax.vmap(lambda reference, state: self._chart(reference).unconstrain(state))(self.references, states)
+
+    def ancestor_log_probs(self, position: State) -> Float[Array, " particle"]:
+        """Return log p(i | x) of each particle of the frame before."""
+        return jax.nn.log_softmax(self._by_ancestor(self._constrained(position)[0]))
+
+    def complete(self, key: Key, position: State) -> tuple[State, Index]:
+        """Return the whole states at a position, and the particle before them, which is drawn from its distribution given the window."""
+        ancestor = jax.random.categorical(key, self.ancestor_log_probs(position))
+        return self.states(position, ancestor), ancestor
+
+    # -- parts of the sum ---------------------------------------------------------------------------------------------------------------------
+
+    def _constrained(self, position: State) -> tuple[dict[str, Array], Scalar]:
+        """Return the sampled variables of all frames, and the sum of the log-Jacobians."""
+
+        def one(reference: State, here: State) -> tuple[dict[str, Array], Scalar]:
+            chart = self._chart(reference)
+            return chart.constrain(here), chart.log_determinant(here)
+
+        sampled, log_determinants = jax.vmap(one)(self.references, dict(position))
+        return sampled, jnp.sum(log_determinants)
+
+    def _chart(self, reference: State) -> Chart:
+        return coordinates_after(self.frames, reference)
+
+    def _particle(self, index: int | Index) -> State:
+        return jax.tree.map(lambda leaf: leaf[index], dict(self.before.states))
+
+    def _reading(self, count: int) -> int:
+        """Return the number of first frames that are summed over the particles: all if there is one particle."""
+        memory = self.frames.transition.frames_read
+        return count if memory is None or self.before.log_weights.shape[0] == 1 else min(memory, count)
+
+    def _by_ancestor(self, sampled: State) -> Float[Array, " particle"]:
+        """Return, for each particle of the frame before, the terms that depend on it."""
+        transition, count = self.frames.transition, _length(sampled)
+        reading = self._reading(count)
+        if self.before.log_weights.shape[0] == 1:
+            return self.before.log_weights + self._links(self._particle(0), _cut(self.frames.own, 0, count), sampled, ends=True)
+        first = jax.tree.map(lambda leaf: leaf[0], (self.frames.own, dict(sampled)))
+        density = self.frames.density(first[0], self.before)
+        by_first = density.by_ancestor(transition.with_derived(first[1]), predictions=self.predictions)
+        if reading == 1 and count > 1:
+            return by_first
+
+        def others(before: State) -> Scalar:
+            here = transition.state(before, first[1])
+            return self._links(here, _cut(self.frames.own, 1, reading), _cut(sampled, 1, reading), ends=reading == count)
+
+        return by_first + jax.vmap(others)(dict(self.before.states))
+
+    def _rest(self, sampled: State) -> Scalar:
+        """Return the links of the frames that do not read the particle before the window."""
+        count = _length(sampled)
+        reading = self._reading(count)
+        if reading == count:
+            return jnp.zeros(())
+        last = jax.tree.map(lambda leaf: leaf[-1], self._states(self._particle(0), _cut(sampled, 0, reading)))
+        return self._links(last, _cut(self.frames.own, reading, count), _cut(sampled, reading, count), ends=True)
+
+    def _links(self, before: State, own: Own, sampled: State, ends: bool) -> Scalar:
+        """Return the transitions and the factors that read the frame before, of frames after a whole state.
+
+        Args:
+            before: the state of the frame before.
+            own: what the frames have for themselves.
+            sampled: their sampled variables.
+            ends: whether the window ends with them, so that the frames ahead follow.
+        """
+        total, last = jnp.zeros(()), before
+        if _length(sampled):
+            states = self._states(before, sampled)
+            befores = jax.tree.map(lambda first, others: jnp.concatenate([first[None], others[:-1]]), dict(before), dict(states))
+
+            def one(own: Own, here: State, earlier: State) -> Scalar:
+                return self.frames.transition.log_density(here, earlier) + self.frames.density(own, self.before).links(here, earlier)
+
+            total, last = jnp.sum(jax.vmap(one)(own, states, befores)), jax.tree.map(lambda leaf: leaf[-1], states)
+        if ends and self.ahead is not None:
+            total += log_ahead(self.frames.transition, last, self.ahead, self.after)
+        return total
+
+    def _states(self, before: State, sampled: State) -> State:
+        """Return the whole states of frames after a whole state."""
+
+        def one(earlier: State, here: State) -> tuple[State, State]:
+            state = self.frames.transition.state(earlier, here)
+            return state, state
+
+        return jax.lax.scan(one, dict(before), dict(sampled))[1]
+
+
+def trajectory(frames: Frames, before: Particles, path: State, ahead: Ahead | None = None, after: Density | None = None) -> Trajectory:
+    """Return the joint log-density of a window.
+
+    Args:
+        frames: the frames of the window.
+        before: the weighted particles of the frame before; one particle for a known state.
+        path: whole states of the window's frames (frame, ...), around which the coordinates are laid.
+        ahead: fixed frames after the window.
+        after: the density of the first of them, if a factor reads the frame before.
+    """
+    references = {name: jnp.concatenate([before.states[name][:1], states[:-1]]) for name, states in path.items()}
+    predictions = Density(frames.transition, (), {}, before).predictions()
+    return Trajectory(frames, before, predictions, references, ahead, after if frames.linked else None)
+
+
+def coordinates_after(frames: Frames, before: State) -> Chart:
+    """Return the unconstrained coordinates of the states after a state."""
+    one = Particles(jax.tree.map(lambda leaf: leaf[None], dict(before)), jnp.zeros(1))
+    return Density(frames.transition, (), {}, one).coordinates()
+
+
+def sampled_path(frames: Frames, path: State) -> dict[str, Array]:
+    """Return the sampled variables of whole states (frame, ...)."""
+    return jax.vmap(lambda state: sampled_of(frames.transition, state))(path)
+
+
+def _length(sampled: State) -> int:
+    return jax.tree.leaves(dict(sampled))[0].shape[0]
+
+
+def _cut[Tree](tree: Tree, begin: int, end: int) -> Tree:
+    return jax.tree.map(lambda leaf: leaf[begin:end], tree)

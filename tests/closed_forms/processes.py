@@ -1,0 +1,84 @@
+"""Linear Gaussian processes of first and of second order, and the exact distribution of all their frames given what is seen."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpyro.distributions as dist
+
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Factor, Particles, Transition, Variable
+from bayes_body.density.frames import stacked
+
+PARTICLES, BEFORE = 1000, "x_before"
+ROOT, LOOK, LOOK_SD, FIRST_ROOT = np.array([[0.5, 0.0], [0.2, 0.3]]), np.array([[1.0, -0.5]]), 0.4, np.array([[1.0, 0.0], [-0.3, 0.7]])
+# Fixed, and not drawn from the model: the smoother's equations hold for any data.
+SEEN = np.array([[0.4], [0.9], [0.5], [-0.3], [0.2], [0.9]])
+
+
+def _conditional(on, back, root, previous):
+    return {"x": dist.MultivariateNormal(on @ previous["x"] + back @ previous.get(BEFORE, previous["x"]), scale_tril=root)}
+
+
+def _noise(root, state, scale):
+    return {"x": dist.MultivariateNormal(state["x"], scale_tril=scale * root)}
+
+
+def _carry(previous, known):
+    return {"x": known["x"], BEFORE: previous["x"]}
+
+
+def _seen(look, sd, values, z):
+    return jnp.sum(dist.Normal(look @ values[Variable("x")], sd).log_prob(z))
+
+
+class Process(NamedTuple):
+    """x_t = on x_{t-1} + back x_{t-2} + N(0, Q), z = H x + N(0, R): correlated noise, and one observed mixture of two coordinates."""
+
+    on: np.ndarray
+    back: np.ndarray
+    memory: int
+
+    @property
+    def transition(self):
+        arguments = (jnp.asarray(self.on, float), jnp.asarray(self.back, float), jnp.asarray(ROOT))
+        carried = {"carry": jax.tree_util.Partial(_carry), "memory": 2} if self.memory == 2 else {}
+        return Transition("process", jax.tree_util.Partial(_conditional, *arguments), jax.tree_util.Partial(_noise, jnp.asarray(ROOT)), **carried)
+
+    def density(self, frame, previous):
+        look = jax.tree_util.Partial(_seen, jnp.asarray(LOOK), jnp.asarray(LOOK_SD))
+        return Density(self.transition, (Factor("z", "likelihood", (Variable("x"),), look),), {"z": jnp.asarray(SEEN[frame])}, previous)
+
+    def start(self, key, count=PARTICLES):
+        x = jax.random.normal(key, (count, 2)) @ FIRST_ROOT.T
+        return Particles({"x": x} | ({BEFORE: x} if self.memory == 2 else {}), jnp.full(count, -jnp.log(count)))
+
+    def frames(self, count=len(SEEN)):
+        return stacked([self.density(frame, self.start(jax.random.key(0))) for frame in range(count)])
+
+    def exact(self, first_root=FIRST_ROOT):
+        """Mean (6 x 2,) and covariance of all frames together, given all that is seen: one large normal distribution. `first_root` is that of the first state."""
+        frames, size = len(SEEN), 2 * (len(SEEN) + 1)
+        # Rows: the states from before the first frame on, as mixtures of the first state and the noise.
+        mixture = np.zeros((size, size))
+        mixture[:2, :2] = first_root
+        for t in range(1, frames + 1):
+            here, before, earlier = (slice(2 * k, 2 * k + 2) for k in (t, t - 1, max(t - 2, 0)))
+            mixture[here] = self.on @ mixture[before] + self.back @ mixture[earlier]
+            mixture[here, here] += ROOT
+        prior = (mixture @ mixture.T)[2:, 2:]
+        look = np.kron(np.eye(frames), LOOK)
+        gain = prior @ look.T @ np.linalg.inv(look @ prior @ look.T + LOOK_SD**2 * np.eye(frames))
+        return gain @ SEEN.ravel(), prior - gain @ look @ prior
+
+
+FIRST = Process(np.array([[1.0, 0.5], [-0.2, 0.9]]), np.zeros((2, 2)), 1)
+SECOND = Process(np.array([[1.6, 0.2], [0.0, 1.2]]), np.array([[-0.7, 0.0], [0.1, -0.4]]), 2)
+
+
+def distance(exact, runs):
+    """The largest distance of the runs' mean from what is exact, in standard errors over the runs."""
+    errors = runs.std(axis=0, ddof=1) / np.sqrt(len(runs))
+    # With few runs, the spread of one entry is known badly; entries of one kind have similar spreads.
+    return (np.abs(runs.mean(axis=0) - exact) / np.maximum(errors, np.median(errors))).max()
