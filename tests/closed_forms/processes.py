@@ -58,7 +58,7 @@ class Process(NamedTuple):
         return stacked([self.density(frame, self.start(jax.random.key(0))) for frame in range(count)])
 
     def exact(self, first_root=FIRST_ROOT):
-        """Mean (6 x 2,) and covariance of all frames together, given all that is seen: one large normal distribution. `first_root` is that of the first state."""
+        """Mean (6 x 2,) and covariance of all frames together, given all that is seen: one large normal distribution."""
         frames, size = len(SEEN), 2 * (len(SEEN) + 1)
         # Rows: the states from before the first frame on, as mixtures of the first state and the noise.
         mixture = np.zeros((size, size))
