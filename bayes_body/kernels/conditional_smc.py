@@ -1,7 +1,8 @@
 r"""Particle Gibbs: conditional sequential Monte Carlo with ancestor sampling (Lindsten, Jordan & Schön 2014), an exact reference for smoothers.
 
 One sweep maps a path to another, and leaves the joint posterior of all frames invariant, whatever the number of particles. It runs a particle filter
-in which one particle is the given path $x'_{1:T}$. In each frame this path gets another past: it joins particle $i$ of the frame before with probability
+in which one particle is the given path $x'_{1:T}$. In each frame this path gets another past: it joins particle $i$ of the frame before with
+probability
 
 $$p(i) \propto w^i_{t-1} \prod_{k=0}^{m-1} p(x'_{t+k} \mid s^{(i)}_{t+k-1})\, \psi_t(x'_t, s^i_{t-1}),$$
 
