@@ -23,6 +23,7 @@ from bayes_body.density.chart import Chart
 from bayes_body.density.density import Density, Predictions
 from bayes_body.density.factor import Particles, State
 from bayes_body.density.frames import Frames, Own
+from bayes_body.density.sharding import varying_like
 from bayes_body.shapes import Index, Key, Scalar
 
 
@@ -59,13 +60,21 @@ class Trajectory:
         """Return the whole states of the frames (frame, ...) at a position, which follow a particle of the frame before."""
         return self._states(self._particle(ancestor), self._constrained(position)[0])
 
+    def sampled(self, position: State) -> dict[str, Array]:
+        """Return the sampled variables of the frames (frame, ...) at a position."""
+        return self._constrained(position)[0]
+
     def position(self, states: State) -> dict[str, Array]:
         """Return the position of states (frame, ...): the inverse of `states`."""
         return jax.vmap(lambda reference, state: self._chart(reference).unconstrain(state))(self.references, states)
 
     def ancestor_log_probs(self, position: State) -> Float[Array, " particle"]:
         """Return log p(i | x) of each particle of the frame before."""
-        return jax.nn.log_softmax(self._by_ancestor(self._constrained(position)[0]))
+        return self.ancestor_log_probs_of(self.sampled(position))
+
+    def ancestor_log_probs_of(self, sampled: State) -> Float[Array, " particle"]:
+        """Return log p(i | x) as `ancestor_log_probs` does, given the sampled variables of the frames."""
+        return jax.nn.log_softmax(self._by_ancestor(sampled))
 
     def complete(self, key: Key, position: State) -> tuple[State, Index]:
         """Return the whole states at a position, and the particle before them, which is drawn from its distribution given the window."""
@@ -151,7 +160,7 @@ class Trajectory:
             state = self.frames.transition.state(earlier, here)
             return state, state
 
-        return jax.lax.scan(one, dict(before), dict(sampled))[1]
+        return jax.lax.scan(one, varying_like(dict(before), sampled), dict(sampled))[1]
 
 
 def trajectory(frames: Frames, before: Particles, path: State, ahead: Ahead | None = None, after: Density | None = None) -> Trajectory:

@@ -59,18 +59,32 @@ class Process(NamedTuple):
 
     def exact(self, first_root=FIRST_ROOT):
         """Mean (6 x 2,) and covariance of all frames together, given all that is seen: one large normal distribution."""
+        mean, covariance, _ = self._given(np.zeros(2), first_root)
+        return mean, covariance
+
+    def exact_after(self, particles):
+        """Mean and second moments of all frames together after equally likely particles (particle, 2): a mixture of normal distributions."""
+        found = [self._given(first, np.zeros((2, 2))) for first in particles]
+        weights = np.exp([evidence for *_, evidence in found])
+        moments = [(mean, covariance + np.outer(mean, mean)) for mean, covariance, _ in found]
+        return tuple(np.average(each, axis=0, weights=weights) for each in zip(*moments, strict=True))
+
+    def _given(self, first, first_root):
+        """Mean, covariance and log-evidence after a first state N(first, root)."""
         frames, size = len(SEEN), 2 * (len(SEEN) + 1)
         # Rows: the states from before the first frame on, as mixtures of the first state and the noise.
-        mixture = np.zeros((size, size))
-        mixture[:2, :2] = first_root
+        mixture, mean = np.zeros((size, size)), np.zeros(size)
+        mixture[:2, :2], mean[:2] = first_root, first
         for t in range(1, frames + 1):
             here, before, earlier = (slice(2 * k, 2 * k + 2) for k in (t, t - 1, max(t - 2, 0)))
             mixture[here] = self.on @ mixture[before] + self.back @ mixture[earlier]
             mixture[here, here] += ROOT
-        prior = (mixture @ mixture.T)[2:, 2:]
-        look = np.kron(np.eye(frames), LOOK)
-        gain = prior @ look.T @ np.linalg.inv(look @ prior @ look.T + LOOK_SD**2 * np.eye(frames))
-        return gain @ SEEN.ravel(), prior - gain @ look @ prior
+            mean[here] = self.on @ mean[before] + self.back @ mean[earlier]
+        prior, mean, look = (mixture @ mixture.T)[2:, 2:], mean[2:], np.kron(np.eye(frames), LOOK)
+        spread, rest = look @ prior @ look.T + LOOK_SD**2 * np.eye(frames), SEEN.ravel() - look @ mean
+        gain = prior @ look.T @ np.linalg.inv(spread)
+        evidence = -0.5 * (rest @ np.linalg.solve(spread, rest) + np.linalg.slogdet(spread)[1])
+        return mean + gain @ rest, prior - gain @ look @ prior, evidence
 
 
 FIRST = Process(np.array([[1.0, 0.5], [-0.2, 0.9]]), np.zeros((2, 2)), 1)

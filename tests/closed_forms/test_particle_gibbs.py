@@ -41,7 +41,7 @@ def test_the_paths_are_those_of_the_exact_smoother(process):
     check(process)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_particles_are_enough():
     check(FIRST, particles=2)
 
