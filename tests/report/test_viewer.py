@@ -13,7 +13,6 @@ import msgspec
 import numpy as np
 import pytest
 import zstandard
-from conftest import ARM_DOFS
 
 from bayes_body.body.solids import part_transforms
 from bayes_body.cli.main import main
@@ -29,6 +28,7 @@ from bayes_body.view.viewer.motion import read_poses
 from bayes_body.view.viewer.recording import flat
 from bayes_body.view.viewer.solids import part_mesh
 
+ARM_DOFS = ("shoulder_x", "shoulder_y", "shoulder_z", "elbow")
 RADIANS = ("rad",) * len(ARM_DOFS)
 EVIL = "</script><img src=x onerror=window.harmed=1><script>window.harmed=1</script>"
 TRACK = "document.querySelector('[class*=Slider-track]')"
