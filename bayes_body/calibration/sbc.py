@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Int
 
 from bayes_body.calibration.problem import Case, Problem, draw_case, point_mass
 from bayes_body.density.factor import Particles, State
-from bayes_body.density.kernel import FilterInfo, Kernel
+from bayes_body.density.kernel import NO_ANCESTOR, FilterInfo, Kernel
 from bayes_body.shapes import Key, Scalar
 
 # Effective particles required per bin of the ranks.
@@ -137,7 +137,11 @@ def _marks(leaf: Array) -> Array:
 
 
 def _by_ancestor(weights: Float[Array, " particle"], before: Particles, info: FilterInfo, frames: int) -> Scalar:
-    """The effective size after merging all descendants of a state of the previous frame. In the first frame all come from one state."""
+    """The effective size after merging all descendants of a state of the previous frame. In the first frame all come from one state.
+
+    Particles without ancestors have nothing to merge.
+    """
     if frames == 1:
         return jnp.asarray(jnp.inf, weights.dtype)
-    return _merged(weights, jax.tree.map(lambda leaf: leaf[info.ancestors], before.states))
+    merged = _merged(weights, jax.tree.map(lambda leaf: leaf[info.ancestors], before.states))
+    return jnp.where(jnp.any(info.ancestors == NO_ANCESTOR), jnp.inf, merged)

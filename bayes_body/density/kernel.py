@@ -9,12 +9,15 @@ from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
 from bayes_body.shapes import Key, Scalar
 
+# In place of an ancestor's index, if a kernel's particles have none: a prediction by a Gaussian, or the paths of a smoother.
+NO_ANCESTOR = -1
+
 
 class FilterInfo(NamedTuple):
     """Diagnostics of one frame of one filter. A kernel that chooses its number of stages pads its per-stage values with NaN.
 
     Attributes:
-        ancestors: for every particle, the index of its ancestor among the particles of the previous frame.
+        ancestors: for every particle, the index of its ancestor among the particles of the previous frame; NO_ANCESTOR if it descends from none.
         ess: effective sample size of the final weights, in particles.
         survival_rate: the effective sample size as a fraction of the particles, for each stage (one value if there are no stages).
         inverse_temperatures: the power of the likelihood at each stage.

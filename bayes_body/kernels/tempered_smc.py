@@ -32,26 +32,23 @@ from pydantic import Field
 from bayes_body.density.density import Density
 from bayes_body.density.extended import Extended, extended
 from bayes_body.density.factor import Particles
-from bayes_body.density.gaussian_view import GaussianView, gaussian_view, joined, split
-from bayes_body.density.kernel import FilterInfo, Kernel
+from bayes_body.density.gaussian_view import GaussianView
+from bayes_body.density.kernel import NO_ANCESTOR, FilterInfo, Kernel
 from bayes_body.density.tempering import LogTerms
 from bayes_body.errors import input_error
 from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.kernels.parts.ladder import Ladder, increment, is_at_top, potentials_share
-from bayes_body.kernels.parts.moment_correction import corrected_moments, with_moments
 from bayes_body.kernels.parts.moves import ExtendedParticle, Move, MoveName, MoveSettings, check_gradients, hmc, random_walk, walk, whitening
 from bayes_body.kernels.parts.resampling import Resample, Scheme, resampler
-from bayes_body.kernels.parts.tempering import Finals, TemperedState, feynman_kac_step, finite_log, init_state
-from bayes_body.kernels.parts.weights import LogWeights, Weighed, effective_sample_size, normalise, predict, weigh
+from bayes_body.kernels.parts.tempering import TemperedState, corrected_positions, feynman_kac_step, finite_log, init_state
+from bayes_body.kernels.parts.weights import LogWeights, effective_sample_size, normalise, predict, predict_by_gaussian
 from bayes_body.registry import register
-from bayes_body.shapes import Flag, Index, Key, Keys, Scalar
+from bayes_body.shapes import Flag, Key, Keys, Scalar
 from bayes_body.toml.read import validate
 from bayes_body.toml.schema import Count, ProperShare, Schema
 
 type View = Extended | GaussianView
 
-# The share of the last proposals behind a wall up to which the moments are corrected. Stein's identity does not hold at a wall.
-MOST_IMPOSSIBLE = 0.01
 # The gain with which the acceptance rate of a stage adapts the logarithm of the step size.
 GAIN = 1.0
 
@@ -73,7 +70,7 @@ class Options(Schema):
     final_stages: Annotated[int, Field(strict=True, ge=0)] = 1
     candidates: Count = 8
     prediction: Literal["particles", "gaussian"] = "particles"
-    correct_moments: bool = True
+    correct_moments: Annotated[bool, Field(strict=True)] = True
     waste_free: Annotated[bool, Field(strict=True)] = False
     most_stages: Count = 60
     resampling: Scheme = "systematic"
@@ -144,13 +141,9 @@ class _Sampler:
         ancestor_key, draw_key, resample_key = jax.random.split(key, 3)
         ancestors = self.resample(ancestor_key, density.previous.log_weights)
         if self.options.prediction == "gaussian":
-            fit_key, draw_key = jax.random.split(draw_key)
-            view = gaussian_view(fit_key, density)
-            keys = jax.random.split(draw_key, ancestors.shape[0])
-            drawn = over_particles(_draw_one, (keys, ancestors), view)
+            view, drawn = predict_by_gaussian(draw_key, ancestors, density)
         else:
-            view = extended(density)
-            drawn = predict(draw_key, ancestors, density)
+            view, drawn = extended(density), predict(draw_key, ancestors, density)
         constrained = normalise(drawn.log_constraints).log_weights
         terms = LogTerms(finite_log(drawn.log_likelihoods), finite_log(drawn.log_potentials))
         positions = jax.vmap(view.coordinates.unconstrain)(drawn.states)
@@ -208,15 +201,8 @@ class _Sampler:
             survival_rates=state.survival_rates.at[stage].set(effective_sample_size(after.log_weights) / count),
             acceptance_rates=state.acceptance_rates.at[stage].set(acceptance),
             impossible=impossible,
-            finals=self._kept(state, after.particles, at_top),
+            finals=state.finals.with_stage(state.stages_at_top, at_top, after.particles),
         )
-
-    def _kept(self, state: TemperedState, particles: ExtendedParticle, at_top: Flag) -> Finals:
-        """Return the positions and slopes of the stages at the posterior, with those of this stage if it is one."""
-        if not self.finals:
-            return state.finals
-        now = Finals(jax.vmap(joined)(particles.position), jax.vmap(joined)(particles.slope))
-        return jax.tree.map(lambda kept, new: jnp.where(at_top, kept.at[state.stages_at_top].set(new), kept), state.finals, now)
 
     def _increment(self, terms: LogTerms, state: TemperedState) -> LogTerms:
         if self.frozen is not None:
@@ -258,10 +244,9 @@ class _Sampler:
 
     def _result(self, view: View, last: TemperedState, predicted: Particles, lost: Flag) -> tuple[Particles, FilterInfo]:
         ancestors = last.particles.ancestor
-        states = jax.vmap(view.state)(ancestors, self._corrected(last))
+        states = jax.vmap(view.state)(ancestors, corrected_positions(last))
         if isinstance(view, GaussianView):
-            # All particles of the previous frame contribute to the Gaussian, and none is an ancestor: each is counted once.
-            ancestors = jnp.arange(ancestors.shape[0], dtype=ancestors.dtype)
+            ancestors = jnp.full_like(ancestors, NO_ANCESTOR)
         posterior = Particles(states, normalise(last.log_weights).log_weights)
         after = jax.tree.map(lambda prediction, found: jnp.where(lost, prediction, found), predicted, posterior)
         info = FilterInfo(
@@ -276,28 +261,11 @@ class _Sampler:
         )
         return after, info
 
-    def _corrected(self, last: TemperedState) -> dict[str, Array]:
-        """Return the positions of the particles, with corrected moments if no wall is near."""
-        position = last.particles.position
-        if not self.finals:
-            return position
-        positions, slopes = (values.reshape(-1, values.shape[-1]) for values in last.finals)
-        wanted = corrected_moments(positions, jnp.tile(last.log_weights, self.finals), slopes)
-        moved = with_moments(jax.vmap(joined)(position), last.log_weights, wanted)
-        one = jax.tree.map(lambda leaf: leaf[0], position)
-        split_up = jax.vmap(lambda vector: split(vector, one))(moved)
-        return jax.tree.map(lambda new, old: jnp.where(last.impossible <= MOST_IMPOSSIBLE, new, old), split_up, position)
-
     def _evaluations(self, last: TemperedState) -> Array:
         """Return the number of evaluations in the prediction and in the moves of all stages."""
         count, options = last.log_weights.shape[0], self.options
         moved = count // (options.moves + 1) if options.waste_free else count
         return count + (last.stage - 1) * moved * options.moves * self.move.evaluations
-
-
-def _draw_one(key_and_ancestor: tuple[Key, Index], view: GaussianView) -> Weighed:
-    key, ancestor = key_and_ancestor
-    return weigh(view.state(ancestor, view.draw(key)), view.density.ancestor(ancestor), view.density)
 
 
 @register("kernel", "tempered", Options)

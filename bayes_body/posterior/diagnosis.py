@@ -82,6 +82,7 @@ class Diagnosis:
         cameras: names of the cameras, or numbers if the run has no names.
         mixing: figures of the Markov chains of each frame; None if the kernel runs none.
         messages: figures of message passing in each frame; None if the kernel passes no messages.
+        smoothed: whether a draw is a path of a smoother, which took its states from a filter with this kernel.
     """
 
     kernel: str
@@ -100,6 +101,7 @@ class Diagnosis:
     cameras: tuple[str, ...]
     mixing: Mixing | None = None
     messages: MessagePassing | None = None
+    smoothed: bool = False
 
     @property
     def mode_seeker(self) -> bool:

@@ -66,6 +66,7 @@ def diagnose(run: "HasTree | xr.DataTree", block: int = BLOCK) -> Diagnosis:
         cameras=cameras,
         mixing=mixing,
         messages=message_passing_of(tree),
+        smoothed=bool(tree.attrs.get("smoothed", 0)),
     )
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
+from bayes_body.density.kernel import NO_ANCESTOR
 from bayes_body.posterior.blocks import BLOCK, LARGEST, pieces
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def unique_ancestors(tree: "xr.DataTree", lags: tuple[int, ...]) -> Float[np.ndarray, "lag run frame"]:
-    """Return the number of particles `lag` frames before a frame that have descendants in it; NaN if there is no such frame.
+    """Return the number of particles `lag` frames before a frame that have descendants in it; NaN if there is no such frame, or no ancestor.
 
     Lag 1 counts the particles that the frame's own resampling kept. Before the first frame all particles have the same pose.
     """
@@ -42,10 +43,12 @@ def _lineages(known: Int[np.ndarray, "run frame draw"], start: int, most: int) -
         if lost >= known.shape[1] - start:
             return
         before = known[:, start + lost - lag + 1 : known.shape[1] - lag + 1]
-        lineage = np.take_along_axis(before, lineage[:, lineage.shape[1] - before.shape[1] :], axis=2)
+        lineage = lineage[:, lineage.shape[1] - before.shape[1] :]
+        lineage = np.where(lineage == NO_ANCESTOR, NO_ANCESTOR, np.take_along_axis(before, lineage, axis=2))
         yield lag, lineage
 
 
-def _distinct(lineage: Int[np.ndarray, "run frame draw"]) -> Int[np.ndarray, "run frame"]:
+def _distinct(lineage: Int[np.ndarray, "run frame draw"]) -> Float[np.ndarray, "run frame"]:
     ordered = np.sort(lineage, axis=2)
-    return 1 + (np.diff(ordered, axis=2) != 0).sum(axis=2)
+    count = 1.0 + (np.diff(ordered, axis=2) != 0).sum(axis=2)
+    return np.where(ordered[:, :, 0] == NO_ANCESTOR, np.nan, count)

@@ -40,6 +40,8 @@ def _remedy(diagnosis: Diagnosis, *wanted: str) -> str:
     except InputError:
         known = {"particles"}
     raised = " or ".join(f"--{name}" for name in wanted if name in known)
+    if diagnosis.smoothed:
+        return f"smooth with more --moves, or smooth a run with more {raised}"
     if diagnosis.kernel == FROM_PRIOR and BRIDGE in names("kernel"):
         return f"raise {raised}, or use --kernel {BRIDGE}"
     return f"raise {raised}"

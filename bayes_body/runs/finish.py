@@ -1,4 +1,4 @@
-"""What a run makes of its frames: posterior, figures, pictures."""
+"""The frames of a run on disk, and what it makes of them: posterior, figures, pictures."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -7,21 +7,45 @@ from pathlib import Path
 from typing import Any
 
 from bayes_body.errors import InputError
-from bayes_body.files.atomic import write_text
+from bayes_body.files.atomic import remove_partial, write_text
 from bayes_body.initial import Show
 from bayes_body.metrics import summarise
 from bayes_body.metrics.plausibility_sentences import fit_sentences
 from bayes_body.posterior import stream_posterior
 from bayes_body.posterior.diagnostics import diagnose, sentences, worst_figures
+from bayes_body.runs.settings import Record
 from bayes_body.session.session import Session
 from bayes_body.storage import FrameFiles
-from bayes_body.storage.names import POSTERIOR_FILE, SUMMARY_FILE
+from bayes_body.storage.names import FRAMES_FOLDER, POSTERIOR_FILE, SUMMARY_FILE
 from bayes_body.storage.results import Results
+from bayes_body.storage.run_file import write_run_file
 from bayes_body.tracking.draws import Draws
 from bayes_body.view.figures_text import figures_text, warning_line
 from bayes_body.view.overlay import VIDEO, draw_overlay
 from bayes_body.view.progress import waiting, watched
 from bayes_body.view.video import playing_rate
+
+
+def kept_frames(out: Path, before: Mapping[str, Mapping[str, Any]] | None, record: Record, show: Show) -> FrameFiles:
+    """Return the frames of a run that begins or goes on, up to the first damaged one. A new run's `run.toml` is written.
+
+    Args:
+        out: the folder of the run.
+        before: the tables of the run that is continued; None for a new one.
+        record: its tables now.
+        show: receives lines for the user.
+
+    Raises:
+        InputError: a frame belongs to another run, or a file cannot be written.
+    """
+    remove_partial(out)
+    if before is None:
+        return FrameFiles(out / FRAMES_FOLDER, write_run_file(out, record))
+    frames = FrameFiles(out / FRAMES_FOLDER, before["check"]["run"])
+    damage = frames.mend()
+    if damage:
+        show(f"{damage} It is computed again.")
+    return frames
 
 
 @contextmanager
@@ -35,11 +59,34 @@ def remark_on_stop(frames: FrameFiles, out: Path, show: Show) -> Iterator[None]:
         raise
 
 
-def finish(session: Session, draws: Draws, results: Results, figures: Mapping[str, Any], remarks: list[str], show: Show, bar: bool) -> dict[str, Any]:
-    """Write posterior, summary and pictures, unless they exist for these frames; `figures` and `remarks` (warnings) go into the summary."""
+def finish(
+    session: Session,
+    draws: Draws,
+    results: Results,
+    figures: Mapping[str, Any],
+    remarks: list[str],
+    show: Show,
+    bar: bool,
+    smoothed: bool = False,
+) -> dict[str, Any]:
+    """Write posterior, summary and pictures, unless they exist for these frames, and show figures and warnings. Return the content of the summary.
+
+    Args:
+        session: the recording.
+        draws: the frames, in the order of time.
+        results: what exists already.
+        figures: the kernel and the seed, for posterior and summary.
+        remarks: further warnings.
+        show: receives lines for the user.
+        bar: whether to draw progress bars.
+        smoothed: whether a draw is a path through all frames.
+
+    Raises:
+        InputError: a file cannot be read or written.
+    """
     out = results.folder
     if not results.is_current(POSTERIOR_FILE):
-        stream_posterior(draws, out / POSTERIOR_FILE, figures)
+        stream_posterior(draws, out / POSTERIOR_FILE, {**figures, **({"smoothed": 1} if smoothed else {})})
         results.add(POSTERIOR_FILE)
     if results.is_current(SUMMARY_FILE):
         summary = json.loads((out / SUMMARY_FILE).read_text(encoding="utf-8"))

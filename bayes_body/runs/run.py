@@ -12,7 +12,6 @@ from typing import Any
 import jax
 
 from bayes_body.errors import input_error
-from bayes_body.files.atomic import remove_partial
 from bayes_body.files.lock import locked
 from bayes_body.initial import (
     Show,
@@ -33,7 +32,7 @@ from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.model.kernel_options import kernel_options
 from bayes_body.registry import find, notes
-from bayes_body.runs.finish import finish, remark_on_stop
+from bayes_body.runs.finish import finish, kept_frames, remark_on_stop
 from bayes_body.runs.frame_pairs import check_pairs
 from bayes_body.runs.model_choice import choose_model
 from bayes_body.runs.recovery import PersonRecovery
@@ -43,7 +42,7 @@ from bayes_body.session.read import load_session
 from bayes_body.session.session import Session
 from bayes_body.storage import FrameFiles
 from bayes_body.storage.inputs import input_digests
-from bayes_body.storage.names import FRAMES_FOLDER, RUN_FILE
+from bayes_body.storage.names import RUN_FILE
 from bayes_body.storage.results import Results
 from bayes_body.storage.run_changes import refuse_changes
 from bayes_body.storage.run_file import describe, write_run_file
@@ -147,13 +146,9 @@ def _show_first_fit(session: Session, model: Model, show: Show) -> None:
 
 def _begin(out: Path, before: Mapping[str, Mapping[str, Any]] | None, record: Record, wanted: int, show: Show) -> FrameFiles:
     """Write `run.toml`. Return the frames that are already stored, up to the first damaged one."""
-    remove_partial(out)
+    frames = kept_frames(out, before, record, show)
     if before is None:
-        return FrameFiles(out / FRAMES_FOLDER, write_run_file(out, record))
-    frames = FrameFiles(out / FRAMES_FOLDER, before["check"]["run"])
-    damage = frames.mend()
-    if damage:
-        show(f"{damage} It is computed again.")
+        return frames
     if len(frames) > wanted:
         raise input_error("--frames", str(wanted), f"at least the {len(frames)} frames that the run has", "give a larger number")
     if len(frames):

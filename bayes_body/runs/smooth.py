@@ -11,12 +11,11 @@ from typing import Any
 import jax
 
 from bayes_body.errors import input_error
-from bayes_body.files.atomic import remove_partial
 from bayes_body.files.lock import locked
 from bayes_body.initial import Show
 from bayes_body.kernels.smoother import Options, Smoother
 from bayes_body.posterior.diagnostics import frame_ranges
-from bayes_body.runs.finish import finish, remark_on_stop
+from bayes_body.runs.finish import finish, kept_frames, remark_on_stop
 from bayes_body.runs.settings import Record, refuse_occupied
 from bayes_body.storage import FrameFiles
 from bayes_body.storage.names import FRAMES_FOLDER, RUN_FILE
@@ -63,21 +62,24 @@ def smooth_run(settings: SmoothSettings, show: Show, bar: bool) -> dict[str, Any
     """
     if settings.out.resolve() == settings.source.resolve():
         raise input_error("--out", str(settings.out), "another folder than the filter's", "leave it out, or name a new one")
-    with load_run(settings.source) as source, locked(settings.out):
-        return _smooth(source, settings, show, bar)
+    with load_run(settings.source) as source:
+        # Before the lock, which makes the folder.
+        _check_source(source)
+        with locked(settings.out):
+            return _smooth(source, settings, show, bar)
 
 
 def _smooth(source: SavedRun, settings: SmoothSettings, show: Show, bar: bool) -> dict[str, Any]:
-    _check_source(source)
     before = _continued(settings)
     kept = (before or {}).get("smoothing", {})
     given = {name: settings.options.get(name, kept.get(name, field.default)) for name, field in Options.model_fields.items()}
     options = Options.model_validate(given)
     seed = kept.get("seed", 0) if settings.seed is None else settings.seed
     model, session = source.model, source.session
-    if options.moves and source.changed_inputs:
+    if (options.moves or model.reads_before) and source.changed_inputs:
         found = f"{', '.join(sorted(source.changed_inputs))}: changed or gone since the run was made"
-        raise input_error(source.folder, found, "the recording of the run", "put it back, or give --moves 0, which reads no images")
+        other = "" if model.reads_before else ", or give --moves 0, which reads no images"
+        raise input_error(source.folder, found, "the recording of the run", f"put it back{other}")
     filtered = FrameFiles(source.folder / FRAMES_FOLDER, source.id)
     if len(filtered) < source.frames:
         raise input_error(filtered.folder, f"{len(filtered)} frames", f"the {source.frames} frames of the run", _again(source))
@@ -92,7 +94,7 @@ def _smooth(source: SavedRun, settings: SmoothSettings, show: Show, bar: bool) -
             paths = smooth(session, model, Smoother(options), filtered, jax.random.key(seed), frames, on_frame)
         draws = Draws(model, paths, timing_of(paths), tuple(view.camera.name for view in session.views))
         figures = {"kernel": str(source.kernel["kind"]), "seed": seed}
-        return finish(session, draws, Results(settings.out, frames), figures, [], show, bar)
+        return finish(session, draws, Results(settings.out, frames), figures, [], show, bar, smoothed=True)
 
 
 def _check_source(run: SavedRun) -> None:
@@ -128,16 +130,10 @@ def _record(source: SavedRun, filtered: FrameFiles, options: Options, seed: int)
 
 def _begin(out: Path, before: Record | None, record: Record, show: Show) -> FrameFiles:
     """Write `run.toml`. Return the frames that are already stored, the last frame of the recording first."""
-    remove_partial(out)
-    if before is None:
-        return FrameFiles(out / FRAMES_FOLDER, write_run_file(out, record))
-    frames = FrameFiles(out / FRAMES_FOLDER, before["check"]["run"])
-    damage = frames.mend()
-    if damage:
-        show(f"{damage} It is computed again.")
-    if len(frames):
+    frames = kept_frames(out, before, record, show)
+    if before is not None:
         show(f"{out}: {len(frames)} of {record['smoothing']['frames']} frames exist")
-    write_run_file(out, record)
+        write_run_file(out, record)
     return frames
 
 

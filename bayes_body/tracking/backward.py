@@ -9,20 +9,18 @@ are not moved. That is exact too, but few paths are distinct.
 """
 
 from collections.abc import Callable, Iterator
-from functools import cached_property, partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
-from bayes_body.density.ahead import Ahead, nothing_ahead, sampled_of
-from bayes_body.density.chart import Chart
+from bayes_body.density.ahead import Ahead
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles, State, Transition
-from bayes_body.kernels.parts.ensemble import regressed, replaced
-from bayes_body.kernels.smoother import Moved, Moves, OnParticles, Smoother, adapted, whitening_between
+from bayes_body.kernels.smoother import OnParticles, Smoother, adapted
 from bayes_body.shapes import Key, Scalar
+from bayes_body.tracking.backward_steps import BackwardSteps
 
 # Folded into a key for the second walk, so that it has other random numbers than the first.
 MOVES = 1
@@ -86,8 +84,8 @@ class Backward:
     """
 
     def __init__(self, smoother: Smoother, transition: Transition, filtered: Callable[[int], Filtered], density: Callable[[int, Particles], Density]):
-        self.smoother, self.transition, self.filtered, self.density = smoother, transition, filtered, density
-        self.memory = transition.frames_read
+        self.smoother, self.filtered, self.density, self.memory = smoother, filtered, density, transition.frames_read
+        self.steps = BackwardSteps(smoother, transition)
         # What a state carries is known when the frames before it are.
         self.delay = 0 if self.memory is None else self.memory - 1
 
@@ -112,7 +110,7 @@ class Backward:
             later = [here, *later]
             whole = later[:1]
             for each in later[1:]:
-                whole.append(each._replace(states=self._carried(whole[-1].states, each.states)))
+                whole.append(each._replace(states=self.steps.carried(whole[-1].states, each.states)))
             yield from reversed(whole if here.begins else whole[self.delay :])
             later = [] if here.begins else later[: self.delay]
 
@@ -129,42 +127,50 @@ class Backward:
         begin_key, step_key = jax.random.split(key)
         particles = here.particles
         if after is None or after.begins:
-            index = self._begun(begin_key, particles)
-            states, ahead, known = self._at(particles, index), None, 0
+            index = self.steps.begin(begin_key, particles)
+            states, ahead, known = self.steps.at(particles, index), None, 0
         elif self.memory is None:
             index = after.ancestors
-            states, ahead, known = self._at(particles, index), after.ahead, 0
+            states, ahead, known = self.steps.at(particles, index), after.ahead, 0
         else:
-            ahead, known = self._pushed(after.ahead, self._sampled(after.states)), min(after.known + 1, self.memory)
+            ahead, known = self.steps.pushed(after.ahead, self.steps.sampled(after.states)), min(after.known + 1, self.memory)
             if self.smoother.options.start == "particles":
                 density = self.density(frame + 1, particles)
-                paths = OnParticles(after.ancestors, self._sampled(after.states), after.ahead)
-                index = self._chosen(step_key, paths, density, after.density)
-                states = self._at(particles, index)
+                paths = OnParticles(after.ancestors, self.steps.sampled(after.states), after.ahead)
+                index = self.steps.choose(step_key, paths, density, after.density)
+                states = self.steps.at(particles, index)
                 linked = density if density.reads_previous else None
                 return _Laid(frame, states, here.ancestors[index], ahead, known, linked, here.begins)
-            index = self._begun(begin_key, particles)
-            states = self._regressed(step_key, particles, index, ahead, frames=known)
-        ahead = self._none_ahead(self._sampled(states)) if ahead is None else ahead
+            index = self.steps.begin(begin_key, particles)
+            states = self.steps.regress(step_key, particles, index, ahead, frames=known)
+        ahead = self.steps.none_ahead(self.steps.sampled(states)) if ahead is None else ahead
         return _Laid(frame, states, here.ancestors[index], ahead, known, None, here.begins)
 
     # -- the second walk --------------------------------------------------------------------------------------------------------------------
 
     def _move(self, key: Key, laid: Iterator[PathFrame], stored: Callable[[int], PathFrame] | None, first: int) -> Iterator[PathFrame]:
         """Yield the moved frames before frame `first`."""
-        here, ahead, after, step_size = next(laid), None, None, self._first_step_size
+        here, ahead, after, step_size = next(laid), None, None, self.steps.first_step_size(self.filtered(0).particles)
         while here is not None:
             before = next(laid, None)
             if here.frame >= first and stored is not None:
                 moved = stored(here.frame)._replace(begins=here.begins)
+                after = self._link(here) if here.frame == first else None
             else:
                 moved, after = self._frame(jax.random.fold_in(key, here.frame), here, before, ahead, after, step_size)
                 yield moved
-            step_size, sampled = moved.log_step_size, self._sampled(moved.states)
+            step_size, sampled = moved.log_step_size, self.steps.sampled(moved.states)
             # After a gap the paths are others.
-            ahead = None if here.begins else self._pushed(self._none_ahead(sampled) if ahead is None else ahead, sampled)
+            ahead = None if here.begins else self.steps.pushed(self.steps.none_ahead(sampled) if ahead is None else ahead, sampled)
             after = None if here.begins else after
             here = before
+
+    def _link(self, here: PathFrame) -> Density | None:
+        """Return the density of a frame if it reads the frame before, whose states are to be moved next."""
+        if here.begins or self.filtered(here.frame).fixed:
+            return None
+        density = self.density(here.frame, self.filtered(here.frame - 1).particles)
+        return density if density.reads_previous else None
 
     def _frame(
         self, key: Key, here: PathFrame, before: PathFrame | None, ahead: Ahead | None, after: Density | None, step_size: Scalar
@@ -175,93 +181,11 @@ class Backward:
         early = any(self.filtered(here.frame - k).begins for k in range(1, self.delay + 1) if here.frame >= k)
         if here.begins or before is None or filtered.fixed or early:
             return here._replace(log_step_size=step_size), None
-        previous, sampled = self.filtered(here.frame - 1).particles, self._sampled(here.states)
+        previous, sampled = self.filtered(here.frame - 1).particles, self.steps.sampled(here.states)
         density = self.density(here.frame, previous)
         linked = after if density.reads_previous and ahead is not None else None
-        neighbours = (before.states, self._none_ahead(sampled) if ahead is None else ahead)
-        moved = self._moved(key, sampled, *neighbours, density, filtered.particles, step_size, linked)
-        states = self._completed(before.states, moved.sampled)
+        neighbours = (before.states, self.steps.none_ahead(sampled) if ahead is None else ahead)
+        moved = self.steps.move(key, sampled, *neighbours, density, filtered.particles, step_size, linked)
+        states = self.steps.completed(before.states, moved.sampled)
         step_size = adapted(step_size, moved.acceptance_rate, self.smoother.move)
         return PathFrame(here.frame, states, False, moved.acceptance_rate, step_size), density if density.reads_previous else None
-
-    # -- compiled parts -----------------------------------------------------------------------------------------------------------------------
-
-    @cached_property
-    def _first_step_size(self) -> Scalar:
-        particles = self.filtered(0).particles
-        first = jax.tree.map(lambda leaf: leaf[0], dict(particles.states))
-        size = sum(leaf.size for leaf in jax.tree.leaves(sampled_of(self.transition, first)))
-        return jnp.log(jnp.asarray(self.smoother.move.step_size(size), particles.log_weights.dtype))
-
-    @cached_property
-    def _begun(self) -> Callable[[Key, Particles], Int[Array, " path"]]:
-        return jax.jit(self.smoother.begin)
-
-    @cached_property
-    def _chosen(self) -> Callable[..., Int[Array, " path"]]:
-        return jax.jit(self.smoother.choose)
-
-    @cached_property
-    def _at(self) -> Callable[[Particles, Int[Array, " path"]], State]:
-        return jax.jit(lambda particles, index: jax.tree.map(lambda leaf: leaf[index], dict(particles.states)))
-
-    @cached_property
-    def _sampled(self) -> Callable[[State], dict[str, Array]]:
-        return jax.jit(jax.vmap(lambda state: sampled_of(self.transition, state)))
-
-    @cached_property
-    def _none_ahead(self) -> Callable[[State], Ahead]:
-        memory = self.memory or 0
-        return jax.jit(jax.vmap(lambda sampled: nothing_ahead(sampled, memory)))
-
-    @cached_property
-    def _pushed(self) -> Callable[[Ahead, State], Ahead]:
-        return jax.jit(jax.vmap(lambda ahead, sampled: ahead.pushed(sampled)))
-
-    @cached_property
-    def _completed(self) -> Callable[[State, State], State]:
-        return jax.jit(jax.vmap(self.transition.state))
-
-    @cached_property
-    def _carried(self) -> Callable[[State, State], State]:
-        return jax.jit(jax.vmap(lambda before, state: self.transition.state(before, sampled_of(self.transition, state))))
-
-    @cached_property
-    def _regressed(self) -> Callable[..., State]:
-        def back(key: Key, particles: Particles, index: Int[Array, " path"], nexts: Ahead, frames: int) -> State:
-            chart = _coordinates(self.transition, particles)
-            sampled = regressed(key, particles, index, nexts, self.transition, chart, frames)
-            return replaced(particles, index, sampled, self.transition)
-
-        return partial(jax.jit, static_argnames="frames")(back)
-
-    @cached_property
-    def _moved(self) -> Callable[..., Moved]:
-        def moved(
-            key: Key,
-            sampled: State,
-            before: State,
-            ahead: Ahead,
-            density: Density,
-            particles: Particles,
-            log_step_size: Scalar,
-            after: Density | None,
-        ) -> Moved:
-            chart, (step_key, move_key) = density.coordinates(), jax.random.split(key)
-            count, previous = particles.log_weights.shape[0], density.previous
-            drawn = jax.vmap(density.transition.sample)(jax.random.split(step_key, count), previous.states)
-            position, onward, start = (jax.vmap(chart.unconstrain)(states) for states in (particles.states, drawn, previous.states))
-            roots = {
-                name: whitening_between(
-                    (values.reshape(count, -1), particles.log_weights), ((onward[name] - start[name]).reshape(count, -1), previous.log_weights)
-                )
-                for name, values in position.items()
-            }
-            return self.smoother.moved(move_key, sampled, before, ahead, Moves(density, chart, after, roots, jnp.exp(log_step_size)))
-
-        return jax.jit(moved)
-
-
-def _coordinates(transition: Transition, particles: Particles) -> Chart:
-    """Return the coordinates of the states after these particles."""
-    return Density(transition, (), {}, particles).coordinates()

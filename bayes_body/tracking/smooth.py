@@ -16,7 +16,7 @@ import numpy as np
 
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
-from bayes_body.density.kernel import FilterInfo
+from bayes_body.density.kernel import NO_ANCESTOR, FilterInfo
 from bayes_body.errors import input_error
 from bayes_body.kernels.parts.batching import everywhere
 from bayes_body.kernels.smoother import Smoother
@@ -175,8 +175,7 @@ class _Walk:
         moves = self.smoother.options.moves * self.smoother.move.evaluations
         ones = np.ones((self.runs, 1), kept.log_weights.dtype)
         info: dict[str, Any] = {
-            # A draw is a path: its own ancestor in every frame.
-            "ancestors": np.broadcast_to(np.arange(draws, dtype=np.int32), (self.runs, draws)),
+            "ancestors": np.full((self.runs, draws), NO_ANCESTOR, np.int32),
             "ess": np.array([_distinct(path.states) for path in paths], kept.log_weights.dtype),
             "survival_rate": ones,
             "inverse_temperatures": ones,

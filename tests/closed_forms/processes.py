@@ -15,6 +15,7 @@ PARTICLES, BEFORE = 1000, "x_before"
 ROOT, LOOK, LOOK_SD, FIRST_ROOT = np.array([[0.5, 0.0], [0.2, 0.3]]), np.array([[1.0, -0.5]]), 0.4, np.array([[1.0, 0.0], [-0.3, 0.7]])
 # Fixed, and not drawn from the model: the smoother's equations hold for any data.
 SEEN = np.array([[0.4], [0.9], [0.5], [-0.3], [0.2], [0.9]])
+STEP_LOOK, STEP_SD, STEPS = np.array([[0.4, 1.0]]), 0.5, np.array([[0.1], [0.4], [-0.3], [-0.5], [0.2], [0.3]])
 
 
 def _conditional(on, back, root, previous):
@@ -33,12 +34,20 @@ def _seen(look, sd, values, z):
     return jnp.sum(dist.Normal(look @ values[Variable("x")], sd).log_prob(z))
 
 
+def _step_seen(look, sd, values, z):
+    return jnp.sum(dist.Normal(look @ (values[Variable("x")] - values[Variable("x", -1)]), sd).log_prob(z))
+
+
 class Process(NamedTuple):
-    """x_t = on x_{t-1} + back x_{t-2} + N(0, Q), z = H x + N(0, R): correlated noise, and one observed mixture of two coordinates."""
+    """x_t = on x_{t-1} + back x_{t-2} + N(0, Q), z = H x + N(0, R): correlated noise, and one observed mixture of two coordinates.
+
+    If `linked`, a mixture of the step from the frame before is seen too.
+    """
 
     on: np.ndarray
     back: np.ndarray
     memory: int
+    linked: bool = False
 
     @property
     def transition(self):
@@ -48,7 +57,12 @@ class Process(NamedTuple):
 
     def density(self, frame, previous):
         look = jax.tree_util.Partial(_seen, jnp.asarray(LOOK), jnp.asarray(LOOK_SD))
-        return Density(self.transition, (Factor("z", "likelihood", (Variable("x"),), look),), {"z": jnp.asarray(SEEN[frame])}, previous)
+        factors, data = [Factor("z", "likelihood", (Variable("x"),), look)], {"z": jnp.asarray(SEEN[frame])}
+        if self.linked:
+            step = jax.tree_util.Partial(_step_seen, jnp.asarray(STEP_LOOK), jnp.asarray(STEP_SD))
+            factors.append(Factor("step", "likelihood", (Variable("x"), Variable("x", -1)), step))
+            data["step"] = jnp.asarray(STEPS[frame])
+        return Density(self.transition, tuple(factors), data, previous)
 
     def start(self, key, count=PARTICLES):
         x = jax.random.normal(key, (count, 2)) @ FIRST_ROOT.T
@@ -80,15 +94,20 @@ class Process(NamedTuple):
             mixture[here] = self.on @ mixture[before] + self.back @ mixture[earlier]
             mixture[here, here] += ROOT
             mean[here] = self.on @ mean[before] + self.back @ mean[earlier]
-        prior, mean, look = (mixture @ mixture.T)[2:, 2:], mean[2:], np.kron(np.eye(frames), LOOK)
-        spread, rest = look @ prior @ look.T + LOOK_SD**2 * np.eye(frames), SEEN.ravel() - look @ mean
+        prior, look = mixture @ mixture.T, np.kron(np.eye(frames, frames + 1, 1), LOOK)
+        seen, noise = SEEN.ravel(), np.full(frames, LOOK_SD)
+        if self.linked:
+            look = np.concatenate([look, np.kron(np.eye(frames, frames + 1, 1) - np.eye(frames, frames + 1), STEP_LOOK)])
+            seen, noise = np.concatenate([seen, STEPS.ravel()]), np.concatenate([noise, np.full(frames, STEP_SD)])
+        spread, rest = look @ prior @ look.T + np.diag(noise**2), seen - look @ mean
         gain = prior @ look.T @ np.linalg.inv(spread)
         evidence = -0.5 * (rest @ np.linalg.solve(spread, rest) + np.linalg.slogdet(spread)[1])
-        return mean + gain @ rest, prior - gain @ look @ prior, evidence
+        return (mean + gain @ rest)[2:], (prior - gain @ look @ prior)[2:, 2:], evidence
 
 
 FIRST = Process(np.array([[1.0, 0.5], [-0.2, 0.9]]), np.zeros((2, 2)), 1)
 SECOND = Process(np.array([[1.6, 0.2], [0.0, 1.2]]), np.array([[-0.7, 0.0], [0.1, -0.4]]), 2)
+LINKED = FIRST._replace(linked=True)
 
 
 def distance(exact, runs):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro.distributions as dist
 import pytest
-from closed_forms.processes import FIRST, PARTICLES, SECOND, SEEN, distance
+from closed_forms.processes import FIRST, LINKED, PARTICLES, SECOND, SEEN, distance
 
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
@@ -76,6 +76,38 @@ CASES = [
 @pytest.mark.parametrize(("process", "way"), CASES)
 def test_the_paths_are_those_of_the_exact_smoother(process, way):
     check(process, **WAYS[way])
+
+
+def test_the_paths_know_what_is_seen_of_a_step():
+    check(LINKED, **WAYS["particles moved"])
+
+
+def test_a_smoother_that_forgets_what_is_seen_of_a_step_is_found_out(monkeypatch):
+    given = smoother.log_ahead
+    monkeypatch.setattr(smoother, "log_ahead", lambda transition, state, ahead, after=None: given(transition, state, ahead))
+    with pytest.raises(AssertionError, match="standard errors from the exact smoother"):
+        check(LINKED, start="particles", moves=6)
+
+
+@pytest.mark.parametrize("process", [SECOND, LINKED], ids=["second order", "linked"])
+def test_paths_go_on_from_stored_frames_as_if_they_had_never_stopped(process):
+    """Each state is stored only once what it carries is known; the density of a stored frame counts for the one before it."""
+    frames, particles = [], process.start(jax.random.key(0))
+    for frame in range(len(SEEN)):
+        after, info = build_kernel()(jax.random.key(frame), particles, process.density(frame, particles))
+        particles = Particles(dict(after.states), after.log_weights)
+        frames.append(Filtered(particles, info.ancestors, frame in (0, 1)))
+
+    def walk():
+        return Backward(build_smoother(draws=20), process.transition, lambda t: frames[t], process.density)
+
+    whole = {each.frame: each for each in walk().follow(jax.random.key(9), len(SEEN))}
+    assert list(whole) == [5, 4, 3, 2, 1, 0]
+    for first in (5, 3, 1):
+        rest = list(walk().follow(jax.random.key(9), len(SEEN), lambda t: whole[t]._replace(begins=False), first))
+        assert [each.frame for each in rest] == list(range(first - 1, -1, -1))
+        for each in rest:
+            jax.tree.map(np.testing.assert_array_equal, dict(each.states), dict(whole[each.frame].states))
 
 
 def test_a_smoother_that_ignores_the_second_frame_is_found_out():
@@ -161,7 +193,7 @@ def test_between_limits_the_paths_are_those_of_quadrature():
     check(Walled(), frames=len(NEAR), **WAYS["particles moved"])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_moves_mend_an_ensemble_that_is_not_normal():
     check(Walled(), frames=len(NEAR), start="ensemble", moves=40)
 

@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from bayes_body.posterior.diagnostics import Thresholds, diagnose, frame_ranges, sentences
+from bayes_body.density.kernel import NO_ANCESTOR
+from bayes_body.posterior.diagnostics import Thresholds, diagnose, frame_ranges, sentences, worst_figures
 from bayes_body.posterior.genealogy import unique_ancestors
 
 RUNS, DRAWS, FRAMES = 3, 400, 12
@@ -39,6 +40,22 @@ def test_unique_ancestors_of_a_hand_made_genealogy(make_tree):
     ancestor = np.array([[0, 1, 2, 3, 4, 5], [3, 3, 2, 2, 1, 0], [0, 0, 0, 1, 1, 1], [5, 5, 5, 5, 0, 0]]).T[None]
     counts = unique_ancestors(make_tree(runs=1, draws=6, frames=4, ancestor=ancestor), (1, 2, 3))
     assert np.array_equal(counts[:, 0], [[6, 4, 2, 2], [np.nan, 4, 1, 2], [np.nan, np.nan, 1, 1]], equal_nan=True)
+
+
+def test_particles_without_ancestors_have_no_number_of_ancestors(make_tree):
+    """As with a prediction by a Gaussian, here in the second of four frames."""
+    ancestor = np.tile(np.arange(6)[None, :, None], (1, 1, 4))
+    ancestor[:, :, 1] = NO_ANCESTOR
+    tree = make_tree(runs=1, draws=6, frames=4, ancestor=ancestor)
+    np.testing.assert_array_equal(unique_ancestors(tree, (1, 2))[:, 0], [[6, np.nan, 6, 6], [np.nan, np.nan, np.nan, 6]])
+    everywhere = make_tree(ancestor=np.full((3, 400, 12), NO_ANCESTOR))
+    assert sentences(diagnose(everywhere)) == [] and worst_figures(diagnose(everywhere))["ancestors_min"] is None
+
+
+def test_paths_of_a_smoother_get_its_remedy(make_tree):
+    tree = make_tree(**apart(3))
+    tree.attrs["smoothed"] = 1
+    assert "smooth with more --moves, or smooth a run with more --particles" in sentences(diagnose(tree))[0]
 
 
 @pytest.mark.parametrize("frames", [1, 7, 150])

@@ -20,8 +20,9 @@ from bayes_body.density.ahead import Ahead, sampled_of
 from bayes_body.density.chart import Chart
 from bayes_body.density.factor import Particles, State, Transition
 from bayes_body.density.spaces import Flat
+from bayes_body.kernels.parts.moves import shrunk
 from bayes_body.kernels.parts.weights import LogWeights
-from bayes_body.shapes import Key, Scalar
+from bayes_body.shapes import Key
 
 # Predictions of each particle.
 REPEATS = 8
@@ -54,14 +55,15 @@ def regressed(
             found.append(flat(sampled_of(transition, state)))
         return jnp.concatenate(found)
 
-    weights = jax.nn.softmax(particles.log_weights)
-    centre = {name: _mean(name, leaf, weights, transition) for name, leaf in jax.vmap(lambda s: sampled_of(transition, s))(particles.states).items()}
+    weights, drawn = jax.nn.softmax(particles.log_weights), jax.vmap(lambda state: sampled_of(transition, state))(particles.states)
+    centre = {name: jnp.asarray(transition.space(name, leaf.shape[1:]).mean(weights, leaf)) for name, leaf in drawn.items()}
 
     def near(sampled: State) -> State:
         return {name: _on_turn(name, value, centre[name], transition) for name, value in sampled.items()}
 
-    states = {**particles.states, **jax.vmap(near)(jax.vmap(lambda s: sampled_of(transition, s))(particles.states))}
-    u, keys = jax.vmap(lambda state: flat(sampled_of(transition, state)))(states), jax.random.split(key, (REPEATS, particles.log_weights.shape[0]))
+    unwound = jax.vmap(near)(drawn)
+    keys = jax.random.split(key, (REPEATS, particles.log_weights.shape[0]))
+    u, states = jax.vmap(flat)(unwound), {**particles.states, **unwound}
     v = jax.vmap(lambda some: jax.vmap(predicted)(some, states))(keys)
     gain = _gain(u, v, particles.log_weights)
     known = [jax.vmap(lambda path, k=k: flat(near({name: values[k] for name, values in path.items()})))(nexts.sampled) for k in range(frames)]
@@ -82,22 +84,11 @@ def _gain(u: Float[Array, "particle size"], v: Float[Array, "repeat particle all
     rest = v - jnp.tile(u, v.shape[2] // size)
     cross = jnp.mean(jnp.einsum("p,rpv,pu->rvu", weights, rest - jnp.mean(weights @ rest, axis=0), u - mean_u), axis=0)
     share = size / (size + 1 / jnp.sum(weights**2))
-    spread = _shrunk(covariance, share)
+    spread = shrunk(covariance, share)
     slope = jnp.tile(jnp.eye(size, dtype=u.dtype), (v.shape[2] // size, 1)) + jnp.linalg.solve(spread, cross.T).T
     noise = v - mean_v - (u - mean_u) @ slope.T
-    residual = _shrunk(jnp.mean(jnp.einsum("p,rpa,rpb->rab", weights, noise, noise), axis=0), share)
+    residual = shrunk(jnp.mean(jnp.einsum("p,rpa,rpb->rab", weights, noise, noise), axis=0), share)
     return jnp.linalg.solve(slope @ spread @ slope.T + residual, slope @ spread).T
-
-
-def _shrunk(covariance: Float[Array, "size size"], share: Scalar) -> Float[Array, "size size"]:
-    variances = jnp.diagonal(covariance)
-    floor = jnp.maximum(1e-6 * jnp.max(variances), 1e-10)
-    return (1 - share) * covariance + jnp.diag(share * variances + floor)
-
-
-def _mean(name: str, values: Array, weights: Float[Array, " particle"], transition: Transition) -> Array:
-    space = transition.space(name, values.shape[1:])
-    return jnp.asarray(space.mean(weights, values))
 
 
 def _on_turn(name: str, value: Array, centre: Array, transition: Transition) -> Array:

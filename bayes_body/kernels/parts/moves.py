@@ -220,7 +220,11 @@ def shrunk_covariance(values: Float[Array, "particle dof"], log_weights: LogWeig
     # A particle with weight zero may be NaN.
     clean = jnp.where(weights > 0, values, 0.0)
     centred = jnp.where(weights > 0, clean - jnp.sum(weights * clean, axis=0), 0.0)
-    covariance = (weights * centred).T @ centred
+    return shrunk((weights * centred).T @ centred, 0.1)
+
+
+def shrunk(covariance: Float[Array, "dof dof"], share: float | Scalar) -> Float[Array, "dof dof"]:
+    """Return a covariance with its correlations reduced by a share, and with variances above zero."""
     variances = jnp.diagonal(covariance)
     floor = jnp.maximum(1e-6 * jnp.max(variances), 1e-10)
-    return 0.9 * covariance + jnp.diag(0.1 * variances + floor)
+    return (1 - share) * covariance + jnp.diag(share * variances + floor)

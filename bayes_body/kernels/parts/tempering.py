@@ -1,4 +1,4 @@
-r"""A stage of tempered SMC: its state, and the Feynman-Kac step through blackjax.
+r"""A stage of tempered SMC: its state, the Feynman-Kac step through blackjax, and what the stages at the posterior are kept for.
 
 blackjax declares no types for these functions, so they are cast once, here.
 """
@@ -6,18 +6,23 @@ blackjax declares no types for these functions, so they are cast once, here.
 from collections.abc import Callable
 from typing import Any, NamedTuple, cast
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from bayes_body.density.gaussian_view import joined, split
 from bayes_body.density.tempering import LogTerms
 from bayes_body.kernels.parts.ladder import Ladder
+from bayes_body.kernels.parts.moment_correction import corrected_moments, with_moments
 from bayes_body.kernels.parts.moves import ExtendedParticle
 from bayes_body.kernels.parts.resampling import Resample
 from bayes_body.kernels.parts.weights import LogWeights
-from bayes_body.shapes import Key, Keys, Scalar
+from bayes_body.shapes import Flag, Index, Key, Keys, Scalar
 
 # The log of a likelihood of zero, as stored for particles. It is finite, so that differences between particles are not NaN.
 LOG_ZERO = -1e30
+# The share of the last proposals behind a wall up to which the moments are corrected. Stein's identity does not hold at a wall.
+MOST_IMPOSSIBLE = 0.01
 
 
 def finite_log(log_likelihood: Array) -> Array:
@@ -30,6 +35,13 @@ class Finals(NamedTuple):
 
     positions: Float[Array, "stage particle dof"]
     slopes: Float[Array, "stage particle dof"]
+
+    def with_stage(self, number: Index, at_top: Flag, particles: ExtendedParticle) -> "Finals":
+        """Return them with those of stage `number` at the posterior, if a stage is one; unchanged if none are kept."""
+        if not self.positions.shape[0]:
+            return self
+        now = Finals(jax.vmap(joined)(particles.position), jax.vmap(joined)(particles.slope))
+        return jax.tree.map(lambda kept, new: jnp.where(at_top, kept.at[number].set(new), kept), self, now)
 
 
 class TemperedState(NamedTuple):
@@ -80,6 +92,19 @@ def init_state(
     dofs = sum(x.shape[1] for x in particles.position.values())
     empty = jnp.zeros((finals, log_weights.shape[0], dofs), dtype)
     return TemperedState(particles, log_weights, powers, none, none, zero, log_step_size, ladder, unknown, unknown, zero, Finals(empty, empty))
+
+
+def corrected_positions(last: TemperedState) -> dict[str, Array]:
+    """Return the positions of the particles, with moments corrected by the slopes of the final stages if these are kept and no wall is near."""
+    position, stages = last.particles.position, last.finals.positions.shape[0]
+    if not stages:
+        return position
+    positions, slopes = (values.reshape(-1, values.shape[-1]) for values in last.finals)
+    wanted = corrected_moments(positions, jnp.tile(last.log_weights, stages), slopes)
+    moved = with_moments(jax.vmap(joined)(position), last.log_weights, wanted)
+    one = jax.tree.map(lambda leaf: leaf[0], position)
+    split_up = jax.vmap(lambda vector: split(vector, one))(moved)
+    return jax.tree.map(lambda new, old: jnp.where(last.impossible <= MOST_IMPOSSIBLE, new, old), split_up, position)
 
 
 class Reweighted(NamedTuple):

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from bayes_body.density.density import Density
 from bayes_body.density.factor import State
+from bayes_body.density.gaussian_view import GaussianView, gaussian_view
 from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.shapes import Flag, Index, Key, Scalar
 
@@ -89,3 +90,24 @@ def _predict_one(key_and_ancestor: tuple[Key, Index], density: Density) -> Weigh
     key, ancestor = key_and_ancestor
     previous = density.ancestor(ancestor)
     return weigh(density.transition.sample(key, previous), previous, density)
+
+
+def predict_by_gaussian(key: Key, indices: Int[Array, " particle"], density: Density) -> tuple[GaussianView, Weighed]:
+    """Return the Gaussian view of the prediction, and a weighted draw from it for each index.
+
+    Args:
+        key: random key.
+        indices: for each draw a particle of the previous frame, which gives what a state does not sample.
+        density: the density of the frame.
+
+    Raises:
+        InputError: a Gaussian cannot predict this model's states (`gaussian_view`).
+    """
+    fit_key, draw_key = jax.random.split(key)
+    view = gaussian_view(fit_key, density)
+
+    def one(key_and_index: tuple[Key, Index], view: GaussianView) -> Weighed:
+        key, index = key_and_index
+        return weigh(view.state(index, view.draw(key)), view.density.ancestor(index), view.density)
+
+    return view, over_particles(one, (jax.random.split(draw_key, indices.shape[0]), indices), view)

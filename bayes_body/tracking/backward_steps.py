@@ -1,0 +1,114 @@
+"""The compiled steps of a walk back through the frames of a filter: each is traced once for all frames."""
+
+from collections.abc import Callable
+from functools import cached_property, partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int
+
+from bayes_body.density.ahead import Ahead, nothing_ahead, sampled_of
+from bayes_body.density.chart import Chart
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Particles, State, Transition
+from bayes_body.kernels.parts.ensemble import regressed, replaced
+from bayes_body.kernels.smoother import Moved, Moves, Smoother, whitening_between
+from bayes_body.shapes import Key, Scalar
+
+
+class BackwardSteps:
+    """The steps for one smoother and one motion prior."""
+
+    def __init__(self, smoother: Smoother, transition: Transition):
+        self.smoother, self.transition, self.memory = smoother, transition, transition.frames_read
+
+    def first_step_size(self, particles: Particles) -> Scalar:
+        """Return the logarithm of the step size of the first moves, for states like these."""
+        first = jax.tree.map(lambda leaf: leaf[0], dict(particles.states))
+        size = sum(leaf.size for leaf in jax.tree.leaves(sampled_of(self.transition, first)))
+        return jnp.log(jnp.asarray(self.smoother.move.step_size(size), particles.log_weights.dtype))
+
+    @cached_property
+    def begin(self) -> Callable[[Key, Particles], Int[Array, " path"]]:
+        """Return the particle with which each path begins."""
+        return jax.jit(self.smoother.begin)
+
+    @cached_property
+    def choose(self) -> Callable[..., Int[Array, " path"]]:
+        """Redraw these particles (`Smoother.choose`)."""
+        return jax.jit(self.smoother.choose)
+
+    @cached_property
+    def at(self) -> Callable[[Particles, Int[Array, " path"]], State]:
+        """Return the states of the particles with these indices."""
+        return jax.jit(lambda particles, index: jax.tree.map(lambda leaf: leaf[index], dict(particles.states)))
+
+    @cached_property
+    def sampled(self) -> Callable[[State], dict[str, Array]]:
+        """Return the sampled variables of whole states."""
+        return jax.jit(jax.vmap(lambda state: sampled_of(self.transition, state)))
+
+    @cached_property
+    def none_ahead(self) -> Callable[[State], Ahead]:
+        """Return the frames ahead of the last frame of paths."""
+        memory = self.memory or 0
+        return jax.jit(jax.vmap(lambda sampled: nothing_ahead(sampled, memory)))
+
+    @cached_property
+    def pushed(self) -> Callable[[Ahead, State], Ahead]:
+        """Return the frames ahead of the frame before, given the sampled variables of a frame."""
+        return jax.jit(jax.vmap(lambda ahead, sampled: ahead.pushed(sampled)))
+
+    @cached_property
+    def completed(self) -> Callable[[State, State], State]:
+        """Return whole states, given those of the frame before and the sampled variables."""
+        return jax.jit(jax.vmap(self.transition.state))
+
+    @cached_property
+    def carried(self) -> Callable[[State, State], State]:
+        """Return whole states with what they carry from other states of the frame before."""
+        return jax.jit(jax.vmap(lambda before, state: self.transition.state(before, sampled_of(self.transition, state))))
+
+    @cached_property
+    def regress(self) -> Callable[..., State]:
+        """Return states of the frame before by regression (`kernels/parts/ensemble.py`), as `frames` of the next frames are known."""
+
+        def back(key: Key, particles: Particles, index: Int[Array, " path"], nexts: Ahead, frames: int) -> State:
+            chart = _coordinates(self.transition, particles)
+            sampled = regressed(key, particles, index, nexts, self.transition, chart, frames)
+            return replaced(particles, index, sampled, self.transition)
+
+        return partial(jax.jit, static_argnames="frames")(back)
+
+    @cached_property
+    def move(self) -> Callable[..., Moved]:
+        """Return the states after the moves of a frame (`Smoother.moved`)."""
+
+        def moved(
+            key: Key,
+            sampled: State,
+            before: State,
+            ahead: Ahead,
+            density: Density,
+            particles: Particles,
+            log_step_size: Scalar,
+            after: Density | None,
+        ) -> Moved:
+            chart, (step_key, move_key) = density.coordinates(), jax.random.split(key)
+            count, previous = particles.log_weights.shape[0], density.previous
+            drawn = jax.vmap(density.transition.sample)(jax.random.split(step_key, count), previous.states)
+            position, onward, start = (jax.vmap(chart.unconstrain)(states) for states in (particles.states, drawn, previous.states))
+            roots = {
+                name: whitening_between(
+                    (values.reshape(count, -1), particles.log_weights), ((onward[name] - start[name]).reshape(count, -1), previous.log_weights)
+                )
+                for name, values in position.items()
+            }
+            return self.smoother.moved(move_key, sampled, before, ahead, Moves(density, chart, after, roots, jnp.exp(log_step_size)))
+
+        return jax.jit(moved)
+
+
+def _coordinates(transition: Transition, particles: Particles) -> Chart:
+    """Return the coordinates of the states after these particles."""
+    return Density(transition, (), {}, particles).coordinates()
