@@ -37,6 +37,10 @@ class Extended(NamedTuple):
         """Return the whole state at a position, with the variables that it takes from its ancestor."""
         return self.density.transition.state(self.density.ancestor(ancestor), self.coordinates.constrain(position))
 
+    def position(self, state: State) -> dict[str, Array]:
+        """Return the position of a state."""
+        return self.coordinates.unconstrain(state)
+
     def terms(self, ancestor: Index, position: State) -> LogTerms:
         """Return the log-likelihood, and the log-potential of the prior."""
         state, previous = self.state(ancestor, position), self.density.ancestor(ancestor)

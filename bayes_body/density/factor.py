@@ -99,7 +99,7 @@ def nothing_before(first: State) -> State:
 @partial(
     jax.tree_util.register_dataclass,
     meta_fields=["name", "spaces", "memory"],
-    data_fields=["conditional", "perturbation", "carry", "begin", "derive", "chart", "explore"],
+    data_fields=["conditional", "perturbation", "carry", "begin", "first", "derive", "chart", "explore"],
 )
 @dataclass(frozen=True)
 class Transition:
@@ -114,6 +114,7 @@ class Transition:
         carry: (previous, sampled and derived variables) -> the whole state, including variables that are remembered but not random (such as the
             previous pose of a second-order prior).
         begin: a first pose -> the whole state.
+        first: a state of `begin` -> a distribution for each variable that the first pose leaves open, such as its velocity; None: there is none.
         derive: sampled variables -> the variables that follow from them alone, such as the pose at a phase of a walking cycle. Factors read
             these like any others, and derivatives go through this function.
         chart: previous state -> coordinates without limits for the sampled variables (density/chart.py), the same for every previous state of a
@@ -130,6 +131,7 @@ class Transition:
     perturbation: Callable[[State, Scalar], Mapping[str, Distribution]]
     carry: Callable[[State, State], State] = jax.tree_util.Partial(nothing_carried)
     begin: Callable[[State], State] = jax.tree_util.Partial(nothing_before)
+    first: Callable[[State], Mapping[str, Distribution]] | None = None
     derive: Callable[[State], State] = jax.tree_util.Partial(nothing_derived)
     chart: Callable[[State], Any] | None = None
     explore: Callable[[Key, State, State, Scalar], State] | None = None

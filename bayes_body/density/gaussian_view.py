@@ -2,7 +2,8 @@ r"""The Gaussian view of a frame's posterior: the prediction is one Gaussian in 
 
 $$\pi_{\alpha\beta}(u) \propto \mathcal{N}(u; m, V)\, C\, \psi^\alpha L^\beta,$$
 
-where m and V are the mean and the covariance of the prediction, from `TRANSITIONS` draws for each weighted particle of the previous frame.
+where m and V are the mean and the covariance of the prediction, from `TRANSITIONS` draws for each weighted particle of the previous frame. Only the
+variables that a factor reads are in u. The others, such as velocities, have moments that are known once u is: they are normal given u.
 
 The extended view (density/extended.py) predicts by those transitions themselves. It is exact for the particles that it is given. In many dimensions,
 though, only a few of them explain the next image, so after some frames all particles descend from one, and dofs that the images hardly determine keep
@@ -10,15 +11,17 @@ the value of that one. Here nothing descends from anything, at the price of the 
 """
 
 import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.density.chart import Chart
 from bayes_body.density.density import Density
-from bayes_body.density.factor import State, nothing_carried
+from bayes_body.density.factor import State, nothing_carried, nothing_derived
 from bayes_body.density.tempering import LogTerms, tempered
 from bayes_body.errors import input_error
 from bayes_body.shapes import Index, Key, Scalar
@@ -30,6 +33,27 @@ FLOOR = (1e-4, 1e-10)
 TRANSITIONS = 32
 
 
+class Unread(NamedTuple):
+    """The variables that no factor reads, given those that some factor reads: normal, in unconstrained coordinates.
+
+    Attributes:
+        mean: mean of the prediction.
+        gain: its change with the whitened coordinates of the others.
+        root: a root of the covariance that remains.
+        like: a position that has these variables.
+    """
+
+    mean: Float[Array, " unread"]
+    gain: Float[Array, "unread dof"]
+    root: Float[Array, "unread unread"]
+    like: State
+
+    def given(self, noise: Float[Array, " dof"], own_noise: Float[Array, " unread"] | None = None) -> dict[str, Array]:
+        """Return the position of the unread variables at the mean given the others' whitened coordinates, plus noise of their own."""
+        centre = self.mean + jnp.sum(self.gain * noise, axis=-1)
+        return split(centre if own_noise is None else centre + jnp.sum(self.root * own_noise, axis=-1), self.like)
+
+
 class GaussianView(NamedTuple):
     """The Gaussian view. Create it with `gaussian_view`.
 
@@ -39,6 +63,7 @@ class GaussianView(NamedTuple):
         mean: mean of the prediction in these coordinates.
         root: a root of its covariance.
         inverse_root: the inverse of the root.
+        unread: the variables that no factor reads; None if there are none.
     """
 
     density: Density
@@ -46,10 +71,33 @@ class GaussianView(NamedTuple):
     mean: Float[Array, " dof"]
     root: Float[Array, "dof dof"]
     inverse_root: Float[Array, "dof dof"]
+    unread: Unread | None = None
 
     def state(self, ancestor: Index, position: State) -> State:
-        """Return the whole state at a position. It takes nothing from its ancestor."""
+        """Return the whole state at a position, with unread variables at their mean. It takes nothing from its ancestor."""
+        unread = {} if self.unread is None else self.unread.given(self._noise(position))
+        return self._whole(ancestor, {**position, **unread})
+
+    def completed(self, noise: Float[Array, " unread"], ancestor: Index, position: State) -> State:
+        """Return the whole state at a position, with a draw of the unread variables, made from standard normal noise."""
+        unread = {} if self.unread is None else self.unread.given(self._noise(position), noise)
+        return self._whole(ancestor, {**position, **unread})
+
+    @property
+    def unread_size(self) -> int:
+        """The number of unread coordinates."""
+        return 0 if self.unread is None else self.unread.mean.shape[0]
+
+    def _whole(self, ancestor: Index, position: State) -> State:
         return self.density.transition.state(self.density.ancestor(ancestor), self.coordinates.constrain(position))
+
+    def _noise(self, position: State) -> Float[Array, " dof"]:
+        return jnp.sum(self.inverse_root * (joined(position) - self.mean), axis=-1)
+
+    def position(self, state: State) -> dict[str, Array]:
+        """Return the position of a state."""
+        unread = () if self.unread is None else self.unread.like
+        return {name: value for name, value in self.coordinates.unconstrain(state).items() if name not in unread}
 
     def log_density(
         self, ancestor: Index, position: State, inverse_temperature: float | Scalar = 1.0, potential_power: float | Scalar = 1.0
@@ -57,7 +105,7 @@ class GaussianView(NamedTuple):
         """Return log π_αβ(u) up to a constant, and both tempered terms. There is no Jacobian, because the Gaussian is a density over u."""
         state, previous = self.state(ancestor, position), self.density.ancestor(ancestor)
         terms = LogTerms(self.density.log_likelihood(state, previous), self.density.log_potential(state, previous))
-        noise = jnp.sum(self.inverse_root * (joined(position) - self.mean), axis=-1)
+        noise = self._noise(position)
         prior = -0.5 * jnp.sum(noise * noise) + self.density.log_constraint(state, previous)
         potentials = potential_power * terms.potential if self.density.has_potentials else 0.0
         return prior + potentials + tempered(inverse_temperature, terms.likelihood), terms
@@ -72,7 +120,7 @@ class GaussianView(NamedTuple):
     def draw(self, key: Key) -> State:
         """Draw a position from the prediction."""
         noise = jax.random.normal(key, self.mean.shape, self.mean.dtype)
-        return split(self.mean + jnp.sum(self.root * noise, axis=-1), self.coordinates.unconstrain(self.density.ancestor(0)))
+        return split(self.mean + jnp.sum(self.root * noise, axis=-1), self.position(self.density.ancestor(0)))
 
 
 def gaussian_view(key: Key, density: Density) -> GaussianView:
@@ -97,9 +145,29 @@ def gaussian_view(key: Key, density: Density) -> GaussianView:
     centred = (drawn - mean) * jnp.sqrt(weights)[:, None, None]
     covariance = jnp.einsum("pkd,pke->de", centred, centred)
     relative, absolute = FLOOR
-    root = jnp.linalg.cholesky(covariance + jnp.diag(relative * jnp.diagonal(covariance) + absolute))
+    covariance += jnp.diag(relative * jnp.diagonal(covariance) + absolute)
+    like = coordinates.unconstrain(density.ancestor(0))
+    unread = {name: like[name] for name in _unread(density, sorted(like))}
+    is_unread = np.concatenate([np.full(like[name].shape[0], name in unread) for name in sorted(like)])
+    first, last = np.flatnonzero(~is_unread), np.flatnonzero(is_unread)
+    root = jnp.linalg.cholesky(covariance[jnp.ix_(first, first)])
     inverse = jax.scipy.linalg.solve_triangular(root, jnp.eye(root.shape[0], dtype=root.dtype), lower=True)
-    return GaussianView(density, coordinates, mean, root, inverse)
+    view = GaussianView(density, coordinates, mean[first], root, inverse)
+    if not unread:
+        return view
+    gain = covariance[jnp.ix_(last, first)] @ inverse.T
+    left = jnp.linalg.cholesky(covariance[jnp.ix_(last, last)] - gain @ gain.T)
+    return view._replace(unread=Unread(mean[last], gain, left, unread))
+
+
+def _unread(density: Density, names: Sequence[str]) -> list[str]:
+    """Return which of the sampled variables no factor reads, as far as the scopes tell: what is derived may come from any of them."""
+    transition = density.transition
+    if getattr(transition.derive, "func", transition.derive) is not nothing_derived:
+        return []
+    scope = {variable.name for factor in density.factors for variable in factor.scope}
+    unread = [name for name in names if name not in scope]
+    return unread if len(unread) < len(names) else []
 
 
 def joined(position: State) -> Float[Array, " dof"]:

@@ -14,16 +14,24 @@ def by_part(table: Mapping[str, float], names: tuple[str, ...], field: str) -> l
     Raises:
         InputError: a part has none, or a key matches no part.
     """
-    for key in table:
-        if not any(fnmatchcase(name, key) for name in names):
-            raise InputError(f"{field}.{key}: matches no part of the body; {nearest(key, names)}")
+    _check_keys(table, names, field, "part")
     found = []
     for name in names:
-        key = name if name in table else next((pattern for pattern in table if fnmatchcase(name, pattern)), None)
+        key = _key_of(name, table)
         if key is None:
             raise InputError(f"{field}: none for the part '{name}'; expected one for every part; add '{name}' or a pattern.")
         found.append(table[key])
     return found
+
+
+def by_dof(table: Mapping[str, float], names: tuple[str, ...], field: str) -> dict[str, float]:
+    """The numbers of those dofs that have one, from names or patterns.
+
+    Raises:
+        InputError: a key matches no dof.
+    """
+    _check_keys(table, names, field, "dof")
+    return {name: table[key] for name in names if (key := _key_of(name, table)) is not None}
 
 
 def standard_deviations(sd_deg: Mapping[str, float], sd_m: Mapping[str, float], topology: Topology, prefix: str = "") -> dict[str, float]:
@@ -60,7 +68,17 @@ def known_deviations(sd_deg: Mapping[str, float], sd_m: Mapping[str, float], top
                 measure = "degrees" if unit == "rad" else "metres"
                 raise InputError(f"{place}{field}.{key}: matches no dof of the body in {measure}; {nearest(key, dofs)}")
         for name in dofs:
-            key = name if name in table else next((pattern for pattern in table if fnmatchcase(name, pattern)), None)
+            key = _key_of(name, table)
             if key is not None:
                 deviations[name] = table[key] * si
     return deviations
+
+
+def _key_of(name: str, table: Mapping[str, float]) -> str | None:
+    return name if name in table else next((pattern for pattern in table if fnmatchcase(name, pattern)), None)
+
+
+def _check_keys(table: Mapping[str, float], names: tuple[str, ...], field: str, what: str) -> None:
+    for key in table:
+        if not any(fnmatchcase(name, key) for name in names):
+            raise InputError(f"{field}.{key}: matches no {what} of the body; {nearest(key, names)}")

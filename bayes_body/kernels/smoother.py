@@ -25,6 +25,7 @@ from typing import Annotated, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 from pydantic import Field
 
@@ -35,14 +36,14 @@ from bayes_body.density.factor import Particles, State
 from bayes_body.density.sharding import varying_like
 from bayes_body.density.tempering import LogTerms
 from bayes_body.kernels.parts.batching import over_particles
-from bayes_body.kernels.parts.moves import Move, hmc, shrunk_covariance
+from bayes_body.kernels.parts.moves import Move, hmc
 from bayes_body.kernels.parts.weights import LogWeights
 from bayes_body.shapes import Index, Key, Scalar
 from bayes_body.toml.read import validate
 from bayes_body.toml.schema import Count, Schema
 
 # The gain with which the acceptance rate of a frame adapts the logarithm of the step size of the frame before.
-GAIN = 0.5
+GAIN = 1.0
 
 
 class Options(Schema):
@@ -88,14 +89,14 @@ class Moves(NamedTuple):
         density: the density of the frame.
         coordinates: its unconstrained coordinates.
         after: the density of the next frame, if a factor reads the frame before.
-        whitening: for each variable a root of a covariance.
+        whitening: an upper triangular root of a covariance of the coordinates, in the order of `ravel_pytree`.
         step_size: of the trajectories.
     """
 
     density: Density
     coordinates: Chart
     after: Density | None
-    whitening: State
+    whitening: Float[Array, "dof dof"]
     step_size: Scalar
 
 
@@ -169,24 +170,22 @@ class Smoother:
 
     def _moved(self, key: Key, sampled: State, before: State, ahead: Ahead, settings: Moves) -> tuple[State, Scalar]:
         """Return one path's variables after a trajectory, and the acceptance rate."""
-        density, chart, roots = settings.density, settings.coordinates, settings.whitening
-
-        def coordinates(whitened: State) -> dict[str, Array]:
-            return {name: (roots[name] @ value.ravel()).reshape(value.shape) for name, value in whitened.items()}
+        density, chart, root = settings.density, settings.coordinates, settings.whitening
+        position = chart.unconstrain(sampled)
+        vector, unravel = ravel_pytree(position)
 
         def target(whitened: State) -> tuple[Scalar, LogTerms]:
-            position = coordinates(whitened)
+            position = unravel(root @ whitened["white"])
             state = density.transition.state(before, chart.constrain(position))
             log_joint, terms = density.log_joint(state, before)
             log_density = log_joint + chart.log_determinant(position) + log_ahead(density.transition, state, ahead, settings.after)
             return log_density, varying_like(terms, log_density)
 
-        position = chart.unconstrain(sampled)
-        start = {name: jax.scipy.linalg.solve_triangular(roots[name], x.ravel(), lower=True).reshape(x.shape) for name, x in sorted(position.items())}
+        start = {"white": jax.scipy.linalg.solve_triangular(root, vector, lower=False)}
         after = self.move.step(key, start, target, settings.step_size)
-        moved = chart.constrain(coordinates(after.position))
+        moved = chart.constrain(unravel(root @ after.position["white"]))
         # A rejected move leaves the variables as they are: their way through the coordinates and back would round them.
-        stayed = jax.tree.reduce(jnp.logical_and, jax.tree.map(lambda a, b: jnp.all(a == b), dict(after.position), start))
+        stayed = jnp.all(after.position["white"] == start["white"])
         return {name: jnp.where(stayed, value, moved[name]) for name, value in sampled.items()}, after.acceptance_rate
 
 
@@ -214,18 +213,8 @@ def adapted(log_step_size: Scalar, acceptance_rate: Scalar, move: Move) -> Scala
     return log_step_size + GAIN * (acceptance_rate - move.acceptance_rate)
 
 
-type Weighted = tuple[Float[Array, "particle dof"], LogWeights]
-
-
-def whitening_between(states: Weighted, steps: Weighted) -> Float[Array, "dof dof"]:
-    r"""Return a root of $(C^{-1} + D^{-1})^{-1}$, with the covariance C of a filter's states and D of the steps of the motion prior.
-
-    About so wide is a state given the frames before and after it: a coordinate that no image shows is held by its neighbours alone, and one that the
-    images show well is held by them.
-
-    Args:
-        states: the filter's particles of the frame, in unconstrained coordinates, and their log-weights.
-        steps: steps that the prior draws from the particles of the frame before, and the log-weights of these.
-    """
-    spread, step = (shrunk_covariance(*values) for values in (states, steps))
-    return jnp.linalg.cholesky(spread @ jnp.linalg.solve(spread + step, step))
+def whitening_of(precision: Float[Array, "dof dof"]) -> Float[Array, "dof dof"]:
+    r"""Return an upper triangular root R of $P^{-1}$, for coordinates $x = R z$ in which the precision P becomes the identity."""
+    scale = jax.lax.rsqrt(jnp.diagonal(precision))
+    lower = jnp.linalg.cholesky(precision * scale[:, None] * scale)
+    return scale[:, None] * jax.scipy.linalg.solve_triangular(lower, jnp.eye(len(scale), dtype=scale.dtype), lower=True).T

@@ -32,12 +32,13 @@ from pydantic import Field
 from bayes_body.density.density import Density
 from bayes_body.density.extended import Extended, extended
 from bayes_body.density.factor import Particles
-from bayes_body.density.gaussian_view import GaussianView
+from bayes_body.density.gaussian_view import GaussianView, joined
 from bayes_body.density.kernel import NO_ANCESTOR, FilterInfo, Kernel
 from bayes_body.density.tempering import LogTerms
 from bayes_body.errors import input_error
 from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.kernels.parts.ladder import Ladder, increment, is_at_top, potentials_share
+from bayes_body.kernels.parts.moment_correction import noise_beside
 from bayes_body.kernels.parts.moves import ExtendedParticle, Move, MoveName, MoveSettings, check_gradients, hmc, random_walk, walk, whitening
 from bayes_body.kernels.parts.resampling import Resample, Scheme, resampler
 from bayes_body.kernels.parts.tempering import TemperedState, corrected_positions, feynman_kac_step, finite_log, init_state
@@ -116,7 +117,7 @@ class _Sampler:
         self.stages = options.most_stages + options.final_stages if frozen_at is None else frozen_at.inverse_temperatures.shape[0]
 
     def frame(self, key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo, Ladder]:
-        start_key, stages_key = jax.random.split(key)
+        start_key, stages_key, end_key = jax.random.split(key, 3)
         count = particles.log_weights.shape[0]
         if self.options.move == "hmc":
             check_gradients(density, 'move = "hmc"', ', or move = "random_walk"')
@@ -131,7 +132,7 @@ class _Sampler:
             return (~is_at_top(state.powers) | (state.stages_at_top < self.options.final_stages)) & ~lost
 
         last = jax.lax.while_loop(unfinished, lambda state: self._stage(jax.random.fold_in(stages_key, state.stage), state, view), first)
-        after, info = self._result(view, last, predicted, lost)
+        after, info = self._result(end_key, view, last, predicted, lost)
         return after, info, last.ladder
 
     # -- stages -------------------------------------------------------------------------------------------------------------------------
@@ -146,7 +147,7 @@ class _Sampler:
             view, drawn = extended(density), predict(draw_key, ancestors, density)
         constrained = normalise(drawn.log_constraints).log_weights
         terms = LogTerms(finite_log(drawn.log_likelihoods), finite_log(drawn.log_potentials))
-        positions = jax.vmap(view.coordinates.unconstrain)(drawn.states)
+        positions = jax.vmap(view.position)(drawn.states)
         particles = ExtendedParticle(ancestors, positions, terms, jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), positions))
         start = init_state(particles, constrained, self.stages, self.move.step_size, 0.0 if view.density.has_potentials else 1.0, self.finals)
         first = self._step(resample_key, start, lambda keys, parents: (parents, (jnp.nan, 0.0)), ancestors.shape[0])
@@ -242,11 +243,13 @@ class _Sampler:
 
     # -- results ------------------------------------------------------------------------------------------------------------------------
 
-    def _result(self, view: View, last: TemperedState, predicted: Particles, lost: Flag) -> tuple[Particles, FilterInfo]:
-        ancestors = last.particles.ancestor
-        states = jax.vmap(view.state)(ancestors, corrected_positions(last))
+    def _result(self, key: Key, view: View, last: TemperedState, predicted: Particles, lost: Flag) -> tuple[Particles, FilterInfo]:
+        ancestors, positions = last.particles.ancestor, corrected_positions(last)
         if isinstance(view, GaussianView):
-            ancestors = jnp.full_like(ancestors, NO_ANCESTOR)
+            noise = noise_beside(key, jax.vmap(joined)(positions), last.log_weights, view.unread_size)
+            states, ancestors = jax.vmap(view.completed)(noise, ancestors, positions), jnp.full_like(ancestors, NO_ANCESTOR)
+        else:
+            states = jax.vmap(view.state)(ancestors, positions)
         posterior = Particles(states, normalise(last.log_weights).log_weights)
         after = jax.tree.map(lambda prediction, found: jnp.where(lost, prediction, found), predicted, posterior)
         info = FilterInfo(

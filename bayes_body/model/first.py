@@ -3,7 +3,8 @@ r"""The distribution of the state before the first frame: a first pose, which ma
 $$s \sim \mathcal N(s_0, \sigma_0^2)\ \text{truncated to the joint limits}, \qquad \text{state} = \mathrm{begin}(s).$$
 
 The standard deviations are those of the definition's table `[first]`. Dofs without one are certain: only the first transition spreads them. Where the
-pose was found in pictures, $s_0$ is one of several equally likely poses.
+pose was found in pictures, $s_0$ is one of several equally likely poses. What the pose leaves open, such as a velocity, is drawn from a distribution
+of the motion prior (`Transition.first`).
 """
 
 from typing import NamedTuple
@@ -14,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.body.solids import Body
-from bayes_body.density.factor import State, Transition
+from bayes_body.density.factor import State, Transition, draw
 from bayes_body.dynamics.deviations import known_deviations
 from bayes_body.dynamics.diffusion import TruncatedWalk
 from bayes_body.model.definition import FirstTable
@@ -32,6 +33,7 @@ class First(NamedTuple):
         transition: the motion prior, whose `begin` makes a state of a pose.
         mode: the state of the most likely pose.
         draws: poses that are equally likely and take the place of `pose`, if there are any.
+        settled: whether everything that the pose leaves open is as in `mode`.
     """
 
     pose: Pose
@@ -41,11 +43,12 @@ class First(NamedTuple):
     transition: Transition
     mode: State
     draws: Float[Array, "draw dof"] | None = None
+    settled: bool = False
 
     @property
     def is_point(self) -> bool:
-        """Whether the first pose is certain."""
-        return self.draws is None and not bool(np.asarray(self.sd > 0).any())
+        """Whether the first state is certain."""
+        return self.draws is None and (self.transition.first is None or self.settled) and not bool(np.asarray(self.sd > 0).any())
 
     def around(self, pose: Pose, draws: Float[Array, "draw dof"] | None = None) -> "First":
         """Return the distribution around another pose, or around several of which it is the most likely one."""
@@ -53,7 +56,7 @@ class First(NamedTuple):
 
     def known(self, state: State) -> "First":
         """Return the distribution of one certain state."""
-        return self._replace(pose=state.get("pose", self.pose), sd=jnp.zeros_like(self.sd), mode=state, draws=None)
+        return self._replace(pose=state.get("pose", self.pose), sd=jnp.zeros_like(self.sd), mode=state, draws=None, settled=True)
 
     def sample(self, key: Key) -> State:
         """Draw a state."""
@@ -75,7 +78,10 @@ class First(NamedTuple):
     def _near(self, key: Key, pose: Pose) -> State:
         uncertain = self.sd > 0
         drawn = TruncatedWalk(pose, jnp.where(uncertain, self.sd, 1.0), self.low, self.high).sample(key)
-        return self.transition.begin({"pose": jnp.where(uncertain, drawn, pose)})
+        state = self.transition.begin({"pose": jnp.where(uncertain, drawn, pose)})
+        if self.transition.first is None or self.settled:
+            return state
+        return {**state, **draw(jax.random.fold_in(key, 1), self.transition.first(state))}
 
 
 def first_of(table: FirstTable, body: Body, pose: Pose, transition: Transition) -> First:

@@ -11,8 +11,8 @@ from bayes_body.density.ahead import Ahead, nothing_ahead, sampled_of
 from bayes_body.density.chart import Chart
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles, State, Transition
-from bayes_body.kernels.parts.ensemble import regressed, replaced
-from bayes_body.kernels.smoother import Moved, Moves, Smoother, whitening_between
+from bayes_body.kernels.parts.ensemble import linear_prediction, regressed, replaced
+from bayes_body.kernels.smoother import Moved, Moves, Smoother, whitening_of
 from bayes_body.shapes import Key, Scalar
 
 
@@ -94,17 +94,9 @@ class BackwardSteps:
             log_step_size: Scalar,
             after: Density | None,
         ) -> Moved:
-            chart, (step_key, move_key) = density.coordinates(), jax.random.split(key)
-            count, previous = particles.log_weights.shape[0], density.previous
-            drawn = jax.vmap(density.transition.sample)(jax.random.split(step_key, count), previous.states)
-            position, onward, start = (jax.vmap(chart.unconstrain)(states) for states in (particles.states, drawn, previous.states))
-            roots = {
-                name: whitening_between(
-                    (values.reshape(count, -1), particles.log_weights), ((onward[name] - start[name]).reshape(count, -1), previous.log_weights)
-                )
-                for name, values in position.items()
-            }
-            return self.smoother.moved(move_key, sampled, before, ahead, Moves(density, chart, after, roots, jnp.exp(log_step_size)))
+            chart, (draw_key, move_key) = density.coordinates(), jax.random.split(key)
+            root = whitening_of(linear_prediction(draw_key, particles, density.transition, chart).precision_between())
+            return self.smoother.moved(move_key, sampled, before, ahead, Moves(density, chart, after, root, jnp.exp(log_step_size)))
 
         return jax.jit(moved)
 

@@ -9,7 +9,7 @@ from closed_forms.conftest import POSITION
 
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
-from bayes_body.kernels import tempered_smc
+from bayes_body.kernels.parts import tempering
 from bayes_body.kernels.tempered_smc import build_kernel
 
 OPTIONS = {"prediction": "gaussian", "moves": 1, "target_ess": 0.3, "final_stages": 4}
@@ -48,8 +48,8 @@ def test_on_a_gaussian_model_it_is_the_kalman_filter(linear_gaussian, observatio
 @pytest.mark.long
 @pytest.mark.parametrize("share", [-1.0, 0.7])
 def test_a_wrong_slope_is_found_out(linear_gaussian, observations, monkeypatch, share):
-    honest = tempered_smc.corrected_moments
-    monkeypatch.setattr(tempered_smc, "corrected_moments", lambda draws, log_weights, slopes: honest(draws, log_weights, share * slopes))
+    honest = tempering.corrected_moments
+    monkeypatch.setattr(tempering, "corrected_moments", lambda draws, log_weights, slopes: honest(draws, log_weights, share * slopes))
     with pytest.raises(AssertionError, match="standard errors from the Kalman filter"):
         _check_against_kalman(linear_gaussian, observations)
 

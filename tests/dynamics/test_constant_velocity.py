@@ -1,5 +1,7 @@
 """Pose and velocity as two variables: what is predicted, how it is bounded, and that a moving body keeps moving."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -37,6 +39,33 @@ def test_a_first_pose_stands_still_and_the_density_is_that_of_both_variables():
     each = [d.log_prob(state[name]) for name, d in walk.conditional(first).items()]
     assert float(walk.log_density(state, first)) == pytest.approx(float(sum(each)), rel=1e-6)
     assert np.isfinite(jax.grad(lambda v: walk.log_density(state, first | {"velocity": v}))(first["velocity"])).all()
+
+
+@pytest.mark.parametrize("fps", [30.0, 120.0])
+def test_a_velocity_that_fades_has_the_same_distribution_at_every_frame_rate_and_a_spread_holds_the_pose(fps):
+    lasting = Options(**SD, velocity_lasts_s={"*": 0.4}, spread_deg={"shoulder_x": 20.0}, rest_deg={"shoulder_x": 5.0})
+    walk = build(lasting, replace(ARM, skeleton=replace(ARM.skeleton, low=jnp.full(4, -jnp.inf), high=jnp.full(4, jnp.inf))), fps)
+    first = walk.begin({"pose": jnp.zeros(4)})
+    # The stationary standard deviation of the velocity: 20 degrees a second per frame of 60 a second, over all frames that it lasts.
+    expected = np.radians(20.0) / np.sqrt(1 - np.exp(-2 / (60 * 0.4)))
+    assert np.allclose(walk.first(first)["velocity"].base_dist.scale, expected, rtol=1e-5)
+
+    def after(key):
+        start = {**first, "velocity": walk.first(first)["velocity"].sample(key)}
+        return jax.lax.fori_loop(0, int(3 * fps), lambda k, state: walk.sample(jax.random.fold_in(key, k), state), start)
+
+    found = jax.jit(jax.vmap(after))(jax.random.split(jax.random.key(2), 4000))
+    assert np.allclose(np.asarray(found["velocity"])[:, 1:].std(axis=0), expected, rtol=0.06)
+    dof = ARM.skeleton.topology.dof_names.index("shoulder_x")
+    held = np.degrees(np.asarray(found["pose"])[:, dof])
+    assert abs(held.mean() - 5.0) < 4 * held.std() / np.sqrt(4000)
+    # The noise of the pose itself adds a little.
+    assert 20.0 < held.std() < 1.6 * 20.0 and np.degrees(np.asarray(found["pose"])[:, 1:]).std(axis=0).min() > 40.0
+
+
+def test_a_spread_that_would_let_movements_grow_is_refused():
+    with pytest.raises(InputError, match=r"dynamics\.spread_deg\.shoulder_x: 0\.1 degrees .*; expected a movement that is damped; give a larger"):
+        build(Options(**SD, velocity_lasts_s={"*": 0.4}, spread_deg={"shoulder_x": 0.1}), ARM, 60.0)
 
 
 def test_velocities_need_deviations_too():

@@ -25,6 +25,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bayes_body.kernels.parts.weights import LogWeights
+from bayes_body.shapes import Key
 
 # Limits of the factor by which a variance is corrected.
 FACTORS = (0.25, 4.0)
@@ -78,6 +79,23 @@ def with_moments(draws: Float[Array, "draw dof"], log_weights: LogWeights, wante
     own = moments(draws, log_weights)
     moved = wanted.mean + _whitened(draws - own.mean, own.root) @ wanted.root.T
     return jnp.where(jnp.all(jnp.isfinite(moved)), moved, draws)
+
+
+def noise_beside(key: Key, draws: Float[Array, "draw dof"], log_weights: LogWeights, size: int) -> Float[Array, "draw {size}"]:
+    """Return standard normal noise whose weighted mean is 0, whose covariance is I, and which is not correlated with the draws.
+
+    Independent noise would move the mean by chance. Where no image pulls back what the noise is for, such as a velocity, these steps would add
+    up over the frames. With too few draws for these moments, the noise is independent.
+    """
+    noise = jax.random.normal(key, (draws.shape[0], size), draws.dtype)
+    if draws.shape[0] < 2 * (draws.shape[1] + size + 1) or not size:
+        return noise
+    weights = jax.nn.softmax(log_weights)
+    own = moments(draws, log_weights)
+    white, centred = _whitened(draws - own.mean, own.root), noise - weights @ noise
+    left = centred - white @ ((weights[:, None] * white).T @ centred)
+    exact = with_moments(left, log_weights, Moments(jnp.zeros(size, draws.dtype), jnp.eye(size, dtype=draws.dtype)))
+    return jnp.where(jnp.all(jnp.isfinite(exact)), exact, noise)
 
 
 def _whitened(centred: Float[Array, "draw dof"], root: Float[Array, "dof dof"]) -> Float[Array, "draw dof"]:

@@ -108,6 +108,8 @@ def predict_by_gaussian(key: Key, indices: Int[Array, " particle"], density: Den
 
     def one(key_and_index: tuple[Key, Index], view: GaussianView) -> Weighed:
         key, index = key_and_index
-        return weigh(view.state(index, view.draw(key)), view.density.ancestor(index), view.density)
+        read_key, unread_key = jax.random.split(key)
+        noise = jax.random.normal(unread_key, (view.unread_size,), view.mean.dtype)
+        return weigh(view.completed(noise, index, view.draw(read_key)), view.density.ancestor(index), view.density)
 
     return view, over_particles(one, (jax.random.split(draw_key, indices.shape[0]), indices), view)
