@@ -28,7 +28,7 @@ class Dependence(NamedTuple):
     Attributes:
         frame: the frame.
         pairs: pairs of dofs with a correlation of at least LEAST, strongest first, at most PAIRS.
-        dofs: the dofs of these pairs, at most DOFS, in the body's order.
+        dofs: the dofs of the strongest pairs that fit into DOFS, in the body's order.
         correlations: of all dofs at the frames of `Inspection.frames`; NaN for a dof that does not move.
         place: the frame's index in `correlations`.
     """
@@ -50,7 +50,7 @@ def dependence(it: Inspection) -> Dependence:
     place = chosen_place(squares, effective)
     order = np.argsort(-squares[place], kind="stable")
     strong = [(int(upper[0][k]), int(upper[1][k])) for k in order if squares[place, k] > 0 and abs(found[place, upper[0][k], upper[1][k]]) >= LEAST]
-    return Dependence(it.frames[place], strong[:PAIRS], chosen_dofs(strong[:PAIRS]), found, place)
+    return Dependence(it.frames[place], strong[:PAIRS], chosen_dofs(strong), found, place)
 
 
 def correlations(poses: Float[np.ndarray, "run draw frame dof"], weights: Float[np.ndarray, "run draw frame"]) -> Float[np.ndarray, "frame dof dof"]:
@@ -83,7 +83,7 @@ def chosen_place(squares: Float[np.ndarray, "frame pair"], effective: Float[np.n
 
 
 def chosen_dofs(pairs: Sequence[tuple[int, int]]) -> list[int]:
-    """Return the dofs of the strongest pairs, at most DOFS; a pair that no longer fits is left out."""
+    """Return the dofs of the pairs, at most DOFS; a pair that no longer fits is left out. Pairs are given strongest first."""
     chosen: set[int] = set()
     for pair in pairs:
         if len(chosen | set(pair)) <= DOFS:

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 TITLE = "Dependence of the angles"
 ABOUT = (
-    "Dofs that trade off against each other: the images determine a combination of them better than each one alone. With a correlation r near −1, one "
-    "is larger where the other is smaller; near +1, both are larger together. The band of a single angle does not show this."
+    "Dofs that trade off against each other: the images determine a combination of them better than each one alone. With a correlation r near −1, "
+    "one is larger where the other is smaller; near +1, both are larger together. The band of a single angle does not show this."
 )
 FRAME = (
     "Shown is frame {frame}{time}, where the strongest pairs have the largest mean r² (without the part that chance explains). r is computed from "
@@ -28,9 +28,10 @@ FRAME = (
 NONE = "No two dofs have a correlation of {least:g} or more in any frame with enough effective draws. Each angle can be read for itself."
 SEEKER = "The kernel is a mode seeker: the spread of its particles is not a measure of uncertainty, and neither are their correlations."
 POINTS = (
-    "The dofs of the first pairs that fit. Below the diagonal: {count} draws of equal weight of each run; a narrow oblique cloud is a trade-off. On the "
-    "diagonal: how many draws have each value. Above it: r. Positions are in mm from their mean."
+    "The dofs of the strongest pairs that fit. Below the diagonal: {count} draws of equal weight of each run; a narrow oblique cloud is a trade-off. "
+    "On the diagonal: how many draws have each value. Above it: r, darker where it is stronger."
 )
+METRES = " Positions are relative to their mean."
 # Inches: side of a panel; margins of the whole matrix on the left, right, bottom and top.
 SIDE, GAP, EDGES = 1.42, 0.1, (0.95, 0.1, 0.72, 0.36)
 BINS = 14
@@ -90,7 +91,8 @@ def _matrix(it: Inspection, found: Dependence) -> Picture:
             _ticks(axes, labels, row, column, count)
     _legend(figure, it.runs)
     pairs = "; ".join(f"{spoken(it.dofs[j])} and {spoken(it.dofs[k])} {_signed(found.correlations[found.place, j, k])}" for j, k in found.pairs)
-    return encoded(figure, f"Scatter matrix of {count} dofs at frame {found.frame}. Correlations: {pairs}.", POINTS.format(count=values.shape[1]))
+    caption = POINTS.format(count=values.shape[1]) + (METRES if any(label.endswith("mm") for label in labels) else "")
+    return encoded(figure, f"Scatter matrix of {count} dofs at frame {found.frame}. Correlations: {pairs}.", caption)
 
 
 def _values(it: Inspection, found: Dependence) -> tuple[Float[np.ndarray, "run draw dof"], list[str]]:

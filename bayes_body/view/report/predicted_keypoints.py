@@ -8,11 +8,12 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
 from bayes_body.likelihood.detections import Detections
 from bayes_body.likelihood.markers_gaussian import MarkersGaussian
 from bayes_body.model.build import Model
+from bayes_body.shapes import Key
 
 # Draws of the noise for each draw of the pose.
 NOISES = 5
@@ -56,7 +57,7 @@ def noise_in_words(detections: Detections) -> str:
 
 
 def keypoint_check(
-    detections: Detections, points: Float[np.ndarray, "draw marker 3"], seen: Float[np.ndarray, "camera marker 3"], key: PRNGKeyArray
+    detections: Detections, points: Float[np.ndarray, "draw marker 3"], seen: Float[np.ndarray, "camera marker 3"], key: Key
 ) -> KeypointCheck:
     """Compare a frame's keypoints with their predictive distribution.
 
@@ -87,7 +88,7 @@ def predicted_pixels(
     detections: Detections,
     points: Float[np.ndarray, "draw marker 3"],
     confidence: Float[np.ndarray, "camera marker"],
-    key: PRNGKeyArray,
+    key: Key,
 ) -> Float[np.ndarray, "drawn camera marker 2"]:
     """Return NOISES draws of the keypoints for each draw of the pose; the first noise of all draws comes first."""
     keys = jax.random.split(key, (NOISES, len(points)))
@@ -102,7 +103,7 @@ def _expected(detections: Detections, points: Float[Array, "draw marker 3"]) -> 
 
 @jax.jit
 def _drawn(
-    detections: Detections, keys: PRNGKeyArray, points: Float[Array, "draw marker 3"], confidence: Float[Array, "camera marker"]
+    detections: Detections, keys: Shaped[PRNGKeyArray, "noise draw"], points: Float[Array, "draw marker 3"], confidence: Float[Array, "camera marker"]
 ) -> Float[Array, "noise draw camera marker 2"]:
     by_pose = jax.vmap(detections.draw, (0, 0, None))
     return jax.vmap(by_pose, (0, None, None))(keys, points, confidence)

@@ -2,7 +2,8 @@ r"""Posterior predictive check of silhouettes: the silhouettes of drawn bodies a
 
 With A the silhouette of a drawn body and B the seen one, the overlap is $|A \cap B| / |A \cup B|$ (IoU) and the difference of the areas is
 $(|A| - |B|) / |B|$. A likelihood that is a distribution over silhouettes, `silhouette_bernoulli`, also draws silhouettes B' around each drawn body.
-The same two figures of A and B' are what the model expects (Gelman, Meng & Stern 1996). `silhouette_edges` and `regions` are no such distributions.
+The same two figures of A and B' are what the model expects (Gelman, Meng & Stern 1996); then all are compared on the likelihood's grid.
+`silhouette_edges` and `regions` are no such distributions.
 """
 
 from typing import NamedTuple
@@ -11,7 +12,7 @@ import cv2
 import jax
 import numpy as np
 from cv2.typing import MatLike
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray, Shaped
 from numpy.typing import NDArray
 
 from bayes_body.likelihood.silhouette_bernoulli import SilhouetteBernoulli
@@ -19,6 +20,7 @@ from bayes_body.model.build import Model
 from bayes_body.observation.frames import Frame
 from bayes_body.observation.silhouette_bernoulli import sample_mask
 from bayes_body.session.session import Session
+from bayes_body.shapes import Key
 from bayes_body.view.silhouette import Outline, fill, intersection_over_union, outlines
 
 # The likelihoods that read silhouettes.
@@ -57,7 +59,7 @@ def silhouette_likelihood(model: Model) -> SilhouetteBernoulli | None:
     return None
 
 
-def silhouette_check(model: Model, session: Session, frame: Frame, poses: Float[np.ndarray, "draw *shape"], key: PRNGKeyArray) -> SilhouetteCheck:
+def silhouette_check(model: Model, session: Session, frame: Frame, poses: Float[np.ndarray, "draw *shape"], key: Key) -> SilhouetteCheck:
     """Compare a frame's silhouettes with those of draws of the pose.
 
     Args:
@@ -76,11 +78,13 @@ def silhouette_check(model: Model, session: Session, frame: Frame, poses: Float[
         seen = seen_mask(frame, c)
         if seen is None:
             continue
-        overlap[c], area[c] = _figures(bodies, [smaller(seen)] * len(bodies))
-        if likelihood is not None and drawn is not None:
-            on_grid = [sample_mask(body, *likelihood.grid) for body in bodies]
-            found = _figures(on_grid, list(drawn[:, c]))
-            expected_overlap[c], expected_area[c] = (np.nanpercentile(values, ENDS) for values in found)
+        if likelihood is None or drawn is None:
+            overlap[c], area[c] = _figures(bodies, [smaller(seen)] * len(bodies))
+            continue
+        # The same comparison for the seen silhouette and for drawn ones: on the likelihood's grid.
+        on_grid = [sample_mask(body, *likelihood.grid) for body in bodies]
+        overlap[c], area[c] = _figures(on_grid, [sample_mask(seen, *likelihood.grid)] * len(bodies))
+        expected_overlap[c], expected_area[c] = (np.nanpercentile(values, ENDS) for values in _figures(on_grid, list(drawn[:, c])))
     return SilhouetteCheck(overlap, area, expected_overlap, expected_area)
 
 
@@ -123,5 +127,7 @@ def _figures(
 
 
 @jax.jit
-def _drawn(likelihood: SilhouetteBernoulli, keys: PRNGKeyArray, poses: Float[Array, "draw *shape"]) -> Bool[Array, "draw camera row column"]:
+def _drawn(
+    likelihood: SilhouetteBernoulli, keys: Shaped[PRNGKeyArray, " draw"], poses: Float[Array, "draw *shape"]
+) -> Bool[Array, "draw camera row column"]:
     return jax.vmap(likelihood.draw)(keys, poses)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 TITLE = "Posterior predictive check"
 ABOUT = (
     "Would the posterior produce the images that were seen? At {frames}, {draws} of all runs together, with equal weight, predict what each camera "
-    "sees. The draws were made from the same images. So the check finds a model that does not fit them, and does not measure predictions of new images."
+    "sees. The draws were made from the same images. So the check finds a model that does not fit them, and does not measure predictions of new ones."
 )
 SEEKER = "At {frames}, the mean pose predicts what each camera sees. The kernel is a mode seeker, so there are no intervals."
 ERROR = "The error of a keypoint is its distance from the mean of the pixels at which the draws expect it, in pixels of the recording."
@@ -35,17 +35,20 @@ SHARE = (
 MARKS = "Orange circles are the seen keypoints, with a line to where the posterior mean expects them."
 CLOUD = "Blue dots are predicted keypoints, one for each draw of the pose."
 SILHOUETTES = (
-    "Overlap is the intersection of the drawn body's silhouette and the seen one, divided by their union (IoU); 1 is best. The difference of the areas "
-    "is positive if the body is larger than the seen silhouette. "
+    "Overlap is the intersection of the drawn body's silhouette and the seen one, divided by their union (IoU); 1 is best. The difference of the "
+    "areas is positive if the body is larger than the seen silhouette. "
 )
-SPREAD = "The line is the median of the draws, and the bars are their 90 % interval. "
+SPREAD = (
+    "The line is the median of the draws, and the bars are their 90 % interval. The mean pose, whose overlap is at the head of the page, overlaps "
+    "more than a draw. "
+)
 DRAWN = (
-    "A predicted silhouette is one that is drawn from the likelihood around a drawn body, pixel by pixel. The grey band is the 90 % interval of the same "
-    "figures for predicted silhouettes. If the model is right, the line is in the band in 90 % of the frames."
+    "A predicted silhouette is one that is drawn from the likelihood around a drawn body, pixel by pixel. The grey band is the 90 % interval of the "
+    "same figures for predicted silhouettes. If the model is right, the line is in the band in 90 % of the frames."
 )
 BARE = (
-    "The intervals are those of the body alone: the likelihood of silhouettes is not a distribution over images, so it has no noise that can be drawn. "
-    "Real silhouettes contain hands, feet and clothes that the body lacks, so even the true pose does not reach an overlap of 1."
+    "The intervals are those of the body alone: the likelihood of silhouettes is not a distribution over images, so it has no noise that can be "
+    "drawn. Real silhouettes contain hands, feet and clothes that the body lacks, so even the true pose does not reach an overlap of 1."
 )
 COVER = "Blue is the share of the draws whose body covers a pixel (darkest: all). The orange line is the outline of the seen silhouette."
 SIZE = (3.6, 2.3)
