@@ -96,11 +96,11 @@ def frame_of(masks) -> Frame:
 
 
 def test_silhouettes_that_the_likelihood_draws_are_in_its_band(textured_session):
-    model, poses = build_model("arm_silhouette", textured_session), np.tile(POSE, (60, 1))
+    model, poses = build_model("arm_silhouette", textured_session), np.tile(POSE, (40, 1))
     likelihood, inside = silhouette_likelihood(model), []
     # On its own grid, a silhouette is read as it is.
     whole = [np.array(view.camera.size_px[::-1]) for view in textured_session.views]
-    for seed in range(10):
+    for seed in range(6):
         grids = np.asarray(likelihood.draw(jax.random.key(seed), jnp.asarray(POSE)))
         masks = [
             cv2.resize(grid.astype(np.uint8), size[::-1].tolist(), interpolation=cv2.INTER_NEAREST) > 0
@@ -109,7 +109,7 @@ def test_silhouettes_that_the_likelihood_draws_are_in_its_band(textured_session)
         found = silhouette_check(model, textured_session, frame_of(masks), poses, KEY)
         for values, ends in ((found.overlap, found.expected_overlap), (found.area, found.expected_area)):
             inside += list((ends[:, 0] <= values[:, 0]) & (values[:, 0] <= ends[:, 1]))
-    assert np.mean(inside) > 0.75
+    assert np.mean(inside) > 0.7
     # If 0.3 of the pixels inside are missed, the seen area is 0.7 of the body's.
     sharp = dataclasses.replace(likelihood, false_alarm=np.float32(1e-6), soft_px=np.float32(0.01))
     areas = []
@@ -117,15 +117,15 @@ def test_silhouettes_that_the_likelihood_draws_are_in_its_band(textured_session)
         drawn = dataclasses.replace(sharp, miss=np.float32(miss))
         factors = tuple(dataclasses.replace(each, log_potential=drawn) if each.log_potential is likelihood else each for each in model.factors)
         areas.append(silhouette_check(dataclasses.replace(model, factors=factors), textured_session, frame_of(masks), poses, KEY).expected_area)
-    np.testing.assert_allclose((1 + areas[1].mean(axis=1)) / (1 + areas[0].mean(axis=1)), 1 / 0.7, rtol=0.06)
+    np.testing.assert_allclose((1 + areas[1].mean(axis=1)) / (1 + areas[0].mean(axis=1)), 1 / 0.7, rtol=0.1)
 
 
 @pytest.fixture
 def looked_at(inspect, parse, keypoint_session):
     """`looked_at(model, write)`: the section on a run whose draws are all at POSE, before and after its files were changed by `write(session)`."""
 
-    def call(model, change):
-        it = inspect(dofs=DOFS, units=("rad",) * 4, pose=np.tile(POSE, (2, 60, 5, 1)), recording=keypoint_session, model=model)
+    def call(model, change, **arrays):
+        it = inspect(dofs=DOFS, units=("rad",) * 4, pose=np.tile(POSE, (2, 60, 5, 1)), recording=keypoint_session, model=model, **arrays)
         change(it.run.session, it.run.model)
         with style(), load_run(it.run.folder) as run:
             strange = parse(prediction_section(it))
@@ -158,17 +158,25 @@ def test_keypoints_50_px_beside_the_body_are_shown_as_such(looked_at):
     assert "b1550.0 px50.0 px" in known.text and len(known.of("img")) == 4
 
 
-def test_silhouettes_of_the_body_are_shown_as_such(looked_at):
-    def same(session, model):
-        for view, mask in zip(session.views, projected_masks(model, POSE, session), strict=True):
-            for frame in range(session.frames):
-                cv2.imwrite(str(session.mask_path(view, frame)), 255 * mask.astype(np.uint8))
+def same(session, model):
+    """Write the body's silhouettes as those of the recording."""
+    for view, mask in zip(session.views, projected_masks(model, POSE, session), strict=True):
+        for frame in range(session.frames):
+            cv2.imwrite(str(session.mask_path(view, frame)), 255 * mask.astype(np.uint8))
 
+
+def test_silhouettes_of_the_body_are_shown_as_such(looked_at):
     strange, known, found, _ = looked_at("arm_silhouette", same)
     assert "masks of a and 1 more: changed" in strange.text and not strange.of("img")
     assert found.keypoints is None and (found.silhouettes.overlap == 1).all() and (found.silhouettes.area == 0).all()
     # Overlap and area of two cameras, and two pictures.
     assert "a51.001.000 %" in known.text and len(known.of("img")) == 6
+
+
+def test_a_mode_seeker_has_no_intervals(looked_at):
+    _, known, found, _ = looked_at("arm_silhouette", same, log_evidence=np.full((2, 5), np.nan))
+    assert found.draws == 1 and np.isnan(found.silhouettes.expected_area).all()
+    assert "so there are no intervals" in known.text and "predicted overlap" not in known.text and "a51.001.000 %" in known.text
 
 
 def test_a_model_that_reads_neither_says_so(inspect, keypoint_session, parse):

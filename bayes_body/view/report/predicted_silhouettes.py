@@ -72,7 +72,8 @@ def silhouette_check(model: Model, session: Session, frame: Frame, poses: Float[
     cameras = len(session.views)
     overlap, area = (np.full((cameras, len(poses)), np.nan) for _ in range(2))
     expected_overlap, expected_area = (np.full((cameras, 2), np.nan) for _ in range(2))
-    likelihood, masks = silhouette_likelihood(model), body_masks(model, session, poses)
+    # A single pose, the mean of a mode seeker, has no predictive distribution.
+    likelihood, masks = silhouette_likelihood(model) if len(poses) > 1 else None, body_masks(model, session, poses)
     drawn = None if likelihood is None else np.asarray(_drawn(likelihood, jax.random.split(key, len(poses)), poses.astype(np.float32)))
     for c, bodies in enumerate(masks):
         seen = seen_mask(frame, c)

@@ -1,21 +1,16 @@
 """The section on the posterior predictive check: keypoints and silhouettes that the draws predict, against the seen ones, camera by camera."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from bayes_body.errors import escaped
-from bayes_body.view.report.figures import GREY, INK, RUNS, encoded, new_panel, shade_lost, time_axis, time_label
 from bayes_body.view.report.inspection import Inspection
-from bayes_body.view.report.markup import Markup, Picture, figures, section, table, tag
+from bayes_body.view.report.markup import Markup, figures, section, table, tag
 from bayes_body.view.report.predicted_keypoints import KeypointCheck, marker_likelihood, noise_in_words
 from bayes_body.view.report.predicted_silhouettes import SilhouetteCheck, silhouette_likelihood
+from bayes_body.view.report.prediction_curves import cameras, error_panels, median, percentile, percentiles, silhouette_panels
 from bayes_body.view.report.prediction_pictures import keypoint_pictures, silhouette_pictures
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 TITLE = "Posterior predictive check"
 ABOUT = (
@@ -51,8 +46,6 @@ BARE = (
     "drawn. Real silhouettes contain hands, feet and clothes that the body lacks, so even the true pose does not reach an overlap of 1."
 )
 COVER = "Blue is the share of the draws whose body covers a pixel (darkest: all). The orange line is the outline of the seen silhouette."
-SIZE = (3.6, 2.3)
-LINE = {"marker": "o", "markersize": 3}
 
 
 def prediction_section(it: Inspection) -> Markup:
@@ -70,7 +63,7 @@ def prediction_section(it: Inspection) -> Markup:
     return section("prediction", TITLE, *parts)
 
 
-def _keypoint_parts(it: Inspection, frames: np.ndarray, found: KeypointCheck) -> Iterator[Markup]:
+def _keypoint_parts(it: Inspection, frames: Int[np.ndarray, " frame"], found: KeypointCheck) -> Iterator[Markup]:
     likelihood, seeker = marker_likelihood(it.run.model), it.diagnosis.mode_seeker
     assert likelihood is not None
     yield tag("h3", "Keypoints")
@@ -78,9 +71,9 @@ def _keypoint_parts(it: Inspection, frames: np.ndarray, found: KeypointCheck) ->
         yield tag("p", "No camera sees a keypoint in the compared frames.")
         return
     yield tag("p", ERROR if seeker else f"{KEYPOINTS.format(noise=noise_in_words(likelihood[1].detections))} {SHARE}")
-    yield _keypoint_table(_cameras(it), found, seeker)
-    yield figures(_error_panels(it, frames, found))
-    worst = _worst(frames, np.array([_median(errors) for errors in found.error]))
+    yield _keypoint_table(cameras(it), found, seeker)
+    yield figures(error_panels(it, frames, found))
+    worst = _worst(frames, np.array([median(errors) for errors in found.error]))
     yield tag("p", f"Of the compared frames, frame {worst} has the largest errors. {MARKS}{'' if seeker else f' {CLOUD}'}")
     yield figures(keypoint_pictures(it.run, worst))
 
@@ -92,41 +85,23 @@ def _keypoint_table(names: list[str], found: KeypointCheck, seeker: bool) -> Mar
     rows = []
     for name, chosen in [*((name, [c]) for c, name in enumerate(names)), *([("all cameras", [*range(len(names))])] if len(names) > 1 else [])]:
         errors, expected, inside = (values[:, chosen] for values in found)
-        cells = [f"{np.isfinite(errors).sum():,}", _px(_percentile(errors, 50)), _px(_percentile(errors, 90))]
-        cells += [] if seeker else [_px(_median(expected[..., k])) for k in (0, 1)] + [_percent(inside)]
+        cells = [f"{np.isfinite(errors).sum():,}", _px(percentile(errors, 50)), _px(percentile(errors, 90))]
+        cells += [] if seeker else [_px(median(expected[..., k])) for k in (0, 1)] + [_percent(inside)]
         rows.append([name, *cells])
     return table(head, rows)
 
 
-def _error_panels(it: Inspection, frames: np.ndarray, found: KeypointCheck) -> Iterator[Picture]:
-    seeker = it.diagnosis.mode_seeker
-    middle, high = (_percentiles(found.error, share) for share in (50, 90))
-    top = 1.45 * max(float(np.nanmax(high)), 1.0, 0.0 if seeker else float(np.nanmax(found.expected[..., 1])))
-    for c, name in enumerate(_cameras(it)):
-        if not np.isfinite(found.error[:, c]).any():
-            continue
-        figure, axes = new_panel(f"Camera {escaped(name)}", time_label(it.fps), "reprojection error, px", SIZE)
-        shade_lost(axes, it.lost)
-        if not seeker:
-            _band(axes, frames, np.zeros(len(frames)), found.expected[:, c, 1], "predicted: 90 %")
-        axes.plot(frames, middle[:, c], color=RUNS[0], label="seen: median", **LINE)
-        axes.plot(frames, high[:, c], color=RUNS[1], linestyle=":", label="seen: 90 % quantile", **LINE)
-        axes.set_ylim(0, top)
-        _finish(it, axes)
-        yield encoded(figure, f"Reprojection error in camera {name} over time: median {_px(_percentile(found.error[:, c], 50))}.")
-
-
-def _silhouette_parts(it: Inspection, frames: np.ndarray, found: SilhouetteCheck) -> Iterator[Markup]:
+def _silhouette_parts(it: Inspection, frames: Int[np.ndarray, " frame"], found: SilhouetteCheck) -> Iterator[Markup]:
     yield tag("h3", "Silhouettes")
     if not np.isfinite(found.overlap).any():
         yield tag("p", "No camera sees a silhouette in the compared frames.")
         return
     spread = "" if it.diagnosis.mode_seeker else SPREAD + (BARE if silhouette_likelihood(it.run.model) is None else DRAWN)
     yield tag("p", f"{SILHOUETTES}{spread}")
-    yield _silhouette_table(_cameras(it), found)
-    yield figures(_silhouette_panels(it, frames, "overlap", "overlap (IoU)", found.overlap, found.expected_overlap))
-    yield figures(_silhouette_panels(it, frames, "area", "difference, % of the seen", 100 * found.area, 100 * found.expected_area))
-    worst = _worst(frames, -np.array([_median(overlaps) for overlaps in found.overlap]))
+    yield _silhouette_table(cameras(it), found)
+    yield figures(silhouette_panels(it, frames, "overlap", "overlap (IoU)", found.overlap, found.expected_overlap))
+    yield figures(silhouette_panels(it, frames, "area", "difference, % of the seen", 100 * found.area, 100 * found.expected_area))
+    worst = _worst(frames, -np.array([median(overlaps) for overlaps in found.overlap]))
     yield tag("p", f"Of the compared frames, frame {worst} has the smallest overlap. {COVER}")
     yield figures(silhouette_pictures(it.run, worst))
 
@@ -136,84 +111,19 @@ def _silhouette_table(names: list[str], found: SilhouetteCheck) -> Markup:
     rows = []
     for c, name in enumerate(names):
         overlap, area = found.overlap[:, c], found.area[:, c]
-        cells = [f"{np.isfinite(overlap).any(axis=-1).sum():,}", _figure(_median(overlap)), _figure(_percentile(overlap, 5)), _signed(_median(area))]
+        cells = [f"{np.isfinite(overlap).any(axis=-1).sum():,}", _figure(median(overlap)), _figure(percentile(overlap, 5)), _signed(median(area))]
         if expects:
             low, high = found.expected_overlap[:, c].T
-            middle = _percentiles(overlap, 50)
+            middle = percentiles(overlap, 50)
             known = np.isfinite(middle) & np.isfinite(low)
-            cells += [_figure(_median((low + high) / 2)), _percent(np.where(known, (low <= middle) & (middle <= high), np.nan))]
+            cells += [_figure(median((low + high) / 2)), _percent(np.where(known, (low <= middle) & (middle <= high), np.nan))]
         rows.append([name, *cells])
     head = ["camera", "frames", "overlap, median", "overlap, 5 % quantile", "difference of the areas, median"]
     return table([*head, *(["predicted overlap", "frames inside its 90 %"] if expects else [])], rows)
 
 
-def _silhouette_panels(
-    it: Inspection,
-    frames: np.ndarray,
-    what: str,
-    label: str,
-    values: Float[np.ndarray, "frame camera draw"],
-    expected: Float[np.ndarray, "frame camera end"],
-) -> Iterator[Picture]:
-    # The worst value, with room for a legend above it.
-    reach = max(1.4 * float(np.nanmax(np.abs(np.append(values, expected)))), 10.0)
-    low, middle, high = (_percentiles(values, share) for share in (5, 50, 95))
-    for c, name in enumerate(_cameras(it)):
-        if not np.isfinite(values[:, c]).any():
-            continue
-        figure, axes = new_panel(f"Camera {escaped(name)}: {what}", time_label(it.fps), label, SIZE)
-        shade_lost(axes, it.lost)
-        expects = bool(np.isfinite(expected[:, c]).any())
-        if expects:
-            _band(axes, frames, expected[:, c, 0], expected[:, c, 1], "predicted: 90 %")
-        if not it.diagnosis.mode_seeker:
-            axes.vlines(frames, low[:, c], high[:, c], color=RUNS[0], alpha=0.35, linewidth=5)
-        axes.plot(frames, middle[:, c], color=RUNS[0], label="seen: median", **LINE)
-        if what == "area":
-            axes.axhline(0, color=INK, linestyle="--", linewidth=0.9)
-        axes.set_ylim(*((-reach, reach) if what == "area" else (0, 1.35 if expects else 1.02)))
-        _finish(it, axes, expects)
-        yield encoded(figure, f"Silhouettes of camera {name} over time, {label}: median {_median(values[:, c]):.3g}.")
-
-
-def _band(axes: "Axes", frames: np.ndarray, low: Float[np.ndarray, " frame"], high: Float[np.ndarray, " frame"], label: str) -> None:
-    if len(frames) > 1:
-        axes.fill_between(frames, low, high, color=GREY, alpha=0.25, linewidth=0, label=label)
-    else:
-        axes.vlines(frames, low, high, color=GREY, alpha=0.4, linewidth=9, label=label)
-
-
-def _finish(it: Inspection, axes: "Axes", legend: bool = True) -> None:
-    time_axis(axes, it.run.frames, it.fps)
-    if it.run.frames > 12:
-        # The first and the last compared frame are the recording's: their marks must not be cut.
-        axes.margins(x=0.02)
-        axes.set_xlim(-0.02 * it.run.frames, 1.02 * (it.run.frames - 1))
-    if legend:
-        axes.legend(loc="upper left", ncols=2, handlelength=1.4, columnspacing=1.0, borderaxespad=0.2)
-
-
-def _cameras(it: Inspection) -> list[str]:
-    return [view.camera.name for view in it.run.session.views]
-
-
-def _worst(frames: np.ndarray, badness: Float[np.ndarray, " frame"]) -> int:
+def _worst(frames: Int[np.ndarray, " frame"], badness: Float[np.ndarray, " frame"]) -> int:
     return int(frames[np.nanargmax(badness)])
-
-
-def _median(values: Float[np.ndarray, "..."]) -> float:
-    return _percentile(values, 50)
-
-
-def _percentile(values: Float[np.ndarray, "..."], share: int) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.percentile(known, share)) if known.size else float("nan")
-
-
-def _percentiles(values: Float[np.ndarray, "*some each"], share: int) -> Float[np.ndarray, "*some"]:
-    """Return the percentile over the last axis of what is known; NaN if nothing is."""
-    flat = values.reshape(-1, values.shape[-1])
-    return np.array([_percentile(row, share) for row in flat]).reshape(values.shape[:-1])
 
 
 def _px(value: float) -> str:
