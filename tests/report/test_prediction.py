@@ -155,7 +155,7 @@ def test_keypoints_50_px_beside_the_body_are_shown_as_such(looked_at):
     np.testing.assert_allclose(found.keypoints.error, np.broadcast_to([[0.0], [50.0]], found.keypoints.error.shape), atol=0.02)
     assert (found.keypoints.inside[:, 0] == 1).all() and (found.keypoints.inside[:, 1] == 0.5).all()
     assert "Gaussian with a standard deviation of 1.93 to 2 px by camera in each coordinate" in known.text
-    assert "b1550.0 px50.0 px" in known.text and len(known.of("img")) == 4
+    assert "b1550.050.0" in known.text and len(known.of("img")) == 4
 
 
 def same(session, model):

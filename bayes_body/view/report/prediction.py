@@ -80,8 +80,8 @@ def _keypoint_parts(it: Inspection, frames: Int[np.ndarray, " frame"], found: Ke
 
 def _keypoint_table(names: list[str], found: KeypointCheck, seeker: bool) -> Markup:
     """Return a row for each camera and one for all of them."""
-    head = ["camera", "seen keypoints", "error, median", "error, 90 % quantile"]
-    head += [] if seeker else ["predicted, median", "predicted, 90 % quantile", "coordinates inside 90 %"]
+    head = ["camera", "seen keypoints", "error, median, px", "error, 90 % quantile, px"]
+    head += [] if seeker else ["predicted, median, px", "predicted, 90 % quantile, px", "coordinates inside 90 %"]
     rows = []
     for name, chosen in [*((name, [c]) for c, name in enumerate(names)), *([("all cameras", [*range(len(names))])] if len(names) > 1 else [])]:
         errors, expected, inside = (values[:, chosen] for values in found)
@@ -127,7 +127,7 @@ def _worst(frames: Int[np.ndarray, " frame"], badness: Float[np.ndarray, " frame
 
 
 def _px(value: float) -> str:
-    return "–" if np.isnan(value) else f"{value:.1f} px"
+    return "–" if np.isnan(value) else f"{value:.1f}"
 
 
 def _figure(value: float) -> str:
