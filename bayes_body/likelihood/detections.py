@@ -90,12 +90,15 @@ class Detections:
         # The first pixel's centre is (0, 0), so an image begins half a pixel before it.
         return jnp.all((pixels >= -0.5) & (pixels <= self.rig.size[:, None] - 0.5), axis=-1)
 
-    def draw(self, key: Key, points: Float[Array, "point 3"]) -> Float[Array, "camera point 2"]:
-        """Draw pixels of points, all with confidence 1."""
+    def draw(
+        self, key: Key, points: Float[Array, "point 3"], confidence: Float[Array, "camera point"] | None = None
+    ) -> Float[Array, "camera point 2"]:
+        """Draw pixels of points, with the given confidence, by default 1."""
         noise, spread, choice, place = jax.random.split(key, 4)
         expected = self.expected(points)
         shape, dtype = expected.shape[:2], expected.dtype
-        off = self.sd_px[:, None, None] * jax.random.normal(noise, expected.shape, dtype)
+        sd = self._sd(jnp.ones(shape, dtype) if confidence is None else confidence)
+        off = sd[..., None] * jax.random.normal(noise, expected.shape, dtype)
         if self.noise == "student":
             # z / sqrt(chi2 / nu), chi2 = 2 Gamma(nu / 2).
             gamma = jax.random.gamma(spread, self.degrees_of_freedom / 2, shape, dtype)

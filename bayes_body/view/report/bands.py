@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.view.report.activities import activity_details
-from bayes_body.view.report.curves import LEGEND, draw_filter
+from bayes_body.view.report.curves import LEGEND, draw_filter, drawn_filter
 from bayes_body.view.report.densities import density_details
 from bayes_body.view.report.figures import RUNS, encoded, new_panel, shade_lost, time_axis, time_label
 from bayes_body.view.report.inspection import Inspection
@@ -70,7 +70,9 @@ def _panel(it: Inspection, place: int) -> Picture:
         draw_filter(axes, frames, it.filtered.dofs, place, bands)
     draw_band(axes, frames, mean, (low, high) if bands else None, RUNS[0])
     time_axis(axes, it.run.frames, it.fps)
-    axes.set_ylim(*limits(low if bands else mean, high if bands else mean, LEAST_SPAN[unit]))
+    shown = [mean, low, high] if bands else [mean]
+    shown += drawn_filter(it.filtered.dofs, place, bands) if it.filtered else []
+    axes.set_ylim(*limits(np.concatenate(shown), LEAST_SPAN[unit]))
     widest = f", widest 90 % band {float(np.max(high - low)):.3g} {unit}" if bands else ""
     return encoded(figure, f"{name} over the frames: mean {value_range(mean)} {unit}{widest}.")
 
@@ -87,9 +89,9 @@ def draw_band(axes: "Axes", places: NDArray[Any], mean: Curve, band: tuple[Curve
     axes.plot(places, mean, color=ink)
 
 
-def limits(low: NDArray[np.floating], high: NDArray[np.floating], least: float) -> tuple[float, float]:
+def limits(values: Curve, least: float) -> tuple[float, float]:
     """Return the ends of an axis that shows these values with a margin, and spans at least `least`."""
-    bottom, top = float(np.min(low)), float(np.max(high))
+    bottom, top = float(np.min(values)), float(np.max(values))
     margin = max(0.05 * (top - bottom), (least - (top - bottom)) / 2)
     return bottom - margin, top + margin
 

@@ -1,7 +1,6 @@
 """The section on the mixing of each frame's Markov chains, with a chain's path over the image as in Poon & Fleet 2002, Fig. 5."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -12,6 +11,7 @@ from bayes_body.errors import InputError
 from bayes_body.posterior.blocks import coordinate_blocks, pose_blocks
 from bayes_body.posterior.mixing import Mixing, autocorrelation, by_chain
 from bayes_body.view.overlay import backdrop
+from bayes_body.view.report.crop import crop_about
 from bayes_body.view.report.dof_map import dof_map
 from bayes_body.view.report.figures import INK, RUNS, data_uri, draw_runs, encoded, new_panel, shade_lost, time_axis
 from bayes_body.view.report.inspection import Inspection
@@ -19,9 +19,6 @@ from bayes_body.view.report.limbs import spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
 from bayes_body.view.silhouette import outlines, seen_in
 from bayes_body.view.windows import EMPTY
-
-if TYPE_CHECKING:
-    pass
 
 ABOUT = (
     "Each frame is sampled by a few Markov chains, which start from different predictions. If they agree (R-hat near 1), they have found the same "
@@ -143,7 +140,9 @@ def _path(it: Inspection, mixing: Mixing, frame: int) -> Picture:
         for outline in parts:
             points = np.round(outline.polygon * 16).astype(np.int32)
             cv2.polylines(image, [points], True, tuple(int(c) for c in ink), thin, cv2.LINE_AA, shift=4)
-    picture = _about(image, [outline.polygon for parts in drawn for outline in parts])
+    polygons = [outline.polygon for parts in drawn for outline in parts]
+    corners = np.concatenate(polygons) if polygons else np.zeros((0, 2))
+    picture = crop_about(corners, (image.shape[1], image.shape[0]), WIDEST).cut(image)
     name = session.views[shown].camera.name
     encoded = cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])[1].tobytes()
     caption = f"Camera {name}, frame {frame}: {len(chosen)} of {len(chain)} states of a chain."
@@ -153,16 +152,3 @@ def _path(it: Inspection, mixing: Mixing, frame: int) -> Picture:
 def _camera(it: Inspection, frame: int) -> int:
     seen = it.diagnosis.seen
     return int(seen[frame].argmax()) if seen is not None and seen[frame].any() else 0
-
-
-def _about(image: MatLike, polygons: list[Float[np.ndarray, "_ 2"]]) -> MatLike:
-    """Return the part of an image that contains the polygons, with a margin, scaled to at most WIDEST pixels."""
-    if polygons:
-        corners = np.concatenate(polygons)
-        size, margin = np.array(image.shape[1::-1]), 0.25 * np.ptp(corners, axis=0).max()
-        left, top = np.clip(corners.min(axis=0) - margin, 0, size - 1).astype(int)
-        right, bottom = np.clip(corners.max(axis=0) + margin, 1, size).astype(int)
-        if right - left > 1 and bottom - top > 1:
-            image = image[top:bottom, left:right]
-    scale = min(WIDEST / max(image.shape[:2]), 3.0)
-    return cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)

@@ -5,7 +5,7 @@ import numpy as np
 from bayes_body.clinical.conventions import CLINICAL, Angle, Convention
 from bayes_body.posterior.moments import Moments
 from bayes_body.view.report.bands import LEAST_SPAN, draw_band, limits, sparse_frames, value_range
-from bayes_body.view.report.curves import LEGEND, draw_filter
+from bayes_body.view.report.curves import LEGEND, draw_filter, drawn_filter
 from bayes_body.view.report.figures import INK, RUNS, encoded, new_panel, shade_lost
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, Picture, details, figures, section, tag
@@ -49,14 +49,16 @@ def _panel(it: Inspection, convention: Convention, angle: Angle, place: int) -> 
     figure, axes = new_panel(title, "time, s", "degrees", (3.6, 2.1))
     seconds, bands = np.asarray(it.frames) / it.run.fps, not it.diagnosis.mode_seeker
     shade_lost(axes, it.lost, 1 / it.run.fps)
+    shown: list[np.ndarray] = []
     for side, curve in found.items():
         if it.filtered and names == it.filtered.clinical.names:
             draw_filter(axes, seconds, it.filtered.clinical.moments, sides[side], bands)
+            shown += drawn_filter(it.filtered.clinical.moments, sides[side], bands)
         draw_band(axes, seconds, curve.mean, (curve.q05, curve.q95) if bands else None, COLOURS[side])
-    low, high = (np.concatenate([getattr(curve, end if bands else "mean") for curve in found.values()]) for end in ("q05", "q95"))
+        shown += [curve.mean, curve.q05, curve.q95] if bands else [curve.mean]
     if len(seconds) > 1:
         axes.set_xlim(seconds[0], seconds[-1])
-    axes.set_ylim(*limits(low, high, LEAST_SPAN["°"]))
+    axes.set_ylim(*limits(np.concatenate(shown), LEAST_SPAN["°"]))
     told = [f"{SIDES[side]} mean {value_range(curve.mean)} °{_widest(curve) if bands else ''}".strip() for side, curve in found.items()]
     return encoded(figure, f"{title} over time: {'; '.join(told)}.", f"+ {angle.positive}; − {angle.negative}")
 

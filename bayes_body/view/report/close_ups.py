@@ -92,6 +92,8 @@ def rank_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
     axes.fill_between(places, -height, height, color=INK, alpha=0.12, linewidth=0)
     axes.relim()
     axes.autoscale(axis="y")
+    # Differences have three decimals.
+    set_margins(figure, MARGINS[0] + 0.14)
     return encoded(figure, f"Rank plot of {title}: R-hat {rhat:.2f}.")
 
 

@@ -96,6 +96,12 @@ def _labels(run: "SavedRun") -> list[tuple[str, ...]]:
 def draw_filter(axes: "Axes", places: NDArray[Any], curves: Moments, column: int, bands: bool) -> None:
     """Draw the filter's mean, and with `bands` the ends of its 90 % interval, as thin grey lines; for a single frame there are none."""
     if len(places) > 1:
-        axes.plot(places, curves.mean[:, column], color=FILTER, linewidth=0.8)
-        for end in (curves.q05, curves.q95) if bands else ():
-            axes.plot(places, end[:, column], color=FILTER, linewidth=0.8, linestyle=":")
+        mean, *ends = drawn_filter(curves, column, bands)
+        axes.plot(places, mean, color=FILTER, linewidth=0.8)
+        for end in ends:
+            axes.plot(places, end, color=FILTER, linewidth=0.8, linestyle=":")
+
+
+def drawn_filter(curves: Moments, column: int, bands: bool) -> list[NDArray[np.floating]]:
+    """Return the curves that `draw_filter` draws, for which an axis needs room."""
+    return [curve[:, column] for curve in ((curves.mean, curves.q05, curves.q95) if bands else (curves.mean,))]

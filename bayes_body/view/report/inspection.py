@@ -12,8 +12,10 @@ from bayes_body.errors import InputError
 from bayes_body.metrics.plausibility_sentences import fit_sentences
 from bayes_body.posterior.diagnostics import Diagnosis, Thresholds, diagnose, sentences
 from bayes_body.posterior.moments import Moments
+from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.report.curves import FilterCurves, clinical_curves, dof_curves, filter_curves, units_of
 from bayes_body.view.report.figures import frames_a_point, time_label
+from bayes_body.view.report.predictive import Predicted, prediction_of
 
 if TYPE_CHECKING:
     from bayes_body.storage.saved_run import SavedRun
@@ -26,10 +28,12 @@ class Inspection:
     Attributes:
         run: the run, loaded from its folder.
         limits: limits beyond which a figure gives a warning.
+        watch: wraps the frames of what takes some seconds, to show progress.
     """
 
     run: "SavedRun"
     limits: Thresholds = Thresholds()
+    watch: Watch = unwatched
 
     @cached_property
     def diagnosis(self) -> Diagnosis:
@@ -91,6 +95,11 @@ class Inspection:
     def filtered(self) -> FilterCurves | None:
         """The same curves of the filter's run that was smoothed; None if there is none."""
         return filter_curves(self.run, self.frames)
+
+    @cached_property
+    def prediction(self) -> Predicted | str:
+        """What the draws predict in the images, against what was seen there; a sentence if that cannot be compared."""
+        return prediction_of(self.run, self.watch)
 
     @property
     def x_label(self) -> str:

@@ -20,7 +20,9 @@ from bayes_body.view.report.head import findings, key_figures, scales, subtitle,
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, joined, tag
 from bayes_body.view.report.message_passing import message_section
+from bayes_body.view.report.pairs import pair_section
 from bayes_body.view.report.pictures import QUALITIES, picture_section
+from bayes_body.view.report.prediction import prediction_section
 from bayes_body.view.report.provenance import provenance_section
 from bayes_body.view.report.runs import run_section
 from bayes_body.view.report.truth import truth_section
@@ -37,9 +39,11 @@ SECTIONS: Sequence[tuple[str, str, Callable[[Inspection], Markup]]] = (
     ("warnings", "Warnings", lambda it: findings(it.warnings)),
     ("pictures", "Pictures", lambda it: picture_section(it.run.folder, QUALITIES[0])),
     ("truth", "Comparison with the truth", truth_section),
+    ("prediction", "Posterior predictive check", prediction_section),
     ("clinical", "Clinical angles", clinical_section),
     ("gait", "Gait", gait_section),
     ("angles", "Angles and positions", band_section),
+    ("pairs", "Dependence of the angles", pair_section),
     ("filter", "Filter", filter_section),
     ("chains", "Markov chains", chain_section),
     ("messages", "Message passing", message_section),
@@ -70,9 +74,11 @@ def write_report(run: "SavedRun", out: Path | None = None, watch: Watch = unwatc
 
 def page(run: "SavedRun", watch: Watch = unwatched) -> str:
     """Return the page's HTML, in less than LARGEST bytes; for arguments and errors see `write_report`."""
-    it = Inspection(run)
+    it = Inspection(run, watch=watch)
     with style():
         made = sections_of(it)
+        # Before the sections, because it has a bar of its own, and two bars cannot be shown at once.
+        _ = it.prediction
         sections = [made[part][2](it) for part in watch(range(len(made)))]
     return fitted(it, sections, LARGEST)
 

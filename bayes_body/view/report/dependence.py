@@ -1,0 +1,91 @@
+r"""Which dofs depend on each other in the posterior: correlations of the weighted draws of a frame.
+
+Correlations are those within a run, $r = S_{jk} / \sqrt{S_{jj} S_{kk}}$ with S the mean of the runs' weighted covariances. So runs that found
+different poses do not look like dofs that depend on each other. With few effective draws n, large correlations occur by chance. Pairs are ordered by
+the adjusted square $1 - (1 - r^2)(n - 1) / (n - 2)$, whose mean is about 0 for independent dofs.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.posterior.blocks import coordinate_blocks, weights_of_runs
+from bayes_body.view.report.inspection import Inspection
+
+# Number of pairs in the table, and of dofs in the plot.
+PAIRS, DOFS = 6, 5
+# A pair with a smaller correlation is not shown. A frame with fewer effective draws is not chosen if there is another.
+LEAST, FEWEST = 0.3, 30
+# A dof that moves less than this, radians or metres, does not move.
+STILL = 1e-6
+
+
+class Dependence(NamedTuple):
+    """The dofs that depend most on each other, in the frame with the strongest dependence.
+
+    Attributes:
+        frame: the frame.
+        pairs: pairs of dofs with a correlation of at least LEAST, strongest first, at most PAIRS.
+        dofs: the dofs of the strongest pairs that fit into DOFS, in the body's order.
+        correlations: of all dofs at the frames of `Inspection.frames`; NaN for a dof that does not move.
+        place: the frame's index in `correlations`.
+    """
+
+    frame: int
+    pairs: Sequence[tuple[int, int]]
+    dofs: Sequence[int]
+    correlations: Float[np.ndarray, "frame dof dof"]
+    place: int
+
+
+def dependence(it: Inspection) -> Dependence:
+    """Return the strongest dependence of a run's posterior; without pairs if there is none."""
+    blocks = coordinate_blocks(it.run.tree, it.frames, spaces=it.run.spaces)
+    found = np.concatenate([correlations(block.poses, weights_of_runs(block.log_weights)) for block in blocks])
+    effective = it.diagnosis.ess[:, list(it.frames)].sum(axis=0)
+    upper = np.triu_indices(found.shape[1], 1)
+    squares = np.nan_to_num(adjusted(found[:, *upper], effective[:, None]), nan=-np.inf)
+    place = chosen_place(squares, effective)
+    order = np.argsort(-squares[place], kind="stable")
+    strong = [(int(upper[0][k]), int(upper[1][k])) for k in order if squares[place, k] > 0 and abs(found[place, upper[0][k], upper[1][k]]) >= LEAST]
+    return Dependence(it.frames[place], strong[:PAIRS], chosen_dofs(strong), found, place)
+
+
+def correlations(poses: Float[np.ndarray, "run draw frame dof"], weights: Float[np.ndarray, "run draw frame"]) -> Float[np.ndarray, "frame dof dof"]:
+    """Return the correlations within the runs; NaN for a dof that does not move.
+
+    Args:
+        poses: draws, radians and metres.
+        weights: with the sum 1 in each run and frame.
+    """
+    off = poses - np.einsum("rdf,rdfk->rfk", weights, poses)[:, None]
+    covariance = np.stack(
+        [np.mean([(w[:, None] * o).T @ o for w, o in zip(weights[..., f], off[:, :, f], strict=True)], axis=0) for f in range(poses.shape[2])]
+    )
+    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    sd = np.where(sd > STILL, sd, np.nan)
+    return np.clip(covariance / (sd[:, :, None] * sd[:, None, :]), -1, 1)
+
+
+def adjusted(r: Float[np.ndarray, "frame pair"], effective: Float[np.ndarray, "frame 1"]) -> Float[np.ndarray, "frame pair"]:
+    """Return r² without the part that chance explains, for that number of effective draws."""
+    count = np.maximum(effective, 3.0)
+    return 1 - (1 - r**2) * (count - 1) / (count - 2)
+
+
+def chosen_place(squares: Float[np.ndarray, "frame pair"], effective: Float[np.ndarray, " frame"]) -> int:
+    """Return the index of the frame whose strongest PAIRS pairs have the largest mean adjusted square, among frames with FEWEST effective draws."""
+    strongest = np.sort(np.maximum(squares, 0), axis=1)[:, -PAIRS:].sum(axis=1)
+    enough = effective >= min(FEWEST, effective.max())
+    return int(np.where(enough, strongest, -1.0).argmax())
+
+
+def chosen_dofs(pairs: Sequence[tuple[int, int]]) -> list[int]:
+    """Return the dofs of the pairs, at most DOFS; a pair that no longer fits is left out. Pairs are given strongest first."""
+    chosen: set[int] = set()
+    for pair in pairs:
+        if len(chosen | set(pair)) <= DOFS:
+            chosen |= set(pair)
+    return sorted(chosen)

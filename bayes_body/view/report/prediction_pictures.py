@@ -1,0 +1,117 @@
+"""Pictures of the posterior predictive check: one frame of each camera, with what was seen there and what the draws predict."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from cv2.typing import MatLike
+from jaxtyping import Float
+
+from bayes_body.view.overlay import backdrop, label
+from bayes_body.view.report.crop import Crop, crop_about
+from bayes_body.view.report.figures import data_uri
+from bayes_body.view.report.markup import Picture
+from bayes_body.view.report.predicted_keypoints import expected_pixels, marker_likelihood, predicted_pixels
+from bayes_body.view.report.predicted_silhouettes import body_masks, seen_mask
+from bayes_body.view.report.predictive import moment, seen_keypoints
+
+if TYPE_CHECKING:
+    from bayes_body.storage.saved_run import SavedRun
+
+WIDEST, QUALITY = 640, 75
+# BGR, the order of OpenCV.
+BLUE, ORANGE, PAPER = (235, 120, 0), (0, 110, 255), (255, 255, 255)
+# The recording is faded by this fraction towards grey, and then towards white, so that the marks stand out.
+GREYER, LIGHTER = 0.8, 0.25
+# Fixed-point pixels with four fractional bits.
+BITS = 4
+
+
+def keypoint_pictures(run: "SavedRun", index: int) -> Iterator[Picture]:
+    """Yield for each camera that sees keypoints in a frame a picture of them and of the predicted ones; the model reads keypoints."""
+    it, found = moment(run, index), marker_likelihood(run.model)
+    assert found is not None
+    seen, points = seen_keypoints(it)
+    likelihood = marker_likelihood(it.model)
+    assert likelihood is not None
+    detections = likelihood[1].detections
+    present = seen[..., 2] > float(detections.least_confidence)
+    middle = expected_pixels(detections, points).mean(axis=0)
+    # The first noise of each draw.
+    drawn = predicted_pixels(detections, points, np.where(present, seen[..., 2], 1.0), it.key)[: len(points)]
+    for c, view in enumerate(run.session.views):
+        here = present[c]
+        if not here.any():
+            continue
+        image = backdrop(run.session, index, view)[0]
+        crop = crop_about(np.concatenate([seen[c, here, :2], middle[c, here]]), view.camera.size_px, WIDEST)
+        picture = _faded(crop.cut(image))
+        if not run.mode_seeker:
+            picture = _dots(picture, crop.place(drawn[:, c, here].reshape(-1, 2)))
+        for at, mean in zip(crop.place(seen[c, here, :2]), crop.place(middle[c, here]), strict=True):
+            _residual(picture, at, mean)
+        alt = f"Seen and predicted keypoints in frame {index} of camera {view.camera.name}: {here.sum()} are seen."
+        yield _picture(label(picture, f"{view.camera.name}  frame {index}"), alt)
+
+
+def silhouette_pictures(run: "SavedRun", index: int) -> Iterator[Picture]:
+    """Yield for each camera that sees a silhouette in a frame a picture of its outline over the predicted ones."""
+    it = moment(run, index)
+    for c, (view, bodies) in enumerate(zip(run.session.views, body_masks(it.model, run.session, it.poses), strict=True)):
+        seen, size = seen_mask(it.frame, c), view.camera.size_px
+        if seen is None:
+            continue
+        image = backdrop(run.session, index, view)[0]
+        share = cv2.resize(np.mean(bodies, axis=0, dtype=np.float32), size, interpolation=cv2.INTER_LINEAR)
+        rows, columns = np.nonzero((share > 0) | seen)
+        crop = crop_about(np.stack([columns, rows], axis=1).astype(float), size, WIDEST)
+        picture = _covered(_faded(crop.cut(image)), crop.cut(share))
+        lines, _ = cv2.findContours(seen.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        for line in lines:
+            cv2.polylines(picture, [_fixed(crop, line[:, 0].astype(float))], True, ORANGE, 2, cv2.LINE_AA, shift=BITS)
+        alt = f"Predicted silhouettes in frame {index} of camera {view.camera.name}, under the outline of the seen one."
+        yield _picture(label(picture, f"{view.camera.name}  frame {index}"), alt)
+
+
+def _faded(image: MatLike) -> MatLike:
+    grey = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
+    faded = cv2.addWeighted(grey, GREYER, image, 1 - GREYER, 0)
+    return cv2.addWeighted(faded, 1 - LIGHTER, np.full_like(faded, 255), LIGHTER, 0)
+
+
+def _dots(picture: MatLike, points: Float[np.ndarray, "point 2"]) -> MatLike:
+    layer = picture.copy()
+    for point in _shifted(points[_inside(points, picture)]).tolist():
+        cv2.circle(layer, point, 2 << BITS, BLUE, -1, cv2.LINE_AA, shift=BITS)
+    return cv2.addWeighted(layer, 0.6, picture, 0.4, 0)
+
+
+def _residual(picture: MatLike, seen: Float[np.ndarray, "2"], mean: Float[np.ndarray, "2"]) -> None:
+    """Draw a seen keypoint as a circle, and the line to where it is expected."""
+    ends = _shifted(np.stack([seen, np.clip(mean, -1e4, 1e4)])).tolist()
+    for thickness, ink in ((4, PAPER), (2, ORANGE)):
+        cv2.line(picture, ends[0], ends[1], ink, thickness, cv2.LINE_AA, shift=BITS)
+        cv2.circle(picture, ends[0], 8 << BITS, ink, thickness, cv2.LINE_AA, shift=BITS)
+
+
+def _covered(picture: MatLike, share: Float[np.ndarray, "row column"]) -> MatLike:
+    opacity = 0.6 * np.clip(share, 0, 1)[..., None]
+    return np.round(picture * (1 - opacity) + np.array(BLUE) * opacity).astype(np.uint8)
+
+
+def _inside(points: Float[np.ndarray, "point 2"], picture: MatLike) -> np.ndarray:
+    return ((points >= 0) & (points < picture.shape[1::-1])).all(axis=-1)
+
+
+def _fixed(crop: Crop, points: Float[np.ndarray, "point 2"]) -> np.ndarray:
+    return _shifted(crop.place(points))
+
+
+def _shifted(points: Float[np.ndarray, "point 2"]) -> np.ndarray:
+    return np.round(points * (1 << BITS)).astype(np.int32)
+
+
+def _picture(picture: MatLike, alt: str) -> Picture:
+    content = cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])[1].tobytes()
+    return Picture(data_uri("image/webp", content), alt, inverts=False)
