@@ -188,5 +188,5 @@ def _check(density: Density) -> None:
         name = next(factor.name for factor in density.factors if factor.reads_previous)
         raise input_error('prediction = "gaussian"', f"'{name}' compares a frame with the frame before", "a model whose terms read one frame", remedy)
     if getattr(density.transition.carry, "func", density.transition.carry) is not nothing_carried:
-        found = f"the dynamics '{density.transition.name}' remember more than the pose of one frame"
+        found = f"the dynamics '{density.transition.name}' carry more along than the sampled variables of one frame"
         raise input_error('prediction = "gaussian"', found, "dynamics that depend on the pose of the frame before alone", remedy)

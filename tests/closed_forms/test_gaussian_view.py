@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro.distributions as dist
 import pytest
-from closed_forms.conftest import POSITION
+from closed_forms.conftest import POSITION, LinearGaussian
 
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
@@ -22,7 +22,7 @@ def _filtered(kernel, density, first, ys, keys):
         def frame(particles, step):
             number, y = step
             after, info = kernel(jax.random.fold_in(key, number), particles, density(y, particles))
-            w, x = jnp.exp(after.log_weights), after.states["x"]
+            w, x = jnp.exp(after.log_weights), jnp.concatenate([after.states[name] for name in ("x", "v") if name in after.states], axis=1)
             mean = w @ x
             return after, (mean, (x - mean).T @ ((x - mean) * w[:, None]), info.log_evidence)
 
@@ -43,6 +43,36 @@ def _check_against_kalman(model, ys):
 @pytest.mark.slow
 def test_on_a_gaussian_model_it_is_the_kalman_filter(linear_gaussian, observations):
     _check_against_kalman(linear_gaussian, observations)
+
+
+class Moving(LinearGaussian):
+    """The two coordinates are two variables, a position and a velocity, with independent noise. Only the position is seen."""
+
+    def density(self, y, previous):
+        arguments = (jnp.asarray(self.A), jnp.diagonal(jnp.asarray(self.Q_root)))
+        transition = Transition("moving", jax.tree_util.Partial(_moving, *arguments), jax.tree_util.Partial(_moving, jnp.eye(2), arguments[1]))
+        factor = Factor("y", "likelihood", (POSITION,), jax.tree_util.Partial(_at, jnp.asarray(self.R_sd)))
+        return Density(transition, (factor,), {"y": jnp.asarray(y)}, previous)
+
+    def start(self, key, count):
+        particles = super().start(key, count)
+        both = particles.states["x"]
+        return Particles({"x": both[:, :1], "v": both[:, 1:]}, particles.log_weights)
+
+
+def _moving(A, sd, state, scale=1.0):
+    both = A @ jnp.concatenate([state["x"], state["v"]])
+    return {"x": dist.Normal(both[:1], scale * sd[:1]).to_event(1), "v": dist.Normal(both[1:], scale * sd[1:]).to_event(1)}
+
+
+def _at(sd, values, y):
+    return jnp.sum(dist.Normal(values[POSITION], sd).log_prob(y))
+
+
+@pytest.mark.slow
+def test_variables_that_no_factor_reads_are_those_of_the_kalman_filter_too(observations):
+    A, H = np.array([[1.0, 1.0], [-0.2, 0.9]]), np.array([[1.0, 0.0]])
+    _check_against_kalman(Moving(A, np.diag([0.3, 0.5]), H, 0.4, np.array([0.5, -1.0]), np.diag([1.0, 0.7])), observations)
 
 
 @pytest.mark.long
@@ -100,7 +130,7 @@ def test_dynamics_with_a_longer_memory_are_refused(linear_gaussian):
     transition = density.transition
     longer = Transition("second_order", transition.conditional, transition.perturbation, carry=jax.tree_util.Partial(_remembered))
     kernel = build_kernel(**OPTIONS)
-    with pytest.raises(ValueError, match=r"the dynamics 'second_order' remember more .* --set prediction=particles"):
+    with pytest.raises(ValueError, match=r"the dynamics 'second_order' carry more along .* --set prediction=particles"):
         kernel(jax.random.key(0), previous, Density(longer, density.factors, density.data, previous))
     compared = Factor("flow", "likelihood", (POSITION, Variable("x", -1)), jax.tree_util.Partial(_look))
     with pytest.raises(ValueError, match="'flow' compares a frame with the frame before"):
