@@ -93,13 +93,19 @@ def gaussian_view(key: Key, density: Density) -> GaussianView:
         return jax.vmap(lambda state: joined(coordinates.unconstrain(state)))(draws)
 
     drawn = jax.vmap(one)(jax.random.split(key, weights.shape[0]), dict(density.previous.states))
+    return GaussianView(density, coordinates, *fitted_gaussian(weights, drawn))
+
+
+def fitted_gaussian(
+    weights: Float[Array, " particle"], drawn: Float[Array, "particle draw dof"]
+) -> tuple[Float[Array, " dof"], Float[Array, "dof dof"], Float[Array, "dof dof"]]:
+    """Return the mean, a root of the covariance and the inverse of the root; `weights` is the weight of each draw of a particle."""
     mean = jnp.einsum("p,pkd->d", weights, drawn)
     centred = (drawn - mean) * jnp.sqrt(weights)[:, None, None]
     covariance = jnp.einsum("pkd,pke->de", centred, centred)
     relative, absolute = FLOOR
     root = jnp.linalg.cholesky(covariance + jnp.diag(relative * jnp.diagonal(covariance) + absolute))
-    inverse = jax.scipy.linalg.solve_triangular(root, jnp.eye(root.shape[0], dtype=root.dtype), lower=True)
-    return GaussianView(density, coordinates, mean, root, inverse)
+    return mean, root, jax.scipy.linalg.solve_triangular(root, jnp.eye(root.shape[0], dtype=root.dtype), lower=True)
 
 
 def joined(position: State) -> Float[Array, " dof"]:

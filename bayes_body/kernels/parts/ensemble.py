@@ -19,7 +19,6 @@ from jaxtyping import Array, Float, Int
 from bayes_body.density.ahead import Ahead, sampled_of
 from bayes_body.density.chart import Chart
 from bayes_body.density.factor import Particles, State, Transition
-from bayes_body.density.spaces import Flat
 from bayes_body.kernels.parts.moves import shrunk
 from bayes_body.kernels.parts.weights import LogWeights
 from bayes_body.shapes import Key
@@ -59,7 +58,7 @@ def regressed(
     centre = {name: jnp.asarray(transition.space(name, leaf.shape[1:]).mean(weights, leaf)) for name, leaf in drawn.items()}
 
     def near(sampled: State) -> State:
-        return {name: _on_turn(name, value, centre[name], transition) for name, value in sampled.items()}
+        return transition.near(sampled, centre)
 
     unwound = jax.vmap(near)(drawn)
     keys = jax.random.split(key, (REPEATS, particles.log_weights.shape[0]))
@@ -89,12 +88,6 @@ def _gain(u: Float[Array, "particle size"], v: Float[Array, "repeat particle all
     noise = v - mean_v - (u - mean_u) @ slope.T
     residual = shrunk(jnp.mean(jnp.einsum("p,rpa,rpb->rab", weights, noise, noise), axis=0), share)
     return jnp.linalg.solve(slope @ spread @ slope.T + residual, slope @ spread).T
-
-
-def _on_turn(name: str, value: Array, centre: Array, transition: Transition) -> Array:
-    """Return a value with its angles on the circle within half a turn of a centre: full turns between paths are no distance."""
-    space = transition.space(name, value.shape)
-    return jnp.asarray(space.coordinates(centre, value)).reshape(value.shape) if isinstance(space, Flat) else value
 
 
 def replaced(particles: Particles, indices: Int[Array, " path"], sampled: Mapping[str, Array], transition: Transition) -> dict[str, Array]:
