@@ -28,6 +28,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--draws", type=bb.whole_number(1), default=1000, help="transitions of each chain after warm-up (%(default)s)")
     parser.add_argument("--paths", type=bb.whole_number(2), default=250, help="the smoother's paths for each run of the filter (%(default)s)")
     parser.add_argument("--prior", choices=["gaussian", "particles"], default="gaussian", help="form of the first frame's prior (%(default)s)")
+    parser.add_argument("--target-acceptance", type=float, default=0.9, help="with divergences, closer to 1: smaller steps (%(default)s)")
     parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="random seed (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="two frames, two chains of 100 draws: a trial")
     return parser.parse_args()
@@ -36,7 +37,7 @@ def parse() -> argparse.Namespace:
 def main() -> None:
     arguments = parse()
     bb.configure()
-    own = {"chains": arguments.chains, "warm_up": arguments.warm_up, "draws": arguments.draws, "paths": arguments.paths}
+    own = {name: getattr(arguments, name) for name in ("chains", "warm_up", "draws", "paths", "target_acceptance")}
     options = {"chains": 2, "warm_up": 100, "draws": 100, "paths": 40} if arguments.quick else own
     frames = 2 if arguments.quick else arguments.frames
     arguments.out.mkdir(parents=True, exist_ok=True)

@@ -36,7 +36,7 @@ class Options(Schema):
     warm_up: Count = 300
     draws: Count = 500
     metric: Metric = "diagonal"
-    target_acceptance: Annotated[float, Field(gt=0, lt=1)] = 0.8
+    target_acceptance: Annotated[float, Field(gt=0, lt=1)] = 0.9
 
 
 class WindowDraws(NamedTuple):
