@@ -20,7 +20,7 @@ from bayes_body.tracking.backward import Backward, Filtered
 pytestmark = [pytest.mark.long, pytest.mark.usefixtures("optimised")]
 
 FRAMES, PARTICLES, RUNS, DRAWS = 10, 4000, 8, 1000
-CHAINS, SWEEPS, BURN_IN, REFERENCE = 8, 4000, 200, 100
+CHAINS, SWEEPS, BURN_IN, REFERENCE = 8, 2000, 100, 60
 
 
 @pytest.fixture(scope="module")
