@@ -126,7 +126,7 @@ def _check(model: Model, filtered: Frames, frames: range) -> None:
     last = len(filtered) - 1
     if not len(frames) or frames.step != 1 or not 1 <= frames.start <= frames[-1] <= last:
         found = f"{frames.start} to {frames.stop - 1}"
-        raise input_error("the frames of the window", found, f"consecutive frames from 1 to {last}", "frame 0 has no particles before it")
+        raise input_error("the frames of the window", found, f"consecutive frames from 1 to {last}", "give others; frame 0 has no frame before it")
     unsuited = next((factor.name for factor in model.factors if factor.side == "likelihood" and not factor.has_gradient), None)
     if unsuited is not None:
         raise input_error("the model", f"the likelihood '{unsuited}' has no gradient", "likelihoods with a gradient", "choose another model")

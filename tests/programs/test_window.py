@@ -51,6 +51,8 @@ def filtered(textured_session, tmp_path_factory):
     return folder
 
 
+@pytest.mark.long
+@pytest.mark.usefixtures("optimised")
 def test_error_bars_of_a_window(run, filtered, tmp_path):
     done = run(PROGRAM, "--run", filtered / "smoothed", "--out", tmp_path, "--quick")
     assert (done.status, done.err) == (0, "")
@@ -67,15 +69,19 @@ def test_error_bars_of_a_window(run, filtered, tmp_path):
         assert (np.abs(pose.mean(("chain", "draw")) - POSES[3:]) < 5 * pose.std(("chain", "draw")) + 0.02).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("arguments", "part"),
-    [
-        (("--first", "3", "--frames", "3"), "the frames of the window: 3 to 5; expected consecutive frames from 1 to 4"),
-        (("--frames", "6"), "the frames of the window: -1 to 4; expected"),
-        (("--chains", "1"), "--chains: 1; expected"),
-        (("--run", "nowhere"), "nowhere: no such folder"),
-    ],
+    [(("--first", "3", "--frames", "3"), "3 to 5; expected consecutive frames from 1 to 4"), (("--frames", "6"), "-1 to 4; expected")],
 )
-def test_a_wrong_input_is_a_sentence(run, filtered, tmp_path, arguments, part):
+def test_a_window_outside_the_run_is_a_sentence(run, filtered, tmp_path, arguments, part):
     done = run(PROGRAM, "--run", filtered / "run", "--out", tmp_path / "window", *arguments)
+    assert done.status == 2 and f"the frames of the window: {part}" in done.err.splitlines()[-1] and done.out == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"), [(("--chains", "1"), "--chains: 1; expected"), (("--run", "nowhere"), "nowhere: no such folder")], ids=["chains", "run"]
+)
+def test_a_wrong_input_is_a_sentence(run, tmp_path, arguments, part):
+    done = run(PROGRAM, "--run", ".", "--out", tmp_path / "window", *arguments)
     assert done.status == 2 and part in done.err.splitlines()[-1] and done.out == ""
