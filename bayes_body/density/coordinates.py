@@ -11,7 +11,8 @@ from jaxtyping import Array
 from numpyro.distributions import Distribution, biject_to
 from numpyro.distributions.transforms import Transform
 
-from bayes_body.density.factor import State
+from bayes_body.density.chart import Chart
+from bayes_body.density.factor import State, Transition
 from bayes_body.shapes import Scalar
 
 
@@ -38,3 +39,8 @@ class Coordinates(NamedTuple):
 def coordinates_of(distributions: Mapping[str, Distribution]) -> Coordinates:
     """Return the coordinates for the supports of these distributions, one per variable."""
     return Coordinates({name: biject_to(distribution.support) for name, distribution in distributions.items()})
+
+
+def coordinates_after(transition: Transition, before: State) -> Chart:
+    """Return the unconstrained coordinates of the states after a state."""
+    return coordinates_of(transition.conditional(before)) if transition.chart is None else transition.chart(before)

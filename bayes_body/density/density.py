@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 from numpyro.distributions import Distribution
 
 from bayes_body.density.chart import Chart
-from bayes_body.density.coordinates import coordinates_of
+from bayes_body.density.coordinates import coordinates_after
 from bayes_body.density.factor import Data, Factor, Particles, Side, State, Transition, variables
 from bayes_body.density.tempering import LogTerms, tempered
 from bayes_body.errors import input_error
@@ -202,8 +202,7 @@ class Density:
 
     def coordinates(self) -> Chart:
         """Return unconstrained coordinates for the sampled variables, the same for every ancestor."""
-        first, chart = self.ancestor(0), self.transition.chart
-        return coordinates_of(self.transition.conditional(first)) if chart is None else chart(first)
+        return coordinates_after(self.transition, self.ancestor(0))
 
     def unconstrained(self) -> "Unconstrained":
         """Return the marginal view in unconstrained coordinates, for gradient-based samplers."""

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpyro.distributions import Distribution
 
-from bayes_body.density.spaces import Space, numbered
+from bayes_body.density.spaces import Flat, Space, numbered
 from bayes_body.shapes import Key, Scalar
 
 type State = Mapping[str, Array]
@@ -155,6 +155,15 @@ class Transition:
     def state(self, previous: State, sampled: State) -> State:
         """Return the whole state of sampled variables: with those that follow from them and those that come from the previous state."""
         return self.carry(previous, self.with_derived(sampled))
+
+    def near(self, sampled: State, centre: State) -> dict[str, Array]:
+        """Return sampled variables with their angles on the circle within half a turn of a centre: full turns between states are no distance."""
+
+        def one(name: str, value: Array) -> Array:
+            space = self.space(name, value.shape)
+            return jnp.asarray(space.coordinates(centre[name], value)).reshape(value.shape) if isinstance(space, Flat) else value
+
+        return {name: one(name, value) for name, value in sampled.items()}
 
     def sample(self, key: Key, previous: State) -> State:
         """Draw a state of the next frame."""

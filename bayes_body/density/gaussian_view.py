@@ -141,17 +141,12 @@ def gaussian_view(key: Key, density: Density) -> GaussianView:
         return jax.vmap(lambda state: joined(coordinates.unconstrain(state)))(draws)
 
     drawn = jax.vmap(one)(jax.random.split(key, weights.shape[0]), dict(density.previous.states))
-    mean = jnp.einsum("p,pkd->d", weights, drawn)
-    centred = (drawn - mean) * jnp.sqrt(weights)[:, None, None]
-    covariance = jnp.einsum("pkd,pke->de", centred, centred)
-    relative, absolute = FLOOR
-    covariance += jnp.diag(relative * jnp.diagonal(covariance) + absolute)
+    mean, covariance = _fitted_moments(weights, drawn)
     like = coordinates.unconstrain(density.ancestor(0))
     unread = {name: like[name] for name in _unread(density, sorted(like))}
     is_unread = np.concatenate([np.full(like[name].shape[0], name in unread) for name in sorted(like)])
     first, last = np.flatnonzero(~is_unread), np.flatnonzero(is_unread)
-    root = jnp.linalg.cholesky(covariance[jnp.ix_(first, first)])
-    inverse = jax.scipy.linalg.solve_triangular(root, jnp.eye(root.shape[0], dtype=root.dtype), lower=True)
+    root, inverse = _roots(covariance[jnp.ix_(first, first)])
     view = GaussianView(density, coordinates, mean[first], root, inverse)
     if not unread:
         return view
@@ -168,6 +163,30 @@ def _unread(density: Density, names: Sequence[str]) -> list[str]:
     scope = {variable.name for factor in density.factors for variable in factor.scope}
     unread = [name for name in names if name not in scope]
     return unread if len(unread) < len(names) else []
+
+
+def fitted_gaussian(
+    weights: Float[Array, " particle"], drawn: Float[Array, "particle draw dof"]
+) -> tuple[Float[Array, " dof"], Float[Array, "dof dof"], Float[Array, "dof dof"]]:
+    """Return the mean, a root of the covariance and the inverse of the root; `weights` is the weight of each draw of a particle."""
+    mean, covariance = _fitted_moments(weights, drawn)
+    return mean, *_roots(covariance)
+
+
+def _fitted_moments(
+    weights: Float[Array, " particle"], drawn: Float[Array, "particle draw dof"]
+) -> tuple[Float[Array, " dof"], Float[Array, "dof dof"]]:
+    mean = jnp.einsum("p,pkd->d", weights, drawn)
+    centred = (drawn - mean) * jnp.sqrt(weights)[:, None, None]
+    covariance = jnp.einsum("pkd,pke->de", centred, centred)
+    relative, absolute = FLOOR
+    return mean, covariance + jnp.diag(relative * jnp.diagonal(covariance) + absolute)
+
+
+def _roots(covariance: Float[Array, "dof dof"]) -> tuple[Float[Array, "dof dof"], Float[Array, "dof dof"]]:
+    """Return a root, and its inverse."""
+    root = jnp.linalg.cholesky(covariance)
+    return root, jax.scipy.linalg.solve_triangular(root, jnp.eye(root.shape[0], dtype=root.dtype), lower=True)
 
 
 def joined(position: State) -> Float[Array, " dof"]:

@@ -8,6 +8,8 @@ window is conditioned on that state. All states are rebuilt from the particle on
 belongs to the same path. Only the first frames of the window read the particle, as many as the transition's memory. So only these are summed over the
 particles.
 
+With a `prior`, one Gaussian over these first frames takes the place of that sum (density/window_prior.py).
+
 Frames after the window that are fixed (density/ahead.py) have a density given the window. With them, a window is one block of a longer path.
 """
 
@@ -16,18 +18,22 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from bayes_body.density.ahead import Ahead, log_ahead, sampled_of
 from bayes_body.density.chart import Chart
+from bayes_body.density.coordinates import coordinates_after
 from bayes_body.density.density import Density, Predictions
 from bayes_body.density.factor import Particles, State
 from bayes_body.density.frames import Frames, Own
 from bayes_body.density.sharding import varying_like
+from bayes_body.density.window_prior import WindowPrior, window_prior
+from bayes_body.errors import input_error
 from bayes_body.shapes import Index, Key, Scalar
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=[], data_fields=["frames", "before", "predictions", "references", "ahead", "after"])
+@partial(jax.tree_util.register_dataclass, meta_fields=[], data_fields=["frames", "before", "predictions", "references", "ahead", "after", "prior"])
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """The joint log-density of a window's frames. Create it with `trajectory`. A position has a leading frame axis.
@@ -39,6 +45,7 @@ class Trajectory:
         references: (frame, ...) for each frame a state of the frame before, around which its coordinates are laid.
         ahead: the fixed frames after the window; None if there are none.
         after: the density of the first of them, if a factor reads the frame before.
+        prior: the Gaussian prior of the first frames; None for the sum over the particles.
     """
 
     frames: Frames
@@ -47,14 +54,13 @@ class Trajectory:
     references: State
     ahead: Ahead | None = None
     after: Density | None = None
+    prior: WindowPrior | None = None
 
     def __call__(self, position: State) -> Scalar:
         """Return the log-density at a position, including the Jacobians, up to the evidence."""
-        sampled, log_determinant = self._constrained(position)
+        sampled, log_determinants = self._constrained(position)
         alone = jax.vmap(lambda own, here: self.frames.alone(own, self.frames.transition.with_derived(here)))(self.frames.own, sampled)
-        by_ancestor = self._by_ancestor(sampled)
-        linked = by_ancestor[0] if by_ancestor.shape == (1,) else jax.nn.logsumexp(by_ancestor)
-        return linked + self._rest(sampled) + jnp.sum(alone) + log_determinant
+        return self._first(position, sampled, log_determinants) + self._rest(sampled) + jnp.sum(alone) + jnp.sum(log_determinants)
 
     def states(self, position: State, ancestor: int | Index = 0) -> State:
         """Return the whole states of the frames (frame, ...) at a position, which follow a particle of the frame before."""
@@ -83,18 +89,27 @@ class Trajectory:
 
     # -- parts of the sum ---------------------------------------------------------------------------------------------------------------------
 
-    def _constrained(self, position: State) -> tuple[dict[str, Array], Scalar]:
-        """Return the sampled variables of all frames, and the sum of the log-Jacobians."""
+    def _constrained(self, position: State) -> tuple[dict[str, Array], Float[Array, " frame"]]:
+        """Return the sampled variables of all frames, and their log-Jacobians."""
 
         def one(reference: State, here: State) -> tuple[dict[str, Array], Scalar]:
             chart = self._chart(reference)
             return chart.constrain(here), chart.log_determinant(here)
 
-        sampled, log_determinants = jax.vmap(one)(self.references, dict(position))
-        return sampled, jnp.sum(log_determinants)
+        return jax.vmap(one)(self.references, dict(position))
+
+    def _first(self, position: State, sampled: State, log_determinants: Float[Array, " frame"]) -> Scalar:
+        """Return the prior of the first frames: the sum over the particles, or the Gaussian."""
+        if self.prior is None:
+            by_ancestor = self._by_ancestor(sampled)
+            return by_ancestor[0] if by_ancestor.shape == (1,) else jax.nn.logsumexp(by_ancestor)
+        count = self._reading(_length(sampled))
+        first = jax.vmap(lambda frame: ravel_pytree(frame)[0])(_cut(dict(position), 0, count))
+        # The Gaussian is a density over the coordinates.
+        return self.prior.log_density(first) - jnp.sum(log_determinants[:count])
 
     def _chart(self, reference: State) -> Chart:
-        return coordinates_after(self.frames, reference)
+        return coordinates_after(self.frames.transition, reference)
 
     def _particle(self, index: int | Index) -> State:
         return jax.tree.map(lambda leaf: leaf[index], dict(self.before.states))
@@ -102,7 +117,8 @@ class Trajectory:
     def _reading(self, count: int) -> int:
         """Return the number of first frames that are summed over the particles: all if there is one particle."""
         memory = self.frames.transition.frames_read
-        return count if memory is None or self.before.log_weights.shape[0] == 1 else min(memory, count)
+        summed = self.prior is not None or self.before.log_weights.shape[0] > 1
+        return min(memory, count) if summed and memory is not None else count
 
     def _by_ancestor(self, sampled: State) -> Float[Array, " particle"]:
         """Return, for each particle of the frame before, the terms that depend on it."""
@@ -163,7 +179,9 @@ class Trajectory:
         return jax.lax.scan(one, varying_like(dict(before), sampled), dict(sampled))[1]
 
 
-def trajectory(frames: Frames, before: Particles, path: State, ahead: Ahead | None = None, after: Density | None = None) -> Trajectory:
+def trajectory(
+    frames: Frames, before: Particles, path: State, ahead: Ahead | None = None, after: Density | None = None, gaussian: Key | None = None
+) -> Trajectory:
     """Return the joint log-density of a window.
 
     Args:
@@ -172,16 +190,23 @@ def trajectory(frames: Frames, before: Particles, path: State, ahead: Ahead | No
         path: whole states of the window's frames (frame, ...), around which the coordinates are laid.
         ahead: fixed frames after the window.
         after: the density of the first of them, if a factor reads the frame before.
+        gaussian: a random key, for a Gaussian prior of the first frames in place of the mixture of the particles' predictions.
+
+    Raises:
+        InputError: the prior is to be Gaussian, but a term compares frames, or the motion prior remembers all frames before.
     """
     references = {name: jnp.concatenate([before.states[name][:1], states[:-1]]) for name, states in path.items()}
     predictions = Density(frames.transition, (), {}, before).predictions()
-    return Trajectory(frames, before, predictions, references, ahead, after if frames.linked else None)
+    prior = None if gaussian is None else _prior(gaussian, frames, before, references)
+    return Trajectory(frames, before, predictions, references, ahead, after if frames.linked else None, prior)
 
 
-def coordinates_after(frames: Frames, before: State) -> Chart:
-    """Return the unconstrained coordinates of the states after a state."""
-    one = Particles(jax.tree.map(lambda leaf: leaf[None], dict(before)), jnp.zeros(1))
-    return Density(frames.transition, (), {}, one).coordinates()
+def _prior(key: Key, frames: Frames, before: Particles, references: State) -> WindowPrior:
+    if frames.linked:
+        found, expected = "a term compares a frame with the frame before", "terms that read one frame"
+        raise input_error("a Gaussian prior of a window", found, expected, "take the mixture of the particles' predictions")
+    memory = frames.transition.frames_read
+    return window_prior(key, frames.transition, before, references if memory is None else _cut(references, 0, memory))
 
 
 def sampled_path(frames: Frames, path: State) -> dict[str, Array]:

@@ -157,12 +157,14 @@ class Smoother:
         """
 
         def one(item: tuple[Key, State, State, Ahead], settings: Moves) -> tuple[State, Scalar]:
-            key, here, before, ahead = item
-            rates = []
-            for number in range(self.options.moves):
-                here, rate = self._moved(jax.random.fold_in(key, number), here, before, ahead, settings)
-                rates.append(rate)
-            return here, jnp.mean(jnp.stack(rates))
+            key, start, before, ahead = item
+
+            # A loop, so that the program holds one move, however many there are.
+            def again(here: State, number: Index) -> tuple[State, Scalar]:
+                return self._moved(jax.random.fold_in(key, number), here, before, ahead, settings)
+
+            here, rates = jax.lax.scan(again, start, jnp.arange(self.options.moves))
+            return here, jnp.mean(rates)
 
         keys = jax.random.split(key, self.options.draws)
         after, rates = over_particles(one, (keys, dict(sampled), dict(before), ahead), settings)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 from pydantic import Field
 
 from bayes_body.density.factor import State
@@ -36,7 +36,7 @@ class Options(Schema):
     warm_up: Count = 300
     draws: Count = 500
     metric: Metric = "diagonal"
-    target_acceptance: Annotated[float, Field(gt=0, lt=1)] = 0.8
+    target_acceptance: Annotated[float, Field(gt=0, lt=1)] = 0.9
 
 
 class WindowDraws(NamedTuple):
@@ -46,19 +46,23 @@ class WindowDraws(NamedTuple):
         states: whole states (chain, draw, frame, ...).
         r_hat: rank-normalised split R-hat of each unconstrained coordinate.
         effective: bulk effective sample size of each, of all chains together.
-        divergences: number of divergent trajectories of each chain after warm-up.
-        leapfrog_steps: number of leapfrog steps of all chains after warm-up.
-        warm_up_steps: and in warm-up.
-        acceptance: mean acceptance rate of each chain.
+        divergent: whether each trajectory after warm-up diverged.
+        leapfrog_steps: number of leapfrog steps of each trajectory.
+        acceptance: acceptance rate of each.
+        log_density: at each draw, up to the evidence.
+        step_size: of each chain after warm-up, in whitened coordinates.
+        warm_up_steps: number of leapfrog steps of all chains in warm-up.
     """
 
     states: State
     r_hat: Float[Array, "frame dof"]
     effective: Float[Array, "frame dof"]
-    divergences: Int[Array, " chain"]
-    leapfrog_steps: Int[Array, ""]
+    divergent: Bool[Array, "chain draw"]
+    leapfrog_steps: Int[Array, "chain draw"]
+    acceptance: Float[Array, "chain draw"]
+    log_density: Float[Array, "chain draw"]
+    step_size: Float[Array, " chain"]
     warm_up_steps: Int[Array, ""]
-    acceptance: Float[Array, " chain"]
 
 
 def sample_window(key: Key, target: Trajectory, paths: State, whitening: Whitening | None = None, **options: int | float | str) -> WindowDraws:
@@ -110,8 +114,8 @@ def _sampled(key: Key, target: Trajectory, starts: State, whitening: Whitening, 
     completed = over_particles(complete, (keys, every), (target, whitening, form))
     states, coordinates = jax.tree.map(lambda leaf: leaf.reshape(*chains.draws.shape[:2], *leaf.shape[1:]), completed)
     r_hat, effective = chain_diagnostics(coordinates)
-    divergences, rates = jnp.sum(chains.divergent, axis=1, dtype=jnp.int32), jnp.mean(chains.acceptance, axis=1)
-    return WindowDraws(states, r_hat, effective, divergences, jnp.sum(chains.steps), jnp.sum(chains.warm_up_steps), rates)
+    by_draw = chains.divergent, chains.steps, chains.acceptance, chains.log_density
+    return WindowDraws(states, r_hat, effective, *by_draw, chains.step_size, jnp.sum(chains.warm_up_steps))
 
 
 def _log_density(shared: tuple[Trajectory, Whitening, State], white: Float[Array, " entry"]) -> Scalar:

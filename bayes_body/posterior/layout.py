@@ -54,7 +54,7 @@ def variables(draws: Draws) -> list[Variable]:
     layers = {"survival_rate": "survival_rate", "inverse_temperature": "inverse_temperatures", "acceptance_rate": "acceptance_rate"}
     return [
         *(
-            Variable("posterior", name, (*by_draw, *_dims(name, space)), _state(name), {SPACE: space_to_text(space)})
+            Variable("posterior", name, (*by_draw, *space_dims(name, space)), _state(name), {SPACE: space_to_text(space)})
             for name, space in spaces.items()
         ),
         Variable("sample_stats", "log_weight", by_draw, lambda frame: frame.log_weights),
@@ -79,7 +79,7 @@ def _spaces(draws: Draws) -> dict[str, Space]:
     return {name: draws.model.transition.space(name, values.shape[2:]) for name, values in draws.frames[0].states.items()}
 
 
-def _dims(name: str, space: Space) -> tuple[str, ...]:
+def space_dims(name: str, space: Space) -> tuple[str, ...]:
     """Return the dimensions of one draw of a state's variable."""
     return tuple(axis.name or f"{name}_dim_{place}" for place, axis in enumerate(space.axes))
 
@@ -93,7 +93,7 @@ def _markov_dims(name: str, shape: tuple[int, ...], spaces: Mapping[str, Space])
 
 def _node(spaces: Mapping[str, Space]) -> str:
     """Return the dimension of the nodes of a graph: the first one of the plated variable."""
-    return next((_dims(name, space)[0] for name, space in spaces.items() if isinstance(space, Plate)), NODE)
+    return next((space_dims(name, space)[0] for name, space in spaces.items() if isinstance(space, Plate)), NODE)
 
 
 def _state(name: str) -> Callable[[FrameResult], Any]:
@@ -144,7 +144,7 @@ def _axes(draws: Draws) -> dict[str, Axis]:
     """
     found: dict[str, Axis] = {}
     for name, space in _spaces(draws).items():
-        for dim, axis in zip(_dims(name, space), space.axes, strict=True):
+        for dim, axis in zip(space_dims(name, space), space.axes, strict=True):
             if found.setdefault(dim, axis) != axis:
                 raise ValueError(f"the axis '{dim}' of the variable '{name}' has other labels than that of another variable")
         if isinstance(space, Plate) and draws.frames[0].info.messages:

@@ -9,6 +9,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
+from itertools import islice
 from typing import Any, NamedTuple
 
 import jax
@@ -95,6 +96,43 @@ def smooth(
                 if on_frame is not None:
                     on_frame(SmoothProgress(number, count, seconds / (number - done), int(result.info.ess.min())))
     return LastFirst(into)
+
+
+def smooth_window(session: Session, model: Model, smoother: Smoother, filtered: Frames, key: Key, frames: range) -> list[FrameResult]:
+    """Draw paths through a window, given the images up to its end. Return its frames in the order of time.
+
+    Args:
+        session: the recording.
+        model: the model with which it was filtered.
+        smoother: from `kernels.smoother.build_smoother`.
+        filtered: the frames of the filters.
+        key: random key of all paths.
+        frames: consecutive numbers of frames.
+
+    Raises:
+        InputError: a frame cannot be read.
+    """
+    with closing(_Recording(session, model, smoother, frames[-1])) as recording:
+        walk = _Walk(model, smoother, _Begun(filtered, frames.stop), [], recording)
+        return list(islice(walk.frames(key), len(frames)))[::-1]
+
+
+class _Begun:
+    """The first frames of some."""
+
+    def __init__(self, frames: Frames, count: int):
+        self._frames, self._count = frames, count
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: int, /) -> FrameResult:
+        if not 0 <= index < self._count:
+            raise IndexError(index)
+        return self._frames[index]
+
+    def __iter__(self) -> Iterator[FrameResult]:
+        return (self[index] for index in range(self._count))
 
 
 class _Recording:

@@ -120,6 +120,27 @@ def test_the_particle_before_is_drawn_given_the_window():
     assert np.allclose(states[BEFORE], jnp.concatenate([before.states["x"][ancestor][None], PATH[: COUNT - 1]]))
 
 
+@pytest.mark.parametrize("process", [FIRST, SECOND], ids=["first order", "second order"])
+def test_with_a_gaussian_prior_the_window_is_the_exact_smoother(process):
+    """Particles from a normal distribution: the slope at the exact mean is zero, and the curvature is the inverse of the exact covariance."""
+    mean, covariance = process.exact()
+    x = jnp.asarray(mean, float).reshape(-1, 2)
+    states = {"x": x} | ({BEFORE: x} if process.memory == 2 else {})
+    before = process.start(jax.random.key(0), 20_000)
+    target = trajectory(process.frames(), before, states, gaussian=jax.random.key(1))
+    slope, curvature = jax.jit(lambda x: (jax.grad(target)({"x": x})["x"], jax.hessian(target)({"x": x})["x"]["x"]))(x)
+    root = np.linalg.cholesky(covariance)
+    # The particles' own moments are off by about a hundredth.
+    assert np.abs(root.T @ np.asarray(slope, float).ravel()).max() < 0.05
+    assert np.abs(root.T @ np.asarray(curvature, float).reshape(root.shape) @ root + np.eye(len(root))).max() < 0.05
+
+
+def test_a_gaussian_prior_is_refused_where_a_term_compares_frames():
+    frames, before = FIRST._replace(linked=True).frames(), FIRST.start(jax.random.key(0))
+    with pytest.raises(InputError, match="a Gaussian prior of a window: a term compares a frame with the frame before"):
+        trajectory(frames, before, {"x": jnp.zeros((len(SEEN), 2))}, gaussian=jax.random.key(0))
+
+
 @pytest.mark.parametrize("densities", [[], [_walled(jnp.zeros(())), _walled(jnp.zeros(2))]], ids=["none", "of other shapes"])
 def test_frames_that_do_not_fit_are_refused(densities):
     with pytest.raises(InputError, match=r"the window: data of other shapes|the frames: none"):

@@ -20,7 +20,8 @@ GRAPHS = {"particle_bp_on_a_grid": "beliefs.png", "particle_bp_smoother": "swing
 FILTERS = [
     path
     for path in PROGRAMS
-    if path.stem not in {"estimator_variance", "loose_limbed", "recover", "image_motion", "bending_arm", "prior_only", "few_cameras", *GRAPHS}
+    if path.stem
+    not in {"estimator_variance", "loose_limbed", "recover", "image_motion", "bending_arm", "prior_only", "few_cameras", "window", *GRAPHS}
 ]
 # These compile the gradient of an image likelihood.
 TIERS = dict.fromkeys(("tempered_smc", "hmc_filter"), pytest.mark.long)

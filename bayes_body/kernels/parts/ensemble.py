@@ -20,7 +20,6 @@ from jaxtyping import Array, Float, Int
 from bayes_body.density.ahead import Ahead, sampled_of
 from bayes_body.density.chart import Chart
 from bayes_body.density.factor import Particles, State, Transition
-from bayes_body.density.spaces import Flat
 from bayes_body.kernels.parts.moves import shrunk
 from bayes_body.kernels.parts.weights import LogWeights
 from bayes_body.shapes import Key
@@ -99,7 +98,7 @@ def _drawn(key: Key, particles: Particles, transition: Transition, chart: Chart,
     centre = {name: jnp.asarray(transition.space(name, leaf.shape[1:]).mean(weights, leaf)) for name, leaf in drawn.items()}
 
     def near(sampled: State) -> State:
-        return {name: _on_turn(name, value, centre[name], transition) for name, value in sampled.items()}
+        return transition.near(sampled, centre)
 
     def flat(sampled: State) -> Array:
         return ravel_pytree(chart.unconstrain(near(sampled)))[0]
@@ -142,12 +141,6 @@ def _inverse(covariance: Float[Array, "size size"]) -> Float[Array, "size size"]
     sd = jnp.sqrt(jnp.diagonal(covariance))
     units = sd[:, None] * sd
     return jnp.linalg.inv(covariance / units) / units
-
-
-def _on_turn(name: str, value: Array, centre: Array, transition: Transition) -> Array:
-    """Return a value with its angles on the circle within half a turn of a centre: full turns between paths are no distance."""
-    space = transition.space(name, value.shape)
-    return jnp.asarray(space.coordinates(centre, value)).reshape(value.shape) if isinstance(space, Flat) else value
 
 
 def replaced(particles: Particles, indices: Int[Array, " path"], sampled: Mapping[str, Array], transition: Transition) -> dict[str, Array]:

@@ -32,6 +32,20 @@ class NutsSchedule(NamedTuple):
     target_acceptance: float
 
 
+class _Centre(NamedTuple):
+    """The part of a low-rank adaptation that blackjax reads after warm-up."""
+
+    mu_star: Any
+
+
+class _WarmUp(NamedTuple):
+    """What is kept of a step of warm-up: the position, the number of leapfrog steps, and what blackjax itself reads."""
+
+    position: Array
+    steps: Int[Array, ""]
+    adaptation_state: _Centre
+
+
 class NutsChains(NamedTuple):
     """The draws of chains and their figures, with a leading chain axis.
 
@@ -40,6 +54,7 @@ class NutsChains(NamedTuple):
         divergent: whether each trajectory after warm-up diverged.
         steps: number of leapfrog steps of each.
         acceptance: acceptance rate of each.
+        log_density: at each draw.
         step_size: after warm-up.
         warm_up_steps: number of leapfrog steps of the whole warm-up.
     """
@@ -48,6 +63,7 @@ class NutsChains(NamedTuple):
     divergent: Bool[Array, "chain draw"]
     steps: Int[Array, "chain draw"]
     acceptance: Float[Array, "chain draw"]
+    log_density: Float[Array, "chain draw"]
     step_size: Float[Array, " chain"]
     warm_up_steps: Int[Array, " chain"]
 
@@ -76,7 +92,7 @@ def run_nuts(
 
         def step(state: Any, key: Key) -> tuple[Any, tuple[Array, ...]]:
             state, info = kernel(key, state, target, **parameters)
-            return state, (state.position, info.is_divergent, info.num_integration_steps, info.acceptance_rate)
+            return state, (state.position, info.is_divergent, info.num_integration_steps, info.acceptance_rate, state.logdensity)
 
         _, out = jax.lax.scan(step, state, jax.random.split(draw_key, schedule.draws))
         return (*out, jnp.asarray(parameters["step_size"]), warm_up_steps)
@@ -98,14 +114,16 @@ def _warmed_up(key: Key, start: Array, target: Callable[[Array], Scalar], schedu
         target,
         initial_step_size=0.5 * start.size**-0.25,
         target_acceptance_rate=schedule.target_acceptance,
-        adaptation_info_fn=lambda state, info, _: (state.position, info.num_integration_steps),
+        adaptation_info_fn=lambda state, info, adapted: _WarmUp(
+            state.position, info.num_integration_steps, _Centre(getattr(adapted, "mu_star", None))
+        ),
         max_num_doublings=DOUBLINGS,
         **options,
     )
-    (state, parameters), (positions, steps) = adaptation.run(key, start, schedule.warm_up)
+    (state, parameters), kept = adaptation.run(key, start, schedule.warm_up)
     # After a low-rank warm-up blackjax puts every chain on the estimated mean, where chains could not disagree.
-    state = cast(Any, blackjax.nuts.init)(positions[-1], target) if low_rank else state
-    return state, parameters, jnp.sum(steps)
+    state = cast(Any, blackjax.nuts.init)(kept.position[-1], target) if low_rank else state
+    return state, parameters, jnp.sum(kept.steps)
 
 
 def chain_diagnostics(draws: Float[Array, "chain draw *shape"]) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:

@@ -1,0 +1,84 @@
+r"""The prior of the first frames of a window as one Gaussian in unconstrained coordinates, fitted to what the motion prior predicts from particles.
+
+The exact prior is a mixture with a component for each particle of the frame before (density/trajectory.py). In many dimensions these components are
+far apart: the posterior has as many modes, and chains do not pass between them. The Gaussian has the mixture's mean and covariance. It is the prior
+that a filter with `prediction = "gaussian"` uses from frame to frame (density/gaussian_view.py).
+
+As many frames read the particles as the motion prior has memory, so the Gaussian is over these frames together. Its entries are the coordinates of
+the first frame and the steps to the next ones: a step varies far less than the place it starts from, and its variance would be lost in rounding.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from bayes_body.density.ahead import sampled_of
+from bayes_body.density.coordinates import coordinates_after
+from bayes_body.density.factor import Particles, State, Transition
+from bayes_body.density.gaussian_view import TRANSITIONS, fitted_gaussian
+from bayes_body.errors import input_error
+from bayes_body.shapes import Key, Scalar
+
+
+class WindowPrior(NamedTuple):
+    """The Gaussian over the first frames of a window. Create it with `window_prior`.
+
+    Attributes:
+        mean: of the coordinates of the first frame, then of the steps.
+        inverse_root: the inverse of a lower triangular root of the covariance.
+    """
+
+    mean: Float[Array, " entry"]
+    inverse_root: Float[Array, "entry entry"]
+
+    def log_density(self, coordinates: Float[Array, "frame dof"]) -> Scalar:
+        """Return the log-density of coordinates of the first frames. It is a density over them, so no Jacobian is added."""
+        noise = self.inverse_root @ (_steps(coordinates) - self.mean)
+        return jnp.sum(jnp.log(jnp.diagonal(self.inverse_root))) - 0.5 * jnp.sum(noise * noise) - 0.5 * noise.size * jnp.log(2 * jnp.pi)
+
+
+def window_prior(key: Key, transition: Transition, before: Particles, references: State) -> WindowPrior:
+    """Return the Gaussian over as many frames as there are references.
+
+    Args:
+        key: random key of the draws.
+        transition: the motion prior.
+        before: the weighted particles of the frame before the window.
+        references: (frame, ...) for each frame a state of the frame before, around which its coordinates are laid.
+
+    Raises:
+        InputError: the motion prior remembers all frames before.
+    """
+    if transition.frames_read is None:
+        found = f"the dynamics '{transition.name}' remember all frames before"
+        raise input_error("a Gaussian prior of a window", found, "dynamics that read a few frames", "choose a model with other dynamics")
+    return _fitted(key, transition, before, references)
+
+
+@jax.jit
+def _fitted(key: Key, transition: Transition, before: Particles, references: State) -> WindowPrior:
+    weights = jax.nn.softmax(before.log_weights) / TRANSITIONS
+
+    def path(key: Key, state: State) -> Float[Array, " entry"]:
+        def step(state: State, turn: tuple[Key, State]) -> tuple[State, Array]:
+            after = transition.sample(turn[0], state)
+            near = transition.near(sampled_of(transition, after), turn[1])
+            return after, ravel_pytree(coordinates_after(transition, turn[1]).unconstrain(near))[0]
+
+        frames = jax.tree.leaves(dict(references))[0].shape[0]
+        return _steps(jax.lax.scan(step, dict(state), (jax.random.split(key, frames), dict(references)))[1])
+
+    def one(key: Key, state: State) -> Float[Array, "draw entry"]:
+        return jax.vmap(path, in_axes=(0, None))(jax.random.split(key, TRANSITIONS), state)
+
+    drawn = jax.vmap(one)(jax.random.split(key, weights.shape[0]), dict(before.states))
+    mean, _, inverse_root = fitted_gaussian(weights, drawn)
+    return WindowPrior(mean, inverse_root)
+
+
+def _steps(coordinates: Float[Array, "frame dof"]) -> Float[Array, " entry"]:
+    """Return the coordinates of the first frame, and the step from each frame to the next."""
+    return jnp.concatenate([coordinates[:1], jnp.diff(coordinates, axis=0)]).ravel()

@@ -1,0 +1,48 @@
+"""The joint posterior of a window of frames of a run on disk, by NUTS."""
+
+from pathlib import Path
+
+import jax
+
+from bayes_body.errors import input_error
+from bayes_body.storage import FrameFiles
+from bayes_body.storage.names import FRAMES_FOLDER
+from bayes_body.storage.saved_run import load_run
+from bayes_body.tracking.window import Prior, WindowPosterior, window_posterior
+
+
+def window_of_run(
+    folder: Path | str,
+    frames: int,
+    first: int | None = None,
+    seed: int = 0,
+    prior: Prior = "gaussian",
+    paths: int = 250,
+    moves: int = 3,
+    **options: int | float | str,
+) -> WindowPosterior:
+    """Draw trajectories through consecutive frames from their joint posterior.
+
+    Args:
+        folder: the run of a filter. For a smoothed run, it is the run that was smoothed.
+        frames: number of frames.
+        first: number of the first one, at least 1; by default the last frames of the run, for which all images count.
+        seed: seed of everything random.
+        prior: `gaussian` or `particles` (`window_posterior`).
+        paths: number of the smoother's paths for each run of the filter.
+        moves: number of the smoother's moves of each state.
+        options: those of `kernels.window.Options`: chains, warm_up, draws, metric, target_acceptance.
+
+    Raises:
+        InputError: there is no such run, its recording has changed, or the window cannot be sampled (`window_posterior`).
+    """
+    with load_run(folder) as given:
+        source = given.smoothing["folder"] if given.smoothed else folder
+    with load_run(source) as run:
+        if run.changed_inputs:
+            found = f"{', '.join(sorted(run.changed_inputs))}: changed or gone since the run was made"
+            raise input_error(run.folder, found, "the recording of the run", "put it back")
+        filtered = FrameFiles(run.folder / FRAMES_FOLDER, run.id)
+        begin = run.frames - frames if first is None else first
+        window = range(begin, begin + frames)
+        return window_posterior(run.session, run.model, filtered, window, jax.random.key(seed), prior, paths, moves, **options)
