@@ -33,15 +33,21 @@ def sentences(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -> li
     return [sentence for sentence in found if sentence]
 
 
-def _remedy(diagnosis: Diagnosis, *wanted: str) -> str:
-    """Return a remedy that names the options among `wanted` that the kernel has."""
+def _remedy(diagnosis: Diagnosis, *wanted: str, moves_help: bool = True) -> str:
+    """Return a remedy that names the options among `wanted` that the kernel has.
+
+    Args:
+        diagnosis: of a run.
+        wanted: options of a filter.
+        moves_help: whether more moves of the smoother help, if the run is smoothed.
+    """
     try:
         known = set(find("kernel", diagnosis.kernel).options.model_fields)
     except InputError:
         known = {"particles"}
     raised = " or ".join(f"--{name}" for name in wanted if name in known)
     if diagnosis.smoothed:
-        return f"smooth with more --moves, or smooth a run with more {raised}"
+        return f"{'smooth with more --moves, or ' if moves_help else ''}smooth a run with more {raised}"
     if diagnosis.kernel == FROM_PRIOR and BRIDGE in names("kernel"):
         return f"raise {raised}, or use --kernel {BRIDGE}"
     return f"raise {raised}"
@@ -116,7 +122,7 @@ def _evidence(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
         return None
     by_frame = np.nan_to_num(diagnosis.evidence_sd_frames, nan=-np.inf)
     figure = f"sd {sd:.1f} nats over {len(diagnosis.log_evidence)} runs (limit {thresholds.evidence_sd:g}), most at frame {by_frame.argmax()}"
-    return f"log-evidence: {figure}: too imprecise to compare models; {_remedy(diagnosis, 'particles', 'moves')}."
+    return f"log-evidence: {figure}: too imprecise to compare models; {_remedy(diagnosis, 'particles', 'moves', moves_help=False)}."
 
 
 def _ancestors(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
