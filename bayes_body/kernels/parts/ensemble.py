@@ -24,8 +24,8 @@ from bayes_body.kernels.parts.moves import shrunk
 from bayes_body.kernels.parts.weights import LogWeights
 from bayes_body.shapes import Key
 
-# Predictions of each particle.
-REPEATS = 8
+# Predictions of all particles together, at least. They take more time than the moves of the paths.
+PREDICTIONS = 2000
 
 
 class LinearPrediction(NamedTuple):
@@ -111,7 +111,8 @@ def _drawn(key: Key, particles: Particles, transition: Transition, chart: Chart,
         return jnp.concatenate(found)
 
     unwound = jax.vmap(near)(drawn)
-    keys = jax.random.split(key, (REPEATS, particles.log_weights.shape[0]))
+    count = particles.log_weights.shape[0]
+    keys = jax.random.split(key, (-(-PREDICTIONS // count), count))
     v = jax.vmap(lambda some: jax.vmap(predicted)(some, {**particles.states, **unwound}))(keys)
     return _Drawn(jax.vmap(flat)(drawn), v, flat, unravel)
 
