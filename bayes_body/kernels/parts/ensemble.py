@@ -24,8 +24,8 @@ from bayes_body.kernels.parts.moves import shrunk
 from bayes_body.kernels.parts.weights import LogWeights
 from bayes_body.shapes import Key
 
-# Predictions of all particles together, at least. They take more time than the moves of the paths.
-PREDICTIONS = 2000
+# Predictions of all particles together, at least. The regression has the same error for all paths of a run, and with 2000 the runs differed more.
+PREDICTIONS = 8000
 
 
 class LinearPrediction(NamedTuple):
