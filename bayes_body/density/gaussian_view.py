@@ -3,7 +3,7 @@ r"""The Gaussian view of a frame's posterior: the prediction is one Gaussian in 
 $$\pi_{\alpha\beta}(u) \propto \mathcal{N}(u; m, V)\, C\, \psi^\alpha L^\beta,$$
 
 where m and V are the mean and the covariance of the prediction, from `TRANSITIONS` draws for each weighted particle of the previous frame. Only the
-variables that a factor reads are in u. The others, such as velocities, have moments that are known once u is: they are normal given u.
+variables that a factor reads are in u. The others, such as velocities, are normal given u, and are drawn once u is known.
 
 The extended view (density/extended.py) predicts by those transitions themselves. It is exact for the particles that it is given. In many dimensions,
 though, only a few of them explain the next image, so after some frames all particles descend from one, and dofs that the images hardly determine keep

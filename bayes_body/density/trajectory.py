@@ -204,7 +204,7 @@ def trajectory(
 def _prior(key: Key, frames: Frames, before: Particles, references: State) -> WindowPrior:
     if frames.linked:
         found, expected = "a term compares a frame with the frame before", "terms that read one frame"
-        raise input_error("a Gaussian prior of a window", found, expected, "take the mixture of the particles' predictions")
+        raise input_error("a Gaussian prior of a window", found, expected, 'take the mixture: prior = "particles", or --prior particles')
     memory = frames.transition.frames_read
     return window_prior(key, frames.transition, before, references if memory is None else _cut(references, 0, memory))
 

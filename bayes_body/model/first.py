@@ -7,6 +7,7 @@ pose was found in pictures, $s_0$ is one of several equally likely poses. What t
 of the motion prior (`Transition.first`).
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -33,7 +34,6 @@ class First(NamedTuple):
         transition: the motion prior, whose `begin` makes a state of a pose.
         mode: the state of the most likely pose.
         draws: poses that are equally likely and take the place of `pose`, if there are any.
-        settled: whether everything that the pose leaves open is as in `mode`.
     """
 
     pose: Pose
@@ -43,12 +43,11 @@ class First(NamedTuple):
     transition: Transition
     mode: State
     draws: Float[Array, "draw dof"] | None = None
-    settled: bool = False
 
     @property
     def is_point(self) -> bool:
         """Whether the first state is certain."""
-        return self.draws is None and (self.transition.first is None or self.settled) and not bool(np.asarray(self.sd > 0).any())
+        return self.draws is None and self.transition.first is None and not bool(np.asarray(self.sd > 0).any())
 
     def around(self, pose: Pose, draws: Float[Array, "draw dof"] | None = None) -> "First":
         """Return the distribution around another pose, or around several of which it is the most likely one."""
@@ -56,7 +55,8 @@ class First(NamedTuple):
 
     def known(self, state: State) -> "First":
         """Return the distribution of one certain state."""
-        return self._replace(pose=state.get("pose", self.pose), sd=jnp.zeros_like(self.sd), mode=state, draws=None, settled=True)
+        settled = replace(self.transition, first=None)
+        return self._replace(pose=state.get("pose", self.pose), sd=jnp.zeros_like(self.sd), transition=settled, mode=state, draws=None)
 
     def sample(self, key: Key) -> State:
         """Draw a state."""
@@ -79,7 +79,7 @@ class First(NamedTuple):
         uncertain = self.sd > 0
         drawn = TruncatedWalk(pose, jnp.where(uncertain, self.sd, 1.0), self.low, self.high).sample(key)
         state = self.transition.begin({"pose": jnp.where(uncertain, drawn, pose)})
-        if self.transition.first is None or self.settled:
+        if self.transition.first is None:
             return state
         return {**state, **draw(jax.random.fold_in(key, 1), self.transition.first(state))}
 

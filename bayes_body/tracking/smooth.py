@@ -118,7 +118,7 @@ def smooth_window(session: Session, model: Model, smoother: Smoother, filtered: 
 
 
 class _Begun:
-    """The first frames of some."""
+    """The first frames of a filter, up to a number of them."""
 
     def __init__(self, frames: Frames, count: int):
         self._frames, self._count = frames, count

@@ -20,6 +20,7 @@ from bayes_body.density.frames import stacked
 from bayes_body.density.trajectory import trajectory
 from bayes_body.errors import input_error
 from bayes_body.kernels.parts.batching import everywhere
+from bayes_body.kernels.parts.moves import check_gradients
 from bayes_body.kernels.smoother import build_smoother
 from bayes_body.kernels.window import WindowDraws, sample_window
 from bayes_body.model.build import Model
@@ -127,9 +128,7 @@ def _check(model: Model, filtered: Frames, frames: range) -> None:
     if not len(frames) or frames.step != 1 or not 1 <= frames.start <= frames[-1] <= last:
         found = f"{frames.start} to {frames.stop - 1}"
         raise input_error("the frames of the window", found, f"consecutive frames from 1 to {last}", "give others; frame 0 has no frame before it")
-    unsuited = next((factor.name for factor in model.factors if factor.side == "likelihood" and not factor.has_gradient), None)
-    if unsuited is not None:
-        raise input_error("the model", f"the likelihood '{unsuited}' has no gradient", "likelihoods with a gradient", "choose another model")
+    check_gradients(Density(model.transition, model.factors, {}, _before(filtered, frames.start - 1)), "NUTS")
     if any(np.isnan(filtered[frames.start].info.log_evidence)):
         raise input_error("the run", "its kernel seeks modes", "a sample of the posterior", "track again with --kernel tempered, for one")
     restarted = [frame for frame in frames if filtered[frame].restarted.any()]

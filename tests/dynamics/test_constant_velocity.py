@@ -10,7 +10,8 @@ import pytest
 from bayes_body.body.build import build_body
 from bayes_body.dynamics.constant_velocity import Options, build
 from bayes_body.errors import InputError
-from bayes_body.model.definition import load_body
+from bayes_body.model.definition import FirstTable, load_body
+from bayes_body.model.first import first_of
 
 ARM = build_body("arm_4", load_body("arm_4"))
 SD = {"sd_deg": {"*": 2.0}, "velocity_sd_deg": {"*": 20.0}}
@@ -61,6 +62,16 @@ def test_a_velocity_that_fades_has_the_same_distribution_at_every_frame_rate_and
     assert abs(held.mean() - 5.0) < 4 * held.std() / np.sqrt(4000)
     # The noise of the pose itself adds a little.
     assert 20.0 < held.std() < 1.6 * 20.0 and np.degrees(np.asarray(found["pose"])[:, 1:]).std(axis=0).min() > 40.0
+
+
+def test_the_first_velocity_of_a_known_pose_is_not_known():
+    pose, names = jnp.array([0.1, 0.2, -0.1, -0.5]), {"velocity_lasts_s": {"elbow": 0.4}}
+    first = first_of(FirstTable(), ARM, pose, build(Options(**SD, **names), ARM, 60.0))
+    states = first.start(jax.random.key(3), 4000)
+    expected = np.radians(20.0) / np.sqrt(1 - np.exp(-2 / (60 * 0.4)))
+    assert not first.is_point and (np.asarray(states["pose"]) == np.asarray(pose)).all()
+    assert np.asarray(states["velocity"])[:, 3].std() == pytest.approx(expected, rel=0.06) and np.abs(states["velocity"][:, :3]).max() < 1e-4
+    assert first.known(first.mode).is_point and first_of(FirstTable(), ARM, pose, build(Options(**SD), ARM, 60.0)).is_point
 
 
 def test_a_spread_that_would_let_movements_grow_is_refused():

@@ -94,3 +94,15 @@ def test_draws_get_the_moments_wanted():
     np.testing.assert_allclose(found.root @ found.root.T, wanted.root @ wanted.root.T, atol=2e-3)
     broken = wanted._replace(mean=wanted.mean.at[0].set(jnp.nan))
     np.testing.assert_array_equal(_called("with_moments", draws, log_weights, broken), draws.astype(np.float32))
+
+
+def test_noise_beside_draws_has_exact_moments_unless_there_are_too_few_draws():
+    draw_key, weight_key, key = jax.random.split(jax.random.key(8), 3)
+    draws, log_weights = jax.random.normal(draw_key, (60, 3)) @ jnp.triu(jnp.ones((3, 3))), jax.random.normal(weight_key, (60,))
+    noise, weights = moment_correction.noise_beside(key, draws, log_weights, 4), jax.nn.softmax(log_weights)
+    assert np.abs(weights @ noise).max() < 1e-5
+    # Roots of covariances have a floor of 1e-5.
+    np.testing.assert_allclose((weights[:, None] * noise).T @ noise, np.eye(4), atol=1e-4)
+    np.testing.assert_allclose((weights[:, None] * (draws - weights @ draws)).T @ noise, np.zeros((3, 4)), atol=1e-4)
+    few = moment_correction.noise_beside(key, draws[:15], log_weights[:15], 4)
+    assert np.isfinite(few).all() and np.abs(jax.nn.softmax(log_weights[:15]) @ few).max() > 0.01

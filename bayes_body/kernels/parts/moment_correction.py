@@ -86,6 +86,12 @@ def noise_beside(key: Key, draws: Float[Array, "draw dof"], log_weights: LogWeig
 
     Independent noise would move the mean by chance. Where no image pulls back what the noise is for, such as a velocity, these steps would add
     up over the frames. With too few draws for these moments, the noise is independent.
+
+    Args:
+        key: random key.
+        draws: in coordinates without limits.
+        log_weights: their log-weights.
+        size: number of entries of the noise for each draw.
     """
     noise = jax.random.normal(key, (draws.shape[0], size), draws.dtype)
     if draws.shape[0] < 2 * (draws.shape[1] + size + 1) or not size:
