@@ -132,7 +132,7 @@ def _calibration(found: AgainstTruth) -> Picture:
     axes.plot(nominal, 100 * found.plain.coverage, color=RUNS[0], marker="o", markersize=3.5, label="without offset")
     if found.fitted:
         axes.plot(nominal, 100 * found.fitted.coverage, color=RUNS[1], marker="s", markersize=3.5, label="offset fitted")
-        axes.legend(loc="upper left")
+        axes.legend(loc="best")
     axes.set(xlim=(0, 100), ylim=(0, 102))
     pairs = ", ".join(f"{percent(level)}: {percent(share)}" for level, share in zip(LEVELS, found.plain.coverage, strict=True))
     return encoded(figure, f"Fraction of the truth inside the intervals of each level: {pairs}.", CALIBRATION)
