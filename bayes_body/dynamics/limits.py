@@ -1,6 +1,7 @@
 """A box of joint limits as the support of a distribution. Sides may be infinite, and each dof has its own.
 
-numpyro's `interval` uses a sigmoid as its bijector, which is NaN for an infinite side. Here a dof without limits keeps its own coordinate.
+numpyro's `interval` has a sigmoid as its bijector. It is NaN for an infinite side, and it is curved everywhere: near a limit, particles that are a
+few degrees apart have scales that differ many times, and no mass matrix suits them all. The bijector here bends only within a few degrees of a limit.
 """
 
 from typing import Any
@@ -12,6 +13,10 @@ from numpyro.distributions import Distribution, biject_to, constraints
 from numpyro.distributions.transforms import ParameterFreeTransform, Transform
 
 from bayes_body.shapes import Pose
+
+# The length over which a coordinate bends at a limit: radians (three degrees) or metres. It should be about the standard deviation of a posterior:
+# a longer bend gives particles different scales, a shorter one makes the limit a hard wall.
+BEND = 0.05
 
 
 class Box(constraints.Constraint):
@@ -36,7 +41,10 @@ class Box(constraints.Constraint):
 
 
 class BoxTransform(Transform):
-    r"""$s = \mathrm{low} + (\mathrm{high} - \mathrm{low})\,\sigma(x)$ where both sides are finite, $s = x$ elsewhere."""
+    r"""The identity away from the limits. Within about $\ell$ of a limit, x is like the logarithm of the distance to it.
+
+    $s = x + \ell\,(\operatorname{softplus}\frac{\mathrm{low} - x}{\ell} - \operatorname{softplus}\frac{x - \mathrm{high}}{\ell})$.
+    """
 
     domain = constraints.real_vector  # pyright: ignore[reportAssignmentType, reportIncompatibleMethodOverride]
 
@@ -48,32 +56,20 @@ class BoxTransform(Transform):
         """The box."""
         return Box(self.low, self.high)
 
-    @property
-    def _finite(self) -> Array:
-        return jnp.isfinite(self.low) & jnp.isfinite(self.high)
-
-    @property
-    def _safe(self) -> tuple[Pose, Pose]:
-        # Reverse mode differentiates both branches of a where, so the unused one must be finite too.
-        return jnp.where(self._finite, self.low, 0.0), jnp.where(self._finite, self.high, 1.0)
-
     def __call__(self, x: Array) -> Array:
         """Map the real line into the box."""
-        low, high = self._safe
-        return jnp.where(self._finite, low + (high - low) * jax.nn.sigmoid(x), x)
+        return _bent(x, self.low, self.high)
 
     def _inverse(self, y: Array) -> Array:
-        low, high = self._safe
-        share = jnp.where(self._finite, (y - low) / (high - low), 0.5)
-        tiny = jnp.finfo(y.dtype).eps
-        return jnp.where(self._finite, jax.scipy.special.logit(jnp.clip(share, tiny, 1 - tiny)), y)
+        bend = _bend(self.low, self.high)
+        tiny = bend * jnp.finfo(y.dtype).eps
+        below, above = jnp.maximum(y - self.low, tiny) / bend, jnp.maximum(self.high - y, tiny) / bend
+        return y + bend * (_log1mexp(below) - _log1mexp(above))
 
     def log_abs_det_jacobian(self, x: Array, y: Array, intermediates: Any = None) -> Array:
         """Sum over dofs of log |ds/dx|."""
         del y, intermediates
-        low, high = self._safe
-        bounded = jnp.log(high - low) + jax.nn.log_sigmoid(x) + jax.nn.log_sigmoid(-x)
-        return jnp.sum(jnp.where(self._finite, bounded, 0.0), axis=-1)
+        return jnp.sum(_log_slope(x, self.low, self.high), axis=-1)
 
     def tree_flatten(self) -> Any:
         """As for numpyro's transforms."""
@@ -83,6 +79,32 @@ class BoxTransform(Transform):
         return isinstance(other, BoxTransform) and jnp.array_equal(self.low, other.low) & jnp.array_equal(self.high, other.high)
 
     __hash__ = ParameterFreeTransform.__hash__
+
+
+@jax.custom_jvp
+def _bent(x: Array, low: Pose, high: Pose) -> Array:
+    bend = _bend(low, high)
+    return jnp.clip(x + bend * (jax.nn.softplus((low - x) / bend) - jax.nn.softplus((x - high) / bend)), low, high)
+
+
+@_bent.defjvp
+def _slope(values: tuple[Array, Pose, Pose], tangents: tuple[Array, Pose, Pose]) -> tuple[Array, Array]:
+    """The slope by x; limits are constants. Differentiating the sum above would round it to 0 beyond a limit."""
+    return _bent(*values), jnp.exp(_log_slope(*values)) * tangents[0]
+
+
+def _log_slope(x: Array, low: Pose, high: Pose) -> Array:
+    bend = _bend(low, high)
+    return _log1mexp((high - low) / bend) - jax.nn.softplus((low - x) / bend) - jax.nn.softplus((x - high) / bend)
+
+
+def _bend(low: Pose, high: Pose) -> Pose:
+    return jnp.minimum(BEND, (high - low) / 4)
+
+
+def _log1mexp(distance: Array) -> Array:
+    """log(1 - exp(-distance))."""
+    return jnp.log(-jnp.expm1(-distance))
 
 
 @biject_to.register(Box)

@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from bayes_body.config import FAST_COMPILE
-from bayes_body.dynamics.limits import BoxTransform
 from bayes_body.errors import InputError
 from bayes_body.initial.adam import minimise
 from bayes_body.initial.misfit import Explained, Problem, explain
+from bayes_body.initial.shares import parameters_of, pose_of
 from bayes_body.initial.starts import candidates, choose, inside, random_poses
 from bayes_body.shapes import Key, Pose, Scalar
 
@@ -139,7 +139,7 @@ def unbounded(problem: Problem, poses: Float[Array, "start dof"]) -> Float[Array
     """Return the unconstrained parameters of poses, with the body's own lengths."""
     skeleton = problem.body.skeleton
     z = jnp.zeros((poses.shape[0], problem.scaling.groups.shape[1]), poses.dtype)
-    return jnp.concatenate([BoxTransform(skeleton.low, skeleton.high).inv(inside(skeleton, poses)), z], axis=1)
+    return jnp.concatenate([parameters_of(skeleton, inside(skeleton, poses)), z], axis=1)
 
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)
@@ -148,7 +148,7 @@ def _thrown(problem: Problem, key: Key, best: Float[Array, "kept parameter"]) ->
     topology, count = problem.body.skeleton.topology, len(problem.body.dof_names)
     parameters = jnp.tile(best, (-(-STARTS // best.shape[0]), 1))[:STARTS]
     skeleton = problem.body.skeleton
-    poses = jax.vmap(BoxTransform(skeleton.low, skeleton.high))(parameters[:, :count])
+    poses = pose_of(skeleton, parameters[:, :count])
     which, where = jax.random.split(key)
     joints = jax.random.uniform(which, (STARTS, len(topology.joint_names))) < THROWN
     joints = joints.at[:, 0].set(False).at[: best.shape[0]].set(False)

@@ -16,12 +16,12 @@ from jaxtyping import Array, Float
 
 from bayes_body.body.kinematics import forward_kinematics, marker_positions
 from bayes_body.body.solids import Body
-from bayes_body.dynamics.limits import BoxTransform
 from bayes_body.geometry import transforms
 from bayes_body.geometry.camera import NEAR, Camera, project, to_camera
 from bayes_body.initial.lengths import Scaling, scaled
 from bayes_body.initial.measurements import Measurements
 from bayes_body.initial.points import Points, as_markers
+from bayes_body.initial.shares import pose_of
 from bayes_body.shapes import Pose, Scalar, Vector3
 
 NU = 3.0
@@ -76,8 +76,8 @@ type Places = Float[Array, "point 3"]
 
 def split(problem: Problem, parameters: Parameters) -> tuple[Pose, Float[Array, " group"]]:
     """Return the pose, within its limits, and the parameters of the lengths from a vector of unconstrained parameters."""
-    count, skeleton = len(problem.body.dof_names), problem.body.skeleton
-    return BoxTransform(skeleton.low, skeleton.high)(parameters[:count]), parameters[count:]
+    count = len(problem.body.dof_names)
+    return pose_of(problem.body.skeleton, parameters[:count]), parameters[count:]
 
 
 class Distances(NamedTuple):

@@ -32,7 +32,7 @@ HEADINGS = 12
 UPRIGHT = 0.9
 MOST = 2048
 ROUNDS = 10
-# The sigmoid's slope vanishes at a limit: starts stay away from it by this fraction of the range.
+# The slope of a pose by its parameters (`shares.py`) vanishes at a limit: starts stay away from it by this fraction of the range.
 INSIDE = 0.03
 # Width of the misfit when starts are compared.
 WIDE = 8.0

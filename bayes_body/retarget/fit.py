@@ -21,11 +21,11 @@ from jaxtyping import Array, Float, Int
 from bayes_body.body.kinematics import marker_positions
 from bayes_body.body.solids import Body
 from bayes_body.config import FAST_COMPILE
-from bayes_body.dynamics.limits import BoxTransform
 from bayes_body.initial.adam import minimise
 from bayes_body.initial.fit import fit as search
 from bayes_body.initial.lengths import scaled
 from bayes_body.initial.misfit import NU, Problem
+from bayes_body.initial.shares import parameters_of, pose_of
 from bayes_body.retarget.problem import landmarks_of_frame
 from bayes_body.shapes import Index, Pose, Scalar
 
@@ -83,15 +83,10 @@ def _order(first: int, frames: int) -> Int[np.ndarray, " frame"]:
     return np.concatenate([np.arange(first, frames), np.arange(first)[::-1]])
 
 
-@jax.jit
-def _unbounded(problem: Problem, pose: Pose) -> Pose:
-    return jnp.asarray(BoxTransform(problem.body.skeleton.low, problem.body.skeleton.high).inv(pose))
-
-
 @jax.jit(compiler_options=FAST_COMPILE)
 def follow(problem: Problem, motion: Motion, pose: Pose, z: Float[Array, " group"], order: Int[Array, " frame"], first: Index) -> Array:
     """Return the unconstrained angles of every frame. Each frame is fitted from its neighbour's solution; the lengths are fixed."""
-    start, body = _unbounded(problem, pose), scaled(problem.body, problem.scaling, z)
+    start, body = parameters_of(problem.body.skeleton, pose), scaled(problem.body, problem.scaling, z)
     usual = _by_unit(problem, SPEEDS)
 
     def one(before: Pose, frame: Index) -> tuple[Pose, Pose]:
@@ -99,9 +94,9 @@ def follow(problem: Problem, motion: Motion, pose: Pose, z: Float[Array, " group
         before = jnp.where(frame == first - 1, start, before)
 
         def misfit(x: Pose) -> Scalar:
-            pose = _poses(problem, x)
+            pose = pose_of(problem.body.skeleton, x)
             # Adam's steps do not depend on the gradient's size: without this term it would drift in directions that the landmarks do not determine.
-            moved = (pose - _poses(problem, before)) / (usual * motion.step_s)
+            moved = (pose - pose_of(problem.body.skeleton, before)) / (usual * motion.step_s)
             return _misfit_of_frame(problem, body, pose, motion.places[frame], motion.known[frame]) + 0.5 * jnp.sum(moved**2)
 
         x, _ = minimise(lambda x, _: (jax.grad(misfit)(x), ()), before, FOLLOW_RATE, FOLLOW_STEPS)
@@ -120,15 +115,11 @@ class _Parameters(NamedTuple):
 def together(problem: Problem, motion: Motion, x: Float[Array, "frame dof"], z: Float[Array, " group"]) -> Fitted:
     """Fit all frames and the lengths together, starting from unconstrained angles `x` and length parameters `z`."""
     found, _ = minimise(lambda p, _: (jax.grad(_misfit, argnums=2)(problem, motion, p), ()), _Parameters(x, z), RATE, STEPS)
-    return Fitted(_poses(problem, found.x), found.z)
-
-
-def _poses(problem: Problem, x: Float[Array, "*frame dof"]) -> Float[Array, "*frame dof"]:
-    return BoxTransform(problem.body.skeleton.low, problem.body.skeleton.high)(x)
+    return Fitted(pose_of(problem.body.skeleton, found.x), found.z)
 
 
 def _misfit(problem: Problem, motion: Motion, parameters: _Parameters) -> Scalar:
-    poses, body = _poses(problem, parameters.x), scaled(problem.body, problem.scaling, parameters.z)
+    poses, body = pose_of(problem.body.skeleton, parameters.x), scaled(problem.body, problem.scaling, parameters.z)
     each = jax.vmap(_misfit_of_frame, (None, None, 0, 0, 0))(problem, body, poses, motion.places, motion.known)
     return jnp.sum(each) + 0.5 * jnp.sum(parameters.z**2) + _jerkiness(problem, poses, motion.step_s)
 

@@ -77,12 +77,15 @@ def test_infinite_sides_leave_gradients_finite():
 
 
 def test_the_bijection_is_one_and_its_determinant_right():
-    low, high = jnp.array([-1.0, -jnp.inf, 0.0]), jnp.array([2.0, jnp.inf, 0.1])
-    support = TruncatedWalk(jnp.array([0.0, 0.0, 0.05]), jnp.ones(3), low, high).support
+    low, high = jnp.array([-1.0, -jnp.inf, 0.0, -1.0, -jnp.inf]), jnp.array([2.0, jnp.inf, 0.1, 2.0, 0.0])
+    support = TruncatedWalk(jnp.array([0.0, 0.0, 0.05, 0.0, -1.0]), jnp.ones(5), low, high).support
     bijection = biject_to(support)
-    x = jnp.array([0.3, -4.0, 2.0])
+    x = jnp.array([0.3, -4.0, 0.3, -1.4, 0.2])
     y = bijection(x)
     assert support(y) and y[1] == x[1]
+    # Only near a limit do coordinate and angle differ, and a coordinate far beyond it is still inside.
+    assert np.isclose(y[0], x[0], atol=1e-9) and 0 < y[3] - low[3] < 1e-4
+    assert support(bijection(jnp.array([90.0, 90.0, 90.0, -90.0, 90.0], jnp.float32)))
     assert np.allclose(bijection.inv(y), x, atol=1e-9)
     exact = jnp.linalg.slogdet(jax.jacobian(bijection)(x))[1]
     assert np.isclose(bijection.log_abs_det_jacobian(x, y), exact, atol=1e-10)
