@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple, overload
 
 import numpy as np
@@ -21,18 +21,19 @@ from bayes_body.session.session import CameraSpec, Keypoints, Session, View
 class Frame(NamedTuple):
     """One instant, with one entry per view; None for a camera that did not see it.
 
-    `images` are grey values (height, width). `masks` (height, width) come from the session's files, or are computed from the background. `foreground`
-    is the probability of foreground, in [0, 1], float32; it is 0 or 1 if masks are files. Both are computed on first access and may raise an
-    InputError then. An image whose exposure cannot be matched to the background's has no silhouette. Both are None as a whole if the session can have
-    no silhouettes: no masks, no empty scene, and too few frames to learn the background. `keypoints` are column, row (pixels) and confidence of the
-    subject's keypoints, by the marker's name where they are markers, else by the detector's name. An entry is empty if nothing was found, and None if
-    the camera has no keypoints or did not see the frame; all of it is None if no camera has any. `sizes_px` are (width, height) of every camera's
-    images, including those that did not see the frame; () means the sizes of `images`. `cameras` have their extrinsics in this frame; () if they are
-    not known. `before` is the frame before, if it was asked for and there is one; it knows no frame before itself.
+    `images` are grey values (height, width), read on first access if it was known before which cameras saw the frame. `masks` (height, width)
+    come from the session's files, or are computed from the background. `foreground` is the probability of foreground, in [0, 1], float32; it is 0
+    or 1 if masks are files. Both are computed on first access and may raise an InputError then. An image whose exposure cannot be matched to the
+    background's has no silhouette. Both are None as a whole if the session can have no silhouettes: no masks, no empty scene, and too few frames
+    to learn the background. `keypoints` are column, row (pixels) and confidence of the subject's keypoints, by the marker's name where they are
+    markers, else by the detector's name. An entry is empty if nothing was found, and None if the camera has no keypoints or did not see the
+    frame; all of it is None if no camera has any. `sizes_px` are (width, height) of every camera's images, including those that did not see the
+    frame; () means the sizes of `images`. `cameras` have their extrinsics in this frame; () if they are not known. `before` is the frame before,
+    if it was asked for and there is one; it knows no frame before itself.
     """
 
     index: int  # pyright: ignore[reportIncompatibleMethodOverride]
-    images: tuple[NDArray[np.uint8] | None, ...]
+    images: Sequence[NDArray[np.uint8] | None]
     masks: Sequence[NDArray[np.bool_] | None] | None
     foreground: Sequence[NDArray[np.float32] | None] | None = None
     sizes_px: tuple[tuple[int, int], ...] = ()
@@ -65,13 +66,14 @@ def masks_of(frame: Frame) -> Sequence[NDArray[np.bool_] | None]:
     return frame.masks
 
 
-def read_frame(session: Session, index: int, with_before: bool = False) -> Frame:
+def read_frame(session: Session, index: int, with_before: bool = False, seen: Sequence[bool] | None = None) -> Frame:
     """Read frame `index` of a session, counted from 0.
 
     Args:
         session: the recording.
         index: the frame.
         with_before: whether to read the frame before too. The first frame has none.
+        seen: which cameras have an image of it, if that is known. Images that nothing asks for are not read then.
 
     Raises:
         InputError: no such frame, not a video, an image of a wrong size, unreadable keypoints, or an unreadable path of a camera.
@@ -79,15 +81,28 @@ def read_frame(session: Session, index: int, with_before: bool = False) -> Frame
     check_index(session, index)
     # First, because a video is read onwards.
     before = read_frame(session, index - 1) if with_before and index else None
-    images = tuple(read_greys(session, index, view) for view in session.views)
+    if seen is None:
+        images = tuple(read_greys(session, index, view) for view in session.views)
+        seen = [image is not None for image in images]
+    else:
+        images = _images(session, index, seen)
     sizes = tuple(view.camera.size_px for view in session.views)
-    keypoints = _keypoints(session, index, [image is not None for image in images])
+    keypoints = _keypoints(session, index, seen)
     if not has_silhouettes(session):
         return Frame(index, images, None, None, sizes, keypoints, cameras_at(session, index), before)
-    silhouettes = [_Silhouette(session, index, view, image is not None) for view, image in zip(session.views, images, strict=True)]
+    silhouettes = [_Silhouette(session, index, view, has_image) for view, has_image in zip(session.views, seen, strict=True)]
     masks = _OnDemand([lambda s=s: s.mask for s in silhouettes])
     foreground = _OnDemand([lambda s=s: s.foreground for s in silhouettes])
     return Frame(index, images, masks, foreground, sizes, keypoints, cameras_at(session, index), before)
+
+
+def _images(session: Session, index: int, seen: Sequence[bool]) -> Sequence[NDArray[np.uint8] | None]:
+    """Return the images of the cameras that see the frame, each read on first access."""
+
+    def image_of(view: View) -> Callable[[], NDArray[np.uint8] | None]:
+        return lru_cache(1)(lambda: read_greys(session, index, view))
+
+    return _OnDemand([image_of(view) if here else lambda: None for view, here in zip(session.views, seen, strict=True)])
 
 
 def _keypoints(session: Session, index: int, seen: Sequence[bool]) -> tuple[Keypoints | None, ...] | None:

@@ -18,7 +18,8 @@ from jaxtyping import Array, Int
 from bayes_body.density.ahead import Ahead
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles, State, Transition
-from bayes_body.kernels.smoother import OnParticles, Smoother, adapted
+from bayes_body.kernels.parts.ensemble import LinearPrediction
+from bayes_body.kernels.smoother import OnParticles, Smoother
 from bayes_body.shapes import Key, Scalar
 from bayes_body.tracking.backward_steps import BackwardSteps
 
@@ -51,6 +52,7 @@ class PathFrame(NamedTuple):
         begins: whether the paths begin here, so that the frame before belongs to others.
         acceptance_rate: of the moves; NaN without moves.
         log_step_size: logarithm of the step size for the frame before.
+        prediction: the linear prediction of the frames after it, if the paths were laid by one.
     """
 
     frame: int
@@ -58,6 +60,7 @@ class PathFrame(NamedTuple):
     begins: bool
     acceptance_rate: Scalar
     log_step_size: Scalar
+    prediction: LinearPrediction | None = None
 
 
 class _Laid(NamedTuple):
@@ -70,6 +73,7 @@ class _Laid(NamedTuple):
     known: int
     density: Density | None
     begins: bool
+    prediction: LinearPrediction | None = None
 
 
 class Backward:
@@ -120,12 +124,12 @@ class Backward:
         after, unknown = None, jnp.full((), jnp.nan)
         for frame in range(count - 1, -1, -1):
             after = self._step_back(jax.random.fold_in(key, frame), frame, self.filtered(frame), after)
-            yield PathFrame(frame, after.states, after.begins, unknown, unknown)
+            yield PathFrame(frame, after.states, after.begins, unknown, unknown, after.prediction)
 
     def _step_back(self, key: Key, frame: int, here: Filtered, after: _Laid | None) -> _Laid:
         """Return the paths at a frame, given how they go on."""
         begin_key, step_key = jax.random.split(key)
-        particles = here.particles
+        particles, prediction = here.particles, None
         if after is None or after.begins:
             index = self.steps.begin(begin_key, particles)
             states, ahead, known = self.steps.at(particles, index), None, 0
@@ -140,11 +144,13 @@ class Backward:
                 index = self.steps.choose(step_key, paths, density, after.density)
                 states = self.steps.at(particles, index)
                 linked = density if density.reads_previous else None
-                return _Laid(frame, states, here.ancestors[index], ahead, known, linked, here.begins)
+                return _Laid(frame, states, self.steps.ancestors_at(here.ancestors, index), ahead, known, linked, here.begins)
             index = self.steps.begin(begin_key, particles)
-            states = self.steps.regress(step_key, particles, index, ahead, frames=known)
+            predict_key, step_key = jax.random.split(step_key)
+            prediction = self.steps.predict(predict_key, particles, frames=known)
+            states = self.steps.regress(step_key, particles, index, ahead, prediction)
         ahead = self.steps.none_ahead(self.steps.sampled(states)) if ahead is None else ahead
-        return _Laid(frame, states, here.ancestors[index], ahead, known, None, here.begins)
+        return _Laid(frame, states, self.steps.ancestors_at(here.ancestors, index), ahead, known, None, here.begins, prediction)
 
     # -- the second walk --------------------------------------------------------------------------------------------------------------------
 
@@ -185,7 +191,9 @@ class Backward:
         density = self.density(here.frame, previous)
         linked = after if density.reads_previous and ahead is not None else None
         neighbours = (before.states, self.steps.none_ahead(sampled) if ahead is None else ahead)
-        moved = self.steps.move(key, sampled, *neighbours, density, filtered.particles, step_size, linked)
+        predict_key, move_key = jax.random.split(key)
+        prediction = self.steps.predict(predict_key, filtered.particles, frames=1) if here.prediction is None else here.prediction
+        moved = self.steps.move(move_key, sampled, *neighbours, density, prediction, step_size, linked)
         states = self.steps.completed(before.states, moved.sampled)
-        step_size = adapted(step_size, moved.acceptance_rate, self.smoother.move)
+        step_size = self.steps.adapted(step_size, moved.acceptance_rate)
         return PathFrame(here.frame, states, False, moved.acceptance_rate, step_size), density if density.reads_previous else None

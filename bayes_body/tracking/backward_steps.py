@@ -11,8 +11,8 @@ from bayes_body.density.ahead import Ahead, nothing_ahead, sampled_of
 from bayes_body.density.chart import Chart
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles, State, Transition
-from bayes_body.kernels.parts.ensemble import linear_prediction, regressed, replaced
-from bayes_body.kernels.smoother import Moved, Moves, Smoother, whitening_of
+from bayes_body.kernels.parts.ensemble import LinearPrediction, linear_prediction, regressed, replaced
+from bayes_body.kernels.smoother import Moved, Moves, Smoother, adapted, whitening_of
 from bayes_body.shapes import Key, Scalar
 
 
@@ -44,6 +44,16 @@ class BackwardSteps:
         return jax.jit(lambda particles, index: jax.tree.map(lambda leaf: leaf[index], dict(particles.states)))
 
     @cached_property
+    def ancestors_at(self) -> Callable[[Int[Array, " particle"], Int[Array, " path"]], Int[Array, " path"]]:
+        """Return the ancestors of the particles with these indices."""
+        return jax.jit(lambda ancestors, index: ancestors[index])
+
+    @cached_property
+    def adapted(self) -> Callable[[Scalar, Scalar], Scalar]:
+        """Return the logarithm of the step size for the frame before, given that of a frame and its acceptance rate."""
+        return jax.jit(lambda log_step_size, acceptance_rate: adapted(log_step_size, acceptance_rate, self.smoother.move))
+
+    @cached_property
     def sampled(self) -> Callable[[State], dict[str, Array]]:
         """Return the sampled variables of whole states."""
         return jax.jit(jax.vmap(lambda state: sampled_of(self.transition, state)))
@@ -70,19 +80,27 @@ class BackwardSteps:
         return jax.jit(jax.vmap(lambda before, state: self.transition.state(before, sampled_of(self.transition, state))))
 
     @cached_property
+    def predict(self) -> Callable[..., LinearPrediction]:
+        """Return the regression of the next `frames` frames on the particles of a frame (`kernels/parts/ensemble.py`)."""
+
+        def ahead(key: Key, particles: Particles, frames: int) -> LinearPrediction:
+            return linear_prediction(key, particles, self.transition, _coordinates(self.transition, particles), frames)
+
+        return partial(jax.jit, static_argnames="frames")(ahead)
+
+    @cached_property
     def regress(self) -> Callable[..., State]:
-        """Return states of the frame before by regression (`kernels/parts/ensemble.py`), as `frames` of the next frames are known."""
+        """Return states of the frame before by regression."""
 
-        def back(key: Key, particles: Particles, index: Int[Array, " path"], nexts: Ahead, frames: int) -> State:
+        def back(key: Key, particles: Particles, index: Int[Array, " path"], nexts: Ahead, prediction: LinearPrediction) -> State:
             chart = _coordinates(self.transition, particles)
-            sampled = regressed(key, particles, index, nexts, self.transition, chart, frames)
-            return replaced(particles, index, sampled, self.transition)
+            return replaced(particles, index, regressed(key, particles, index, nexts, self.transition, chart, prediction), self.transition)
 
-        return partial(jax.jit, static_argnames="frames")(back)
+        return jax.jit(back)
 
     @cached_property
     def move(self) -> Callable[..., Moved]:
-        """Return the states after the moves of a frame (`Smoother.moved`)."""
+        """Return the states after the moves of a frame (`Smoother.moved`), in coordinates that a linear prediction from it whitens."""
 
         def moved(
             key: Key,
@@ -90,13 +108,12 @@ class BackwardSteps:
             before: State,
             ahead: Ahead,
             density: Density,
-            particles: Particles,
+            prediction: LinearPrediction,
             log_step_size: Scalar,
             after: Density | None,
         ) -> Moved:
-            chart, (draw_key, move_key) = density.coordinates(), jax.random.split(key)
-            root = whitening_of(linear_prediction(draw_key, particles, density.transition, chart).precision_between())
-            return self.smoother.moved(move_key, sampled, before, ahead, Moves(density, chart, after, root, jnp.exp(log_step_size)))
+            root = whitening_of(prediction.nearest().precision_between())
+            return self.smoother.moved(key, sampled, before, ahead, Moves(density, density.coordinates(), after, root, jnp.exp(log_step_size)))
 
         return jax.jit(moved)
 

@@ -1,6 +1,6 @@
 """The data of frames, read ahead of the filter that needs them: forwards, or backwards for a smoother."""
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,14 +31,14 @@ def observations(session: Session, model: Model, frames: range) -> Generator[Obs
     return prefetch(frames, lambda index: _observe(session, model, index))
 
 
-def observations_backwards(session: Session, model: Model, last: int) -> Generator[Observed]:
-    """Yield the data of each frame from `last` to the first, as `observations` does."""
+def observations_backwards(session: Session, model: Model, last: int, seen: Callable[[int], Sequence[bool]]) -> Generator[Observed]:
+    """Yield the data of each frame from `last` to the first, as `observations` does. `seen` says which cameras have an image of a frame."""
     pieces = [range(max(stop - PIECE, 0), stop) for stop in range(last + 1, 0, -PIECE)]
-    for piece in prefetch(pieces, lambda some: [_observe(session, model, index) for index in some]):
+    for piece in prefetch(pieces, lambda some: [_observe(session, model, index, seen(index)) for index in some]):
         yield from reversed(piece)
 
 
-def _observe(session: Session, model: Model, index: int) -> Observed:
-    frame = read_frame(session, index, model.reads_before)
+def _observe(session: Session, model: Model, index: int, seen: Sequence[bool] | None = None) -> Observed:
+    frame = read_frame(session, index, model.reads_before, seen)
     factors = everywhere(model.at(frame.cameras).factors) if session.moves else None
-    return Observed(np.array(frame.seen), everywhere(model.observe(frame)), factors)
+    return Observed(np.array(frame.seen if seen is None else seen), everywhere(model.observe(frame)), factors)

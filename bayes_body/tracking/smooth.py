@@ -9,6 +9,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
+from functools import lru_cache
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -26,10 +27,12 @@ from bayes_body.session.session import Session
 from bayes_body.shapes import Key
 from bayes_body.tracking.backward import Backward, Filtered, PathFrame
 from bayes_body.tracking.draws import FrameResult, Frames, FrameStore
-from bayes_body.tracking.observations import Observed, observations_backwards
+from bayes_body.tracking.observations import PIECE, Observed, observations_backwards
 
 # Frames whose data are held for the runs that are behind.
 HELD = 8
+# Frames of the filter that are held: those near the walk, and those whose images are read ahead.
+NEAR = HELD + 2 * PIECE
 
 
 class SmoothProgress(NamedTuple):
@@ -88,8 +91,9 @@ def smooth(
     if done < count:
         # If a factor reads the frame before, the first walk needs all images again.
         last = count - 1 if model.reads_before or not done else count - 1 - done
-        with closing(_Recording(session, model, smoother, last)) as recording:
-            walk = _Walk(model, smoother, filtered, into, recording)
+        near = _Near(filtered)
+        with closing(_Recording(session, model, smoother, near, last)) as recording:
+            walk = _Walk(model, smoother, near, into, recording)
             for number, result in enumerate(walk.frames(key), done + 1):
                 into.append(result)
                 seconds += result.seconds
@@ -112,8 +116,9 @@ def smooth_window(session: Session, model: Model, smoother: Smoother, filtered: 
     Raises:
         InputError: a frame cannot be read.
     """
-    with closing(_Recording(session, model, smoother, frames[-1])) as recording:
-        walk = _Walk(model, smoother, _Begun(filtered, frames.stop), [], recording)
+    near = _Near(_Begun(filtered, frames.stop))
+    with closing(_Recording(session, model, smoother, near, frames[-1])) as recording:
+        walk = _Walk(model, smoother, near, [], recording)
         return list(islice(walk.frames(key), len(frames)))[::-1]
 
 
@@ -135,13 +140,29 @@ class _Begun:
         return (self[index] for index in range(self._count))
 
 
+class _Near:
+    """The frames of a filter, of which the last ones that were asked for are held."""
+
+    def __init__(self, frames: Frames):
+        self._frames, self._held = frames, lru_cache(NEAR)(frames.__getitem__)
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: int, /) -> FrameResult:
+        return self._held(index)
+
+    def __iter__(self) -> Iterator[FrameResult]:
+        return iter(self._frames)
+
+
 class _Recording:
     """The data of frames, asked for in descending order; each is read once, and only if it is needed."""
 
-    def __init__(self, session: Session, model: Model, smoother: Smoother, last: int):
+    def __init__(self, session: Session, model: Model, smoother: Smoother, filtered: Frames, last: int):
         moves = smoother.options.moves > 0 and model.transition.frames_read is not None
         self.needed = moves or model.reads_before
-        self._data, self._next = observations_backwards(session, model, last), last
+        self._data, self._next = observations_backwards(session, model, last, lambda frame: filtered[frame].seen.tolist()), last
         # Runs that restarted are some frames ahead of the others.
         self._held: OrderedDict[int, Observed] = OrderedDict()
 
@@ -166,6 +187,7 @@ class _Walk:
         placed = {name: everywhere(getattr(model, name)) for name in ("transition", "factors")}
         self.model, self.smoother, self.filtered, self.stored, self.recording = replace(model, **placed), smoother, filtered, stored, recording
         self.runs = filtered[0].log_weights.shape[0]
+        self._placed = lru_cache(HELD * self.runs)(self._filtered)
 
     def frames(self, key: Key) -> Iterator[FrameResult]:
         """Yield the frames of all runs, the last one first."""
@@ -181,7 +203,7 @@ class _Walk:
             yield self._result(paths, seconds, 0.0 if number else seconds)
 
     def _run(self, run: int) -> Backward:
-        return Backward(self.smoother, self.model.transition, lambda frame: self._filtered(run, frame), self._density)
+        return Backward(self.smoother, self.model.transition, lambda frame: self._placed(run, frame), self._density)
 
     def _filtered(self, run: int, frame: int) -> Filtered:
         kept = self.filtered[frame]

@@ -20,12 +20,12 @@ from jaxtyping import Array, Float, Int
 from bayes_body.density.ahead import Ahead, sampled_of
 from bayes_body.density.chart import Chart
 from bayes_body.density.factor import Particles, State, Transition
+from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.kernels.parts.moves import shrunk
-from bayes_body.kernels.parts.weights import LogWeights
 from bayes_body.shapes import Key
 
-# Predictions of all particles together, at least. The regression has the same error for all paths of a run, and with 2000 the runs differed more.
-PREDICTIONS = 8000
+# Predictions of all particles together, at least: these many with one noise for all particles, and these many with a noise for each.
+PREDICTIONS = 2000
 
 
 class LinearPrediction(NamedTuple):
@@ -41,6 +41,11 @@ class LinearPrediction(NamedTuple):
     slope: Float[Array, "all_sizes size"]
     noise: Float[Array, "all_sizes all_sizes"]
 
+    def nearest(self) -> "LinearPrediction":
+        """Return the regression of the nearest next frame alone."""
+        size = len(self.spread)
+        return LinearPrediction(self.spread, self.slope[:size], self.noise[:size, :size])
+
     def gain(self) -> Float[Array, "size all_sizes"]:
         """Return K of the regression of u on v."""
         return jnp.linalg.solve(self.slope @ self.spread @ self.slope.T + self.noise, self.slope @ self.spread).T
@@ -54,17 +59,16 @@ class LinearPrediction(NamedTuple):
         return _inverse(self.spread) + precision + self.slope.T @ precision @ self.slope
 
 
-class _Drawn(NamedTuple):
-    """Coordinates of the particles, of their predictions, what makes a vector of sampled variables, and what makes coordinates of a vector."""
+class _Flat(NamedTuple):
+    """How sampled variables become vectors of coordinates, and back. A dof that turns freely is unwound to near the particles' mean."""
 
-    u: Float[Array, "particle size"]
-    v: Float[Array, "repeat particle all_sizes"]
-    flat: Callable[[State], Array]
-    unravel: Callable[[Array], State]
+    unwound: Callable[[State], State]
+    vector: Callable[[State], Array]
+    sampled: Callable[[Array], dict[str, Array]]
 
 
 def regressed(
-    key: Key, particles: Particles, indices: Int[Array, " path"], nexts: Ahead, transition: Transition, chart: Chart, frames: int
+    key: Key, particles: Particles, indices: Int[Array, " path"], nexts: Ahead, transition: Transition, chart: Chart, prediction: LinearPrediction
 ) -> dict[str, Array]:
     """Return the sampled variables of each path in the frame before (path, ...).
 
@@ -75,23 +79,51 @@ def regressed(
         nexts: the next frames of each path, the nearest first (path, frame, ...).
         transition: the motion prior.
         chart: the unconstrained coordinates.
-        frames: how many next frames of the paths are known, at least one; as many are used.
+        prediction: the regression (`linear_prediction`).
     """
-    u, v, flat, unravel = _drawn(key, particles, transition, chart, frames)
-    gain = _linear(u, v, particles.log_weights).gain()
-    known = [jax.vmap(lambda path, k=k: flat({name: values[k] for name, values in path.items()}))(nexts.sampled) for k in range(frames)]
-    moved = u[indices] + (jnp.concatenate(known, axis=1) - v[0][indices]) @ gain.T
-    return jax.vmap(lambda row: chart.constrain(unravel(row)))(moved)
+    flat, frames = _flat(particles, transition, chart), len(prediction.slope) // len(prediction.spread)
+    chosen = jax.tree.map(lambda leaf: leaf[indices], dict(particles.states))
+    unwound = jax.vmap(flat.unwound)(chosen)
+    u = jax.vmap(lambda state: flat.vector(sampled_of(transition, state)))(unwound)
+    v = jax.vmap(lambda key, state: _predicted(key, state, transition, chart, frames))(jax.random.split(key, len(indices)), unwound)
+    known = [jax.vmap(lambda path, k=k: flat.vector({name: values[k] for name, values in path.items()}))(nexts.sampled) for k in range(frames)]
+    return jax.vmap(flat.sampled)(u + (jnp.concatenate(known, axis=1) - v) @ prediction.gain().T)
 
 
-def linear_prediction(key: Key, particles: Particles, transition: Transition, chart: Chart) -> LinearPrediction:
-    """Return the regression of the next frame on the particles, in the order of `ravel_pytree` over a position's variables."""
-    u, v, *_ = _drawn(key, particles, transition, chart, 1)
-    return _linear(u, v, particles.log_weights)
+def linear_prediction(key: Key, particles: Particles, transition: Transition, chart: Chart, frames: int) -> LinearPrediction:
+    """Return the regression of as many next frames on the particles, in the order of `ravel_pytree` over a position's variables.
+
+    A regression of u on v with few particles would find too small a gain in every coordinate, and chance correlations between all of them. B comes
+    from predictions with the same noise for all particles, which is so left out of it. The correlations of C and S are shrunk, the less the more
+    particles there are.
+    """
+    flat, weights, count = _flat(particles, transition, chart), jax.nn.softmax(particles.log_weights), particles.log_weights.shape[0]
+    own_key, common_key = jax.random.split(key)
+    repeats = -(-PREDICTIONS // count)
+    unwound = jax.vmap(flat.unwound)(dict(particles.states))
+
+    def predictions(item: tuple[Key, State], shared: tuple[Transition, Chart, Key]) -> Array:
+        (own, state), (transition, chart, common) = item, shared
+        return jax.vmap(lambda key: _predicted(key, state, transition, chart, frames))(jnp.concatenate([own, common]))
+
+    own, common = jax.random.split(own_key, (count, repeats)), jax.random.split(common_key, repeats)
+    u = jax.vmap(lambda state: flat.vector(sampled_of(transition, state)))(unwound)
+    v = over_particles(predictions, (own, unwound), (transition, chart, common))
+    size = u.shape[1]
+    u -= weights @ u
+    share = (size / (size + 1 / jnp.sum(weights**2))) ** 2
+    spread = shrunk((weights[:, None] * u).T @ u, share)
+    # The slope beyond that of a random walk, which is known to be one.
+    rest = jnp.mean(v[:, repeats:], axis=1) - jnp.tile(u, frames)
+    cross = (weights[:, None] * (rest - weights @ rest)).T @ u
+    slope = jnp.tile(jnp.eye(size, dtype=u.dtype), (frames, 1)) + jnp.linalg.solve(spread, cross.T).T
+    noise = v[:, :repeats] - (u @ slope.T)[:, None]
+    noise -= jnp.mean(weights @ noise.swapaxes(0, 1), axis=0)
+    weighted = (weights[:, None, None] * noise).reshape(count * repeats, -1)
+    return LinearPrediction(spread, slope, shrunk(weighted.T @ noise.reshape(count * repeats, -1) / repeats, share))
 
 
-def _drawn(key: Key, particles: Particles, transition: Transition, chart: Chart, frames: int) -> _Drawn:
-    """Draw the next frames of the particles."""
+def _flat(particles: Particles, transition: Transition, chart: Chart) -> _Flat:
     first = jax.tree.map(lambda leaf: leaf[0], dict(particles.states))
     _, unravel = ravel_pytree(chart.unconstrain(first))
     weights, drawn = jax.nn.softmax(particles.log_weights), jax.vmap(lambda state: sampled_of(transition, state))(particles.states)
@@ -100,41 +132,20 @@ def _drawn(key: Key, particles: Particles, transition: Transition, chart: Chart,
     def near(sampled: State) -> State:
         return transition.near(sampled, centre)
 
-    def flat(sampled: State) -> Array:
-        return ravel_pytree(chart.unconstrain(near(sampled)))[0]
-
-    def predicted(key: Key, state: State) -> Array:
-        found = []
-        for step in range(frames):
-            state = transition.sample(jax.random.fold_in(key, step), state)
-            found.append(ravel_pytree(chart.unconstrain(sampled_of(transition, state)))[0])
-        return jnp.concatenate(found)
-
-    unwound = jax.vmap(near)(drawn)
-    count = particles.log_weights.shape[0]
-    keys = jax.random.split(key, (-(-PREDICTIONS // count), count))
-    v = jax.vmap(lambda some: jax.vmap(predicted)(some, {**particles.states, **unwound}))(keys)
-    return _Drawn(jax.vmap(flat)(drawn), v, flat, unravel)
+    return _Flat(
+        lambda state: {**state, **near(sampled_of(transition, state))},
+        lambda sampled: ravel_pytree(chart.unconstrain(near(sampled)))[0],
+        lambda row: chart.constrain(unravel(row)),
+    )
 
 
-def _linear(u: Float[Array, "particle size"], v: Float[Array, "repeat particle all_sizes"], log_weights: LogWeights) -> LinearPrediction:
-    """Return the regression of v on u.
-
-    A regression of u on v with few particles would find too small a gain in every coordinate, and chance correlations between all of them. B comes
-    from all repeats together, and the correlations of C and S are shrunk, the less the more particles there are.
-    """
-    weights, size = jax.nn.softmax(log_weights), u.shape[1]
-    mean_u, mean_v = weights @ u, jnp.mean(weights @ v, axis=0)
-    covariance = (weights[:, None] * (u - mean_u)).T @ (u - mean_u)
-    # The slope beyond that of a random walk, which is known to be one.
-    rest = v - jnp.tile(u, v.shape[2] // size)
-    cross = jnp.mean(jnp.einsum("p,rpv,pu->rvu", weights, rest - jnp.mean(weights @ rest, axis=0), u - mean_u), axis=0)
-    share = (size / (size + 1 / jnp.sum(weights**2))) ** 2
-    spread = shrunk(covariance, share)
-    slope = jnp.tile(jnp.eye(size, dtype=u.dtype), (v.shape[2] // size, 1)) + jnp.linalg.solve(spread, cross.T).T
-    noise = v - mean_v - (u - mean_u) @ slope.T
-    residual = shrunk(jnp.mean(jnp.einsum("p,rpa,rpb->rab", weights, noise, noise), axis=0), share)
-    return LinearPrediction(spread, slope, residual)
+def _predicted(key: Key, state: State, transition: Transition, chart: Chart, frames: int) -> Array:
+    """Draw the coordinates of the next frames of a state."""
+    found = []
+    for step in range(frames):
+        state = transition.sample(jax.random.fold_in(key, step), state)
+        found.append(ravel_pytree(chart.unconstrain(sampled_of(transition, state)))[0])
+    return jnp.concatenate(found)
 
 
 def _inverse(covariance: Float[Array, "size size"]) -> Float[Array, "size size"]:
