@@ -6,7 +6,7 @@ its own paths. A lost frame is one without images: its states are not moved, and
 
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache
@@ -196,7 +196,7 @@ class _Walk:
             self._run(run).follow(jax.random.fold_in(key, run), count, self._stored(run), count - done if done else None) for run in range(self.runs)
         ]
         last = time.perf_counter()
-        for number, each in enumerate(zip(*follow, strict=True)):
+        for number, each in enumerate(_one_ahead(zip(*follow, strict=True))):
             paths = jax.device_get(each)
             last, seconds = time.perf_counter(), time.perf_counter() - last
             # The first frame of a process waits for the compiler.
@@ -247,6 +247,15 @@ class _Walk:
         }
         log_weights = np.full((self.runs, draws), -np.log(draws), kept.log_weights.dtype)
         return FrameResult(states, log_weights, FilterInfo(**info), kept.seen, seconds - ready, ready, kept.restarted)
+
+
+def _one_ahead[Item](items: Iterable[Item]) -> Iterator[Item]:
+    """Yield the items, each after the next one was asked for: the devices compute a frame while the one before it is stored."""
+    held = list[Item]()
+    for item in items:
+        yield from held
+        held = [item]
+    yield from held
 
 
 def _distinct(states: Any) -> int:

@@ -24,8 +24,13 @@ from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.kernels.parts.moves import shrunk
 from bayes_body.shapes import Key
 
-# Predictions of all particles together, at least: these many with one noise for all particles, and these many with a noise for each.
+# Predictions of all particles together, at least, with noise of their own: they give the covariance of the noise.
 PREDICTIONS = 2000
+# For each of these, so many with one noise for all particles: they give the slope, in which this noise is no error. Near the limit of a joint the
+# slope depends on the noise. With one instead of four, the runs of a smoother differed more there.
+ALIKE = 4
+# Of particles; a prediction is little work.
+BATCH = 64
 
 
 class LinearPrediction(NamedTuple):
@@ -98,26 +103,27 @@ def linear_prediction(key: Key, particles: Particles, transition: Transition, ch
     particles there are.
     """
     flat, weights, count = _flat(particles, transition, chart), jax.nn.softmax(particles.log_weights), particles.log_weights.shape[0]
-    own_key, common_key = jax.random.split(key)
     repeats = -(-PREDICTIONS // count)
     unwound = jax.vmap(flat.unwound)(dict(particles.states))
 
-    def predictions(item: tuple[Key, State], shared: tuple[Transition, Chart, Key]) -> Array:
+    def predictions(item: tuple[Key, State], shared: tuple[Transition, Chart, Key]) -> tuple[Array, Array]:
         (own, state), (transition, chart, common) = item, shared
-        return jax.vmap(lambda key: _predicted(key, state, transition, chart, frames))(jnp.concatenate([own, common]))
+        own_drawn, same_drawn = (jax.vmap(lambda key: _predicted(key, state, transition, chart, frames))(keys) for keys in (own, common))
+        return own_drawn, jnp.mean(same_drawn, axis=0)
 
-    own, common = jax.random.split(own_key, (count, repeats)), jax.random.split(common_key, repeats)
+    own_key, common_key = jax.random.split(key)
+    keys = jax.random.split(own_key, (count, repeats)), jax.random.split(common_key, ALIKE * repeats)
     u = jax.vmap(lambda state: flat.vector(sampled_of(transition, state)))(unwound)
-    v = over_particles(predictions, (own, unwound), (transition, chart, common))
+    own, common = over_particles(predictions, (keys[0], unwound), (transition, chart, keys[1]), BATCH)
     size = u.shape[1]
     u -= weights @ u
     share = (size / (size + 1 / jnp.sum(weights**2))) ** 2
     spread = shrunk((weights[:, None] * u).T @ u, share)
     # The slope beyond that of a random walk, which is known to be one.
-    rest = jnp.mean(v[:, repeats:], axis=1) - jnp.tile(u, frames)
+    rest = common - jnp.tile(u, frames)
     cross = (weights[:, None] * (rest - weights @ rest)).T @ u
     slope = jnp.tile(jnp.eye(size, dtype=u.dtype), (frames, 1)) + jnp.linalg.solve(spread, cross.T).T
-    noise = v[:, :repeats] - (u @ slope.T)[:, None]
+    noise = own - (u @ slope.T)[:, None]
     noise -= jnp.mean(weights @ noise.swapaxes(0, 1), axis=0)
     weighted = (weights[:, None, None] * noise).reshape(count * repeats, -1)
     return LinearPrediction(spread, slope, shrunk(weighted.T @ noise.reshape(count * repeats, -1) / repeats, share))
