@@ -63,6 +63,16 @@ def test_a_camera_that_did_not_see(spoilt, fault):
     assert read_frame(spoilt, 1).seen == (True, True)
 
 
+def test_images_are_read_when_asked_for_if_it_is_known_who_sees(spoilt):
+    frame = read_frame(spoilt, 2, seen=(True, False))
+    assert frame.images[1] is None and frame.masks[1] is None
+    image = cv2.imread(str(spoilt.folder / "a" / "image0002.png"), cv2.IMREAD_GRAYSCALE)
+    cv2.imwrite(str(spoilt.folder / "a" / "image0002.png"), 255 - image)
+    np.testing.assert_array_equal(frame.images[0], 255 - image)
+    _black(spoilt.folder / "a" / "image0002.png")
+    np.testing.assert_array_equal(frame.images[0], 255 - image)
+
+
 def test_a_mask_alone_that_is_missing(spoilt):
     (spoilt.folder / "b" / "mask0001.png").unlink()
     frame = read_frame(spoilt, 1)
