@@ -27,12 +27,8 @@ from bayes_body.session.session import Session
 from bayes_body.shapes import Key
 from bayes_body.tracking.backward import Backward, Filtered, PathFrame
 from bayes_body.tracking.draws import FrameResult, Frames, FrameStore
-from bayes_body.tracking.observations import PIECE, Observed, observations_backwards
-
-# Frames whose data are held for the runs that are behind.
-HELD = 8
-# Frames of the filter that are held: those near the walk, and those whose images are read ahead.
-NEAR = HELD + 2 * PIECE
+from bayes_body.tracking.near_frames import HELD, Begun, Near
+from bayes_body.tracking.observations import Observed, observations_backwards
 
 
 class SmoothProgress(NamedTuple):
@@ -91,7 +87,7 @@ def smooth(
     if done < count:
         # If a factor reads the frame before, the first walk needs all images again.
         last = count - 1 if model.reads_before or not done else count - 1 - done
-        near = _Near(filtered)
+        near = Near(filtered)
         with closing(_Recording(session, model, smoother, near, last)) as recording:
             walk = _Walk(model, smoother, near, into, recording)
             for number, result in enumerate(walk.frames(key), done + 1):
@@ -116,44 +112,10 @@ def smooth_window(session: Session, model: Model, smoother: Smoother, filtered: 
     Raises:
         InputError: a frame cannot be read.
     """
-    near = _Near(_Begun(filtered, frames.stop))
+    near = Near(Begun(filtered, frames.stop))
     with closing(_Recording(session, model, smoother, near, frames[-1])) as recording:
         walk = _Walk(model, smoother, near, [], recording)
         return list(islice(walk.frames(key), len(frames)))[::-1]
-
-
-class _Begun:
-    """The first frames of a filter, up to a number of them."""
-
-    def __init__(self, frames: Frames, count: int):
-        self._frames, self._count = frames, count
-
-    def __len__(self) -> int:
-        return self._count
-
-    def __getitem__(self, index: int, /) -> FrameResult:
-        if not 0 <= index < self._count:
-            raise IndexError(index)
-        return self._frames[index]
-
-    def __iter__(self) -> Iterator[FrameResult]:
-        return (self[index] for index in range(self._count))
-
-
-class _Near:
-    """The frames of a filter, of which the last ones that were asked for are held."""
-
-    def __init__(self, frames: Frames):
-        self._frames, self._held = frames, lru_cache(NEAR)(frames.__getitem__)
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    def __getitem__(self, index: int, /) -> FrameResult:
-        return self._held(index)
-
-    def __iter__(self) -> Iterator[FrameResult]:
-        return iter(self._frames)
 
 
 class _Recording:
