@@ -47,7 +47,7 @@ class First(NamedTuple):
     @property
     def is_point(self) -> bool:
         """Whether the first state is certain."""
-        return self.draws is None and self.transition.first is None and not bool(np.asarray(self.sd > 0).any())
+        return self.draws is None and self.transition.first is None and not bool((np.asarray(self.sd) > 0).any())
 
     def around(self, pose: Pose, draws: Float[Array, "draw dof"] | None = None) -> "First":
         """Return the distribution around another pose, or around several of which it is the most likely one."""

@@ -55,6 +55,8 @@ def test_start_is_the_initial_state_over_and_over(textured_session):
     particles = model.start(7)
     assert (particles.states["pose"] == model.initial["pose"]).all()
     assert np.isclose(np.exp(particles.log_weights).sum(), 1)
+    compiled = jax.jit(lambda: model.start(7))()
+    assert (compiled.states["pose"] == particles.states["pose"]).all()
 
 
 def test_an_uncertain_first_pose_spreads_the_start_within_the_limits(textured_session):
