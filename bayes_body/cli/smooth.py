@@ -42,8 +42,6 @@ def smooth(
         raise input_error("--resume", "no --out", "the folder of the smoothed run to continue", "name it with --out")
     whole = run.resolve()
     folder = out or free_folder(run.with_name(f"{run.name}_smoothed") if run.name not in ("", "..") else whole.with_name(f"{whole.name}_smoothed"))
-    if out is None:
-        say(f"run        {folder}")
     options = {name: value for name, value in (("draws", draws), ("moves", moves), ("start", start)) if value is not None}
     with own_terms(plugin):
         smooth_run(SmoothSettings(run, folder, options, seed, resume), show=lambda line: say(line), bar=sys.stderr.isatty())

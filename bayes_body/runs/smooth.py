@@ -131,7 +131,9 @@ def _record(source: SavedRun, filtered: FrameFiles, options: Options, seed: int)
 def _begin(out: Path, before: Record | None, record: Record, show: Show) -> FrameFiles:
     """Write `run.toml`. Return the frames that are already stored, the last frame of the recording first."""
     frames = kept_frames(out, before, record, show)
-    if before is not None:
+    if before is None:
+        show(f"run        {out}")
+    else:
         show(f"{out}: {len(frames)} of {record['smoothing']['frames']} frames exist")
         write_run_file(out, record)
     return frames

@@ -115,4 +115,8 @@ def test_the_command_says_where_the_result_is(filtered, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["smooth", str(filtered), "--draws", "10", "--moves", "0"])
     assert stopped.value.code == 0
-    assert f"{filtered}_smoothed: posterior.nc" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert f"run        {filtered}_smoothed\n" in printed and f"{filtered}_smoothed: posterior.nc" in printed
+    with pytest.raises(SystemExit):
+        main(["smooth", str(filtered.with_name("nowhere"))])
+    assert capsys.readouterr().out == ""
