@@ -6,10 +6,7 @@ first computation.
 
 import os
 from importlib import import_module
-from importlib.metadata import version
 from typing import Any
-
-__version__ = version("bayes-body")
 
 # OpenCV reads it when it is loaded. An image's header can claim any size, and OpenCV's own limit lets a small file take 3 GB.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**27))
@@ -61,6 +58,11 @@ __all__ = sorted({*_HOME, *_MODULES})  # pyright: ignore[reportUnsupportedDunder
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        # Reading a package's metadata takes as long as all the rest of this import.
+        from importlib.metadata import version
+
+        return version("bayes-body")
     if name in _HOME:
         return getattr(import_module(f"bayes_body.{_HOME[name]}"), name)
     if name in _MODULES:

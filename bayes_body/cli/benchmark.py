@@ -7,9 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.cli.terminal import say, show
@@ -66,6 +63,9 @@ def benchmark(
 
 def _made(asked: "tuple[Pair, ...]", settings: "Settings", out: Path | None) -> "list[Row]":
     """Return all rows; each is written to the file as soon as it is computed."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
     from bayes_body.compare import benchmark_rows
 
     kept = _kept(out)
@@ -106,6 +106,8 @@ def _write(out: Path | None, rows: "list[Row]") -> None:
 
 
 def _show(rows: "list[Row]") -> None:
+    from rich.table import Table
+
     table = Table("model", "kernel", "data", box=None, pad_edge=False)
     for heading, _, _ in COLUMNS:
         table.add_column(heading, justify="right")

@@ -7,10 +7,11 @@ import traceback
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import typer
 
-from bayes_body import __version__
+import bayes_body
 from bayes_body.cli import benchmark, check, demo, export, gait, import_, learn, mocap, models, report, simulate, smooth, track, view
 from bayes_body.cli.stopping import STOPPED, stoppable
 from bayes_body.cli.surroundings import check_current_folder, fault_of_surroundings
@@ -25,28 +26,37 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
+    # The tables of rich take longer to import than everything else that `--help` needs.
+    rich_markup_mode=None,
 )
-app.command("demo")(demo.demo)
-app.add_typer(import_.app, name="import")
-app.command("track")(track.track)
-app.command("smooth")(smooth.smooth)
-app.command("report")(report.report)
-app.command("view")(view.view)
-app.command("export")(export.export)
-app.command("gait")(gait.gait)
-app.command("simulate")(simulate.simulate)
-app.command("mocap")(mocap.mocap)
-app.command("check")(check.check)
-app.command("benchmark")(benchmark.benchmark)
-app.add_typer(learn.app, name="learn")
-app.add_typer(models.app, name="models")
+# (verb, its function or its own verbs, a line for the list of commands)
+COMMANDS: tuple[tuple[str, Any, str], ...] = (
+    ("demo", demo.demo, "Film a simulated walk, track it, compare with the truth."),
+    ("import", import_.app, "Make a session from a laboratory's files."),
+    ("track", track.track, "Track the person in a session."),
+    ("smooth", smooth.smooth, "Smooth a run: its frames then know the later ones, too."),
+    ("report", report.report, "Write a run's report: one HTML file."),
+    ("view", view.view, "Write a run as an HTML file that turns and plays in 3D."),
+    ("export", export.export, "Write a run's motion for another program."),
+    ("gait", gait.gait, "List the strides of a run, with intervals."),
+    ("simulate", simulate.simulate, "Film a captured motion with simulated cameras."),
+    ("mocap", mocap.mocap, "Map a captured motion to a body's joint angles."),
+    ("check", check.check, "Check a kernel on a model by simulation."),
+    ("benchmark", benchmark.benchmark, "Run each kernel on each model, and time them."),
+    ("learn", learn.app, "Learn from captured motion or from known truth."),
+    ("models", models.app, "List the model definitions, or check one."),
+)
+for verb, command, line in COMMANDS:
+    if isinstance(command, typer.Typer):
+        app.add_typer(command, name=verb, short_help=line)
+    else:
+        app.command(verb, short_help=line)(command)
 
 
 @app.callback(invoke_without_command=True)
 def _common(version: bool = typer.Option(False, "--version", help="Print the version and exit.")) -> None:
     if version:
-        say(f"bayes-body {__version__}")
+        say(f"bayes-body {bayes_body.__version__}")
         raise typer.Exit
 
 

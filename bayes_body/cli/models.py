@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
-from rich.table import Table
 from typer.core import TyperGroup
 
 from bayes_body.cli.plugin_option import Plugins, own_terms
@@ -30,6 +29,8 @@ app = typer.Typer(cls=_ListByDefault, help="List the model definitions (the defa
 @app.command("list")
 def list_models() -> None:
     """List the definitions that ship, one line each."""
+    from rich.table import Table
+
     from bayes_body.body.space import configuration_space
     from bayes_body.files.shipped import definitions_folder
     from bayes_body.model.build import body_of

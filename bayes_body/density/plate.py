@@ -18,7 +18,9 @@ from bayes_body.shapes import Key, Scalar
 
 
 @partial(
-    jax.tree_util.register_dataclass, meta_fields=["variable", "rows"], data_fields=["log_potential", "parameters", "draw", "log_draw", "pairwise"]
+    jax.tree_util.register_dataclass,
+    meta_fields=["variable", "rows"],
+    data_fields=["log_potential", "parameters", "draw", "log_draw", "weighted_draw", "pairwise"],
 )
 @dataclass(frozen=True)
 class Plate:
@@ -33,6 +35,9 @@ class Plate:
             with `reverse` the first given the second. None: the factors propose nothing.
         log_draw: `(parameters of a row, known entry, other entry, reverse) -> scalar`, the normalised log-density of `draw`. None: the log-potential
             itself is that density, in both directions.
+        weighted_draw: `(noise, parameters of a row, known entry, reverse) -> (other entry, log of its importance weight)`, a function of standard
+            normal numbers, one more than an entry has tangent coordinates. It needs no loop, so it compiles faster than `draw`. None: there is only
+            `draw`.
         pairwise: `(parameters of a row, first entries, second entries) -> (first, second)`, the log-potentials of all pairs, faster than one by one.
     """
 
@@ -42,6 +47,7 @@ class Plate:
     parameters: Any
     draw: Callable[[Key, Any, Array, bool], Array] | None = None
     log_draw: Callable[[Any, Array, Array, bool], Scalar] | None = None
+    weighted_draw: Callable[[Array, Any, Array, bool], tuple[Array, Scalar]] | None = None
     pairwise: Callable[[Any, Array, Array], Float[Array, "first second"]] | None = None
 
     def each(self, value: Array, data: Any = None) -> Float[Array, " row"]:

@@ -2,11 +2,14 @@ r"""Find a body in one frame without any first pose: posterior draws of a loose-
 
 The root's place comes from the detections; all other parts from the joints' densities. Whole bodies are drawn and weighed with a small power of the
 likelihood. Of the trunks that are left, limbs are drawn many times (kernels/parts/nested.py), with a larger power and then with the whole likelihood.
-Trunks are drawn again by weight in between; each step's weights divide out those of the step before, so the result is a weighted sample of
+Trunks are drawn again by weight in between; each stage's weights divide out those of the stage before, so the result is a weighted sample of
 
 $$p(x) \propto q(x_\text{root}) \prod_{\text{joints}} \psi \prod_i \phi_i(x_i),$$
 
 where q is the mixture of the root's detections. Penetration of parts enters the weights at the end. The motion prior plays no role.
+
+All stages are one loop, so that the likelihood of a part is compiled once for all limbs. In the first stage, the particles of a limb belong to as
+many trunks.
 """
 
 from typing import NamedTuple
@@ -16,20 +19,21 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bayes_body.density.density import Density
-from bayes_body.density.graph import Mixture
+from bayes_body.density.graph import Graph, Mixture
 from bayes_body.density.parts_graph import parts_graph
 from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.kernels.parts.joint_particles import log_left_out
 from bayes_body.kernels.parts.ladder import next_increment
-from bayes_body.kernels.parts.nested import nested_draws, tree_of, trunk_draws
+from bayes_body.kernels.parts.nested import Tree, Trunks, nested_draws, tree_of, trunk_draws
 from bayes_body.kernels.parts.resampling import resampler
 from bayes_body.kernels.parts.weights import effective_sample_size, normalise
-from bayes_body.shapes import Key, Scalar
+from bayes_body.shapes import Flag, Key, Scalar
 
-# Whole bodies that are drawn first, trunks that are kept of them, particles of a limb, and powers of the likelihood after the first.
-BODIES, TRUNKS, LIMBS = 8_192, 256, 48
-POWERS = (0.4, 1.0)
-# The first power leaves this share of the trunks effective.
+# Trunks that are kept, and particles of a limb. Their product is the number of whole bodies that are drawn first.
+TRUNKS, LIMBS = 256, 48
+# Powers of the likelihood in each stage. The first stage weighs its bodies by a power of their likelihood, at most the second number.
+POWERS, FIRST_POWER = (1.0, 0.4, 1.0), 0.4
+# That power leaves this share of the trunks effective.
 EFFECTIVE = 0.5
 # If fewer draws are effective at the end, their weights are raised to the power with which so many are. A mean of one draw or two has the whole
 # error of a draw, and a sampler that starts there does not know how uncertain its start is.
@@ -52,6 +56,13 @@ class Search(NamedTuple):
     ess: Scalar
 
 
+class _Stage(NamedTuple):
+    """The trunks of all bodies, (TRUNKS, LIMBS, ...), and the log of what was divided out of their weights by drawing them."""
+
+    trunks: Trunks
+    divided: Float[Array, "trunk limb"]
+
+
 def search(key: Key, density: Density, roots: Mixture) -> Search:
     """Return draws of the body in a frame. Compile it once for all frames (`jax.jit`).
 
@@ -63,32 +74,51 @@ def search(key: Key, density: Density, roots: Mixture) -> Search:
     Raises:
         InputError: the body is not placed by parts, or its joints are no densities to draw from.
     """
-    root_key, trunk_key, body_key, pick_key, limbs_key = jax.random.split(key, 5)
+    root_key, trunk_key, *stage_keys = jax.random.split(key, 2 + 2 * len(POWERS))
     graph = parts_graph(density, "the search for a first pose")
-    tree, resample = tree_of(graph), resampler("systematic")
-    bodies = trunk_draws(trunk_key, graph, tree, roots.sample(root_key, BODIES)[0])
-    first = nested_draws(body_key, graph, tree, bodies, 1)
-    power = next_increment(first.log_estimates, EFFECTIVE * TRUNKS / BODIES, jnp.asarray(POWERS[0]))
-    weights = power * first.log_estimates
-    kept = resample(pick_key, weights, TRUNKS)
-
-    def with_limbs(trunks_and_divided: tuple[Array, Array], key_and_power: tuple[Key, Array]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Draw limbs with a power of the likelihood; `divided` is what was divided out of the trunks' weights by drawing them."""
-        trunks, divided = trunks_and_divided
-        (key, pick), later = jax.random.split(key_and_power[0]), key_and_power[1]
-        found = nested_draws(key, graph, tree, trunks, LIMBS, later)
-        weights = found.log_estimates - divided
-        kept = resample(pick, weights, TRUNKS)
-        return (trunks[kept], found.log_estimates[kept]), (found.values, weights)
-
-    # A loop, so that it is compiled once for all powers.
-    steps = jax.random.split(limbs_key, len(POWERS)), jnp.asarray(POWERS, weights.dtype)
-    _, (values, later) = jax.lax.scan(with_limbs, (bodies[kept], weights[kept]), steps)
-    last = later[-1] + over_particles(lambda value, graph: log_left_out(graph, value), values[-1], graph)
-    evidence = _log_mean(weights) + sum((_log_mean(each) for each in later[:-1]), _log_mean(last))
+    tree = tree_of(graph)
+    trunks = trunk_draws(trunk_key, graph, tree, _roots(root_key, roots))
+    start = jax.tree.map(lambda leaf: leaf.reshape(TRUNKS, LIMBS, *leaf.shape[1:]), trunks)
+    powers = jnp.asarray(POWERS, trunks.values.dtype)
+    stages = jnp.stack(stage_keys).reshape(len(POWERS), 2), powers, jnp.arange(len(POWERS)) == 0
+    # A loop, so that it is compiled once for all stages.
+    _, (values, weights) = jax.lax.scan(
+        lambda state, stage: _stage(graph, tree, state, *stage), _Stage(start, jnp.zeros((TRUNKS, LIMBS), powers.dtype)), stages
+    )
+    last = weights[-1, :, 0] + over_particles(lambda value, graph: log_left_out(graph, value), values[-1], graph)
+    evidence = _log_mean(last) + sum(_log_mean(weights[stage].ravel()) for stage in range(len(POWERS) - 1))
     normal = normalise(last)
     flattened = normalise(next_increment(last, LEAST_EFFECTIVE / TRUNKS, jnp.asarray(1.0)) * last)
     return Search(values[-1], flattened.log_weights, evidence, effective_sample_size(normal.log_weights))
+
+
+def _roots(key: Key, roots: Mixture) -> Float[Array, "body 7"]:
+    """Return draws of the first part, as many as bodies are drawn; the components are drawn by systematic resampling."""
+    choice, noise = jax.random.split(key)
+    index = resampler("systematic")(choice, roots.log_weights[0], TRUNKS * LIMBS)
+    chosen = jax.tree.map(lambda leaf: leaf[0][index], roots.components)
+    normals = jax.random.normal(noise, (len(index), chosen.root.shape[-1]), chosen.root.dtype)
+    return jax.vmap(lambda component, steps: jnp.asarray(component.space.retract(component.mean, component.root @ steps)))(chosen, normals)
+
+
+def _stage(graph: Graph, tree: Tree, state: _Stage, keys: Key, power: Scalar, is_first: Flag) -> tuple[_Stage, tuple[Array, Array]]:
+    """Draw limbs with a power of the likelihood. Return the trunks that are drawn by weight, and the bodies with the weights of their trunks."""
+    limbs_key, resample_key = keys
+    drawn = nested_draws(limbs_key, graph, tree, state.trunks.values, power, ~is_first)
+    terms = state.trunks.terms
+    estimates = drawn.log_estimates + power * terms.likelihood + terms.potential
+    estimates = jnp.where(jnp.isnan(estimates), -jnp.inf, estimates)
+    # After the first stage, the trunks of a row are equal, and so are their weights.
+    flat = next_increment(estimates.ravel(), EFFECTIVE / LIMBS, jnp.asarray(FIRST_POWER))
+    estimates = jnp.where(is_first, flat * estimates, estimates)
+    weights = estimates - state.divided
+    chosen = resampler("systematic")(resample_key, weights.ravel(), TRUNKS)
+
+    def rows_of(leaf: Array) -> Array:
+        rows = leaf.reshape(-1, *leaf.shape[2:])[chosen]
+        return jnp.broadcast_to(rows[:, None], leaf.shape)
+
+    return jax.tree.map(rows_of, _Stage(state.trunks, estimates)), (drawn.values, weights)
 
 
 def _log_mean(log_weights: Float[Array, " draw"]) -> Scalar:

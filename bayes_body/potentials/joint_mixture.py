@@ -8,7 +8,8 @@ $J = 2 (1 - \cos|\omega|) / |\omega|^2$ is the Jacobian of the exponential map. 
 normalised with respect to the Haar measure $dt\,dR$. It does not change under q → −q.
 
 A mixture is a mapping of arrays: `mean` (component, 7); `root` (component, 2, 3, 3), lower-triangular, with $\Sigma = L L^T$ for each block;
-`inverse_root`, its inverse; `weight` (component,); `log_weight` (component,), the log-weights with all constants of the Gaussians.
+`inverse_root`, its inverse; `weight` (component,); `log_weight` (component,), the log-weights with all constants of the Gaussians; `log_mass`
+(component,), $\log P_m$.
 """
 
 import math
@@ -45,8 +46,9 @@ def mixture(
     root = np.linalg.cholesky(covariance)
     weight = weight / weight.sum(axis=-1, keepdims=True)
     log_volume = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=(-2, -1))
-    log_weight = np.log(weight) - log_volume - 3 * math.log(2 * math.pi) - np.log(within_half_turn(covariance[..., 1, :, :]))
-    return {"mean": mean, "root": root, "inverse_root": np.linalg.inv(root), "weight": weight, "log_weight": log_weight}
+    log_mass = np.log(within_half_turn(covariance[..., 1, :, :]))
+    log_weight = np.log(weight) - log_volume - 3 * math.log(2 * math.pi) - log_mass
+    return {"mean": mean, "root": root, "inverse_root": np.linalg.inv(root), "weight": weight, "log_weight": log_weight, "log_mass": log_mass}
 
 
 def log_of_components(arrays: Mixture, relative: rigid.Rigid) -> Numbers:

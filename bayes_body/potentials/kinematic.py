@@ -97,7 +97,22 @@ def draw(key: Key, edge: Mapping[str, Array], known: Float[Array, "7"], reverse:
         return next_key, jnp.asarray(times(root, jax.random.normal(use, (2, 3), root.dtype)))
 
     _, step = jax.lax.while_loop(too_far, again, (step_key, jnp.full((2, 3), jnp.inf, root.dtype)))
-    relative = rigid.compose(edge["mean"][component], rigid.rigid(step[0], rotations.exponential(step[1])))
+    return _stepped(edge["mean"][component], step, known, reverse)
+
+
+def weighted_draw(
+    noise: Float[Array, "7"], edge: Mapping[str, Array], known: Float[Array, "7"], reverse: bool = False
+) -> tuple[Float[Array, "7"], Scalar]:
+    """Return a draw as `draw` does, made from standard normal numbers, and its log-weight. A rotation beyond a half turn has the weight 0."""
+    component = jnp.sum(jnp.cumsum(edge["weight"])[:-1] <= jax.scipy.special.ndtr(noise[0]))
+    step = jnp.asarray(times(edge["root"][component], noise[1:].reshape(2, 3)))
+    is_within = jnp.sum(step[1] ** 2) < math.pi**2
+    return _stepped(edge["mean"][component], step, known, reverse), jnp.where(is_within, -edge["log_mass"][component], -jnp.inf)
+
+
+def _stepped(mean: Float[Array, "7"], step: Float[Array, "2 3"], known: Float[Array, "7"], reverse: bool) -> Float[Array, "7"]:
+    """Return the pose at a step (position, rotation vector) from the mean relative pose."""
+    relative = rigid.compose(mean, rigid.rigid(step[0], rotations.exponential(step[1])))
     return jnp.asarray(rigid.compose(known, rigid.inverse(relative) if reverse else relative))
 
 
@@ -126,7 +141,9 @@ def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
     children = [child for _, child in rows]
     found = _components(name, options, body, children)
     parameters = {key: jnp.asarray(value, body.lengths.dtype) for key, value in mixture(*found).items()}
-    functions = {"draw": jax.tree_util.Partial(draw), "pairwise": jax.tree_util.Partial(log_pairs)}
+    functions = {
+        name: jax.tree_util.Partial(function) for name, function in (("draw", draw), ("weighted_draw", weighted_draw), ("pairwise", log_pairs))
+    }
     plate = Plate(PARTS, rows, jax.tree_util.Partial(log_density), parameters, **functions)
     return plate_factor(name, "prior", plate)
 

@@ -10,21 +10,24 @@ particles a limb, C candidates stand for $C L^k$ bodies of k limbs. Where messag
 this still finds the body: a limb is always drawn from its own trunk.
 
 Edges must be normalised densities of the outer node given the inner one, from which one can draw. Edges that close loops are left out.
+
+All limbs go down one joint at a time, in one loop: the terms of an edge and of a node occur once in the program, which is most of its compile time.
+Shorter limbs wait at their ends.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from bayes_body.density.graph import Graph
+from bayes_body.density.graph import Graph, Term
+from bayes_body.density.tempering import LogTerms
 from bayes_body.errors import input_error
 from bayes_body.kernels.parts.batching import over_particles
-from bayes_body.kernels.parts.resampling import resampler
-from bayes_body.shapes import Key, Scalar
+from bayes_body.shapes import Flag, Key, Scalar
 
 # Candidates that a core computes at once: a limb's particles fill its cache.
 CANDIDATES = 4
@@ -53,17 +56,34 @@ class Tree(NamedTuple):
     trunk: tuple[Edge, ...]
     limbs: tuple[tuple[Edge, ...], ...]
 
+    @property
+    def inner(self) -> tuple[int, ...]:
+        """The nodes of the trunk, parents first."""
+        return (self.root, *(edge.child for edge in self.trunk))
+
+
+class Trunks(NamedTuple):
+    """Draws of the trunk.
+
+    Attributes:
+        values: values of the trunk's nodes, in the order of `Tree.inner`.
+        terms: the log of the factors of these nodes: of the likelihood, and of all others with the weight of the draw.
+    """
+
+    values: Float[Array, "candidate inner *entry"]
+    terms: LogTerms
+
 
 class Nested(NamedTuple):
     """Draws of all nodes, one for each candidate.
 
     Attributes:
-        values: the draws: the candidate's trunk, and a limb each.
-        log_estimates: log of the unbiased estimates of p(data | trunk).
+        values: the draws: the candidate's first trunk, and a limb each.
+        log_estimates: logs of unbiased estimates of the product of the limbs' $Z_l$, for each trunk of a candidate.
     """
 
     values: Float[Array, "candidate node *entry"]
-    log_estimates: Float[Array, " candidate"]
+    log_estimates: Float[Array, "candidate sample"]
 
 
 def tree_of(graph: Graph, root: int = 0) -> Tree:
@@ -75,12 +95,12 @@ def tree_of(graph: Graph, root: int = 0) -> Tree:
     edges, known = dict[int, Edge](), {root}
     rows = {(number, row): graph.pairs[number].plate.rows[row] for number, row in graph.forest()}
     while True:
-        found = next((edge for edge, nodes in rows.items() if len(known & set(nodes)) == 1), None)
-        if found is None:
+        place = next((edge for edge, nodes in rows.items() if len(known & set(nodes)) == 1), None)
+        if place is None:
             break
-        first, second = rows.pop(found)
+        first, second = rows.pop(place)
         parent, child = (first, second) if first in known else (second, first)
-        edges[child] = Edge(*found, parent, child, reverse=child == first)
+        edges[child] = Edge(*place, parent, child, reverse=child == first)
         known.add(child)
     if len(known) < graph.count:
         alone = next(name for node, name in enumerate(graph.names) if node not in known)
@@ -88,8 +108,9 @@ def tree_of(graph: Graph, root: int = 0) -> Tree:
     for edge in edges.values():
         plate = graph.pairs[edge.term].plate
         if plate.draw is None or plate.log_draw is not None:
-            found_no = f"the edge between '{graph.names[edge.parent]}' and '{graph.names[edge.child]}' is not a density to draw from"
-            raise input_error("nested draws", found_no, "a density, such as that of a kinematic joint", "take message passing")
+            nodes = f"the edge between '{graph.names[edge.parent]}' and '{graph.names[edge.child]}'"
+            remedy = "take message passing"
+            raise input_error("nested draws", f"{nodes} is not a density to draw from", "a density, such as that of a kinematic joint", remedy)
     children = [[edge for edge in edges.values() if edge.parent == node] for node in range(graph.count)]
     trunk = [edge for edge in edges.values() if len(children[edge.child]) > 1]
     inner = {root, *(edge.child for edge in trunk)}
@@ -103,95 +124,201 @@ def tree_of(graph: Graph, root: int = 0) -> Tree:
     return Tree(root, tuple(trunk), tuple(sorted(limbs, key=len, reverse=True)))
 
 
-def trunk_draws(key: Key, graph: Graph, tree: Tree, roots: Float[Array, "candidate *entry"]) -> Float[Array, "candidate node *entry"]:
-    """Return values of all nodes whose trunk is drawn given the root; the other nodes are copies of the root."""
+def trunk_draws(key: Key, graph: Graph, tree: Tree, roots: Float[Array, "candidate *entry"]) -> Trunks:
+    """Return a trunk for each root, drawn along the edges."""
 
-    def one(key_and_root: tuple[Key, Array], graph: Graph) -> Array:
-        key, root = key_and_root
-        values = jnp.broadcast_to(root, (graph.count, *root.shape))
+    def draw(noise_and_root: tuple[_Noise, Array], graph: Graph) -> Trunks:
+        noise, root = noise_and_root
+        values, log_weight = {tree.root: root}, jnp.zeros((), root.dtype)
         for number, edge in enumerate(tree.trunk):
-            drawn = _along(graph, [edge], jax.random.fold_in(key, number)[None], values[edge.parent][None])
-            values = values.at[edge.child].set(drawn[0])
-        return values
+            term = graph.pairs[edge.term]
+            parameters = jax.tree.map(lambda leaf, row=edge.row: leaf[row], term.plate.parameters)
+            values[edge.child], weight = _draw(term, noise.at(number), parameters, values[edge.parent], edge.reverse)
+            log_weight += weight
+        inner = jnp.stack([values[node] for node in tree.inner])
+        terms = _unary(graph, _unary_rows(graph, np.array(tree.inner)), inner[:, None])
+        return Trunks(inner, LogTerms(jnp.sum(terms.likelihood), jnp.sum(terms.potential) + log_weight))
 
-    return over_particles(one, (jax.random.split(key, len(roots)), roots), graph, checked=False)
+    noise = _noise(key, graph, tree.trunk, (len(roots), len(tree.trunk)), roots.dtype)
+    return over_particles(draw, (noise, roots), graph, checked=False)
 
 
 def nested_draws(
-    key: Key, graph: Graph, tree: Tree, candidates: Float[Array, "candidate node *entry"], samples: int, power: float | Scalar = 1.0
+    key: Key, graph: Graph, tree: Tree, trunks: Float[Array, "candidate sample inner *entry"], power: float | Scalar = 1.0, shared: Flag | bool = True
 ) -> Nested:
-    """Draw the limbs of every candidate.
+    """Draw the limbs of every candidate: as many particles of a limb as the candidate has trunks.
 
     Args:
         key: random key.
         graph: the graph. Its prior and proposals are not read.
         tree: its tree.
-        candidates: values of all nodes; only those of the trunk are read.
-        samples: number of particles of a limb.
+        trunks: values of the trunk's nodes.
         power: that of the likelihood.
+        shared: whether all trunks of a candidate are the same, so that their limbs are particles of one filter. Otherwise each trunk has one draw of
+            each limb, and the estimates are positive and not normalised: they may choose trunks, if they are divided out later.
     """
 
-    def one(key_and_values: tuple[Key, Array], shared: tuple[Graph, Scalar]) -> Nested:
-        return Nested(*_limbs(*key_and_values, *shared, tree, samples))
+    def draw(random_and_trunks: tuple[_Noise, Array, Array], arguments: tuple[Graph, Scalar, Flag]) -> Nested:
+        return _limbs(*random_and_trunks, *arguments, tree)
 
-    keys = jax.random.split(key, len(candidates))
-    return over_particles(one, (keys, candidates), (graph, jnp.asarray(power, candidates.dtype)), CANDIDATES, checked=False)
-
-
-def _limbs(key: Key, values: Float[Array, "node *entry"], graph: Graph, power: Scalar, tree: Tree, samples: int) -> tuple[Array, Scalar]:
-    """Return the values with new limbs, and the log of the estimate."""
-    resample = resampler("systematic")
-    inner = [tree.root, *(edge.child for edge in tree.trunk)]
-    total = sum((_unary(graph, [node], values[node][None, None], power)[0, 0] for node in inner), jnp.zeros((), values.dtype))
-    points = jnp.stack([jnp.broadcast_to(values[limb[0].parent], (samples, *values.shape[1:])) for limb in tree.limbs])
-    weights = jnp.zeros(points.shape[:2], values.dtype)
-    # What the particles of each limb have been, from the trunk outwards.
-    paths = jnp.zeros((*points.shape[:2], len(tree.limbs[0]), *values.shape[1:]), values.dtype)
-    for depth in range(len(tree.limbs[0])):
-        edges = [limb[depth] for limb in tree.limbs if depth < len(limb)]
-        draw_key, pick_key, key = jax.random.split(key, 3)
-        some = slice(0, len(edges))
-        if depth:
-            chosen = jax.vmap(resample)(jax.random.split(pick_key, len(edges)), weights[some])
-            points = points.at[some].set(jax.vmap(lambda own, index: own[index])(points[some], chosen))
-            paths = paths.at[some].set(jax.vmap(lambda own, index: own[index])(paths[some], chosen))
-        drawn = _along(graph, edges, jax.random.split(draw_key, (len(edges), samples)), points[some])
-        own = _unary(graph, [edge.child for edge in edges], drawn, power)
-        points, weights, paths = points.at[some].set(drawn), weights.at[some].set(own), paths.at[some, :, depth].set(drawn)
-        total += jnp.sum(jax.nn.logsumexp(own, axis=1) - jnp.log(samples))
-    last = jax.vmap(lambda key, own: jax.random.categorical(key, own))(jax.random.split(key, len(tree.limbs)), weights)
-    for number, limb in enumerate(tree.limbs):
-        nodes = np.array([edge.child for edge in limb])
-        values = values.at[nodes].set(paths[number, last[number], : len(limb)])
-    return values, jnp.where(jnp.isnan(total), -jnp.inf, total)
+    noise_key, uniform_key = jax.random.split(key)
+    candidates, samples, longest, limbs = *trunks.shape[:2], len(tree.limbs[0]), len(tree.limbs)
+    edges = [edge for limb in tree.limbs for edge in limb]
+    noise = _noise(noise_key, graph, edges, (candidates, longest, limbs, samples), trunks.dtype)
+    uniform = jax.random.uniform(uniform_key, (candidates, longest + 1, limbs), trunks.dtype)
+    arguments = graph, jnp.asarray(power, trunks.dtype), jnp.asarray(shared)
+    return over_particles(draw, (noise, uniform, trunks), arguments, CANDIDATES, checked=False)
 
 
-def _along(graph: Graph, edges: Sequence[Edge], keys: Array, known: Float[Array, "edge *sample_entry"]) -> Array:
-    """Return a draw of the outer node for each known value of the inner one; edges of one term and direction are drawn at once."""
-    found: list[Any] = [None] * len(edges)
-    for number, reverse in sorted({(edge.term, edge.reverse) for edge in edges}):
-        own = [place for place, edge in enumerate(edges) if (edge.term, edge.reverse) == (number, reverse)]
-        plate, rows = graph.pairs[number].plate, np.array([edges[place].row for place in own])
-        assert plate.draw is not None
+class _Noise(NamedTuple):
+    """The randomness of draws along edges: standard normal numbers for weighted draws, and keys for others, if there are any."""
 
-        def draw(key: Key, parameters: Any, value: Array, draw: Any = plate.draw, reverse: bool = reverse) -> Array:
-            return draw(key, parameters, value, reverse)
+    normals: Float[Array, "*draw number"]
+    keys: Array | None
 
-        each = jax.vmap(draw, (0, None, 0)) if keys.ndim > 1 else draw
-        drawn = jax.vmap(each)(keys[np.array(own)], jax.tree.map(lambda leaf, rows=rows: leaf[rows], plate.parameters), known[np.array(own)])
-        for place, values in zip(own, drawn, strict=True):
-            found[place] = values
-    return jnp.stack(found)
+    def at(self, index: Any) -> "_Noise":
+        return jax.tree.map(lambda leaf: leaf[index], self)
 
 
-def _unary(graph: Graph, nodes: Sequence[int], values: Float[Array, "own sample *entry"], power: Scalar) -> Float[Array, "own sample"]:
-    """Return the log of the factors of one node at values of some nodes; the likelihood's with its power."""
-    total = jnp.zeros(values.shape[:2], values.dtype)
+def _noise(key: Key, graph: Graph, edges: Sequence[Edge], shape: tuple[int, ...], dtype: Any) -> _Noise:
+    """Return the randomness of `shape` draws, made at once: each occurrence of a random generator is much code."""
+    normals = jax.random.normal(key, (*shape, graph.space.dimension + 1), dtype)
+    is_weighted = all(graph.pairs[edge.term].plate.weighted_draw is not None for edge in edges)
+    return _Noise(normals, None if is_weighted else jax.random.split(key, shape))
+
+
+class _Depth(NamedTuple):
+    """What happens at one joint of all limbs, or with a leading axis at all joints, as arrays and as a pytree.
+
+    Attributes:
+        edges: for each kind of edge its rows, and which limbs have it.
+        unaries: for each term of one node its rows, and which limbs' nodes have it.
+        goes_on: whether a limb reaches so far.
+    """
+
+    edges: tuple[tuple[Int[np.ndarray, " limb"], Bool[np.ndarray, " limb"]], ...]
+    unaries: tuple[tuple[Int[np.ndarray, " limb"], Bool[np.ndarray, " limb"]], ...]
+    goes_on: Bool[np.ndarray, " limb"]
+
+
+def _limbs(
+    noise: _Noise,
+    uniform: Float[Array, "depth limb"],
+    trunks: Float[Array, "sample inner *entry"],
+    graph: Graph,
+    power: Scalar,
+    shared: Flag,
+    tree: Tree,
+) -> Nested:
+    """Return a draw of all nodes, and the log-estimates; without a candidate axis."""
+    kinds, depths, nodes = _layout(graph, tree)
+    count, longest = len(trunks), len(nodes)
+    parents = np.array([tree.inner.index(limb[0].parent) for limb in tree.limbs])
+    start = jnp.swapaxes(trunks[:, parents], 0, 1)
+
+    def down(carry: tuple[Array, Array, Array], step: tuple[_Noise, Array, _Depth]) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
+        (points, log_weights, total), (noise, uniform, depth) = carry, step
+        goes_on = depth.goes_on[:, None]
+        # Resample
+        chosen = jnp.where(goes_on & shared, jax.vmap(_systematic)(uniform, log_weights), jnp.arange(count))
+        parents = jax.vmap(lambda values, index: values[index])(points, chosen)
+        # Propagate
+        drawn, log_draws = _along(graph, kinds, depth, noise, parents)
+        # Reweight
+        terms = _unary(graph, depth.unaries, drawn)
+        weighted = power * terms.likelihood + terms.potential + jnp.where(shared, log_draws, 0.0)
+        weighted = jnp.where(jnp.isnan(weighted), -jnp.inf, weighted)
+        estimates = jnp.where(shared, jax.nn.logsumexp(weighted, axis=1, keepdims=True) - jnp.log(count), weighted)
+        total += jnp.sum(jnp.where(goes_on, estimates, 0.0), axis=0)
+        ahead = goes_on.reshape(-1, *[1] * (points.ndim - 1))
+        points = jnp.where(ahead, drawn, points)
+        return (points, jnp.where(goes_on, weighted, log_weights), total), (points, chosen)
+
+    first = start, jnp.zeros(start.shape[:2], trunks.dtype), jnp.zeros(count, trunks.dtype)
+    (_, log_weights, total), (paths, chosen) = jax.lax.scan(down, first, (noise, uniform[:-1], depths))
+    index = jax.vmap(_draw_index)(uniform[-1], log_weights)
+    path = []
+    for depth in reversed(range(longest)):
+        path.insert(0, jax.vmap(lambda values, own: values[own])(paths[depth], index))
+        index = jax.vmap(lambda values, own: values[own])(chosen[depth], index)
+    # Nodes of the trunk, then of the limbs, in the order of the graph.
+    drawn = jnp.concatenate([trunks[0], *path])
+    order = np.concatenate([tree.inner, nodes.ravel()])
+    values = drawn[np.array([np.flatnonzero(order == node)[0] for node in range(graph.count)])]
+    return Nested(values, total)
+
+
+def _layout(graph: Graph, tree: Tree) -> tuple[list[tuple[int, bool]], _Depth, Int[np.ndarray, "depth limb"]]:
+    """Return the kinds of edges (term, reverse), what happens at each depth, and the nodes of the limbs, -1 behind the end of a limb."""
+    longest = len(tree.limbs[0])
+    edges = [[limb[depth] if depth < len(limb) else None for limb in tree.limbs] for depth in range(longest)]
+    kinds = sorted({(edge.term, edge.reverse) for limb in tree.limbs for edge in limb})
+
+    def table(of: Callable[[Edge], int], has: Callable[[Edge], bool]) -> tuple[np.ndarray, np.ndarray]:
+        mask = np.array([[edge is not None and has(edge) for edge in level] for level in edges])
+        rows = np.array([[of(edge) if edge is not None and has(edge) else 0 for edge in level] for level in edges], np.int32)
+        return rows, mask
+
+    by_kind = tuple(table(lambda edge: edge.row, lambda edge, kind=kind: (edge.term, edge.reverse) == kind) for kind in kinds)
+    nodes = np.array([[-1 if edge is None else edge.child for edge in level] for level in edges])
+    return kinds, _Depth(by_kind, _unary_rows(graph, nodes), nodes >= 0), nodes
+
+
+def _unary_rows(graph: Graph, nodes: Int[np.ndarray, "*place"]) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """Return for each term of one node the rows that read these nodes, and whether there are any."""
+    tables = []
     for term in graph.unaries:
-        rows = {nodes_of[0]: row for row, nodes_of in enumerate(term.plate.rows)}
-        own = np.array([place for place, node in enumerate(nodes) if node in rows], int)
-        if len(own):
-            parameters = jax.tree.map(lambda leaf, at=np.array([rows[nodes[place]] for place in own]): leaf[at], term.plate.parameters)
-            found = jax.vmap(jax.vmap(term.log_potential, (None, 0)))(parameters, values[own])
-            total = total.at[own].add(power * found if term.tempered else found)
-    return jnp.where(jnp.isnan(total), -jnp.inf, total)
+        rows = {row_nodes[0]: row for row, row_nodes in enumerate(term.plate.rows)}
+        tables.append((np.vectorize(lambda node, rows=rows: rows.get(node, 0), otypes=[np.int32])(nodes), np.isin(nodes, list(rows))))
+    return tuple(tables)
+
+
+def _draw(term: Term, noise: _Noise, parameters: Any, known: Array, reverse: bool) -> tuple[Array, Scalar]:
+    """Return a draw along an edge of a term, with its log-weight."""
+    if term.plate.weighted_draw is not None:
+        return term.plate.weighted_draw(noise.normals, parameters, known, reverse)
+    assert term.plate.draw is not None and noise.keys is not None
+    return term.plate.draw(noise.keys, parameters, known, reverse), jnp.zeros((), known.dtype)
+
+
+def _along(
+    graph: Graph, kinds: Sequence[tuple[int, bool]], depth: _Depth, noise: _Noise, known: Float[Array, "limb sample *entry"]
+) -> tuple[Array, Float[Array, "limb sample"]]:
+    """Return draws of the outer nodes given the inner ones, and their log-weights."""
+    drawn, log_weights = known, jnp.zeros(known.shape[:2], known.dtype)
+    for (number, reverse), (rows, is_kind) in zip(kinds, depth.edges, strict=True):
+        term = graph.pairs[number]
+        parameters = jax.tree.map(lambda leaf, rows=rows: leaf[rows], term.plate.parameters)
+
+        def draw(noise: _Noise, parameters: Any, value: Array, term: Term = term, reverse: bool = reverse) -> tuple[Array, Scalar]:
+            return _draw(term, noise, parameters, value, reverse)
+
+        values, weights = jax.vmap(jax.vmap(draw, (0, None, 0)))(noise, parameters, known)
+        drawn = jnp.where(is_kind.reshape(-1, *[1] * (known.ndim - 1)), values, drawn)
+        log_weights = jnp.where(is_kind[:, None], weights, log_weights)
+    return drawn, log_weights
+
+
+def _unary(graph: Graph, tables: Sequence[tuple[Any, Any]], values: Float[Array, "place sample *entry"]) -> LogTerms:
+    """Return the logs of the factors of one node at values of some nodes, (place, sample): of the likelihood, and of all others."""
+    likelihood = potential = jnp.zeros(values.shape[:2], values.dtype)
+    for term, (rows, has) in zip(graph.unaries, tables, strict=True):
+        parameters = jax.tree.map(lambda leaf, rows=rows: leaf[rows], term.plate.parameters)
+        logs = jnp.where(has[:, None], jax.vmap(jax.vmap(term.log_potential, (None, 0)))(parameters, values), 0.0)
+        likelihood, potential = (likelihood + logs, potential) if term.tempered else (likelihood, potential + logs)
+    return LogTerms(likelihood, potential)
+
+
+def _systematic(uniform: Scalar, log_weights: Float[Array, " sample"]) -> Int[Array, " sample"]:
+    """Return ancestors by systematic resampling. All pairs are compared: for so few particles, that is faster than a search, and compiles faster."""
+    count = len(log_weights)
+    return _inverse_cdf(log_weights, (jnp.arange(count) + uniform) / count)
+
+
+def _draw_index(uniform: Scalar, log_weights: Float[Array, " sample"]) -> Int[Array, ""]:
+    return _inverse_cdf(log_weights, uniform[None])[0]
+
+
+def _inverse_cdf(log_weights: Float[Array, " sample"], levels: Float[Array, " level"]) -> Int[Array, " level"]:
+    cumulative = jnp.cumsum(jnp.exp(log_weights - jnp.max(log_weights)))
+    return jnp.sum(cumulative[:-1] <= levels[:, None] * cumulative[-1], axis=1)
