@@ -6,18 +6,25 @@ run can report whether they agree.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bayes_body.errors import input_error
 from bayes_body.files.shipped import definitions_folder
-from bayes_body.initial import Show
+from bayes_body.initial import Show, unposed
+from bayes_body.initial.person_search import PersonSearch
 from bayes_body.learning.walking_cycle import load_cycle, walk
 from bayes_body.metrics.figures import width
+from bayes_body.model.build import build_model
+from bayes_body.model.kernel_options import kernel_options
 from bayes_body.recording.rig import read_rig
+from bayes_body.registry import find
 from bayes_body.runs.run import run
 from bayes_body.runs.settings import AUTO, Settings
 from bayes_body.session.read import FILE_NAME
@@ -28,6 +35,7 @@ from bayes_body.simulation.session import simulate
 from bayes_body.simulation.staging import centred
 from bayes_body.storage.names import POSTERIOR_FILE
 from bayes_body.storage.saved_run import load_run
+from bayes_body.tracking.program import Ahead, compiled_ahead
 from bayes_body.view.overlay import VIDEO
 from bayes_body.view.progress import watched
 from bayes_body.view.report import write_report
@@ -43,7 +51,7 @@ class Size(NamedTuple):
     particles: int
 
 
-WHOLE, QUICK = Size(60, 300), Size(12, 192)
+SHORT, LONG, QUICK = Size(30, 300), Size(60, 300), Size(12, 192)
 
 
 class Demo(NamedTuple):
@@ -62,7 +70,7 @@ def demo(out: Path, seed: int, size: Size, show: Show, show_run: Show, bar: bool
     Args:
         out: a folder for the recording and the run.
         seed: random seed of the person, the walk, the room and the tracker.
-        size: WHOLE or QUICK.
+        size: SHORT, LONG or QUICK.
         show: called with each line about the progress.
         show_run: called with each line about the run: its figures and its warnings.
         bar: whether to draw progress bars.
@@ -72,14 +80,33 @@ def demo(out: Path, seed: int, size: Size, show: Show, show_run: Show, bar: bool
     """
     if (out / SESSION / FILE_NAME).exists() or (out / RUN).exists():
         raise input_error(out, "already holds a demonstration", "a folder without one", "name another with --out, or remove it")
-    session = film(out / SESSION, seed, size.frames, bar)
-    show(f"filmed     {session.frames} frames with {len(session.views)} cameras: {out / SESSION}")
-    settings = Settings(out / SESSION, out / RUN, MODEL, overrides={"particles": size.particles}, runs=RUNS, seed=seed, init=AUTO)
-    show(f"tracking   first the person is looked for, then {RUNS} independent runs of {MODEL} follow: {out / RUN}")
-    summary = run(settings, show_run, bar)
+    with rehearsed(seed, size) as (ahead, rehearsal):
+        session = film(out / SESSION, seed, size.frames, bar)
+        show(f"filmed     {session.frames} frames with {len(session.views)} cameras: {out / SESSION}")
+        settings = Settings(out / SESSION, out / RUN, MODEL, overrides={"particles": size.particles}, runs=RUNS, seed=seed, init=AUTO)
+        show(f"tracking   first the person is looked for, then {RUNS} independent runs of {MODEL} follow: {out / RUN}")
+        # A second compilation of the search beside the first would help nobody.
+        wait([rehearsal])
+        summary = run(settings, show_run, bar, ahead)
     with load_run(out / RUN) as saved:
         report = write_report(saved, watch=watched("report", bar))
     return Demo(summary, out / SESSION, out / RUN / VIDEO, report, out / RUN / POSTERIOR_FILE)
+
+
+@contextmanager
+def rehearsed(seed: int, size: Size) -> Iterator[tuple[Ahead, Future[Any]]]:
+    """Compile the programs of search and tracking while the recording is filmed: a single frame, filmed before, has the same form.
+
+    Yields:
+        The program of tracking, and the search's end. An error in the search occurs again in the run, where it is reported.
+    """
+    with TemporaryDirectory(prefix="bayes-body-demo-") as folder, ThreadPoolExecutor(1, thread_name_prefix="rehearsal") as pool:
+        session = unposed(film(Path(folder) / SESSION, seed, 1, bar=False))
+        model = build_model(MODEL, session)
+        kind, options = kernel_options(model.definition, None, {"particles": size.particles})
+        searching = pool.submit(lambda: PersonSearch(session).searched(0))
+        with compiled_ahead(session, model, find("kernel", kind).build(options=options), size.particles) as ahead:
+            yield ahead, searching
 
 
 def result_of(summary: Mapping[str, Any]) -> str:

@@ -17,6 +17,8 @@ from bayes_body.config import cache_folder
 
 # Read by JAX when it is imported, here and in the programs that tests start: nothing above this line may import it.
 os.environ.setdefault("XLA_FLAGS", "--xla_force_host_platform_device_count=2")
+# As `configure` does: two workers with two BLAS threads each would wait for one another.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache_folder("tests-")))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")

@@ -1,5 +1,6 @@
-"""`bayes-body demo`: simulate, track and report a walk in a few minutes."""
+"""`bayes-body demo`: simulate, track and report a walk in one or two minutes."""
 
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,6 +9,7 @@ import typer
 
 from bayes_body.cli.terminal import say, show
 from bayes_body.cli.track import LARGEST_SEED, check_range
+from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
     from bayes_body.demo import Demo
@@ -31,20 +33,25 @@ ROWS = (
 def demo(
     out: Path | None = typer.Option(None, "--out", help=f"Folder for recording and run; by default {FOLDER}, or the next free {FOLDER}_2 ..."),
     seed: int = typer.Option(0, "--seed", help="Each seed gives another person, walk, room and noise."),
-    quick: bool = typer.Option(False, "--quick", help="A fifth of the frames and fewer particles: only tests whether it works."),
+    quick: bool = typer.Option(False, "--quick", help="12 frames and fewer particles: only tests whether it works."),
+    long: bool = typer.Option(False, "--long", help="60 frames instead of 30."),
+    open_report: bool | None = typer.Option(None, "--open/--no-open", help="Show the report in a browser; by default on a terminal with a display."),
 ) -> None:
     """Film a simulated walk, track it like a real recording, and compare the posterior with the truth."""
     from bayes_body.config import configure
 
     check_range("--seed", seed, 0, LARGEST_SEED)
+    if quick and long:
+        raise input_error("--quick", "given with --long", "one of the two", "leave one out")
     configure()
-    from bayes_body.demo import QUICK, WHOLE, result_of
+    from bayes_body.demo import LONG, QUICK, SHORT, result_of
     from bayes_body.demo import demo as demonstrate
     from bayes_body.storage.names import free_folder
 
+    size = QUICK if quick else LONG if long else SHORT
     folder, lines = free_folder(Path(FOLDER)) if out is None else out, list[str]()
     try:
-        found = demonstrate(folder, seed, QUICK if quick else WHOLE, say, lines.append, sys.stderr.isatty())
+        found = demonstrate(folder, seed, size, say, lines.append, sys.stderr.isatty())
         # The result is printed first, then the lines of the run.
         say(f"result     {result_of(found.summary)}\n")
         _table(found.summary)
@@ -53,6 +60,14 @@ def demo(
         for line in lines:
             say(line)
     _where(found)
+    if has_display() if open_report is None else open_report:
+        typer.launch(found.report.resolve().as_uri())
+
+
+def has_display() -> bool:
+    """Whether somebody sits in front of a terminal on a desktop."""
+    is_desktop = sys.platform in ("darwin", "win32") or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    return sys.stdout.isatty() and is_desktop and not any(os.environ.get(name) for name in ("CI", "SSH_CONNECTION"))
 
 
 def _table(summary: dict[str, Any]) -> None:

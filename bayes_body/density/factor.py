@@ -189,7 +189,8 @@ class Transition:
 
 def draw(key: Key, distributions: Mapping[str, Distribution]) -> dict[str, Array]:
     """Draw one value of each variable."""
-    keys = jax.random.split(key, len(distributions))
+    # Each occurrence of a random generator adds to a program's compile time.
+    keys = [key] if len(distributions) == 1 else jax.random.split(key, len(distributions))
     return {name: jnp.asarray(distributions[name].sample(k)) for name, k in zip(sorted(distributions), keys, strict=True)}
 
 

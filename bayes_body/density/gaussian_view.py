@@ -24,7 +24,7 @@ from bayes_body.density.density import Density
 from bayes_body.density.factor import State, nothing_carried, nothing_derived
 from bayes_body.density.tempering import LogTerms, tempered
 from bayes_body.errors import input_error
-from bayes_body.shapes import Index, Key, Scalar
+from bayes_body.shapes import Index, Key, Keys, Scalar
 
 # What is added to the variances of the prediction, relative and absolute, so that float32 finds a root of the covariance.
 FLOOR = (1e-4, 1e-10)
@@ -117,9 +117,8 @@ class GaussianView(NamedTuple):
         del key, position, inverse_temperature, candidates, potential_power
         return ancestor
 
-    def draw(self, key: Key) -> State:
-        """Draw a position from the prediction."""
-        noise = jax.random.normal(key, self.mean.shape, self.mean.dtype)
+    def draw(self, noise: Float[Array, " dof"]) -> State:
+        """Return a draw of the position from the prediction, made from standard normal noise."""
         return split(self.mean + jnp.sum(self.root * noise, axis=-1), self.position(self.density.ancestor(0)))
 
 
@@ -136,11 +135,11 @@ def gaussian_view(key: Key, density: Density) -> GaussianView:
     _check(density)
     coordinates, weights = density.coordinates(), jax.nn.softmax(density.previous.log_weights) / TRANSITIONS
 
-    def one(key: Key, before: State) -> Float[Array, "draw dof"]:
-        draws = jax.vmap(lambda k: density.transition.sample(k, before))(jax.random.split(key, TRANSITIONS))
+    def transitions(keys: Keys, before: State) -> Float[Array, "draw dof"]:
+        draws = jax.vmap(lambda key: density.transition.sample(key, before))(keys)
         return jax.vmap(lambda state: joined(coordinates.unconstrain(state)))(draws)
 
-    drawn = jax.vmap(one)(jax.random.split(key, weights.shape[0]), dict(density.previous.states))
+    drawn = jax.vmap(transitions)(jax.random.split(key, (weights.shape[0], TRANSITIONS)), dict(density.previous.states))
     mean, covariance = _fitted_moments(weights, drawn)
     like = coordinates.unconstrain(density.ancestor(0))
     unread = {name: like[name] for name in _unread(density, sorted(like))}

@@ -88,21 +88,44 @@ def rest(problem: Problem) -> Pose:
     return descend(problem._replace(measurements=nothing, prior=heavy), unbounded(problem, poses), SEARCH, 1.0).explained.pose[0]
 
 
+def descend(
+    problem: Problem,
+    starts: Float[Array, "start parameter"],
+    rate: float | Scalar,
+    width: float | Scalar,
+    markers: Float[Array, "start point 3"] | None = None,
+) -> Descent:
+    """Run Adam from every start. The misfit's width falls from `width` to 1 in the first half of the steps.
+
+    Args:
+        problem: the problem.
+        starts: unconstrained parameters.
+        rate: learning rate of the first step.
+        width: factor of all standard deviations at the beginning.
+        markers: positions in the world in place of the problem's markers, for each start; metres.
+    """
+    if markers is None:
+        markers = jnp.broadcast_to(problem.measurements.markers, (len(starts), *problem.measurements.markers.shape))
+    return _descend(problem, starts, rate, width, markers)
+
+
 # Not `FAST_COMPILE`: this runs in six rounds or more, and one second of further compilation makes them seven times as fast.
 @jax.jit
-def descend(problem: Problem, starts: Float[Array, "start parameter"], rate: float | Scalar, width: float | Scalar) -> Descent:
-    """Run Adam from every start. The misfit's width falls from `width` to 1 in the first half of the steps."""
-
+def _descend(
+    problem: Problem, starts: Float[Array, "start parameter"], rate: Scalar, width: Scalar, markers: Float[Array, "start point 3"]
+) -> Descent:
     def slope(parameters: Float[Array, "start parameter"], progress: Scalar) -> tuple[Float[Array, "start parameter"], Explained]:
         now = jnp.maximum(width ** (1 - 2 * progress), 1.0)
-        return jax.vmap(jax.grad(explain, argnums=1, has_aux=True), (None, 0, None))(problem, parameters, now)
+        return jax.vmap(lambda one, places: jax.grad(misfit, has_aux=True)(one, places, now))(parameters, markers)
+
+    def misfit(parameters: Float[Array, " parameter"], places: Float[Array, "point 3"], now: Scalar) -> tuple[Scalar, Explained]:
+        return explain(problem._replace(measurements=problem.measurements._replace(markers=places)), parameters, now)
 
     return Descent(*minimise(slope, starts, rate, STEPS))
 
 
-@jax.jit
 def fit_draws(problem: Problem, starts: Float[Array, "draw parameter"], markers: Float[Array, "draw point 3"]) -> Float[Array, "draw dof"]:
-    """Return the pose that fits each draw's own markers, from a start that is near.
+    """Return the pose that fits each draw's own markers, from a start that is near. The program is that of `fit`.
 
     Args:
         problem: the problem; its markers are replaced by each draw's, with the same weights.
@@ -112,16 +135,12 @@ def fit_draws(problem: Problem, starts: Float[Array, "draw parameter"], markers:
     Returns:
         Radians and metres.
     """
-
-    def one(start: Float[Array, " parameter"], places: Float[Array, "point 3"]) -> Pose:
-        own = problem._replace(measurements=problem.measurements._replace(markers=places))
-
-        def slope(parameters: Float[Array, " parameter"], _: Scalar) -> tuple[Float[Array, " parameter"], Explained]:
-            return jax.grad(explain, argnums=1, has_aux=True)(own, parameters, 1.0)
-
-        return minimise(slope, start, REFINE, STEPS)[1].pose
-
-    return jax.vmap(one)(starts, markers)
+    poses = []
+    for first in range(0, len(starts), STARTS):
+        # Always as many starts as `fit` has, so that nothing is compiled again.
+        rows = np.minimum(np.arange(first, first + STARTS), len(starts) - 1)
+        poses.append(descend(problem, starts[rows], REFINE, 1.0, markers[rows]).explained.pose)
+    return jnp.concatenate(poses)[: len(starts)]
 
 
 def _different(found: Descent) -> Int[np.ndarray, " kept"]:

@@ -11,9 +11,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from bayes_body.body.placement import placed_markers
+from bayes_body.body.solids import Body
 from bayes_body.density.density import Density
 from bayes_body.density.graph import Mixture
 from bayes_body.detection.detect import TRUSTED, Detected, detect
@@ -35,6 +36,14 @@ MODE_M, FEWEST_OF_MODE = 0.12, 5.0
 WINDOW, APART_S = 5, 0.2
 # Below this the detected facings have no common axis.
 UNDIRECTED = 1e-3
+
+
+_search = jax.jit(search)
+
+
+@jax.jit
+def _markers(body: Body, parts: Float[Array, "draw part 7"]) -> Float[Array, "draw marker 3"]:
+    return jax.lax.map(lambda draw: placed_markers(body, draw), parts)
 
 
 class Searched(NamedTuple):
@@ -87,7 +96,10 @@ class Found(NamedTuple):
 
 
 class PersonSearch:
-    """Searches frames of one session for its person. It compiles once, at the first frame, and keeps the frames that it has searched."""
+    """Searches frames of one session for its person, and keeps the frames that it has searched.
+
+    It compiles at its first frame. Searches of sessions of one form, such as several recordings by one rig, share their programs.
+    """
 
     def __init__(self, session: Session, loose: str = LOOSE, seed: int = 0):
         """Take the session, and the loose-limbed model of which bodies are drawn: its likelihoods read single parts, and its joints propose."""
@@ -98,8 +110,6 @@ class PersonSearch:
         self._frames = frames_of(self.model.body)
         # The motion prior plays no role: any particle will do.
         self._before = self.model.start(1)
-        self._search = jax.jit(search)
-        self._markers = jax.jit(lambda parts: jax.lax.map(lambda one: placed_markers(self.model.body, one), parts))
         self._searched = dict[int, Searched]()
 
     def frame(self, index: int) -> Found | Detected:
@@ -160,8 +170,8 @@ class PersonSearch:
         return Searched(detected, tuple(ways), {**detected.seconds, "search": time.perf_counter() - begun - sum(detected.seconds.values())})
 
     def _way(self, key: Key, density: Density, roots: Mixture, share: float) -> Way:
-        drawn = jax.device_get(self._search(everywhere(key), density, everywhere(roots)))
-        markers = np.asarray(self._markers(jnp.asarray(drawn.parts)), float)
+        drawn = jax.device_get(_search(everywhere(key), density, everywhere(roots)))
+        markers = np.asarray(_markers(self.model.body, jnp.asarray(drawn.parts)), float)
         evidence = float(drawn.log_evidence) + float(np.log(share))
         return way_of(self.names, markers, np.asarray(drawn.log_weights, float), evidence, float(drawn.ess), self.up)
 

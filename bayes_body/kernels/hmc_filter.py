@@ -21,6 +21,7 @@ from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 from pydantic import Field, model_validator
@@ -230,12 +231,19 @@ def _chain_means(particles: Particles, length: int, transition: Transition) -> P
     What follows from sampled variables follows from their means: the mean of derived poses need not be the pose of any state.
     """
     count = particles.log_weights.shape[0]
+    chains = -(-count // length)
+    # One mean of all chains at once compiles in a fraction of the time of one after the other. The last chain may be shorter.
+    place = np.arange(chains * length).reshape(chains, length)
+    is_draw = place < count
+    weights = is_draw / is_draw.sum(axis=1, keepdims=True)
 
-    def mean(name: str, draws: Array) -> Array:
-        return jnp.asarray(transition.space(name, draws.shape[1:]).mean(jnp.full((len(draws),), 1 / len(draws), draws.dtype), draws))
+    def means(name: str, draws: Array) -> Array:
+        space = transition.space(name, draws.shape[1:])
+        return jax.vmap(lambda own, values: jnp.asarray(space.mean(own, values)))(
+            jnp.asarray(weights, draws.dtype), draws[np.minimum(place, count - 1)]
+        )
 
-    starts, chains = range(0, count, length), -(-count // length)
-    states = {name: jnp.stack([mean(name, leaf[first : first + length]) for first in starts]) for name, leaf in particles.states.items()}
+    states = {name: means(name, leaf) for name, leaf in particles.states.items()}
     states |= jax.vmap(transition.derive)(states)
     return Particles(states, jnp.full((chains,), -jnp.log(chains), particles.log_weights.dtype))
 

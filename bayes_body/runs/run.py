@@ -46,7 +46,7 @@ from bayes_body.storage.names import RUN_FILE
 from bayes_body.storage.results import Results
 from bayes_body.storage.run_changes import refuse_changes
 from bayes_body.storage.run_file import describe, write_run_file
-from bayes_body.tracking.program import compiled_ahead
+from bayes_body.tracking.program import Ahead, compiled_ahead
 from bayes_body.tracking.track import track
 from bayes_body.view.figures_text import warning_line
 from bayes_body.view.progress import progress_bar, waiting
@@ -55,13 +55,15 @@ from bayes_body.view.progress import progress_bar, waiting
 RECOVERING = ("particle_bp",)
 
 
-def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
+def run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None = None) -> dict[str, Any]:
     """Track and write everything. Return the content of `summary.json`.
 
     Args:
         settings: the settings of the run.
         show: receives lines for the user.
         bar: whether to draw a progress bar on standard error.
+        ahead: the program of a frame that is already being compiled (`compiled_ahead`), for a session of the same form. Without it, the program is
+            compiled while the first pose is fitted or searched.
 
     Raises:
         InputError: an input cannot be used, the session has no first pose and none is found, the folder has another run or is used by another
@@ -69,10 +71,10 @@ def run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
     """
     # The lock comes first: what another process writes after a look into the folder would not be noticed.
     with locked(settings.out):
-        return _run(settings, show, bar)
+        return _run(settings, show, bar, ahead)
 
 
-def _run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
+def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict[str, Any]:
     before = stored_record(settings)
     chosen, session = choose(settings, before), load_session(settings.session)
     if chosen.init == AUTO:
@@ -100,7 +102,7 @@ def _run(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
         refuse_changes(settings.out, before, record)
     pairs = check_pairs(session, model, chosen.frames or session.frames, show, bar)
     kernel = term.build(options=options)
-    compiling = compiled_ahead(session, model, kernel, options.particles) if must_fit else nullcontext()
+    compiling = compiled_ahead(session, model, kernel, options.particles) if must_fit and ahead is None else nullcontext(ahead)
     with compiling as ahead, waiting("first pose", bar and must_fit):
         model, record = _with_first_pose(model, session, record, before, settings.out, show, chosen.seed)
     _show_first_fit(session, model, show)

@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from bayes_body.density.density import Density
@@ -88,8 +89,8 @@ def hmc(leapfrog_steps: int) -> Move:
     """Return a move by Hamiltonian Monte Carlo with unit mass (Neal 2011, 5.2). The step size is jittered by ±40 %."""
 
     def step(key: Key, position: Position, target: Target, step_size: Scalar) -> Moved:
-        jitter_key, momentum_key, accept_key = jax.random.split(key, 3)
-        size = step_size * jax.random.uniform(jitter_key, (), step_size.dtype, *JITTER)
+        momentum, (jitter, accept) = _random(key, position, 2)
+        size = step_size * (JITTER[0] + (JITTER[1] - JITTER[0]) * jitter)
 
         def visit(k: Index, walker: tuple[Position, Position, _Point, _Point]) -> tuple[Position, Position, _Point, _Point]:
             position, momentum, first, _ = walker
@@ -104,9 +105,9 @@ def hmc(leapfrog_steps: int) -> Move:
 
         unknown = varying_like(jnp.full_like(_kinetic(position), jnp.nan), position)
         unvisited = _Point(position, unknown, LogTerms(unknown, unknown), dict(position))
-        start = position, _normal(momentum_key, position), unvisited, unvisited
+        start = position, momentum, unvisited, unvisited
         *_, first, last = jax.lax.fori_loop(0, leapfrog_steps + 1, visit, start)
-        return _accept(accept_key, first, last)
+        return _accept(accept, first, last)
 
     return Move(step, 0.8, lambda dofs: 0.9 * dofs**-0.25, leapfrog_steps + 1)
 
@@ -115,29 +116,35 @@ def random_walk() -> Move:
     """Return a move by random-walk Metropolis with a Gaussian step. The first step size is 2.38 / sqrt(d) (Roberts, Gelman & Gilks 1997)."""
 
     def step(key: Key, position: Position, target: Target, step_size: Scalar) -> Moved:
-        step_key, accept_key = jax.random.split(key)
-        proposed = _along(position, _normal(step_key, position), step_size)
+        direction, (accept,) = _random(key, position, 1)
+        proposed = _along(position, direction, step_size)
         both = jax.tree.map(lambda here, there: jnp.stack([here, there]), dict(position), proposed)
         log_densities, terms = jax.lax.map(target, both)
         points = _Point(both, log_densities, terms, jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), both))
         first, last = (jax.tree.map(lambda leaf, k=k: leaf[k], points) for k in (0, 1))
-        return _accept(accept_key, first, last)
+        return _accept(accept, first, last)
 
     return Move(step, 0.25, lambda dofs: 2.38 * dofs**-0.5, 2)
 
 
-def _accept(key: Key, first: _Point, last: _Point) -> Moved:
+def _accept(level: Scalar, first: _Point, last: _Point) -> Moved:
     """Accept or reject by the Metropolis rule; NaN is rejected."""
     log_ratio = last.log_density - first.log_density
     rate = jnp.exp(jnp.minimum(jnp.where(jnp.isnan(log_ratio), -jnp.inf, log_ratio), 0.0))
-    accepted = jax.random.uniform(key, (), rate.dtype) < rate
+    # Not "<": a level may be rounded to 1.
+    accepted = level <= rate
     end = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), last, first)
     return Moved(end.position, end.terms, end.slope, rate)
 
 
-def _normal(key: Key, like: Position) -> dict[str, Array]:
-    keys = jax.random.split(key, len(like))
-    return {name: jax.random.normal(k, like[name].shape, like[name].dtype) for k, name in zip(keys, sorted(like), strict=True)}
+def _random(key: Key, like: Position, levels: int) -> tuple[dict[str, Array], Float[Array, " {levels}"]]:
+    """Return standard normal numbers with the form of a position, and some uniform numbers, all from one draw.
+
+    Each occurrence of a random generator adds to a program's compile time.
+    """
+    joined, form = ravel_pytree(dict(like))
+    normals = jax.random.normal(key, (joined.size + levels,), joined.dtype)
+    return form(normals[: joined.size]), jax.scipy.special.ndtr(normals[joined.size :])
 
 
 def _along(position: Position, direction: Position, size: Scalar | float) -> dict[str, Array]:
@@ -185,7 +192,7 @@ def walk(
         moves: the chain's length.
         candidates: number of candidates among which the ancestor is redrawn before the first move.
     """
-    ancestor_key, chain_key = jax.random.split(key)
+    ancestor_key, *move_keys = jax.random.split(key, 1 + moves)
     likelihood, potential = settings.powers
     ancestor = view.choose_ancestor(ancestor_key, particle.ancestor, particle.position, likelihood, candidates, potential)
 
@@ -205,7 +212,7 @@ def walk(
         after = move.step(move_key, whitened, target, settings.step_size)
         return after.position, (coordinates(after.position), after.terms, solved(after.slope, 1), after.acceptance_rate)
 
-    _, (chain, terms, slopes, rates) = jax.lax.scan(one, solved(particle.position, 0), jax.random.split(chain_key, moves))
+    _, (chain, terms, slopes, rates) = jax.lax.scan(one, solved(particle.position, 0), jnp.stack(move_keys))
     return ExtendedParticle(jnp.broadcast_to(ancestor, (moves,)), chain, terms, slopes), jnp.mean(rates), jnp.mean(rates == 0)
 
 

@@ -106,10 +106,10 @@ def predict_by_gaussian(key: Key, indices: Int[Array, " particle"], density: Den
     fit_key, draw_key = jax.random.split(key)
     view = gaussian_view(fit_key, density)
 
-    def one(key_and_index: tuple[Key, Index], view: GaussianView) -> Weighed:
-        key, index = key_and_index
-        read_key, unread_key = jax.random.split(key)
-        noise = jax.random.normal(unread_key, (view.unread_size,), view.mean.dtype)
-        return weigh(view.completed(noise, index, view.draw(read_key)), view.density.ancestor(index), view.density)
+    def weighed(noise_and_index: tuple[Array, Index], view: GaussianView) -> Weighed:
+        noise, index = noise_and_index
+        unread, read = noise[: view.unread_size], noise[view.unread_size :]
+        return weigh(view.completed(unread, index, view.draw(read)), view.density.ancestor(index), view.density)
 
-    return view, over_particles(one, (jax.random.split(draw_key, indices.shape[0]), indices), view)
+    noise = jax.random.normal(draw_key, (indices.shape[0], view.unread_size + view.mean.shape[0]), view.mean.dtype)
+    return view, over_particles(weighed, (noise, indices), view)
