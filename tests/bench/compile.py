@@ -1,9 +1,9 @@
 """What compilation costs: every model with its kernel, and the search for a person. `python tests/bench/compile.py SESSION [--keypoints SESSION]`.
 
-A program is traced and lowered by JAX, then compiled by XLA. XLA's time grows with the number of kernels (operations that are not inside a fusion) and
-of instructions. The instructions are attributed to the files of the package from which they came, innermost first. Each program is compiled in a
-process of its own, with an empty compilation cache. Compare two versions on the same idle machine: `--json` writes the table, `--before` reads an older
-one and prints ratios.
+A program is traced and lowered by JAX, then compiled by XLA. XLA's time grows with the number of kernels (operations that are not inside a fusion)
+and of instructions. The instructions are attributed to the files of the package from which they came, innermost first. Each program is compiled in
+a process of its own, with an empty compilation cache. Compare two versions on the same idle machine: `--json` writes the table, `--before` reads an
+older one and prints ratios.
 """
 
 import argparse
@@ -38,9 +38,8 @@ def main() -> None:
         return
     before = json.loads(arguments.before.read_text()) if arguments.before else {}
     rows = {}
-    print(
-        f"{'program':<30}{'trace':>7}{'lower':>7}{'XLA':>7}{'CPU':>7}{'HLO lines':>11}{'kernels':>9}{'instr.':>8}{'run':>8}{'XLA ratio':>11}{'run ratio':>11}"
-    )
+    widths = {"trace": 7, "lower": 7, "XLA": 7, "CPU": 7, "HLO lines": 11, "kernels": 9, "instr.": 8, "run": 8, "XLA ratio": 11, "run ratio": 11}
+    print(f"{'program':<30}" + "".join(f"{heading:>{width}}" for heading, width in widths.items()))
     for name, session in programs(arguments):
         command = [sys.executable, __file__, str(session), "--row", name]
         result = subprocess.run(command, capture_output=True, text=True, check=False)
