@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Int
 
 from bayes_body.density.density import Density
-from bayes_body.density.factor import Particles, State, Transition
+from bayes_body.density.factor import Particles, State, Transition, draw
 from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.kernels.parts.resampling import Resample, Scheme, resampler
@@ -115,6 +115,12 @@ def _move_and_weigh(particle: tuple[Key, State, State], shared: tuple[Density, I
     key, parent, previous = particle
     density, index, scale = shared
     transition = density.transition
+    if transition.explore is None:
+        first, later = dict(transition.conditional(previous)), dict(transition.perturbation(parent, scale))
+        if jax.tree.structure(first) == jax.tree.structure(later):
+            # One draw instead of two compiles in half of the time.
+            chosen = jax.tree.map(lambda prior, noise: jnp.where(index == 0, prior, noise), first, later)
+            return weigh(transition.state(previous, draw(key, chosen)), previous, density)
     state = jax.lax.cond(index == 0, lambda: transition.enter(key, previous), lambda: transition.perturb(key, parent, previous, scale))
     return weigh(state, previous, density)
 

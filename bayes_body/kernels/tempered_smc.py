@@ -124,7 +124,9 @@ class _Sampler:
         if self.options.waste_free and count % (self.options.moves + 1):
             found, expected = f"{count} particles with chains of {self.options.moves} moves", f"a multiple of {self.options.moves + 1} particles"
             raise input_error("tempered(waste_free=true)", found, expected, "change the particles or the moves")
-        first, predicted, lost, view = self._begin(start_key, density.with_previous(particles))
+        start, predicted, lost, view = self._begin(start_key, density.with_previous(particles))
+        # In the loop, the first step shares the program of the stages. With waste-free moves it has other shapes.
+        first = self._step(jax.random.fold_in(stages_key, 0), start, _still, count) if self.options.waste_free else start
 
         def unfinished(state: TemperedState) -> Array:
             if self.frozen is not None:
@@ -138,8 +140,8 @@ class _Sampler:
     # -- stages -------------------------------------------------------------------------------------------------------------------------
 
     def _begin(self, key: Key, density: Density) -> tuple[TemperedState, Particles, Flag, View]:
-        """Return the constrained prediction reweighted to the first temperature, the prediction, and whether no particle explains the frame."""
-        ancestor_key, draw_key, resample_key = jax.random.split(key, 3)
+        """Return the constrained prediction, the prediction, and whether no particle explains the frame."""
+        ancestor_key, draw_key = jax.random.split(key)
         ancestors = self.resample(ancestor_key, density.previous.log_weights)
         if self.options.prediction == "gaussian":
             view, drawn = predict_by_gaussian(draw_key, ancestors, density)
@@ -150,20 +152,18 @@ class _Sampler:
         positions = jax.vmap(view.position)(drawn.states)
         particles = ExtendedParticle(ancestors, positions, terms, jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), positions))
         start = init_state(particles, constrained, self.stages, self.move.step_size, 0.0 if view.density.has_potentials else 1.0, self.finals)
-        first = self._step(resample_key, start, lambda keys, parents: (parents, (jnp.nan, 0.0)), ancestors.shape[0])
         predicted = Particles(drawn.states, jnp.full_like(constrained, -jnp.log(constrained.shape[0])))
-        return first, predicted, drawn.normalised().lost, view
+        return start, predicted, drawn.normalised().lost, view
 
     def _stage(self, key: Key, state: TemperedState, view: View) -> TemperedState:
-        """Resample, move at the current temperature, and reweight to the next."""
+        """Resample, move at the current temperature, and reweight to the next. Stage 0 only resamples by the constraints and reweights."""
         state, settings = self._with_moves(state)
         states_a_chain = self.options.moves + 1 if self.options.waste_free else 1
 
         def move(keys: Keys, parents: ExtendedParticle) -> tuple[ExtendedParticle, tuple[Scalar, Scalar]]:
-            chains, *rates = self._walk(keys, parents, view, settings)
-            accepted, impossible = map(jnp.mean, rates)
             if not self.options.waste_free:
-                return chains, (accepted, impossible)
+                return jax.lax.cond(state.stage == 0, _still, lambda keys, parents: self._moved(keys, parents, view, settings), keys, parents)
+            chains, (accepted, impossible) = self._moved(keys, parents, view, settings)
             join = jax.tree.map(lambda first, rest: jnp.concatenate([first, rest.reshape(-1, *first.shape[1:])]), parents, chains)
             return join, (accepted, impossible)
 
@@ -210,11 +210,18 @@ class _Sampler:
             return self.frozen.increment(state.powers, state.stage)
         return increment(terms, state.powers, self.options.target_ess, state.stage == self.options.most_stages - 1)
 
+    def _moved(self, keys: Keys, parents: ExtendedParticle, view: View, settings: MoveSettings) -> tuple[ExtendedParticle, tuple[Scalar, Scalar]]:
+        """Move all particles. Return them with the mean acceptance rate and the share of impossible proposals."""
+        chains, *rates = self._walk(keys, parents, view, settings)
+        accepted, impossible = map(jnp.mean, rates)
+        return chains, (accepted, impossible)
+
     # -- moves --------------------------------------------------------------------------------------------------------------------------
 
     def _with_moves(self, state: TemperedState) -> tuple[TemperedState, MoveSettings]:
         """Enter the step size and whitening of the moves at the current temperature in the ladder. Return the state and the settings of the moves."""
-        reached = state.stage - 1
+        # What stage 0 enters here is replaced by stage 1.
+        reached = jnp.maximum(state.stage - 1, 0)
         if self.frozen is not None:
             roots = {name: root[reached] for name, root in self.frozen.whitening.items()}
             log_step_size = self.frozen.log_step_sizes[reached]
@@ -269,6 +276,12 @@ class _Sampler:
         count, options = last.log_weights.shape[0], self.options
         moved = count // (options.moves + 1) if options.waste_free else count
         return count + (last.stage - 1) * moved * options.moves * self.move.evaluations
+
+
+def _still(keys: Keys, parents: ExtendedParticle) -> tuple[ExtendedParticle, tuple[Scalar, Scalar]]:
+    """Move nothing, as in stage 0: no move has been accepted or refused."""
+    dtype = parents.terms.likelihood.dtype
+    return parents, (jnp.full((), jnp.nan, dtype), jnp.zeros((), dtype))
 
 
 @register("kernel", "tempered", Options)
