@@ -143,7 +143,8 @@ def _random(key: Key, like: Position, levels: int) -> tuple[dict[str, Array], Fl
     Each occurrence of a random generator adds to a program's compile time.
     """
     joined, form = ravel_pytree(dict(like))
-    normals = jax.random.normal(key, (joined.size + levels,), joined.dtype)
+    # Without the barrier, XLA repeats the draw wherever a part of it is read.
+    normals = jax.lax.optimization_barrier(jax.random.normal(key, (joined.size + levels,), joined.dtype))
     return form(normals[: joined.size]), jax.scipy.special.ndtr(normals[joined.size :])
 
 

@@ -182,7 +182,8 @@ class _Noise(NamedTuple):
 
 def _noise(key: Key, graph: Graph, edges: Sequence[Edge], shape: tuple[int, ...], dtype: Any) -> _Noise:
     """Return the randomness of `shape` draws, made at once: each occurrence of a random generator is much code."""
-    normals = jax.random.normal(key, (*shape, graph.space.dimension + 1), dtype)
+    # Without the barrier, XLA repeats the draw wherever a part of it is read.
+    normals = jax.lax.optimization_barrier(jax.random.normal(key, (*shape, graph.space.dimension + 1), dtype))
     is_weighted = all(graph.pairs[edge.term].plate.weighted_draw is not None for edge in edges)
     return _Noise(normals, None if is_weighted else jax.random.split(key, shape))
 

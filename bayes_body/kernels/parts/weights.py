@@ -111,5 +111,5 @@ def predict_by_gaussian(key: Key, indices: Int[Array, " particle"], density: Den
         unread, read = noise[: view.unread_size], noise[view.unread_size :]
         return weigh(view.completed(unread, index, view.draw(read)), view.density.ancestor(index), view.density)
 
-    noise = jax.random.normal(draw_key, (indices.shape[0], view.unread_size + view.mean.shape[0]), view.mean.dtype)
+    noise = jax.lax.optimization_barrier(jax.random.normal(draw_key, (indices.shape[0], view.unread_size + view.mean.shape[0]), view.mean.dtype))
     return view, over_particles(weighed, (noise, indices), view)
