@@ -53,7 +53,7 @@ def test_a_model_s_kernel_has_its_options_but_for_those_that_are_changed(texture
     [
         ({"move_s": 3}, r"model\.kernel\(move_s=\.\.\.\): the kernel 'tempered' has no such option; did you mean 'moves'\?"),
         ({"layers": 3}, r"model\.kernel\(layers=\.\.\.\): the kernel 'tempered' has no such option; known: candidates, "),
-        ({"moves": 0}, "the options of the kernel 'tempered': moves: 0"),
+        ({"moves": 0}, "the options of the kernel 'tempered': moves = 0; expected a number greater than or equal to 1"),
     ],
 )
 def test_an_option_that_a_script_cannot_change_is_refused(textured_session, changes, said):
