@@ -12,6 +12,10 @@ class InputError(ValueError):
     """Raised for input that cannot be used. The command line prints it as one sentence and exits with status 2."""
 
 
+class RunWarning(UserWarning):
+    """A sentence about a run that a user must read before the result is used."""
+
+
 class FaultyFileError(InputError):
     """Raised with all faults of one file, one sentence each."""
 

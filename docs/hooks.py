@@ -1,4 +1,4 @@
-"""What the site takes from the tree: folders of the navigation as their pages, the models' page from their definitions, formulas as MathML."""
+"""What the site takes from the tree: folders of the navigation as their pages, the sources of the models, formulas as MathML."""
 
 import html
 import re
@@ -7,7 +7,6 @@ from pathlib import Path
 
 from latex2mathml.converter import convert
 from mkdocs.exceptions import PluginError
-from mkdocs.structure.files import File
 
 # What pymdownx.arithmatex (generic) leaves of a formula.
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
@@ -28,23 +27,16 @@ def on_config(config):
     return config
 
 
-def on_files(files, config):
-    """`models.md`: each definition's file, title and source."""
+def on_page_markdown(markdown, page, config, files):
+    """`models.md` ends with each definition's file, title and source."""
+    if page.file.src_uri != "models.md":
+        return markdown
     models = Path(config.config_file_path).parent / "models"
-    rows = []
+    rows = ["", "| file | title | source |", "|---|---|---|"]
     for path in sorted(models.rglob("*.toml")):
         definition = tomllib.loads(path.read_text(encoding="utf-8"))
         rows.append(f"| `{path.relative_to(models).as_posix()}` | {definition.get('title', '')} | {definition.get('source', '')} |")
-    head = [
-        "# Models that ship",
-        "",
-        "Each is a commented TOML file. Use it by name, or copy it and change it.",
-        "",
-        "| file | title | source |",
-        "|---|---|---|",
-    ]
-    files.append(File.generated(config, "models.md", content="\n".join([*head, *rows, ""])))
-    return files
+    return markdown + "\n".join([*rows, ""])
 
 
 def on_page_content(content, page, config, files):

@@ -40,8 +40,8 @@ def main() -> None:
     frames = min(2, session.frames) if arguments.quick else session.frames
     arguments.out.mkdir(parents=True, exist_ok=True)
 
-    kernel = bb.kernels.annealed(layers=layers)
-    draws = bb.track(session, model, kernel, jax.random.key(arguments.seed), particles=particles, runs=arguments.runs, frames=frames)
+    kernel = model.kernel("annealed", layers=layers)
+    draws = bb.track(jax.random.key(arguments.seed), session, model, kernel, particles=particles, runs=arguments.runs, frames=frames)
     posterior = bb.to_datatree(draws)
     bb.save_posterior(posterior, arguments.out / "posterior.nc")
     bb.draw_overlay(session, draws, arguments.out)

@@ -47,7 +47,7 @@ def main() -> None:
     options, keys = own | dict(arguments.set), jax.random.split(jax.random.key(arguments.seed), 6)
     draws = options.get("particles", 400)
 
-    before = bb.track(session, model, bb.kernels.sir(), keys[0], particles=20_000, frames=arguments.frame)
+    before = bb.track(keys[0], session, model, bb.kernels.sir(), particles=20_000, frames=arguments.frame)
     mixture = ev.mixture_after(keys[1], before, arguments.components)
     shown = range(arguments.frame, max(min(arguments.frame + frames, session.frames), arguments.frame + 1))
     densities = [model.density(model.observe(bb.read_frame(session, frame)), mixture) for frame in shown]

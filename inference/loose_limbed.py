@@ -46,7 +46,7 @@ def main() -> None:
     else:
         model, key = bb.load_model(name, session), jax.random.key(arguments.seed)
         frames, recovery = range(min(10, count) if arguments.quick else count), bb.PersonRecovery(session, model)
-        draws = bb.track(session, model, bb.kernels.particle_bp(), key, particles=500, frames=len(frames), recovery=recovery)
+        draws = bb.track(key, session, model, model.kernel("particle_bp"), particles=500, frames=len(frames), recovery=recovery)
         figures, errors = bb.compare.track_figures(session, draws)
     figures = {"mode": arguments.mode, "model": name, "cameras": len(session.views), **figures}
     arguments.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")

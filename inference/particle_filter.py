@@ -39,7 +39,7 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
 
     key = jax.random.key(arguments.seed)
-    draws = bb.track(session, model, bb.kernels.sir(), key, particles=particles, runs=arguments.runs, frames=frames)
+    draws = bb.track(key, session, model, bb.kernels.sir(), particles=particles, runs=arguments.runs, frames=frames)
     posterior = bb.to_datatree(draws)
     bb.save_posterior(posterior, arguments.out / "posterior.nc")
     bb.draw_overlay(session, draws, arguments.out)

@@ -39,7 +39,7 @@ def main() -> None:
     for name, chosen in (("tracked", definition), ("prior_only", prior)):
         model, key, folder = bb.load_model(chosen, session), jax.random.key(arguments.seed), arguments.out / name
         folder.mkdir(parents=True, exist_ok=True)
-        draws = bb.track(session, model, bb.kernels.sir(), key, particles=particles, runs=arguments.runs, frames=frames)
+        draws = bb.track(key, session, model, bb.kernels.sir(), particles=particles, runs=arguments.runs, frames=frames)
         bb.draw_overlay(session, draws, folder)
         figures, error = bb.compare.track_figures(session, draws)
         if figures["mean_mm"] is None:

@@ -59,9 +59,9 @@ def main() -> None:
     session = darkened(bb.load_session(arguments.session), arguments.out / "session", black)
     model = bb.load_model(arguments.model, session)
     options = {"particles": arguments.particles, "frames": arguments.frames}
-    kernel, figures = getattr(bb.kernels, arguments.kernel)(), {}
+    kernel, figures = model.kernel(arguments.kernel), {}
     for name, recovery in (("without", None), ("with", bb.PersonRecovery(session, model, arguments.seed))):
-        draws = bb.track(session, model, kernel, jax.random.key(arguments.seed), recovery=recovery, **options)
+        draws = bb.track(jax.random.key(arguments.seed), session, model, kernel, recovery=recovery, **options)
         of_track, error = bb.compare.track_figures(session, draws)
         parts = {"before": error[: black.start], "after": error[black.stop + 10 :]}
         figures[name] = {part: 1000 * float(np.mean(each)) for part, each in parts.items()} | {"restarted": draws.frames_restarted}

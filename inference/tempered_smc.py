@@ -39,8 +39,8 @@ def main() -> None:
     frames = min(2, session.frames) if arguments.quick else session.frames
     arguments.out.mkdir(parents=True, exist_ok=True)
 
-    kernel, key = bb.kernels.tempered(moves=arguments.moves, leapfrog_steps=6), jax.random.key(arguments.seed)
-    draws = bb.track(session, model, kernel, key, particles=particles, runs=arguments.runs, frames=frames)
+    kernel, key = model.kernel("tempered", moves=arguments.moves), jax.random.key(arguments.seed)
+    draws = bb.track(key, session, model, kernel, particles=particles, runs=arguments.runs, frames=frames)
     posterior = bb.to_datatree(draws)
     bb.save_posterior(posterior, arguments.out / "posterior.nc")
     bb.draw_overlay(session, draws, arguments.out)

@@ -142,7 +142,7 @@ def followed(scenes: Scenes, definition: Definition, kernel: str, options: Any, 
     scene = scenes.of(definition)
     frames = min(settings.frames, scene.session.frames)
     built, key = find("kernel", kernel).build(options=options), jax.random.key(settings.seed)
-    return scene, track(scene.session, scene.model, built, key, options.particles, settings.runs, frames)
+    return scene, track(key, scene.session, scene.model, built, options.particles, settings.runs, frames)
 
 
 def measured(session: Session, draws: Draws) -> dict[str, Any]:

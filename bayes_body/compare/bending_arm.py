@@ -153,7 +153,7 @@ def twist_interval(filmed: FilmedArm, particles: int, seed: int = 0, name: str =
         InputError: the definition cannot be used.
     """
     model = model_of_arm(filmed, particles, seed, name)
-    draws = track(filmed.session, model, particle_filter.build_kernel(), jax.random.key(seed), particles)
+    draws = track(jax.random.key(seed), filmed.session, model, particle_filter.build_kernel(), particles)
     twist = model.body.dof_names.index(TWIST)
     values = np.degrees([np.asarray(frame.states["pose"])[0, :, twist] for frame in draws.frames])
     weights = np.exp([np.asarray(frame.log_weights)[0] for frame in draws.frames])

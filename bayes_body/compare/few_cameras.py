@@ -170,7 +170,7 @@ def follow(
     kernel, mode_seeker = term.build(options=options), bool(term.note)
     found, evaluations, seconds = [], [], []
     for run in watch(range(runs)):
-        draws = track(session, model, kernel, jax.random.key(seed + run), count, frames=frames)
+        draws = track(jax.random.key(seed + run), session, model, kernel, count, frames=frames)
         against = draws_against_truth(session, draws)
         if against is None:
             raise no_truth(session)

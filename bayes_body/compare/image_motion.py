@@ -173,7 +173,7 @@ def compare_walk(
     definition, edges = (load_definition(name) if not turns else _turning(load_definition(name)) for name in (model, with_edges))
 
     def followed(model: Model) -> Draws:
-        return track(session, model, particle_filter.build_kernel(), jax.random.key(seed), particles, frames=frames)
+        return track(jax.random.key(seed), session, model, particle_filter.build_kernel(), particles, frames=frames)
 
     return Compared(*(followed(load_model(each, session, lambda line: None)) for each in (definition, uniform(definition), edges)))
 

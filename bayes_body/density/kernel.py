@@ -1,9 +1,11 @@
 """The interface of kernels. A kernel maps the weighted particles of one frame to those of the next, given that frame's density."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from jaxtyping import Array
+from pydantic import BaseModel
 
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
@@ -57,3 +59,22 @@ class Kernel(Protocol):
     def __call__(self, key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
         """Filter one frame."""
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class NamedKernel:
+    """A kernel with its name and options, such as `Model.kernel` and `bayes_body.kernels.tempered` return it.
+
+    Attributes:
+        kind: its name in a definition, such as `tempered`.
+        options: its options, validated.
+        function: the kernel itself.
+    """
+
+    kind: str
+    options: BaseModel
+    function: Kernel
+
+    def __call__(self, key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
+        """Filter one frame."""
+        return self.function(key, particles, density)

@@ -120,6 +120,9 @@ def _passing(graph: Graph, options: Options) -> Passing:
 class ParticleBP:
     """The sampler, for one choice of options. Called as a kernel, it samples a frame of a model of parts; `on` takes any pairwise graph."""
 
+    # As `NamedKernel` has it.
+    kind = "particle_bp"
+
     def __init__(self, options: Options):
         self.options = options
         self.resample = resampler("systematic")

@@ -127,7 +127,7 @@ def trials(
 
 
 def _trial(session: Session, model: Model, scale: float, kernel: Kernel, particles: int, seed: int, frames: int | None) -> Trial:
-    draws = track(session, model, kernel, jax.random.key(seed), particles, frames=min(frames or session.frames, session.frames))
+    draws = track(jax.random.key(seed), session, model, kernel, particles, frames=min(frames or session.frames, session.frames))
     found = draws_against_truth(session, draws)
     if found is None:
         raise input_error(

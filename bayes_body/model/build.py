@@ -16,10 +16,12 @@ from bayes_body.body.placement import PARTS, loosened, placed_markers
 from bayes_body.body.solids import Body
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Data, Factor, Particles, State, Transition
+from bayes_body.density.kernel import NamedKernel
 from bayes_body.errors import InputError, input_error, nearest
 from bayes_body.geometry.camera import Camera, stack, turning_radius
 from bayes_body.model.definition import Definition, load_body, load_definition
 from bayes_body.model.first import First, first_of
+from bayes_body.model.kernel_options import check_options, kernel_options
 from bayes_body.registry import find
 from bayes_body.session.session import CameraSpec, Session, Subject
 from bayes_body.shapes import Configuration, Key, Pose
@@ -71,6 +73,20 @@ class Model:
         """
         point_mass = Particles(jax.tree.map(lambda leaf: leaf[None], dict(self.initial)), jnp.zeros(1, self.body.lengths.dtype))
         return Density(self.transition, self.factors, jax.tree.map(jnp.asarray, observation), point_mass if previous is None else previous)
+
+    def kernel(self, kind: str | None = None, /, **changes: Any) -> NamedKernel:
+        """Return the kernel of the definition, with single options changed.
+
+        Args:
+            kind: another kernel's name, such as `sir`, which then has its own defaults; by default the definition's.
+            changes: options that replace those of the definition, such as `particles=500`.
+
+        Raises:
+            InputError: there is no such kernel, it has no such option, or an option's value is not allowed.
+        """
+        check_options(kind or self.definition.kernel.kind, changes)
+        kind, options = kernel_options(self.definition, kind, changes)
+        return NamedKernel(kind, options, find("kernel", kind).build(options=options))
 
     def at(self, cameras: Sequence[CameraSpec]) -> "Model":
         """Return the same model with other camera positions, for a frame of moving cameras. Shapes do not change, so nothing is compiled again."""

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from bayes_body.errors import input_error
+from bayes_body.errors import InputError, input_error, nearest
 from bayes_body.model.definition import Definition
 from bayes_body.registry import find
 from bayes_body.toml.read import validate
@@ -38,3 +38,15 @@ def kernel_options(
             found, expected = f"the kernel '{kind}' has no such option", f"one of {', '.join(schema.model_fields)}"
             raise input_error(f"--{name.replace('_', '-')}" if name in FLAGS else f"--set {name}", found, expected, "leave it out")
     return kind, validate(schema, given | dict(overrides), f"the options of the kernel '{kind}'")
+
+
+def check_options(kind: str, changes: Mapping[str, Any]) -> None:
+    """Refuse options that a kernel does not have, in the words of `Model.kernel`.
+
+    Raises:
+        InputError: there is no such kernel, or it has no such option.
+    """
+    fields = find("kernel", kind).options.model_fields
+    for name in changes:
+        if name not in fields:
+            raise InputError(f"model.kernel({name}=...): the kernel '{kind}' has no such option; {nearest(name, fields)}")

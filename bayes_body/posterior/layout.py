@@ -16,6 +16,10 @@ from bayes_body.posterior.mixing import PREFIX
 from bayes_body.posterior.stored_spaces import SPACE
 from bayes_body.tracking.draws import Draws, FrameResult
 
+# Name and text of the attribute of a tree whose draws have weights.
+WEIGHTS = "weights"
+WEIGHTED = "the draws have weights (sample_stats/log_weight): use bayes_body.equal_weight(tree) before az.summary, which ignores them"
+
 
 @dataclass(frozen=True)
 class Variable:
@@ -168,4 +172,7 @@ def dims_of(members: Sequence[Variable]) -> list[str]:
 
 def attributes_of(draws: Draws, attributes: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the attributes of the whole tree."""
-    return {"model": draws.model.definition.name, **(attributes or {})}
+    found = {"model": draws.model.definition.name, **({"kernel": draws.kernel} if draws.kernel else {}), **(attributes or {})}
+    # A path of a smoother and a draw of a Markov chain have equal weights.
+    weighted = not found.get("smoothed") and not draws.frames[0].info.markov
+    return found | ({WEIGHTS: WEIGHTED} if weighted else {})

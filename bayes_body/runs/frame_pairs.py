@@ -15,8 +15,7 @@ def check_pairs(session: Session, model: Model, frames: int, show: Show, bar: bo
     Raises:
         InputError: there is only one frame, and no likelihood that a single frame informs.
     """
-    likelihoods = [factor for factor in model.factors if factor.side == "likelihood"]
-    comparing = [factor.name for factor in likelihoods if factor.reads_previous]
+    likelihoods, comparing = [factor for factor in model.factors if factor.side == "likelihood"], _comparing(model)
     if not comparing:
         return []
     if frames < 2 and len(comparing) == len(likelihoods):
@@ -26,7 +25,16 @@ def check_pairs(session: Session, model: Model, frames: int, show: Show, bar: bo
         "only the other likelihoods inform it" if len(comparing) < len(likelihoods) else "its posterior is the first pose, spread by the motion prior"
     )
     show(f"{' and '.join(comparing)}: silent in frame 0, which has no frame before it: {others}.")
-    sentences = pair_sentences(session, frames, watched("pairs of frames", bar))
+    sentences = pair_remarks(session, model, frames, bar)
     for sentence in sentences:
         show(warning_line(sentence))
     return sentences
+
+
+def pair_remarks(session: Session, model: Model, frames: int, bar: bool) -> list[str]:
+    """Return warnings about all pairs of frames, if a likelihood compares them."""
+    return pair_sentences(session, frames, watched("pairs of frames", bar)) if _comparing(model) else []
+
+
+def _comparing(model: Model) -> list[str]:
+    return [factor.name for factor in model.factors if factor.side == "likelihood" and factor.reads_previous]

@@ -113,7 +113,7 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
         with progress_bar(bar, len(frames)) as on_frame:
             key, many = jax.random.key(chosen.seed), options.particles
             recovery = PersonRecovery(session, model, chosen.seed, show) if recover else None
-            draws = track(session, model, kernel, key, many, chosen.runs, chosen.frames, on_frame, frames, ahead, recovery)
+            draws = track(key, session, model, kernel, many, chosen.runs, chosen.frames, on_frame, frames, ahead, recovery)
         results = Results(settings.out, frames)
         return finish(session, draws, results, {"kernel": kind, "seed": chosen.seed}, pairs, show, bar)
 

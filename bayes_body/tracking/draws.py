@@ -78,12 +78,16 @@ class Draws:
         frames: the filters' results.
         timing: seconds, over all processes that worked on these frames.
         cameras: the cameras' names.
+        kernel: the kernel's name; empty if it has none.
+        warnings: what `bayes_body.track` says about the result: the sentences that the command line prints at its end.
     """
 
     model: Model
     frames: Frames
     timing: Timing
     cameras: tuple[str, ...]
+    kernel: str = ""
+    warnings: tuple[str, ...] = ()
 
     @property
     def runs(self) -> int:

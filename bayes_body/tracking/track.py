@@ -31,6 +31,8 @@ from bayes_body.tracking.restarts import Recovery, Restarts
 
 # In place of a frame's number in the keys of the states before the first frame.
 BEFORE = 2**32 - 1
+# Of a kernel that is a plain function.
+PARTICLES = 1000
 
 
 class Progress(NamedTuple):
@@ -54,11 +56,11 @@ class Progress(NamedTuple):
 
 
 def track(
+    key: Key,
     session: Session,
     model: Model,
-    kernel: Kernel,
-    key: Key,
-    particles: int = 1000,
+    kernel: Kernel | None = None,
+    particles: int | None = None,
     runs: int = 1,
     frames: int | None = None,
     on_frame: Callable[[Progress], None] | None = None,
@@ -66,14 +68,14 @@ def track(
     ahead: Ahead | None = None,
     recovery: Recovery | None = None,
 ) -> Draws:
-    """Filter a session.
+    """Filter a session. `bayes_body.track` does this and looks at the result.
 
     Args:
+        key: random key of the whole run; each filter and frame folds its own key from it.
         session: the recording.
         model: from `initial.load_model`, for this session.
-        kernel: such as `kernels.annealed.build_kernel()`.
-        key: random key of the whole run; each filter and frame folds its own key from it.
-        particles: number of particles per run.
+        kernel: by default the model's own, `model.kernel()`.
+        particles: number of particles per run; by default the kernel's option `particles`, or 1000 if it has no options.
         runs: independent filters; ArviZ's chains.
         frames: number of frames to track, from the first; all by default.
         on_frame: called after each frame is stored.
@@ -86,6 +88,8 @@ def track(
         InputError: no particles, runs or frames; `into` holds other numbers of them; a frame's images cannot be read, or a frame cannot be stored; no
             Markov chain of a frame accepts a move.
     """
+    kernel = model.kernel() if kernel is None else kernel
+    particles = _particles_of(kernel) if particles is None else particles
     count = session.frames if frames is None else frames
     for name, value, most in (("particles", particles, None), ("runs", runs, None), ("frames", count, session.frames)):
         if value < 1 or (most is not None and value > most):
@@ -97,7 +101,12 @@ def track(
         with closing(observations(session, model, range(done, count))) as observed:
             restarts = None if recovery is None else Restarts(recovery, runs, store)
             _follow(store, _filter(model, kernel, key, filters, done, observed, ahead, restarts), count, on_frame)
-    return Draws(model, store, timing_of(store), tuple(view.camera.name for view in session.views))
+    cameras = tuple(view.camera.name for view in session.views)
+    return Draws(model, store, timing_of(store), cameras, getattr(kernel, "kind", ""))
+
+
+def _particles_of(kernel: Kernel) -> int:
+    return int(getattr(getattr(kernel, "options", None), "particles", PARTICLES))
 
 
 def _first_filters(model: Model, key: Key, particles: int, runs: int) -> list[Particles]:

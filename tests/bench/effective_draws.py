@@ -78,7 +78,7 @@ def main() -> None:
         for what, kind, given, particles in SAMPLERS:
             term = find("kernel", kind)
             kernel = term.build(options=term.options(**given))
-            row = figures(what, precision, track(session, model, kernel, jax.random.key(0), particles=particles, runs=options.runs))
+            row = figures(what, precision, track(jax.random.key(0), session, model, kernel, particles=particles, runs=options.runs))
             rows.append(row)
             print("{:9.0f} {:28} {:8.3f} {:7.1f} {:6.1f} {:8.1f} {:9.0f} {:8.2f}".format(*_in_order(row)), flush=True)
     if options.json:

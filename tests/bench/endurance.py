@@ -54,7 +54,7 @@ def main() -> None:
         kind, kernel = kernel_options(model.definition, options.kernel, {"particles": options.particles})
         print(f"{kind}, {options.particles} particles; frames, memory (MB), seconds a frame")
         files = FrameFiles(Path(folder) / "frames")
-        draws = track(session, model, find("kernel", kind).build(options=kernel), jax.random.key(0), options.particles, on_frame=show, into=files)
+        draws = track(jax.random.key(0), session, model, find("kernel", kind).build(options=kernel), options.particles, on_frame=show, into=files)
         begun = time.perf_counter()
         stream_posterior(draws, Path(folder) / "posterior.nc")
         print(f"posterior.nc: {time.perf_counter() - begun:.1f} s, {memory_mb():.0f} MB held, {len(draws.frames_lost)} frames lost")

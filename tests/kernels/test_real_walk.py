@@ -62,8 +62,7 @@ def _off(session, model, draws, frame):
 
 @pytest.fixture(scope="module")
 def by_hmc(session, model):
-    kernel = bb.kernels.hmc(**model.definition.kernel.options.model_dump())
-    return bb.track(session, model, kernel, jax.random.key(0), particles=400, frames=FRAMES)
+    return bb.track(jax.random.key(0), session, model, particles=400, frames=FRAMES)
 
 
 def test_both_legs_are_kept_through_all_crossings(session, model, by_hmc):
@@ -86,7 +85,7 @@ def test_the_knees_bend_as_those_of_a_walker(model, by_hmc):
 
 def test_the_particle_filter_keeps_them_too_given_half_as_much_time_again(session, model):
     # At equal time, with 20 000 particles, one run of three lost a leg for some frames.
-    draws = bb.track(session, model, bb.kernels.sir(), jax.random.key(0), particles=32_000, frames=58)
+    draws = bb.track(jax.random.key(0), session, model, bb.kernels.sir(), particles=32_000, frames=58)
     for frame in (0, 16, 24, 39, 57):
         off = _off(session, model, draws, frame)
         assert max(off.values()) < 45, f"frame {frame}: {off}"

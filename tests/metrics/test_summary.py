@@ -23,7 +23,7 @@ from bayes_body.view.silhouette import intersection_over_union
 
 @pytest.fixture(scope="module")
 def draws(textured_session):
-    return track(textured_session, build_model("arm", textured_session), build_kernel(), jax.random.key(2), particles=50, runs=2)
+    return track(jax.random.key(2), textured_session, build_model("arm", textured_session), build_kernel(), particles=50, runs=2)
 
 
 def test_intersection_over_union():
@@ -66,7 +66,7 @@ def test_marker_disagreement_is_a_distance(draws):
 
 
 def test_a_figure_that_does_not_exist_is_null(textured_session, draws):
-    single = track(textured_session, draws.model, build_kernel(), jax.random.key(0), particles=20)
+    single = track(jax.random.key(0), textured_session, draws.model, build_kernel(), particles=20)
     summary = summarise(textured_session, single, kernel="sir", seed=0)
     assert summary["rhat_max"] is None and summary["marker_disagreement_mm"] is None
     views = tuple(dataclasses.replace(view, masks=None) for view in textured_session.views)
@@ -78,7 +78,7 @@ def test_a_figure_that_does_not_exist_is_null(textured_session, draws):
 def test_evidence_is_averaged_before_the_logarithm_and_null_of_a_mode_seeker(textured_session, draws):
     by_run = np.array([[-3.0, -4.0], [-3.5, -6.0]])
     assert np.isclose(log_evidence(_with_info(draws, log_evidence=by_run)), np.log((np.exp(-7.0) + np.exp(-9.5)) / 2))
-    sought = track(textured_session, draws.model, annealed(layers=2), jax.random.key(0), particles=20)
+    sought = track(jax.random.key(0), textured_session, draws.model, annealed(layers=2), particles=20)
     assert summarise(textured_session, sought, kernel="annealed", seed=0)["log_evidence"] is None
 
 
@@ -133,7 +133,7 @@ def test_with_a_truth_frame_meets_frame(with_truth, draws):
 
 
 def test_a_mode_seeker_covers_nothing(with_truth, textured_session, draws):
-    sought = track(textured_session, draws.model, annealed(layers=2), jax.random.key(0), particles=20)
+    sought = track(jax.random.key(0), textured_session, draws.model, annealed(layers=2), particles=20)
     summary = summarise(with_truth(draws.model.body.markers.names, np.zeros((5, 3, 3))), sought, kernel="annealed", seed=0)
     assert summary["coverage_50"] is None and summary["coverage_90"] is None and summary["coverage_90_fitted_offset"] is None
     assert summary["error_mm_mean"] > 0

@@ -3,6 +3,7 @@
 import pytest
 
 from bayes_body.errors import InputError
+from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.model.kernel_options import kernel_options
 from bayes_body.registry import names
@@ -37,3 +38,29 @@ def test_a_run_that_is_continued_keeps_its_options_and_given_ones_go_first():
 def test_an_option_that_does_not_exist_is_named_as_it_was_given(name, said):
     with pytest.raises(InputError, match=rf"{said}: the kernel 'sir' has no such option; expected one of particles.*; leave it out"):
         kernel_options(load_definition("arm"), "sir", {name: 3})
+
+
+def test_a_model_s_kernel_has_its_options_but_for_those_that_are_changed(textured_session):
+    model = build_model("tempered_smc", textured_session)
+    own, changed, other = model.kernel(), model.kernel(moves=3, particles=50), model.kernel("annealed", layers=2)
+    assert own.kind == "tempered" and own.options == model.definition.kernel.options
+    assert changed.options == own.options.model_copy(update={"moves": 3, "particles": 50}) and changed.options.prediction == "gaussian"
+    assert other.kind == "annealed" and other.options.layers == 2 and other.options.particles == 1000
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"move_s": 3}, r"model\.kernel\(move_s=\.\.\.\): the kernel 'tempered' has no such option; did you mean 'moves'\?"),
+        ({"layers": 3}, r"model\.kernel\(layers=\.\.\.\): the kernel 'tempered' has no such option; known: candidates, "),
+        ({"moves": 0}, "the options of the kernel 'tempered': moves = 0; expected a number greater than or equal to 1"),
+    ],
+)
+def test_an_option_that_a_script_cannot_change_is_refused(textured_session, changes, said):
+    with pytest.raises(InputError, match=said):
+        build_model("tempered_smc", textured_session).kernel(**changes)
+
+
+def test_a_kernel_that_does_not_exist_is_refused(textured_session):
+    with pytest.raises(InputError, match="kernel 'temperd' does not exist; did you mean 'tempered'"):
+        build_model("tempered_smc", textured_session).kernel("temperd")

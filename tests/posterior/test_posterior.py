@@ -14,8 +14,9 @@ from bayes_body.density.spaces import SE3, Plate, euclidean, space_from_text
 from bayes_body.errors import InputError
 from bayes_body.kernels.particle_filter import build_kernel
 from bayes_body.model.build import build_model
-from bayes_body.posterior import equal_weight_draws, markers, mean_poses, rhat, save_posterior, stream_posterior, to_datatree
+from bayes_body.posterior import equal_weight, equal_weight_draws, markers, mean_poses, rhat, save_posterior, stream_posterior, to_datatree
 from bayes_body.posterior import stream as streaming
+from bayes_body.posterior.on_demand import tree_on_demand
 from bayes_body.tracking.track import track
 
 RUNS, FRAMES, PARTICLES = 3, 5, 400
@@ -28,7 +29,7 @@ FILTER = {
 
 @pytest.fixture(scope="module")
 def draws(textured_session):
-    return track(textured_session, build_model("arm", textured_session), build_kernel(), jax.random.key(2), particles=PARTICLES, runs=RUNS)
+    return track(jax.random.key(2), textured_session, build_model("arm", textured_session), build_kernel(), particles=PARTICLES, runs=RUNS)
 
 
 def test_the_tree_holds_draws_weights_and_ancestors(draws, tmp_path):
@@ -151,8 +152,69 @@ def test_a_posterior_without_room_is_refused_before_it_is_begun(draws, tmp_path,
     assert not list(tmp_path.iterdir())
 
 
+class Watched:
+    """Frames that note which of them are read."""
+
+    def __init__(self, frames):
+        self.frames, self.read = frames, []
+
+    def __len__(self):
+        return len(self.frames)
+
+    def __getitem__(self, index):
+        self.read.append(index)
+        return self.frames[index]
+
+    def __iter__(self):
+        return iter(self.frames)
+
+
+def test_a_tree_on_demand_is_the_tree_and_reads_what_is_asked_for(draws):
+    watched = Watched(draws.frames)
+    tree = tree_on_demand(dataclasses.replace(draws, frames=watched), {"seed": 2})
+    watched.read.clear()
+    pose = tree["posterior"]["pose"]
+    assert pose.shape == (RUNS, PARTICLES, FRAMES, 4) and watched.read == []
+    np.testing.assert_array_equal(pose.isel(frame=slice(1, 3), chain=1, dof=-1), draws.states["pose"][1, 1:3, :, -1].T)
+    np.testing.assert_array_equal(tree["sample_stats"]["log_weight"].isel(frame=4), draws.log_weights[:, 4])
+    assert watched.read == [1, 2, 4]
+    assert tree.identical(to_datatree(draws, {"seed": 2}))
+
+
 def test_arviz_takes_it(draws):
-    assert "pose" in az.summary(to_datatree(draws).sel(frame=1), var_names=["pose"]).index[0]
+    tree = to_datatree(draws).sel(frame=1)
+    assert "bayes_body.equal_weight" in tree.attrs["weights"] and "weights" not in equal_weight(tree).attrs
+    equal, weighted = az.summary(equal_weight(tree), var_names=["pose"], kind="stats", round_to="none"), mean_poses(draws)[:, 1].mean(axis=0)
+    assert "pose" in equal.index[0]
+    pose = draws.states["pose"][:, 1].reshape(-1, 4)
+    error = np.abs(equal["mean"] - weighted)
+    # The error of systematic resampling, far below that of a mean that ignores the weights.
+    assert (error < 4 * pose.std(axis=0) / np.sqrt(RUNS * PARTICLES)).all() and error.max() < 0.2 * np.abs(pose.mean(axis=0) - weighted).max()
+
+
+def test_draws_of_equal_weight_are_resampled_frame_by_frame(draws):
+    tree = to_datatree(draws)
+    equal = equal_weight(tree, count=500, seed=3)
+    assert equal["posterior"]["pose"].sizes == {"chain": RUNS, "draw": 500, "frame": FRAMES, "dof": 4}
+    assert equal["posterior"]["pose"].attrs == tree["posterior"]["pose"].attrs and equal["filter"].identical(tree["filter"])
+    np.testing.assert_allclose(equal["sample_stats"]["log_weight"], -np.log(500), rtol=1e-6)
+    # A pose with its ancestor; a frame's draws are the same without the other frames.
+    pose, ancestor = draws.states["pose"][2, 3], draws.info.ancestors[2, 3]
+    place = [int(np.flatnonzero((pose == one).all(axis=1))[0]) for one in equal["posterior"]["pose"].sel(chain=2, frame=3).values]
+    assert (equal["sample_stats"]["ancestor"].sel(chain=2, frame=3).values == ancestor[place]).all()
+    for frame in (3, [3], [1, 3]):
+        assert equal_weight(tree.sel(frame=frame), count=500, seed=3).identical(equal.sel(frame=frame))
+    assert not equal_weight(tree, count=500, seed=4).identical(equal)
+    # Draws that have equal weights already, such as those of Markov chains, keep their order.
+    assert equal_weight(equal).identical(equal)
+
+
+def test_a_tree_without_weights_has_nothing_to_resample(draws):
+    tree = to_datatree(draws)
+    with pytest.raises(InputError, match="equal_weight: tree: no sample_stats/log_weight; expected a tree with weighted draws"):
+        equal_weight(xr.DataTree.from_dict({"posterior": tree["posterior"].to_dataset()}))
+    with pytest.raises(InputError, match="count: 0; expected a whole number from 1 up"):
+        equal_weight(tree, count=0)
 
 
 def test_equal_weight_draws_have_the_weighted_mean(draws):

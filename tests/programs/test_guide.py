@@ -2,11 +2,10 @@
 
 import json
 import re
-import shlex
 import tomllib
-from pathlib import Path
 
 import pytest
+from programs.pages import FIRST_RUN, README, ROOT, blocks, page, sections
 from pydantic import BaseModel
 
 from bayes_body.body import schema, tables
@@ -19,22 +18,9 @@ from bayes_body.registry import Room, find, names
 # These programs run for longer than they compile.
 pytestmark = pytest.mark.usefixtures("optimised")
 
-ROOT = Path(__file__).parents[2]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-FIRST_RUN = (ROOT / "docs" / "guide" / "first_run.md").read_text(encoding="utf-8")
-DEFINITIONS = (ROOT / "docs" / "guide" / "definitions.md").read_text(encoding="utf-8")
+DEFINITIONS = page("docs/guide/definitions.md")
 
 SETTING_UP = ["python3 -m pip install uv && python3 -m uv run bayes-body demo", "python3 -m pip install uv && python3 -m uv run pytest"]
-
-
-def blocks(text: str, language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-
-
-def sections(text: str) -> dict[str, str]:
-    """Headings and what stands below each, up to the next."""
-    parts = re.split(r"^#+ (.*)$", text, flags=re.MULTILINE)[1:]
-    return dict(zip(parts[::2], parts[1::2], strict=True))
 
 
 def keys(table: str) -> set[str]:
@@ -59,12 +45,13 @@ def test_the_readme_recommends_models_that_ship():
     assert {"markers_31", "tempered_smc"} <= taken <= set(definition_names())
 
 
-def test_the_readme_names_every_model():
-    table = sections(README)["Models"]
-    assert keys(table) == set(definition_names())
+def test_the_readme_lists_a_few_models_and_the_documentation_every_one():
+    few, table = keys(sections(README)["Models"]), sections(page("docs/models.md"))["Models that ship"]
+    assert {"markers_31", "tempered_smc"} <= few <= set(definition_names()) == keys(table) and len(few) <= 7
     for name in definition_names():
-        (row,) = [line for line in table.splitlines() if line.startswith(f"| `{name}`")]
-        assert row.split("|")[-2].strip() == f"`{load_definition(name).kernel.kind}`"
+        for text in (table, *([sections(README)["Models"]] if name in few else [])):
+            (row,) = [line for line in text.splitlines() if line.startswith(f"| `{name}`")]
+            assert row.split("|")[-2].strip() == f"`{load_definition(name).kernel.kind}`"
 
 
 @pytest.mark.parametrize("text", [README, FIRST_RUN], ids=["README", "first_run"])
@@ -74,59 +61,9 @@ def test_links_lead_somewhere(text):
         assert (folder / target).exists(), target
 
 
-@pytest.fixture(scope="module")
-def walked(walk) -> Path:
-    """The folder in which the guide's commands were given."""
-    (command,) = [line for line in "".join(blocks(FIRST_RUN, "sh")).splitlines() if line.startswith("bayes-body track")]
-    folder = walk.parent
-    arguments = [str(folder / each) if each in ("walk", "walk_run") else each for each in shlex.split(command)[1:]]
-    with pytest.raises(SystemExit) as stopped:
-        main([*arguments, "--particles", "50"])
-    assert stopped.value.code == 0
-    return folder
-
-
 def test_the_guide_s_commands_are_the_readme_s():
     for command in [line for line in "".join(blocks(FIRST_RUN, "sh")).splitlines() if line.startswith("bayes-body")]:
         assert command in README
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", range(len(blocks(FIRST_RUN, "python"))))
-def test_python_of_the_guide_runs(walked, monkeypatch, number):
-    monkeypatch.chdir(walked)
-    exec(compile(blocks(FIRST_RUN, "python")[number], f"first_run.md #{number}", "exec"), {})
-
-
-@pytest.mark.slow
-def test_python_of_the_readme_runs(walk, monkeypatch, capsys):
-    monkeypatch.chdir(walk.parent)
-    block = _python_of_the_readme("A whole recording in a script")
-    assert "density = model.density(model.observe(bb.read_frame(session, 0)))" in block
-    exec(compile(block.replace("particles=200", "particles=50"), "README.md", "exec"), {})
-    assert "silhouette_edges" in capsys.readouterr().out
-
-
-@pytest.mark.long
-def test_the_sampler_of_the_readme_runs(walk, monkeypatch):
-    monkeypatch.chdir(walk.parent)
-    block = _python_of_the_readme("Your own sampler in 20 lines")
-    assert len([line for line in block.splitlines() if line]) <= 20
-    few = "chains, warm_up, draws = 2, 10, 10"
-    names = {}
-    exec(compile(re.sub(r"chains, warm_up, draws = .*", few, block), "README.md", "exec"), names)
-    model, pose = names["model"], names["tree"]["posterior"]["pose"]
-    assert pose.sizes == {"chain": 2, "draw": 10, "dof": len(model.body.dof_names)}
-    low, high = model.body.skeleton.low, model.body.skeleton.high
-    assert ((pose.values >= low) & (pose.values <= high)).all()
-    # The chains start at the first pose and move.
-    assert (pose.std("draw") > 0).all() and abs(pose.sel(dof="root_z").mean() - 0.87) < 0.1
-    assert Path("nuts.png").stat().st_size > 1000
-
-
-def _python_of_the_readme(heading: str) -> str:
-    (block,) = blocks(sections(README)[heading], "python")
-    return block
 
 
 @pytest.mark.slow

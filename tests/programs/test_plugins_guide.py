@@ -65,7 +65,7 @@ def test_its_program_runs_and_a_wrong_keypoint_moves_the_pose_little(folder, mon
     monkeypatch.chdir(folder)
     names = {}
     # The smaller program of the two: compiling is what takes time here.
-    exec(compile(PROGRAM.replace("tempered()", "sir()"), "plugins.md", "exec"), names)
+    exec(compile(PROGRAM.replace("session, model,", 'session, model, model.kernel("sir"),'), "plugins.md", "exec"), names)
     assert len(names["draws"].frames) == 3 and names["draws"].frames_lost == []
     session = names["session"]
     model = with_first_pose(names["model"], session)

@@ -30,7 +30,7 @@ def watch(progress):
 bb.configure()
 session = bb.load_session(folder)
 model = bb.load_model("arm", session)
-draws = track(session, model, bb.kernels.sir(), jax.random.key(0), particles=1000, runs=2, on_frame=watch, into=FrameFiles(out / "frames"))
+draws = track(jax.random.key(0), session, model, bb.kernels.sir(), particles=1000, runs=2, on_frame=watch, into=FrameFiles(out / "frames"))
 stream_posterior(draws, out / "posterior.nc")
 after_posterior = megabytes()
 log_evidence(draws), marker_disagreement(draws), draws.frames_lost

@@ -284,9 +284,9 @@ def test_the_run_file_keeps_the_session_s_text(looped, uninterrupted):
 def test_frames_that_are_kept_are_not_computed_again(textured_session, kept):
     """In memory, of a kernel with layers: what is there already is taken as it is, and the end is the same."""
     model, key, kernel = build_model("arm", textured_session), jax.random.key(5), annealed(layers=2)
-    whole = track(textured_session, model, kernel, key, particles=40, runs=2)
+    whole = track(key, textured_session, model, kernel, particles=40, runs=2)
     store, told = list(whole.frames)[:kept], []
-    again = track(textured_session, model, kernel, key, particles=40, runs=2, on_frame=told.append, into=store)
+    again = track(key, textured_session, model, kernel, particles=40, runs=2, on_frame=told.append, into=store)
     assert again.frames is store and all(a is b for a, b in zip(store[:kept], whole.frames, strict=False))
     assert [(progress.frame, progress.frames) for progress in told] == [(frame, 5) for frame in range(kept + 1, 6)]
     for name in ("ancestors", "survival_rate", "evaluations"):
@@ -300,9 +300,9 @@ def test_frames_that_are_kept_are_not_computed_again(textured_session, kept):
 )
 def test_frames_of_another_size_are_not_continued(textured_session, sizes, said):
     model, key, kernel = build_model("arm", textured_session), jax.random.key(5), annealed(layers=2)
-    whole = track(textured_session, model, kernel, key, particles=40, runs=2)
+    whole = track(key, textured_session, model, kernel, particles=40, runs=2)
     with pytest.raises(InputError, match=said):
-        track(textured_session, model, kernel, key, **{"particles": 40, "runs": 2, **sizes}, into=list(whole.frames))
+        track(key, textured_session, model, kernel, **{"particles": 40, "runs": 2, **sizes}, into=list(whole.frames))
 
 
 @pytest.mark.parametrize("what", ["posterior", "summary"])

@@ -40,9 +40,9 @@ def test_what_was_compiled_ahead_is_what_tracks(textured_session, arm):
     kernel = Counted()
     with compiled_ahead(textured_session, arm, kernel, 40) as ahead:
         pass
-    draws = track(textured_session, arm, kernel, KEY, 40, runs=2, ahead=ahead)
+    draws = track(KEY, textured_session, arm, kernel, 40, runs=2, ahead=ahead)
     assert kernel.traces == 1
-    plain = track(textured_session, arm, build_kernel(), KEY, 40, runs=2)
+    plain = track(KEY, textured_session, arm, build_kernel(), 40, runs=2)
     np.testing.assert_array_equal(draws.states["pose"], plain.states["pose"])
 
 
@@ -50,7 +50,7 @@ def test_of_another_form_it_is_made_anew(textured_session, arm):
     kernel = Counted()
     with compiled_ahead(textured_session, arm, kernel, 40) as ahead:
         pass
-    assert track(textured_session, arm, kernel, KEY, 50, ahead=ahead).log_weights.shape == (1, 5, 50)
+    assert track(KEY, textured_session, arm, kernel, 50, ahead=ahead).log_weights.shape == (1, 5, 50)
     assert kernel.traces == 2
 
 
@@ -59,7 +59,7 @@ def test_in_double_precision_too(textured_session):
         arm, kernel = build_model("arm", textured_session), Counted()
         with compiled_ahead(textured_session, arm, kernel, 40) as ahead:
             pass
-        assert track(textured_session, arm, kernel, KEY, 40, ahead=ahead).states["pose"].dtype == np.float64
+        assert track(KEY, textured_session, arm, kernel, 40, ahead=ahead).states["pose"].dtype == np.float64
     assert kernel.traces == 1
 
 
@@ -76,14 +76,14 @@ def test_after_an_error_nothing_is_begun(textured_session, arm):
     assert ahead.result(60) is None
     assert kernel.traces == 0
     # Whoever goes on all the same gets a program.
-    track(textured_session, arm, kernel, KEY, 40, frames=1, ahead=ahead)
+    track(KEY, textured_session, arm, kernel, 40, frames=1, ahead=ahead)
     assert kernel.traces == 1
 
 
 def test_its_own_error_is_told_where_it_belongs(textured_session, arm):
     failed = Future()
     failed.set_exception(RuntimeError("in the thread"))
-    assert len(track(textured_session, arm, build_kernel(), KEY, 40, frames=2, ahead=failed).frames) == 2
+    assert len(track(KEY, textured_session, arm, build_kernel(), 40, frames=2, ahead=failed).frames) == 2
 
 
 LAWS = """

@@ -38,9 +38,9 @@ def arm(textured_session):
 
 
 def test_a_lost_run_starts_anew_and_the_other_goes_on(textured_session, arm):
-    without = track(textured_session, arm, build_kernel(), KEY, particles=40, runs=2)
+    without = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2)
     lost = Lost(arm, since=3)
-    draws = track(textured_session, arm, build_kernel(), KEY, particles=40, runs=2, recovery=lost)
+    draws = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, recovery=lost)
     assert lost.asked == [3] and draws.frames_restarted == [3] and without.frames_restarted == []
     np.testing.assert_array_equal(draws.frames[3].restarted, [False, True])
     elbow = arm.body.dof_names.index("elbow")
@@ -53,7 +53,7 @@ def test_the_first_frame_after_found_poses_is_wider(textured_session, arm):
     """A quarter of a second of the random walk, whose frames are a fifteenth of that at 60 frames a second."""
     found = arm.beginning_at(arm.first_pose, jnp.tile(arm.first_pose, (3, 1)))
     frames = {
-        name: track(textured_session, model, build_kernel(), KEY, particles=400, frames=2).frames
+        name: track(KEY, textured_session, model, build_kernel(), particles=400, frames=2).frames
         for name, model in (("given", arm), ("found", found))
     }
     joint = arm.body.dof_names.index("shoulder_y")
@@ -70,23 +70,23 @@ def test_the_first_frame_after_found_poses_is_wider(textured_session, arm):
 
 @pytest.mark.parametrize("since", [3, 4])
 def test_a_run_that_is_continued_restarts_in_the_same_way(textured_session, arm, since):
-    whole = track(textured_session, arm, build_kernel(), KEY, particles=40, runs=2, recovery=Lost(arm, since))
+    whole = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, recovery=Lost(arm, since))
     assert whole.frames_restarted == [since]
     for stop in (3, 4):
         begun = list(whole.frames)[:stop]
-        continued = track(textured_session, arm, build_kernel(), KEY, particles=40, runs=2, into=begun, recovery=Lost(arm, since))
+        continued = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, into=begun, recovery=Lost(arm, since))
         assert (continued.states["pose"] == whole.states["pose"]).all() and continued.frames_restarted == whole.frames_restarted
 
 
 def test_fewer_frames_are_no_loss(textured_session, arm):
     lost = Lost(arm, since=0)
     lost.off = lambda result, frame: np.array([False, frame in (0, 1, 3)])
-    assert track(textured_session, arm, build_kernel(), KEY, particles=40, runs=2, recovery=lost).frames_restarted == [] and lost.asked == []
+    assert track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, recovery=lost).frames_restarted == [] and lost.asked == []
 
 
 def test_frames_that_nothing_explains_are_a_loss(textured_session, arm):
     lost = Lost(arm, since=0)
-    (seen,) = track(textured_session, arm, build_kernel(), KEY, particles=40, runs=2, frames=1).frames
+    (seen,) = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, frames=1).frames
     unseen = dataclasses.replace(seen, info=seen.info._replace(lost=np.array([True, True])))
     assert Restarts(lost, 2, [unseen, unseen, unseen]).frames_off.tolist() == [3, 3]
     assert Restarts(lost, 2, [unseen, unseen, seen]).frames_off.tolist() == [0, 0]
@@ -96,5 +96,5 @@ def test_the_frame_file_keeps_it(textured_session, arm, tmp_path):
     from bayes_body.storage import FrameFiles
 
     files = FrameFiles(tmp_path / "frames")
-    track(textured_session, arm, build_kernel(), KEY, particles=40, runs=2, into=files, recovery=Lost(arm, since=3))
+    track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, into=files, recovery=Lost(arm, since=3))
     np.testing.assert_array_equal(FrameFiles(tmp_path / "frames")[3].restarted, [False, True])

@@ -40,28 +40,28 @@ def test_a_new_frame_never_retraces(name, textured_session, arm, loose_arm):
         traces.append(1)
         return kernel(key, particles, density)
 
-    draws = track(textured_session, loose_arm if name == "particle_bp" else arm, counted, KEY, particles=40, runs=2)
+    draws = track(KEY, textured_session, loose_arm if name == "particle_bp" else arm, counted, particles=40, runs=2)
     assert draws.log_weights.shape == (2, 5, 40)
     assert len(traces) == 1
 
 
 def test_runs_and_frames_do_not_depend_on_how_many_there_are(textured_session, arm):
-    whole = track(textured_session, arm, build_kernel(), KEY, particles=40, runs=2)
-    part = track(textured_session, arm, build_kernel(), KEY, particles=40, runs=1, frames=3)
+    whole = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2)
+    part = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=1, frames=3)
     assert (part.states["pose"][0] == whole.states["pose"][0, :3]).all()
     assert not (whole.states["pose"][0] == whole.states["pose"][1]).all()
 
 
 def test_progress_is_told_frame_by_frame(textured_session, arm):
     told = []
-    track(textured_session, arm, build_kernel(), KEY, particles=40, on_frame=told.append)
+    track(KEY, textured_session, arm, build_kernel(), particles=40, on_frame=told.append)
     assert [(progress.frame, progress.frames) for progress in told] == [(frame + 1, 5) for frame in range(5)]
     assert all(0 < progress.ess <= 40 and progress.seconds_per_frame > 0 for progress in told)
 
 
 def test_ancestors_connect_the_frames(textured_session, arm):
     """A particle is its ancestor moved by one frame's noise: no further than eight standard deviations."""
-    draws = track(textured_session, arm, build_kernel(), KEY, particles=40)
+    draws = track(KEY, textured_session, arm, build_kernel(), particles=40)
     sd = np.asarray(arm.transition.conditional(arm.initial)["pose"].scale)
     for frame in range(1, 5):
         before = draws.states["pose"][0, frame - 1][draws.info.ancestors[0, frame]]
@@ -78,7 +78,7 @@ def test_ancestors_connect_the_frames(textured_session, arm):
 )
 def test_sizes_that_make_no_sense(textured_session, arm, arguments, said):
     with pytest.raises(InputError, match=said):
-        track(textured_session, arm, build_kernel(), KEY, **arguments)
+        track(KEY, textured_session, arm, build_kernel(), **arguments)
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def test_a_frame_that_cannot_be_used_stops_with_its_name_and_keeps_those_before(
     kept, told = [], []
     shutil.copyfile(damageable.folder / "a" / "image0003.png", damageable.folder / "b" / "image0003.png")
     with pytest.raises(InputError, match=r"image0003\.png"):
-        track(damageable, arm, build_kernel(), KEY, particles=10, on_frame=told.append, into=kept)
+        track(KEY, damageable, arm, build_kernel(), particles=10, on_frame=told.append, into=kept)
     assert len(kept) == len(told) == 3
 
 
@@ -102,7 +102,7 @@ def test_a_frame_that_no_camera_saw_is_lost_and_the_filter_goes_on(damageable, a
     for name in ("a/image0002.png", "b/image0002.png", "b/image0003.png"):
         (damageable.folder / name).unlink()
     told = []
-    draws = track(damageable, arm, build_kernel(), KEY, particles=40, runs=2, on_frame=told.append)
+    draws = track(KEY, damageable, arm, build_kernel(), particles=40, runs=2, on_frame=told.append)
     assert draws.frames_lost == [2]
     assert [progress.lost for progress in told] == [False, False, True, False, False]
     assert draws.frames_unseen == {"a": [2], "b": [2, 3]}
@@ -114,4 +114,4 @@ def test_a_frame_that_no_camera_saw_is_lost_and_the_filter_goes_on(damageable, a
 def test_a_session_without_masks_is_told_what_it_lacks(textured_session, arm):
     views = tuple(dataclasses.replace(view, masks=None) for view in textured_session.views)
     with pytest.raises(InputError, match="have no masks"):
-        track(dataclasses.replace(textured_session, views=views), arm, build_kernel(), KEY, particles=10)
+        track(KEY, dataclasses.replace(textured_session, views=views), arm, build_kernel(), particles=10)

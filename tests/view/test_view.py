@@ -53,7 +53,7 @@ def test_an_outline_behind_a_camera_is_not_drawn(model, textured_session):
 
 
 def test_overlay_video_and_stills(model, textured_session, tmp_path):
-    draws = track(textured_session, model, build_kernel(), jax.random.key(0), particles=30, runs=2)
+    draws = track(jax.random.key(0), textured_session, model, build_kernel(), particles=30, runs=2)
     video, *stills = draw_overlay(textured_session, draws, tmp_path)
     reader = cv2.VideoCapture(str(video))
     assert reader.get(cv2.CAP_PROP_FRAME_COUNT) == 5 and reader.get(cv2.CAP_PROP_FPS) == 60
@@ -200,7 +200,7 @@ def test_a_thin_camera_is_drawn(model, textured_session, tmp_path):
     thin = dataclasses.replace(thin, images="thin/image%04d.png", masks="thin/image%04d.png")
     session = dataclasses.replace(session, folder=folder, views=(thin, *others))
     assert draw_check(session, build_model("arm", session), tmp_path / "check.png").exists()
-    draws = track(session, build_model("arm", session), build_kernel(), jax.random.key(0), particles=30, frames=2)
+    draws = track(jax.random.key(0), session, build_model("arm", session), build_kernel(), particles=30, frames=2)
     assert all(path.exists() for path in draw_overlay(session, draws, tmp_path))
 
 

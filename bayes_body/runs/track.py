@@ -1,0 +1,133 @@
+"""Track a session from a script, and say what the command line says at its end: `bayes_body.track`."""
+
+import sys
+import warnings
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
+
+import jax
+import numpy as np
+from pydantic import BaseModel
+
+from bayes_body.density.kernel import Kernel
+from bayes_body.errors import RunWarning, input_error
+from bayes_body.metrics.fit import frame_fit
+from bayes_body.metrics.plausibility import fit_figures
+from bayes_body.metrics.plausibility_sentences import fit_sentences
+from bayes_body.model.build import Model
+from bayes_body.posterior import mean_pose
+from bayes_body.posterior.diagnostics import diagnose, sentences
+from bayes_body.posterior.on_demand import tree_on_demand
+from bayes_body.runs.frame_pairs import pair_remarks
+from bayes_body.session.session import Session
+from bayes_body.shapes import Key
+from bayes_body.tracking import track as tracking
+from bayes_body.tracking.draws import Draws, FrameStore
+from bayes_body.tracking.program import Ahead
+from bayes_body.tracking.restarts import Recovery
+from bayes_body.tracking.track import Progress
+from bayes_body.view.progress import progress_bar, waiting, watched
+
+ORDER = "track(key, session, model, kernel=None, ...)"
+
+
+def track(
+    key: Key,
+    session: Session,
+    model: Model,
+    kernel: Kernel | None = None,
+    particles: int | None = None,
+    runs: int = 1,
+    frames: int | None = None,
+    on_frame: Callable[[Progress], None] | None = None,
+    into: FrameStore | None = None,
+    ahead: Ahead | None = None,
+    recovery: Recovery | None = None,
+) -> Draws:
+    """Filter a session, and warn of what makes the result doubtful.
+
+    The sentences are those that the command line prints at its end. They are in `warnings` of the result, and each is shown as a `RunWarning`. A
+    warning before the run names settings of the model's definition that the kernel leaves out.
+
+    Args:
+        key: random key of the whole run; each filter and frame folds its own key from it.
+        session: the recording.
+        model: from `bayes_body.load_model`, for this session.
+        kernel: by default the model's own, `model.kernel()`. `model.kernel(moves=2)` changes single options, `bayes_body.kernels.sir()` has none of
+            the model's.
+        particles: number of particles per run; by default the kernel's option `particles`, or 1000 if it has no options.
+        runs: independent filters; ArviZ's chains.
+        frames: number of frames to track, from the first; all by default.
+        on_frame: called after each frame is stored; by default a terminal shows a progress bar.
+        into: the store of the frames, such as `storage.FrameFiles`; a list by default. Frames that it already holds are not computed again: the
+            filters continue from the last of them.
+        ahead: the result of `compiled_ahead` for this session and kernel, and for a model of the same form.
+        recovery: finds the person again after a loss, such as `runs.recovery.PersonRecovery`; by default a lost run stays lost.
+
+    Raises:
+        InputError: arguments in another order; no particles, runs or frames; `into` holds other numbers of them; a frame's images cannot be read, or
+            a frame cannot be stored; no Markov chain of a frame accepts a move.
+    """
+    _check_order(key, session, model, kernel)
+    bar = sys.stderr.isatty()
+    left_out = "" if kernel is None else settings_left_out(model, kernel, particles)
+    if left_out:
+        warnings.warn(left_out, RunWarning, stacklevel=2)
+    with progress_bar(done=len(into or ())) if bar and on_frame is None else nullcontext(on_frame) as show:
+        draws = tracking.track(key, session, model, kernel, particles, runs, frames, show, into, ahead, recovery)
+    draws = replace(draws, warnings=tuple(run_sentences(session, draws, bar)))
+    for sentence in draws.warnings:
+        warnings.warn(sentence, RunWarning, stacklevel=2)
+    return draws
+
+
+def _check_order(key: object, session: object, model: object, kernel: object) -> None:
+    """Name the order of the arguments if they have another, such as that of earlier versions."""
+    expected = {"key": (key, jax.Array), "session": (session, Session), "model": (model, Model)}
+    for name, (value, kind) in expected.items():
+        if not isinstance(value, kind):
+            found, remedy = f"a {type(value).__name__}", f"write {ORDER}, with a key such as jax.random.key(0)"
+            raise input_error(f"track: {name}", found, {"key": "a random key"}.get(name, f"a {kind.__name__}"), remedy)
+    if kernel is not None and not callable(kernel):
+        raise input_error("track: kernel", repr(kernel), "a kernel", 'write model.kernel(), model.kernel("sir") or bayes_body.kernels.sir()')
+
+
+def settings_left_out(model: Model, kernel: Kernel, particles: int | None = None) -> str:
+    """Return a sentence about settings that the model's definition has for this kernel, and that were left out when it was built; empty if none were.
+
+    Args:
+        model: the model.
+        kernel: such as `bayes_body.kernels.tempered()`. Options that were given for it count as meant.
+        particles: a number of particles that is given besides.
+    """
+    kind, options, own = getattr(kernel, "kind", None), getattr(kernel, "options", None), model.definition.kernel
+    if kind != own.kind or not isinstance(options, BaseModel):
+        return ""
+    meant = options.model_fields_set | ({"particles"} if particles is not None else set())
+    values = {name: (getattr(options, name), getattr(own.options, name)) for name in type(options).model_fields if name not in meant}
+    changed = [f"{name} is {value!r}, not {wanted!r}" for name, (value, wanted) in values.items() if value != wanted]
+    if not changed:
+        return ""
+    remedy = f"use model.kernel(), or give these options to {kind}() if you mean them"
+    return f"the kernel {kind}() leaves out settings of the model '{model.definition.name}': {', '.join(changed)}; {remedy}."
+
+
+def run_sentences(session: Session, draws: Draws, bar: bool = False) -> list[str]:
+    """Return the warnings about a run, most serious first; none for a valid run.
+
+    Args:
+        session: the recording.
+        draws: of this session. Their frames are read a few at a time.
+        bar: whether to draw progress bars on standard error.
+
+    Raises:
+        InputError: a frame's images or file cannot be read.
+    """
+    model, count = draws.model, len(draws.frames)
+    first = frame_fit(session, model, np.asarray(model.initial[model.body.variable], float)[None], 0)
+    fits = [frame_fit(session, model, mean_pose(draws.frames[index], model), index) for index in watched("figures", bar)(range(count))]
+    figures = {"frames": count, "frames_restarted": draws.frames_restarted, **fit_figures(first, fits)}
+    remarks = pair_remarks(session, model, count, bar)
+    with waiting("diagnostics", bar):
+        return [*fit_sentences(figures), *remarks, *sentences(diagnose(tree_on_demand(draws)))]
