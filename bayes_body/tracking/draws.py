@@ -78,12 +78,14 @@ class Draws:
         frames: the filters' results.
         timing: seconds, over all processes that worked on these frames.
         cameras: the cameras' names.
+        first_frame: number of the first frame in the recording (`Session.frame_number`).
     """
 
     model: Model
     frames: Frames
     timing: Timing
     cameras: tuple[str, ...]
+    first_frame: int = 0
 
     @property
     def runs(self) -> int:

@@ -21,6 +21,7 @@ from bayes_body.errors import input_error
 from bayes_body.kernels.parts.batching import everywhere
 from bayes_body.model.build import Model
 from bayes_body.plugins.load import check_own_factors
+from bayes_body.plugins.terms import check_result
 from bayes_body.session.session import Session
 from bayes_body.shapes import Key
 from bayes_body.tracking.draws import Draws, FrameResult, FrameStore, timing_of
@@ -75,7 +76,7 @@ def track(
         key: random key of the whole run; each filter and frame folds its own key from it.
         particles: number of particles per run.
         runs: independent filters; ArviZ's chains.
-        frames: number of frames to track, from the first; all by default.
+        frames: number of frames to track, from the first; all by default. `recording.excerpt` makes a session that begins later.
         on_frame: called after each frame is stored.
         into: the store of the frames, such as `storage.FrameFiles`; a list by default. Frames that it already holds are not computed again: the
             filters continue from the last of them.
@@ -96,8 +97,8 @@ def track(
     if done < count:
         with closing(observations(session, model, range(done, count))) as observed:
             restarts = None if recovery is None else Restarts(recovery, runs, store)
-            _follow(store, _filter(model, kernel, key, filters, done, observed, ahead, restarts), count, on_frame)
-    return Draws(model, store, timing_of(store), tuple(view.camera.name for view in session.views))
+            _follow(store, _filter(model, kernel, key, filters, done, observed, ahead, restarts, session.first_frame), count, on_frame)
+    return Draws(model, store, timing_of(store), tuple(view.camera.name for view in session.views), session.first_frame)
 
 
 def _first_filters(model: Model, key: Key, particles: int, runs: int) -> list[Particles]:
@@ -135,8 +136,12 @@ def _filter(
     observed: Iterator[Observed],
     ahead: Ahead | None,
     restarts: Restarts | None,
+    number: int,
 ) -> Iterator[FrameResult]:
-    """Yield the results of all runs for each frame from `first` on. Only the particles of the last frame stay in memory."""
+    """Yield the results of all runs for each frame from `first` on. Only the particles of the last frame stay in memory.
+
+    In the recording, frame 0 has this number.
+    """
     last = time.perf_counter()
     run_keys = [everywhere(jax.random.fold_in(key, run)) for run in range(len(filters))]
     filters = [everywhere(particles) for particles in filters]
@@ -157,8 +162,9 @@ def _filter(
         outcomes = [step(run_key, index, before, after_found if found else density) for run_key, before, found in each]
         filters = [after for after, _ in outcomes]
         runs = jax.device_get(outcomes)
-        for _, info in runs:
-            raise_if_all_rejected(info, frame)
+        for particles, info in runs:
+            raise_if_all_rejected(info, number + frame)
+            check_result(kernel, particles, number + frame)
         last, seconds = time.perf_counter(), time.perf_counter() - last
         result = _result(runs, seen, seconds, ready, restarted)
         if restarts is not None:
