@@ -47,6 +47,7 @@ _HOME = {
     "MarkerEvidence": "evidence.markers",
     "MARKERS": "evidence.markers",
     "over_particles": "kernels.parts.batching",
+    "excerpt": "recording.excerpt",
     "graph": "density.pairwise",
     "node_factor": "density.pairwise",
     "edge_factor": "density.pairwise",
