@@ -23,6 +23,10 @@ class FaultyFileError(InputError):
         self.sentences = tuple(sentences)
         super().__init__("\n".join(self.sentences))
 
+    def __reduce__(self) -> tuple[type["FaultyFileError"], tuple[tuple[str, ...]]]:
+        """Return what makes it again in another process: its sentences, not their text."""
+        return type(self), (self.sentences,)
+
 
 def input_error(subject: object, found: str, expected: str, remedy: str) -> InputError:
     """Return the error `subject: found; expected ...; remedy.`, one line: names in it may hold line breaks and other control characters."""

@@ -8,8 +8,10 @@ import numpy as np
 
 from bayes_body.calibration import sbc
 from bayes_body.calibration.check import SBC, Plan, experiments_of
+from bayes_body.calibration.probe import check_effective
 from bayes_body.calibration.problem import check_cases
 from bayes_body.calibration.replications import run_replications
+from bayes_body.plugins.load import where_of
 
 # Replications of a pilot, and the factor by which its worst effective size must exceed the required one.
 REPLICATIONS, MARGIN = 20, 1.2
@@ -35,6 +37,7 @@ def enough_particles(plan: Plan, jobs: int, show: Callable[[str], None]) -> Plan
         make = partial(experiments_of, replace(plan, seed=(plan.seed + OTHER_SEED) % 2**32))
         found = run_replications(make, {SBC: REPLICATIONS}, jobs)[SBC]
         check_cases(found["refused"], found["unbounded"])
+        check_effective(where_of("kernel", plan.kernel), found["ess"])
         ess = float(found["ess"].min())
         show(f"pilot: {particles} particles, {ess:.0f} effective at worst ({needed:.0f} wanted).")
         if ess >= needed or particles >= MOST_PARTICLES:

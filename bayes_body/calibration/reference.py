@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.body.placement import POSE, require
+from bayes_body.calibration.probe import check_effective
 from bayes_body.calibration.quadrature import MOST_DOFS, Quadrature, integrate
 from bayes_body.calibration.verdict import Verdict
 from bayes_body.density.density import Density
@@ -18,6 +19,7 @@ from bayes_body.density.kernel import Kernel
 from bayes_body.errors import input_error
 from bayes_body.model.build import Model
 from bayes_body.observation.frames import read_frame
+from bayes_body.plugins.load import check_own_factors, where_of
 from bayes_body.registry import find
 from bayes_body.session.read import load_session
 from bayes_body.shapes import Key
@@ -102,7 +104,9 @@ def check_reference(plan: Any, model: Model, names: Sequence[str], show: Callabl
     session, term = load_session(Path(plan.session)), find("kernel", plan.kernel)
     options: Any = validate(term.options, plan.options, plan.kernel)
     density = model.density(jax.tree.map(jnp.asarray, model.observe(read_frame(session, 0))))
+    check_own_factors(density, model.initial)
     found_out = compare(density, term.build(options=options), model.start(options.particles), jax.random.key(plan.seed))
+    check_effective(where_of("kernel", plan.kernel), found_out.means)
     return _verdict(model.body.dof_names, found_out)
 
 

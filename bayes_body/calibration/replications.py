@@ -20,6 +20,7 @@ import jax
 import numpy as np
 
 from bayes_body.calibration.replication_log import ReplicationLog
+from bayes_body.plugins.load import plugins_to_blame
 from bayes_body.view.progress import Watch, unwatched
 
 BLOCK = 10
@@ -109,11 +110,12 @@ def computing(make: Callable[[], Experiments], jobs: int = 0) -> Iterator[Comput
 
 # -- in a worker process ------------------------------------------------------------------------------------------------------------------
 
+_make: Callable[[], Experiments] | None = None
 _runner: _Runner | None = None
 
 
 def _begin(make: Callable[[], Experiments], parent: int) -> None:
-    global _runner
+    global _make
     # The parent process reports an interruption.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
@@ -122,7 +124,8 @@ def _begin(make: Callable[[], Experiments], parent: int) -> None:
     from bayes_body.config import configure
 
     configure(devices=1)
-    _runner = _Runner(make())
+    # An error here would break the pool, and nobody would learn which it was: the experiments are built with the first block.
+    _make = make
 
 
 def _end_with(parent: int) -> None:
@@ -133,5 +136,10 @@ def _end_with(parent: int) -> None:
 
 
 def _work(name: str, block: int) -> Figures:
-    assert _runner is not None
-    return _runner(name, block)
+    global _runner
+    # The traceback, which names a plugin's line, does not leave the process.
+    with plugins_to_blame():
+        if _runner is None:
+            assert _make is not None
+            _runner = _Runner(_make())
+        return _runner(name, block)

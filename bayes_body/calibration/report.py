@@ -10,6 +10,7 @@ from typing import Any
 from bayes_body.calibration.check import Findings, Plan, model_of
 from bayes_body.calibration.picture import draw_ranks
 from bayes_body.calibration.pilot import enough_particles, more_particles
+from bayes_body.calibration.probe import probe
 from bayes_body.calibration.rank_tree import ranks_file, save_ranks
 from bayes_body.calibration.reference import check_reference
 from bayes_body.calibration.replication_log import SUFFIX, ReplicationLog, settings_of
@@ -18,6 +19,7 @@ from bayes_body.calibration.verdict import Verdict
 from bayes_body.files.atomic import write_text
 from bayes_body.model.definition import load_definition
 from bayes_body.registry import find
+from bayes_body.toml.read import validate
 from bayes_body.view.progress import watched
 
 # Packages whose version may affect the figures.
@@ -44,6 +46,8 @@ def run_and_report(plan: Plan, pilot: bool, replications: int, jobs: int, json_f
     term = find("kernel", plan.kernel)
     if term.note:
         show(f"{plan.kernel}: {term.note}")
+    if plan.plugins:
+        probe(model, term.build(options=validate(term.options, plan.options, plan.kernel)))
     if not_generative := [f.name for f in model.factors if f.side == "likelihood" and f.simulate is None]:
         result, extra = check_reference(plan, model, not_generative, show), {}
     else:

@@ -65,4 +65,5 @@ def _report(motion: "Motion", files: tuple[Path, ...], kernel: str) -> Iterator[
     if motion.lost.any():
         from bayes_body.posterior.diagnostics import frame_ranges
 
-        yield f"{frame_ranges(motion.lost.nonzero()[0].tolist())}: lost, or the body is off the person; do not use the values there."
+        lost = (motion.first_frame + motion.lost.nonzero()[0]).tolist()
+        yield f"{frame_ranges(lost)}: lost, or the body is off the person; do not use the values there."

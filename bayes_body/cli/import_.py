@@ -1,5 +1,6 @@
 """`bayes-body import`: make a session from a laboratory's files."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -50,6 +51,13 @@ Keypoints = Annotated[
     Path | None,
     typer.Option("--keypoints", help="Folder with OpenPose's files in CAMERA_json/, numbered like the frames.", rich_help_panel=FILES),
 ]
+FirstFrame = Annotated[
+    int | None,
+    typer.Option(
+        "--first-frame", help="Number of the first frame to import, as in the file names; in a video they count from 0.", rich_help_panel=TIME
+    ),
+]
+Frames = Annotated[int | None, typer.Option("--frames", help="Number of frames to import from the first on; all by default.", rich_help_panel=TIME)]
 DEFAULT_MODEL = "deutscher_apf"
 
 
@@ -72,12 +80,14 @@ def parsec(
     model: Model = DEFAULT_MODEL,
     fps: Fps = None,
     offset: Offset = None,
+    first_frame: FirstFrame = None,
+    frames: Frames = None,
 ) -> None:
     """Import cameras, images, masks, body shape and initial pose of the PARSEC suite's bodytrack."""
     from bayes_body.recording.options import Options
     from bayes_body.recording.parsec import import_parsec
 
-    options = Options(None, None, fps, height, masks, background, truth, _offsets(offset), layout, keypoints)
+    options = Options(None, None, fps, height, masks, background, truth, _offsets(offset), layout, keypoints, first_frame, frames)
     _import(import_parsec, source, session, options, model, overwrite)
 
 
@@ -97,6 +107,8 @@ def pose2sim(
     model: Model = DEFAULT_MODEL,
     fps: Fps = None,
     offset: Offset = None,
+    first_frame: FirstFrame = None,
+    frames: Frames = None,
     unit: Unit = None,
     up: Up = None,
 ) -> None:
@@ -104,7 +116,7 @@ def pose2sim(
     from bayes_body.recording.options import Options
     from bayes_body.recording.pose2sim import import_pose2sim
 
-    options = Options(unit, up, fps, height, masks, background, truth, _offsets(offset), layout, keypoints)
+    options = Options(unit, up, fps, height, masks, background, truth, _offsets(offset), layout, keypoints, first_frame, frames)
     _import(import_pose2sim, source, session, options, model, overwrite)
 
 
@@ -128,6 +140,8 @@ def opencv(
     model: Model = DEFAULT_MODEL,
     fps: Fps = None,
     offset: Offset = None,
+    first_frame: FirstFrame = None,
+    frames: Frames = None,
     unit: Unit = None,
     up: Up = None,
 ) -> None:
@@ -135,7 +149,7 @@ def opencv(
     from bayes_body.recording.opencv import import_opencv
     from bayes_body.recording.options import Options
 
-    options = Options(unit, up, fps, height, masks, background, truth, _offsets(offset), layout, keypoints)
+    options = Options(unit, up, fps, height, masks, background, truth, _offsets(offset), layout, keypoints, first_frame, frames)
     _import(import_opencv, source, session, options, model, overwrite)
 
 
@@ -155,13 +169,15 @@ def qualisys(
     model: Model = DEFAULT_MODEL,
     fps: Fps = None,
     offset: Offset = None,
+    first_frame: FirstFrame = None,
+    frames: Frames = None,
     up: Up = None,
 ) -> None:
     """Import video cameras of Qualisys Track Manager; z points up unless --up gives another axis."""
     from bayes_body.recording.options import Options
     from bayes_body.recording.qualisys import import_qualisys
 
-    options = Options(None, up, fps, height, masks, background, truth, _offsets(offset), layout, keypoints)
+    options = Options(None, up, fps, height, masks, background, truth, _offsets(offset), layout, keypoints, first_frame, frames)
     _import(import_qualisys, source, session, options, model, overwrite)
 
 
@@ -196,15 +212,32 @@ def _import(importer: "Importer", source: Path, folder: Path, options: "Options"
     session, remarks = importer(source, folder, options)
     for remark in remarks:
         say(f"note: {remark}")
+    _warn_of_nobody(session)
     picture = draw_first_frame(session, model, folder / "check.png")
     say(f"{size_of(session)}: {folder / FILE_NAME}")
     say(f"Look at {picture}: the body should cover the person in every view, and the axes should stand where the world's origin is.")
 
 
+def _warn_of_nobody(session: "Session") -> None:
+    """Tell the user if nobody is in the first frame. Without masks the background is learned first, which takes some seconds."""
+    from bayes_body.config import configure
+
+    configure()
+    from bayes_body.initial.presence import nobody_first
+    from bayes_body.view.figures_text import warning_line
+    from bayes_body.view.progress import waiting
+
+    with waiting("looking for the person in the first frame", sys.stderr.isatty()):
+        sentence = nobody_first(session)
+    if sentence:
+        say(warning_line(sentence))
+
+
 def size_of(session: "Session") -> str:
     """Return the size of a recording in words."""
     cameras = len(session.views)
-    return f"{cameras} camera{'s' if cameras > 1 else ''}, {session.frames} frames at {session.fps:g} frames a second"
+    numbers = f" ({session.first_frame} to {session.frame_number(session.frames - 1)})" if session.recorded else ""
+    return f"{cameras} camera{'s' if cameras > 1 else ''}, {session.frames} frames{numbers} at {session.fps:g} frames a second"
 
 
 def draw_first_frame(session: "Session", name: str, path: Path) -> Path:

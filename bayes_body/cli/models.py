@@ -45,11 +45,25 @@ def list_models() -> None:
 
 @app.command()
 def check(file: str = typer.Argument(help="A definition's name or the path of your own .toml file."), plugin: Plugins = None) -> None:
-    """Check a definition, and print one sentence for each fault in it."""
+    """Check a definition, and print one sentence for each fault in it. Terms of a plugin are built and called, in a room without a recording."""
     with own_terms(plugin):
         definition = checked_definition(file)
+        if plugin:
+            _call_terms(definition)
     terms = ", ".join(term.kind for term in (*definition.likelihoods, *definition.constraints))
     say(f"{file}: valid: {definition.title} (body {definition.body_name}; {definition.dynamics.kind}; {terms}; {definition.kernel.kind}).")
+
+
+def _call_terms(definition: "Definition") -> None:
+    from bayes_body.config import configure
+
+    configure()
+    from bayes_body.calibration.probe import probe
+    from bayes_body.calibration.scene import model_in_a_room
+    from bayes_body.registry import find
+
+    kernel = definition.kernel
+    probe(model_in_a_room(definition), find("kernel", kernel.kind).build(options=kernel.options), runs=False)
 
 
 @app.command()

@@ -24,7 +24,8 @@ def track(
     model: str | None = typer.Option(
         None,
         "--model",
-        help="A definition's name (`bayes-body models`) or the path of your own; by default markers_31 if there are keypoints, else tempered_smc.",
+        help="A definition's name (`bayes-body models`) or the path of your own; by default markers_31 if there are keypoints, hmc_walker "
+        "(legs only) if there is one still camera without, else tempered_smc.",
     ),
     kernel: str | None = typer.Option(
         None,
@@ -38,6 +39,11 @@ def track(
     leapfrog_steps: int | None = typer.Option(None, "--leapfrog-steps", help="Leapfrog steps per trajectory (tempered and hmc only)."),
     settings: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Another option of the kernel, such as step=0.1; may be repeated."),
     runs: int | None = typer.Option(None, "--runs", help="Number of independent filters, 1 by default; R-hat needs two or more."),
+    first_frame: int | None = typer.Option(
+        None,
+        "--first-frame",
+        help="Number of the first frame to track, as in the file names; in a video they count from 0. The session's by default.",
+    ),
     frames: int | None = typer.Option(None, "--frames", help="Number of frames from the first on; all by default."),
     seed: int | None = typer.Option(None, "--seed", help="Seed of everything random, 0 by default."),
     init: str | None = typer.Option(
@@ -63,7 +69,7 @@ def track(
     from bayes_body.storage.names import RUN_FILE
     from bayes_body.storage.run_file import read_run_file
 
-    most = _frames_of(session, frames)
+    most = _frames_of(session, first_frame, frames)
     counts = {"particles": particles, "layers": layers, "moves": moves, "leapfrog_steps": leapfrog_steps}
     for name, value in (counts | {"runs": runs}).items():
         check_range(f"--{name.replace('_', '-')}", value, 1)
@@ -76,7 +82,7 @@ def track(
     folder = out or _free_run(session, resume)
     if out is None:
         say(f"run        {folder}")
-    asked = Settings(session, folder, model, kernel, overrides, runs, frames, seed, init, recover, resume)
+    asked = Settings(session, folder, model, kernel, overrides, runs, first_frame, frames, seed, init, recover, resume)
     with own_terms(plugin):
         if resume and (folder / RUN_FILE).exists():
             # This is checked before the model is read: without the run's plugins, some of its terms do not exist.
@@ -117,16 +123,17 @@ def _with_settings(overrides: dict[str, Any], texts: list[str]) -> dict[str, Any
     return given
 
 
-def _frames_of(folder: Path, wanted: int | None) -> int:
-    """Return the session's number of frames, after a check that its files exist, so that the run does not fail half way."""
+def _frames_of(folder: Path, first_frame: int | None, wanted: int | None) -> int:
+    """Return the number of frames from the first to track on, after a check that their files exist, so that the run does not fail half way."""
     from bayes_body.recording.check import check_session
+    from bayes_body.recording.excerpt import excerpt
     from bayes_body.session.read import FILE_NAME, load_session
     from bayes_body.view.progress import waiting
 
     if not folder.exists() or (folder.is_dir() and not (folder / FILE_NAME).exists()):
         found = f"no {FILE_NAME} in it" if folder.exists() else "no such folder"
         raise input_error(folder, found, "the folder of a session", "check the path, or make a session with `bayes-body import`")
-    session = load_session(folder)
+    session = excerpt(load_session(folder), first_frame)
     # All videos are decoded once, to find damage.
     with waiting("looking at the recording's files", sys.stderr.isatty()):
         remarks = check_session(session, wanted)

@@ -36,7 +36,8 @@ def view(
         raise input_error("--draws", f"{draws}", f"a number from 0 to {MOST_DRAWS}", "give another number")
     with own_terms(plugin), load_run(run) as saved:
         check_plugins(saved.folder, saved.plugins)
-        path, remarks = write_view(saved, out, draws, chosen(frames, saved.frames), watched("view", sys.stderr.isatty()), overwrite)
+        shown = chosen(frames, saved.frames, saved.first_frame)
+        path, remarks = write_view(saved, out, draws, shown, watched("view", sys.stderr.isatty()), overwrite)
     for remark in remarks:
         say(remark)
     say(f"{path}: {path.stat().st_size / 1e6:.1f} MB; open it in a browser.")
@@ -44,18 +45,23 @@ def view(
         say("No browser was found: open the file yourself.")
 
 
-def chosen(text: str | None, frames: int) -> range:
-    """Return the frames that a user names: `A-B`, both included, or a number of evenly spaced frames; all of them without a text.
+def chosen(text: str | None, frames: int, first: int = 0) -> range:
+    """Return the frames that a user names, counted from 0: `A-B`, both included, or a number of evenly spaced ones; all of them without a text.
+
+    Args:
+        text: what the user wrote.
+        frames: number of frames of the run.
+        first: the number by which the user knows the first one.
 
     Raises:
         InputError: the text has another form, or the run does not have these frames.
     """
     if text is None:
         return range(frames)
-    expected = f"A-B with frames from 0 to {frames - 1}, or a number of frames"
+    expected = f"A-B with frames from {first} to {first + frames - 1}, or a number of frames"
     pair, number = re.fullmatch(r"(\d{1,9})-(\d{1,9})", text), re.fullmatch(r"\d{1,9}", text)
-    if pair and int(pair[1]) <= int(pair[2]) < frames:
-        return range(int(pair[1]), int(pair[2]) + 1)
+    if pair and first <= int(pair[1]) <= int(pair[2]) < first + frames:
+        return range(int(pair[1]) - first, int(pair[2]) - first + 1)
     if number and int(text) > 0:
         return range(0, frames, -(-frames // int(text)))
     raise input_error("--frames", text, expected, "write for example 0-99 or 100")

@@ -12,7 +12,9 @@ from bayes_body.geometry import rigid
 
 
 def write_csv(motion: Motion, path: Path) -> None:
-    """Write the file: `frame` (from 0), `time_s`, `lost` (0 or 1), then moments of markers, dofs or parts, and clinical angles; six decimals.
+    """Write the file: `frame`, `time_s`, `lost` (0 or 1), then moments of markers, dofs or parts, and clinical angles; six decimals.
+
+    A frame has its number in the recording; time begins at the first one.
 
     A part of a loose-limbed body has its origin, the mean unit quaternion (unit 1), and the spread of the rotation about the part's own axes.
 
@@ -20,7 +22,7 @@ def write_csv(motion: Motion, path: Path) -> None:
         InputError: the file system does not accept the file.
     """
     names, columns = zip(*_columns(motion), strict=True)
-    values = np.column_stack([np.arange(motion.frames), motion.seconds, motion.lost, *columns])
+    values = np.column_stack([motion.first_frame + np.arange(motion.frames), motion.seconds, motion.lost, *columns])
     with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="\n") as file:
         file.write(",".join(["frame", "time_s", "lost", *names]) + "\n")
         np.savetxt(file, values, fmt=["%d", "%.6f", "%d", *["%.6f"] * len(names)], delimiter=",")

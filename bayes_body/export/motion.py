@@ -57,6 +57,7 @@ class Motion:
         body: the run's body, to compute joints from the dofs.
         order: the session's axes that are x, y and z here.
         moments: the fields of `Moments` that are written; only the mean for a mode seeker.
+        first_frame: number of the first frame in the recording.
         parts: the parts of a loose-limbed body, in the axes of this motion; None if the body is placed by joint angles.
         clinical: clinical angles, degrees; for OpenSim the coordinates of its models, degrees and metres. Empty for formats that store neither.
     """
@@ -73,6 +74,7 @@ class Motion:
     body: Body
     order: tuple[int, int, int]
     moments: tuple[str, ...] = Moments._fields
+    first_frame: int = 0
     parts: Parts | None = None
     clinical: Curves = Curves((), Moments(*np.zeros((4, 0, 0))))
 
@@ -88,7 +90,7 @@ class Motion:
 
     @property
     def seconds(self) -> Float[np.ndarray, " frame"]:
-        """The time of each frame; the first is at 0."""
+        """The time of each frame; the first is at 0, whatever its number."""
         return np.arange(self.frames) / self.fps
 
 
@@ -120,6 +122,7 @@ def read_motion(run: SavedRun, fps: float | None = None, up: Axis | None = None,
         body=run.model.body,
         order=order,
         moments=MODE_SEEKER_MOMENTS if run.mode_seeker else Moments._fields,
+        first_frame=run.first_frame,
         parts=parts,
         clinical=clinical(run),
     )
@@ -133,8 +136,8 @@ def no_angles(run: SavedRun) -> Curves:
 def lost_frames(run: SavedRun) -> Bool[np.ndarray, " frame"]:
     """Return which frames are lost in at least one run, or have a body that is off the person (see `Motion`)."""
     lost = np.asarray(run.tree["filter"]["lost"], bool).any(axis=0)
-    off = np.asarray(run.summary.get("frames_off") or [], int)
-    lost[off[off < len(lost)]] = True
+    off = np.asarray(run.summary.get("frames_off") or [], int) - run.summary.get("first_frame", 0)
+    lost[off[(off >= 0) & (off < len(lost))]] = True
     return lost
 
 

@@ -13,18 +13,18 @@ from bayes_body.files.atomic import replacing
 def write_npz(motion: Motion, path: Path) -> None:
     """Write the file.
 
-    Arrays: `frame` (from 0), `time_s`, `lost`, `fps`, `up`; `marker_names` and `marker_mean_m`, `marker_sd_m`, `marker_q05_m`, `marker_q95_m`
-    (frame, marker, 3); `angle_names` and `angle_mean_deg`, ... (frame, angle); `shift_names` and `shift_mean_m`, ... (frame, shift). A loose-limbed
-    body has no angles and no shifts, but `part_names`, `part_mean_m`, ... (frame, part, 3), `part_quaternion_mean` (frame, part, 4), and
-    `part_rotation_sd_deg`, ... (frame, part, 3) about the part's own axes. Every body with anatomical axes has `clinical_names` and
-    `clinical_mean_deg`, ... (frame, angle). The file of a mode seeker's run has the means only.
+    Arrays: `frame` (numbers in the recording), `time_s` (from the first one), `lost`, `fps`, `up`; `marker_names` and `marker_mean_m`,
+    `marker_sd_m`, `marker_q05_m`, `marker_q95_m` (frame, marker, 3); `angle_names` and `angle_mean_deg`, ... (frame, angle); `shift_names` and
+    `shift_mean_m`, ... (frame, shift). A loose-limbed body has no angles and no shifts, but `part_names`, `part_mean_m`, ... (frame, part, 3),
+    `part_quaternion_mean` (frame, part, 4), and `part_rotation_sd_deg`, ... (frame, part, 3) about the part's own axes. Every body with anatomical
+    axes has `clinical_names` and `clinical_mean_deg`, ... (frame, angle). The file of a mode seeker's run has the means only.
 
     Raises:
         InputError: the file system does not accept the file.
     """
     units, names = np.array(motion.dof_units, str), np.array(motion.dof_names, str)
     arrays = {
-        "frame": np.arange(motion.frames),
+        "frame": motion.first_frame + np.arange(motion.frames),
         "time_s": motion.seconds,
         "lost": motion.lost,
         "fps": np.array(motion.fps),

@@ -39,7 +39,7 @@ def _write(path: Path, name: str, motion: Motion, positions: Float[np.ndarray, "
     header = [
         f"PathFileType\t4\t(X/Y/Z)\t{name}",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
-        f"{rate}\t{rate}\t{count}\t{markers}\tmm\t{rate}\t1\t{count}",
+        f"{rate}\t{rate}\t{count}\t{markers}\tmm\t{rate}\t{motion.first_frame + 1}\t{count}",
         "Frame#\tTime\t" + "\t\t\t".join(motion.marker_names) + "\t\t",
         "\t\t" + "\t".join(f"{axis}{number}" for number in range(1, markers + 1) for axis in "XYZ"),
         "",

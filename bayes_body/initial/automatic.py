@@ -24,6 +24,7 @@ from bayes_body.initial.fit import fit, fit_draws, unbounded
 from bayes_body.initial.measurements import FEWEST, PREFIX, read_measurements
 from bayes_body.initial.person_search import Found, PersonSearch
 from bayes_body.initial.points import Points, body_points
+from bayes_body.initial.presence import TRUNK, later_frame
 from bayes_body.initial.problem import build_problem
 from bayes_body.initial.refine import refine
 from bayes_body.initial.report import FirstPose, tell
@@ -44,10 +45,6 @@ MOST_TURNED, MOST_ELSEWHERE, FEWEST_DRAWS = 0.05, 0.3, 5.0
 LEG = re.compile(r"[lr]_(knee|ankle|heel|toe|big_toe|small_toe)")
 # Below this share of the weight, nothing starts from poses that face the other way: one frame, which a sampler sees first, may not tell them apart.
 LEAST_TURNED = 0.25
-# The part that says where to search.
-TRUNK = "torso"
-# Where frame 0 shows nobody, so many other frames are looked at, so many seconds apart.
-LOOKED_AT, LOOK_S = 20, 1.0
 
 
 def find_first_pose(model: Model, session: Session, show: Callable[[str], None], seed: int = 0) -> FirstPose:
@@ -224,23 +221,16 @@ def _check_silhouettes(model: Model, session: Session) -> None:
 
 def _nobody(detected: Detected, model: Model, session: Session) -> NoReturn:
     why = f" ({'; '.join(detected.notices)})" if detected.notices else ""
-    _nothing(f"no first pose, and no person was detected in frame 0{why}{_later(session)}", model)
-
-
-def _later(session: Session) -> str:
-    """Return words on the first frame that shows a person, if a frame that is looked at does."""
-    step = max(1, round(LOOK_S * session.fps))
-    for frame in range(step, min(session.frames, step * LOOKED_AT + 1), step):
-        if TRUNK in detect(session, frame, TRUSTED).parts:
-            return f", but one was in frame {frame}"
-    return ""
+    later = later_frame(session)
+    but = "" if later is None else f", but one was in frame {session.frame_number(later)}"
+    _nothing(f"no first pose, and no person was detected in frame {session.first_frame}{why}{but}", model)
 
 
 def _nothing(found: str, model: Model) -> NoReturn:
     found = f"{found}; the body '{model.body.name}' would start at the origin of the world"
     expected = "a person whose silhouette the cameras show in frame 0, or a first pose"
     remedy = (
-        "start at a frame in which the person is seen, or import the recording with --keypoints, or give four keypoints or more in each of two "
-        "cameras under [initial.keypoints_px.CAMERA], or angles_deg and positions_m under [initial]"
+        "start at a frame in which the person is seen, with --first-frame, or import the recording with --keypoints, or give four keypoints or "
+        "more in each of two cameras under [initial.keypoints_px.CAMERA], or angles_deg and positions_m under [initial]"
     )
     raise input_error(PREFIX, found, expected, remedy)

@@ -83,7 +83,7 @@ def check_silhouettes(session: Session, model: Model) -> None:
     try:
         model.observe(frame._replace(masks=None, foreground=None))
     except InputError:
-        found = f"in frame 0 no camera's silhouette can be a person's: they cover {_listed(100 * shares)} % of the images"
+        found = f"in frame {session.first_frame} no camera's silhouette can be a person's: they cover {_listed(100 * shares)} % of the images"
         expected = f"{100 * SILHOUETTE[0]:g} to {100 * SILHOUETTE[1]:g} % in one camera or more; a person is white in `masks`, all else black"
         remedy = "correct `masks` (are they inverted?) or `background`, or begin at a frame that shows the person"
         raise input_error("session.toml", found, expected, remedy) from None
@@ -97,7 +97,7 @@ def check_view(session: Session, model: Model) -> None:
     """
     if judge(_first(session, model)).outside.any():
         found = "the body in its first pose is behind every camera or outside of its image"
-        expected = "a first pose that a camera sees in frame 0"
+        expected = f"a first pose that a camera sees in frame {session.first_frame}"
         remedy = "check the calibration, the units (metres) and the positions under [initial], or remove [initial] to look for the person"
         raise input_error("session.toml: initial", found, expected, remedy)
 
@@ -112,9 +112,9 @@ def is_off(fit: Fit) -> Bool[np.ndarray, " run"]:
 
 
 def first_fit(session: Session, model: Model) -> dict[str, Any]:
-    """Return the fit of the model's first pose to frame 0, as the keys `fit_by`, `fit_first` and `overlap_first` of `summary.json`."""
+    """Return the fit of the model's first pose to frame 0: `fit_by`, `fit_first`, `overlap_first` and `first_frame` of `summary.json`."""
     verdict = judge(_first(session, model))
-    return _first_figures(verdict, bool(np.isfinite(verdict.distance).any()))
+    return _first_figures(verdict, bool(np.isfinite(verdict.distance).any())) | {"first_frame": session.first_frame}
 
 
 def _first(session: Session, model: Model) -> Fit:
@@ -132,12 +132,13 @@ def _first_figures(first: Verdict, by_keypoints: bool) -> dict[str, Any]:
     }
 
 
-def fit_figures(first: Fit, frames: Sequence[Fit]) -> dict[str, Any]:
+def fit_figures(first: Fit, frames: Sequence[Fit], first_frame: int = 0) -> dict[str, Any]:
     """Return the keys of `summary.json` about the fit; by keypoints if there are any, else by silhouettes.
 
     Args:
         first: fit of the first pose to frame 0.
         frames: fit of each run's mean pose to each frame.
+        first_frame: number of the first frame in the recording.
     """
     verdicts = [judge(each) for each in frames]
     by_keypoints = any(np.isfinite(each.distance).any() for each in verdicts)
@@ -147,12 +148,12 @@ def fit_figures(first: Fit, frames: Sequence[Fit]) -> dict[str, Any]:
     return _first_figures(judge(first), by_keypoints) | {
         "fit_by": ("keypoints" if by_keypoints else "silhouettes") if worst is not None else None,
         "fit_worst": worst if worst is None or by_keypoints else -worst,
-        "fit_worst_frame": frame,
+        "fit_worst_frame": None if frame is None else first_frame + frame,
         "overlap_worst": None if least is None else -least,
-        "overlap_worst_frame": least_frame,
-        "frames_off": _lasting([each.off.any() for each in verdicts]),
-        "frames_outside": _lasting([each.outside.any() for each in verdicts]),
-        "frames_blind": _lasting([each.blind for each in verdicts]),
+        "overlap_worst_frame": None if least_frame is None else first_frame + least_frame,
+        "frames_off": _lasting([each.off.any() for each in verdicts], first_frame),
+        "frames_outside": _lasting([each.outside.any() for each in verdicts], first_frame),
+        "frames_blind": _lasting([each.blind for each in verdicts], first_frame),
     }
 
 
@@ -168,7 +169,7 @@ def _over_cameras(values: Float[np.ndarray, "run camera"]) -> Float[np.ndarray, 
     return np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in values])
 
 
-def _lasting(crossed: Sequence[bool | np.bool_]) -> list[int]:
-    """Return the frames of stretches of at least FEWEST_FRAMES frames, or of all frames if there are fewer."""
+def _lasting(crossed: Sequence[bool | np.bool_], first_frame: int) -> list[int]:
+    """Return the numbers of the frames of stretches of at least FEWEST_FRAMES frames, or of all frames if there are fewer."""
     least, edges = min(FEWEST_FRAMES, len(crossed)), np.flatnonzero(np.diff(np.concatenate([[0], np.array(crossed, int), [0]]))).reshape(-1, 2)
-    return [frame for start, stop in edges.tolist() if stop - start >= least for frame in range(start, stop)]
+    return [first_frame + frame for start, stop in edges.tolist() if stop - start >= least for frame in range(start, stop)]

@@ -60,7 +60,7 @@ def _first(wordings: tuple[_Wording, ...], figures: Mapping[str, Any]) -> str | 
         return None
     wording, value = crossed
     remedy = "check the calibration, the units, the subject's height, the silhouettes and the first pose of the session"
-    return f"frame 0: the body in its first pose does not fit the image: {wording.figure(value)}; {remedy}."
+    return f"frame {figures.get('first_frame', 0)}: the body in its first pose does not fit the image: {wording.figure(value)}; {remedy}."
 
 
 def _later(wordings: tuple[_Wording, ...], figures: Mapping[str, Any]) -> str | None:
@@ -68,8 +68,9 @@ def _later(wordings: tuple[_Wording, ...], figures: Mapping[str, Any]) -> str | 
     if not off or crossed is None:
         return None
     wording, worst = crossed
-    to_the_end = off[-1] == figures.get("frames", 0) - 1 and off == list(range(off[0], off[-1] + 1))
-    if off[0] == 0 and to_the_end:
+    start = figures.get("first_frame", 0)
+    to_the_end = off[-1] == start + figures.get("frames", 0) - 1 and off == list(range(off[0], off[-1] + 1))
+    if off[0] == start and to_the_end:
         where = "from the first frame to the last the body does not cover the person"
     elif to_the_end:
         where = f"from frame {off[0]} the body no longer covers the person"

@@ -63,7 +63,7 @@ def _figures(session: Session, model: Model, frame: FrameResult, index: int) -> 
 
 
 def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: Watch = unwatched) -> dict[str, Any]:
-    """Return the stable keys of `summary.json`; a figure that does not exist is null.
+    """Return the stable keys of `summary.json`; a figure that does not exist is null. Frames are numbers in the recording.
 
     Seconds are wall-clock time of all runs together; `seconds_per_frame` and `evaluations_per_second` exclude the compilation. An evaluation is the
     likelihood of a whole pose over all cameras.
@@ -76,8 +76,9 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
     first = frame_fit(session, draws.model, np.asarray(draws.model.initial[draws.model.body.variable], float)[None], 0)
     figures = {
         "frames": frames,
+        "first_frame": draws.first_frame,
         "frames_lost": sum(each.lost for each in found),
-        "frames_restarted": draws.frames_restarted,
+        "frames_restarted": [draws.first_frame + frame for frame in draws.frames_restarted],
         "cameras": len(session.views),
         "dof": configuration_space(draws.model.body).dimension,
         "particles": draws.particles,
@@ -97,7 +98,7 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
         "log_evidence": log_mean_exp(np.sum([each.log_evidence for each in found], axis=0)),
         "iou_median": float(np.nanmedian(overlap)) if np.isfinite(overlap).any() else None,
         "marker_disagreement_mm": 1000 * float(np.mean([each.disagreement for each in found])),
-        **fit_figures(first, fits),
+        **fit_figures(first, fits, draws.first_frame),
         **accuracy_figures(draws_against_truth(session, draws, watch), mode_seeker),
     }
     return {key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in figures.items()}

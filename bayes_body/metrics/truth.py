@@ -107,7 +107,7 @@ def true_markers(session: Session) -> Float[np.ndarray, "frame 15 3"] | None:
     Raises:
         InputError: the file that the session names cannot be used.
     """
-    return None if session.truth_path is None else read_truth(session.truth_path, session.frames)
+    return None if session.truth_path is None else read_truth(session.truth_path, session.frames, session.skipped)
 
 
 def draws_against_truth(session: Session, draws: Draws, watch: Watch = unwatched) -> AgainstTruth | None:

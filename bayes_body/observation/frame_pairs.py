@@ -52,7 +52,7 @@ def _looked_at(session: Session, view: View, frames: int) -> tuple[list[int], fl
         now = read_greys(session, frame, view)
         if now is not None and before is not None:
             if _repeats(now, before):
-                repeated.append(frame)
+                repeated.append(session.frame_number(frame))
             elif frame in tried:
                 shifts.append(_shift_px(before, now))
         before = now

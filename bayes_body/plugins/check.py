@@ -3,14 +3,16 @@
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from bayes_body.density.factor import Data, Factor, State, Transition, Variables, variables
 from bayes_body.errors import input_error
+from bayes_body.plugins.blame import Own
+from bayes_body.plugins.terms import shown
 from bayes_body.registry import Room
 
 # What each room's build function returns, in the user's terms.
@@ -24,7 +26,7 @@ MADE = {
 
 
 def checked_term(room: Room, term: Any, name: str, where: str) -> Any:
-    """Check what a build function returned, and return it in the form that its room requires.
+    """Check what a build function returned, and return it.
 
     Args:
         room: the room of the term.
@@ -37,24 +39,18 @@ def checked_term(room: Room, term: Any, name: str, where: str) -> Any:
     """
     kind = {"likelihood": Factor, "potential": Factor, "dynamics": Transition}.get(room)
     if not (isinstance(term, kind) if kind else callable(term)):
-        raise input_error(f"{where}: its build function", f"returns {_shown(term)}", MADE[room], "return one")
-    return _checked_factor(room, term, name, where) if isinstance(term, Factor) else term
+        raise input_error(f"{where}: its build function", f"returns {shown(term)}", MADE[room], "return one")
+    if isinstance(term, Factor):
+        _check_named(room, term, name, where)
+    return term
 
 
-def _checked_factor(room: Room, factor: Factor, name: str, where: str) -> Factor:
+def _check_named(room: Room, factor: Factor, name: str, where: str) -> None:
     if factor.name != name:
         raise input_error(where, f"its factor is called '{factor.name}'", f"'{name}'", "pass on the name that the build function is given")
     sides = ("likelihood",) if room == "likelihood" else ("constraint", "prior")
     if factor.side not in sides:
         raise input_error(where, f'its factor has the side "{factor.side}"', f'"{sides[0]}"', "correct the factor's side")
-    functions = {key: _leafless(getattr(factor, key)) for key in ("log_potential", "simulate", "curvature")}
-    return replace(factor, **functions)
-
-
-def _leafless(function: Any) -> Any:
-    """Wrap a bare function, which would otherwise be a leaf of the model. Leaves must be arrays."""
-    bare = callable(function) and jax.tree.leaves(function) == [function]
-    return jax.tree_util.Partial(function) if bare else function
 
 
 def check_factors(density: Any, state: State, own: Mapping[str, str]) -> None:
@@ -72,6 +68,8 @@ def check_factors(density: Any, state: State, own: Mapping[str, str]) -> None:
     for factor in density.factors:
         where = own.get(factor.name) or own.get(re.sub(r"_\d+$", "", factor.name))
         if where:
+            function = getattr(factor.log_potential, "func", None)
+            where = function.origin.where(function) if isinstance(function, Own) else where
             _check_scope(factor, values, where)
             _check_value(factor, values, density.data, f"{where}: its log-potential")
 
@@ -88,7 +86,7 @@ def _check_value(factor: Factor, values: Variables, data: Data, where: str) -> N
     shape, dtype = getattr(found, "shape", None), getattr(found, "dtype", None)
     remedy = "return the sum of its terms"
     if shape is None or dtype is None:
-        raise input_error(where, f"returns {_shown(found)}", "one number", remedy)
+        raise input_error(where, f"returns {shown(found)}", "one number", remedy)
     if shape != ():
         raise input_error(where, f"returns an array of shape {shape}", "one number, of shape ()", remedy)
     if not (jnp.issubdtype(dtype, jnp.floating) or jnp.issubdtype(dtype, jnp.integer)):
@@ -99,5 +97,44 @@ def _check_value(factor: Factor, values: Variables, data: Data, where: str) -> N
         raise input_error(where, found, "a finite number, or minus infinity", "look for 0 / 0, the logarithm of 0, or missing data")
 
 
-def _shown(value: Any) -> str:
-    return "nothing" if value is None else type(value).__name__
+def check_transition(density: Any, state: State) -> None:
+    """Check that a user's own motion prior draws states like the first one, with one finite log-density.
+
+    Args:
+        density: the density of the first frame (`bayes_body.density.density.Density`).
+        state: the first state.
+
+    Raises:
+        InputError: it draws other variables, or arrays of other shapes, or its log-density is an array, NaN or infinite.
+    """
+    transition: Transition = density.transition
+    function = getattr(transition.conditional, "func", None)
+    if not isinstance(function, Own):
+        return
+    where = function.origin.where(function)
+    given, key = density.ancestor(0), jax.random.key(0)
+    for name, distribution in transition.conditional(given).items():
+        if not (callable(getattr(distribution, "sample", None)) and callable(getattr(distribution, "log_prob", None))):
+            raise input_error(where, f"'{name}' is {shown(distribution)}", "a distribution of numpyro for each variable", "return one")
+    drawn = jax.eval_shape(transition.sample, key, given)
+    forms, expected = ({name: tuple(np.shape(value)) for name, value in each.items()} for each in (drawn, state))
+    if forms != expected:
+        raise input_error(where, f"draws states with {_listed(forms)}", f"{_listed(expected)}, as the first state has", "draw or carry each of them")
+    log_density = jax.eval_shape(transition.log_density, drawn, given)
+    if log_density.shape != ():
+        remedy = "make the last axis an event, with `.to_event(1)`"
+        raise input_error(f"{where}: its log-density", f"has the shape {log_density.shape}", "one number, of shape ()", remedy)
+    sample, value = jax.jit(_drawn)(transition, key, given)
+    broken = [name for name, each in sample.items() if not np.isfinite(np.asarray(each, float)).all()]
+    if broken or not math.isfinite(value):
+        found = f"'{broken[0]}' is not finite in a state that it draws" if broken else f"its log-density of a state that it draws is {float(value)}"
+        raise input_error(where, found, "finite numbers", "look for deviations that are 0, and for limits that the first pose does not keep")
+
+
+def _drawn(transition: Transition, key: Any, given: State) -> tuple[State, Any]:
+    sample = transition.sample(key, given)
+    return sample, transition.log_density(sample, given)
+
+
+def _listed(forms: Mapping[str, tuple[int, ...]]) -> str:
+    return ", ".join(f"`{name}` {shape}" for name, shape in sorted(forms.items()))

@@ -15,7 +15,9 @@ from typing import Any, NamedTuple
 from bayes_body import registry
 from bayes_body.density.factor import State
 from bayes_body.errors import InputError, input_error
-from bayes_body.plugins.check import check_factors, checked_term
+from bayes_body.plugins.blame import Origin, blamed, failure, line_of
+from bayes_body.plugins.check import check_factors, check_transition, checked_term
+from bayes_body.plugins.terms import owned
 from bayes_body.registry import Place, Room
 
 # The prefix of plugins' names in sys.modules. No import statement finds them.
@@ -87,20 +89,27 @@ def providing(places: Collection[Place]) -> tuple[Plugin, ...]:
 
 
 def check_own_factors(density: Any, state: State) -> None:
-    """Check the factors that are not built in against the requirements of a density. Without such factors this costs nothing.
+    """Check the factors and the motion prior that are not built in against the requirements of a density. Without such terms this costs nothing.
 
     Args:
         density: the density of the first frame (`bayes_body.density.density.Density`).
         state: the first pose.
 
     Raises:
-        InputError: as in `plugins.check.check_factors`.
+        InputError: as in `plugins.check.check_factors` and `check_transition`.
     """
-    files = {place: f"{plugin.path}: " for plugin in loaded() for place in plugin.places}
     rooms: tuple[Room, ...] = ("likelihood", "potential")
-    own = {name: f"{files.get((room, name), '')}{room} '{name}'" for room in rooms for name in registry.own_names(room)}
+    own = {name: where_of(room, name) for room in rooms for name in registry.own_names(room)}
     if own:
         check_factors(density, state, own)
+    if registry.own_names("dynamics"):
+        check_transition(density, state)
+
+
+def where_of(room: Room, name: str) -> str:
+    """Return the name of a term in error messages, with the file of the plugin that provides it."""
+    (path,) = [f"{plugin.path}: " for plugin in providing({(room, name)})] or [""]
+    return f"{path}{room} '{name}'"
 
 
 @contextmanager
@@ -114,10 +123,10 @@ def plugins_to_blame() -> Iterator[None]:
         yield
     except InputError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         for plugin in loaded():
-            if line := _line_in(plugin.path, error):
-                raise _failure(plugin.path, plugin.text, error, line) from error
+            if fault := blamed(plugin.path, plugin.text, error):
+                raise fault from error
         raise
 
 
@@ -145,7 +154,7 @@ def _execute(path: Path, text: str) -> None:
     except SyntaxError as error:
         found = f"{error.msg} in the line `{(error.text or '').strip()}`"
         raise input_error(f"{path}: line {error.lineno}", found, "Python", "correct that line") from None
-    except ValueError as error:
+    except (ValueError, RecursionError, MemoryError) as error:
         raise input_error(path, str(error), "Python", "check the path") from None
     module = ModuleType(_module_name(path))
     module.__file__ = str(path)
@@ -155,10 +164,7 @@ def _execute(path: Path, text: str) -> None:
         exec(code, module.__dict__)
     except (Exception, SystemExit) as error:
         sys.modules.pop(module.__name__)
-        line = _line_in(path, error)
-        if isinstance(error, InputError):
-            raise InputError(f"{path}: line {line}: {error}") from error
-        raise _failure(path, text, error, line) from error
+        raise failure(path, text, error, line_of(path, error)) from error
 
 
 def _module_name(path: Path) -> str:
@@ -183,34 +189,17 @@ def _check(plugin: Plugin) -> None:
 
 def _guarded(plugin: Plugin, place: Place, build: Callable[..., Any]) -> Callable[..., Any]:
     room, name = place
-    where = f"{plugin.path}: {room} '{name}'"
+    origin = Origin(plugin.path, plugin.text, room, name)
 
     @wraps(build)
     def guarded(**arguments: Any) -> Any:
         try:
             term = build(**arguments)
-        except InputError:
-            raise
-        except Exception as error:
-            raise _failure(plugin.path, plugin.text, error, _line_in(plugin.path, error)) from error
-        return checked_term(room, term, arguments.get("name", name), where)
+        except (Exception, SystemExit) as error:
+            fault = blamed(plugin.path, plugin.text, error, build)
+            if fault is None:
+                raise
+            raise fault from error
+        return owned(origin, checked_term(room, term, arguments.get("name", name), origin.where(build)))
 
     return guarded
-
-
-def _failure(path: Path, text: str, error: BaseException, line: int | None) -> InputError:
-    """Return an InputError with the last line of the error's text and the plugin's line that raised it."""
-    lines = str(error).strip().splitlines()
-    said = f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
-    at = f": line {line}, `{text.splitlines()[line - 1].strip()}`" if line else ""
-    return input_error(f"{path}{at}", said.rstrip("."), "code that runs", "correct the plugin")
-
-
-def _line_in(path: Path, error: BaseException) -> int | None:
-    """Return the number of the last line of a file in an error's traceback."""
-    line, trace = None, error.__traceback__
-    while trace is not None:
-        if trace.tb_frame.f_code.co_filename == str(path):
-            line = trace.tb_lineno
-        trace = trace.tb_next
-    return line

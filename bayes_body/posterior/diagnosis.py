@@ -83,6 +83,7 @@ class Diagnosis:
         mixing: figures of the Markov chains of each frame; None if the kernel runs none.
         messages: figures of message passing in each frame; None if the kernel passes no messages.
         smoothed: whether a draw is a path of a smoother, which took its states from a filter with this kernel.
+        first_frame: number of the first frame in the recording.
     """
 
     kernel: str
@@ -102,6 +103,7 @@ class Diagnosis:
     mixing: Mixing | None = None
     messages: MessagePassing | None = None
     smoothed: bool = False
+    first_frame: int = 0
 
     @property
     def mode_seeker(self) -> bool:
@@ -127,6 +129,13 @@ class Diagnosis:
 def is_mode_seeker(tree: "xr.DataTree") -> bool:
     """Return whether the kernel of a posterior's tree estimates no evidence. Its particles are then not a sample of the posterior."""
     return bool(np.isnan(np.asarray(tree["filter"]["log_evidence"], float)).all())
+
+
+def first_frame_of(tree: "xr.DataTree") -> int:
+    """Return the number of the first frame of a posterior's tree in the recording."""
+    coordinates = tree["posterior"].coords
+    numbers = np.asarray(coordinates["frame"]) if "frame" in coordinates else np.zeros(0)
+    return int(numbers[0]) if numbers.size and numbers.dtype.kind in "iu" else 0
 
 
 def _sd(values: Float[np.ndarray, "run k"]) -> Float[np.ndarray, " k"]:

@@ -22,9 +22,9 @@ def frame_ranges(frames: Sequence[int], most: int = MOST_STRETCHES) -> str:
     return f"frame{'s' if len(frames) > 1 else ''} {named}{f' and {rest} more' if rest else ''}"
 
 
-def frames_where(crossed: Bool[np.ndarray, " frame"]) -> str:
-    """Return the frames that cross a limit, in words."""
-    return frame_ranges(np.flatnonzero(crossed).tolist())
+def frames_where(crossed: Bool[np.ndarray, " frame"], first: int) -> str:
+    """Return the frames that cross a limit, in words; `first` is the number of the first frame."""
+    return frame_ranges((first + np.flatnonzero(crossed)).tolist())
 
 
 def largest(values: Float[np.ndarray, "frame k"]) -> Float[np.ndarray, " frame"]:
@@ -32,6 +32,6 @@ def largest(values: Float[np.ndarray, "frame k"]) -> Float[np.ndarray, " frame"]
     return np.where(np.isnan(values), -np.inf, values).max(axis=1)
 
 
-def at_worst(crossed: Bool[np.ndarray, " frame"], frame: int) -> str:
+def at_worst(crossed: Bool[np.ndarray, " frame"], number: int) -> str:
     """Return words that name the worst frame; empty if only one frame crosses the limit."""
-    return f" at worst, at frame {frame}" if crossed.sum() > 1 else ""
+    return f" at worst, at frame {number}" if crossed.sum() > 1 else ""

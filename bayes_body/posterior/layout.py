@@ -129,6 +129,7 @@ def coordinates(draws: Draws, dims: Sequence[str]) -> dict[str, tuple[str, NDArr
     """Return the coordinates by name, each as (dimension, values); those of `unit_name` are the units of a dimension's entries."""
     lengths, axes = sizes(draws), _axes(draws)
     labels: dict[str, Any] = {dim: list(axis.labels) for dim, axis in axes.items() if axis.labels} | {"camera": list(draws.cameras)}
+    labels |= {"frame": draws.first_frame + np.arange(lengths["frame"])}
     if "iteration" in lengths:
         labels |= {"iteration": np.arange(1, lengths["iteration"] + 1)}
     found: dict[str, tuple[str, NDArray[Any] | list[str]]] = {dim: (dim, labels.get(dim, np.arange(lengths[dim]))) for dim in dims}

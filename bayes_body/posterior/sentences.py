@@ -64,22 +64,25 @@ def _mode_seeker(diagnosis: Diagnosis) -> str | None:
 
 
 def _lost(diagnosis: Diagnosis) -> str | None:
+    first = diagnosis.first_frame
     lost = diagnosis.lost.any(axis=0)
     if not lost.any():
         return None
     what = "lost: no particle explained the images, and the filter continued from its prediction"
-    return f"{frames_where(lost)}: {what}; look at the images, or {_remedy(diagnosis, 'particles')}."
+    return f"{frames_where(lost, first)}: {what}; look at the images, or {_remedy(diagnosis, 'particles')}."
 
 
 def _unseen(diagnosis: Diagnosis) -> str | None:
+    first = diagnosis.first_frame
     if diagnosis.seen is None or diagnosis.seen.all():
         return None
-    blind = [f"{name} in {frames_where(~seen)}" for name, seen in zip(diagnosis.cameras, diagnosis.seen.T, strict=True) if not seen.all()]
+    blind = [f"{name} in {frames_where(~seen, first)}" for name, seen in zip(diagnosis.cameras, diagnosis.seen.T, strict=True) if not seen.all()]
     there = "there only the other cameras, or the motion prior, determine the pose; look at these images"
     return f"nothing seen by camera {'; camera '.join(blind)}: {there}."
 
 
 def _rhat(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
+    first = diagnosis.first_frame
     worst, known = largest(diagnosis.rhat), np.isfinite(diagnosis.rhat).sum(axis=1)
     above = (diagnosis.rhat > thresholds.rhat).sum(axis=1)
     crossed = (above > (1 - thresholds.rhat_share) * known) | (worst > max(thresholds.rhat, thresholds.rhat_single))
@@ -87,11 +90,12 @@ def _rhat(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
         return None
     frame = int(np.where(crossed, worst, -np.inf).argmax())
     dof = diagnosis.dofs[int(np.nan_to_num(diagnosis.rhat[frame], nan=-np.inf).argmax())]
-    figure = f"R-hat up to {worst[frame]:.2f} ({dof} at frame {frame}; limit {thresholds.rhat:g})"
-    return f"{frames_where(crossed)}: the runs disagree, {figure}; {_remedy(diagnosis, 'layers', 'particles', 'moves')}."
+    figure = f"R-hat up to {worst[frame]:.2f} ({dof} at frame {first + frame}; limit {thresholds.rhat:g})"
+    return f"{frames_where(crossed, first)}: the runs disagree, {figure}; {_remedy(diagnosis, 'layers', 'particles', 'moves')}."
 
 
 def _ess(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
+    first = diagnosis.first_frame
     worst = diagnosis.ess.min(axis=0)
     limit = max(thresholds.ess, thresholds.ess_share * diagnosis.particles)
     crossed = worst < limit
@@ -101,42 +105,45 @@ def _ess(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
     if not crossed.any():
         return None
     worst = np.where(crossed, worst, np.inf)
-    figure = f"{worst.min():.0f} effective particles of {diagnosis.particles}{at_worst(crossed, int(worst.argmin()))} (limit {limit:g})"
-    return f"{frames_where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
+    figure = f"{worst.min():.0f} effective particles of {diagnosis.particles}{at_worst(crossed, first + int(worst.argmin()))} (limit {limit:g})"
+    return f"{frames_where(crossed, first)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
 
 
 def _pareto_k(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
+    first = diagnosis.first_frame
     worst = largest(diagnosis.pareto_k.T)
     crossed = worst > thresholds.pareto_k
     if not crossed.any():
         return None
-    figure = (
-        f"a few weights dominate the estimate, Pareto k {worst.max():.2f}{at_worst(crossed, int(worst.argmax()))} (limit {thresholds.pareto_k:g})"
-    )
-    return f"{frames_where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
+    where = at_worst(crossed, first + int(worst.argmax()))
+    figure = f"a few weights dominate the estimate, Pareto k {worst.max():.2f}{where} (limit {thresholds.pareto_k:g})"
+    return f"{frames_where(crossed, first)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
 
 
 def _evidence(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
+    first = diagnosis.first_frame
     sd = diagnosis.evidence_sd
     if not sd > thresholds.evidence_sd:
         return None
     by_frame = np.nan_to_num(diagnosis.evidence_sd_frames, nan=-np.inf)
-    figure = f"sd {sd:.1f} nats over {len(diagnosis.log_evidence)} runs (limit {thresholds.evidence_sd:g}), most at frame {by_frame.argmax()}"
+    runs, most = len(diagnosis.log_evidence), first + by_frame.argmax()
+    figure = f"sd {sd:.1f} nats over {runs} runs (limit {thresholds.evidence_sd:g}), most at frame {most}"
     return f"log-evidence: {figure}: too imprecise to compare models; {_remedy(diagnosis, 'particles', 'moves', moves_help=False)}."
 
 
 def _ancestors(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
+    first = diagnosis.first_frame
     worst = diagnosis.ancestors[diagnosis.lags.index(1)].min(axis=0)
     crossed = worst < min(thresholds.ancestors, diagnosis.particles)
     if not crossed.any():
         return None
-    figure = (
-        f"all particles descend from {worst.min():.0f} of the frame before{at_worst(crossed, int(worst.argmin()))} (limit {thresholds.ancestors:g})"
-    )
-    return f"{frames_where(crossed)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
+    where = at_worst(crossed, first + int(worst.argmin()))
+    figure = f"all particles descend from {worst.min():.0f} of the frame before{where} (limit {thresholds.ancestors:g})"
+    return f"{frames_where(crossed, first)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
 
 
 def _acceptance(diagnosis: Diagnosis, thresholds: Thresholds) -> Iterator[str]:
+    first = diagnosis.first_frame
     rates = diagnosis.acceptance_rate.transpose(1, 0, 2).reshape(diagnosis.acceptance_rate.shape[1], -1)
     known = ~np.isnan(rates)
     mean = np.divide(np.where(known, rates, 0).sum(axis=1), known.sum(axis=1), out=np.full(len(rates), np.nan), where=known.any(axis=1))
@@ -146,13 +153,13 @@ def _acceptance(diagnosis: Diagnosis, thresholds: Thresholds) -> Iterator[str]:
         (mean > high, np.where(np.isnan(mean), -np.inf, mean).argmax(), high, "the moves are too short to explore the posterior"),
     ):
         if crossed.any():
-            figure = f"{mean[place]:.2f} of the Markov moves accepted{at_worst(crossed, int(place))} (limit {limit:g})"
+            figure = f"{mean[place]:.2f} of the Markov moves accepted{at_worst(crossed, first + int(place))} (limit {limit:g})"
             remedy = (
                 _remedy(diagnosis, "moves", "particles")
                 if diagnosis.mixing is None
                 else "change the step, with --set step=... or --set target_acceptance=0.8"
             )
-            yield f"{frames_where(crossed)}: {figure}, {meaning}; {remedy}."
+            yield f"{frames_where(crossed, first)}: {figure}, {meaning}; {remedy}."
 
 
 def _single(diagnosis: Diagnosis) -> str | None:

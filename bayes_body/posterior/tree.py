@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 def to_datatree(draws: Draws, attributes: Mapping[str, Any] | None = None) -> "xr.DataTree":
     """Return the draws in ArviZ's form, all in memory.
 
+    The coordinate `frame` has the numbers of the frames in the recording.
+
     Groups: `posterior` with the state's variables: `pose` (chain, draw, frame, dof), radians and metres as given by the `unit` coordinate, `parts`
     (chain, draw, frame, part, coordinate), others with the axes of their spaces; the attribute `space` says where a variable lives. `sample_stats`
     with `log_weight` and `ancestor` (chain, draw, frame); `filter` with `ess`, `log_evidence`, `lost` and `evaluations` (chain, frame), with

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from bayes_body.errors import input_error
 from bayes_body.recording.calibration import Calibrated, check_rig
+from bayes_body.recording.excerpt import excerpt
 from bayes_body.recording.faults import Faults
 from bayes_body.recording.images import read_mask
 from bayes_body.recording.numbered import Series, find_series
@@ -62,7 +63,8 @@ def assemble(rig: Rig, folder: Path, title: str, options: Options) -> tuple[Sess
     fps, remarks = frame_rate({each.camera.name: each.source.fps for each in filmed}, options.fps)
     views = tuple(_view(each, folder, timing.offsets[each.camera.name], fps) for each in filmed)
     subject = Subject(height_m=options.height_m)
-    session = Session(folder, title, rig.up, fps, timing.frames, timing.first_frame, views, subject)
+    whole = Session(folder, title, rig.up, fps, timing.frames, timing.first_frame, views, subject)
+    session = excerpt(whole, options.first_frame, options.frames)
     remarks = [*(each.remark for each in filmed if each.remark), *timing.remarks, *remarks]
     return with_options(session, options), [*remarks, *([] if options.masks else [_no_masks(options)])]
 
@@ -118,7 +120,7 @@ def with_options(session: Session, options: Options) -> Session:
     truth = session.truth
     if options.truth is not None:
         with faults.collect():
-            read_truth(options.truth, session.frames)
+            read_truth(options.truth, session.frames, session.skipped)
             truth = written(options.truth, session.folder)
     faults.raise_any()
     subject = session.subject if options.height_m is None else replace(session.subject, height_m=options.height_m)

@@ -1,6 +1,7 @@
 """The path of a moving camera: an .npz beside a session, with `rotation` (frame, 3, 3) and `translation_m` (frame, 3).
 
-`X_camera = rotation @ X_world + translation_m`, metres. Row k belongs to the session's frame k, counted from 0.
+`X_camera = rotation @ X_world + translation_m`, metres. Row k belongs to the recording's frame k, counted from 0: where a session has only a
+range of the frames, to a frame before it, or in it, or after it.
 """
 
 from dataclasses import replace
@@ -29,7 +30,8 @@ def cameras_at(session: Session, index: int) -> tuple[CameraSpec, ...]:
         InputError: a moving camera's file is missing, malformed or too short.
     """
     paths = [session.camera_path(view) for view in session.views]
-    return tuple(view.camera if path is None else _placed(view.camera, path, index) for view, path in zip(session.views, paths, strict=True))
+    row = session.skipped + index
+    return tuple(view.camera if path is None else _placed(view.camera, path, row) for view, path in zip(session.views, paths, strict=True))
 
 
 def _placed(camera: CameraSpec, path: Path, index: int) -> CameraSpec:

@@ -52,7 +52,8 @@ def check_session(session: Session, frames: int | None = None) -> list[str]:
         for kind, read in (("images", read_grey), ("masks", read_mask)):
             if (pattern := getattr(view, kind)) is not None:
                 # Strings: a session of a million frames would need minutes to make so many `Path`.
-                files = (os.path.join(session.folder, pattern % session.number(view, k)) for k in range(session.frames))  # noqa: PTH118
+                paths = (os.path.join(session.folder, pattern % session.number(view, k)) for k in range(session.frames))  # noqa: PTH118
+                files = enumerate(paths, session.first_frame)
                 remarks += _check_series(faults, owner, kind, files, lambda path, read=read, view=view: read(path, view.camera.size_px))
         with faults.collect():
             _check_background(session, view)
@@ -62,7 +63,7 @@ def check_session(session: Session, frames: int | None = None) -> list[str]:
         path = session.camera_path(view)
         if path is not None:
             with faults.collect():
-                read_camera_path(path, session.frames)
+                read_camera_path(path, session.skipped + session.frames)
     faults.raise_any()
     return remarks
 
@@ -82,17 +83,17 @@ def _check_places(session: Session) -> None:
         raise input_error("session.toml: camera", found, f"cameras at least {LEAST_APART_M:g} m apart", remedy)
 
 
-def _check_series(faults: Faults, owner: str, kind: str, files: Iterable[str], read: Callable[[Path], Any]) -> list[str]:
-    """Check one series of files. Returns remarks on missing files; errors go to `faults`."""
+def _check_series(faults: Faults, owner: str, kind: str, files: Iterable[tuple[int, str]], read: Callable[[Path], Any]) -> list[str]:
+    """Check one series of files, each with its frame's number. Returns remarks on missing files; errors go to `faults`."""
     ends, missing, count, where = list[Path](), list[int](), 0, ""
-    for k, file in enumerate(files):
-        count, where = k + 1, where or file
+    for number, file in files:
+        count, where = count + 1, where or file
         if os.path.exists(file):  # noqa: PTH110
             # Only the first and the last are read.
             ends[1:] = [Path(file)] if ends else []
             ends = ends or [Path(file)]
         else:
-            missing.append(k)
+            missing.append(number)
     remedy = f"correct {kind}, first_frame and frames in session.toml"
     if not ends:
         with faults.collect():
@@ -123,7 +124,7 @@ def _check_video(session: Session, view: View, owner: str, used: int) -> list[st
     remarks = _check_rate(path, info.fps, session.fps, view)
     first = session.number(view, 0)
     readable = max(0, readable_frames(path, first + session.frames) - first)
-    damaged = [number - first for number in damaged_frames(path, range(first, first + min(readable, used)))]
+    damaged = [number - view.offset for number in damaged_frames(path, range(first, first + min(readable, used)))]
     if readable == 0:
         found = f"{path} has {readable_frames(path, first + 1)} frames"
         raise input_error(owner, found, f"more than {first}, the number of the first", "correct first_frame and the camera's offset in session.toml")
@@ -133,7 +134,7 @@ def _check_video(session: Session, view: View, owner: str, used: int) -> list[st
         found = f"{len(damaged)} of {session.frames} frames cannot be decoded without errors ({named(damaged)}), {path} is damaged"
         remarks.append(f"{owner}: {found}: {BLIND}; copy the video again.")
     if readable < session.frames:
-        missing = range(readable, session.frames)
+        missing = range(session.frame_number(readable), session.frame_number(session.frames))
         found = f"{_share(len(missing), session.frames, 'frames')} ({named(missing)}), {path} ends before them"
         remarks.append(f"{owner}: {found}: {BLIND}; copy the video again, or correct first_frame and frames in session.toml.")
     return remarks

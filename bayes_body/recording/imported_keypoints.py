@@ -71,7 +71,7 @@ def with_keypoints(session: Session, folders: Mapping[str, Path], layout: str | 
         for view, among, place in zip(views, people[0], places[0], strict=True)
         if place is not None
     }
-    remarks = [*([order.remark] if order.remark else []), *remarks, *_crowd(views, people[0], places[0]), *_seldom(views, places)]
+    remarks = [*([order.remark] if order.remark else []), *remarks, *_crowd(session, views, people[0], places), *_seldom(views, places)]
     files = {view.camera.name: _written(session, view, c, people, places, order) for c, view in enumerate(views)}
     marked = tuple(replace(view, keypoints=files.get(view.camera.name)) for view in session.views)
     # A first pose in angles or markers that the source provides takes precedence.
@@ -138,10 +138,12 @@ def _written(session: Session, view: View, c: int, people: Sequence[Sequence[Peo
     return name
 
 
-def _crowd(views: Sequence[View], people: Sequence[People], places: Places) -> list[str]:
+def _crowd(session: Session, views: Sequence[View], people: Sequence[People], series: Sequence[Places]) -> list[str]:
+    """A remark if nobody is in the first frame, with the first that shows the subject, or if several people are."""
+    places = series[0]
     if not any(place is not None for place in places):
         why = "No two cameras agree on a person's keypoints" if len(views) > 1 and any(map(len, people)) else "The keypoint files contain no people"
-        return [f"{why} in the first frame: the session has no first keypoints."]
+        return [f"{why} in frame {session.first_frame}, the first one: the session has no first keypoints{_later(session, series)}."]
     choices = [
         f"{view.camera.name}: {'none' if place is None else f'#{place + 1}'} of {len(among)}"
         for view, among, place in zip(views, people, places, strict=True)
@@ -151,6 +153,16 @@ def _crowd(views: Sequence[View], people: Sequence[People], places: Places) -> l
     return (
         [f"There are several people in the first frame. The subject is the one {how} ({', '.join(choices)}): check the picture."] if choices else []
     )
+
+
+def _later(session: Session, series: Sequence[Places]) -> str:
+    """Words on the first frame in which two cameras, or the only one, show the subject."""
+    shown = [sum(place is not None for place in places) for places in series]
+    later = next((frame for frame, count in enumerate(shown) if count >= min(2, len(series[0]))), None)
+    if later is None:
+        return ""
+    number = session.frame_number(later)
+    return f"; they show the subject from frame {number} on: begin there with --first-frame {number}"
 
 
 def _seldom(views: Sequence[View], places: Sequence[Places]) -> list[str]:

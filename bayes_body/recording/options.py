@@ -29,6 +29,8 @@ class Options:
         offsets: the session's frame k is the camera's frame k + offset.
         layout: the order of the keypoints, a name in `keypoint_layouts.LAYOUTS`.
         keypoints: a folder that contains a folder of OpenPose's files for each camera.
+        first_frame: number of the first frame that is imported, as in the file names; in a video they count from 0.
+        frames: number of frames that are imported; all from the first one on by default.
     """
 
     unit: str | None = None
@@ -41,6 +43,8 @@ class Options:
     offsets: Mapping[str, int] = field(default_factory=dict)
     layout: str | None = None
     keypoints: Path | None = None
+    first_frame: int | None = None
+    frames: int | None = None
 
 
 def check_height(height_m: float | None) -> None:

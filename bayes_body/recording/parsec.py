@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from bayes_body.recording.assemble import saved, source_folder, with_options
+from bayes_body.recording.excerpt import excerpt
 from bayes_body.recording.faults import Faults
 from bayes_body.recording.imported_keypoints import with_imported_keypoints
 from bayes_body.recording.options import Options, check_fps, check_height
@@ -44,7 +45,7 @@ def import_parsec(source: Path, folder: Path, options: Options | None = None) ->
         faults.raise_any()
         raise AssertionError("a reader neither returned nor raised")
     timing = align({view.camera.name: (recorded.first_frame, recorded.frames) for view in recorded.views}, options.offsets)
-    session = Session(
+    whole = Session(
         folder=folder.resolve(),
         title=f"bodytrack recording {source.resolve().name}",
         up="z",
@@ -56,9 +57,17 @@ def import_parsec(source: Path, folder: Path, options: Options | None = None) ->
         initial=known.initial,
         positions=frozenset(POSITIONS),
     )
+    session = excerpt(whole, options.first_frame, options.frames)
     session, keypoint_remarks = with_imported_keypoints(with_options(session, options), options)
-    remarks = [*recorded.remarks, *known.remarks, *timing.remarks, *([] if options.fps else [_fps_remark()]), *keypoint_remarks]
+    remarks = [*recorded.remarks, *known.remarks, *timing.remarks, *_left_out(whole, session)]
+    remarks += [*([] if options.fps else [_fps_remark()]), *keypoint_remarks]
     return saved(session), [remark for remark in remarks if not (options.masks and remark == REMARK_NO_MASKS)]
+
+
+def _left_out(whole: Session, session: Session) -> list[str]:
+    if not whole.initial or session.first_frame == whole.first_frame:
+        return []
+    return [f"The recording's first pose belongs to frame {whole.first_frame} and is left out: the session begins at frame {session.first_frame}."]
 
 
 def _fps_remark() -> str:

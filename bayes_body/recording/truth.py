@@ -20,12 +20,13 @@ REMEDY = "write it with numpy.savez(path, markers=..., names=...)"
 FARTHEST_M = 1000.0
 
 
-def read_truth(path: Path, frames: int) -> Float[np.ndarray, "frame 15 3"]:
-    """The true markers of a session's first frames, in the order of `MARKERS`, metres; NaN where unknown.
+def read_truth(path: Path, frames: int, skipped: int = 0) -> Float[np.ndarray, "frame 15 3"]:
+    """The true markers of a session's frames, in the order of `MARKERS`, metres; NaN where unknown.
 
     Args:
         path: the file; it may contain more frames.
         frames: the session's number of frames.
+        skipped: number of the recording's frames before the session's first one.
 
     Raises:
         InputError: no such file, malformed, too few frames, or not in metres.
@@ -35,10 +36,11 @@ def read_truth(path: Path, frames: int) -> Float[np.ndarray, "frame 15 3"]:
     order = _order(path, names)
     if markers.ndim != 3 or markers.shape[1:] != (len(order), 3) or markers.dtype.kind not in "fiu":
         raise input_error(f"{path}: markers", f"{markers.dtype} of shape {markers.shape}", f"numbers of shape (frame, {len(order)}, 3)", REMEDY)
-    if len(markers) < frames:
+    if len(markers) < skipped + frames:
         remedy = "add the missing frames (NaN where unknown), or lower frames in session.toml"
-        raise input_error(f"{path}: markers", f"{len(markers)} frames", f"{frames}, as the session has", remedy)
-    positions = markers[:frames, order].astype(np.float64)
+        expected = f"{skipped + frames}, as the session has{' with those before it' if skipped else ''}"
+        raise input_error(f"{path}: markers", f"{len(markers)} frames", expected, remedy)
+    positions = markers[skipped : skipped + frames, order].astype(np.float64)
     if np.isinf(positions).any():
         raise input_error(f"{path}: markers", "an infinite position", "metres, or NaN where unknown", "correct it")
     farthest = float(np.nanmax(np.abs(positions), initial=0.0))

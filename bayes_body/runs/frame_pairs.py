@@ -24,7 +24,7 @@ def check_pairs(session: Session, model: Model, frames: int, show: Show, bar: bo
     others = (
         "only the other likelihoods inform it" if len(comparing) < len(likelihoods) else "its posterior is the first pose, spread by the motion prior"
     )
-    show(f"{' and '.join(comparing)}: silent in frame 0, which has no frame before it: {others}.")
+    show(f"{' and '.join(comparing)}: silent in frame {session.first_frame}, which has no frame before it: {others}.")
     sentences = pair_remarks(session, model, frames, bar)
     for sentence in sentences:
         show(warning_line(sentence))

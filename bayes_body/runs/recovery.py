@@ -5,11 +5,12 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool
 
-from bayes_body.detection.detect import TRUSTED, Detected, detect
+from bayes_body.detection.detect import Detected
 from bayes_body.initial import apply_first_pose
-from bayes_body.initial.automatic import TRUNK, known_markers, poses_of
+from bayes_body.initial.automatic import known_markers, poses_of
 from bayes_body.initial.measurements import FEWEST
 from bayes_body.initial.person_search import PersonSearch
+from bayes_body.initial.presence import shows_somebody
 from bayes_body.metrics.fit import frame_fit
 from bayes_body.metrics.plausibility import is_off
 from bayes_body.model.build import Model
@@ -54,10 +55,10 @@ class PersonRecovery:
         obstacle = self._obstacle(frame)
         if obstacle:
             if not self._told:
-                self.show(f"frame {frame}: the person was lost, and is not looked for: {obstacle}")
+                self.show(f"frame {self.session.frame_number(frame)}: the person was lost, and is not looked for: {obstacle}")
             self._told = True
             return None
-        if not self._shows(frame) or (not is_first and frame % EVERY and self._shows(frame - 1)):
+        if not shows_somebody(self.session, frame) or (not is_first and frame % EVERY and shows_somebody(self.session, frame - 1)):
             return None
         if self._search is None:
             self._search = PersonSearch(self.session, seed=self.seed)
@@ -68,7 +69,7 @@ class PersonRecovery:
         pose = np.asarray(placed.initial[placed.body.variable], float)
         if is_off(frame_fit(self.session, placed, pose[None], frame)).any():
             return None
-        self.show(f"frame {frame}: the person was lost, and is found again; {found.precision}")
+        self.show(f"frame {self.session.frame_number(frame)}: the person was lost, and is found again; {found.precision}")
         return placed
 
     def _obstacle(self, frame: int) -> str | None:
@@ -76,7 +77,3 @@ class PersonRecovery:
         if known_markers(self.model) < FEWEST:
             return f"the body has fewer than {FEWEST} of the markers"
         return "the session has no silhouettes" if read_frame(self.session, frame).masks is None else None
-
-    def _shows(self, frame: int) -> bool:
-        """Whether a frame shows a person."""
-        return TRUNK in detect(self.session, frame, TRUSTED).parts

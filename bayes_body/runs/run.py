@@ -34,6 +34,7 @@ from bayes_body.model.kernel_options import kernel_options
 from bayes_body.registry import find, notes
 from bayes_body.runs.finish import finish, kept_frames, remark_on_stop
 from bayes_body.runs.frame_pairs import check_pairs
+from bayes_body.runs.frame_range import frames_from, number_of_first
 from bayes_body.runs.model_choice import choose_model
 from bayes_body.runs.recovery import PersonRecovery
 from bayes_body.runs.settings import AUTO, GIVEN, Record, Settings, choose, stored_record
@@ -76,7 +77,8 @@ def run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None = None) -
 
 def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict[str, Any]:
     before = stored_record(settings)
-    chosen, session = choose(settings, before), load_session(settings.session)
+    chosen, whole = choose(settings, before), load_session(settings.session)
+    session = frames_from(whole, chosen.first_frame, show)
     if chosen.init == AUTO:
         session = unposed(session)
     name = chosen.model or _chosen_model(session, show)
@@ -97,6 +99,7 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
     true_markers(session)
     recover = kind in RECOVERING if chosen.recover is None else chosen.recover
     described = {"runs": chosen.runs, "seed": chosen.seed, "frames": chosen.frames, "init": chosen.init, "recover": recover}
+    described["first_frame"] = number_of_first(session, whole)
     record = describe(settings.session, name, definition, kind, options.model_dump(), described, input_digests(session))
     if before:
         refuse_changes(settings.out, before, record)
@@ -106,7 +109,7 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
     with compiling as ahead, waiting("first pose", bar and must_fit):
         model, record = _with_first_pose(model, session, record, before, settings.out, show, chosen.seed)
     _show_first_fit(session, model, show)
-    frames = _begin(settings.out, before, record, chosen.frames or session.frames, show)
+    frames = _begin(settings.out, before, record, chosen.frames or session.frames, session.first_frame, show)
     for note in notes([("kernel", kind), *(("likelihood", each.kind) for each in definition.likelihoods)]):
         show(note)
     with remark_on_stop(frames, settings.out, show):
@@ -143,10 +146,10 @@ def _show_first_fit(session: Session, model: Model, show: Show) -> None:
     for sentence in fit_sentences(figures):
         show(warning_line(sentence))
     if figures["fit_by"] is None:
-        show("note: neither silhouettes nor keypoints tell whether the body is on the person in frame 0: look at the overlay.")
+        show(f"note: neither silhouettes nor keypoints tell whether the body is on the person in frame {session.first_frame}: look at the overlay.")
 
 
-def _begin(out: Path, before: Mapping[str, Mapping[str, Any]] | None, record: Record, wanted: int, show: Show) -> FrameFiles:
+def _begin(out: Path, before: Mapping[str, Mapping[str, Any]] | None, record: Record, wanted: int, first: int, show: Show) -> FrameFiles:
     """Write `run.toml`. Return the frames that are already stored, up to the first damaged one."""
     frames = kept_frames(out, before, record, show)
     if before is None:
@@ -154,7 +157,8 @@ def _begin(out: Path, before: Mapping[str, Mapping[str, Any]] | None, record: Re
     if len(frames) > wanted:
         raise input_error("--frames", str(wanted), f"at least the {len(frames)} frames that the run has", "give a larger number")
     if len(frames):
-        what = f"continuing at frame {len(frames)} of {wanted}" if len(frames) < wanted else f"all {wanted} frames exist, nothing is left to track"
+        where = f"continuing at frame {len(frames)} of {wanted}" + (f", number {first + len(frames)} of the recording" if first else "")
+        what = where if len(frames) < wanted else f"all {wanted} frames exist, nothing is left to track"
         show(f"{out}: {what}")
     write_run_file(out, record)
     return frames

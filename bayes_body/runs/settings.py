@@ -28,6 +28,7 @@ class Settings:
         kernel: a kernel's name; None means the model's own.
         overrides: options of the kernel that differ from the definition's.
         runs: number of independent filters.
+        first_frame: number of the first frame that is tracked, as in the file names; None for the session's first.
         frames: number of frames; None for all.
         seed: seed of everything random.
         init: where the first pose comes from, GIVEN or AUTO.
@@ -41,6 +42,7 @@ class Settings:
     kernel: str | None = None
     overrides: Mapping[str, Any] = field(default_factory=dict)
     runs: int | None = None
+    first_frame: int | None = None
     frames: int | None = None
     seed: int | None = None
     init: str | None = None
@@ -51,12 +53,14 @@ class Settings:
 class Chosen(NamedTuple):
     """Settings with their defaults.
 
-    None means: for `model`, chosen by the session's data; for `kernel`, the model's own; for `frames`, all; for `recover`, by the kernel.
+    None means: for `model`, chosen by the session's data; for `kernel`, the model's own; for `first_frame`, the session's; for `frames`, all; for
+    `recover`, by the kernel.
     """
 
     model: str | None
     kernel: str | None
     runs: int
+    first_frame: int | None
     frames: int | None
     seed: int
     init: str

@@ -92,7 +92,7 @@ def _smooth(source: SavedRun, settings: SmoothSettings, show: Show, bar: bool) -
     with remark_on_stop(frames, settings.out, show):
         with smoothing_bar(bar, len(frames)) as on_frame:
             paths = smooth(session, model, Smoother(options), filtered, jax.random.key(seed), frames, on_frame)
-        draws = Draws(model, paths, timing_of(paths), tuple(view.camera.name for view in session.views))
+        draws = Draws(model, paths, timing_of(paths), tuple(view.camera.name for view in session.views), session.first_frame)
         figures = {"kernel": str(source.kernel["kind"]), "seed": seed}
         return finish(session, draws, Results(settings.out, frames), figures, [], show, bar, smoothed=True)
 

@@ -26,7 +26,7 @@ def window_of_run(
     Args:
         folder: the run of a filter. For a smoothed run, it is the run that was smoothed.
         frames: number of frames.
-        first: number of the first one, at least 1; by default the last frames of the run, for which all images count.
+        first: number of the first one, which is not the run's first; by default the last frames of the run, for which all images count.
         seed: seed of everything random.
         prior: `gaussian` or `particles` (`window_posterior`).
         paths: number of the smoother's paths for each run of the filter.
@@ -43,6 +43,6 @@ def window_of_run(
             found = f"{', '.join(sorted(run.changed_inputs))}: changed or gone since the run was made"
             raise input_error(run.folder, found, "the recording of the run", "put it back")
         filtered = FrameFiles(run.folder / FRAMES_FOLDER, run.id)
-        begin = run.frames - frames if first is None else first
+        begin = run.frames - frames if first is None else first - run.first_frame
         window = range(begin, begin + frames)
         return window_posterior(run.session, run.model, filtered, window, jax.random.key(seed), prior, paths, moves, **options)

@@ -24,6 +24,11 @@ def document(session: "Session") -> tomlkit.TOMLDocument:
     _add(text, "fps", float(session.fps), "frames per second")
     _add(text, "frames", session.frames)
     _add(text, "first_frame", session.first_frame, "number of the first frame in the file names")
+    if session.recorded is not None:
+        comment = (
+            "the whole recording: its first frame's number, and how many; the background is learned from all, and rows of files count from there"
+        )
+        _add(text, "recorded", list(session.recorded), comment)
     if session.truth is not None:
         _add(text, "truth", session.truth, "an .npz with the true `markers` (frame, marker, 3), metres, and their `names`")
     text.add("subject", _subject_table(session.subject, session.positions))

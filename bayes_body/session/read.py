@@ -54,6 +54,7 @@ def parse_session(tables: Mapping[str, Any], folder: Path, where: str) -> Sessio
         fit_outline=table.initial.fit_outline,
         segmentation=Segmentation(**table.segmentation.model_dump()),
         truth=table.truth,
+        recorded=table.recorded,
     )
 
 

@@ -155,6 +155,7 @@ class SessionFile(Schema):
     initial: InitialTable = InitialTable()
     segmentation: SegmentationTable = SegmentationTable()
     truth: FilePath | None = None
+    recorded: tuple[Annotated[int, Field(strict=True, ge=0, le=LARGEST_NUMBER)], Frames] | None = None
 
     @property
     def positions(self) -> frozenset[str]:
@@ -163,7 +164,8 @@ class SessionFile(Schema):
 
     @model_validator(mode="after")
     def _check_whole(self) -> "SessionFile":
-        sentences = [*self._duplicate_names(), *self._sources(), *self._incomplete_masks(), *self._ambiguous(), *self._unknown_cameras()]
+        sentences = [*self._range(), *self._duplicate_names(), *self._sources(), *self._incomplete_masks(), *self._ambiguous()]
+        sentences += self._unknown_cameras()
         if sentences:
             raise ValueError("\n".join(sentences))
         return self
@@ -173,13 +175,24 @@ class SessionFile(Schema):
             if count > 1:
                 yield f"camera '{name}': {count} cameras have this name; expected unique names; rename all but one."
 
+    def _range(self) -> Iterator[str]:
+        """A range of frames lies within the recording."""
+        if self.recorded is None:
+            return
+        start, count = self.recorded
+        last, end = self.first_frame + self.frames - 1, start + count - 1
+        if not start <= self.first_frame <= last <= end:
+            found = f"frames {start} to {end}, and the session has {self.first_frame} to {last}"
+            yield f"recorded: {found}; expected frames of the recording; correct first_frame and frames, or remove recorded."
+
     def _sources(self) -> Iterator[str]:
         for camera in self.cameras:
             if (camera.images is None) == (camera.video is None):
                 found = "neither images nor video" if camera.images is None else "both images and video"
                 yield f"camera '{camera.name}': {found}; expected one of the two; give the pattern of its image files or the path of its video."
-            if self.first_frame + camera.offset < 0:
-                found = f"{camera.offset}, so its frames would begin at number {self.first_frame + camera.offset}"
+            first = min([self.first_frame, *(self.recorded or ())[:1]])
+            if first + camera.offset < 0:
+                found = f"{camera.offset}, so its frames would begin at number {first + camera.offset}"
                 yield f"camera '{camera.name}'.offset: {found}; expected 0 or later; raise first_frame, and lower frames by the same amount."
 
     def _unknown_cameras(self) -> Iterator[str]:

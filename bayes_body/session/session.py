@@ -4,7 +4,7 @@ Plain data in metres, radians and pixels. `bayes_body.session.read` reads and wr
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Literal
 
@@ -116,7 +116,7 @@ class Subject:
 
 @dataclass(frozen=True)
 class Session:
-    """A recording. Frames are counted from 0; frame k has the number `first_frame + k` in file names.
+    """A recording, or a range of its frames. Frames are counted from 0; frame k has the number `first_frame + k` in file names and for the user.
 
     Attributes:
         folder: the folder of `session.toml`; relative paths start here.
@@ -135,6 +135,7 @@ class Session:
         segmentation: how silhouettes are found if there are no masks.
         truth: path of an .npz file with true markers, relative to the session's folder.
         positions: names of the dofs in `initial` and `subject.motion_sd` that are positions (metres); all others are angles.
+        recorded: number of the first frame of the whole recording, and its number of frames; None if the session has them all.
     """
 
     folder: Path
@@ -153,6 +154,24 @@ class Session:
     fit_outline: bool = False
     segmentation: Segmentation = Segmentation()
     truth: str | None = None
+    recorded: tuple[int, int] | None = None
+
+    @property
+    def skipped(self) -> int:
+        """Number of recorded frames before the first one. Files that have a row for each recorded frame are read from that row."""
+        return 0 if self.recorded is None else self.first_frame - self.recorded[0]
+
+    @property
+    def whole(self) -> "Session":
+        """The session of all recorded frames. A first pose that it has is that of another frame."""
+        if self.recorded is None:
+            return self
+        first, frames = self.recorded
+        return replace(self, first_frame=first, frames=frames, recorded=None)
+
+    def frame_number(self, frame: int) -> int:
+        """The number by which the user knows a frame (counted from 0). A camera's own numbers have its offset added (`number`)."""
+        return self.first_frame + frame
 
     def number(self, view: View, frame: int) -> int:
         """The number of a frame (counted from 0) in this camera's image names, or in its video."""

@@ -18,6 +18,7 @@ class RunTable(Schema):
     model: Text
     runs: Count = 1
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
+    first_frame: Annotated[int, Field(strict=True, ge=0)] | None = None
     frames: Count | None = None
     init: Literal["given", "auto"] = "given"
     recover: Annotated[bool, Field(strict=True)] = False

@@ -21,8 +21,9 @@ from bayes_body.files.text import parse_json, read_text
 from bayes_body.initial import apply_first_pose, restored
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import parse_definition
-from bayes_body.posterior.diagnosis import is_mode_seeker
+from bayes_body.posterior.diagnosis import first_frame_of, is_mode_seeker
 from bayes_body.posterior.stored_spaces import stored_spaces
+from bayes_body.recording.excerpt import excerpt
 from bayes_body.session.read import parse_session
 from bayes_body.session.session import Session
 from bayes_body.storage.inputs import input_digests
@@ -48,7 +49,7 @@ class SavedRun:
 
     Attributes:
         folder: the run's folder.
-        settings: the table `[run]` of `run.toml`: session, model, runs, seed, and frames if it was given.
+        settings: the table `[run]` of `run.toml`: session, model, runs, seed, and first_frame and frames if they were given.
         kernel: the kernel's `kind` and every option.
         versions: versions of Python and of the packages, by name.
         texts: texts of the definition (`title`, `text`, `body_text`) and of the `session`.
@@ -81,14 +82,14 @@ class SavedRun:
 
     @cached_property
     def session(self) -> Session:
-        """The session that the run used.
+        """The session that the run used, from the run's first frame on.
 
         Raises:
-            InputError: its text cannot be used.
+            InputError: its text cannot be used, or it does not have the run's first frame.
         """
         folder = Path(self.settings["session"])
         where = f"{self.folder / RUN_FILE}: the session's text"
-        return parse_session(parse_toml(self.texts["session"], where), folder, where)
+        return excerpt(parse_session(parse_toml(self.texts["session"], where), folder, where), self.settings.get("first_frame"))
 
     @cached_property
     def changed_inputs(self) -> frozenset[str]:
@@ -141,6 +142,11 @@ class SavedRun:
     def frames(self) -> int:
         """Number of frames."""
         return self.tree["posterior"].sizes["frame"]
+
+    @property
+    def first_frame(self) -> int:
+        """Number of the first frame in the recording (`Session.frame_number`)."""
+        return first_frame_of(self.tree)
 
     @property
     def fps(self) -> float:

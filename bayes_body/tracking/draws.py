@@ -80,12 +80,14 @@ class Draws:
         cameras: the cameras' names.
         kernel: the kernel's name; empty if it has none.
         warnings: what `bayes_body.track` says about the result: the sentences that the command line prints at its end.
+        first_frame: number of the first frame in the recording (`Session.frame_number`).
     """
 
     model: Model
     frames: Frames
     timing: Timing
     cameras: tuple[str, ...]
+    first_frame: int = 0
     kernel: str = ""
     warnings: tuple[str, ...] = ()
 

@@ -21,6 +21,7 @@ from bayes_body.errors import input_error
 from bayes_body.kernels.parts.batching import everywhere
 from bayes_body.model.build import Model
 from bayes_body.plugins.load import check_own_factors
+from bayes_body.plugins.terms import check_result
 from bayes_body.session.session import Session
 from bayes_body.shapes import Key
 from bayes_body.tracking.draws import Draws, FrameResult, FrameStore, timing_of
@@ -77,7 +78,7 @@ def track(
         kernel: by default the model's own, `model.kernel()`.
         particles: number of particles per run; by default the kernel's option `particles`, or 1000 if it has no options.
         runs: independent filters; ArviZ's chains.
-        frames: number of frames to track, from the first; all by default.
+        frames: number of frames to track, from the first; all by default. `recording.excerpt` makes a session that begins later.
         on_frame: called after each frame is stored.
         into: the store of the frames, such as `storage.FrameFiles`; a list by default. Frames that it already holds are not computed again: the
             filters continue from the last of them.
@@ -100,9 +101,9 @@ def track(
     if done < count:
         with closing(observations(session, model, range(done, count))) as observed:
             restarts = None if recovery is None else Restarts(recovery, runs, store)
-            _follow(store, _filter(model, kernel, key, filters, done, observed, ahead, restarts), count, on_frame)
+            _follow(store, _filter(model, kernel, key, filters, done, observed, ahead, restarts, session.first_frame), count, on_frame)
     cameras = tuple(view.camera.name for view in session.views)
-    return Draws(model, store, timing_of(store), cameras, getattr(kernel, "kind", ""))
+    return Draws(model, store, timing_of(store), cameras, session.first_frame, getattr(kernel, "kind", ""))
 
 
 def _particles_of(kernel: Kernel) -> int:
@@ -144,8 +145,12 @@ def _filter(
     observed: Iterator[Observed],
     ahead: Ahead | None,
     restarts: Restarts | None,
+    number: int,
 ) -> Iterator[FrameResult]:
-    """Yield the results of all runs for each frame from `first` on. Only the particles of the last frame stay in memory."""
+    """Yield the results of all runs for each frame from `first` on. Only the particles of the last frame stay in memory.
+
+    In the recording, frame 0 has this number.
+    """
     last = time.perf_counter()
     run_keys = [everywhere(jax.random.fold_in(key, run)) for run in range(len(filters))]
     filters = [everywhere(particles) for particles in filters]
@@ -166,8 +171,9 @@ def _filter(
         outcomes = [step(run_key, index, before, after_found if found else density) for run_key, before, found in each]
         filters = [after for after, _ in outcomes]
         runs = jax.device_get(outcomes)
-        for _, info in runs:
-            raise_if_all_rejected(info, frame)
+        for particles, info in runs:
+            raise_if_all_rejected(info, number + frame)
+            check_result(kernel, particles, number + frame)
         last, seconds = time.perf_counter(), time.perf_counter() - last
         result = _result(runs, seen, seconds, ready, restarted)
         if restarts is not None:

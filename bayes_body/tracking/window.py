@@ -38,7 +38,7 @@ class WindowPosterior(NamedTuple):
 
     Attributes:
         model: the model.
-        frames: the numbers of the frames.
+        frames: the numbers of the frames in the recording.
         draws: the trajectories and the figures of the chains.
         paths: whole states of the smoother's paths (path, frame, ...), all runs together.
         seconds: wall-clock seconds of the smoother and of the chains, compilation included.
@@ -68,7 +68,7 @@ def window_posterior(
         session: the recording.
         model: the model with which it was filtered.
         filtered: the frames of the filters.
-        frames: the numbers of the frames.
+        frames: the frames, counted from 0.
         key: random key.
         prior: of the first frame. `gaussian`: one Gaussian with the moments of the filter's prediction, as in a filter with
             `prediction = "gaussian"`. `particles`: the mixture of the particles' predictions, for models with few dofs.
@@ -80,7 +80,7 @@ def window_posterior(
         InputError: the window is not inside the recording or has no frame before it, a run started anew in it, NUTS cannot sample the model's
             density, an option is out of its range, or a frame cannot be read.
     """
-    _check(model, filtered, frames)
+    _check(model, filtered, frames, session.first_frame)
     started = time.perf_counter()
     smooth_key, prior_key, run_key = jax.random.split(key, 3)
     smoothed = smooth_window(session, model, build_smoother(draws=paths, moves=moves), filtered, smooth_key, frames)
@@ -95,7 +95,8 @@ def window_posterior(
     first = jax.tree.map(lambda leaf: leaf[0], whole)
     target = trajectory(stacked(densities), before, first, gaussian=prior_key if prior == "gaussian" else None)
     draws = jax.block_until_ready(sample_window(run_key, target, whole, None, **options))
-    return WindowPosterior(model, frames, draws, whole, (ready - started, time.perf_counter() - ready))
+    numbers = range(session.frame_number(frames.start), session.frame_number(frames.stop))
+    return WindowPosterior(model, numbers, draws, whole, (ready - started, time.perf_counter() - ready))
 
 
 def _before(filtered: Frames, frame: int) -> Particles:
@@ -123,15 +124,15 @@ def _on_one_turn(model: Model, paths: State) -> dict[str, jax.Array]:
     return jax.jit(jax.vmap(jax.vmap(one), in_axes=(0, None)))(dict(paths), first)
 
 
-def _check(model: Model, filtered: Frames, frames: range) -> None:
+def _check(model: Model, filtered: Frames, frames: range, first: int) -> None:
     last = len(filtered) - 1
     if not len(frames) or frames.step != 1 or not 1 <= frames.start <= frames[-1] <= last:
-        found = f"{frames.start} to {frames.stop - 1}"
-        raise input_error("the frames of the window", found, f"consecutive frames from 1 to {last}", "give others; frame 0 has no frame before it")
+        found, expected = f"{first + frames.start} to {first + frames.stop - 1}", f"consecutive frames from {first + 1} to {first + last}"
+        raise input_error("the frames of the window", found, expected, f"give others; frame {first} has no frame before it")
     check_gradients(Density(model.transition, model.factors, {}, _before(filtered, frames.start - 1)), "NUTS")
     if any(np.isnan(filtered[frames.start].info.log_evidence)):
         raise input_error("the run", "its kernel seeks modes", "a sample of the posterior", "track again with --kernel tempered, for one")
     restarted = [frame for frame in frames if filtered[frame].restarted.any()]
     if restarted:
-        found = f"the filter started anew in frame {restarted[0]}"
+        found = f"the filter started anew in frame {first + restarted[0]}"
         raise input_error("the frames of the window", found, "frames through which all runs go on", "choose a window before or after it")

@@ -41,6 +41,8 @@ CAMERAS = "use fewer cameras, and check their size_px"
 def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = unwatched) -> list[Path]:
     """Write `overlay.mp4` and up to five evenly spaced stills `overlay/frame_NNNNNN.png`, including the first and the last frame.
 
+    A still's name has the frame's number in the recording.
+
     Args:
         session: the recording.
         draws: the tracked frames.
@@ -51,7 +53,7 @@ def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = un
         InputError: the folder cannot be written, or an image of the session is missing.
     """
     frames = len(draws.frames)
-    stills = _stills(folder, frames)
+    stills = _stills(folder, frames, session.first_frame)
     remove_partial(make_folder(folder / "overlay"))
     space, runs = configuration_space(draws.model.body), np.full(draws.runs, 1 / draws.runs)
     means = np.stack([np.asarray(space.mean(runs, mean_pose(result, draws.model))) for result in draws.frames])
@@ -67,9 +69,9 @@ def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = un
     return [folder / VIDEO, *stills.values()]
 
 
-def _stills(folder: Path, frames: int) -> dict[int, Path]:
+def _stills(folder: Path, frames: int, first: int) -> dict[int, Path]:
     chosen = np.unique(np.linspace(0, frames - 1, min(STILLS, frames)).round().astype(int))
-    return {int(index): folder / "overlay" / f"frame_{index:06d}.png" for index in chosen}
+    return {int(index): folder / "overlay" / f"frame_{first + index:06d}.png" for index in chosen}
 
 
 def _fan(result: FrameResult, index: int, variable: str) -> Float[np.ndarray, "draw *shape"]:
@@ -101,7 +103,8 @@ def mosaic(
     for c, (view, window) in enumerate(zip(session.views, windows, strict=True)):
         picture, note = backdrop(session, index, view)
         placed = [[Outline(part, window.place(polygon, index)) for part, polygon in body[c]] for body in (strong, *drawn)]
-        tiles.append(label(paint(window.cut(picture, index), placed[0], placed[1:]), f"{view.camera.name}  frame {index}{note}"))
+        painted = paint(window.cut(picture, index), placed[0], placed[1:])
+        tiles.append(label(painted, f"{view.camera.name}  frame {session.frame_number(index)}{note}"))
     return grid(tiles)
 
 

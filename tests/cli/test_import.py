@@ -193,6 +193,30 @@ def test_options_of_bodytrack(cli, bodytrack, tmp_path):
     assert "first_frame = 1" in text and f'masks = "{bodytrack.resolve()}/CAM1/image%04d.bmp"' in text
 
 
+def test_a_range_of_bodytrack(cli, bodytrack, tmp_path):
+    outcome = cli("import", "parsec", bodytrack, tmp_path / "walk", "--first-frame", 1, "--frames", 2)
+    assert outcome.status == 0, outcome.err
+    assert "4 cameras, 2 frames (1 to 2) at 60 frames a second" in outcome.out
+    assert "note: The recording's first pose belongs to frame 0 and is left out: the session begins at frame 1." in outcome.out
+    # The man is in all frames.
+    assert "Nobody is detected" not in outcome.out
+    text = (tmp_path / "walk" / "session.toml").read_text()
+    assert "first_frame = 1" in text and "recorded = [0, 4]" in text and "angles_deg" not in text
+    cli("import", "parsec", bodytrack, tmp_path / "walk", "--overwrite", "--first-frame", 4).refuses("--first-frame: 4; expected a frame of the rec")
+
+
+def test_nobody_in_the_first_frame_is_said_at_the_import(cli, copy, tmp_path):
+    """Of a session without a first pose: with the first later frame that shows somebody, which the same import then takes."""
+    for camera in range(1, 5):
+        cv2.imwrite(str(copy.image(f"FG{camera}/image0001.bmp")), np.zeros((480, 640), np.uint8))
+    arguments = ("import", "parsec", copy.folder, tmp_path / "walk", "--fps", 1)
+    outcome = cli(*arguments, "--first-frame", 1)
+    assert outcome.status == 0, outcome.err
+    assert "warning     Nobody is detected in frame 1, the first one; somebody is in frame 2: import again with --first-frame 2 --over" in outcome.out
+    outcome = cli(*arguments, "--first-frame", 2, "--overwrite")
+    assert outcome.status == 0 and "Nobody is detected" not in outcome.out
+
+
 def test_the_verbs_are_told(cli):
     outcome = cli("import", "--help")
     assert outcome.status == 0

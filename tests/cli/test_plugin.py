@@ -1,7 +1,10 @@
 """`--plugin`: a user's own terms from the command line: run only where they are named, kept with the run, and asked for again where it is read."""
 
+import re
 import tomllib
+from pathlib import Path
 
+import jaxtyping
 import pytest
 from own_terms import GOOD, MODEL, plugins_of_this_test
 
@@ -37,6 +40,18 @@ def track(alone, textured_session, files):
         return alone("track", textured_session.folder, "--out", out, "--model", files / model, "--frames", frames, *arguments)
 
     return call
+
+
+@pytest.fixture
+def guide_files(tmp_path, monkeypatch):
+    """The complete likelihood and kernel of the guide, and the definition that names them."""
+    # A user's code runs without checks of types.
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    page = (Path(__file__).parents[2] / "docs" / "guide" / "plugins.md").read_text(encoding="utf-8")
+    for name in ("laplace_keypoints.py", "resample_move.py", "arm_laplace.toml"):
+        text = re.search(rf"^`{name}`.*?^```\w+\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+        (tmp_path / name).write_text(text[1], encoding="utf-8")
+    return tmp_path
 
 
 @pytest.fixture(scope="module")
@@ -95,14 +110,47 @@ FAULTS = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_plugin_that_cannot_be_used(track, files, tmp_path, fault, monkeypatch):
-    import jaxtyping
-
     # A user's code runs without checks of types.
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
     (old, new), parts = FAULTS[fault]
     assert old in GOOD
     (tmp_path / "mine.py").write_text(GOOD.replace(old, new), encoding="utf-8")
     track(tmp_path / "run", "--plugin", tmp_path / "mine.py").refuses("mine.py", *parts)
+
+
+BROKEN = {
+    "a wrong name": (("bb.marker_positions", "bb.marker_places"), "AttributeError: module 'bayes_body' has no attribute 'marker_places'"),
+    "a wrong shape": (("[:, places] - expected", "[:, places, 0] - expected"), "Error: Incompatible shapes for broadcasting"),
+    "no number": (("-distance / scale", "jnp.log(-1 - distance)"), "its log-potential: is NaN at the first pose"),
+    "an array": (("return jnp.sum(jnp.where(", "return (jnp.where("), "returns an array of shape"),
+}
+
+
+@pytest.mark.parametrize(
+    ("fault", "command"), [*((fault, ("models", "check")) for fault in BROKEN), ("a wrong shape", ("check",))], ids=[*BROKEN, "check"]
+)
+def test_faults_of_a_likelihood_are_found_before_the_check(alone, guide_files, fault, command):
+    """They are no bug in the program: each names the file and the line, what was raised, and a remedy."""
+    (old, new), said = BROKEN[fault]
+    path = guide_files / "laplace_keypoints.py"
+    lines = path.read_text(encoding="utf-8").splitlines()
+    (line,) = [number for number, text in enumerate(lines, 1) if old in text]
+    path.write_text("\n".join(lines).replace(old, new), encoding="utf-8")
+    outcome = alone(*command, guide_files / "arm_laplace.toml", "--plugin", path, "--plugin", guide_files / "resample_move.py")
+    outcome.refuses(f"{path}: line ", said)
+    if "Error" in said:
+        outcome.refuses(f"{path}: line {line}, `", "expected code that runs; correct the plugin.")
+
+
+@pytest.mark.parametrize("command", [("models", "check"), ("check",)], ids=["models check", "check"])
+def test_faults_of_a_kernel_are_found_before_the_check(alone, guide_files, command):
+    path = guide_files / "resample_move.py"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("return bb.Particles(states, ", "return bb.Particles(sd, "), encoding="utf-8")
+    arguments = (*command, guide_files / "arm_laplace.toml", "--plugin", guide_files / "laplace_keypoints.py", "--plugin", path)
+    alone(*arguments).refuses(f"{path}: line ", "kernel 'resample_move': `pose` of the particles is float32[4]; expected float32[8, 4]")
+    path.write_text(text.replace("moved, (density, sd)", "moved, (density, ds)"), encoding="utf-8")
+    alone(*arguments).refuses(f"{path}: line ", "NameError: name 'ds' is not defined", "correct the plugin")
 
 
 def test_a_file_that_does_not_exist(track, tmp_path):

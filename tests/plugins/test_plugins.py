@@ -1,5 +1,6 @@
 """A user's own terms: what a plugin may do, that it is run only where it is named, and a sentence for each way in which it can be wrong."""
 
+import pickle
 import sys
 from pathlib import Path
 
@@ -12,12 +13,15 @@ from own_terms import GOOD, MODEL, plugins_of_this_test
 
 import bayes_body as bb
 from bayes_body import registry
-from bayes_body.errors import InputError
+from bayes_body.calibration import replications
+from bayes_body.calibration.replications import Experiments
+from bayes_body.errors import FaultyFileError, InputError
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.observation.frames import read_frame
 from bayes_body.plugins import load as plugins
 from bayes_body.plugins.load import check_own_factors, load_plugin, loaded, plugins_to_blame, providing, unload
+from bayes_body.plugins.terms import check_result
 
 
 @pytest.fixture(autouse=True)
@@ -171,6 +175,12 @@ BUILDS = {
     "nothing": (("return bb.Factor", "bb.Factor"), ["likelihood 'brightness'", "returns nothing", "expected a Factor", "return one"]),
     "another name": (("bb.Factor(name", 'bb.Factor("x"'), ["its factor is called 'x'", "expected 'brightness'", "pass on the name"]),
     "another side": (('name, "likelihood"', 'name, "prior"'), ['has the side "prior"', 'expected "likelihood"']),
+    "its arguments": (
+        ("def build(name, options, body, **_)", "def build(name, options)"),
+        ["line 14", "TypeError: build() got an unexpected keyword"],
+    ),
+    "its own sentence": (("return bb.Factor", 'raise bb.InputError("scale: 3; expected 4.")  # '), ["mine.py: line 18: scale: 3; expected 4."]),
+    "leaves the program": (("return bb.Factor", "raise SystemExit(0)  # "), ["line 18", "SystemExit: 0", "correct the plugin"]),
     "observation": (("return lambda frame: frame", "lambda frame: frame"), ["observation 'brightness'", "returns nothing", "a function of a frame"]),
 }
 
@@ -207,7 +217,7 @@ def test_a_log_potential_that_no_posterior_can_be_made_of(write, density, fault,
     model, found = density(MODEL.replace("[[likelihood]]", '[[likelihood]]\nkind = "silhouette_edges"\n\n[[likelihood]]') if second else MODEL)
     with pytest.raises(InputError) as error:
         check_own_factors(found, model.initial)
-    assert str(error.value).startswith(f"{path}: likelihood 'brightness'") and said in str(error.value)
+    assert str(error.value).startswith(f"{path}: line 16, likelihood 'brightness'") and said in str(error.value)
 
 
 def test_minus_infinity_is_a_log_potential(write, density):
@@ -238,6 +248,205 @@ def test_what_fails_in_a_plugin_s_code_later_is_its_line(write, density, texture
     with pytest.raises(InputError) as error, plugins_to_blame():
         jax.jit(lambda state: found(state))(model.initial)
     assert f"{path}: line 17, `return -options.stiffness" in str(error.value) and "TypeError: dot_general requires" in str(error.value)
+
+
+CALLS = {
+    "its arguments": (
+        ("def log_potential(values, level)", "def log_potential(values)"),
+        ["line 16, `def log_potential", "TypeError: ", "takes 1 positional"],
+    ),
+    "a condition": (
+        ("return -options", "if values[POSE][0] > 0: level = 0\n        return -options"),
+        ["line 17, `if values", "TracerBoolConversionError"],
+    ),
+    "text": (
+        ("return -options.stiffness * level * jnp.sum(values[POSE] ** 2)", "return 'far'"),
+        ["line 16", "returns str; expected arrays of numbers"],
+    ),
+    "the host": (
+        ("return -options", "level = jax.pure_callback(lambda: 1 / 0, jax.ShapeDtypeStruct((), 'float32'))\n        return -options"),
+        ["line 17, `level = jax.pure_callback", "ZeroDivisionError: division by zero"],
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", CALLS)
+def test_what_fails_where_it_is_called(write, density, fault):
+    change, parts = CALLS[fault]
+    path = write(change, ("import jax.numpy as jnp", "import jax, jax.numpy as jnp"))
+    load_plugin(path)
+
+    def use():
+        with plugins_to_blame():
+            model, found = density()
+            jax.block_until_ready(jax.jit(lambda state: found(state))(model.initial))
+
+    with pytest.raises(InputError) as error:
+        use()
+    assert str(error.value).startswith(f"{path}: ") and "\n" not in str(error.value)
+    for part in parts:
+        assert part in str(error.value)
+
+
+def test_a_signal_that_arrives_in_its_code_is_not_its_fault(write):
+    """SIGTERM raises SystemExit wherever the program is."""
+
+    def stop():
+        raise SystemExit(143)
+
+    registry.interrupt = stop
+    load_plugin(write(("return lambda frame: frame", "from bayes_body import registry; registry.interrupt(); return lambda frame: frame")))
+    with pytest.raises(SystemExit), plugins_to_blame():
+        registry.find("observation", "brightness").build(options=None)
+    del registry.interrupt
+
+
+def test_an_observation_has_the_same_arrays_in_every_frame(write, density, textured_session):
+    path = write(("return lambda frame: frame.images[0].mean() / 255", "return lambda frame: jnp.ones(2 + frame.index)"))
+    load_plugin(path)
+    model, _ = density()
+    with pytest.raises(InputError) as error:
+        model.observe(read_frame(textured_session, 1))
+    said = "returns arrays of the shapes float32[3], and returned float32[2] before; expected the same in every frame"
+    assert str(error.value).startswith(f"{path}: line 12, observation 'brightness': ") and said in str(error.value)
+
+
+def test_an_observation_returns_numbers(write, density):
+    load_plugin(write(("frame.images[0].mean() / 255", "'dark'")))
+    with pytest.raises(InputError, match=r"mine.py: line 12, observation 'brightness': returns str; expected arrays of numbers"):
+        density()
+
+
+DYNAMICS = """
+import bayes_body as bb
+import jax.numpy as jnp
+import numpyro.distributions as dist
+
+@bb.register("dynamics", "sway")
+def build(options, body, fps, **_):
+    def near(state, scale=1.0):
+        return {"pose": dist.Normal(state["pose"], 0.1 * scale).to_event(1)}
+    return bb.Transition("sway", near, near)
+"""
+SWAYING = """
+title  = "Mine"
+source = "nobody"
+body.name = "arm_4"
+dynamics = { kind = "sway" }
+kernel = { kind = "sir", particles = 20 }
+
+[[likelihood]]
+kind = "silhouette_edges"
+"""
+MOTIONS = {
+    "right": (("sway", "sway"), None),
+    "nothing": (("return {", "{"), ["line 8, dynamics 'sway': returns nothing; expected a mapping from names of variables"]),
+    "fails": (('state["pose"], 0.1', 'state["poses"], 0.1'), ["line 9, `return {", "KeyError: 'poses'"]),
+    "no event": ((".to_event(1)", ""), ["line 8, dynamics 'sway': its log-density: has the shape (4,)", "`.to_event(1)`"]),
+    "other variables": (('return {"pose"', 'return {"arm"'), ["draws states with `arm` (4,); expected `pose` (4,), as the first state has"]),
+    "another shape": (('Normal(state["pose"],', 'Normal(state["pose"][:3],'), ["draws states with `pose` (3,); expected `pose` (4,)"]),
+    "no distribution": (('dist.Normal(state["pose"], 0.1 * scale).to_event(1)', "0.0"), ["'pose' is float; expected a distribution of numpyro"]),
+    "NaN": (("0.1 * scale)", "jnp.nan * scale, validate_args=False)"), ["'pose' is not finite in a state that it draws"]),
+}
+
+
+@pytest.mark.parametrize("fault", MOTIONS)
+def test_a_motion_prior(write, density, fault):
+    change, parts = MOTIONS[fault]
+    path = write(change, text=DYNAMICS)
+    load_plugin(path)
+
+    def use():
+        model, found = density(SWAYING)
+        check_own_factors(found, model.initial)
+        return model
+
+    if parts is None:
+        # A bare function is no leaf of the model, and a model that is built again is not compiled again.
+        assert all(hasattr(leaf, "dtype") for leaf in jax.tree.leaves(use().transition))
+        return
+    with pytest.raises(InputError) as error:
+        use()
+    assert str(error.value).startswith(f"{path}: line ")
+    for part in parts:
+        assert part in str(error.value)
+
+
+SAMPLER = """
+import bayes_body as bb
+import jax
+import jax.numpy as jnp
+
+class Options(bb.Schema):
+    particles: bb.Count = 10
+
+@bb.register("kernel", "mine", Options)
+def build(options, **_):
+    def kernel(key, particles, density):
+        n = particles.log_weights.shape[0]
+        one = jnp.ones(())
+        info = bb.FilterInfo(jnp.arange(n), one, one[None], one[None], one, one > 2, one[None], jnp.asarray(n))
+        return bb.Particles(dict(particles.states), particles.log_weights), info
+    return kernel
+"""
+SAMPLERS = {
+    "right": (("mine", "mine"), None),
+    "nothing": (("return bb.Particles", "bb.Particles"), ["returns nothing; expected a pair (bb.Particles, bb.FilterInfo)"]),
+    "one of two": (("log_weights), info\n", "log_weights), None\n"), ["returns (Particles, nothing); expected a pair"]),
+    "fails": (("one = jnp.ones(())", "one = jnp.ones(3) @ jnp.ones(4)"), ["line 13, `one = ", "TypeError: "]),
+    "its arguments": (("kernel(key, particles, density)", "kernel(key, particles)"), ["line 11, `def kernel", "takes 2 positional arguments"]),
+    "fewer": (
+        ("particles.log_weights), info", "particles.log_weights[:5]), info"),
+        ["`log_weights` of the particles is float32[5]; expected float32[10]"],
+    ),
+    "no states": (("bb.Particles(dict(particles.states)", "bb.Particles({}"), ["particles with log_weights; expected log_weights, pose"]),
+    "another type": (("particles.log_weights), info", "jnp.arange(n)), info"), ["`log_weights` of the particles is int32[10]; expected float32[10]"]),
+    "a shape": (("jnp.arange(n), one, one[None]", "jnp.arange(n), one[None], one[None]"), ["`ess` of its bb.FilterInfo has the shape (1,)"]),
+    "NaN": (("particles.log_weights), info", "particles.log_weights * jnp.nan), info"), ["log-weights of frame 7 are NaN; expected normalised"]),
+    "NaN states": (("dict(particles.states)", "{'pose': particles.states['pose'] * jnp.nan}"), ["'pose' is NaN in some particles of frame 7"]),
+}
+
+
+@pytest.mark.parametrize("fault", SAMPLERS)
+def test_a_kernel(write, fault):
+    change, parts = SAMPLERS[fault]
+    path = write(change, text=SAMPLER)
+    load_plugin(path)
+    particles = bb.Particles({"pose": jnp.zeros((10, 4))}, jnp.full(10, -jnp.log(10.0)))
+    kernel = registry.find("kernel", "mine").build(options=None)
+
+    def use():
+        found, _ = jax.jit(lambda key, particles: kernel(key, particles, None))(jax.random.key(0), particles)
+        check_result(kernel, found, 7)
+
+    if parts is None:
+        use()
+        return
+    with pytest.raises(InputError) as error:
+        use()
+    assert str(error.value).startswith(f"{path}: line 1")
+    for part in parts:
+        assert part in str(error.value)
+
+
+def test_sentences_come_back_from_other_processes():
+    """As the check's processes send them: each of a file's faults stays one sentence."""
+    fault = FaultyFileError(["a: 1; expected 2.", "b: 3; expected 4."])
+    again = pickle.loads(pickle.dumps(fault))
+    assert again.sentences == fault.sentences and str(again) == str(fault)
+
+
+def test_what_fails_in_a_process_of_the_check_is_its_line(write, monkeypatch):
+    path = write(("stiffness: float = 4.0", "stiffness: float = 4.0\n\ndef late(key): return 1 / 0"))
+    load_plugin(path)
+
+    def late(key):
+        return sys.modules[f"{plugins.MODULES} mine"].late(key)
+
+    monkeypatch.setattr(replications, "_make", lambda: Experiments(0, {"late": late}))
+    monkeypatch.setattr(replications, "_runner", None)
+    with pytest.raises(InputError, match=r"mine.py: line 10, `def late.*ZeroDivisionError: division by zero; expected code that runs"):
+        replications._work("late", 0)
 
 
 def test_what_fails_elsewhere_is_not_a_plugin_s_fault(write):

@@ -1,7 +1,8 @@
-"""docs/guide/plugins.md: its fifteen lines, its definition and its program run on the real recording that they name."""
+"""docs/guide/plugins.md: its fifteen lines and its program run on the real recording that they name, its likelihood and its kernel in a room."""
 
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -10,15 +11,19 @@ import numpy as np
 import pytest
 from own_terms import plugins_of_this_test
 
+import bayes_body as bb
+from bayes_body.calibration.scene import model_in_a_room
 from bayes_body.cli.main import main
 from bayes_body.initial import with_first_pose
+from bayes_body.model.definition import load_definition
 from bayes_body.observation.frames import read_frame
 from bayes_body.plugins.load import check_own_factors, load_plugin
+from bayes_body.registry import find
 
 GUIDE = (Path(__file__).parents[2] / "docs" / "guide" / "plugins.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", GUIDE, re.MULTILINE | re.DOTALL)
-PLUGIN, PROGRAM = (text for language, text in BLOCKS if language == "python")
-(DEFINITION,) = (text for language, text in BLOCKS if language == "toml")
+PLUGIN, PROGRAM, LIKELIHOOD, KERNEL = (text for language, text in BLOCKS if language == "python")
+DEFINITION, ARM = (text for language, text in BLOCKS if language == "toml")
 COMMANDS = "".join(text for language, text in BLOCKS if language == "sh").splitlines()
 # The most that a keypoint with full confidence can cost in the guide's code.
 FARTHEST = 5.0
@@ -54,9 +59,64 @@ def test_it_has_fifteen_lines():
     assert len([line for line in PLUGIN.splitlines() if line]) <= 15
 
 
+@pytest.fixture
+def arm(tmp_path):
+    """The folder with the complete likelihood and kernel, and the definition that names them."""
+    for name, text in (("laplace_keypoints.py", LIKELIHOOD), ("resample_move.py", KERNEL), ("arm_laplace.toml", ARM)):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    return tmp_path
+
+
+@pytest.mark.parametrize("text", [PLUGIN, LIKELIHOOD, KERNEL], ids=["robust", "likelihood", "kernel"])
+def test_its_plugins_need_public_names_only(text):
+    imported = set(re.findall(r"^(?:import|from) (\S+)", text, re.MULTILINE))
+    assert imported <= {"jax", "jax.numpy", "numpy", "bayes_body"}
+    public = set(re.findall(r"`bb\.(\w+)`", GUIDE.split("## Public names")[1].split("##")[0]))
+    assert set(re.findall(r"\bbb\.(\w+)", text)) <= public <= set(bb.__all__)
+
+
+def test_its_complete_terms_pass_the_first_look(arm):
+    check, _ = [command for command in COMMANDS if "arm_laplace" in command]
+    _give(arm, check)
+
+
+@pytest.mark.slow
+def test_its_kernel_samples_the_posterior_that_sir_samples(arm):
+    """One frame of the arm in a room, simulated by the likelihood: means and evidence agree within their Monte Carlo errors."""
+    for name in ("laplace_keypoints.py", "resample_move.py"):
+        load_plugin(arm / name)
+    model = model_in_a_room(load_definition(arm / "arm_laplace.toml"))
+    particles, density = model.start(2000), model.density({})
+    truth = model.transition.sample(jax.random.key(1), model.initial)
+    density = replace(density, data=density.simulate(jax.random.key(2), truth))
+    check_own_factors(density, model.initial)
+    assert set(density.parts(truth)) == {"transition", "laplace_keypoints"}
+    means, errors, evidence = [], [], []
+    for kind in ("resample_move", "sir"):
+        options = find("kernel", kind).options()
+        kernel = jax.jit(find("kernel", kind).build(options=options))
+        found, info = jax.device_get(kernel(jax.random.key(3), particles, density.with_previous(particles)))
+        weights = np.exp(found.log_weights)
+        mean = weights @ found.states["pose"]
+        means.append(mean)
+        # After moves fewer particles have equal states than the weights before them say: this error is on the safe side.
+        errors.append(np.sqrt(weights @ (found.states["pose"] - mean) ** 2 / info.ess))
+        evidence.append(info.log_evidence)
+        assert not info.lost and info.ess > 100
+    np.testing.assert_array_less(np.abs(means[0] - means[1]), 5 * np.hypot(*errors))
+    assert abs(evidence[0] - evidence[1]) < 5 * np.sqrt(2 / 100)
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("optimised")
+def test_its_kernel_passes_the_check(arm):
+    _, calibrate = [command for command in COMMANDS if "arm_laplace" in command]
+    _give(arm, calibrate, "--replications", "40", "--bins", "5", "--frames", "1", "--particles", "500", "--jobs", "1")
+
+
 @pytest.mark.slow
 def test_its_terms_are_the_definition_s(folder):
-    (check,) = [command for command in COMMANDS if "models check" in command]
+    check, _ = [command for command in COMMANDS if "models check" in command]
     _give(folder, check)
 
 

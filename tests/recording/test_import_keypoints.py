@@ -86,6 +86,30 @@ def test_a_session_that_starts_later_reads_the_same_frames(lab, tmp_path):
     assert read_frame(later, 1).keypoints == read_frame(session, 3).keypoints
 
 
+def test_a_range_of_frames_has_its_own_keypoints(lab, tmp_path):
+    found = detect(tmp_path / "pose")
+    whole, _ = import_opencv(lab, tmp_path / "whole", options(keypoints=found))
+    session, _ = import_opencv(lab, tmp_path / "s", options(keypoints=found, first_frame=2, frames=3))
+    assert (session.first_frame, session.frames, session.recorded) == (2, 3, (0, FRAMES))
+    series = read_series(session.keypoints_path(session.views[1]))
+    # The second camera's files are counted from 2.
+    assert (series.first, len(series.keypoints)) == (4, 3)
+    assert [read_frame(session, k).keypoints for k in range(3)] == [read_frame(whole, 2 + k).keypoints for k in range(3)]
+    # The first pose is that of the first frame of the range.
+    assert session.initial_keypoints["left"]["l_knee"] == pytest.approx(read_frame(whole, 2).keypoints[0]["l_knee"], rel=1e-5)
+
+
+def test_nobody_in_the_first_frame_is_said_with_the_first_that_shows_somebody(lab, tmp_path):
+    missing = {(i, k) for i in range(2) for k in (0, 1)} | {(1, 2)}
+    session, remarks = import_opencv(lab, tmp_path / "s", options(keypoints=detect(tmp_path / "pose", missing)))
+    assert not session.initial_keypoints
+    # In frame 2 one of two cameras sees the subject, which is too few for a first pose.
+    said = "in frame 0, the first one: the session has no first keypoints; they show the subject from frame 3 on: begin there with --first-frame 3."
+    assert any(remark.endswith(said) for remark in remarks)
+    later, remarks = import_opencv(lab, tmp_path / "later", options(keypoints=tmp_path / "pose", first_frame=3))
+    assert set(later.initial_keypoints) == {"left", "right"} and not any("no first keypoints" in remark for remark in remarks)
+
+
 def test_frames_without_a_file(lab, tmp_path):
     detect(tmp_path / "pose")
     for k in (3, 4):

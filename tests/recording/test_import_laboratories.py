@@ -15,6 +15,7 @@ from bayes_body.recording.opencv import import_opencv
 from bayes_body.recording.options import Options
 from bayes_body.recording.pose2sim import import_pose2sim
 from bayes_body.recording.qualisys import import_qualisys
+from bayes_body.recording.video import read_video_frame
 from bayes_body.session.read import load_session, save_session
 
 SIZE = (96, 64)
@@ -138,6 +139,27 @@ def test_the_same_session_from_every_laboratory(kind, request, tmp_path):
         assert path is not None and path.is_file() and path.is_absolute()
     assert any("There are no masks: silhouettes are computed from a background learned" in remark for remark in remarks)
     assert load_session(save_session(session)) == session
+
+
+IMPORTERS = {
+    "opencv": (import_opencv, {"unit": "mm", "up": "z"}),
+    "pose2sim": (import_pose2sim, {"up": "z"}),
+    "qualisys": (import_qualisys, {}),
+}
+
+
+@pytest.mark.parametrize("source", IMPORTERS)
+def test_a_range_of_frames(request, source, tmp_path):
+    importer, given = IMPORTERS[source]
+    folder = request.getfixturevalue(source)
+    session, _ = importer(folder, tmp_path / "s", Options(**given, first_frame=2, frames=3))
+    assert (session.first_frame, session.frames, session.recorded) == (2, 3, (0, 6))
+    shown = [read_video_frame(session.video_path(view), session.number(view, 1), SIZE).mean() for view in session.views]
+    assert shown == pytest.approx([90, 90], abs=4)
+    with pytest.raises(InputError, match="--first-frame: 6; expected a frame of the recording, 0 to 5"):
+        importer(folder, tmp_path / "s", Options(**given, first_frame=6))
+    with pytest.raises(InputError, match="--frames: 5; expected a whole number from 1 to 4"):
+        importer(folder, tmp_path / "s", Options(**given, first_frame=2, frames=5))
 
 
 def test_units(opencv, tmp_path):

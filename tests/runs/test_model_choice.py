@@ -22,7 +22,29 @@ def test_keypoints_come_first(keypoint_session):
 def test_one_camera_with_keypoints_is_enough(keypoint_session):
     first, second = keypoint_session.views
     session = dataclasses.replace(keypoint_session, views=(first, dataclasses.replace(second, keypoints=None)))
-    assert choose_model(session).reason == "1 of 2 cameras has keypoints"
+    choice = choose_model(session)
+    assert choice.reason == "1 of 2 cameras has keypoints"
+    assert choice.sentence.endswith("keypoints; in one view depth is uncertain: expect wide intervals; --model names another.")
+
+
+@pytest.mark.parametrize(
+    ("changes", "model", "limits"),
+    [
+        ({}, "hmc_walker", "it tracks the legs only, of a person who walks past the camera, and in one view depth is uncertain"),
+        ({"keypoints": "a.npz"}, "markers_31", "in one view depth is uncertain: expect wide intervals"),
+        ({"path": "path.npz"}, "tempered_smc", "in one view depth is uncertain: expect wide intervals"),
+    ],
+    ids=["still", "keypoints", "moving"],
+)
+def test_one_camera(textured_session, changes, model, limits):
+    """As README's table recommends; the sentence says what the model cannot do."""
+    session = dataclasses.replace(_views(textured_session, **changes), views=_views(textured_session, **changes).views[:1])
+    choice = choose_model(session)
+    assert choice.model == model and f"; {limits}" in choice.sentence
+    if model == "hmc_walker":
+        assert choice.sentence.startswith(
+            "model      hmc_walker, because the session has one still camera, with silhouettes (masks) and no keypoints; "
+        )
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ def chain_section(it: Inspection) -> Markup:
     known = bool(np.isfinite(mixing.rhat).any())
     parts = [tag("p", ABOUT), figures(_panels(it, mixing))]
     parts += [figures([_rhat_map(it, mixing)], "wide")] if known else [tag("p", "There is no R-hat: each frame has a single chain or too few draws.")]
-    parts += [tag("h3", f"Frame {frame}, with the worst mixing"), figures([_autocorrelations(it, mixing, draws, frame)])]
+    parts += [tag("h3", f"Frame {it.number(frame)}, with the worst mixing"), figures([_autocorrelations(it, mixing, draws, frame)])]
     try:
         pictures = [_path(it, mixing, frame)]
     except InputError as error:
@@ -112,7 +112,7 @@ def _autocorrelations(it: Inspection, mixing: Mixing, draws: Float[np.ndarray, "
     axes.set_yticks([-0.25, 0, 0.25, 0.5, 0.75, 1])
     axes.legend(loc="upper right", handlelength=1.2)
     named = ", ".join(f"{spoken(it.dofs[dof])} {mixing.ess[0, frame, dof]:.0f}" for dof in order)
-    return encoded(figure, f"Autocorrelation within the chains of frame {frame}; effective draws of the slowest dofs: {named}.")
+    return encoded(figure, f"Autocorrelation within the chains of frame {it.number(frame)}; effective draws of the slowest dofs: {named}.")
 
 
 def _image(it: Inspection, frame: int, camera: int) -> MatLike:
@@ -145,8 +145,8 @@ def _path(it: Inspection, mixing: Mixing, frame: int) -> Picture:
     picture = crop_about(corners, (image.shape[1], image.shape[0]), WIDEST).cut(image)
     name = session.views[shown].camera.name
     encoded = cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])[1].tobytes()
-    caption = f"Camera {name}, frame {frame}: {len(chosen)} of {len(chain)} states of a chain."
-    return Picture(data_uri("image/webp", encoded), f"Path of a chain over frame {frame} of camera {name}.", caption, inverts=False)
+    caption = f"Camera {name}, frame {it.number(frame)}: {len(chosen)} of {len(chain)} states of a chain."
+    return Picture(data_uri("image/webp", encoded), f"Path of a chain over frame {it.number(frame)} of camera {name}.", caption, inverts=False)
 
 
 def _camera(it: Inspection, frame: int) -> int:

@@ -61,7 +61,7 @@ def _tree(values: Float[np.ndarray, "run draw"]) -> "xr.DataTree":
 
 def _named(it: Inspection, sample: Sample, dof: int) -> tuple[str, str]:
     """Return the title of a panel and the dof's unit."""
-    return f"{spoken(it.dofs[dof])}, frame {sample.frame}", it.units[dof]
+    return f"{spoken(it.dofs[dof])}, frame {it.number(sample.frame)}", it.units[dof]
 
 
 def _label(figure: "Figure", title: str, x: str, y: str) -> "Axes":
@@ -83,7 +83,8 @@ def rank_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
     title, _ = _named(it, sample, dof)
     values, rhat = sample.poses[..., dof], it.diagnosis.rhat[sample.frame, dof]
     figure = _taken(az.plot_rank, PANEL, dt=_tree(values), visuals={"remove_axis": False})
-    axes = _label(figure, f"{spoken(it.dofs[dof])}: R-hat {rhat:.2f}", f"rank among all draws of frame {sample.frame}", "difference from uniform")
+    rank = f"rank among all draws of frame {it.number(sample.frame)}"
+    axes = _label(figure, f"{spoken(it.dofs[dof])}: R-hat {rhat:.2f}", rank, "difference from uniform")
     # Remove the p-value and the points of ArviZ's test: it assumes independent draws, and no option turns it off.
     for artist in (*axes.texts, *axes.collections):
         artist.remove()
@@ -145,8 +146,8 @@ def forest_plot(it: Inspection, sample: Sample) -> Picture:
         "aes": {} if together else {"color": ["chain"]},
     }
     figure = _taken(az.plot_forest, (3.8, 0.8 + 0.3 * len(names)), dt=tree, visuals={"point_estimate": {"width": 2}}, **form)
-    _set_forest(figure, f"Frame {sample.frame}")
-    return encoded(figure, f"Medians and intervals of {len(names)} joint angles at frame {sample.frame}, by run.")
+    _set_forest(figure, f"Frame {it.number(sample.frame)}")
+    return encoded(figure, f"Medians and intervals of {len(names)} joint angles at frame {it.number(sample.frame)}, by run.")
 
 
 def _set_forest(figure: "Figure", title: str) -> None:

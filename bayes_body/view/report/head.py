@@ -50,7 +50,7 @@ def subtitle(run: "SavedRun") -> str:
 def scales(it: "Inspection") -> str:
     """Return what holds for the whole page: how wide its intervals are, and where its time begins."""
     wide = "" if it.diagnosis.mode_seeker else "Every interval and band of this page holds 90 % of the posterior (5 to 95 %). "
-    return f"{wide}Time is in seconds from frame 0; there are {it.fps:g} frames per second." if it.fps else wide
+    return f"{wide}Time is in seconds from frame {it.number(0)}; there are {it.fps:g} frames per second." if it.fps else wide
 
 
 def verdict(summary: Mapping[str, Any], warnings: Sequence[str], agreement_known: bool) -> Markup:

@@ -45,6 +45,10 @@ class Inspection:
         """A sentence for frames in which the body is not on the person, for pairs of frames that mislead, and for each limit that is crossed."""
         return [*fit_sentences(self.run.summary), *self.run.summary.get("frame_pairs", []), *sentences(self.diagnosis, self.limits)]
 
+    def number(self, frame: int) -> int:
+        """The number by which the user knows a frame, counted from 0."""
+        return self.run.first_frame + frame
+
     @property
     def runs(self) -> int:
         """Number of independent runs."""

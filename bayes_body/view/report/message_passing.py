@@ -41,7 +41,7 @@ def message_section(it: Inspection) -> Markup:
     parts = [tag("p", ABOUT), figures(_panels(it, passing)), tag("p", SHARES), figures([_shares(it, passing)])]
     if passing.change.shape[2] > 1:
         parts += [tag("h3", "Convergence by iteration"), tag("p", CONVERGENCE), figures(_changes(it, passing))]
-        parts += [figures(_spreads(passing))] if "m" in passing.units else []
+        parts += [figures(_spreads(it, passing))] if "m" in passing.units else []
     return section("messages", "Message passing", *parts)
 
 
@@ -99,7 +99,7 @@ def _changes(it: Inspection, passing: MessagePassing) -> Iterator[Picture]:
 
     for frame in chosen_frames(passing):
         change = passing.change[:, frame].mean(axis=0)
-        figure, axes = new_panel(f"Change, frame {frame}", "iteration", "sd of the belief (log scale)")
+        figure, axes = new_panel(f"Change, frame {it.number(frame)}", "iteration", "sd of the belief (log scale)")
         worst = _by_part(axes, change, passing, _moved_most(passing, frame))
         axes.axhline(it.limits.message_change, color=INK, linestyle="--", linewidth=0.9)
         axes.axhline(float(np.sqrt(2 / np.median(passing.belief_ess[:, frame]))), color=INK, linestyle=":", linewidth=1.1)
@@ -110,18 +110,19 @@ def _changes(it: Inspection, passing: MessagePassing) -> Iterator[Picture]:
         low, high = axes.get_ylim()
         # Room for the names above the lines.
         axes.set_ylim(low, high * (high / low) ** 0.55)
-        yield encoded(figure, f"Change of the beliefs in each iteration of frame {frame}; in the last one most of {worst}.")
+        yield encoded(figure, f"Change of the beliefs in each iteration of frame {it.number(frame)}; in the last one most of {worst}.")
 
 
-def _spreads(passing: MessagePassing) -> Iterator[Picture]:
+def _spreads(it: Inspection, passing: MessagePassing) -> Iterator[Picture]:
     """Yield the spread of the positions by iteration, mean of the runs, at each chosen frame."""
     metres = np.array([unit == "m" for unit in passing.units])
     for frame in chosen_frames(passing):
         spread = MILLIMETRES * np.sqrt(np.mean(passing.sd[:, frame][..., metres] ** 2, axis=(0, -1)))
-        figure, axes = new_panel(f"Spread of the positions, frame {frame}", "iteration", "sd, mm")
+        figure, axes = new_panel(f"Spread of the positions, frame {it.number(frame)}", "iteration", "sd, mm")
         _by_part(axes, spread, passing, _moved_most(passing, frame))
         axes.set_ylim(0, 1.5 * spread.max())
-        yield encoded(figure, f"Standard deviation of each part's position in frame {frame}, from {spread.min():.0f} to {spread.max():.0f} mm.")
+        span = f"from {spread.min():.0f} to {spread.max():.0f} mm"
+        yield encoded(figure, f"Standard deviation of each part's position in frame {it.number(frame)}, {span}.")
 
 
 def _moved_most(passing: MessagePassing, frame: int) -> list[int]:

@@ -45,7 +45,7 @@ def pair_section(it: Inspection) -> Markup:
     if not found.pairs:
         return section("pairs", TITLE, tag("p", NONE.format(least=LEAST)))
     time = f" (at {found.frame / it.fps:.2f} s)" if it.fps else ""
-    parts = [tag("p", ABOUT), tag("p", FRAME.format(frame=found.frame, time=time)), _pair_table(it, found)]
+    parts = [tag("p", ABOUT), tag("p", FRAME.format(frame=it.number(found.frame), time=time)), _pair_table(it, found)]
     return section("pairs", TITLE, *parts, figures([_matrix(it, found)], "matrix"))
 
 
@@ -58,7 +58,7 @@ def _pair_table(it: Inspection, found: Dependence) -> Markup:
         name = f"{spoken(it.dofs[first])} and {spoken(it.dofs[second])}"
         over = [f"{_signed(middle)} ({_signed(low)} to {_signed(high)})"] if len(values) > 1 else []
         rows.append([name, _signed(float(values[found.place])), *over])
-    head = ["pair", f"r in frame {found.frame}", *(["r over the frames: median (5 to 95 %)"] if len(found.correlations) > 1 else [])]
+    head = ["pair", f"r in frame {it.number(found.frame)}", *(["r over the frames: median (5 to 95 %)"] if len(found.correlations) > 1 else [])]
     return table(head, rows)
 
 
@@ -92,7 +92,7 @@ def _matrix(it: Inspection, found: Dependence) -> Picture:
     _legend(figure, it.runs)
     pairs = "; ".join(f"{spoken(it.dofs[j])} and {spoken(it.dofs[k])} {_signed(found.correlations[found.place, j, k])}" for j, k in found.pairs)
     caption = POINTS.format(count=values.shape[1]) + (METRES if any(label.endswith("mm") for label in labels) else "")
-    return encoded(figure, f"Scatter matrix of {count} dofs at frame {found.frame}. Correlations: {pairs}.", caption)
+    return encoded(figure, f"Scatter matrix of {count} dofs at frame {it.number(found.frame)}. Correlations: {pairs}.", caption)
 
 
 def _values(it: Inspection, found: Dependence) -> tuple[Float[np.ndarray, "run draw dof"], list[str]]:

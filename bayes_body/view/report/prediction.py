@@ -74,7 +74,7 @@ def _keypoint_parts(it: Inspection, frames: Int[np.ndarray, " frame"], found: Ke
     yield _keypoint_table(cameras(it), found, seeker)
     yield figures(error_panels(it, frames, found))
     worst = _worst(frames, np.array([median(errors) for errors in found.error]))
-    yield tag("p", f"Of the compared frames, frame {worst} has the largest errors. {MARKS}{'' if seeker else f' {CLOUD}'}")
+    yield tag("p", f"Of the compared frames, frame {it.number(worst)} has the largest errors. {MARKS}{'' if seeker else f' {CLOUD}'}")
     yield figures(keypoint_pictures(it.run, worst))
 
 
@@ -102,7 +102,7 @@ def _silhouette_parts(it: Inspection, frames: Int[np.ndarray, " frame"], found: 
     yield figures(silhouette_panels(it, frames, "overlap", "overlap (IoU)", found.overlap, found.expected_overlap))
     yield figures(silhouette_panels(it, frames, "area", "difference, % of the seen", 100 * found.area, 100 * found.expected_area))
     worst = _worst(frames, -np.array([median(overlaps) for overlaps in found.overlap]))
-    yield tag("p", f"Of the compared frames, frame {worst} has the smallest overlap. {COVER}")
+    yield tag("p", f"Of the compared frames, frame {it.number(worst)} has the smallest overlap. {COVER}")
     yield figures(silhouette_pictures(it.run, worst))
 
 

@@ -51,8 +51,8 @@ def keypoint_pictures(run: "SavedRun", index: int) -> Iterator[Picture]:
             picture = _dots(picture, crop.place(drawn[:, c, here].reshape(-1, 2)))
         for at, mean in zip(crop.place(seen[c, here, :2]), crop.place(middle[c, here]), strict=True):
             _residual(picture, at, mean)
-        alt = f"Seen and predicted keypoints in frame {index} of camera {view.camera.name}: {here.sum()} are seen."
-        yield _picture(label(picture, f"{view.camera.name}  frame {index}"), alt)
+        alt = f"Seen and predicted keypoints in frame {run.first_frame + index} of camera {view.camera.name}: {here.sum()} are seen."
+        yield _picture(label(picture, f"{view.camera.name}  frame {run.first_frame + index}"), alt)
 
 
 def silhouette_pictures(run: "SavedRun", index: int) -> Iterator[Picture]:
@@ -70,8 +70,8 @@ def silhouette_pictures(run: "SavedRun", index: int) -> Iterator[Picture]:
         lines, _ = cv2.findContours(seen.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         for line in lines:
             cv2.polylines(picture, [_fixed(crop, line[:, 0].astype(float))], True, ORANGE, 2, cv2.LINE_AA, shift=BITS)
-        alt = f"Predicted silhouettes in frame {index} of camera {view.camera.name}, under the outline of the seen one."
-        yield _picture(label(picture, f"{view.camera.name}  frame {index}"), alt)
+        alt = f"Predicted silhouettes in frame {run.first_frame + index} of camera {view.camera.name}, under the outline of the seen one."
+        yield _picture(label(picture, f"{view.camera.name}  frame {run.first_frame + index}"), alt)
 
 
 def _faded(image: MatLike) -> MatLike:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from bayes_body.errors import InputError
+from bayes_body.session.session import Session
 from bayes_body.toml.read import read_toml
 from bayes_body.view.report.markup import Markup, details, section, table, tag
 
@@ -28,7 +29,7 @@ def command(run: "SavedRun") -> str:
     settings = run.settings
     options = {"model": settings["model"], "kernel": run.kernel["kind"]}
     options |= {name: run.kernel[name] for name in KERNEL_OPTIONS if name in run.kernel}
-    options |= {name: settings[name] for name in ("runs", "frames", "seed") if name in settings}
+    options |= {name: settings[name] for name in ("runs", "first_frame", "frames", "seed") if name in settings}
     return _with_options(["bayes-body", "track", str(settings["session"]), "--out", again], options)
 
 
@@ -76,9 +77,14 @@ def _recording(run: "SavedRun") -> Markup:
         ("title", session.title),
         ("folder", str(session.folder)),
         ("cameras", cameras),
-        ("frames", f"{session.frames}, at {session.fps:g} per second"),
+        ("frames", f"{session.frames}{_numbers(session)}, at {session.fps:g} per second"),
     ]
     return table((), [*rows, ("subject", _subject(session.subject.height_m, len(session.subject.lengths_m)))])
+
+
+def _numbers(session: Session) -> str:
+    """The numbers of the frames, unless they count from 0."""
+    return f" ({session.first_frame} to {session.frame_number(session.frames - 1)})" if session.first_frame else ""
 
 
 def _subject(height: float | None, lengths: int) -> str:

@@ -43,7 +43,7 @@ def run_section(it: Inspection) -> Markup:
             return section("runs", "Agreement of the runs", tag("p", SEEKER), *parts)
         parts += _close_ups(it, worst, dofs)
         parts += [tag("h3", "All angles"), tag("p", FOREST), figures(forest_plot(it, sample) for sample in samples)] if "°" in it.units else []
-    draws = ", ".join(f"{sample.poses.shape[1]} at frame {sample.frame}" for sample in samples)
+    draws = ", ".join(f"{sample.poses.shape[1]} at frame {it.number(sample.frame)}" for sample in samples)
     about = f"Made by ArviZ from draws of equal weight. Their number per run follows from the effective sample size: {draws}."
     return section("runs", "Agreement of the runs", *parts, tag("p", about, class_="note"))
 
@@ -63,7 +63,7 @@ def _close_ups(it: Inspection, worst: Sample, dofs: Sequence[int]) -> Iterator[M
     if not dofs:
         return
     which = "on which the runs disagree most" if it.agreement_known else "with the widest distributions"
-    yield tag("h3", f"Posterior of frame {worst.frame}")
+    yield tag("h3", f"Posterior of frame {it.number(worst.frame)}")
     about = "Each line is a run, and shows the fraction of its draws below each value. If the runs agree, their lines coincide."
     yield tag("p", f"The dofs {which}. {about}")
     yield figures(distribution_plot(it, worst, dof) for dof in dofs)
@@ -76,7 +76,7 @@ def _largest_rhat(it: Inspection) -> str:
     worst = worst_frame(it)
     values = np.nan_to_num(it.diagnosis.rhat[worst], nan=-np.inf)
     named = spoken(it.diagnosis.dofs[int(values.argmax())])
-    largest = f"The largest is {values.max():.2f}: {named} at frame {worst}."
+    largest = f"The largest is {values.max():.2f}: {named} at frame {it.number(worst)}."
     return f"R-hat compares the distance between the runs with the width of each run's posterior; 1 means agreement. {largest}"
 
 

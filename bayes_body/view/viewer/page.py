@@ -54,7 +54,7 @@ def write_view(
         run: the run, loaded from its folder.
         out: the file; `view.html` in the run's folder by default.
         draws: number of draws of each frame.
-        frames: numbers of the frames; all by default. If the file would be too large, every second, third, ... of them is shown.
+        frames: the frames, counted from 0; all by default. If the file would be too large, every second, third, ... of them is shown.
         watch: wraps the places of the frames to show progress.
         overwrite: whether to replace a file that is not a view. An older view is always replaced.
 
@@ -82,7 +82,7 @@ def write_view(
 def _lost(run: "SavedRun", frames: range) -> Iterator[str]:
     lost = lost_frames(run)
     if lost[frames].any():
-        yield f"{frame_ranges([frame for frame in frames if lost[frame]]).capitalize()}: lost, or the body is off the person."
+        yield f"{frame_ranges([run.first_frame + frame for frame in frames if lost[frame]]).capitalize()}: lost, or the body is off the person."
 
 
 def _thinned(frames: range, step: int) -> Iterator[str]:
@@ -104,7 +104,7 @@ def _page(run: "SavedRun", recording: Recording, frames: range, draws: int, side
         for place in watch(range(len(frames))):
             seen = recording.frame(frames[place], side)
             has_truth, has_keypoints = has_truth or bool(len(seen.truth)), has_keypoints or bool(len(seen.keypoints))
-            scene.show(poses[place], seen, f"frame {frames[place]}, {frames[place] / fps:.2f} s")
+            scene.show(poses[place], seen, f"frame {run.first_frame + frames[place]}, {frames[place] / fps:.2f} s")
             if len(frames) > 1:
                 record.insert_sleep(frames.step / fps)
         html = record.as_html()
