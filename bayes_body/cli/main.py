@@ -11,7 +11,7 @@ from pathlib import Path
 import typer
 
 from bayes_body import __version__
-from bayes_body.cli import benchmark, check, demo, export, gait, import_, learn, mocap, models, report, simulate, smooth, track, view
+from bayes_body.cli import benchmark, check, demo, export, gait, import_, learn, mocap, models, picture, report, simulate, smooth, track, view
 from bayes_body.cli.stopping import STOPPED, stoppable
 from bayes_body.cli.surroundings import check_current_folder, fault_of_surroundings
 from bayes_body.cli.terminal import Guarded, complain, guarded, say
@@ -33,6 +33,7 @@ app.command("track")(track.track)
 app.command("smooth")(smooth.smooth)
 app.command("report")(report.report)
 app.command("view")(view.view)
+app.command("picture")(picture.picture)
 app.command("export")(export.export)
 app.command("gait")(gait.gait)
 app.command("simulate")(simulate.simulate)

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from bayes_body.view.colours import INK, paper, run_line
 from bayes_body.view.report.choice import Sample
-from bayes_body.view.report.figures import INK, LEGEND, MARGINS, PANEL, encoded, set_margins
+from bayes_body.view.report.figures import MARGINS, PANEL, encoded, run_label, set_margins
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import spoken
 from bayes_body.view.report.markup import Picture
@@ -76,6 +77,12 @@ def _label(figure: "Figure", title: str, x: str, y: str) -> "Axes":
     return axes
 
 
+def _draw_as_runs(axes: "Axes", it: Inspection, dof: int) -> None:
+    """Give the first lines, one of each run in order, the colour of the dof's side, the run's line style and its name."""
+    for run, line in enumerate(axes.get_lines()[: it.runs]):
+        line.set(color=paper(it.dofs[dof]), linestyle=run_line(run), label=run_label(run, it.runs))
+
+
 def rank_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
     """Return the rank plot: the ranks of each run's draws among all draws, as the difference from uniform (Säilynoja, Bürkner & Vehtari 2022)."""
     import arviz as az
@@ -84,6 +91,7 @@ def rank_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
     values, rhat = sample.poses[..., dof], it.diagnosis.rhat[sample.frame, dof]
     figure = _taken(az.plot_rank, PANEL, dt=_tree(values), visuals={"remove_axis": False})
     axes = _label(figure, f"{spoken(it.dofs[dof])}: R-hat {rhat:.2f}", f"rank among all draws of frame {sample.frame}", "difference from uniform")
+    _draw_as_runs(axes, it, dof)
     # Remove the p-value and the points of ArviZ's test: it assumes independent draws, and no option turns it off.
     for artist in (*axes.texts, *axes.collections):
         artist.remove()
@@ -107,8 +115,7 @@ def distribution_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
     by_run = {"sample_dims": ["draw"], "cols": [], "aes": {"color": ["chain"]}}
     figure = _taken(az.plot_dist, PANEL, dt=_tree(values), kind="ecdf", visuals=hidden, **by_run)
     axes = _label(figure, title, "angle, degrees" if unit == "°" else "position, m", "fraction of draws below")
-    if 1 < it.runs <= LEGEND:
-        axes.legend(axes.get_lines()[: it.runs], [f"run {run + 1}" for run in range(it.runs)], loc="best", handlelength=1.2)
+    _draw_as_runs(axes, it, dof)
     return encoded(figure, f"Distribution of {title}, by run: means {', '.join(f'{mean:.3g} {unit}' for mean in values.mean(axis=1))}.")
 
 
@@ -121,7 +128,8 @@ def growth_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
     figure = _taken(az.plot_ess_evolution, PANEL, dt=_tree(values), n_points=10, visuals={"min_ess": values.size >= ENOUGH})
     axes = _label(figure, title, "draws of all runs", "effective draws")
     axes.set_ylim(bottom=0)
-    axes.legend(axes.get_lines()[:2], ("bulk", "tails"), loc="best", handlelength=1.2)
+    for line, name, style in zip(axes.get_lines()[:2], ("bulk", "tails"), (run_line(0), run_line(2)), strict=False):
+        line.set(color=paper(it.dofs[dof]), linestyle=style, label=name)
     return encoded(figure, f"Effective sample size of {title} as draws are added.")
 
 
