@@ -36,10 +36,13 @@ def label_lines(axes: "Axes", size: float = 8.5) -> None:
     _make_room(axes, SAMPLE + 3 * GAP + widest)
     width, height = (POINTS_AN_INCH * side for side in axes.get_position().size * figure.get_size_inches())
     ends = [_end(axes, line) for line in lines]
-    for line, name, end, place in zip(lines, names, ends, spread(ends, LEADING * size / height), strict=True):
+    for line, name, place in zip(lines, names, spread(ends, LEADING * size / height), strict=True):
         start, stop = 1 + GAP / width, 1 + (GAP + SAMPLE) / width
-        style = {"color": line.get_color(), "linestyle": line.get_linestyle(), "linewidth": line.get_linewidth()}
-        axes.add_line(Line2D([start, stop], [end, place], transform=axes.transAxes, clip_on=False, **style))
+        sample = Line2D([start, stop], [place, place])
+        # With the line's dashes.
+        sample.update_from(line)
+        sample.set(transform=axes.transAxes, clip_on=False, marker="", label="")
+        axes.add_line(sample)
         axes.text(stop + GAP / width, place, name, transform=axes.transAxes, color=line.get_color(), fontsize=size, va="center", clip_on=False)
 
 

@@ -26,8 +26,7 @@ from bayes_body.view.windows import EMPTY, STILL_HEIGHT, grid
 AXIS_M = 0.5
 # The floor has tiles of one metre, and extends this far from the origin. Lines are drawn in short pieces, because lens distortion bends them.
 FLOOR_M, PIECE_M = 3, 0.1
-# Of the part that shows the body, picture pixels per image pixel. Only a camera of an odd shape has a wider tile than WIDEST, pixels.
-MOST_ZOOM = 8.0
+# Only a camera of an odd shape has a wider tile, pixels.
 WIDEST = 4 * STILL_HEIGHT
 
 
@@ -65,8 +64,10 @@ def _tile(picture: MatLike, camera: Camera, body: list[Outline], up: str, text: 
     if not _draw_axes(shown, whole, camera, up):
         text += "\nworld origin not in view"
     tiles = [label(padded(shown), text)]
-    if body:
-        near = crop_about(np.concatenate([part.polygon for part in body]), size, STILL_HEIGHT, MOST_ZOOM)
+    points = np.concatenate([part.polygon for part in body]) if body else np.full((1, 2), -1.0)
+    middle = points.mean(axis=0)
+    if (middle >= 0).all() and (middle < size).all():
+        near = crop_about(points, size, STILL_HEIGHT, most_zoom=np.inf)
         tiles.append(padded(_with_body(near.cut(picture), near, body)))
     return np.hstack(tiles)
 

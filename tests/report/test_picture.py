@@ -51,7 +51,8 @@ def test_a_frame_as_pixels_and_as_vectors(picture, folder, tmp_path):
     shown = re.sub(r"\s+", " ", " ".join(re.findall(r"<text[^>]*>([^<]*)</text>", text)))
     assert "an $arm$ &lt;bends&gt;. Model arm, kernel" in shown and "2 runs; camera b, frame 3 (0.05 s)." in shown
     assert "posterior mean: middle" in shown and "40 draws" in shown and re.search(r"Scale at the person's distance, \d\.\d\d m", shown)
-    assert re.search(r"\b(0\.\d|[1-9]\d?c?) ?c?m\b", shown)
+    # The bar's name is text, too.
+    assert re.search(r"> ?[125]?0?(\.[125])? c?m ?<", text)
     # Two parts of the arm and the hand in 40 draws, filled and as outlines; the image is embedded.
     assert text.count("<path") > 2 * 42 and "data:image/png;base64" in text
     first = (tmp_path / "arm.svg").read_bytes()

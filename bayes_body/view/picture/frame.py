@@ -166,8 +166,6 @@ def _bodies(axes: "Axes", parts: list[Outline], opacity: float, width: float, li
 
 def _bar(axes: "Axes", crop: Crop, scale: Scale, body: list[Outline]) -> None:
     """Draw the scale bar in that lower corner of the picture that is farther from the body."""
-    from matplotlib.patheffects import withStroke
-
     width, height = crop.right - crop.left, crop.bottom - crop.top
     metres = max((bar for bar in BARS if bar * scale.pixels_a_metre <= LONGEST * width), default=BARS[0])
     length, edge = metres * scale.pixels_a_metre, 0.03 * max(width, height)
@@ -177,8 +175,9 @@ def _bar(axes: "Axes", crop: Crop, scale: Scale, body: list[Outline]) -> None:
     for ink, points in (("black", 5.0), ("white", 2.6)):
         axes.plot([start, start + length], [row, row], color=ink, linewidth=points, solid_capstyle="butt")
     text = f"{metres:g} m" if metres >= 0.1 else f"{100 * metres:g} cm"
-    style = {"ha": "center", "va": "bottom", "fontsize": 10, "path_effects": [withStroke(linewidth=2.2, foreground="black")]}
-    axes.annotate(text, (start + length / 2, row), xytext=(0, 4), textcoords="offset points", color="white", **style)
+    # An edge around the letters would turn them into shapes in a vector picture.
+    style = {"ha": "center", "va": "bottom", "fontsize": 10, "bbox": {"facecolor": "black", "edgecolor": "none", "alpha": 0.5, "pad": 1.5}}
+    axes.annotate(text, (start + length / 2, row), xytext=(0, 5), textcoords="offset points", color="white", **style)
 
 
 def _legend(run: "SavedRun", central: CentralPose, parts: list[Outline], draws: int) -> list[Any]:

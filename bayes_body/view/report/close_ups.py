@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.view.colours import INK, paper, run_line
+from bayes_body.view.colours import INK, WARNING, paper, run_line
 from bayes_body.view.report.choice import Sample
 from bayes_body.view.report.figures import MARGINS, PANEL, encoded, run_label, set_margins
 from bayes_body.view.report.inspection import Inspection
@@ -128,8 +128,13 @@ def growth_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
     figure = _taken(az.plot_ess_evolution, PANEL, dt=_tree(values), n_points=10, visuals={"min_ess": values.size >= ENOUGH})
     axes = _label(figure, title, "draws of all runs", "effective draws")
     axes.set_ylim(bottom=0)
-    for line, name, style in zip(axes.get_lines()[:2], ("bulk", "tails"), (run_line(0), run_line(2)), strict=False):
+    bulk, tails, *enough = axes.get_lines()
+    for line, name, style in ((bulk, "bulk", run_line(0)), (tails, "tails", run_line(1))):
         line.set(color=paper(it.dofs[dof]), linestyle=style, label=name)
+    for points in axes.collections:
+        points.set_color(paper(it.dofs[dof]))
+    for line in enough:
+        line.set(color=WARNING, linestyle="-")
     return encoded(figure, f"Effective sample size of {title} as draws are added.")
 
 
@@ -154,7 +159,17 @@ def forest_plot(it: Inspection, sample: Sample) -> Picture:
     }
     figure = _taken(az.plot_forest, (3.8, 0.8 + 0.3 * len(names)), dt=tree, visuals={"point_estimate": {"width": 2}}, **form)
     _set_forest(figure, f"Frame {sample.frame}")
+    _draw_sides(figure.axes[1], [paper(name) for name, angle in zip(it.dofs, angular, strict=True) if angle])
     return encoded(figure, f"Medians and intervals of {len(names)} joint angles at frame {sample.frame}, by run.")
+
+
+def _draw_sides(axes: "Axes", inks: list[str]) -> None:
+    """Give each angle's intervals and medians the colour of its side, and each run its line style. ArviZ draws run after run, all angles of each."""
+    for place, line in enumerate(axes.get_lines()):
+        # Lines of the outer and of the inner interval, both of which are the same one here, follow each other.
+        line.set(color=inks[place % len(inks)], linestyle=run_line(place % (len(axes.collections)) // len(inks)))
+    for place, point in enumerate(axes.collections):
+        point.set_color(inks[place % len(inks)])
 
 
 def _set_forest(figure: "Figure", title: str) -> None:

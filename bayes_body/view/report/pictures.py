@@ -50,7 +50,7 @@ def picture_section(folder: Path, quality: Quality | None) -> Markup:
     video = _animation(folder / "overlay.mp4", quality)
     parts: list[str] = [tag("p", ABOUT)]
     parts += [figures([video], "moving")] if video else [tag("p", "overlay.mp4 is missing or cannot be read: there is no moving picture.")]
-    parts += [figures(stills, "stills")] if stills else [tag("p", "There are no stills in overlay/.")]
+    parts += [figures(stills, "large")] if stills else [tag("p", "There are no stills in overlay/.")]
     command = tag("code", f"bayes-body view {shlex.quote(folder.resolve().name)}")
     # No link: the page has scripts, and in a stranger's folder they are the stranger's.
     scene = tag("p", command, " makes a page on which this run can be turned and played in 3D.", class_="note")
