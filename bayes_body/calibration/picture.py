@@ -1,7 +1,7 @@
 """Plot the ranks of each quantity with ArviZ: the difference between their distribution function and the uniform one, and ArviZ's test POT-C.
 
-POT-C (Tesso & Vehtari 2026) combines a test of each sorted value by Cauchy's distribution, and marks the values that contribute most to a deviation.
-It shows where ranks deviate. The verdict rests on the bands (calibration/bands.py), whose p-values are exact.
+POT-C (Tesso & Vehtari 2026) combines a test of each sorted value by Cauchy's distribution, and marks in purple the values that contribute most to a
+deviation. It shows where ranks deviate. The verdict rests on the bands (calibration/bands.py), whose p-values are exact.
 """
 
 from pathlib import Path
@@ -12,6 +12,7 @@ from bayes_body.calibration.check import Findings
 from bayes_body.calibration.rank_tree import rank_tree
 from bayes_body.calibration.verdict import rank_limits, ranked_quantities
 from bayes_body.files.atomic import replacing
+from bayes_body.view.colours import GREY, INK, WARNING
 from bayes_body.view.report.close_ups import arviz_plots
 
 COLUMNS, PANEL = 4, (3.0, 2.1)
@@ -43,6 +44,9 @@ def draw_ranks(findings: Findings, path: Path, title: str) -> None:
             col_wrap=COLUMNS,
             figure_kwargs={"figsize": size, "layout": "constrained"},
             visuals={
+                "ecdf_lines": {"color": INK},
+                "suspicious_points": {"color": WARNING},
+                "credible_interval": {"color": GREY, "alpha": 0.25},
                 "title": {"parse_math": False, "size": 9},
                 "xlabel": False,
                 "p_value_text": {"text": lambda p: f"POT-C p = {p:.2g}", "size": 8},

@@ -12,7 +12,7 @@ from typing import Any
 import typer
 
 import bayes_body
-from bayes_body.cli import benchmark, check, demo, export, gait, import_, learn, mocap, models, report, simulate, smooth, track, view
+from bayes_body.cli import benchmark, check, demo, export, gait, import_, learn, mocap, models, picture, report, simulate, smooth, track, view
 from bayes_body.cli.stopping import STOPPED, stoppable
 from bayes_body.cli.surroundings import check_current_folder, fault_of_surroundings
 from bayes_body.cli.terminal import Guarded, complain, guarded, say
@@ -37,6 +37,7 @@ COMMANDS: tuple[tuple[str, Any, str], ...] = (
     ("smooth", smooth.smooth, "Smooth a run: its frames then know the later ones, too."),
     ("report", report.report, "Write a run's report: one HTML file."),
     ("view", view.view, "Write a run as an HTML file that turns and plays in 3D."),
+    ("picture", picture.picture, "Draw a frame or the curves of a run for a paper."),
     ("export", export.export, "Write a run's motion for another program."),
     ("gait", gait.gait, "List the strides of a run, with intervals."),
     ("simulate", simulate.simulate, "Film a captured motion with simulated cameras."),

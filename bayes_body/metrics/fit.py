@@ -41,6 +41,7 @@ class Fit(NamedTuple):
         body: share of the image that the body covers.
         silhouette: share of the image that the silhouette covers.
         is_whole: whether the body is one from head to feet, so that a right pose covers most of the silhouette.
+        distance_px: median distance of the markers from the keypoints, pixels.
     """
 
     overlap: Float[np.ndarray, "run camera"]
@@ -49,6 +50,7 @@ class Fit(NamedTuple):
     body: Float[np.ndarray, "run camera"]
     silhouette: Float[np.ndarray, " camera"]
     is_whole: bool = False
+    distance_px: Float[np.ndarray, "run camera"] = np.zeros((0, 0))
 
 
 def silhouette_overlap(session: Session, draws: Draws, watch: Watch = unwatched) -> Float[np.ndarray, "run frame camera"]:
@@ -68,7 +70,8 @@ def frame_fit(session: Session, model: Model, poses: Float[np.ndarray, "run *sha
             area[run, c] = body.mean()
             if person is not None:
                 overlap[run, c], cover[run, c] = intersection_over_union(body, person), cover_of(body, person)
-    return Fit(overlap, cover, _distances(model, poses, frame), area, silhouette_shares(frame), set(model.body.markers.names) >= WHOLE)
+    distance, distance_px = _distances(model, poses, frame)
+    return Fit(overlap, cover, distance, area, silhouette_shares(frame), set(model.body.markers.names) >= WHOLE, distance_px)
 
 
 def silhouette_shares(frame: Frame) -> Float[np.ndarray, " camera"]:
@@ -90,21 +93,25 @@ def cover_of(body: Bool[np.ndarray, "row column"], person: Bool[np.ndarray, "row
     return np.count_nonzero(body & person) / min(areas) if areas[0] else 0.0
 
 
-def _distances(model: Model, poses: Float[np.ndarray, "run *shape"], frame: Frame) -> Float[np.ndarray, "run camera"]:
-    """Return the median distance of the markers from the keypoints, as a fraction of the person's size in the image."""
+def _distances(
+    model: Model, poses: Float[np.ndarray, "run *shape"], frame: Frame
+) -> tuple[Float[np.ndarray, "run camera"], Float[np.ndarray, "run camera"]]:
+    """Return the median distance of the markers from the keypoints, as a fraction of the person's size in the image, and in pixels."""
     names = model.body.markers.names
-    found = np.full((len(poses), len(frame.seen)), np.nan)
+    relative, pixels = np.full((2, len(poses), len(frame.seen)), np.nan)
     if frame.keypoints is None or not names:
-        return found
-    pixels, visible = (np.asarray(out) for out in _projected(model.rig, jnp.asarray(markers(model, poses))))
+        return relative, pixels
+    places_px, visible = (np.asarray(out) for out in _projected(model.rig, jnp.asarray(markers(model, poses))))
     for c, keypoints in enumerate(frame.keypoints):
         places = _usable(keypoints, names)
         if len(places) >= FEWEST_POINTS:
             points = np.array(list(places.values()))
             chosen = list(places)
-            far = np.linalg.norm(pixels[:, c, chosen] - points, axis=-1) / max(float(np.ptp(points, axis=0).max()), 1.0)
-            found[:, c] = np.median(np.where(visible[:, c, chosen], np.minimum(far, FARTHEST), FARTHEST), axis=-1)
-    return found
+            size_px = max(float(np.ptp(points, axis=0).max()), 1.0)
+            far = np.linalg.norm(places_px[:, c, chosen] - points, axis=-1) / size_px
+            relative[:, c] = np.median(np.where(visible[:, c, chosen], np.minimum(far, FARTHEST), FARTHEST), axis=-1)
+            pixels[:, c] = size_px * relative[:, c]
+    return relative, pixels
 
 
 def _usable(keypoints: Keypoints | None, names: Sequence[str]) -> dict[int, tuple[float, float]]:

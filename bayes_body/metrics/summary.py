@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.body.space import configuration_space
+from bayes_body.metrics.evidence_read import evidence_read
 from bayes_body.metrics.figures import accuracy_figures
 from bayes_body.metrics.fit import Fit, frame_fit
 from bayes_body.metrics.plausibility import fit_figures
@@ -72,7 +73,7 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
     found = [_figures(session, draws.model, draws.frames[index], index) for index in watch(range(frames))]
     mode_seeker = all(np.isnan(each.log_evidence).all() for each in found)
     ess, fits = np.array([each.ess for each in found]), [each.fit for each in found]
-    overlap = np.array([fit.overlap for fit in fits])
+    overlap, distance_px = (np.array([getattr(fit, name) for fit in fits]) for name in ("overlap", "distance_px"))
     first = frame_fit(session, draws.model, np.asarray(draws.model.initial[draws.model.body.variable], float)[None], 0)
     figures = {
         "frames": frames,
@@ -96,12 +97,19 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
         "ess_median": float(np.median(ess)),
         "rhat_max": _largest(np.array([each.rhat for each in found])),
         "log_evidence": log_mean_exp(np.sum([each.log_evidence for each in found], axis=0)),
-        "iou_median": float(np.nanmedian(overlap)) if np.isfinite(overlap).any() else None,
+        "reads": evidence_read(draws.model),
+        "iou_median": _median(overlap),
+        "reprojection_px_median": _median(distance_px),
         "marker_disagreement_mm": 1000 * float(np.mean([each.disagreement for each in found])),
         **fit_figures(first, fits, draws.first_frame),
         **accuracy_figures(draws_against_truth(session, draws, watch), mode_seeker),
     }
     return {key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in figures.items()}
+
+
+def _median(values: NDArray[np.floating]) -> float | None:
+    """Return the median of what is known; None if nothing is."""
+    return float(np.nanmedian(values)) if np.isfinite(values).any() else None
 
 
 def _largest(values: NDArray[np.floating]) -> float:

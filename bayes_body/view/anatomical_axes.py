@@ -17,15 +17,15 @@ from bayes_body.clinical.conventions import LABORATORY
 from bayes_body.clinical.joints import Joint, axes_of, joints_of
 from bayes_body.errors import input_error
 from bayes_body.files.atomic import replacing
+from bayes_body.view.colours import AXES, GREY, INK, SKIN
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # The laboratory of the picture has the anatomical axes: x forward, y up, z to the right.
 OWN = (0, 1, 2)
-COLOURS, AXES = ("#D55E00", "#009E73", "#0072B2"), ("x forward", "y up", "z to the right")
-ARROW_M, ARC_M, SKIN, INK = 0.13, 0.075, "#dfe3e8", "#1b1f24"
-GREY, LINE_M, WIDTH_M, PANEL_IN = "#9aa1ab", 0.12, 1.3, 3.5
+NAMES = ("x forward", "y up", "z to the right")
+ARROW_M, ARC_M, LINE_M, WIDTH_M, PANEL_IN = 0.13, 0.075, 0.12, 1.3, 3.5
 # Angles of the shoulder repeat those of the arm in another sequence, and have no arrow of their own.
 LEFT_OUT = ("shoulder",)
 
@@ -138,14 +138,14 @@ def _draw_triads(axes: "Axes", stance: Stance, segments: Mapping[str, Segment], 
     for segment in segments.values():
         j = index(segment.joint)
         anatomical = stance.rotations[j] @ axes_of(segment)
-        for axis, colour in enumerate(COLOURS):
+        for axis, colour in enumerate(AXES):
             (x, y), (u, v) = (_flat(stance.origins[j] + reach * anatomical[:, axis], panel).tolist() for reach in (0.0, ARROW_M))
             axes.annotate(
                 "", (u, v), (x, y), arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.6, "shrinkA": 0, "shrinkB": 0}, zorder=3
             )
             # An arrow does not widen the axes.
             axes.plot([x, u], [y, v], linewidth=0)
-    for place, (name, colour) in enumerate(zip(AXES, COLOURS, strict=True)):
+    for place, (name, colour) in enumerate(zip(NAMES, AXES, strict=True)):
         axes.annotate(name, (0.55, 0.35), xytext=(0, -18 * place), xycoords="axes fraction", textcoords="offset points", color=colour, fontsize=11)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.files.atomic import replacing
+from bayes_body.view.colours import GREY, INK, WARNING, run_line
 from bayes_body.view.plot_text import plot_text
 
 # The limits of the paper's Table 3, metres.
@@ -30,8 +31,8 @@ def draw_error_curves(path: Path, panels: Mapping[str, Mapping[str, Float[np.nda
     for axes, (kind, compared) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):
         for number, (name, errors) in enumerate(compared.items()):
             frames, mean = np.arange(errors.shape[1]), 1000 * errors.mean(axis=0)
-            axes.plot(frames, mean, color=f"C{number}", label=f"{plot_text(name)}: {mean.mean():.0f} mm")
-            axes.fill_between(frames, 1000 * errors.min(axis=0), 1000 * errors.max(axis=0), color=f"C{number}", alpha=0.2, linewidth=0)
+            axes.plot(frames, mean, color=INK, linestyle=run_line(number), label=f"{plot_text(name)}: {mean.mean():.0f} mm")
+            axes.fill_between(frames, 1000 * errors.min(axis=0), 1000 * errors.max(axis=0), color=GREY, alpha=0.2, linewidth=0)
         axes.set(title=f"{kind} error", xlabel="frame", ylabel="mean error of the markers, mm")
         axes.set_ylim(bottom=0)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -41,7 +42,7 @@ def draw_error_curves(path: Path, panels: Mapping[str, Mapping[str, Float[np.nda
 
 
 def draw_errors(path: Path, frames: Sequence[int], error_m: Float[np.ndarray, " frame"]) -> None:
-    """Write a .png of the errors of some frames. Dashed lines are the limits of the paper's tables.
+    """Write a .png of the errors of some frames. Purple lines are the limits of the paper's tables.
 
     Args:
         path: the file.
@@ -59,13 +60,13 @@ def draw_errors(path: Path, frames: Sequence[int], error_m: Float[np.ndarray, " 
     largest = 1.1 * max([1000 * LIMITS_M[-1], *known])
     figure = Figure(figsize=(11, 4), layout="constrained")
     by_frame, share = figure.subplots(1, 2, width_ratios=(2, 1))
-    by_frame.plot(frames, error, ".-", color="C0")
+    by_frame.plot(frames, error, ".-", color=INK)
     by_frame.set(xlabel="frame", ylabel="mean error of the markers, mm", ylim=(0, largest))
     by_frame.xaxis.set_major_locator(MaxNLocator(integer=True))
-    share.step([0, *known, largest], [*np.arange(len(known) + 1), len(known)] / np.maximum(len(error), 1), where="post", color="C0")
+    share.step([0, *known, largest], [*np.arange(len(known) + 1), len(known)] / np.maximum(len(error), 1), where="post", color=INK)
     share.set(xlabel="error, mm", ylabel="share of the frames with at most this error", ylim=(0, 1.02), xlim=(0, largest))
     for limit in 1000 * np.array(LIMITS_M):
-        by_frame.axhline(limit, color="0.6", linestyle="--")
-        share.axvline(limit, color="0.6", linestyle="--")
+        by_frame.axhline(limit, color=WARNING)
+        share.axvline(limit, color=WARNING)
     with replacing(path) as partial:
         figure.savefig(partial, format="png", dpi=120)

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from bayes_body.metrics.evidence_read import shows_overlap, shows_reprojection
+
 
 def figures_text(summary: Mapping[str, Any]) -> str:
     """Return the figures with their units. A figure that does not exist is a dash; without a truth there is no line about the error.
@@ -14,13 +16,16 @@ def figures_text(summary: Mapping[str, Any]) -> str:
     def shown(key: str, form: str, unit: str = "") -> str:
         return "-" if summary[key] is None else f"{summary[key]:{form}}{unit}"
 
+    fitted = f"overlap with the silhouettes (IoU) {shown('iou_median', '.3f')}; " if shows_overlap(summary) else ""
+    if shows_reprojection(summary):
+        fitted = f"reprojection error of the keypoints {shown('reprojection_px_median', '.1f', ' px')} (median); {fitted}"
     cameras = summary["cameras"]
     lines = [
         f"frames      {summary['frames']}, lost {summary['frames_lost']}; {cameras} camera{'s' if cameras > 1 else ''}, {summary['dof']} dofs",
         f"time        {shown('seconds_per_frame', '.3f', ' s')} a frame; compilation {shown('seconds_compile', '.1f', ' s')}; "
         f"{shown('evaluations_per_second', ',.0f')} evaluations/s; {shown('peak_memory_mb', ',.0f', ' MB')}",
         f"particles   effective {shown('ess_median', '.0f')} (median), {shown('ess_min', '.0f')} (minimum) of {summary['particles']}",
-        f"agreement   overlap with the silhouettes (IoU) {shown('iou_median', '.3f')}; R-hat over runs at most {shown('rhat_max', '.2f')}; "
+        f"agreement   {fitted}R-hat over runs at most {shown('rhat_max', '.2f')}; "
         f"mean markers of the runs {shown('marker_disagreement_mm', '.0f', ' mm')} apart",
     ]
     return "\n".join([*lines, *_accuracy(summary)])

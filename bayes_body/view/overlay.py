@@ -1,7 +1,7 @@
 """Pictures of a run: the recording with the posterior drawn over it, all cameras side by side, each cropped to the person.
 
-The posterior mean is a translucent body with an outline (left side blue, right side orange, middle green). Draws are thin light outlines over it;
-they spread where the posterior is wide.
+The posterior mean is a translucent body with an outline (left side blue, right side orange, middle green); where the mean lies among no draws, it is
+their medoid (posterior/central.py), and the picture says so. Draws are thin light outlines over it; they spread where the posterior is wide.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -13,28 +13,26 @@ import numpy as np
 from cv2.typing import MatLike
 from jaxtyping import Float, Int
 
-from bayes_body.body.space import configuration_space
+from bayes_body.body.solids import Body
 from bayes_body.errors import input_error
 from bayes_body.files.atomic import make_folder, remove_partial, replacing
 from bayes_body.model.build import Model
 from bayes_body.observation.pictures import read_colour
-from bayes_body.posterior import equal_weight_poses, mean_pose
+from bayes_body.posterior import CentralPose, central_pose, equal_weight_poses
 from bayes_body.session.session import Session, View
 from bayes_body.tracking.draws import Draws, FrameResult
+from bayes_body.view.colours import bgr, over_image
 from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.silhouette import Outline, outlines, seen_in
 from bayes_body.view.video import h264_video
-from bayes_body.view.windows import EMPTY, TILE_HEIGHT, Window, grid, person_windows
+from bayes_body.view.windows import EMPTY, STILL_HEIGHT, TILE_HEIGHT, Window, grid, person_windows
 
-# BGR, the order of OpenCV.
-LEFT, RIGHT, MIDDLE, INK = (255, 160, 40), (30, 130, 255), (90, 220, 60), (255, 255, 255)
 # Opacity of the mean's inside, of its outline, and of each draw; and the fraction by which the draws' colours move towards white.
 INSIDE, MEAN, DRAW, LIGHTER = 0.15, 0.75, 0.3, 0.55
 VIDEO = "overlay.mp4"
 FAN = 20
-# Pixels of a whole image that is scaled to a tile; only a camera of an odd shape is wider.
-WIDEST = 4 * TILE_HEIGHT
 STILLS = 5
+MEDOID = "\nmedoid: the mean is not among the draws"
 CAMERAS = "use fewer cameras, and check their size_px"
 
 
@@ -55,18 +53,27 @@ def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = un
     frames = len(draws.frames)
     stills = _stills(folder, frames, session.first_frame)
     remove_partial(make_folder(folder / "overlay"))
-    space, runs = configuration_space(draws.model.body), np.full(draws.runs, 1 / draws.runs)
-    means = np.stack([np.asarray(space.mean(runs, mean_pose(result, draws.model))) for result in draws.frames])
-    windows = person_windows(session, draws.model, means)
+    central = [central_of(result, draws.model.body) for result in draws.frames]
+    windows = person_windows(session, draws.model, np.stack([body.pose for body in central]))
+    large = [window.scaled(STILL_HEIGHT) for window in windows]
     with drawable(folder / VIDEO), replacing(folder / VIDEO) as partial, ExitStack() as video:
         write = None
         for index in watch(range(frames)):
-            picture = mosaic(session, draws.model, index, means[index], _fan(draws.frames[index], index, draws.model.body.variable), windows)
+            fan = _fan(draws.frames[index], index, draws.model.body.variable)
+            picture = mosaic(session, draws.model, index, central[index], fan, windows)
             write = write or video.enter_context(h264_video(partial, session.fps, (picture.shape[1], picture.shape[0])))
             write(picture)
             if index in stills:
-                write_png(stills[index], picture)
+                write_png(stills[index], mosaic(session, draws.model, index, central[index], fan, large))
     return [folder / VIDEO, *stills.values()]
+
+
+def central_of(result: FrameResult, body: Body) -> CentralPose:
+    """Return the pose that stands for a frame's posterior, all runs together."""
+    weights = np.exp(result.log_weights - result.log_weights.max(axis=-1, keepdims=True))
+    weights /= weights.sum(axis=-1, keepdims=True)
+    poses = result.states[body.variable]
+    return central_pose(body, poses.reshape(-1, *poses.shape[2:]), weights.ravel())
 
 
 def _stills(folder: Path, frames: int, first: int) -> dict[int, Path]:
@@ -81,15 +88,15 @@ def _fan(result: FrameResult, index: int, variable: str) -> Float[np.ndarray, "d
 
 
 def mosaic(
-    session: Session, model: Model, index: int, mean: Float[np.ndarray, "*shape"], fan: Float[np.ndarray, "draw *shape"], windows: Sequence[Window]
+    session: Session, model: Model, index: int, central: CentralPose, fan: Float[np.ndarray, "draw *shape"], windows: Sequence[Window]
 ) -> MatLike:
-    """Return the picture of one frame, all cameras in a grid: the mean body and draws over the person's part of the images.
+    """Return the picture of one frame, all cameras in a grid: the central body and draws over the person's part of the images.
 
     Args:
         session: the recording.
         model: its body and cameras.
         index: the frame.
-        mean: the mean pose, radians and metres.
+        central: the pose that stands for the posterior.
         fan: draws, radians and metres.
         windows: one for each camera, from `person_windows`.
 
@@ -98,13 +105,12 @@ def mosaic(
     """
     model = seen_in(model, session, index)
     drawn = [outlines(model, pose) for pose in fan]
-    strong = outlines(model, mean)
+    strong, which = outlines(model, central.pose), "" if central.is_mean else MEDOID
     tiles = []
     for c, (view, window) in enumerate(zip(session.views, windows, strict=True)):
         picture, note = backdrop(session, index, view)
         placed = [[Outline(part, window.place(polygon, index)) for part, polygon in body[c]] for body in (strong, *drawn)]
-        painted = paint(window.cut(picture, index), placed[0], placed[1:])
-        tiles.append(label(painted, f"{view.camera.name}  frame {session.frame_number(index)}{note}"))
+        tiles.append(label(paint(window.cut(picture, index), placed[0], placed[1:]), f"{view.camera.name}  frame {session.frame_number(index)}{which}{note}"))
     return grid(tiles)
 
 
@@ -149,26 +155,17 @@ def _fixed(outline: Outline) -> Int[np.ndarray, "corner 2"]:
 
 
 def colour(part: str) -> tuple[int, int, int]:
-    """Return the colour of a part's side, so that swapped left and right legs are visible at once."""
-    return LEFT if part.startswith("l_") else RIGHT if part.startswith("r_") else MIDDLE
-
-
-def fit(picture: MatLike) -> MatLike:
-    """Return the picture scaled to the height of a tile; a very wide one to WIDEST pixels, with empty room below it."""
-    height, width = picture.shape[:2]
-    if height == TILE_HEIGHT and width <= WIDEST:
-        return picture
-    scale = min(TILE_HEIGHT / height, WIDEST / width)
-    size = max(round(width * scale), 1), min(max(round(height * scale), 1), TILE_HEIGHT)
-    scaled = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    return cv2.copyMakeBorder(scaled, 0, TILE_HEIGHT - size[1], 0, 0, cv2.BORDER_CONSTANT, value=(EMPTY,) * 3)
+    """Return the colour of a part's side for OpenCV, so that swapped left and right legs are visible at once."""
+    return bgr(over_image(part))
 
 
 def label(picture: MatLike, text: str) -> MatLike:
-    """Return the picture with lines of text in its upper left corner."""
+    """Return the picture with lines of text in its upper left corner, larger in a picture that is taller than a tile of the video."""
+    scale = max(1.0, 0.7 * picture.shape[0] / TILE_HEIGHT)
     for row, line in enumerate(text.splitlines()):
-        for thickness, ink in ((4, (0, 0, 0)), (1, INK)):
-            cv2.putText(picture, line, (10, 24 + 22 * row), cv2.FONT_HERSHEY_SIMPLEX, 0.6, ink, thickness, cv2.LINE_AA)
+        place = round(10 * scale), round((24 + 22 * row) * scale)
+        for thickness, ink in ((4, (0, 0, 0)), (1, (255, 255, 255))):
+            cv2.putText(picture, line, place, cv2.FONT_HERSHEY_SIMPLEX, 0.6 * scale, ink, round(thickness * scale), cv2.LINE_AA)
     return picture
 
 

@@ -1,4 +1,7 @@
-"""A picture for checking an import: the images of all cameras with the world's axes, the floor and the initial body drawn over them."""
+"""A picture for checking an import: the images of all cameras with the world's axes, the floor and the initial body drawn over them.
+
+Beside each whole image is the part of it that shows the body, so large that an error of one centimetre is seen.
+"""
 
 from pathlib import Path
 
@@ -14,16 +17,17 @@ from bayes_body.geometry.camera import Camera, project
 from bayes_body.model.build import Model
 from bayes_body.observation.frames import read_frame
 from bayes_body.session.session import Session
-from bayes_body.view.overlay import backdrop, fit, label, paint, write_png
-from bayes_body.view.silhouette import intersection_over_union, outlines, projected_masks
-from bayes_body.view.windows import grid
+from bayes_body.view.colours import FLOOR_LINES, WORLD_AXES, bgr
+from bayes_body.view.crop import Crop, crop_about
+from bayes_body.view.overlay import backdrop, label, paint, write_png
+from bayes_body.view.silhouette import Outline, intersection_over_union, outlines, projected_masks
+from bayes_body.view.windows import EMPTY, STILL_HEIGHT, grid
 
 AXIS_M = 0.5
-# x red, y green, z blue; BGR.
-AXIS_COLOURS = ((40, 40, 255), (40, 220, 40), (255, 90, 40))
 # The floor has tiles of one metre, and extends this far from the origin. Lines are drawn in short pieces, because lens distortion bends them.
 FLOOR_M, PIECE_M = 3, 0.1
-FLOOR_COLOUR = (200, 200, 200)
+# Only a camera of an odd shape has a wider tile, pixels.
+WIDEST = 4 * STILL_HEIGHT
 
 
 def draw_check(session: Session, model: Model, path: Path) -> Path:
@@ -43,43 +47,72 @@ def draw_check(session: Session, model: Model, path: Path) -> Path:
     for c, view in enumerate(session.views):
         picture, note = backdrop(session, 0, view)
         camera = jax.tree.map(lambda leaf, c=c: leaf[c], model.rig)
-        picture = _draw_floor(picture, camera, "xyz".index(session.up))
-        picture = paint(picture, bodies[c], [])
-        if not _draw_axes(picture, camera, session.up):
-            note += "\nworld origin not in view"
         mask = None if masks is None else masks[c]
         if mask is not None:
             note = f"\nIoU with its mask {intersection_over_union(silhouettes[c], mask):.2f}{note}"
-        tiles.append(label(fit(picture), f"{view.camera.name}{note}"))
+        tiles.append(_tile(picture, camera, bodies[c], session.up, f"{view.camera.name}{note}"))
     make_folder(path.parent)
     write_png(path, grid(tiles))
     return path
 
 
-def _draw_axes(picture: MatLike, camera: Camera, up: str) -> bool:
-    """Draw the axes from the world's origin, and return whether the origin is in the image."""
+def _tile(picture: MatLike, camera: Camera, body: list[Outline], up: str, text: str) -> MatLike:
+    """Return the whole image, and beside it the part of it that shows the body, larger."""
+    size = picture.shape[1], picture.shape[0]
+    whole = whole_image(size)
+    shown = _with_body(_draw_floor(whole.cut(picture), whole, camera, "xyz".index(up)), whole, body)
+    if not _draw_axes(shown, whole, camera, up):
+        text += "\nworld origin not in view"
+    tiles = [label(padded(shown), text)]
+    points = np.concatenate([part.polygon for part in body]) if body else np.full((1, 2), -1.0)
+    middle = points.mean(axis=0)
+    if (middle >= 0).all() and (middle < size).all():
+        near = crop_about(points, size, STILL_HEIGHT, most_zoom=np.inf)
+        tiles.append(padded(_with_body(near.cut(picture), near, body)))
+    return np.hstack(tiles)
+
+
+def whole_image(size_px: tuple[int, int]) -> Crop:
+    """Return an image of that size (width, height) as a tile of STILL_HEIGHT; one of an odd shape is lower, so that it is no wider than WIDEST."""
+    return Crop(0, 0, *size_px, min(STILL_HEIGHT / size_px[1], WIDEST / size_px[0]))
+
+
+def padded(picture: MatLike) -> MatLike:
+    """Return the picture with empty room below it, up to STILL_HEIGHT."""
+    picture = picture[:STILL_HEIGHT]
+    return cv2.copyMakeBorder(picture, 0, STILL_HEIGHT - picture.shape[0], 0, 0, cv2.BORDER_CONSTANT, value=(EMPTY,) * 3)
+
+
+def _with_body(picture: MatLike, crop: Crop, body: list[Outline]) -> MatLike:
+    return paint(picture, [Outline(part, crop.place(polygon)) for part, polygon in body], [])
+
+
+def _draw_axes(picture: MatLike, crop: Crop, camera: Camera, up: str) -> bool:
+    """Draw the axes from the world's origin, and return whether the origin is in the picture."""
     points, visible = (np.asarray(out) for out in project(camera, AXIS_M * jnp.concatenate([jnp.zeros((1, 3)), jnp.eye(3)])))
+    points = crop.place(points)
     if not _inside(picture, points, visible)[0]:
         return False
-    ends, scale = np.round(points).astype(int), _scale(picture)
-    for end, seen, colour, name in zip(ends[1:], visible[1:], AXIS_COLOURS, "xyz", strict=True):
+    ends = np.round(points).astype(int)
+    for end, seen, colour, name in zip(ends[1:], visible[1:], WORLD_AXES, "xyz", strict=True):
         if seen:
-            cv2.arrowedLine(picture, tuple(ends[0]), tuple(end), colour, round(3 * scale), cv2.LINE_AA, tipLength=0.1)
+            cv2.arrowedLine(picture, tuple(ends[0]), tuple(end), bgr(colour), 4, cv2.LINE_AA, tipLength=0.1)
             text = f"{name} (up)" if name == up else name
-            cv2.putText(picture, text, tuple(end + 4), cv2.FONT_HERSHEY_SIMPLEX, 0.6 * scale, colour, round(2 * scale), cv2.LINE_AA)
+            cv2.putText(picture, text, tuple(end + 6), cv2.FONT_HERSHEY_SIMPLEX, 1.0, bgr(colour), 3, cv2.LINE_AA)
     return True
 
 
-def _draw_floor(picture: MatLike, camera: Camera, up: int) -> MatLike:
+def _draw_floor(picture: MatLike, crop: Crop, camera: Camera, up: int) -> MatLike:
     """Return the picture with half-transparent one-metre tiles in the horizontal plane through the world's origin."""
     lines = _floor_lines(up)
     points, visible = (np.asarray(out) for out in project(camera, jnp.asarray(lines.reshape(-1, 3), float)))
+    points = crop.place(points)
     shown = _inside(picture, points, visible).reshape(lines.shape[:2])
     pixels = np.round(np.where(np.isfinite(points), points, 0)).astype(int).reshape(*lines.shape[:2], 2)
     drawn = picture.copy()
     for line, seen in zip(pixels, shown, strict=True):
         for k in np.flatnonzero(seen[:-1] & seen[1:]):
-            cv2.line(drawn, tuple(line[k]), tuple(line[k + 1]), FLOOR_COLOUR, max(1, round(_scale(picture))), cv2.LINE_AA)
+            cv2.line(drawn, tuple(line[k]), tuple(line[k + 1]), FLOOR_LINES, 2, cv2.LINE_AA)
     return cv2.addWeighted(drawn, 0.6, picture, 0.4, 0)
 
 
@@ -99,8 +132,3 @@ def _floor_lines(up: int) -> Float[np.ndarray, "line point 3"]:
 def _inside(picture: MatLike, points: Float[np.ndarray, "point 2"], visible: Bool[np.ndarray, " point"]) -> Bool[np.ndarray, " point"]:
     height, width = picture.shape[:2]
     return visible & (points >= 0).all(axis=1) & (points < (width, height)).all(axis=1)
-
-
-def _scale(picture: MatLike) -> float:
-    """Return the scale of lines and letters, so that they have the same size in tiles of the same height."""
-    return max(1.0, picture.shape[0] / 480)

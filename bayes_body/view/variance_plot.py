@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from bayes_body.files.atomic import replacing
+from bayes_body.view.colours import GREY, INK, paper, run_line, run_mark
 from bayes_body.view.plot_text import plot_text
 
 
@@ -29,13 +30,16 @@ def draw_ratios(path: Path, figures: Mapping[str, Any]) -> None:
 
 
 def _ratios_by_dof(axes: Any, ratios: Mapping[str, Mapping[str, Sequence[float]]]) -> None:
-    """Draw one row of points for each dof; the colour shows whether evaluations or seconds are equal."""
+    """Draw one row of points for each dof; the mark shows whether evaluations or seconds are equal, the colour the dof's side."""
     dofs = list(ratios["evaluations"])
     places = np.arange(len(dofs))
     for number, (name, of_dofs) in enumerate(ratios.items()):
-        value, low, high = np.array(list(of_dofs.values())).T
-        axes.errorbar(value, places + 0.15 * number, xerr=np.stack([value - low, high - value]), fmt="o", capsize=3, label=f"at equal {name}")
-    axes.axvline(1, color="0.5")
+        for place, dof in enumerate(dofs):
+            value, low, high = of_dofs[dof]
+            label = None if place else f"at equal {name}"
+            style = {"fmt": run_mark(number), "capsize": 3, "color": paper(dof), "label": label}
+            axes.errorbar(value, place + 0.15 * number, xerr=[[value - low], [high - value]], **style)
+    axes.axvline(1, color=GREY)
     axes.set_yticks(places, [plot_text(dof) for dof in dofs])
     axes.set(xscale="log", xlabel="error² of the particle filter / error² of hybrid Monte Carlo")
     axes.invert_yaxis()
@@ -43,15 +47,15 @@ def _ratios_by_dof(axes: Any, ratios: Mapping[str, Mapping[str, Sequence[float]]
 
 
 def _errors_by_frame(axes: Any, along: Mapping[str, Any]) -> None:
-    """Draw error² of each filter with its whiskers, and its bias² as a dotted line in the same colour."""
+    """Draw error² of each filter with its whiskers, and its bias² as a grey line of the same style."""
     for number, (name, of) in enumerate(along.items()):
         if name == "truth_difference":
-            axes.plot(np.arange(1, len(of) + 1), of, color="0.6", label="difference² of the truth's two runs")
+            axes.plot(np.arange(1, len(of) + 1), of, color=GREY, label="difference² of the truth's two runs")
             continue
         error, frames = np.array(of["error"]), np.arange(1, len(of["error"]) + 1) + 0.08 * number
         low, high = np.array(of["error_interval"]).T
         whiskers = np.stack([np.maximum(error - low, 0), np.maximum(high - error, 0)])
-        drawn = axes.errorbar(frames, error, yerr=whiskers, fmt="o-", capsize=2, label=f"{name}: error²")
-        axes.plot(frames, of["bias"], ":", color=drawn[0].get_color(), label=f"{name}: bias²")
+        axes.errorbar(frames, error, yerr=whiskers, fmt=run_mark(number), color=INK, linestyle=run_line(number), capsize=2, label=f"{name}: error²")
+        axes.plot(frames, of["bias"], color=GREY, linestyle=run_line(number), label=f"{name}: bias²")
     axes.set(yscale="log", xlabel="frames filtered", ylabel="in units of the posterior's variance, median over dofs")
     axes.legend(fontsize="small")

@@ -18,6 +18,8 @@ from bayes_body.session.session import Session
 from bayes_body.view.silhouette import outlines, seen_in
 
 TILE_HEIGHT = 480
+# Of a still, on which one centimetre of a person can be judged: a person who fills it has four pixels a centimetre.
+STILL_HEIGHT = 1080
 # Grey level where there is no image.
 EMPTY = 30
 # Room around the person's box, as a fraction of its longer side: the hands and feet of the person extend beyond a body without them.
@@ -53,6 +55,11 @@ class Window(NamedTuple):
         centre = self.centres[frame] + pads
         shrinks = self.tile[0] < self.size[0]
         return cv2.resize(cv2.getRectSubPix(padded, self.size, centre), self.tile, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
+
+    def scaled(self, height: int) -> "Window":
+        """Return the same window with a tile of that height."""
+        width, before = self.tile
+        return self._replace(tile=(2 * round(width * height / before / 2), height))
 
     def place(self, points: Float[np.ndarray, "point 2"], frame: int) -> Float[np.ndarray, "point 2"]:
         """Return the positions of image points, (column, row), in the tile of a frame."""

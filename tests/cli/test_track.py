@@ -18,7 +18,20 @@ FRAMES, PARTICLES, LAYERS, RUNS, DOFS = 4, 100, 2, 2, 31
 KEYS = {
     *("frames", "frames_lost", "frames_restarted", "cameras", "dof", "particles", "layers", "runs", "kernel", "model", "seed"),
     *("seconds_total", "seconds_compile", "seconds_per_frame", "evaluations_per_second", "peak_memory_mb", "frame_pairs"),
-    *("ess_min", "ess_median", "rhat_max", "iou_median", "fit_by", "fit_first", "fit_worst", "fit_worst_frame", "frames_off", "warnings"),
+    *(
+        "ess_min",
+        "ess_median",
+        "rhat_max",
+        "iou_median",
+        "reads",
+        "reprojection_px_median",
+        "fit_by",
+        "fit_first",
+        "fit_worst",
+        "fit_worst_frame",
+        "frames_off",
+        "warnings",
+    ),
 }
 
 

@@ -97,6 +97,8 @@ def test_the_figures_are_those_of_all_frames(textured_session, draws):
     assert summary["ess_min"] == ess.min() and np.isclose(summary["ess_median"], np.median(ess))
     assert np.isclose(summary["rhat_max"], np.nanmax(rhat(draws)))
     assert np.isclose(summary["iou_median"], np.nanmedian(silhouette_overlap(textured_session, draws)))
+    # The arm reads silhouettes and edges, and the session has no keypoints.
+    assert summary["reads"] == ["edges", "silhouettes"] and summary["reprojection_px_median"] is None
     assert np.isclose(summary["log_evidence"], log_evidence(draws))
     assert np.isclose(summary["marker_disagreement_mm"], 1000 * marker_disagreement(draws))
     working = draws.timing.total - draws.timing.compile

@@ -122,6 +122,8 @@ def test_the_verdict_begins_with_the_result():
     assert verdict(summary, [], agreement_known=True).splitlines() == [said, "The runs agree; no limit is crossed."]
     again = verdict(summary | {"frames_restarted": [7, 30]}, [], agreement_known=True)
     assert again.startswith("60 frames tracked, 2 lost, restarted at frames 7, 30; overlap")
+    keypoints = verdict(summary | {"reads": ["keypoints"], "reprojection_px_median": 4.24}, [], agreement_known=True)
+    assert "; median reprojection error of the keypoints 4.2\u00a0px; mean markers" in keypoints and "silhouettes" not in keypoints
     bare = {"frames": 1, "frames_lost": 0, "iou_median": None, "error_mm_mean": None, "coverage_90": None}
     assert verdict(bare, ["a"], agreement_known=True).splitlines() == ["1 frame tracked, none lost.", "Warning: a"]
 

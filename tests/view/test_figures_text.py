@@ -21,6 +21,16 @@ def test_figures_have_units_and_what_does_not_exist_is_a_dash():
     assert figures_text(SUMMARY).splitlines() == [frames, time, particles, agreement]
 
 
+def test_a_run_is_headed_by_what_it_was_fitted_to():
+    given = SUMMARY | {"iou_median": 0.5, "reprojection_px_median": 4.24}
+    heads = {
+        reads: figures_text(given | {"reads": [reads]}).splitlines()[3].split("; R-hat")[0][12:] for reads in ("keypoints", "silhouettes", "other")
+    }
+    assert heads["keypoints"] == "reprojection error of the keypoints 4.2 px (median)"
+    assert heads["silhouettes"] == heads["other"] == "overlap with the silhouettes (IoU) 0.500"
+    assert "silhouettes" not in figures_text(given | {"reads": ["edges"]})
+
+
 def test_a_warning_is_called_one():
     assert warning_line("frame 3: lost.") == "warning     frame 3: lost."
 

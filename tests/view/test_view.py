@@ -11,12 +11,14 @@ import pytest
 from bayes_body.errors import InputError
 from bayes_body.kernels.particle_filter import build_kernel
 from bayes_body.model.build import build_model
+from bayes_body.posterior import CentralPose
 from bayes_body.tracking.track import track
+from bayes_body.view.colours import OVER_IMAGE, WORLD_AXES, bgr
 from bayes_body.view.error_plot import draw_error_curves
-from bayes_body.view.overlay import LEFT, MIDDLE, RIGHT, WIDEST, colour, draw_overlay, fit, mosaic, paint, write_png
-from bayes_body.view.rig_check import AXIS_COLOURS, draw_check
+from bayes_body.view.overlay import colour, draw_overlay, mosaic, paint, write_png
+from bayes_body.view.rig_check import WIDEST, draw_check, padded, whole_image
 from bayes_body.view.silhouette import Outline, outlines, projected_masks
-from bayes_body.view.windows import EMPTY, person_windows
+from bayes_body.view.windows import EMPTY, STILL_HEIGHT, person_windows
 
 
 @pytest.fixture(scope="module")
@@ -59,19 +61,21 @@ def test_overlay_video_and_stills(model, textured_session, tmp_path):
     assert reader.get(cv2.CAP_PROP_FRAME_COUNT) == 5 and reader.get(cv2.CAP_PROP_FPS) == 60
     assert [path.name for path in stills] == [f"frame_{frame:06d}.png" for frame in range(5)]
     picture = cv2.imread(str(stills[0]))
-    assert picture.shape[1] == int(reader.get(cv2.CAP_PROP_FRAME_WIDTH)) and picture.shape[0] == 480
+    # A still shows what the video shows, larger.
+    assert reader.get(cv2.CAP_PROP_FRAME_HEIGHT) == 480 and picture.shape[0] == STILL_HEIGHT
+    assert abs(picture.shape[1] / reader.get(cv2.CAP_PROP_FRAME_WIDTH) - STILL_HEIGHT / 480) < 0.02
     # The arm's parts have no side: their outlines are green, on grey images.
     assert _green(picture) > 500
     assert _green(cv2.imread(str(textured_session.folder / "a" / "image0000.png"))) == 0
 
 
 def test_sides_have_colours():
-    assert [colour(name) for name in ("l_thigh", "r_calf", "torso")] == [LEFT, RIGHT, MIDDLE]
+    assert [colour(name) for name in ("l_thigh", "r_calf", "torso")] == [bgr(OVER_IMAGE[side]) for side in ("l", "r", "")]
 
 
 def _green(picture):
     blue, green, red = np.moveaxis(picture.astype(int), -1, 0)
-    return int(((green > blue + 40) & (green > red + 40)).sum())
+    return int(((green > blue + 30) & (green > red + 30)).sum())
 
 
 def test_the_mean_is_translucent_and_a_draw_lies_over_it():
@@ -82,9 +86,10 @@ def test_the_mean_is_translucent_and_a_draw_lies_over_it():
     mean = paint(grey, [Outline("torso", square)], [])
     both = paint(grey, [Outline("torso", square)], [[Outline("l_thigh", across)]] * 8)
     inside, band, edge = (mean[row, column].astype(int) for row, column in ((30, 30), (50, 30), (10, 30)))
+    middle = np.array(bgr(OVER_IMAGE[""]))
     # What is in the image is seen through the body and through its outline's colour.
-    assert (band - inside > 40).all() and (inside != 120).any() and (edge != MIDDLE).any()
-    assert abs(edge - MIDDLE).max() < abs(inside - MIDDLE).max()
+    assert (band - inside > 40).all() and (inside != 120).any() and (edge != middle).any()
+    assert abs(edge - middle).max() < abs(inside - middle).max()
     # The draw is to be seen inside of the body and across its outline, and nothing else changes.
     assert both[30, 50, 0] > mean[30, 50, 0] + 60 and both[10, 50, 0] > mean[10, 50, 0] + 60
     assert (both[:, :40] == mean[:, :40]).all()
@@ -107,9 +112,11 @@ def _count(picture, ink):
 def test_the_import_picture_shows_the_axes_where_the_origin_is_in_view(textured_session, tmp_path, origin_in_view):
     session = _lowered(textured_session) if origin_in_view else textured_session
     picture = cv2.imread(str(draw_check(session, build_model("arm", session), tmp_path / "made" / "check.png")))
-    assert picture.shape[0] == 480
-    for ink in AXIS_COLOURS:
-        assert (_count(picture, ink) > 30) == origin_in_view
+    # The whole image of each camera, 4 by 3, and beside it the part that shows the body; the lowered cameras do not see it.
+    shape = (1, 2 * 4 / 3) if origin_in_view else (2, 4 / 3 + 1)
+    assert picture.shape[:2] == tuple(round(STILL_HEIGHT * side) for side in shape)
+    for ink in WORLD_AXES:
+        assert (_count(picture, bgr(ink)) > 30) == origin_in_view
 
 
 def test_the_import_picture_shows_which_way_is_up_and_a_floor_of_metres(textured_session, tmp_path):
@@ -118,10 +125,11 @@ def test_the_import_picture_shows_which_way_is_up_and_a_floor_of_metres(textured
     tile = cv2.imread(str(draw_check(session, build_model("arm", session), tmp_path / "check.png")))
     view = session.views[0]
     corners = np.array([(x, y, 0) for x in range(-2, 1) for y in range(-1, 2) if (x, y) != (0, 0)], float)
-    columns, rows = (_projected(corners, view.camera) * 480 / view.camera.size_px[1]).round().astype(int).T
-    inside = (columns > 5) & (columns < 635) & (rows > 5) & (rows < 475)
+    columns, rows = (_projected(corners, view.camera) * STILL_HEIGHT / view.camera.size_px[1]).round().astype(int).T
+    width = STILL_HEIGHT * view.camera.size_px[0] // view.camera.size_px[1]
+    inside = (columns > 5) & (columns < width - 5) & (rows > 5) & (rows < STILL_HEIGHT - 5)
     assert inside.sum() >= 3
-    grey = tile[:480, :640].max(axis=-1)
+    grey = tile[:STILL_HEIGHT, :width].max(axis=-1)
     for column, row in zip(columns[inside], rows[inside], strict=True):
         assert grey[row - 4 : row + 5, column - 4 : column + 5].max() > 90
     other = cv2.imread(str(draw_check(dataclasses.replace(session, up="y"), build_model("arm", session), tmp_path / "other.png")))
@@ -165,9 +173,9 @@ def coloured(textured_session, model, tmp_path):
 def test_pictures_are_in_colour_and_dark_where_a_camera_did_not_see(coloured, model):
     pose = np.asarray(model.initial["pose"])
     windows = person_windows(coloured, model, np.stack([pose] * coloured.frames))
-    red = mosaic(coloured, model, 1, pose, pose[None], windows)
+    red = mosaic(coloured, model, 1, CentralPose(pose, True), pose[None], windows)
     assert _count(red, (0, 0, 120)) > 0.2 * red[..., 0].size
-    half = mosaic(coloured, model, 2, pose, pose[None], windows)
+    half = mosaic(coloured, model, 2, CentralPose(pose, False), pose[None], windows)
     assert red.shape == half.shape
     unseen = half[:, windows[0].tile[0] : windows[0].tile[0] + windows[1].tile[0]]
     assert (unseen == EMPTY).all(axis=-1).mean() > 0.5
@@ -183,8 +191,8 @@ def test_a_folder_that_cannot_be_written_is_said(model, textured_session, tmp_pa
 
 @pytest.mark.parametrize("size", [(3000, 1), (1, 3000), (640, 480), (100_000, 40)])
 def test_a_camera_of_any_shape_has_a_tile(size):
-    tile = fit(np.full((size[1], size[0], 3), 200, np.uint8))
-    assert tile.shape[0] == 480 and 1 <= tile.shape[1] <= WIDEST
+    tile = padded(whole_image(size).cut(np.full((size[1], size[0], 3), 200, np.uint8)))
+    assert tile.shape[0] == STILL_HEIGHT and 1 <= tile.shape[1] <= WIDEST
     assert tile.max() == 200
 
 

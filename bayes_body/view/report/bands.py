@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_body.view.colours import paper
 from bayes_body.view.report.activities import activity_details
 from bayes_body.view.report.curves import LEGEND, draw_filter, drawn_filter
 from bayes_body.view.report.densities import density_details
-from bayes_body.view.report.figures import RUNS, encoded, new_panel, shade_lost, time_axis, time_label
+from bayes_body.view.report.figures import encoded, new_panel, shade_lost, time_axis, time_label
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import by_limb, spoken
 from bayes_body.view.report.markup import Markup, Picture, details, figures, section, tag
@@ -26,6 +27,7 @@ ROTATIONS = (
     "not how it changes over time."
 )
 BANDS = "The line is the mean of all runs together, and the band the 90 % interval. The draws' weights are taken into account."
+SIDES = " The left side is blue, the right side orange, the middle of the body green."
 # A panel spans at least this much, in degrees and metres, so that noise looks like noise.
 LEAST_SPAN = {"°": 5.0, "m": 0.02}
 
@@ -33,7 +35,7 @@ LEAST_SPAN = {"°": 5.0, "m": 0.02}
 def band_section(it: Inspection) -> Markup:
     """Return the section on angles and positions over time, grouped by limb."""
     legend = SEEKER if it.diagnosis.mode_seeker else BANDS
-    parts: list[str] = [tag("p", f"{legend}{_remarks(it)}")]
+    parts: list[str] = [tag("p", f"{legend}{SIDES}{_remarks(it)}")]
     for limb, places in by_limb(it.dofs).items():
         parts.append(details(limb, figures(_panel(it, place) for place in places), shown=True))
     parts += [found for found in (density_details(it), activity_details(it)) if found is not None]
@@ -41,7 +43,7 @@ def band_section(it: Inspection) -> Markup:
 
 
 def _remarks(it: Inspection) -> str:
-    lost = " Lost frames are shaded orange." if it.lost.any() else ""
+    lost = " Lost frames are shaded purple." if it.lost.any() else ""
     turned = ROTATIONS if any(dof.endswith("_rx") for dof in it.dofs) else ""
     sparse = sparse_frames(it.frames.step)
     return f"{LEGEND if it.filtered else ''}{lost}{turned}{f' The plots show {sparse} frame of {it.run.frames:,}.' if sparse else ''}"
@@ -68,7 +70,7 @@ def _panel(it: Inspection, place: int) -> Picture:
     shade_lost(axes, it.lost)
     if it.filtered:
         draw_filter(axes, frames, it.filtered.dofs, place, bands)
-    draw_band(axes, frames, mean, (low, high) if bands else None, RUNS[0])
+    draw_band(axes, frames, mean, (low, high) if bands else None, paper(it.dofs[place]))
     time_axis(axes, it.run.frames, it.fps)
     shown = [mean, low, high] if bands else [mean]
     shown += drawn_filter(it.filtered.dofs, place, bands) if it.filtered else []
@@ -77,16 +79,16 @@ def _panel(it: Inspection, place: int) -> Picture:
     return encoded(figure, f"{name} over the frames: mean {value_range(mean)} {unit}{widest}.")
 
 
-def draw_band(axes: "Axes", places: NDArray[Any], mean: Curve, band: tuple[Curve, Curve] | None, ink: str) -> None:
-    """Draw a mean as a line, or for a single frame as a point; with the ends of its interval, if there is one."""
+def draw_band(axes: "Axes", places: NDArray[Any], mean: Curve, band: tuple[Curve, Curve] | None, ink: str, label: str | None = None) -> None:
+    """Draw a mean as a line, or for a single frame as a point; with the ends of its interval, if there is one. The label is the line's."""
     if len(places) == 1:
         # The mean of a skewed distribution can be outside its interval.
         ends = np.maximum([mean - band[0], band[1] - mean], 0) if band else None
-        axes.errorbar(places, mean, ends, color=ink, marker="o", capsize=4)
+        axes.errorbar(places, mean, ends, color=ink, marker="o", capsize=4, label=label)
         return
     if band:
         axes.fill_between(places, band[0], band[1], color=ink, alpha=0.25, linewidth=0)
-    axes.plot(places, mean, color=ink)
+    axes.plot(places, mean, color=ink, label=label)
 
 
 def limits(values: Curve, least: float) -> tuple[float, float]:

@@ -4,21 +4,20 @@ from collections.abc import Iterator
 
 import cv2
 import numpy as np
-from cv2.typing import MatLike
 from jaxtyping import Float
 
 from bayes_body.errors import InputError
 from bayes_body.posterior.blocks import coordinate_blocks, pose_blocks
 from bayes_body.posterior.mixing import Mixing, autocorrelation, by_chain
-from bayes_body.view.overlay import backdrop
-from bayes_body.view.report.crop import crop_about
+from bayes_body.view.backdrop import run_backdrop
+from bayes_body.view.colours import GREY, paper, run_line
+from bayes_body.view.crop import crop_about
 from bayes_body.view.report.dof_map import dof_map
-from bayes_body.view.report.figures import INK, RUNS, data_uri, draw_runs, encoded, new_panel, shade_lost, time_axis
+from bayes_body.view.report.figures import data_uri, draw_limit, draw_runs, encoded, new_panel, shade_lost, time_axis
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
 from bayes_body.view.silhouette import outlines, seen_in
-from bayes_body.view.windows import EMPTY
 
 ABOUT = (
     "Each frame is sampled by a few Markov chains, which start from different predictions. If they agree (R-hat near 1), they have found the same "
@@ -85,7 +84,7 @@ def _panel(
     shade_lost(axes, it.lost)
     draw_runs(axes, np.arange(values.shape[1]), values)
     for limit in limits:
-        axes.axhline(limit, color=INK, linestyle="--", linewidth=0.9)
+        draw_limit(axes, limit)
     axes.set_ylim(*span)
     time_axis(axes, values.shape[1], it.fps)
     return encoded(figure, f"{title} over the frames: median {np.nanmedian(values):.3g}, from {np.nanmin(values):.3g} to {np.nanmax(values):.3g}.")
@@ -103,25 +102,13 @@ def _autocorrelations(it: Inspection, mixing: Mixing, draws: Float[np.ndarray, "
     """Return the plot of the autocorrelations of the dofs with the fewest effective draws."""
     figure, axes = new_panel("Autocorrelation", "lag, draws", "correlation")
     order = np.argsort(mixing.ess[0, frame], kind="stable")[:SHOWN].tolist()
-    for dof, colour in zip(order, RUNS, strict=False):
-        values = autocorrelation(draws[:, :, dof])
-        axes.plot(values, color=colour, label=f"{spoken(it.dofs[dof])}: {mixing.ess[0, frame, dof]:.0f} effective")
-    axes.axhline(0, color=INK, linewidth=0.8)
-    # Room for the names above the lines.
-    axes.set_ylim(-0.4, 1.9)
-    axes.set_yticks([-0.25, 0, 0.25, 0.5, 0.75, 1])
-    axes.legend(loc="upper right", handlelength=1.2)
+    for number, dof in enumerate(order):
+        # Dofs of one side have one colour: here the line tells them apart.
+        axes.plot(autocorrelation(draws[:, :, dof]), color=paper(it.dofs[dof]), linestyle=run_line(number), label=spoken(it.dofs[dof]))
+    axes.axhline(0, color=GREY, linewidth=0.8)
+    axes.set_ylim(-0.4, 1.05)
     named = ", ".join(f"{spoken(it.dofs[dof])} {mixing.ess[0, frame, dof]:.0f}" for dof in order)
     return encoded(figure, f"Autocorrelation within the chains of frame {it.number(frame)}; effective draws of the slowest dofs: {named}.")
-
-
-def _image(it: Inspection, frame: int, camera: int) -> MatLike:
-    """Return the camera's image, or a dark one if the recording is not the one that the run was made from."""
-    view = it.run.session.views[camera]
-    if it.run.changed_inputs & {f"images of {view.camera.name}", f"video of {view.camera.name}"}:
-        width, height = view.camera.size_px
-        return np.full((height, width, 3), EMPTY, np.uint8)
-    return backdrop(it.run.session, frame, view)[0]
 
 
 def _path(it: Inspection, mixing: Mixing, frame: int) -> Picture:
@@ -131,7 +118,7 @@ def _path(it: Inspection, mixing: Mixing, frame: int) -> Picture:
     (block,) = pose_blocks(it.run.tree, range(frame, frame + 1), variable=model.body.variable)
     chain = by_chain(block.poses[:1], mixing.length)[0, 0, :, 0]
     shown = _camera(it, frame)
-    image = _image(it, frame, shown)
+    image, _ = run_backdrop(it.run, frame, shown)
     chosen = np.unique(np.linspace(0, len(chain) - 1, STATES).round().astype(int))
     thin = max(1, round(image.shape[1] / 900))
     inks = cv2.applyColorMap(np.linspace(255, 60, len(chosen)).astype(np.uint8)[:, None], cv2.COLORMAP_PLASMA)[:, 0]

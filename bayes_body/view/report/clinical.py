@@ -4,15 +4,17 @@ import numpy as np
 
 from bayes_body.clinical.conventions import CLINICAL, Angle, Convention
 from bayes_body.posterior.moments import Moments
+from bayes_body.view.colours import SIDES as COLOURS
 from bayes_body.view.report.bands import LEAST_SPAN, draw_band, limits, sparse_frames, value_range
 from bayes_body.view.report.curves import LEGEND, draw_filter, drawn_filter
-from bayes_body.view.report.figures import INK, RUNS, encoded, new_panel, shade_lost
+from bayes_body.view.report.figures import encoded, new_panel, shade_lost
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, Picture, details, figures, section, tag
 
-COLOURS, SIDES = {"r": RUNS[0], "l": RUNS[2], "": INK}, {"r": "right", "l": "left", "": ""}
+SIDES = {"r": "right", "l": "left", "": ""}
 LINES = (
-    "Joint angles as clinicians read them. Blue is the right side, green the left; the same sign is the same movement on both sides. The line is the "
+    "Joint angles as clinicians read them: left blue, right orange, trunk and head green. The same sign is the same movement on both sides. The line "
+    "is the "
 )
 BANDS = f"{LINES}posterior mean of all runs together, and the band the 90 % interval: angles of the draws, not angles of a mean."
 SEEKER = (
@@ -54,7 +56,7 @@ def _panel(it: Inspection, convention: Convention, angle: Angle, place: int) -> 
         if it.filtered and names == it.filtered.clinical.names:
             draw_filter(axes, seconds, it.filtered.clinical.moments, sides[side], bands)
             shown += drawn_filter(it.filtered.clinical.moments, sides[side], bands)
-        draw_band(axes, seconds, curve.mean, (curve.q05, curve.q95) if bands else None, COLOURS[side])
+        draw_band(axes, seconds, curve.mean, (curve.q05, curve.q95) if bands else None, COLOURS[side], SIDES[side] or None)
         shown += [curve.mean, curve.q05, curve.q95] if bands else [curve.mean]
     if len(seconds) > 1:
         axes.set_xlim(seconds[0], seconds[-1])

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from bayes_body.view.colours import INK, WARNING, paper, run_line
 from bayes_body.view.report.choice import Sample
-from bayes_body.view.report.figures import INK, LEGEND, MARGINS, PANEL, encoded, set_margins
+from bayes_body.view.report.figures import MARGINS, PANEL, encoded, run_label, set_margins
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import spoken
 from bayes_body.view.report.markup import Picture
@@ -76,6 +77,12 @@ def _label(figure: "Figure", title: str, x: str, y: str) -> "Axes":
     return axes
 
 
+def _draw_as_runs(axes: "Axes", it: Inspection, dof: int) -> None:
+    """Give the first lines, one of each run in order, the colour of the dof's side, the run's line style and its name."""
+    for run, line in enumerate(axes.get_lines()[: it.runs]):
+        line.set(color=paper(it.dofs[dof]), linestyle=run_line(run), label=run_label(run, it.runs))
+
+
 def rank_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
     """Return the rank plot: the ranks of each run's draws among all draws, as the difference from uniform (Säilynoja, Bürkner & Vehtari 2022)."""
     import arviz as az
@@ -83,8 +90,8 @@ def rank_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
     title, _ = _named(it, sample, dof)
     values, rhat = sample.poses[..., dof], it.diagnosis.rhat[sample.frame, dof]
     figure = _taken(az.plot_rank, PANEL, dt=_tree(values), visuals={"remove_axis": False})
-    rank = f"rank among all draws of frame {it.number(sample.frame)}"
-    axes = _label(figure, f"{spoken(it.dofs[dof])}: R-hat {rhat:.2f}", rank, "difference from uniform")
+    axes = _label(figure, f"{spoken(it.dofs[dof])}: R-hat {rhat:.2f}", f"rank among all draws of frame {it.number(sample.frame)}", "difference from uniform")
+    _draw_as_runs(axes, it, dof)
     # Remove the p-value and the points of ArviZ's test: it assumes independent draws, and no option turns it off.
     for artist in (*axes.texts, *axes.collections):
         artist.remove()
@@ -108,8 +115,7 @@ def distribution_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
     by_run = {"sample_dims": ["draw"], "cols": [], "aes": {"color": ["chain"]}}
     figure = _taken(az.plot_dist, PANEL, dt=_tree(values), kind="ecdf", visuals=hidden, **by_run)
     axes = _label(figure, title, "angle, degrees" if unit == "°" else "position, m", "fraction of draws below")
-    if 1 < it.runs <= LEGEND:
-        axes.legend(axes.get_lines()[: it.runs], [f"run {run + 1}" for run in range(it.runs)], loc="best", handlelength=1.2)
+    _draw_as_runs(axes, it, dof)
     return encoded(figure, f"Distribution of {title}, by run: means {', '.join(f'{mean:.3g} {unit}' for mean in values.mean(axis=1))}.")
 
 
@@ -122,7 +128,13 @@ def growth_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
     figure = _taken(az.plot_ess_evolution, PANEL, dt=_tree(values), n_points=10, visuals={"min_ess": values.size >= ENOUGH})
     axes = _label(figure, title, "draws of all runs", "effective draws")
     axes.set_ylim(bottom=0)
-    axes.legend(axes.get_lines()[:2], ("bulk", "tails"), loc="best", handlelength=1.2)
+    bulk, tails, *enough = axes.get_lines()
+    for line, name, style in ((bulk, "bulk", run_line(0)), (tails, "tails", run_line(1))):
+        line.set(color=paper(it.dofs[dof]), linestyle=style, label=name)
+    for points in axes.collections:
+        points.set_color(paper(it.dofs[dof]))
+    for line in enough:
+        line.set(color=WARNING, linestyle="-")
     return encoded(figure, f"Effective sample size of {title} as draws are added.")
 
 
@@ -147,7 +159,17 @@ def forest_plot(it: Inspection, sample: Sample) -> Picture:
     }
     figure = _taken(az.plot_forest, (3.8, 0.8 + 0.3 * len(names)), dt=tree, visuals={"point_estimate": {"width": 2}}, **form)
     _set_forest(figure, f"Frame {it.number(sample.frame)}")
+    _draw_sides(figure.axes[1], [paper(name) for name, angle in zip(it.dofs, angular, strict=True) if angle])
     return encoded(figure, f"Medians and intervals of {len(names)} joint angles at frame {it.number(sample.frame)}, by run.")
+
+
+def _draw_sides(axes: "Axes", inks: list[str]) -> None:
+    """Give each angle's intervals and medians the colour of its side, and each run its line style. ArviZ draws run after run, all angles of each."""
+    for place, line in enumerate(axes.get_lines()):
+        # Lines of the outer and of the inner interval, both of which are the same one here, follow each other.
+        line.set(color=inks[place % len(inks)], linestyle=run_line(place % (len(axes.collections)) // len(inks)))
+    for place, point in enumerate(axes.collections):
+        point.set_color(inks[place % len(inks)])
 
 
 def _set_forest(figure: "Figure", title: str) -> None:

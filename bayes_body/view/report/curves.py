@@ -13,13 +13,13 @@ from bayes_body.posterior.blocks import coordinate_blocks, pooled, weights_of_ru
 from bayes_body.posterior.moments import Moments, weighted_moments
 from bayes_body.storage.run_file import read_record
 from bayes_body.storage.saved_run import load_run
+from bayes_body.view.colours import GREY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from bayes_body.storage.saved_run import SavedRun
 
-FILTER = "#6b7280"
 LEGEND = " Thin grey lines are the filter's mean (solid) and the ends of its 90 % interval (dotted): a filter's frame knows only the images up to it."
 
 
@@ -97,9 +97,9 @@ def draw_filter(axes: "Axes", places: NDArray[Any], curves: Moments, column: int
     """Draw the filter's mean, and with `bands` the ends of its 90 % interval, as thin grey lines; for a single frame there are none."""
     if len(places) > 1:
         mean, *ends = drawn_filter(curves, column, bands)
-        axes.plot(places, mean, color=FILTER, linewidth=0.8)
+        axes.plot(places, mean, color=GREY, linewidth=0.8)
         for end in ends:
-            axes.plot(places, end, color=FILTER, linewidth=0.8, linestyle=":")
+            axes.plot(places, end, color=GREY, linewidth=0.8, linestyle=":")
 
 
 def drawn_filter(curves: Moments, column: int, bands: bool) -> list[NDArray[np.floating]]:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.posterior.blocks import coordinate_blocks, pooled, weights_of_runs
+from bayes_body.view.colours import SEQUENTIAL
 from bayes_body.view.report.figures import encoded, frames_a_point, new_panel, set_margins, time_axis, time_label
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import spoken
@@ -66,7 +67,7 @@ def _panel(it: Inspection, name: str, frames: range, found: LogDensity, label: s
         origin="lower",
         aspect="auto",
         interpolation="nearest",
-        cmap="Greys",
+        cmap=SEQUENTIAL,
         vmin=-FAINTEST,
         vmax=0,
     )

@@ -3,7 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.view.report.figures import INK, bins, encoded, new_panel, set_margins, time_axis
+from bayes_body.view.colours import BAD, INK
+from bayes_body.view.report.figures import bins, encoded, new_panel, set_margins, time_axis
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import spoken
 from bayes_body.view.report.markup import Picture
@@ -22,7 +23,7 @@ def dof_map(it: Inspection, rhat: Float[np.ndarray, "frame dof"], title: str, li
         extent=(-0.5, frames - 0.5, count - 0.5, -0.5),
         aspect="auto",
         interpolation="nearest",
-        cmap="Blues",
+        cmap=BAD,
         vmin=1,
         vmax=max(2 * limit - 1, 1.2),
     )

@@ -1,8 +1,8 @@
 """Style of the report's plots, and their encoding for the page: as SVG, or as PNG where that is smaller.
 
 Plots are small, with one panel each. They stand side by side on a wide screen and below each other on a narrow one, without shrinking. They are
-drawn in dark ink on a transparent background, and a dark page inverts them. The colours of runs are those of Okabe and Ito, which colour-blind
-people can distinguish.
+drawn in dark ink on a transparent background, and a dark page inverts them. Colours and lines are those of view/colours.py; a line that has a label
+has it at its end.
 """
 
 import base64
@@ -15,17 +15,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 
+from bayes_body.view.colours import INK, WARNING, run_line
+from bayes_body.view.labels import label_lines
 from bayes_body.view.report.markup import Picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-RUNS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#000000")
-INK, GREY, LOST = "#1b1f24", "#6b7280", "#D55E00"
 PANEL = (3.6, 2.5)
-# With more runs than this, a legend would cover the plot.
-LEGEND = 6
+# With more runs than this, their names would not fit beside a plot.
+NAMED = 6
 # Margins around the axes in inches: left, right, bottom, top. They are the same in all panels, so that the axes are aligned.
 MARGINS = (0.66, 0.14, 0.5, 0.28)
 # With more points on a line than this, several frames share a point; above this number of bytes of an SVG, a PNG is tried.
@@ -36,7 +36,7 @@ STYLE: Any = {
     "axes.grid": True,
     "axes.labelcolor": INK,
     "axes.labelsize": 9,
-    "axes.prop_cycle": "cycler('color', ['" + "', '".join(RUNS) + "'])",
+    "axes.prop_cycle": f"cycler('color', ['{INK}'])",
     "axes.spines.right": False,
     "axes.spines.top": False,
     "axes.titlelocation": "left",
@@ -110,7 +110,10 @@ def log_values(axes: "Axes") -> None:
 
 
 def encoded(figure: "Figure", alt: str, caption: str = "") -> Picture:
-    """Return the figure as a picture for the page."""
+    """Return the figure as a picture for the page, with names at the ends of lines that have any and no legend."""
+    for axes in figure.axes:
+        if axes.get_legend() is None:
+            label_lines(axes)
     image = io.BytesIO()
     figure.savefig(image, format="svg", metadata={"Date": None})
     kind = "svg+xml"
@@ -131,14 +134,26 @@ def draw_runs(axes: "Axes", frames: NDArray[np.integer], values: Float[np.ndarra
     """Draw one line for each run over the frames. If frames share points, draw each bin's median, and a band from its minimum to its maximum."""
     binned = bins(len(frames))
     for run, line in enumerate(values):
-        colour = RUNS[run % len(RUNS)]
+        style = {"color": INK, "linestyle": run_line(run), "label": run_label(run, len(values))}
         if len(binned) == len(frames):
-            axes.plot(frames, line, color=colour, label=f"run {run + 1}", **_mark(len(frames)))
+            axes.plot(frames, line, **style, **_mark(len(frames)))
             continue
         low, middle, high = (np.array([_of(piece, line[part]) for part in binned]) for piece in (np.min, np.median, np.max))
         at = frames[[part.start for part in binned]]
-        axes.fill_between(at, low, high, color=colour, alpha=0.25, linewidth=0)
-        axes.plot(at, middle, color=colour, label=f"run {run + 1}")
+        axes.fill_between(at, low, high, color=INK, alpha=0.2, linewidth=0)
+        axes.plot(at, middle, **style)
+
+
+def run_label(run: int, runs: int) -> str | None:
+    """Return the name of a run's line; None for a single run, and for so many that their names would not fit."""
+    return f"run {run + 1}" if 1 < runs <= NAMED else None
+
+
+def draw_limit(axes: "Axes", value: float, name: str = "limit") -> None:
+    """Draw a limit as a purple line across the axes, with its name on it."""
+    axes.axhline(value, color=WARNING, linewidth=1.1)
+    place = {"xycoords": axes.get_yaxis_transform(), "textcoords": "offset points", "ha": "right", "va": "bottom"}
+    axes.annotate(name, (0.995, value), xytext=(0, 1), color=WARNING, fontsize=8, **place)
 
 
 def _of(piece: Callable[..., np.floating], values: NDArray[np.floating]) -> float:
@@ -174,7 +189,7 @@ def shade_lost(axes: "Axes", lost: Bool[np.ndarray, " frame"], step: float = 1.0
     edges = (np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]]))) - 0.5) * step
     spans = [[(start, 0), (stop, 0), (stop, 1), (start, 1)] for start, stop in edges.reshape(-1, 2)]
     # One artist for all spans: hundreds of `axvspan` took half of a long report's time.
-    axes.add_collection(PolyCollection(spans, transform=axes.get_xaxis_transform(), color=LOST, alpha=0.18, linewidth=0), autolim=False)
+    axes.add_collection(PolyCollection(spans, transform=axes.get_xaxis_transform(), color=WARNING, alpha=0.28, linewidth=0), autolim=False)
 
 
 def time_axis(axes: "Axes", frames: int, fps: float | None) -> None:

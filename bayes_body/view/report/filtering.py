@@ -7,11 +7,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bayes_body.errors import escaped
+from bayes_body.view.colours import INK, SEQUENTIAL
 from bayes_body.view.report.figures import (
-    INK,
-    LEGEND,
-    RUNS,
     bins,
+    draw_limit,
     draw_runs,
     encoded,
     log_counts,
@@ -31,9 +30,9 @@ if TYPE_CHECKING:
 def filter_section(it: Inspection) -> Markup:
     """Return the section with all panels for which the kernel has data."""
     panels = [panel for part in (_weights, _ancestry, _evidence, _layers, _cameras) for panel in part(it)]
-    colours = "Each line is a run." if it.runs > 1 else "There is a single run."
-    lost = " Lost frames are shaded orange." if it.lost.any() else ""
-    parts = [tag("p", f"{colours} Dashed lines are the limits beyond which there is a warning.{lost}")]
+    lines = "Each line is a run." if it.runs > 1 else "There is a single run."
+    lost = " Lost frames are shaded purple." if it.lost.any() else ""
+    parts = [tag("p", f"{lines} Purple lines are the limits beyond which there is a warning.{lost}")]
     if it.diagnosis.mode_seeker:
         parts.append(tag("p", f"The kernel {it.diagnosis.kernel} estimates no evidence, so there is no panel for it."))
     return section("filter", "Filter", *parts, figures(panels))
@@ -46,14 +45,13 @@ def _weights(it: Inspection) -> Iterator[Picture]:
     _draw(axes, it, diagnosis.ess)
     log_counts(axes, count)
     if not diagnosis.mode_seeker:
-        _limit(axes, least)
-    _legend(axes, it.runs)
+        draw_limit(axes, least)
     yield encoded(figure, f"Effective sample size over the frames, median {np.median(diagnosis.ess):.0f} of {count} particles.")
     # The weights of a mode seeker are not importance weights.
     if np.isfinite(diagnosis.pareto_k).any() and not diagnosis.mode_seeker:
         figure, axes = new_panel("Tail of the weights", it.x_label, "Pareto k")
         _draw(axes, it, np.where(np.isfinite(diagnosis.pareto_k), diagnosis.pareto_k, np.nan))
-        _limit(axes, it.limits.pareto_k)
+        draw_limit(axes, it.limits.pareto_k)
         worst = np.max(diagnosis.pareto_k[np.isfinite(diagnosis.pareto_k)])
         yield encoded(figure, f"Pareto k of the weights over the frames, at most {worst:.2f}; the limit is {it.limits.pareto_k}.")
 
@@ -68,7 +66,7 @@ def _ancestry(it: Inspection) -> Iterator[Picture]:
         _draw(axes, it, counts)
         log_counts(axes, diagnosis.particles)
         if lag == 1:
-            _limit(axes, it.limits.ancestors)
+            draw_limit(axes, it.limits.ancestors)
         yield encoded(figure, f"Number of particles {back} that have descendants, at least {np.nanmin(counts):.0f}.")
 
 
@@ -122,12 +120,12 @@ def _by_layer(
     known = np.isfinite(values).any(axis=(0, 1))
     layers = np.flatnonzero(known)
     binned = bins(values.shape[1])
-    colours = mpl.colormaps["Blues"](np.linspace(0.35, 1, max(len(layers), 2)))
+    colours = mpl.colormaps[SEQUENTIAL](np.linspace(0.35, 1, max(len(layers), 2)))
     figure, axes = new_panel(title, it.x_label, y_label)
     shade_lost(axes, it.lost)
     for number, (layer, colour) in enumerate(zip(layers, colours[: len(layers)], strict=True)):
         line = [_median(values[:, piece, layer]) for piece in binned]
-        named = number in (0, len(layers) - 1)
+        named = len(layers) > 1 and number in (0, len(layers) - 1)
         axes.plot(
             [piece.start for piece in binned],
             line,
@@ -139,12 +137,10 @@ def _by_layer(
     if logarithmic:
         log_values(axes)
     else:
-        axes.set_ylim(-0.03, 1.2)
+        axes.set_ylim(-0.03, 1.03)
     for limit in limits:
-        _limit(axes, limit)
+        draw_limit(axes, limit)
     time_axis(axes, values.shape[1], it.fps)
-    if len(layers) > 1 and not logarithmic:
-        axes.legend(loc="upper right", ncols=2, handlelength=1.2)
     return encoded(figure, f"{title} over the frames, the median of the runs, from {np.nanmin(values):.3g} to {np.nanmax(values):.3g}.")
 
 
@@ -161,7 +157,7 @@ def _cameras(it: Inspection) -> Iterator[Picture]:
     count = diagnosis.seen.shape[1]
     figure, axes = new_panel("Cameras in use", time_label(it.fps), "camera", (3.6, max(1.6, 0.9 + 0.25 * count)))
     for camera in range(count):
-        axes.broken_barh(_stretches(diagnosis.seen[:, camera]), (camera - 0.35, 0.7), color=RUNS[0], linewidth=0)
+        axes.broken_barh(_stretches(diagnosis.seen[:, camera]), (camera - 0.35, 0.7), color=INK, linewidth=0)
     axes.set_yticks(range(count), [_short(name) for name in diagnosis.cameras])
     axes.set_ylim(count - 0.5, -0.5)
     axes.grid(visible=False)
@@ -186,12 +182,3 @@ def _draw(axes: "Axes", it: Inspection, values: Float[np.ndarray, "run frame"]) 
     shade_lost(axes, it.lost)
     draw_runs(axes, np.arange(values.shape[1]), values)
     time_axis(axes, values.shape[1], it.fps)
-
-
-def _limit(axes: "Axes", value: float) -> None:
-    axes.axhline(value, color=INK, linestyle="--", linewidth=0.9)
-
-
-def _legend(axes: "Axes", runs: int) -> None:
-    if 1 < runs <= LEGEND:
-        axes.legend(loc="lower left", ncols=3, handlelength=1.2, columnspacing=1.0)

@@ -6,11 +6,14 @@ from bayes_body.clinical.gait import POINTS, gait_of
 from bayes_body.clinical.gait_table import Row, event_rows, walk_rows
 from bayes_body.clinical.trajectories import marker_paths
 from bayes_body.errors import InputError
+from bayes_body.view.colours import NAMES
+from bayes_body.view.colours import SIDES as SIDE_COLOURS
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, details, section, table, tag
 
 LEGEND = "Computed for each draw, which is a whole path of the smoothed run. The intervals include the error of the method."
-SIDES = {"r": "right", "l": "left", "": ""}
+DOT = "display: inline-block; width: .7em; height: .7em; margin-right: .4em; border-radius: 50%; background: "
+SIDES = {side: Markup(f"{tag('i', style=DOT + SIDE_COLOURS[side])}{NAMES[side]}") for side in ("r", "l")} | {"": ""}
 
 
 def has_gait(it: Inspection) -> bool:

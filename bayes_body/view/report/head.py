@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayes_body.metrics.evidence_read import shows_overlap, shows_reprojection
 from bayes_body.posterior.blocks import log_mean_exp
 from bayes_body.view.report.markup import Markup, joined, section, table, tag
 
@@ -29,8 +30,15 @@ TRUTH = (
     ("error_mm_mean", "distance from the true markers", "{:.0f} mm"),
     ("coverage_90", "fraction of the truth inside the 90 % intervals", "{:.2f}"),
 )
+# Figures of what the run was fitted to: key, words of the verdict, label in the table, its format.
+KEYPOINTS = (
+    "reprojection_px_median",
+    "median reprojection error of the keypoints {:.1f} px",
+    "reprojection error of the keypoints, median",
+    "{:.1f} px",
+)
+OVERLAP = ("iou_median", "overlap with the silhouettes {:.2f}", "overlap with the silhouettes (IoU), median", "{:.3f}")
 QUALITY = (
-    ("iou_median", "overlap with the silhouettes (IoU), median", "{:.3f}"),
     ("marker_disagreement_mm", "distance between the runs' mean markers", "{:.1f} mm"),
     ("seconds_per_frame", "time per frame, all runs", "{:.3g} s"),
     ("seconds_compile", "compilation", "{:.1f} s"),
@@ -67,7 +75,7 @@ def _result(summary: Mapping[str, Any]) -> list[str]:
     """Return a sentence with the frames and the overlap, and with a truth the error and the coverage; nothing if the run has no summary."""
     if summary.get("frames") is None:
         return []
-    figures = (("iou_median", "overlap with the silhouettes {:.2f}"), ("error_mm_mean", "mean markers {:.0f} mm from the truth"))
+    figures = (*((key, form) for key, form, _, _ in _fitted(summary)), ("error_mm_mean", "mean markers {:.0f} mm from the truth"))
     found = [form.format(summary[key]) for key, form in figures if summary.get(key) is not None]
     if summary.get("coverage_90") is not None:
         found.append(f"{100 * summary['coverage_90']:.0f}\u00a0% of the truth inside the 90\u00a0% intervals")
@@ -75,6 +83,11 @@ def _result(summary: Mapping[str, Any]) -> list[str]:
     frames = f"{summary['frames']:,} frame{'s' * (summary['frames'] != 1)} tracked, {summary.get('frames_lost') or 'none'} lost"
     frames += f", restarted at frame{'s' * (len(again) > 1)} {', '.join(map(str, again))}" if again else ""
     return ["; ".join([frames, *found]) + "."]
+
+
+def _fitted(summary: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Return the figures of what the run was fitted to: no overlap for a run that reads no silhouettes."""
+    return [*([KEYPOINTS] if shows_reprojection(summary) else []), *([OVERLAP] if shows_overlap(summary) else [])]
 
 
 def sentence(text: str, capital: bool = True) -> Markup:
@@ -92,7 +105,10 @@ def key_figures(summary: Mapping[str, Any], diagnosis: "Diagnosis", smoothed: bo
         smoothed: whether the draws are paths. Their effective number is that of the different states of a frame.
     """
     known = [row for row in TRUTH if summary.get(row[0]) is not None]
-    what, truth, quality = ([(label, written(summary[key], form)) for key, label, form in rows if key in summary] for rows in (WHAT, known, QUALITY))
+    fitted = [(key, label, form) for key, _, label, form in _fitted(summary)]
+    what, truth, quality = (
+        [(label, written(summary[key], form)) for key, label, form in rows if key in summary] for rows in (WHAT, known, (*fitted, *QUALITY))
+    )
     ess = f"{np.median(diagnosis.ess):.0f} (median), {diagnosis.ess.min():.0f} (minimum) of {diagnosis.particles:,}"
     rhat = written(_largest(diagnosis.rhat), "{:.2f}")
     effective = "different states of a frame" if smoothed else "effective particles"

@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.posterior.message_passing import PARTS, MessagePassing
-from bayes_body.view.report.figures import GREY, INK, RUNS, draw_runs, encoded, log_counts, new_panel, shade_lost, time_axis
+from bayes_body.view.colours import GREY, INK, paper, run_line
+from bayes_body.view.report.figures import draw_limit, draw_runs, encoded, log_counts, new_panel, shade_lost, time_axis
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
@@ -21,8 +22,9 @@ ABOUT = (
 )
 CONVERGENCE = (
     "How far the mean of a part's belief moved in an iteration, in standard deviations of that belief. The lines should fall below the limit "
-    "(dashed), to the level that the random draws of the particles alone cause (dotted), and stay there. The parts that moved most in the last "
-    "iteration are coloured. The spread of a belief should settle too: one that goes on shrinking has not converged, or rests on few particles."
+    "(purple), to the level that the random draws of the particles alone cause (dotted), and stay there. The parts that moved most in the last "
+    "iteration have the colour of their side and a name. The spread of a belief should settle too: one that goes on shrinking has not converged, or "
+    "rests on few particles."
 )
 SHARES = (
     "Where the particles that carry the weight came from, mean over the parts. If the fit to the last belief brings nearly all of it, the messages "
@@ -67,7 +69,7 @@ def _panel(it: Inspection, values: Float[np.ndarray, "run frame"], title: str, l
     figure, axes = new_panel(title, it.x_label, label)
     shade_lost(axes, it.lost)
     draw_runs(axes, np.arange(values.shape[1]), values)
-    axes.axhline(limit, color=INK, linestyle="--", linewidth=0.9)
+    draw_limit(axes, limit)
     if most is None:
         axes.set_ylim(0, 1.15 * max(limit, float(np.nanmax(values))))
     else:
@@ -82,12 +84,10 @@ def _shares(it: Inspection, passing: MessagePassing) -> Picture:
     figure, axes = new_panel("Parts of the proposal", it.x_label, "share of the weight")
     shade_lost(axes, it.lost)
     brought = [number for number in range(len(PARTS)) if np.nanmax(mean[:, number]) > 0]
+    mark = {"marker": "o", "markersize": 3.5} if len(mean) <= 12 else {}
     for number in brought:
-        axes.plot(mean[:, number], color=RUNS[number], label=PARTS[number], marker="o" if len(mean) <= 12 else "", markersize=3.5)
-    # Room for the names above the lines.
-    axes.set_ylim(-0.03, 1.35)
-    axes.set_yticks([0, 0.25, 0.5, 0.75, 1])
-    axes.legend(loc="upper left", ncols=4, handlelength=0.9, columnspacing=0.9, handletextpad=0.4)
+        axes.plot(mean[:, number], color=INK, linestyle=run_line(number), label=PARTS[number], **mark)
+    axes.set_ylim(-0.03, 1.03)
     time_axis(axes, len(mean), it.fps)
     named = ", ".join(f"{PARTS[number]} {np.nanmean(mean[:, number]):.2f}" for number in brought)
     return encoded(figure, f"Share of each part of the proposal in the weight of the particles, mean over the frames: {named}.")
@@ -101,15 +101,12 @@ def _changes(it: Inspection, passing: MessagePassing) -> Iterator[Picture]:
         change = passing.change[:, frame].mean(axis=0)
         figure, axes = new_panel(f"Change, frame {it.number(frame)}", "iteration", "sd of the belief (log scale)")
         worst = _by_part(axes, change, passing, _moved_most(passing, frame))
-        axes.axhline(it.limits.message_change, color=INK, linestyle="--", linewidth=0.9)
+        draw_limit(axes, it.limits.message_change)
         axes.axhline(float(np.sqrt(2 / np.median(passing.belief_ess[:, frame]))), color=INK, linestyle=":", linewidth=1.1)
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter(NullFormatter())
-        low, high = axes.get_ylim()
-        # Room for the names above the lines.
-        axes.set_ylim(low, high * (high / low) ** 0.55)
         yield encoded(figure, f"Change of the beliefs in each iteration of frame {it.number(frame)}; in the last one most of {worst}.")
 
 
@@ -120,8 +117,8 @@ def _spreads(it: Inspection, passing: MessagePassing) -> Iterator[Picture]:
         spread = MILLIMETRES * np.sqrt(np.mean(passing.sd[:, frame][..., metres] ** 2, axis=(0, -1)))
         figure, axes = new_panel(f"Spread of the positions, frame {it.number(frame)}", "iteration", "sd, mm")
         _by_part(axes, spread, passing, _moved_most(passing, frame))
-        axes.set_ylim(0, 1.5 * spread.max())
         span = f"from {spread.min():.0f} to {spread.max():.0f} mm"
+        axes.set_ylim(0, 1.05 * spread.max())
         yield encoded(figure, f"Standard deviation of each part's position in frame {it.number(frame)}, {span}.")
 
 
@@ -138,9 +135,9 @@ def _by_part(axes: "Axes", values: Float[np.ndarray, "iteration node"], passing:
     numbers = np.arange(1, len(values) + 1)
     for node in order[SHOWN:]:
         axes.plot(numbers, values[:, node], color=GREY, alpha=0.5, linewidth=0.9)
-    for node, colour in zip(order[:SHOWN], RUNS, strict=False):
-        axes.plot(numbers, values[:, node], color=colour, marker="o", markersize=3, label=spoken(passing.nodes[node]))
-    axes.legend(loc="upper right", handlelength=1.2, labelspacing=0.3, borderaxespad=0)
+    for number, node in enumerate(order[:SHOWN]):
+        name = passing.nodes[node]
+        axes.plot(numbers, values[:, node], color=paper(name), linestyle=run_line(number), marker="o", markersize=3, label=spoken(name))
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True, min_n_ticks=1))
     axes.set_xlim(0.7, len(values) + 0.3)
     return ", ".join(spoken(passing.nodes[node]) for node in order[:SHOWN])

@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from bayes_body.view.colours import GREY, INK, paper, run_line, run_mark
 from bayes_body.view.report.choice import equal_weight_sample
 from bayes_body.view.report.dependence import LEAST, Dependence, dependence
-from bayes_body.view.report.figures import GREY, INK, LEGEND, RUNS, encoded
+from bayes_body.view.report.figures import NAMED, encoded
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, table, tag
@@ -83,7 +84,7 @@ def _matrix(it: Inspection, found: Dependence) -> Picture:
         for column in range(count):
             axes, r = grid[row, column], found.correlations[found.place, found.dofs[row], found.dofs[column]]
             if row == column:
-                _distribution(axes, values[..., row])
+                _distribution(axes, values[..., row], paper(it.dofs[found.dofs[row]]))
             elif row > column:
                 _cloud(axes, values[..., column], values[..., row])
             else:
@@ -103,16 +104,18 @@ def _values(it: Inspection, found: Dependence) -> tuple[Float[np.ndarray, "run d
     return values, [f"{spoken(it.dofs[dof])},\n{'mm' if metres else 'degrees'}" for dof, metres in zip(found.dofs, long, strict=True)]
 
 
-def _distribution(axes: "Axes", values: Float[np.ndarray, "run draw"]) -> None:
+def _distribution(axes: "Axes", values: Float[np.ndarray, "run draw"], colour: str) -> None:
     edges = np.linspace(values.min(), values.max(), BINS + 1)
     for run, each in enumerate(values):
-        axes.hist(each, edges, histtype="step", color=RUNS[run % len(RUNS)], linewidth=1.3)
+        axes.hist(each, edges, histtype="step", color=colour, linestyle=run_line(run), linewidth=1.3)
     axes.margins(x=0.06)
 
 
 def _cloud(axes: "Axes", x: Float[np.ndarray, "run draw"], y: Float[np.ndarray, "run draw"]) -> None:
     for run in range(len(x)):
-        axes.scatter(x[run], y[run], s=7, color=RUNS[run % len(RUNS)], alpha=0.5, linewidths=0)
+        mark = run_mark(run)
+        # A mark without an inside consists of its line.
+        axes.scatter(x[run], y[run], s=7 if mark == "o" else 11, marker=mark, color=INK, alpha=0.5, linewidths=0.8 if mark in "x+1" else 0)
     axes.margins(0.06)
 
 
@@ -147,8 +150,9 @@ def _ticks(axes: "Axes", labels: list[str], row: int, column: int, count: int) -
 
 
 def _legend(figure: "Figure", runs: int) -> None:
-    if 1 < runs <= LEGEND:
+    if 1 < runs <= NAMED:
         from matplotlib.lines import Line2D
 
-        marks = [Line2D([], [], color=RUNS[run], marker="o", markersize=4, linestyle="", label=f"run {run + 1}") for run in range(runs)]
-        figure.legend(handles=marks, loc="upper right", ncols=runs, handletextpad=0.1, columnspacing=1.0, labelcolor=INK, edgecolor=GREY)
+        style = {"color": INK, "markersize": 4, "linewidth": 1.3}
+        marks = [Line2D([], [], marker=run_mark(run), linestyle=run_line(run), label=f"run {run + 1}", **style) for run in range(runs)]
+        figure.legend(handles=marks, loc="upper right", ncols=runs, handlelength=2.6, handletextpad=0.5, columnspacing=1.0, labelcolor=INK)

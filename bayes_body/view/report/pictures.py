@@ -12,6 +12,10 @@ from cv2.typing import MatLike
 from bayes_body.view.report.figures import data_uri
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
 
+ABOUT = (
+    "The mean is a translucent body: left side blue, right side orange, middle green. Draws are thin light outlines over it. Where the mean is not "
+    "among the draws, as between two modes, the body is the medoid of the draws, and the picture says so."
+)
 LARGEST_ANIMATION = 4_000_000
 MOST_FRAMES = 100
 # Pixels; WebP takes 16383.
@@ -30,7 +34,7 @@ class Quality(NamedTuple):
 
 
 # From best to worst; the page uses the first for which it is small enough.
-QUALITIES = (Quality(1280, 70, 960, 50), Quality(960, 60, 800, 40), Quality(800, 50, 640, 30), Quality(640, 40, 480, 20))
+QUALITIES = (Quality(1920, 70, 960, 50), Quality(1280, 70, 960, 50), Quality(960, 60, 800, 40), Quality(800, 50, 640, 30), Quality(640, 40, 480, 20))
 
 
 def picture_section(folder: Path, quality: Quality | None) -> Markup:
@@ -44,11 +48,9 @@ def picture_section(folder: Path, quality: Quality | None) -> Markup:
         return section("pictures", "Pictures", tag("p", "The pictures are left out: with them the page would be too large."))
     stills = list(_stills(folder / "overlay", quality))
     video = _animation(folder / "overlay.mp4", quality)
-    parts: list[str] = [
-        tag("p", "The mean is a translucent body (left side blue, right side orange, middle green). Draws are thin light outlines over it.")
-    ]
+    parts: list[str] = [tag("p", ABOUT)]
     parts += [figures([video], "moving")] if video else [tag("p", "overlay.mp4 is missing or cannot be read: there is no moving picture.")]
-    parts += [figures(stills, "stills")] if stills else [tag("p", "There are no stills in overlay/.")]
+    parts += [figures(stills, "large")] if stills else [tag("p", "There are no stills in overlay/.")]
     command = tag("code", f"bayes-body view {shlex.quote(folder.resolve().name)}")
     # No link: the page has scripts, and in a stranger's folder they are the stranger's.
     scene = tag("p", command, " makes a page on which this run can be turned and played in 3D.", class_="note")

@@ -27,8 +27,8 @@ SHARE = (
     "If the model is right, 90 % of the seen coordinates (columns and rows) are inside their 90 % predictive intervals. Far fewer mean that a camera "
     "is badly calibrated, that keypoints are wrong, or that the noise of the likelihood is too small. Nearly all mean that the noise is too large."
 )
-MARKS = "Orange circles are the seen keypoints, with a line to where the posterior mean expects them."
-CLOUD = "Blue dots are predicted keypoints, one for each draw of the pose."
+MARKS = "Black circles with a white edge are the seen keypoints, with a line to where the posterior mean expects them."
+CLOUD = "Dots are predicted keypoints, one for each draw of the pose: left blue, right orange, middle green."
 SILHOUETTES = (
     "Overlap is the intersection of the drawn body's silhouette and the seen one, divided by their union (IoU); 1 is best. The difference of the "
     "areas is positive if the body is larger than the seen silhouette. "
@@ -45,7 +45,7 @@ BARE = (
     "The intervals are those of the body alone: the likelihood of silhouettes is not a distribution over images, so it has no noise that can be "
     "drawn. Real silhouettes contain hands, feet and clothes that the body lacks, so even the true pose does not reach an overlap of 1."
 )
-COVER = "Blue is the share of the draws whose body covers a pixel (darkest: all). The orange line is the outline of the seen silhouette."
+COVER = "Green is the share of the draws whose body covers a pixel (strongest: all). The black line is the outline of the seen silhouette."
 
 
 def prediction_section(it: Inspection) -> Markup:

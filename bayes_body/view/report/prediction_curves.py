@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayes_body.errors import escaped
-from bayes_body.view.report.figures import GREY, INK, RUNS, encoded, new_panel, shade_lost, time_axis, time_label
+from bayes_body.view.colours import GREY, INK, run_line
+from bayes_body.view.report.figures import encoded, new_panel, shade_lost, time_axis, time_label
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Picture
 from bayes_body.view.report.predicted_keypoints import KeypointCheck
@@ -23,16 +24,16 @@ def error_panels(it: Inspection, frames: Int[np.ndarray, " frame"], found: Keypo
     """Yield for each camera the errors of the keypoints, over a band of the errors that are predicted."""
     seeker = it.diagnosis.mode_seeker
     middle, high = (percentiles(found.error, share) for share in (50, 90))
-    top = 1.45 * max(float(np.nanmax(high)), 1.0, 0.0 if seeker else float(np.nanmax(found.expected[..., 1])))
+    top = 1.08 * max(float(np.nanmax(high)), 1.0, 0.0 if seeker else float(np.nanmax(found.expected[..., 1])))
     for c, name in enumerate(cameras(it)):
         if not np.isfinite(found.error[:, c]).any():
             continue
         figure, axes = new_panel(f"Camera {escaped(name)}", time_label(it.fps), "reprojection error, px", SIZE)
         shade_lost(axes, it.lost)
         if not seeker:
-            _band(axes, frames, np.zeros(len(frames)), found.expected[:, c, 1], "predicted: 90 %")
-        axes.plot(frames, middle[:, c], color=RUNS[0], label="seen: median", **LINE)
-        axes.plot(frames, high[:, c], color=RUNS[1], linestyle=":", label="seen: 90 % quantile", **LINE)
+            _band(axes, frames, np.zeros(len(frames)), found.expected[:, c, 1])
+        axes.plot(frames, middle[:, c], color=INK, label="median", **LINE)
+        axes.plot(frames, high[:, c], color=INK, linestyle=run_line(2), label="90 % quantile", **LINE)
         axes.set_ylim(0, top)
         _finish(it, axes)
         yield encoded(figure, f"Reprojection error in camera {name} over time: median {median(found.error[:, c]):.1f} px.")
@@ -56,42 +57,39 @@ def silhouette_panels(
         values: the figure of each draw.
         expected: the ends of its predictive interval; NaN if there is none.
     """
-    # The worst value, with room for a legend above it.
-    reach = max(1.4 * float(np.nanmax(np.abs(np.append(values, expected)))), 10.0)
+    # The worst value.
+    reach = max(1.1 * float(np.nanmax(np.abs(np.append(values, expected)))), 10.0)
     low, middle, high = (percentiles(values, share) for share in (5, 50, 95))
     for c, name in enumerate(cameras(it)):
         if not np.isfinite(values[:, c]).any():
             continue
         figure, axes = new_panel(f"Camera {escaped(name)}: {what}", time_label(it.fps), label, SIZE)
         shade_lost(axes, it.lost)
-        expects = bool(np.isfinite(expected[:, c]).any())
-        if expects:
-            _band(axes, frames, expected[:, c, 0], expected[:, c, 1], "predicted: 90 %")
+        if np.isfinite(expected[:, c]).any():
+            _band(axes, frames, expected[:, c, 0], expected[:, c, 1])
         if not it.diagnosis.mode_seeker:
-            axes.vlines(frames, low[:, c], high[:, c], color=RUNS[0], alpha=0.35, linewidth=5)
-        axes.plot(frames, middle[:, c], color=RUNS[0], label="seen: median", **LINE)
+            axes.vlines(frames, low[:, c], high[:, c], color=INK, alpha=0.3, linewidth=5)
+        axes.plot(frames, middle[:, c], color=INK, **LINE)
         if what == "area":
-            axes.axhline(0, color=INK, linestyle="--", linewidth=0.9)
-        axes.set_ylim(*((-reach, reach) if what == "area" else (0, 1.35 if expects else 1.02)))
-        _finish(it, axes, expects)
+            axes.axhline(0, color=GREY, linewidth=0.9)
+        axes.set_ylim(*((-reach, reach) if what == "area" else (0, 1.02)))
+        _finish(it, axes)
         yield encoded(figure, f"Silhouettes of camera {name} over time, {label}: median {median(values[:, c]):.3g}.")
 
 
-def _band(axes: "Axes", frames: Int[np.ndarray, " frame"], low: Float[np.ndarray, " frame"], high: Float[np.ndarray, " frame"], label: str) -> None:
+def _band(axes: "Axes", frames: Int[np.ndarray, " frame"], low: Float[np.ndarray, " frame"], high: Float[np.ndarray, " frame"]) -> None:
     if len(frames) > 1:
-        axes.fill_between(frames, low, high, color=GREY, alpha=0.25, linewidth=0, label=label)
+        axes.fill_between(frames, low, high, color=GREY, alpha=0.25, linewidth=0)
     else:
-        axes.vlines(frames, low, high, color=GREY, alpha=0.4, linewidth=9, label=label)
+        axes.vlines(frames, low, high, color=GREY, alpha=0.4, linewidth=9)
 
 
-def _finish(it: Inspection, axes: "Axes", legend: bool = True) -> None:
+def _finish(it: Inspection, axes: "Axes") -> None:
     time_axis(axes, it.run.frames, it.fps)
     if it.run.frames > 12:
         # The first and the last compared frame are the recording's: their marks must not be cut.
         axes.margins(x=0.02)
         axes.set_xlim(-0.02 * it.run.frames, 1.02 * (it.run.frames - 1))
-    if legend:
-        axes.legend(loc="upper left", ncols=2, handlelength=1.4, columnspacing=1.0, borderaxespad=0.2)
 
 
 def cameras(it: Inspection) -> list[str]:

@@ -1,6 +1,6 @@
 """Pictures of the posterior predictive check: one frame of each camera, with what was seen there and what the draws predict."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import cv2
@@ -8,8 +8,9 @@ import numpy as np
 from cv2.typing import MatLike
 from jaxtyping import Float
 
+from bayes_body.view.colours import bgr, over_image
+from bayes_body.view.crop import Crop, crop_about
 from bayes_body.view.overlay import backdrop, label
-from bayes_body.view.report.crop import Crop, crop_about
 from bayes_body.view.report.figures import data_uri
 from bayes_body.view.report.markup import Picture
 from bayes_body.view.report.predicted_keypoints import expected_pixels, marker_likelihood, predicted_pixels
@@ -20,8 +21,7 @@ if TYPE_CHECKING:
     from bayes_body.storage.saved_run import SavedRun
 
 WIDEST, QUALITY = 640, 75
-# BGR, the order of OpenCV.
-BLUE, ORANGE, PAPER = (235, 120, 0), (0, 110, 255), (255, 255, 255)
+BLACK, WHITE = (0, 0, 0), (255, 255, 255)
 # The recording is faded by this fraction towards grey, and then towards white, so that the marks stand out.
 GREYER, LIGHTER = 0.8, 0.25
 # Fixed-point pixels with four fractional bits.
@@ -35,7 +35,7 @@ def keypoint_pictures(run: "SavedRun", index: int) -> Iterator[Picture]:
     seen, points = seen_keypoints(it)
     likelihood = marker_likelihood(it.model)
     assert likelihood is not None
-    detections = likelihood[1].detections
+    detections, marker_names = likelihood[1].detections, [it.model.body.markers.names[place] for place in likelihood[1].markers]
     present = seen[..., 2] > float(detections.least_confidence)
     middle = expected_pixels(detections, points).mean(axis=0)
     # The first noise of each draw.
@@ -48,7 +48,7 @@ def keypoint_pictures(run: "SavedRun", index: int) -> Iterator[Picture]:
         crop = crop_about(np.concatenate([seen[c, here, :2], middle[c, here]]), view.camera.size_px, WIDEST)
         picture = _faded(crop.cut(image))
         if not run.mode_seeker:
-            picture = _dots(picture, crop.place(drawn[:, c, here].reshape(-1, 2)))
+            picture = _dots(picture, crop.place(drawn[:, c, here]), [marker_names[place] for place in np.flatnonzero(here)])
         for at, mean in zip(crop.place(seen[c, here, :2]), crop.place(middle[c, here]), strict=True):
             _residual(picture, at, mean)
         alt = f"Seen and predicted keypoints in frame {run.first_frame + index} of camera {view.camera.name}: {here.sum()} are seen."
@@ -68,8 +68,9 @@ def silhouette_pictures(run: "SavedRun", index: int) -> Iterator[Picture]:
         crop = crop_about(np.stack([columns, rows], axis=1).astype(float), size, WIDEST)
         picture = _covered(_faded(crop.cut(image)), crop.cut(share))
         lines, _ = cv2.findContours(seen.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-        for line in lines:
-            cv2.polylines(picture, [_fixed(crop, line[:, 0].astype(float))], True, ORANGE, 2, cv2.LINE_AA, shift=BITS)
+        outline = [_fixed(crop, line[:, 0].astype(float)) for line in lines]
+        for thickness, ink in ((4, WHITE), (2, BLACK)):
+            cv2.polylines(picture, outline, True, ink, thickness, cv2.LINE_AA, shift=BITS)
         alt = f"Predicted silhouettes in frame {run.first_frame + index} of camera {view.camera.name}, under the outline of the seen one."
         yield _picture(label(picture, f"{view.camera.name}  frame {run.first_frame + index}"), alt)
 
@@ -80,24 +81,26 @@ def _faded(image: MatLike) -> MatLike:
     return cv2.addWeighted(faded, 1 - LIGHTER, np.full_like(faded, 255), LIGHTER, 0)
 
 
-def _dots(picture: MatLike, points: Float[np.ndarray, "point 2"]) -> MatLike:
+def _dots(picture: MatLike, points: Float[np.ndarray, "draw marker 2"], names: Sequence[str]) -> MatLike:
     layer = picture.copy()
-    for point in _shifted(points[_inside(points, picture)]).tolist():
-        cv2.circle(layer, point, 2 << BITS, BLUE, -1, cv2.LINE_AA, shift=BITS)
+    for marker, name in enumerate(names):
+        of_marker = points[:, marker]
+        for point in _shifted(of_marker[_inside(of_marker, picture)]).tolist():
+            cv2.circle(layer, point, 2 << BITS, bgr(over_image(name)), -1, cv2.LINE_AA, shift=BITS)
     return cv2.addWeighted(layer, 0.6, picture, 0.4, 0)
 
 
 def _residual(picture: MatLike, seen: Float[np.ndarray, "2"], mean: Float[np.ndarray, "2"]) -> None:
     """Draw a seen keypoint as a circle, and the line to where it is expected."""
     ends = _shifted(np.stack([seen, np.clip(mean, -1e4, 1e4)])).tolist()
-    for thickness, ink in ((4, PAPER), (2, ORANGE)):
+    for thickness, ink in ((5, WHITE), (2, BLACK)):
         cv2.line(picture, ends[0], ends[1], ink, thickness, cv2.LINE_AA, shift=BITS)
         cv2.circle(picture, ends[0], 8 << BITS, ink, thickness, cv2.LINE_AA, shift=BITS)
 
 
 def _covered(picture: MatLike, share: Float[np.ndarray, "row column"]) -> MatLike:
     opacity = 0.6 * np.clip(share, 0, 1)[..., None]
-    return np.round(picture * (1 - opacity) + np.array(BLUE) * opacity).astype(np.uint8)
+    return np.round(picture * (1 - opacity) + np.array(bgr(over_image(""))) * opacity).astype(np.uint8)
 
 
 def _inside(points: Float[np.ndarray, "point 2"], picture: MatLike) -> np.ndarray:

@@ -18,7 +18,7 @@ RANKS = (
     "values are smaller, and low where they are larger."
 )
 GROWTH = (
-    "ArviZ's effective sample size of the bulk and the tails as draws are added. It should grow in a straight line. A dashed line marks 400 draws. "
+    "ArviZ's effective sample size of the bulk and the tails as draws are added. It should grow in a straight line. The purple line marks 400 draws. "
     "The effective sample size depends on how much the runs differ, but not on whether the draws of one run share ancestors: compare it with the "
     "effective particles and the ancestors above."
 )
@@ -27,8 +27,9 @@ SEEKER = (
     "the runs differ, the pose is doubtful. If they agree, the pose can still be wrong."
 )
 FOREST = (
-    "Median and 90 % interval of each run's draws, relative to the median of all runs. That median is written beside the "
-    "name. Short lines belong to joints that the recording determines well. If the lines of a joint lie apart, the runs disagree."
+    "Median and 90 % interval of each run's draws, relative to the median of all runs, which is written beside the name. The left side is blue, the "
+    "right side orange, the middle green; each run has its line style. Short lines belong to joints that the recording determines well. If the "
+    "lines of a joint lie apart, the runs disagree."
 )
 
 

@@ -11,8 +11,9 @@ from bayes_body.metrics.accuracy import LEVELS
 from bayes_body.metrics.figures import accuracy_figures, width
 from bayes_body.metrics.truth import AgainstTruth, Cloud, Clouds, against_truth, mean_known, true_markers
 from bayes_body.posterior.blocks import pose_blocks
+from bayes_body.view.colours import GREY, INK, run_line
 from bayes_body.view.report.bands import sparse_frames
-from bayes_body.view.report.figures import INK, LEGEND, RUNS, encoded, frames_a_point, new_panel, shade_lost, time_axis, time_label
+from bayes_body.view.report.figures import encoded, frames_a_point, new_panel, run_label, shade_lost, time_axis, time_label
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, table, tag
@@ -27,7 +28,7 @@ EXPECTED = (
 )
 SEEKER = "There is no band and no coverage: the spread of a mode seeker's particles is not a measure of uncertainty."
 CALIBRATION = (
-    "Coverage: the fraction of intervals of each nominal level that contain the truth, over frames, markers and axes. On the dashed line the "
+    "Coverage: the fraction of intervals of each nominal level that contain the truth, over frames, markers and axes. On the grey line the "
     "intervals are right. Below it they are too narrow, and above it too wide."
 )
 OFFSET = (
@@ -113,13 +114,11 @@ def _error(it: Inspection, found: AgainstTruth) -> Picture:
     shade_lost(axes, it.lost)
     if not it.diagnosis.mode_seeker:
         low, *_, high = 1000 * found.plain.expected.T
-        axes.fill_between(frames, low, high, color=INK, alpha=0.12, linewidth=0)
+        axes.fill_between(frames, low, high, color=GREY, alpha=0.25, linewidth=0)
     for run, line in enumerate(error):
-        axes.plot(frames, line, color=RUNS[run % len(RUNS)], label=f"run {run + 1}", **mark)
+        axes.plot(frames, line, color=INK, linestyle=run_line(run), label=run_label(run, len(error)), **mark)
     time_axis(axes, it.run.frames, it.fps)
     axes.set_ylim(bottom=0)
-    if 1 < len(error) <= LEGEND:
-        axes.legend(loc="best", ncols=3, handlelength=1.2, columnspacing=1.0)
     alt = f"Error of the mean markers over the frames, from {np.nanmin(error):.0f} to {np.nanmax(error):.0f} mm."
     return encoded(figure, alt, ERROR if it.diagnosis.mode_seeker else f"{ERROR} {EXPECTED}")
 
@@ -127,12 +126,11 @@ def _error(it: Inspection, found: AgainstTruth) -> Picture:
 def _calibration(found: AgainstTruth) -> Picture:
     """Return the plot of the measured coverage over the nominal coverage."""
     figure, axes = new_panel("Coverage", "nominal, %", "measured, %")
-    axes.plot([0, 100], [0, 100], color=INK, linestyle="--", linewidth=0.9)
+    axes.plot([0, 100], [0, 100], color=GREY, linewidth=0.9)
     nominal = 100 * np.array(LEVELS)
-    axes.plot(nominal, 100 * found.plain.coverage, color=RUNS[0], marker="o", markersize=3.5, label="without offset")
+    axes.plot(nominal, 100 * found.plain.coverage, color=INK, marker="o", markersize=3.5, label="as it is" if found.fitted else None)
     if found.fitted:
-        axes.plot(nominal, 100 * found.fitted.coverage, color=RUNS[1], marker="s", markersize=3.5, label="offset fitted")
-        axes.legend(loc="best")
+        axes.plot(nominal, 100 * found.fitted.coverage, color=INK, linestyle=run_line(1), marker="s", markersize=3.5, label="offset fitted")
     axes.set(xlim=(0, 100), ylim=(0, 102))
     pairs = ", ".join(f"{percent(level)}: {percent(share)}" for level, share in zip(LEVELS, found.plain.coverage, strict=True))
     return encoded(figure, f"Fraction of the truth inside the intervals of each level: {pairs}.", CALIBRATION)

@@ -1,4 +1,4 @@
-"""Where the body is in the frames that are shown: the mean of the posterior, and draws of equal weight.
+"""Where the body is in the frames that are shown: the mean of the posterior, or its medoid (posterior/central.py), and draws of equal weight.
 
 The draws of a frame are made by systematic resampling over all runs, with the same random offset in every frame. Draws of equal weight are therefore
 the same draws in every frame, so that the paths of a smoother stay whole.
@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from bayes_body.body.solids import Body, part_transforms, widened
-from bayes_body.body.space import configuration_space
 from bayes_body.geometry import rotations
+from bayes_body.posterior import central_pose
 from bayes_body.posterior.blocks import pooled, pose_blocks, weights_of_runs
 from bayes_body.posterior.resampling import RESAMPLING_SEED
 from bayes_body.shapes import Configuration
@@ -30,12 +30,14 @@ class Pose(NamedTuple):
         origins: of the parts of the mean body in the world, metres.
         quaternions: of the parts of the mean body, (w, x, y, z).
         radii: of the mean body's parts as cameras see them (base, tip), metres.
+        is_mean: whether that body is the mean; else it is the medoid of the draws.
         draws: the two ends of each part's axis in each draw, metres.
     """
 
     origins: Float[np.ndarray, "part 3"]
     quaternions: Float[np.ndarray, "part 4"]
     radii: Float[np.ndarray, "part 2"]
+    is_mean: bool
     draws: Float[np.ndarray, "draw part 2 3"]
 
 
@@ -51,18 +53,18 @@ def read_poses(run: "SavedRun", frames: range, draws: int) -> Iterator[Pose]:
         InputError: the body cannot be used.
     """
     body = run.model.body
-    space, offset = configuration_space(body), np.random.default_rng(RESAMPLING_SEED).random()
+    offset = np.random.default_rng(RESAMPLING_SEED).random()
     blocks = pose_blocks(run.tree, frames, variable=body.variable)
     points: Iterator[tuple[np.ndarray, np.ndarray]] = (
         each for block in blocks for each in zip(pooled(block.poses), pooled(weights_of_runs(block.log_weights)), strict=True)
     )
     for cloud, weights in points:
         weights = weights / weights.sum()
-        mean = jnp.asarray(space.mean(weights, cloud), body.lengths.dtype)
-        rotation, origins, radii = (np.asarray(each, float) for each in _solids(body, mean))
+        central = central_pose(body, cloud, weights)
+        rotation, origins, radii = (np.asarray(each, float) for each in _solids(body, jnp.asarray(central.pose, body.lengths.dtype)))
         chosen = jnp.asarray(cloud[_resampled(weights, draws, offset)], body.lengths.dtype)
         ends = np.asarray(_axes(body, chosen)) if draws else np.zeros((0, len(origins), 2, 3))
-        yield Pose(origins, np.asarray(rotations.from_matrix(rotation)), radii, ends)
+        yield Pose(origins, np.asarray(rotations.from_matrix(rotation)), radii, central.is_mean, ends)
 
 
 def _resampled(weights: Float[np.ndarray, " draw"], count: int, offset: float) -> Int[np.ndarray, " count"]:

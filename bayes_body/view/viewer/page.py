@@ -11,13 +11,13 @@ from bayes_body.export.motion import lost_frames
 from bayes_body.files.atomic import make_folder, write_text
 from bayes_body.files.existing import check_free, has_mark
 from bayes_body.posterior.diagnostics import frame_ranges
-from bayes_body.view.overlay import LEFT, MIDDLE, RIGHT, colour
+from bayes_body.view.colours import KEYPOINTS, NAMES, TRUTH, Colour, over_image, side_of
 from bayes_body.view.progress import Watch, unwatched
 from bayes_body.view.report.markup import Markup, joined, tag
 from bayes_body.view.viewer.budget import LARGEST, Budget
 from bayes_body.view.viewer.motion import read_poses
 from bayes_body.view.viewer.recording import Recording, read_recording
-from bayes_body.view.viewer.scene import KEYPOINTS, TRUTH, Colour, Scene, look_at, rgb
+from bayes_body.view.viewer.scene import Scene, look_at
 from bayes_body.view.viewer.server import deaf_server
 
 if TYPE_CHECKING:
@@ -36,7 +36,10 @@ CONTROLS = (
     "the layers: a click on an eye hides or shows one."
 )
 SEEKER = "There are no draws: the spread of a mode seeker's particles is not a measure of uncertainty."
-SIDES = {LEFT: "left side", RIGHT: "right side", MIDDLE: "middle"}
+MEDOID = (
+    "In {count} of {frames} frames the mean is not among the draws, because the posterior has several modes or few draws. There the body is the draw "
+    "in their middle, the medoid, and the label of the time says so."
+)
 UNREADABLE = "the page that viser makes"
 
 
@@ -104,17 +107,20 @@ def _page(run: "SavedRun", recording: Recording, frames: range, draws: int, side
         for place in watch(range(len(frames))):
             seen = recording.frame(frames[place], side)
             has_truth, has_keypoints = has_truth or bool(len(seen.truth)), has_keypoints or bool(len(seen.keypoints))
-            scene.show(poses[place], seen, f"frame {run.first_frame + frames[place]}, {frames[place] / fps:.2f} s")
+            which = "" if poses[place].is_mean else ", medoid"
+            scene.show(poses[place], seen, f"frame {run.first_frame + frames[place]}, {frames[place] / fps:.2f} s{which}")
             if len(frames) > 1:
                 record.insert_sleep(frames.step / fps)
         html = record.as_html()
-    return _filled(html, run, _text(run, draws, has_truth, has_keypoints, remarks))
+    medoids = sum(not pose.is_mean for pose in poses)
+    told = [MEDOID.format(count=medoids, frames=len(poses))] if medoids else []
+    return _filled(html, run, _text(run, draws, has_truth, has_keypoints, [*told, *remarks]))
 
 
 def _text(run: "SavedRun", draws: int, has_truth: bool, has_keypoints: bool, remarks: Sequence[str]) -> Markup:
-    inks = {colour(name) for name in run.model.body.topology.names}
+    sides = {side_of(name): over_image(name) for name in run.model.body.topology.names}
     layers = [
-        *(tag("li", _dot(rgb(ink)), f"mean body, {side}") for ink, side in SIDES.items() if ink in inks),
+        *(tag("li", _dot(sides[side]), f"mean body, {name}{' side' if side else ''}") for side, name in NAMES.items() if side in sides),
         *([tag("li", f"Lines: {draws} draws from the posterior of each frame. A line is the axis of a part.")] if draws else []),
         *([tag("li", _dot(TRUTH), "true markers")] if has_truth else []),
         *([tag("li", _dot(KEYPOINTS), "keypoints, triangulated")] if has_keypoints else []),

@@ -1,4 +1,4 @@
-"""The nodes of a run's scene in viser: the floor, the mean body, draws, cameras, points, and the time.
+"""The nodes of a run's scene in viser: the floor, the mean body (or the medoid), draws, cameras, points, and the time.
 
 The first frame makes a node, and each later frame changes it. The names of the nodes are what the page lists as layers.
 """
@@ -15,7 +15,7 @@ from bayes_body.errors import escaped
 from bayes_body.geometry import rotations
 from bayes_body.observation.pictures import Colours
 from bayes_body.session.session import CameraSpec
-from bayes_body.view.overlay import colour
+from bayes_body.view.colours import CAMERAS, FLOOR, KEYPOINTS, TRUTH, Colour, over_image
 from bayes_body.view.report.limbs import spoken
 from bayes_body.view.viewer.motion import Pose
 from bayes_body.view.viewer.recording import Seen
@@ -24,9 +24,6 @@ from bayes_body.view.viewer.solids import part_mesh
 if TYPE_CHECKING:
     from viser import SceneApi
 
-type Colour = tuple[int, int, int]
-
-TRUTH, KEYPOINTS, DARK, FLOOR = (214, 39, 120), (240, 190, 0), (70, 78, 88), (200, 205, 211)
 # Metres: thickness of a draw's lines, size of points, size of a camera's pyramid, length of the world's axes, and floor around the path.
 LINE, POINT, PYRAMID, AXES, AROUND = 0.003, 0.035, 0.35, 0.4, 4.0
 # The mean is translucent, so that draws and markers inside it are seen. Draws are darker than the mean, by this factor.
@@ -76,7 +73,7 @@ class Scene:
 
     def __init__(self, scene: "SceneApi", body: Body, up: Literal["x", "y", "z"], look: Look) -> None:
         self.scene, self.body, self.up = scene, body, "xyz".index(up)
-        self.parts = [rgb(colour(name)) for name in body.topology.names]
+        self.parts = [over_image(name) for name in body.topology.names]
         self.nodes: dict[str, Any] = {}
         self.radii: dict[str, np.ndarray] = {}
         scene.set_up_direction(np.eye(3)[self.up])
@@ -135,7 +132,7 @@ class Scene:
         place, turn = -camera.rotation.T @ camera.translation_m, np.asarray(rotations.from_matrix(camera.rotation.T))
         node = self.nodes.get(name)
         if node is None:
-            style: dict[str, Any] = {"scale": PYRAMID, "color": DARK, "thickness": 0.008, "cast_shadow": False, "jpeg_quality": QUALITY}
+            style: dict[str, Any] = {"scale": PYRAMID, "color": CAMERAS, "thickness": 0.008, "cast_shadow": False, "jpeg_quality": QUALITY}
             fov, aspect = 2 * math.atan(height / (2 * fy)), width * fy / (height * fx)
             node = self.nodes[name] = self.scene.add_camera_frustum(name, fov, aspect, format="jpeg", image=image, **style)
         else:
@@ -160,12 +157,6 @@ class Scene:
             self.nodes[name] = self.scene.add_label(name, text, position=place, anchor="top-center")
         else:
             node.text, node.position = text, place
-
-
-def rgb(colour: Colour) -> Colour:
-    """Return a colour of OpenCV's (blue, green, red) as red, green, blue."""
-    blue, green, red = colour
-    return red, green, blue
 
 
 def _named(text: str) -> str:

@@ -1,4 +1,4 @@
-"""The part of an image that a picture of the report shows, and where points of the image are in it."""
+"""The part of an image that a picture shows, and where points of the image are in it."""
 
 from typing import NamedTuple
 
@@ -31,20 +31,22 @@ class Crop(NamedTuple):
     def cut(self, image: MatLike) -> MatLike:
         """Return the picture."""
         part = image[self.top : self.bottom, self.left : self.right]
-        return cv2.resize(part, None, fx=self.scale, fy=self.scale, interpolation=cv2.INTER_AREA if self.scale < 1 else cv2.INTER_CUBIC)
+        size = max(round(part.shape[1] * self.scale), 1), max(round(part.shape[0] * self.scale), 1)
+        return cv2.resize(part, size, interpolation=cv2.INTER_AREA if self.scale < 1 else cv2.INTER_CUBIC)
 
     def place(self, points: Float[np.ndarray, "*point 2"]) -> Float[np.ndarray, "*point 2"]:
         """Return the positions of image points, (column, row), in the picture. Integers are the centres of pixels, in both."""
         return (points - (self.left, self.top) + 0.5) * self.scale - 0.5
 
 
-def crop_about(points: Float[np.ndarray, "point 2"], size_px: tuple[int, int], widest: int) -> Crop:
+def crop_about(points: Float[np.ndarray, "point 2"], size_px: tuple[int, int], widest: int, most_zoom: float = MOST_ZOOM) -> Crop:
     """Return the part of an image of that size (width, height) that contains the points, with a margin; the whole image if that holds none of them.
 
     Args:
         points: column and row, pixels.
         size_px: width and height of the image.
         widest: longest side of the picture, pixels.
+        most_zoom: the largest zoom, picture pixels per image pixel.
     """
     left, top, (right, bottom) = 0, 0, size_px
     if len(points):
@@ -53,4 +55,4 @@ def crop_about(points: Float[np.ndarray, "point 2"], size_px: tuple[int, int], w
         most = np.clip(points.max(axis=0) + margin, 1, size).astype(int).tolist()
         if most[0] - least[0] > 1 and most[1] - least[1] > 1:
             (left, top), (right, bottom) = least, most
-    return Crop(left, top, right, bottom, min(widest / max(right - left, bottom - top), MOST_ZOOM))
+    return Crop(left, top, right, bottom, min(widest / max(right - left, bottom - top), most_zoom))
