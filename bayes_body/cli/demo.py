@@ -1,6 +1,5 @@
 """`bayes-body demo`: simulate, track and report a walk in a few minutes."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,7 +43,7 @@ def demo(
 
     folder, lines = free_folder(Path(FOLDER)) if out is None else out, list[str]()
     try:
-        found = demonstrate(folder, seed, QUICK if quick else WHOLE, say, lines.append, sys.stderr.isatty())
+        found = demonstrate(folder, seed, QUICK if quick else WHOLE, say, lines.append, bar=True)
         # The result is printed first, then the lines of the run.
         say(f"result     {result_of(found.summary)}\n")
         _table(found.summary)

@@ -1,7 +1,6 @@
 """`bayes-body view`: write a run as a 3D scene in one HTML file."""
 
 import re
-import sys
 import webbrowser
 from pathlib import Path
 
@@ -36,7 +35,7 @@ def view(
         raise input_error("--draws", f"{draws}", f"a number from 0 to {MOST_DRAWS}", "give another number")
     with own_terms(plugin), load_run(run) as saved:
         check_plugins(saved.folder, saved.plugins)
-        path, remarks = write_view(saved, out, draws, chosen(frames, saved.frames), watched("view", sys.stderr.isatty()), overwrite)
+        path, remarks = write_view(saved, out, draws, chosen(frames, saved.frames), watched("view"), overwrite)
     for remark in remarks:
         say(remark)
     say(f"{path}: {path.stat().st_size / 1e6:.1f} MB; open it in a browser.")
