@@ -31,6 +31,8 @@ def configure(devices: int | None = None, cache: bool = True) -> None:
         count = devices or min(_cores(), 16)
         os.environ["XLA_FLAGS"] = f"{flags} --xla_force_host_platform_device_count={count}".strip()
     _use_one_blas_thread()
+    # Errors of XLA arrive as exceptions. What it would log instead is an alarm that asks users to report that compiling takes a while.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     import jax
 
     if cache and not jax.config.jax_compilation_cache_dir:

@@ -73,7 +73,7 @@ def demo(out: Path, seed: int, size: Size, show: Show, show_run: Show, bar: bool
         size: SHORT, LONG or QUICK.
         show: called with each line about the progress.
         show_run: called with each line about the run: its figures and its warnings.
-        bar: whether to draw progress bars.
+        bar: whether to show the progress on standard error.
 
     Raises:
         InputError: the folder already holds a demonstration or cannot be written.

@@ -37,7 +37,7 @@ def run_and_report(plan: Plan, pilot: bool, replications: int, jobs: int, json_f
         json_file: file for the figures; the ranks are written beside it (calibration/rank_tree.py).
         plot: file for the picture.
         show: receives lines for the user.
-        bar: whether to show a progress bar on standard error.
+        bar: whether to show the progress on standard error.
 
     Raises:
         InputError: nothing can be checked, or a file cannot be written.

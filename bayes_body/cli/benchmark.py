@@ -1,7 +1,6 @@
 """`bayes-body benchmark`: compare every kernel on every definition."""
 
 import json
-import sys
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -63,23 +62,17 @@ def benchmark(
 
 def _made(asked: "tuple[Pair, ...]", settings: "Settings", out: Path | None) -> "list[Row]":
     """Return all rows; each is written to the file as soon as it is computed."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
     from bayes_body.compare import benchmark_rows
+    from bayes_body.view.progress import steps_bar
 
     kept = _kept(out)
-    columns = (TextColumn("{task.description}"), MofNCompleteColumn(), BarColumn(), TimeElapsedColumn())
     rows: list[Row] = []
-    with tempfile.TemporaryDirectory(prefix="bayes-body-benchmark-") as folder, Progress(
-        *columns, console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True
-    ) as bar:  # fmt: skip
-        task = bar.add_task(_named(asked[0]), total=len(asked))
+    with tempfile.TemporaryDirectory(prefix="bayes-body-benchmark-") as folder, steps_bar(len(asked), _named(asked[0])) as progress:
         for number, row in enumerate(benchmark_rows(asked, settings, Path(folder), list(kept.values())), 1):
             rows.append(row)
             kept[row["model"], row["kernel"]] = row
             _write(out, list(kept.values()))
-            bar.update(task, completed=number, description=_named(asked[min(number, len(asked) - 1)]))
+            progress(number, _named(asked[min(number, len(asked) - 1)]))
     return rows
 
 

@@ -1,7 +1,6 @@
 """`bayes-body check`: test whether a kernel samples the posterior of a model. The exit status is 0 if it passes, 1 if it does not."""
 
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -79,7 +78,7 @@ def _run(plan: "Plan", pilot: bool, replications: int, jobs: int, json_file: Pat
     """Run the check, and return whether it passed."""
     from bayes_body.calibration.report import run_and_report
 
-    return run_and_report(plan, pilot, replications, jobs, json_file, plot, lambda line: say(line), sys.stderr.isatty())
+    return run_and_report(plan, pilot, replications, jobs, json_file, plot, lambda line: say(line), bar=True)
 
 
 def _check_files(json_file: Path | None, plot: Path | None) -> None:

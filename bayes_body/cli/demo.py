@@ -51,7 +51,7 @@ def demo(
     size = QUICK if quick else LONG if long else SHORT
     folder, lines = free_folder(Path(FOLDER)) if out is None else out, list[str]()
     try:
-        found = demonstrate(folder, seed, size, say, lines.append, sys.stderr.isatty())
+        found = demonstrate(folder, seed, size, say, lines.append, bar=True)
         # The result is printed first, then the lines of the run.
         say(f"result     {result_of(found.summary)}\n")
         _table(found.summary)

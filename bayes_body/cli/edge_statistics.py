@@ -1,6 +1,5 @@
 """`bayes-body learn edge-statistics`: statistics of filter responses on a person's boundary, from recordings with known silhouettes."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,12 +36,12 @@ def edge_statistics(
     from bayes_body.view.progress import waiting
 
     check_range("--frames", frames, 1)
-    tried, bar = _numbers(wavelengths), sys.stderr.isatty()
-    with waiting("images", bar):
+    tried = _numbers(wavelengths)
+    with waiting("images"):
         images, others = _images(sessions, frames), _images(held_out, frames) if held_out else None
     asked, learned, compared = (*DISPLACED_PX, None), [], []
     for wavelength in tried:
-        with waiting(f"wavelength {wavelength:g} px", bar):
+        with waiting(f"wavelength {wavelength:g} px"):
             found = images.at(wavelength, asked)
             learned.append((wavelength, fit(found[0], found[-1]), found[0]))
             compared.append([mean_log_density(each, learned[-1][1]) for each in (others.at(wavelength, asked) if others else found)])

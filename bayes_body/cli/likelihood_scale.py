@@ -1,7 +1,6 @@
 """`bayes-body learn likelihood-scale`: learn the scale of a likelihood from recordings with known truth."""
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -74,7 +73,7 @@ def _tried(
     loaded = [load_session(path) for path in sessions]
     kept = ReplicationLog(None if out is None else out.with_name(out.name + SUFFIX), settings)
     say(HEADINGS)
-    watch = watched("recordings × scales", sys.stderr.isatty())
+    watch = watched("recordings × scales")
     for trial in trials(loaded, definition, scales, kernel, options.particles, settings["seed"], settings["frames"], kept, watch):
         say(f"{trial.recording[:32]:32} {trial.scale:7g} {trial.coverage:17.3f} {trial.error_mm:9.1f} {trial.iou:8.3f} {trial.ess:6.0f}")
         found.append(trial)

@@ -1,6 +1,5 @@
 """`bayes-body report`: write a run's report as one HTML page."""
 
-import sys
 from pathlib import Path
 
 import typer
@@ -27,5 +26,5 @@ def report(
     with own_terms(plugin), load_run(run) as saved:
         # Checked here, because otherwise everything that needs the model would silently be missing from the page.
         check_plugins(saved.folder, saved.plugins)
-        path = write_report(saved, out, watched("report", sys.stderr.isatty()), overwrite)
+        path = write_report(saved, out, watched("report"), overwrite)
     say(f"{path}: {path.stat().st_size / 1e6:.1f} MB; open it in a browser.")

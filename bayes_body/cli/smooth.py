@@ -1,6 +1,5 @@
 """`bayes-body smooth`: paths through all frames of a run, given all its images."""
 
-import sys
 from pathlib import Path
 
 import typer
@@ -44,5 +43,5 @@ def smooth(
     folder = out or free_folder(run.with_name(f"{run.name}_smoothed") if run.name not in ("", "..") else whole.with_name(f"{whole.name}_smoothed"))
     options = {name: value for name, value in (("draws", draws), ("moves", moves), ("start", start)) if value is not None}
     with own_terms(plugin):
-        smooth_run(SmoothSettings(run, folder, options, seed, resume), show=lambda line: say(line), bar=sys.stderr.isatty())
+        smooth_run(SmoothSettings(run, folder, options, seed, resume), show=lambda line: say(line), bar=True)
     say(f"{folder}: posterior.nc, summary.json, overlay.mp4, overlay/, frames/, run.toml")

@@ -1,6 +1,5 @@
 """`bayes-body track`: track the person in a session."""
 
-import sys
 from argparse import ArgumentTypeError
 from pathlib import Path
 from typing import Any
@@ -89,7 +88,7 @@ def track(
             read_run_file(folder)
         if model is not None:
             checked_definition(model)
-        run(asked, show=lambda line: say(line), bar=sys.stderr.isatty())
+        run(asked, show=lambda line: say(line), bar=True)
     say(f"{folder}: posterior.nc, summary.json, overlay.mp4, overlay/, frames/, run.toml")
 
 
@@ -135,7 +134,7 @@ def _frames_of(folder: Path, first_frame: int | None, wanted: int | None) -> int
         raise input_error(folder, found, "the folder of a session", "check the path, or make a session with `bayes-body import`")
     session = excerpt(load_session(folder), first_frame)
     # All videos are decoded once, to find damage.
-    with waiting("looking at the recording's files", sys.stderr.isatty()):
+    with waiting("looking at the recording's files"):
         remarks = check_session(session, wanted)
     for remark in remarks:
         say(f"note: {remark}")

@@ -1,7 +1,6 @@
 """`bayes-body view`: write a run as a 3D scene in one HTML file."""
 
 import re
-import sys
 import webbrowser
 from pathlib import Path
 
@@ -37,7 +36,7 @@ def view(
     with own_terms(plugin), load_run(run) as saved:
         check_plugins(saved.folder, saved.plugins)
         shown = chosen(frames, saved.frames, saved.first_frame)
-        path, remarks = write_view(saved, out, draws, shown, watched("view", sys.stderr.isatty()), overwrite)
+        path, remarks = write_view(saved, out, draws, shown, watched("view"), overwrite)
     for remark in remarks:
         say(remark)
     say(f"{path}: {path.stat().st_size / 1e6:.1f} MB; open it in a browser.")

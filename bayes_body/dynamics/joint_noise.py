@@ -18,6 +18,7 @@ from jax.scipy.special import betaln
 from jaxtyping import Array, Bool, Float
 from numpyro.distributions import constraints
 
+from bayes_body.dynamics.beta_draws import beta_draws
 from bayes_body.dynamics.limits import InBox
 from bayes_body.shapes import Index, Key, Pose, Scalar
 
@@ -74,7 +75,7 @@ class JointNoise(InBox):
         beta_key, normal_key = jax.random.split(key)
         shape = (*sample_shape, *self.event_shape)
         low, width = self._safe
-        limited = low + width * jax.random.beta(beta_key, self.alpha, self.beta, shape, self.centre.dtype)
+        limited = low + width * beta_draws(beta_key, self.alpha, self.beta, shape)
         free = self.centre + self.scale * jax.random.normal(normal_key, shape, self.centre.dtype)
         return jnp.where(self._limited, jnp.clip(limited, self.low, self.high), free)
 

@@ -78,7 +78,7 @@ def finish(
         figures: the kernel and the seed, for posterior and summary.
         remarks: further warnings.
         show: receives lines for the user.
-        bar: whether to draw progress bars.
+        bar: whether to show the progress on standard error.
         smoothed: whether a draw is a path through all frames.
 
     Raises:

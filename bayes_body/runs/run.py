@@ -62,7 +62,7 @@ def run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None = None) -
     Args:
         settings: the settings of the run.
         show: receives lines for the user.
-        bar: whether to draw a progress bar on standard error.
+        bar: whether to show the progress on standard error.
         ahead: the program of a frame that is already being compiled (`compiled_ahead`), for a session of the same form. Without it, the program is
             compiled while the first pose is fitted or searched.
 
@@ -106,14 +106,14 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
     pairs = check_pairs(session, model, chosen.frames or session.frames, show, bar)
     kernel = term.build(options=options)
     compiling = compiled_ahead(session, model, kernel, options.particles) if must_fit and ahead is None else nullcontext(ahead)
-    with compiling as ahead, waiting("first pose", bar and must_fit):
+    with compiling as ahead, waiting("first pose: fitting the body to the first frame; the program compiles meanwhile", bar and must_fit):
         model, record = _with_first_pose(model, session, record, before, settings.out, show, chosen.seed)
     _show_first_fit(session, model, show)
     frames = _begin(settings.out, before, record, chosen.frames or session.frames, session.first_frame, show)
     for note in notes([("kernel", kind), *(("likelihood", each.kind) for each in definition.likelihoods)]):
         show(note)
     with remark_on_stop(frames, settings.out, show):
-        with progress_bar(bar, len(frames)) as on_frame:
+        with progress_bar(bar and len(frames) < (chosen.frames or session.frames), len(frames)) as on_frame:
             key, many = jax.random.key(chosen.seed), options.particles
             recovery = PersonRecovery(session, model, chosen.seed, show) if recover else None
             draws = track(key, session, model, kernel, many, chosen.runs, chosen.frames, on_frame, frames, ahead, recovery)

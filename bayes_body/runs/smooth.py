@@ -55,7 +55,7 @@ def smooth_run(settings: SmoothSettings, show: Show, bar: bool) -> dict[str, Any
     Args:
         settings: what to smooth, and how.
         show: receives lines for the user.
-        bar: whether to draw a progress bar on standard error.
+        bar: whether to show the progress on standard error.
 
     Raises:
         InputError: the run cannot be smoothed, its recording has changed, the folder has another run, or a file cannot be written.
@@ -90,7 +90,7 @@ def _smooth(source: SavedRun, settings: SmoothSettings, show: Show, bar: bool) -
     for note in _notes(source):
         show(note)
     with remark_on_stop(frames, settings.out, show):
-        with smoothing_bar(bar, len(frames)) as on_frame:
+        with smoothing_bar(bar and len(frames) < len(filtered), len(frames)) as on_frame:
             paths = smooth(session, model, Smoother(options), filtered, jax.random.key(seed), frames, on_frame)
         draws = Draws(model, paths, timing_of(paths), tuple(view.camera.name for view in session.views), session.first_frame)
         figures = {"kernel": str(source.kernel["kind"]), "seed": seed}

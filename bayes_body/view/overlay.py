@@ -110,7 +110,8 @@ def mosaic(
     for c, (view, window) in enumerate(zip(session.views, windows, strict=True)):
         picture, note = backdrop(session, index, view)
         placed = [[Outline(part, window.place(polygon, index)) for part, polygon in body[c]] for body in (strong, *drawn)]
-        tiles.append(label(paint(window.cut(picture, index), placed[0], placed[1:]), f"{view.camera.name}  frame {session.frame_number(index)}{which}{note}"))
+        painted = paint(window.cut(picture, index), placed[0], placed[1:])
+        tiles.append(label(painted, f"{view.camera.name}  frame {session.frame_number(index)}{which}{note}"))
     return grid(tiles)
 
 

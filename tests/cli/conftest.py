@@ -9,6 +9,9 @@ import pytest
 from bayes_body.cli.main import main
 from bayes_body.recording.parsec import import_parsec
 
+# A line of view/progress_log.py.
+PROGRESS = re.compile(r"\[\d\d:\d\d:\d\d\] ")
+
 
 class Outcome(NamedTuple):
     """How a command ended: exit status, and what it wrote."""
@@ -22,7 +25,7 @@ class Outcome(NamedTuple):
         """What a user reads after a wrong input: sentences on standard error, status 2, nothing of the program's inside."""
         assert self.status == 2, self.err
         assert "Traceback" not in self.out + self.err
-        lines = self.err.splitlines()
+        lines = [line for line in self.err.splitlines() if not PROGRESS.match(line)]
         assert lines
         assert all(line.startswith("bayes-body: ") for line in lines)
         return [line.removeprefix("bayes-body: ") for line in lines]

@@ -27,3 +27,10 @@ def test_it_is_differentiable():
     x, y = jax.random.normal(jax.random.key(0), (70, 3)), jnp.zeros(70)
     gradient = jax.jit(jax.grad(lambda v: jnp.sum(over_particles(_both, (v, y), jnp.array(2.0))["x"])))(x)
     assert np.allclose(gradient, jnp.cos(x), atol=1e-6)
+
+
+def test_a_common_key_draws_the_same_for_all():
+    """On several devices too, where JAX refuses it for parameters that differ between them."""
+    a = jnp.linspace(1.0, 9.0, 70)
+    got = jax.jit(lambda a, key: over_particles(lambda a, key: jax.random.gamma(key, a), a, key, 32))(a, jax.random.key(3))
+    assert np.allclose(got, jax.vmap(lambda a: jax.random.gamma(jax.random.key(3), a))(a), rtol=1e-5)

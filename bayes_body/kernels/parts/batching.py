@@ -12,6 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from bayes_body.density.sharding import varying_like
+
 BATCH = 32
 # A row of a graph is work enough for a core: all pairs of particles of two nodes fill its cache.
 ROWS = 1
@@ -71,10 +73,16 @@ def _pad(leaf: jax.Array, multiple: int) -> jax.Array:
 def _in_batches(vmapped: Callable[..., Any], batch: int) -> Callable[..., Any]:
     def run(particles: Any, shared: Any) -> Any:
         batches = jax.tree.map(lambda leaf: leaf.reshape(-1, batch, *leaf.shape[1:]), particles)
+        shared = jax.tree.map(lambda leaf: varying_like(leaf, particles) if _is_key(leaf) else leaf, shared)
         results = jax.lax.map(lambda some: vmapped(some, shared), batches)
         return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
 
     return run
+
+
+def _is_key(leaf: Any) -> bool:
+    # Between devices, JAX refuses a common key for some draws whose parameters differ, as it may be common by mistake. Here it is on purpose.
+    return isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
 def everywhere[Tree](tree: Tree) -> Tree:

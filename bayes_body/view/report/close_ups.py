@@ -90,7 +90,8 @@ def rank_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
     title, _ = _named(it, sample, dof)
     values, rhat = sample.poses[..., dof], it.diagnosis.rhat[sample.frame, dof]
     figure = _taken(az.plot_rank, PANEL, dt=_tree(values), visuals={"remove_axis": False})
-    axes = _label(figure, f"{spoken(it.dofs[dof])}: R-hat {rhat:.2f}", f"rank among all draws of frame {it.number(sample.frame)}", "difference from uniform")
+    rank = f"rank among all draws of frame {it.number(sample.frame)}"
+    axes = _label(figure, f"{spoken(it.dofs[dof])}: R-hat {rhat:.2f}", rank, "difference from uniform")
     _draw_as_runs(axes, it, dof)
     # Remove the p-value and the points of ArviZ's test: it assumes independent draws, and no option turns it off.
     for artist in (*axes.texts, *axes.collections):
