@@ -56,8 +56,13 @@ def write_c3d(motion: Motion, path: Path, spread: bool = False) -> None:
     moments = motion.moments if spread else ("mean",)
     residuals, step = _residuals(motion, len(moments))
     with replacing(path) as partial:
-        _document(motion, moments, step).write(str(partial))
-        partial.write_bytes(_with_residuals(partial.read_bytes(), residuals, step))
+        # ezc3d appends its ending to any other.
+        draft = partial.with_name(f"{partial.name}.c3d")
+        try:
+            _document(motion, moments, step).write(str(draft))
+            partial.write_bytes(_with_residuals(draft.read_bytes(), residuals, step))
+        finally:
+            draft.unlink(missing_ok=True)
 
 
 def _document(motion: Motion, moments: Sequence[str], step: float) -> Any:

@@ -6,11 +6,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from bayes_body.clinical.ranges import range_figures, ranges_of
+from bayes_body.clinical.trajectories import angle_paths
 from bayes_body.errors import InputError
 from bayes_body.files.atomic import remove_partial, write_text
 from bayes_body.initial import Show
 from bayes_body.metrics import summarise
 from bayes_body.metrics.plausibility_sentences import fit_sentences
+from bayes_body.model.build import Model
 from bayes_body.posterior import stream_posterior
 from bayes_body.posterior.diagnostics import diagnose, sentences, worst_figures
 from bayes_body.runs.settings import Record
@@ -93,6 +96,7 @@ def finish(
     else:
         diagnosis, warnings = _diagnosed(results, bar)
         summary = summarise(session, draws, **figures, watch=watched("figures", bar)) | diagnosis
+        summary["angles"] = _angles(session, draws.model, results) if smoothed else None
         summary["frame_pairs"] = remarks
         summary["warnings"] = [*fit_sentences(summary), *remarks, *warnings]
         write_text(out / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
@@ -124,3 +128,9 @@ def _diagnosed(results: Results, bar: bool) -> tuple[dict[str, Any], list[str]]:
         diagnosis = diagnose(tree)
     # For a mode seeker the first sentence only says that it is one. The kernel's note before the run has already said so.
     return worst_figures(diagnosis), sentences(diagnosis)[diagnosis.mode_seeker :]
+
+
+def _angles(session: Session, model: Model, results: Results) -> dict[str, Any]:
+    """Peaks and ranges of motion of a smoothed run. The draws of a filter are no paths, and have none."""
+    with results.posterior() as tree:
+        return range_figures(ranges_of(angle_paths(tree, model, "xyz".index(session.up), session.fps)))
