@@ -91,6 +91,7 @@ def _angle_table(title: str, ranges: "Sequence[AngleRange]") -> "Table":
     for name in ("largest", "smallest", "range"):
         table.add_column(name, justify="right")
     for each in ranges:
-        figures = (f"{row.mean:.1f} ({row.q05:.1f} to {row.q95:.1f})" for row in angle_rows([each]))
+        # Adding 0 turns -0 into 0.
+        figures = (f"{round(row.mean, 1) + 0:.1f} ({round(row.q05, 1) + 0:.1f} to {round(row.q95, 1) + 0:.1f})" for row in angle_rows([each]))
         table.add_row(each.name.replace("_", " "), SIDES[each.side], *figures)
     return table

@@ -25,13 +25,11 @@ class Curves(NamedTuple):
 
     Attributes:
         names: their names, such as `knee_flexion_r`.
-        moments: (frame, name), degrees and metres.
-        median: (frame, name), the same units; None where it was not computed.
+        moments: (frame, name), degrees and metres; of OpenSim's coordinates also the median.
     """
 
     names: tuple[str, ...]
-    moments: Moments
-    median: Float[np.ndarray, "frame name"] | None = None
+    moments: Moments | MomentsAndMedian
 
 
 def laboratory_of(up: int) -> tuple[int, int, int]:
@@ -53,7 +51,7 @@ def clinical_angles(run: SavedRun, frames: range | None = None, block: int = BLO
         InputError: the run's model or session cannot be used.
     """
     names, _, found = _angles(run, CLINICAL, frames, block)
-    return Curves(names, found.moments, found.q50)
+    return Curves(names, found.moments)
 
 
 def opensim_coordinates(run: SavedRun, frames: range | None = None, block: int = BLOCK) -> Curves:
@@ -81,7 +79,7 @@ def opensim_coordinates(run: SavedRun, frames: range | None = None, block: int =
     first = sum(name.startswith("pelvis_") for name in names)
     columns = MomentsAndMedian(*(np.insert(turned[:, known], [first] * 3, at, axis=1) for at, turned in zip(origin, moments, strict=True)))
     coordinates = [names[place] for place in known]
-    return Curves((*coordinates[:first], "pelvis_tx", "pelvis_ty", "pelvis_tz", *coordinates[first:]), columns.moments, columns.q50)
+    return Curves((*coordinates[:first], "pelvis_tx", "pelvis_ty", "pelvis_tz", *coordinates[first:]), columns)
 
 
 def _angles(

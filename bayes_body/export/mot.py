@@ -36,9 +36,8 @@ def write_mot(motion: Motion, path: Path) -> None:
     if motion.up != "y":
         raise input_error("--up", f"{motion.up} with --to mot", "y, as OpenSim's models stand", "leave it out")
     for name, file in mot_files(path, motion.moments).items():
-        values = motion.clinical.median if name == "q50" else getattr(motion.clinical.moments, name)
         with replacing(file) as partial:
-            _write(partial, motion, np.asarray(values))
+            _write(partial, motion, getattr(motion.clinical.moments, name))
 
 
 def _write(path: Path, motion: Motion, values: Float[np.ndarray, "frame coordinate"]) -> None:

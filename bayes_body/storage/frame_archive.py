@@ -111,7 +111,7 @@ class FrameArchive:
         arrays: dict[str, NDArray[Any]] = {
             "run": np.array(self.run),
             "names": np.array(self.names),
-            "digests": np.array([entry.digest for entry in self.entries]),
+            "digests": np.array([entry.digest for entry in self.entries], "S"),
             "seconds": np.array([entry.seconds for entry in self.entries]),
             "seconds_ready": np.array([entry.seconds_ready for entry in self.entries]),
             "restarted": np.concatenate(restarted),
@@ -135,7 +135,7 @@ def read_archive(folder: Path, posterior: Path) -> FrameArchive | None:
     try:
         digest = str(arrays.pop("digest"))
         restarted = np.split(arrays["restarted"].astype(bool), np.cumsum(arrays["restarted_sizes"])[:-1])
-        columns = (arrays["digests"].tolist(), arrays["seconds"].tolist(), arrays["seconds_ready"].tolist(), restarted)
+        columns = (arrays["digests"].astype(str).tolist(), arrays["seconds"].tolist(), arrays["seconds_ready"].tolist(), restarted)
         entries = [Entry(*values) for values in zip(*columns, strict=True)]
         archive = FrameArchive(posterior, str(arrays["run"]), arrays["names"].tolist(), entries, bool(arrays["last_first"]))
     except (KeyError, TypeError, ValueError) as error:

@@ -156,12 +156,13 @@ class FrameFiles:
         files = [index for index in range(self._count) if self.path(index).exists()]
         if not files:
             return True
-        entries, names = [], []
+        entries, names, run = [], [], ""
         for index in range(self._count):
             stored = self._stored(index)
-            result, names = stored.result, names or in_posterior(arrays_of(stored.result, stored.place))
+            result, run = stored.result, stored.place.run
+            names = names or in_posterior(arrays_of(result, stored.place))
             entries.append(Entry(stored.digest, result.seconds, result.seconds_ready, np.asarray(result.restarted, bool)))
-        archive = FrameArchive(self.folder.parent / POSTERIOR_FILE, self.run, names, entries, last_first, trusted=True)
+        archive = FrameArchive(self.folder.parent / POSTERIOR_FILE, run, names, entries, last_first, trusted=True)
         try:
             for index in watch(range(self._count)):
                 archive.load(index)
