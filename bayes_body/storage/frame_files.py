@@ -130,6 +130,13 @@ class FrameFiles:
             InputError: a frame belongs to another run. It is not replaced.
         """
         remove_partial(self.folder)
+        damage = self._first_damage()
+        for path in self.folder.glob("last_*.npz"):
+            if path != self._whole_path(self._count - 1):
+                path.unlink(missing_ok=True)
+        return damage
+
+    def _first_damage(self) -> str:
         before = ""
         for index in range(self._count):
             try:
