@@ -1,4 +1,4 @@
-"""`bayes-body gait`: foot strikes, toe offs, strides, cadence and speed of a smoothed run, each with its uncertainty."""
+"""`bayes-body gait`: foot strikes, toe offs, strides, cadence, speed and peak angles of a smoothed run, each with its uncertainty."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,11 +13,14 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from bayes_body.clinical.gait_table import Row
+    from bayes_body.clinical.ranges import AngleRange
 
 FILE_NAME = "gait.csv"
 SIDES = {"r": "right", "l": "left", "": ""}
 # A quantity that fewer draws have is marked: it may be no event at all.
 MOST = 0.9
+# The angles that are printed; the file has all.
+LEGS = ("pelvic", "hip", "knee", "ankle")
 
 
 def gait(
@@ -26,16 +29,17 @@ def gait(
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace an existing file."),
     plugin: Plugins = None,
 ) -> None:
-    """Print when each foot strikes the floor and leaves it, and cadence, speed, stride length and time, each with a 90 % interval; write a CSV file.
+    """Print foot strikes and toe offs, cadence, speed, strides, and peaks and ranges of the legs' angles, with 90 % intervals; write a CSV file.
 
-    The CSV file has the single strides too. The person walks upright; events within 0.2 s of the recording's ends are not found.
+    The CSV file has the single strides and all angles too. The person walks upright; events within 0.2 s of the recording's ends are not found.
     """
     from bayes_body.config import configure
 
     configure()
     from bayes_body.clinical.gait import POINTS, gait_of
     from bayes_body.clinical.gait_table import event_rows, walk_rows, write_gait
-    from bayes_body.clinical.trajectories import marker_paths
+    from bayes_body.clinical.ranges import ranges_of, stride_ranges
+    from bayes_body.clinical.trajectories import angle_paths, marker_paths
     from bayes_body.files.atomic import make_folder
     from bayes_body.files.existing import check_free
     from bayes_body.storage.saved_run import load_run
@@ -43,15 +47,21 @@ def gait(
     path = out or run / FILE_NAME
     check_free(path, overwrite)
     with own_terms(plugin), load_run(run) as saved:
-        found = gait_of(marker_paths(saved, POINTS), saved.fps, "xyz".index(saved.session.up))
+        up = "xyz".index(saved.session.up)
+        found = gait_of(marker_paths(saved, POINTS), saved.fps, up)
+        angles = angle_paths(saved.tree, saved.model, up, saved.fps)
+        ranges = [*ranges_of(angles), *stride_ranges(angles, found, saved.fps)]
     make_folder(path.parent)
-    write_gait(found, path)
+    write_gait(found, path, ranges)
     if not found.events:
         say("No steps were found.")
     for title, rows in (("The walk", walk_rows(found)), ("Events, s from the first frame", event_rows(found))):
         if rows:
             show(_table(title, rows))
-    say(f"{path}: {len(found.events)} events, {len(found.strides)} strides.")
+    legs = [each for each in ranges if not each.stride and each.name.startswith(LEGS)]
+    if legs:
+        show(_angle_table("Angles of the legs over the recording, degrees, with 90 % intervals", legs))
+    say(f"{path}: {len(found.events)} events, {len(found.strides)} strides, {len(angles.names)} angles.")
 
 
 def _table(title: str, rows: "Sequence[Row]") -> "Table":
@@ -67,4 +77,21 @@ def _table(title: str, rows: "Sequence[Row]") -> "Table":
         note = "" if row.share_of_draws >= MOST else f"in {row.share_of_draws:.0%} of the draws"
         figures = (f"{value:.3f}" if row.unit in ("s", "m", "m/s") else f"{value:.1f}" for value in (row.mean, row.sd, row.q05, row.q95))
         table.add_row(row.quantity.replace("_", " "), SIDES[row.side], row.unit, *figures, note)
+    return table
+
+
+def _angle_table(title: str, ranges: "Sequence[AngleRange]") -> "Table":
+    from rich.table import Table
+
+    from bayes_body.clinical.gait_table import angle_rows
+
+    table = Table(title=title, title_justify="left", box=None)
+    for name in ("", "side"):
+        table.add_column(name)
+    for name in ("largest", "smallest", "range"):
+        table.add_column(name, justify="right")
+    for each in ranges:
+        # Adding 0 turns -0 into 0.
+        figures = (f"{round(row.mean, 1) + 0:.1f} ({round(row.q05, 1) + 0:.1f} to {round(row.q95, 1) + 0:.1f})" for row in angle_rows([each]))
+        table.add_row(each.name.replace("_", " "), SIDES[each.side], *figures)
     return table

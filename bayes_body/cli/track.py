@@ -13,6 +13,8 @@ from bayes_body.errors import InputError, input_error
 
 # The largest seed of a JAX key without 64-bit arrays.
 LARGEST_SEED = 2**32 - 1
+# With fewer draws, 5 % and 95 % quantiles rest on one or two of them.
+FEWEST_KEPT = 20
 
 
 def track(
@@ -56,6 +58,9 @@ def track(
     resume: bool = typer.Option(
         False, "--resume", help="Continue the run in --out after its last complete frame; options that are not given are those of that run."
     ),
+    keep: str | None = typer.Option(
+        None, "--keep", metavar="draws=N", help="Store N draws of a frame and run instead of all particles; diagnostics are computed from all."
+    ),
     plugin: Plugins = None,
 ) -> None:
     """Track the person in a session; writes run.toml, frames, posterior.nc, summary.json, overlay.mp4 and stills."""
@@ -81,7 +86,7 @@ def track(
     folder = out or _free_run(session, resume)
     if out is None:
         say(f"run        {folder}")
-    asked = Settings(session, folder, model, kernel, overrides, runs, first_frame, frames, seed, init, recover, resume)
+    asked = Settings(session, folder, model, kernel, overrides, runs, first_frame, frames, seed, init, recover, resume, draws_of(keep))
     with own_terms(plugin):
         if resume and (folder / RUN_FILE).exists():
             # This is checked before the model is read: without the run's plugins, some of its terms do not exist.
@@ -90,6 +95,20 @@ def track(
             checked_definition(model)
         run(asked, show=lambda line: say(line), bar=True)
     say(f"{folder}: posterior.nc, summary.json, overlay.mp4, overlay/, frames/, run.toml")
+
+
+def draws_of(keep: str | None) -> int | None:
+    """Return the number in `draws=200`; None without the option.
+
+    Raises:
+        InputError: the text has another form.
+    """
+    if keep is None:
+        return None
+    name, _, number = keep.partition("=")
+    if name != "draws" or not (number.isascii() and number.isdecimal()) or int(number) < FEWEST_KEPT:
+        raise input_error("--keep", keep, f"draws=N with N from {FEWEST_KEPT} up", "give --keep draws=200, for example")
+    return int(number)
 
 
 def _free_run(session: Path, resume: bool) -> Path:

@@ -110,7 +110,7 @@ def gait_of(paths: Float[np.ndarray, "draw frame 4 3"], fps: float, up: int) -> 
     if paths.shape[1] < max(least, FEWEST_FRAMES):
         raise input_error("gait", f"{paths.shape[1]} frames", f"at least {max(least, FEWEST_FRAMES)}: a short stride", "track a longer recording")
     # The mean path is one more draw: its events are those that the draws' are assigned to.
-    smooth = _smoothed(np.concatenate([paths, paths.mean(axis=0, keepdims=True)]), fps)
+    smooth = low_pass(np.concatenate([paths, paths.mean(axis=0, keepdims=True)]), fps)
     rng = np.random.default_rng(SEED)
     # What the method misses in a whole walk is the same for both feet.
     walks = [error.mean + error.walks * rng.standard_t(FREEDOM, size=len(paths)) for error in (CONTACT, LIFT)]
@@ -149,8 +149,8 @@ def _when(event: Event) -> float:
     return float(np.nanmean(event.times))
 
 
-def _smoothed(paths: Float[np.ndarray, "draw frame 4 3"], fps: float) -> Float[np.ndarray, "draw frame 4 3"]:
-    """Return the paths without what is faster than walking, by a Butterworth filter forwards and backwards."""
+def low_pass(paths: Float[np.ndarray, "draw frame *of"], fps: float) -> Float[np.ndarray, "draw frame *of"]:
+    """Return the paths without what is faster than walking (CUTOFF_HZ), by a Butterworth filter forwards and backwards."""
     sections = butter(2, min(CUTOFF_HZ / fps, LARGEST_SHARE) * 2, output="sos")
     return sosfiltfilt(sections, paths, axis=1, padlen=min(int(fps), paths.shape[1] - 1))
 

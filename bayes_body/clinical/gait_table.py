@@ -1,8 +1,8 @@
-"""The gait of a walk as a table: mean, standard deviation and quantiles over the draws of each event, each stride and the whole walk."""
+"""The gait of a walk as a table: mean, standard deviation and quantiles over the draws of each event, stride, peak angle and the whole walk."""
 
 import csv
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.clinical.gait import FEET, Gait, cadence, known_mean, speed
+from bayes_body.clinical.ranges import AngleRange
 from bayes_body.files.atomic import replacing
 
 PERCENT = 100.0
@@ -19,9 +20,9 @@ class Row(NamedTuple):
     """A quantity.
 
     Attributes:
-        quantity: its name; events are times from the first frame.
-        side: `r` or `l`; empty for the whole walk.
-        number: the number of the event or stride of that side, from 1; 0 for a mean over the walk.
+        quantity: its name; events are times from the first frame. An angle has `_max`, `_min` or `_range` after its name.
+        side: `r` or `l`; empty for the whole walk, and for angles in the middle of the body. In a stride, it is the side of the stride.
+        number: the number of the event or stride of that side, from 1; 0 for a mean over the walk, and for an angle over the whole recording.
         unit: its unit.
         mean, sd, q05, q95: over the draws that have it.
         share_of_draws: how many of the draws have it, from 0 to 1.
@@ -72,8 +73,23 @@ def stride_rows(gait: Gait) -> list[Row]:
     return [row for side in FEET for row in _strides_of(gait, side) if row.share_of_draws > 0]
 
 
-def write_gait(gait: Gait, path: Path) -> None:
+def angle_rows(ranges: Sequence[AngleRange]) -> list[Row]:
+    """Return the largest and the smallest value and the range of motion of angles."""
+    found = []
+    for each in ranges:
+        side = each.stride_side or each.side
+        for name, draws in (("max", each.largest), ("min", each.smallest), ("range", each.extent)):
+            found.append(_row(f"{each.name}_{name}", side, each.stride, "deg", draws))
+    return [row for row in found if row.share_of_draws > 0]
+
+
+def write_gait(gait: Gait, path: Path, ranges: Sequence[AngleRange] = ()) -> None:
     """Write all rows as CSV; six decimals.
+
+    Args:
+        gait: the gait.
+        path: the file.
+        ranges: ranges of angles, over the recording and in strides.
 
     Raises:
         InputError: the file system does not accept the file.
@@ -81,7 +97,7 @@ def write_gait(gait: Gait, path: Path) -> None:
     with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(Row._fields)
-        for row in (*walk_rows(gait), *event_rows(gait), *stride_rows(gait)):
+        for row in (*walk_rows(gait), *event_rows(gait), *stride_rows(gait), *angle_rows(ranges)):
             writer.writerow([f"{value:.6f}" if isinstance(value, float) else value for value in row])
 
 

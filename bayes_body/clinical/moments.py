@@ -11,7 +11,7 @@ from bayes_body.clinical.joints import joint_frames, joints_of
 from bayes_body.density.spaces import circle
 from bayes_body.errors import input_error
 from bayes_body.posterior.blocks import BLOCK
-from bayes_body.posterior.moments import Moments, moments_in, weighted_moments
+from bayes_body.posterior.moments import Moments, MomentsAndMedian, moments_and_median, moments_in
 from bayes_body.storage.saved_moments import moments_of, of_each
 from bayes_body.storage.saved_run import SavedRun
 
@@ -25,11 +25,11 @@ class Curves(NamedTuple):
 
     Attributes:
         names: their names, such as `knee_flexion_r`.
-        moments: (frame, name), degrees and metres.
+        moments: (frame, name), degrees and metres; of OpenSim's coordinates also the median.
     """
 
     names: tuple[str, ...]
-    moments: Moments
+    moments: Moments | MomentsAndMedian
 
 
 def laboratory_of(up: int) -> tuple[int, int, int]:
@@ -50,8 +50,8 @@ def clinical_angles(run: SavedRun, frames: range | None = None, block: int = BLO
     Raises:
         InputError: the run's model or session cannot be used.
     """
-    names, _, moments = _angles(run, CLINICAL, frames, block)
-    return Curves(names, moments)
+    names, _, found = _angles(run, CLINICAL, frames, block)
+    return Curves(names, found.moments)
 
 
 def opensim_coordinates(run: SavedRun, frames: range | None = None, block: int = BLOCK) -> Curves:
@@ -69,40 +69,42 @@ def opensim_coordinates(run: SavedRun, frames: range | None = None, block: int =
     pelvis = body.skeleton.topology.joint_names.index(segments["pelvis"].joint)
     order = list(laboratory_of("xyz".index(run.session.up)))
 
-    def places(poses: Float[np.ndarray, "frame draw *shape"], weights: Float[np.ndarray, "frame draw"]) -> Moments:
-        return weighted_moments(of_each(poses, lambda chunk: np.asarray(joint_frames(body, chunk).origin))[:, :, pelvis][..., order], weights)
+    def places(poses: Float[np.ndarray, "frame draw *shape"], weights: Float[np.ndarray, "frame draw"]) -> MomentsAndMedian:
+        return moments_and_median(of_each(poses, lambda chunk: np.asarray(joint_frames(body, chunk).origin))[:, :, pelvis][..., order], weights)
 
     origin = moments_of(run, frames, block, 3 * len(body.skeleton.topology.joint_names), places)
     _, names, moments = _angles(run, OPENSIM, frames, block)
     # OpenSim's order: the rotations of the pelvis, its position, then the joints.
     known = [place for place, name in enumerate(names) if name]
     first = sum(name.startswith("pelvis_") for name in names)
-    columns = Moments(*(np.insert(turned[:, known], [first] * 3, at, axis=1) for at, turned in zip(origin, moments, strict=True)))
+    columns = MomentsAndMedian(*(np.insert(turned[:, known], [first] * 3, at, axis=1) for at, turned in zip(origin, moments, strict=True)))
     coordinates = [names[place] for place in known]
     return Curves((*coordinates[:first], "pelvis_tx", "pelvis_ty", "pelvis_tz", *coordinates[first:]), columns)
 
 
-def _angles(run: SavedRun, conventions: Sequence[Convention], frames: range | None, block: int) -> tuple[tuple[str, ...], tuple[str, ...], Moments]:
+def _angles(
+    run: SavedRun, conventions: Sequence[Convention], frames: range | None, block: int
+) -> tuple[tuple[str, ...], tuple[str, ...], MomentsAndMedian]:
     """Return names, OpenSim's names, and moments in degrees."""
     laboratory = laboratory_of("xyz".index(run.session.up))
     joints = joints_of(run.model.body, run.model.definition.body.clinical, laboratory, conventions)
     names = tuple(name for joint in joints for name in joint.names)
     coordinates = tuple(name for joint in joints for name in joint.coordinates)
     if not names:
-        return (), (), Moments(*np.zeros((4, len(range(run.frames) if frames is None else frames), 0)))
+        return (), (), MomentsAndMedian(*np.zeros((5, len(range(run.frames) if frames is None else frames), 0)))
     body, space = run.model.body, circle(names)
 
-    def turns(poses: Float[np.ndarray, "frame draw *shape"], weights: Float[np.ndarray, "frame draw"]) -> Moments:
+    def turns(poses: Float[np.ndarray, "frame draw *shape"], weights: Float[np.ndarray, "frame draw"]) -> MomentsAndMedian:
         rotations = of_each(poses, lambda chunk: np.asarray(joint_frames(body, chunk).rotation))
-        return moments_in(space, np.concatenate([joint.angles(rotations) for joint in joints], axis=-1), weights)
+        return moments_in(space, np.concatenate([joint.angles(rotations) for joint in joints], axis=-1), weights, moments_and_median)
 
     found = moments_of(run, frames, block, 9 * len(body.skeleton.topology.joint_names), turns)
-    return names, coordinates, _near(Moments(*map(np.degrees, found)), [name in UNBOUNDED for name in names])
+    return names, coordinates, _near(MomentsAndMedian(*map(np.degrees, found)), [name in UNBOUNDED for name in names])
 
 
-def _near(moments: Moments, unbounded: Sequence[bool]) -> Moments:
+def _near(moments: MomentsAndMedian, unbounded: Sequence[bool]) -> MomentsAndMedian:
     """Return the moments with each mean on the turn nearest to zero, or for an unbounded angle nearest to the frame before."""
     nearest = moments.mean - TURN * np.round(moments.mean / TURN)
     mean = np.where(unbounded, np.unwrap(nearest, period=TURN, axis=0), nearest)
     shift = mean - moments.mean
-    return Moments(mean, moments.sd, moments.q05 + shift, moments.q95 + shift)
+    return MomentsAndMedian(mean, moments.sd, moments.q05 + shift, moments.q95 + shift, moments.q50 + shift)

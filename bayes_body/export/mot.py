@@ -1,7 +1,7 @@
 """MOT, OpenSim's motion file: the coordinates of its models as text, degrees and metres, y up, with the header that OpenSim 4 writes.
 
-The format cannot store uncertainty. The standard deviations are a second file of the same form, OpenSim's storage file (`walk_sd.sto` beside
-`walk.mot`). A mode seeker's run has the means only.
+The format cannot store uncertainty. Standard deviations and the 5 %, 50 % and 95 % quantiles are further files of the same form, OpenSim's storage
+files (`walk_sd.sto`, `walk_q05.sto`, `walk_q50.sto` and `walk_q95.sto` beside `walk.mot`). A mode seeker's run has the means only.
 """
 
 from collections.abc import Sequence
@@ -17,13 +17,14 @@ from bayes_body.posterior.moments import Moments
 
 # The lines between `inDegrees` and `endheader`, as OpenSim's inverse kinematics writes them.
 UNITS = "Units are S.I. units (second, meters, Newtons, ...)"
+SPREAD = ("sd", "q05", "q50", "q95")
 DEGREES = "If the header above contains a line with 'inDegrees', this indicates whether rotational values are in degrees (yes) or radians (no)."
 
 
 def mot_files(path: Path, moments: Sequence[str] = Moments._fields) -> dict[str, Path]:
-    """Return the file of each moment: `path` for the mean, and `walk_sd.sto` for the standard deviation."""
-    deviation = {"sd": path.with_stem(f"{path.stem}_sd").with_suffix(".sto")} if "sd" in moments else {}
-    return {"mean": path} | deviation
+    """Return the file of each moment: `path` for the mean, `walk_sd.sto` and so on for the others, and `walk_q50.sto` for the median."""
+    spread = SPREAD if "sd" in moments else ()
+    return {"mean": path} | {name: path.with_stem(f"{path.stem}_{name}").with_suffix(".sto") for name in spread}
 
 
 def write_mot(motion: Motion, path: Path) -> None:

@@ -3,8 +3,8 @@
 The particles of a mode seeker are not a sample of the posterior. Of such a run only the means are exported.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -12,7 +12,10 @@ from jaxtyping import Bool, Float
 
 from bayes_body.body.placement import ByParts
 from bayes_body.body.solids import Body
-from bayes_body.clinical.moments import Curves, clinical_angles
+from bayes_body.clinical.gait import POINTS, Event, gait_of
+from bayes_body.clinical.moments import Curves, clinical_angles, opensim_coordinates
+from bayes_body.clinical.trajectories import marker_paths
+from bayes_body.errors import InputError
 from bayes_body.geometry import rigid, rotations
 from bayes_body.posterior.moments import Moments
 from bayes_body.storage.saved_moments import angle_moments, marker_moments, mean_configurations
@@ -21,6 +24,8 @@ from bayes_body.storage.saved_run import SavedRun
 type Axis = Literal["x", "y", "z"]
 AXES: tuple[Axis, ...] = ("x", "y", "z")
 MODE_SEEKER_MOMENTS = ("mean",)
+# Fields of `RunMoments` with angles, or none.
+type Angles = Literal["clinical", "opensim", "none"]
 
 
 class Parts(NamedTuple):
@@ -60,6 +65,7 @@ class Motion:
         first_frame: number of the first frame in the recording.
         parts: the parts of a loose-limbed body, in the axes of this motion; None if the body is placed by joint angles.
         clinical: clinical angles, degrees; for OpenSim the coordinates of its models, degrees and metres. Empty for formats that store neither.
+        events: gait events of a smoothed run (`RunMoments.events`); empty for formats that store none.
     """
 
     title: str
@@ -77,6 +83,7 @@ class Motion:
     first_frame: int = 0
     parts: Parts | None = None
     clinical: Curves = Curves((), Moments(*np.zeros((4, 0, 0))))
+    events: tuple[Event, ...] = ()
 
     @property
     def has_intervals(self) -> bool:
@@ -94,27 +101,75 @@ class Motion:
         return np.arange(self.frames) / self.fps
 
 
-def read_motion(run: SavedRun, fps: float | None = None, up: Axis | None = None, clinical: Callable[[SavedRun], Curves] = clinical_angles) -> Motion:
+class RunMoments:
+    """What the formats store of a run, in the session's axes. Each quantity is computed once, when a format asks for it."""
+
+    def __init__(self, run: SavedRun):
+        self.run = run
+
+    @cached_property
+    def markers(self) -> Moments:
+        """Positions of the markers (`marker_moments`)."""
+        return marker_moments(self.run)
+
+    @cached_property
+    def variables(self) -> Moments:
+        """Dofs, or coordinates of the parts (`angle_moments`)."""
+        return angle_moments(self.run)
+
+    @cached_property
+    def mean_parts(self) -> Float[np.ndarray, "frame part 7"]:
+        """Mean transforms of the parts of a loose-limbed body."""
+        return mean_configurations(self.run)
+
+    @cached_property
+    def clinical(self) -> Curves:
+        """Clinical angles (`clinical_angles`)."""
+        return clinical_angles(self.run)
+
+    @cached_property
+    def opensim(self) -> Curves:
+        """Coordinates of OpenSim's models (`opensim_coordinates`)."""
+        return opensim_coordinates(self.run)
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """Gait events; none of a filter's run, of a body without the markers, and of a recording that is too short."""
+        if not self.run.smoothed or not set(POINTS) <= set(self.run.model.body.markers.names):
+            return ()
+        try:
+            return gait_of(marker_paths(self.run, POINTS), self.run.fps, AXES.index(self.run.session.up)).events
+        except InputError:
+            return ()
+
+
+def read_motion(
+    run: SavedRun | RunMoments, fps: float | None = None, up: Axis | None = None, angles: Angles = "clinical", events: bool = False
+) -> Motion:
     """Return the motion of a run.
 
     Args:
-        run: the run, loaded from its folder.
+        run: the run, loaded from its folder; or its moments, so that several formats share them.
         fps: frames a second, if the session's value is wrong; no frame is added or left out.
         up: the axis that points up in the result; the session's by default. The axes are permuted cyclically (x, y, z to y, z, x): no reflection.
-        clinical: what computes the clinical angles, or other quantities in their place.
+        angles: clinical angles, OpenSim's coordinates in their place, or none.
+        events: whether to look for gait events.
 
     Raises:
         InputError: a file of the run cannot be used.
     """
+    known = run if isinstance(run, RunMoments) else RunMoments(run)
+    run = known.run
     order = _order(run.session.up, up or run.session.up)
-    parts = _parts(run, order)
-    names, units, dofs = _dofs(run) if parts is None else ((), (), Moments(*np.zeros((4, run.frames, 0))))
+    parts = _parts(known, order)
+    names, units, dofs = _dofs(known) if parts is None else ((), (), Moments(*np.zeros((4, run.frames, 0))))
+    rate = run.fps if fps is None else fps
     return Motion(
         title=run.session.title,
-        fps=run.fps if fps is None else fps,
+        fps=rate,
         up=up or run.session.up,
         marker_names=run.model.body.markers.names,
-        markers=Moments(*(values[..., list(order)] for values in marker_moments(run))),
+        markers=Moments(*(values[..., list(order)] for values in known.markers)),
         dof_names=names,
         dof_units=units,
         dofs=dofs,
@@ -124,13 +179,10 @@ def read_motion(run: SavedRun, fps: float | None = None, up: Axis | None = None,
         moments=MODE_SEEKER_MOMENTS if run.mode_seeker else Moments._fields,
         first_frame=run.first_frame,
         parts=parts,
-        clinical=clinical(run),
+        clinical=Curves((), Moments(*np.zeros((4, run.frames, 0)))) if angles == "none" else getattr(known, angles),
+        # Another rate moves the events as it moves the frames.
+        events=tuple(event._replace(times=event.times * (run.fps / rate)) for event in known.events) if events else (),
     )
-
-
-def no_angles(run: SavedRun) -> Curves:
-    """Return no clinical angles, for formats that cannot store them."""
-    return Curves((), Moments(*np.zeros((4, run.frames, 0))))
 
 
 def lost_frames(run: SavedRun) -> Bool[np.ndarray, " frame"]:
@@ -141,23 +193,24 @@ def lost_frames(run: SavedRun) -> Bool[np.ndarray, " frame"]:
     return lost
 
 
-def _dofs(run: SavedRun) -> tuple[tuple[str, ...], tuple[str, ...], Moments]:
+def _dofs(known: RunMoments) -> tuple[tuple[str, ...], tuple[str, ...], Moments]:
     """Return the names, units and moments of the dofs."""
-    angular = np.array(run.model.body.skeleton.topology.angular)
+    body = known.run.model.body
+    angular = np.array(body.skeleton.topology.angular)
     units = tuple("deg" if angle else "m" for angle in angular)
-    return run.model.body.dof_names, units, Moments(*(np.where(angular, np.degrees(values), values) for values in angle_moments(run)))
+    return body.dof_names, units, Moments(*(np.where(angular, np.degrees(values), values) for values in known.variables))
 
 
-def _parts(run: SavedRun, order: tuple[int, int, int]) -> Parts | None:
+def _parts(known: RunMoments, order: tuple[int, int, int]) -> Parts | None:
     """Return the parts of a loose-limbed body, in other axes."""
-    placement = run.model.body.placement
+    placement = known.run.model.body.placement
     if not isinstance(placement, ByParts):
         return None
-    coordinates = [values.reshape(run.frames, len(placement.names), 6) for values in angle_moments(run)]
+    coordinates = [values.reshape(known.run.frames, len(placement.names), 6) for values in known.variables]
     origins = Moments(*(values[..., list(order)] for values in coordinates))
     # Rotation vectors are about the part's own axes, which do not change with those of the world.
     turns = Moments(*(np.degrees(values[..., 3:]) for values in coordinates))
-    return Parts(placement.names, _continued(turned(mean_configurations(run), order)), origins, turns)
+    return Parts(placement.names, _continued(turned(known.mean_parts, order)), origins, turns)
 
 
 def turned(parts: Float[np.ndarray, "*batch 7"], order: tuple[int, int, int]) -> Float[np.ndarray, "*batch 7"]:

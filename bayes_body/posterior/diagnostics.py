@@ -1,7 +1,7 @@
 """Weighted diagnostics of every frame of a run, read block by block, and warnings from them as sentences."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -11,10 +11,11 @@ from bayes_body.posterior.blocks import BLOCK, coordinate_blocks, weights_of_run
 from bayes_body.posterior.diagnosis import LAGS, Diagnosis, Thresholds, first_frame_of
 from bayes_body.posterior.genealogy import unique_ancestors
 from bayes_body.posterior.message_passing import message_passing_of, worst_of_messages
-from bayes_body.posterior.mixing import mixing_of
+from bayes_body.posterior.mixing import mixing_of, thinned_figure
 from bayes_body.posterior.pareto import pareto_shape
 from bayes_body.posterior.sentences import frame_ranges, sentences
 from bayes_body.posterior.stored_spaces import stored_spaces
+from bayes_body.posterior.thinning import INDEPENDENT, OF_ALL, RHAT
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -41,25 +42,19 @@ def diagnose(run: "HasTree | xr.DataTree", block: int = BLOCK) -> Diagnosis:
     import xarray as xr
 
     tree = run if isinstance(run, xr.DataTree) else run.tree
-    spaces = stored_spaces(tree)
-    pieces = [
-        (effective_sample_sizes(b.log_weights), pareto_shape(b.log_weights.transpose(0, 2, 1)), rhat_of_block(b), independent_draws(b))
-        for b in coordinate_blocks(tree, block=block, spaces=spaces)
-    ]
-    ess, shapes, rhats, independent = zip(*pieces, strict=True)
+    figures = _of_all(tree) if "thinned_from" in tree.attrs else _of_draws(tree, block)
     (cameras, seen), mixing = _seen(tree), mixing_of(tree, block)
-    by_weights = np.concatenate(ess, axis=1)
     return Diagnosis(
         kernel=str(tree.attrs.get("kernel", "")),
-        particles=tree["posterior"].sizes["draw"],
-        dofs=tuple(label for space in spaces.values() for label in space.tangent_labels),
-        ess=by_weights if mixing is None else np.minimum(by_weights, mixing.ess.min(axis=-1)),
-        pareto_k=np.concatenate(shapes, axis=1),
-        ancestors=unique_ancestors(tree, LAGS),
+        particles=int(tree.attrs.get("thinned_from", tree["posterior"].sizes["draw"])),
+        dofs=tuple(label for space in stored_spaces(tree).values() for label in space.tangent_labels),
+        ess=figures.ess if mixing is None else np.minimum(figures.ess, mixing.ess.min(axis=-1)),
+        pareto_k=figures.pareto_k,
+        ancestors=figures.ancestors,
         lags=LAGS,
         acceptance_rate=_acceptance_rate(tree),
-        rhat=np.concatenate(rhats),
-        independent_draws=np.concatenate(independent),
+        rhat=figures.rhat,
+        independent_draws=figures.independent_draws,
         log_evidence=np.asarray(tree["filter"]["log_evidence"], float),
         lost=np.asarray(tree["filter"]["lost"], bool),
         seen=seen,
@@ -69,6 +64,38 @@ def diagnose(run: "HasTree | xr.DataTree", block: int = BLOCK) -> Diagnosis:
         smoothed=bool(tree.attrs.get("smoothed", 0)),
         first_frame=first_frame_of(tree),
     )
+
+
+class _Figures(NamedTuple):
+    """The figures that need all particles, as `Diagnosis` has them; `ess` by the weights alone."""
+
+    ess: Float[np.ndarray, "run frame"]
+    pareto_k: Float[np.ndarray, "run frame"]
+    ancestors: Float[np.ndarray, "lag run frame"]
+    rhat: Float[np.ndarray, "frame dof"]
+    independent_draws: Float[np.ndarray, " frame"]
+
+
+def _of_draws(tree: "xr.DataTree", block: int) -> _Figures:
+    """Return the figures of the draws."""
+    pieces = [
+        (effective_sample_sizes(b.log_weights), pareto_shape(b.log_weights.transpose(0, 2, 1)), rhat_of_block(b), independent_draws(b))
+        for b in coordinate_blocks(tree, block=block, spaces=stored_spaces(tree))
+    ]
+    ess, shapes, rhats, independent = zip(*pieces, strict=True)
+    return _Figures(
+        np.concatenate(ess, axis=1), np.concatenate(shapes, axis=1), unique_ancestors(tree, LAGS), np.concatenate(rhats), np.concatenate(independent)
+    )
+
+
+def _of_all(tree: "xr.DataTree") -> _Figures:
+    """Return the figures that were computed of all particles, before a run was thinned. Ancestors further back are unknown."""
+    group = tree["filter"]
+    ess, pareto_k, before, independent = (np.asarray(group[OF_ALL + name], float) for name in ("ess", "pareto_k", "ancestors", INDEPENDENT))
+    ancestors = np.full((len(LAGS), *before.shape), np.nan)
+    ancestors[LAGS.index(1)] = before
+    rhat = thinned_figure(tree, RHAT)
+    return _Figures(ess, pareto_k, ancestors, np.full((len(independent), 0), np.nan) if rhat is None else rhat, independent)
 
 
 def worst_figures(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -> dict[str, float | None]:

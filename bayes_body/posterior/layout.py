@@ -14,8 +14,11 @@ from bayes_body.density.spaces import Axis, Plate, Space, space_to_text
 from bayes_body.posterior.message_passing import DIMS, NODE, PARTS
 from bayes_body.posterior.mixing import PREFIX
 from bayes_body.posterior.stored_spaces import SPACE
+from bayes_body.posterior.thinning import INDEPENDENT, MARKOV_RHAT, MEAN, OF_ALL, RHAT
 from bayes_body.tracking.draws import Draws, FrameResult
 
+# Fields of a kernel's diagnostics that have another name in the tree.
+RENAMED = {"inverse_temperatures": "inverse_temperature"}
 # Name and text of the attribute of a tree whose draws have weights.
 WEIGHTS = "weights"
 WEIGHTED = "the draws have weights (sample_stats/log_weight): use bayes_body.equal_weight(tree) before az.summary, which ignores them"
@@ -55,7 +58,7 @@ def variables(draws: Draws) -> list[Variable]:
     messages = draws.frames[0].info.messages
     spaces = _spaces(draws)
     info = {"ess": "ess", "log_evidence": "log_evidence", "lost": "lost", "evaluations": "evaluations"}
-    layers = {"survival_rate": "survival_rate", "inverse_temperature": "inverse_temperatures", "acceptance_rate": "acceptance_rate"}
+    layers = {RENAMED.get(field, field): field for field in ("survival_rate", "inverse_temperatures", "acceptance_rate")}
     return [
         *(
             Variable("posterior", name, (*by_draw, *space_dims(name, space)), _state(name), {SPACE: space_to_text(space)})
@@ -75,7 +78,51 @@ def variables(draws: Draws) -> list[Variable]:
             if name in messages
         ),
         Variable("filter", "seen", ("frame", "camera"), lambda frame: frame.seen),
+        *(Variable("filter", OF_ALL + name, _figure_dims(name, spaces), _figure(name)) for name in draws.frames[0].figures),
     ]
+
+
+def place_in_tree(name: str) -> str:
+    """Return the group and the name in the tree of an array of a frame (`storage.frame_arrays`), such as `filter/ess`; empty if the tree lacks it."""
+    kind, _, rest = name.partition(".")
+    places = {
+        "states": f"posterior/{rest}",
+        "log_weights": "sample_stats/log_weight",
+        "info": "sample_stats/ancestor" if rest == "ancestors" else f"filter/{RENAMED.get(rest, rest)}",
+        "markov": f"filter/{PREFIX}{rest}",
+        "messages": f"filter/{rest}" if rest in DIMS else "",
+        "figures": f"filter/{OF_ALL}{rest}",
+        "seen": "filter/seen",
+    }
+    return places.get(kind, "")
+
+
+def frame_axis_of(name: str) -> int:
+    """Return the axis of the frames in the tree of an array of a frame."""
+    kind, _, rest = name.partition(".")
+    if kind in ("states", "log_weights") or name == "info.ancestors":
+        return 2
+    return 0 if kind == "seen" or (kind == "figures" and not _is_by_run(rest)) else 1
+
+
+def _is_by_run(figure: str) -> bool:
+    """Whether a figure of all particles is one of each run."""
+    return figure != INDEPENDENT and not figure.startswith(RHAT)
+
+
+def _figure_dims(name: str, spaces: Mapping[str, Space]) -> tuple[str, ...]:
+    """Return the dimensions of a figure of all particles."""
+    dims = ("chain", "frame") if _is_by_run(name) else ("frame",)
+    for variable, space in spaces.items():
+        if name == MEAN + variable:
+            return (*dims, *space_dims(variable, space))
+        if name in (RHAT + variable, MARKOV_RHAT + variable):
+            return (*dims, f"{variable}_coordinate")
+    return dims
+
+
+def _figure(name: str) -> Callable[[FrameResult], Any]:
+    return lambda frame: frame.figures[name]
 
 
 def _spaces(draws: Draws) -> dict[str, Space]:
@@ -173,7 +220,8 @@ def dims_of(members: Sequence[Variable]) -> list[str]:
 
 def attributes_of(draws: Draws, attributes: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the attributes of the whole tree."""
-    found = {"model": draws.model.definition.name, **({"kernel": draws.kernel} if draws.kernel else {}), **(attributes or {})}
+    named = {"model": draws.model.definition.name, **({"kernel": draws.kernel} if draws.kernel else {}), **(attributes or {})}
+    thinned = {"thinned_from": draws.particles} if draws.frames[0].figures else {}
     # A path of a smoother and a draw of a Markov chain have equal weights.
-    weighted = not found.get("smoothed") and not draws.frames[0].info.markov
-    return found | ({WEIGHTS: WEIGHTED} if weighted else {})
+    weighted = not named.get("smoothed") and not draws.frames[0].info.markov
+    return named | thinned | ({WEIGHTS: WEIGHTED} if weighted else {})

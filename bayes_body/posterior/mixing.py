@@ -12,6 +12,8 @@ from jaxtyping import Float, Int
 
 from bayes_body.posterior.agreement import FEWEST_DRAWS, split_rhat
 from bayes_body.posterior.blocks import BLOCK, coordinate_blocks
+from bayes_body.posterior.stored_spaces import stored_spaces
+from bayes_body.posterior.thinning import MARKOV_RHAT, OF_ALL
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -51,8 +53,17 @@ def mixing_of(tree: "xr.DataTree", block: int = BLOCK) -> Mixing | None:
         return None
     length = int(np.asarray(group[f"{PREFIX}length"]).max())
     acceptance, energy, step, ess = (np.asarray(group[PREFIX + name], float) for name in ("acceptance", "energy_fraction", "step", "ess"))
-    rhat = np.concatenate([_rhat(by_chain(piece.poses, length)) for piece in coordinate_blocks(tree, block=block)], axis=1)
+    rhat = thinned_figure(tree, MARKOV_RHAT)
+    if rhat is None:
+        rhat = np.concatenate([chain_rhat(piece.poses, length) for piece in coordinate_blocks(tree, block=block)], axis=1)
     return Mixing(length, acceptance, np.asarray(group[f"{PREFIX}divergences"], int), energy, step, ess, rhat)
+
+
+def thinned_figure(tree: "xr.DataTree", figure: str) -> Float[np.ndarray, "*shape"] | None:
+    """Return a figure of all particles of a thinned run, of all variables side by side; None if the run is not thinned or lacks it."""
+    group = tree["filter"]
+    names = [OF_ALL + figure + name for name in stored_spaces(tree)]
+    return np.concatenate([np.asarray(group[name], float) for name in names], axis=-1) if all(name in group for name in names) else None
 
 
 def by_chain(poses: Float[np.ndarray, "run draw frame *shape"], length: int) -> Float[np.ndarray, "run chain step frame *shape"]:
@@ -61,6 +72,11 @@ def by_chain(poses: Float[np.ndarray, "run draw frame *shape"], length: int) -> 
     chains = max(draws // length, 1)
     steps = min(length, draws)
     return poses[:, : chains * steps].reshape(runs, chains, steps, *rest)
+
+
+def chain_rhat(poses: Float[np.ndarray, "run draw frame dof"], length: int) -> Float[np.ndarray, "run frame dof"]:
+    """Return R-hat over the Markov chains of a frame, whose draws are stored one chain after the other."""
+    return _rhat(by_chain(poses, length))
 
 
 def _rhat(draws: Float[np.ndarray, "run chain step frame dof"]) -> Float[np.ndarray, "run frame dof"]:

@@ -4,6 +4,7 @@ $\bar x = \sum_i w_i x_i$, $s^2 = \sum_i w_i (x_i - \bar x)^2$, and the quantile
 are exact, without interpolation.
 """
 
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +32,21 @@ class Moments(NamedTuple):
     q95: Float[np.ndarray, "frame ..."]
 
 
+class MomentsAndMedian(NamedTuple):
+    """The moments, and the median after them."""
+
+    mean: Float[np.ndarray, "frame ..."]
+    sd: Float[np.ndarray, "frame ..."]
+    q05: Float[np.ndarray, "frame ..."]
+    q95: Float[np.ndarray, "frame ..."]
+    q50: Float[np.ndarray, "frame ..."]
+
+    @property
+    def moments(self) -> Moments:
+        """Return the moments without the median."""
+        return Moments(*self[:4])
+
+
 def weighted_moments(values: Float[np.ndarray, "frame draw *of"], weights: Float[np.ndarray, "frame draw"]) -> Moments:
     """Return the moments over the draws of each frame.
 
@@ -38,14 +54,30 @@ def weighted_moments(values: Float[np.ndarray, "frame draw *of"], weights: Float
         values: one quantity of any shape for each draw.
         weights: their weights, which sum to one in each frame.
     """
+    return Moments(*_moments(values, weights, (0.05, 0.95)))
+
+
+def moments_and_median(values: Float[np.ndarray, "frame draw *of"], weights: Float[np.ndarray, "frame draw"]) -> MomentsAndMedian:
+    """Return the moments and the median over the draws of each frame. The arguments are those of `weighted_moments`."""
+    return MomentsAndMedian(*_moments(values, weights, (0.05, 0.95, 0.5)))
+
+
+def _moments(
+    values: Float[np.ndarray, "frame draw *of"], weights: Float[np.ndarray, "frame draw"], shares: tuple[float, ...]
+) -> Iterator[Float[np.ndarray, "frame *of"]]:
     flat = values.reshape(*values.shape[:2], -1)
     mean = np.einsum("fs,fsk->fk", weights, flat)
     sd = np.sqrt(np.einsum("fs,fsk->fk", weights, (flat - mean[:, None]) ** 2))
-    moments = (mean, sd, *weighted_quantiles(flat, weights, (0.05, 0.95)))
-    return Moments(*(moment.reshape(values.shape[0], *values.shape[2:]) for moment in moments))
+    for moment in (mean, sd, *weighted_quantiles(flat, weights, shares)):
+        yield moment.reshape(values.shape[0], *values.shape[2:])
 
 
-def moments_in(space: Space, points: Float[np.ndarray, "frame draw *shape"], weights: Float[np.ndarray, "frame draw"]) -> Moments:
+def moments_in[M: (Moments, MomentsAndMedian)](
+    space: Space,
+    points: Float[np.ndarray, "frame draw *shape"],
+    weights: Float[np.ndarray, "frame draw"],
+    of: Callable[[Float[np.ndarray, "frame draw dimension"], Float[np.ndarray, "frame draw"]], M] = weighted_moments,
+) -> M:
     """Return the moments of a variable over the draws of each frame, in its space's coordinates around the mean: (frame, dimension).
 
     For numbers they are those of the numbers. Angles on the circle are first brought within half a turn of their mean, on the turn nearest to the
@@ -56,9 +88,10 @@ def moments_in(space: Space, points: Float[np.ndarray, "frame draw *shape"], wei
         space: where the variable lives.
         points: one point for each draw.
         weights: as for `weighted_moments`.
+        of: `weighted_moments` or `moments_and_median`.
     """
     mean = np.asarray(space.mean(weights, points))
-    return weighted_moments(np.asarray(space.coordinates(mean[:, None], points)), weights)
+    return of(np.asarray(space.coordinates(mean[:, None], points)), weights)
 
 
 def weighted_quantiles(

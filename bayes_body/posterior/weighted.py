@@ -15,6 +15,7 @@ from bayes_body.model.build import Model
 from bayes_body.posterior.agreement import FEWEST_DRAWS, split_rhat
 from bayes_body.posterior.blocks import around_mean
 from bayes_body.posterior.resampling import RESAMPLING_SEED, systematic_resampling
+from bayes_body.posterior.thinning import RHAT, weighted_mean
 from bayes_body.tracking.draws import Draws, FrameResult
 
 _positions = jax.jit(jax.vmap(placed_markers, (None, 0)))
@@ -22,9 +23,7 @@ _positions = jax.jit(jax.vmap(placed_markers, (None, 0)))
 
 def mean_pose(frame: FrameResult, model: Model) -> Float[np.ndarray, "run *shape"]:
     """Return the weighted posterior mean of each run, radians and metres: that of the variable that places the body, in its space."""
-    weights = np.exp(frame.log_weights - frame.log_weights.max(axis=-1, keepdims=True))
-    weights /= weights.sum(axis=-1, keepdims=True)
-    return np.asarray(configuration_space(model.body).mean(weights, frame.states[model.body.variable]))
+    return weighted_mean(frame, model.body.variable, configuration_space(model.body))
 
 
 def mean_poses(draws: Draws) -> Float[np.ndarray, "run frame *shape"]:
@@ -83,6 +82,8 @@ def frame_rhat(frame: FrameResult, index: int, variable: str, space: Space) -> F
         variable: the variable, such as `pose`.
         space: where it lives.
     """
+    if RHAT + variable in frame.figures:
+        return frame.figures[RHAT + variable]
     runs, draws = frame.log_weights.shape
     if runs < 2 or draws < FEWEST_DRAWS:
         return np.full(space.dimension, np.nan)

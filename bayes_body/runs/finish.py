@@ -6,16 +6,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from bayes_body.clinical.ranges import range_figures, ranges_of
+from bayes_body.clinical.trajectories import angle_paths
 from bayes_body.errors import InputError
 from bayes_body.files.atomic import remove_partial, write_text
 from bayes_body.initial import Show
 from bayes_body.metrics import summarise
 from bayes_body.metrics.plausibility_sentences import fit_sentences
+from bayes_body.model.build import Model
 from bayes_body.posterior import stream_posterior
 from bayes_body.posterior.diagnostics import diagnose, sentences, worst_figures
 from bayes_body.runs.settings import Record
 from bayes_body.session.session import Session
 from bayes_body.storage import FrameFiles
+from bayes_body.storage.frame_files import Thinning
 from bayes_body.storage.names import FRAMES_FOLDER, POSTERIOR_FILE, SUMMARY_FILE
 from bayes_body.storage.results import Results
 from bayes_body.storage.run_file import write_run_file
@@ -26,7 +30,9 @@ from bayes_body.view.progress import waiting, watched
 from bayes_body.view.video import playing_rate
 
 
-def kept_frames(out: Path, before: Mapping[str, Mapping[str, Any]] | None, record: Record, show: Show) -> FrameFiles:
+def kept_frames(
+    out: Path, before: Mapping[str, Mapping[str, Any]] | None, record: Record, show: Show, thinning: Thinning | None = None
+) -> FrameFiles:
     """Return the frames of a run that begins or goes on, up to the first damaged one. A new run's `run.toml` is written.
 
     Args:
@@ -34,14 +40,15 @@ def kept_frames(out: Path, before: Mapping[str, Mapping[str, Any]] | None, recor
         before: the tables of the run that is continued; None for a new one.
         record: its tables now.
         show: receives lines for the user.
+        thinning: what is stored of a frame; all of it by default.
 
     Raises:
         InputError: a frame belongs to another run, or a file cannot be written.
     """
     remove_partial(out)
     if before is None:
-        return FrameFiles(out / FRAMES_FOLDER, write_run_file(out, record))
-    frames = FrameFiles(out / FRAMES_FOLDER, before["check"]["run"])
+        return FrameFiles(out / FRAMES_FOLDER, write_run_file(out, record), thinning)
+    frames = FrameFiles(out / FRAMES_FOLDER, before["check"]["run"], thinning)
     damage = frames.mend()
     if damage:
         show(f"{damage} It is computed again.")
@@ -71,6 +78,8 @@ def finish(
 ) -> dict[str, Any]:
     """Write posterior, summary and pictures, unless they exist for these frames, and show figures and warnings. Return the content of the summary.
 
+    At the end the frames' files are removed: their draws are in the posterior.
+
     Args:
         session: the recording.
         draws: the frames, in the order of time.
@@ -93,11 +102,13 @@ def finish(
     else:
         diagnosis, warnings = _diagnosed(results, bar)
         summary = summarise(session, draws, **figures, watch=watched("figures", bar)) | diagnosis
+        summary["angles"] = _angles(session, draws.model, results) if smoothed else None
         summary["frame_pairs"] = remarks
         summary["warnings"] = [*fit_sentences(summary), *remarks, *warnings]
         write_text(out / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
         results.add(SUMMARY_FILE)
     _draw(session, draws, results, show, bar)
+    _archive(results, smoothed, show, bar)
     show(figures_text(summary))
     for sentence in summary["warnings"]:
         show(warning_line(sentence))
@@ -118,9 +129,23 @@ def _draw(session: Session, draws: Draws, results: Results, show: Show, bar: boo
         show(f"note: {VIDEO} plays {rate:g} frames a second: players do not show the session's {session.fps:g}.")
 
 
+def _archive(results: Results, smoothed: bool, show: Show, bar: bool) -> None:
+    """Remove the frames' files, whose draws are in the posterior now. The run is complete with them too."""
+    try:
+        results.files.archive(smoothed, watched("reading the posterior back", bar))
+    except InputError as error:
+        show(f"note: the files of {FRAMES_FOLDER}/ stay: {error}")
+
+
 def _diagnosed(results: Results, bar: bool) -> tuple[dict[str, Any], list[str]]:
     """The worst figures of the posterior's diagnostics, and the warnings."""
     with results.posterior() as tree, waiting("diagnostics", bar):
         diagnosis = diagnose(tree)
     # For a mode seeker the first sentence only says that it is one. The kernel's note before the run has already said so.
     return worst_figures(diagnosis), sentences(diagnosis)[diagnosis.mode_seeker :]
+
+
+def _angles(session: Session, model: Model, results: Results) -> dict[str, Any]:
+    """Peaks and ranges of motion of a smoothed run. The draws of a filter are no paths, and have none."""
+    with results.posterior() as tree:
+        return range_figures(ranges_of(angle_paths(tree, model, "xyz".index(session.up), session.fps)))

@@ -31,7 +31,9 @@ from bayes_body.metrics.plausibility_sentences import fit_sentences
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.model.kernel_options import kernel_options
+from bayes_body.posterior.thinning import thinning_of
 from bayes_body.registry import find, notes
+from bayes_body.runs.disk import disk_lines, draws_to_keep
 from bayes_body.runs.finish import finish, kept_frames, remark_on_stop
 from bayes_body.runs.frame_pairs import check_pairs
 from bayes_body.runs.frame_range import frames_from, number_of_first
@@ -42,6 +44,7 @@ from bayes_body.runs.size import check_size
 from bayes_body.session.read import load_session
 from bayes_body.session.session import Session
 from bayes_body.storage import FrameFiles
+from bayes_body.storage.frame_files import Thinning
 from bayes_body.storage.inputs import input_digests
 from bayes_body.storage.names import RUN_FILE
 from bayes_body.storage.results import Results
@@ -98,7 +101,8 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
             check_view(session, model)
     true_markers(session)
     recover = kind in RECOVERING if chosen.recover is None else chosen.recover
-    described = {"runs": chosen.runs, "seed": chosen.seed, "frames": chosen.frames, "init": chosen.init, "recover": recover}
+    keep = draws_to_keep(chosen.keep, options.model_dump(), show)
+    described = {"runs": chosen.runs, "seed": chosen.seed, "frames": chosen.frames, "init": chosen.init, "recover": recover, "keep": keep}
     described["first_frame"] = number_of_first(session, whole)
     record = describe(settings.session, name, definition, kind, options.model_dump(), described, input_digests(session))
     if before:
@@ -109,7 +113,10 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
     with compiling as ahead, waiting("first pose: fitting the body to the first frame; the program compiles meanwhile", bar and must_fit):
         model, record = _with_first_pose(model, session, record, before, settings.out, show, chosen.seed)
     _show_first_fit(session, model, show)
-    frames = _begin(settings.out, before, record, chosen.frames or session.frames, session.first_frame, show)
+    wanted, first = chosen.frames or session.frames, session.first_frame
+    frames = _begin(settings.out, before, record, wanted, first, show, thinning_of(model.transition, keep))
+    for line in disk_lines(settings.out, model, options.model_dump(), chosen.runs, wanted, len(frames), keep):
+        show(line)
     for note in notes([("kernel", kind), *(("likelihood", each.kind) for each in definition.likelihoods)]):
         show(note)
     with remark_on_stop(frames, settings.out, show):
@@ -149,9 +156,11 @@ def _show_first_fit(session: Session, model: Model, show: Show) -> None:
         show(f"note: neither silhouettes nor keypoints tell whether the body is on the person in frame {session.first_frame}: look at the overlay.")
 
 
-def _begin(out: Path, before: Mapping[str, Mapping[str, Any]] | None, record: Record, wanted: int, first: int, show: Show) -> FrameFiles:
+def _begin(
+    out: Path, before: Mapping[str, Mapping[str, Any]] | None, record: Record, wanted: int, first: int, show: Show, thinning: Thinning | None
+) -> FrameFiles:
     """Write `run.toml`. Return the frames that are already stored, up to the first damaged one."""
-    frames = kept_frames(out, before, record, show)
+    frames = kept_frames(out, before, record, show, thinning)
     if before is None:
         return frames
     if len(frames) > wanted:

@@ -34,6 +34,7 @@ class Settings:
         init: where the first pose comes from, GIVEN or AUTO.
         recover: whether a run that lost the person starts anew where detectors find it; None means: for the kernel `particle_bp`.
         resume: whether to continue the run in the folder.
+        keep: number of draws of a frame and run that are stored; None for all particles.
     """
 
     session: Path
@@ -48,13 +49,14 @@ class Settings:
     init: str | None = None
     recover: bool | None = None
     resume: bool = False
+    keep: int | None = None
 
 
 class Chosen(NamedTuple):
     """Settings with their defaults.
 
     None means: for `model`, chosen by the session's data; for `kernel`, the model's own; for `first_frame`, the session's; for `frames`, all; for
-    `recover`, by the kernel.
+    `recover`, by the kernel; for `keep`, all particles.
     """
 
     model: str | None
@@ -65,6 +67,7 @@ class Chosen(NamedTuple):
     seed: int
     init: str
     recover: bool | None
+    keep: int | None
 
 
 def choose(settings: Settings, stored: Mapping[str, Mapping[str, Any]] | None) -> Chosen:

@@ -83,6 +83,8 @@ def _smooth(source: SavedRun, settings: SmoothSettings, show: Show, bar: bool) -
     filtered = FrameFiles(source.folder / FRAMES_FOLDER, source.id)
     if len(filtered) < source.frames:
         raise input_error(filtered.folder, f"{len(filtered)} frames", f"the {source.frames} frames of the run", _again(source))
+    if source.kept:
+        show(_of_few(source, options))
     record = _record(source, filtered, options, seed)
     if before:
         refuse_changes(settings.out, before, record)
@@ -108,6 +110,19 @@ def _check_source(run: SavedRun) -> None:
     if run.mode_seeker:
         found = f"the kernel '{run.kernel['kind']}' seeks modes: its particles are not a sample of the posterior"
         raise input_error(run.folder, found, "the run of a kernel that samples the posterior", "track again with --kernel tempered, for one")
+
+
+def _of_few(source: SavedRun, options: Options) -> str:
+    """Return what a user should know about smoothing a thinned run.
+
+    Raises:
+        InputError: the paths would follow ancestors, which are unknown.
+    """
+    found = f"only {source.kept} of {source.kernel['particles']} particles of a frame are stored"
+    if source.model.transition.frames_read is None or options.start == "particles":
+        remedy = "smooth with --start ensemble" if options.start == "particles" else "track again without --keep"
+        raise input_error(source.folder, found, f"all of them: the paths follow the filter's ancestors; or {remedy}", remedy)
+    return f"note: {found}; the paths are laid from these."
 
 
 def _continued(settings: SmoothSettings) -> Record | None:

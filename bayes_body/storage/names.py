@@ -3,6 +3,8 @@
 from pathlib import Path
 
 RUN_FILE, POSTERIOR_FILE, SUMMARY_FILE, MANIFEST_FILE, FRAMES_FOLDER = "run.toml", "posterior.nc", "summary.json", "manifest.json", "frames"
+# In the folder of the frames: the index of those whose draws are in the posterior.
+INDEX_FILE = "index.npz"
 OVERLAY_FILE, OVERLAY_FOLDER = "overlay.mp4", "overlay"
 # Everything that a run writes, except its settings and its lock.
 RESULTS = (FRAMES_FOLDER, POSTERIOR_FILE, SUMMARY_FILE, MANIFEST_FILE, OVERLAY_FILE, OVERLAY_FOLDER)

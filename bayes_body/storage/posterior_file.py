@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from bayes_body.errors import escaped, input_error
 from bayes_body.storage.hdf5_screen import screened
-from bayes_body.storage.manifest import Manifest, check_result
+from bayes_body.storage.manifest import Manifest, check_result, sha256_of
 from bayes_body.storage.names import POSTERIOR_FILE
 
 if TYPE_CHECKING:
@@ -28,10 +28,7 @@ def open_posterior(folder: Path, manifest: Manifest) -> "xr.DataTree":
     import xarray as xr
 
     path = folder / POSTERIOR_FILE
-    listed = check_result(folder, manifest, POSTERIOR_FILE)
-    fault = _fault(path, listed.sha256)
-    if fault:
-        raise input_error(path, escaped(fault), "a posterior, all in one file", AGAIN)
+    _check_plain(path, check_result(folder, manifest, POSTERIOR_FILE).sha256)
     try:
         tree = xr.open_datatree(path, engine="h5netcdf")
     # A file of another kind can raise any exception in the reader, from OSError to KeyError.
@@ -43,6 +40,21 @@ def open_posterior(folder: Path, manifest: Manifest) -> "xr.DataTree":
         tree.close()
         raise input_error(path, f"no group {', '.join(missing)} in it", f"the groups {', '.join(GROUPS)}", AGAIN)
     return tree
+
+
+def check_plain(path: Path) -> None:
+    """Check that a file is a plain HDF5 file whose checksums are right, by a process of its own.
+
+    Raises:
+        InputError: it is not.
+    """
+    _check_plain(path, sha256_of(path))
+
+
+def _check_plain(path: Path, sha256: str) -> None:
+    fault = _fault(path, sha256)
+    if fault:
+        raise input_error(path, escaped(fault), "a posterior, all in one file", AGAIN)
 
 
 @lru_cache(64)

@@ -23,7 +23,7 @@ class Results:
     """
 
     def __init__(self, folder: Path, frames: FrameFiles):
-        self.folder = folder
+        self.folder, self.files = folder, frames
         self._frames = MadeOf(len(frames), frames.last_digest)
         self._manifest = _kept(folder, frames.run)
 

@@ -51,6 +51,8 @@ def _comparable(record: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     named = {"--model": Path(str(run.get("model"))).stem, "--runs": run.get("runs"), "--seed": run.get("seed"), "--init": run.get("init", "given")}
     named |= {"--recover": run.get("recover", False)}
     named |= {"--first-frame": run["first_frame"]} if "first_frame" in run else {}
+    # Runs of all particles have no such setting.
+    named |= {"--keep": f"draws={run['keep']}"} if run.get("keep") else {}
     named |= {f"kernel.{key}": value for key, value in _leaves(record["kernel"])}
     named |= {f"smoothing.{key}": value for key, value in _leaves(record.get("smoothing") or {})}
     named |= {"the precision": record.get("machine", {}).get("precision")}

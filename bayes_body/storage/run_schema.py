@@ -22,6 +22,7 @@ class RunTable(Schema):
     frames: Count | None = None
     init: Literal["given", "auto"] = "given"
     recover: Annotated[bool, Field(strict=True)] = False
+    keep: Count | None = None
 
 
 class KernelTable(Schema):

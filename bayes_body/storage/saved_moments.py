@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from bayes_body.body.space import configuration_space
 from bayes_body.errors import input_error
 from bayes_body.posterior.blocks import BLOCK, pooled, pose_blocks, weights_of_runs
-from bayes_body.posterior.moments import Moments, moments_in, weighted_moments
+from bayes_body.posterior.moments import Moments, MomentsAndMedian, moments_in, weighted_moments
 from bayes_body.posterior.weighted import markers
 from bayes_body.storage.saved_run import SavedRun
 
@@ -67,13 +67,13 @@ def mean_configurations(run: SavedRun, frames: range | None = None, block: int =
     return np.concatenate([np.asarray(space.mean(weights, points)) for points, weights in _pieces(run, frames, block, space.dimension)])
 
 
-def moments_of(run: SavedRun, frames: range | None, block: int, width: int, of: Callable[..., Moments]) -> Moments:
+def moments_of[M: (Moments, MomentsAndMedian)](run: SavedRun, frames: range | None, block: int, width: int, of: Callable[..., M]) -> M:
     """Return the moments that `of` computes from the configurations and weights (frame, draw, ...) of each piece.
 
     `width` is how many numbers it computes from one draw of one frame. The other arguments are those of `marker_moments`.
     """
     found = [of(points, weights) for points, weights in _pieces(run, frames, block, width)]
-    return Moments(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+    return type(found[0])(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
 def _pieces(

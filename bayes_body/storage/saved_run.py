@@ -80,6 +80,11 @@ class SavedRun:
         """Whether draw d is one path through all frames, given all images. The particles of a filter's frame know only the images up to it."""
         return bool(self.smoothing)
 
+    @property
+    def kept(self) -> int | None:
+        """Number of draws of a frame and run that are stored, if the run is thinned; None if all particles are."""
+        return self.settings.get("keep")
+
     @cached_property
     def session(self) -> Session:
         """The session that the run used, from the run's first frame on.

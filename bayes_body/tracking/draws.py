@@ -1,6 +1,6 @@
 """The results of filters on the host, frame by frame: in memory, or read from disk on demand."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
@@ -25,6 +25,7 @@ class FrameResult:
         seconds: wall-clock time of the frame, all runs together, without `seconds_ready`.
         seconds_ready: time before it until the program was compiled; 0 except for the first frame of a process.
         restarted: whether each run was lost before and started anew at this frame; empty where no run was.
+        figures: figures of all particles, if only some of them are here (`posterior.thinning`); else empty.
     """
 
     states: dict[str, NDArray[Any]]
@@ -34,6 +35,7 @@ class FrameResult:
     seconds: float
     seconds_ready: float = 0.0
     restarted: Bool[np.ndarray, " run"] = field(default_factory=lambda: np.zeros(0, bool))
+    figures: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     @property
     def lost(self) -> bool:
@@ -58,6 +60,16 @@ class FrameStore(Frames, Protocol):
 
     def append(self, result: FrameResult, /) -> None:
         """Store the next frame."""
+        ...
+
+
+@runtime_checkable
+class ThinningStore(FrameStore, Protocol):
+    """A store that may hold only some particles of a frame, but all of the last one."""
+
+    @property
+    def last(self) -> FrameResult:
+        """The last frame with all its particles, from which the filters go on."""
         ...
 
 
@@ -99,7 +111,8 @@ class Draws:
     @property
     def particles(self) -> int:
         """Number of particles of a run."""
-        return self.frames[0].log_weights.shape[1]
+        first = self.frames[0]
+        return int(first.figures["particles"][0]) if first.figures else first.log_weights.shape[1]
 
     @property
     def states(self) -> dict[str, NDArray[Any]]:

@@ -24,7 +24,7 @@ from bayes_body.plugins.load import check_own_factors
 from bayes_body.plugins.terms import check_result
 from bayes_body.session.session import Session
 from bayes_body.shapes import Key
-from bayes_body.tracking.draws import Draws, FrameResult, FrameStore, timing_of
+from bayes_body.tracking.draws import Draws, FrameResult, FrameStore, ThinningStore, timing_of
 from bayes_body.tracking.observations import Observed, observations
 from bayes_body.tracking.program import Ahead, program_from
 from bayes_body.tracking.rejected_chains import raise_if_all_rejected
@@ -117,7 +117,7 @@ def _first_filters(model: Model, key: Key, particles: int, runs: int) -> list[Pa
 
 def _filters_after(store: FrameStore, particles: int, runs: int, count: int) -> list[Particles]:
     """Return each run's particles at the last stored frame."""
-    last = store[len(store) - 1]
+    last = store.last if isinstance(store, ThinningStore) else store[len(store) - 1]
     for name, kept, asked in zip(("runs", "particles"), last.log_weights.shape, (runs, particles), strict=True):
         if kept != asked:
             raise input_error(name, str(asked), f"the {kept} of the frames that are kept", "give that number, or start again")

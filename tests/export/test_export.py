@@ -9,8 +9,9 @@ import pytest
 from sealed import seal
 
 from bayes_body.errors import InputError
-from bayes_body.export.formats import export
+from bayes_body.export.formats import export, export_formats, formats_in, targets
 from bayes_body.export.motion import read_motion
+from bayes_body.recording.mocap.c3d_parameters import open_c3d
 from bayes_body.storage.saved_run import load_run
 
 MARKERS = ("l_shoulder", "l_elbow", "l_wrist")
@@ -54,13 +55,28 @@ def test_trc(written):
             assert np.abs(positions[marker] - 1000 * getattr(motion.markers, moment)[:, m]).max() < 5.1e-4
 
 
+def residuals_of(path):
+    """By the format's description, with a reader that shares nothing with ezc3d: residuals (frame, point), mm, and the step."""
+    content, parameters = open_c3d(path, path.read_bytes())
+    header = content.values("u2", 0, 12)
+    points, frames, start = int(header[1]), int(header[4] - header[3]) + 1, int(header[8])
+    (scale,) = content.values("f4", 12, 1)
+    # The header and the parameter agree; negative: the data are floats.
+    assert scale == parameters["POINT:SCALE"] < 0
+    words = content.values("f4", 512 * (start - 1), 4 * points * frames).reshape(frames, points, 4)[..., 3]
+    assert np.array_equal(words, words.astype(int)) and words.min() >= 0
+    # No camera measured these points.
+    assert not (words.astype(int) >> 8).any()
+    return (words.astype(int) & 255) * -scale, -scale
+
+
 def test_c3d_has_the_means_and_their_residuals_and_no_other_points(written):
     motion, path = written("c3d")
     c3d = ezc3d.c3d(str(path))
     assert c3d["parameters"]["POINT"]["LABELS"]["value"] == [*MARKERS] and c3d["data"]["points"].shape == (4, 3, 5)
-    step = abs(c3d["parameters"]["POINT"]["SCALE"]["value"][0])
-    sd = 1000 * np.sqrt((motion.markers.sd**2).mean(axis=-1)).T
-    assert np.abs(c3d["data"]["meta_points"]["residuals"][0] - sd).max() < 0.51 * step
+    assert "EVENT" not in c3d["parameters"] and [each.name for each in path.parent.iterdir()] == ["arm.c3d"]
+    residuals, step = residuals_of(path)
+    assert np.abs(residuals - 1000 * np.sqrt((motion.markers.sd**2).mean(axis=-1))).max() < 0.51 * step
 
 
 def test_c3d_with_the_spread(written):
@@ -75,12 +91,11 @@ def test_c3d_with_the_spread(written):
     for k, moment in enumerate(MOMENTS):
         expected = (1000 * getattr(motion.markers, moment)).astype(np.float32)
         assert np.array_equal(data[:3, 3 * k : 3 * k + 3].transpose(2, 1, 0).astype(np.float32), expected)
-    residuals = c3d["data"]["meta_points"]["residuals"][0]
-    sd = 1000 * np.sqrt((motion.markers.sd**2).mean(axis=-1)).T
-    step = abs(points["SCALE"]["value"][0])
+    residuals, step = residuals_of(path)
+    sd = 1000 * np.sqrt((motion.markers.sd**2).mean(axis=-1))
     # The largest uses the seven bits that there are.
-    assert np.abs(residuals[:3] - sd).max() < 0.51 * step and step < sd.max() / 126 + 0.01
-    assert not residuals[3:].any()
+    assert np.abs(residuals[:, :3] - sd).max() < 0.51 * step and step < sd.max() / 126 + 0.01
+    assert not residuals[:, 3:].any()
 
 
 def test_npz(written):
@@ -144,7 +159,7 @@ def test_a_mode_seeker_s_trc_is_one_file(written, sought):
 def test_a_mode_seeker_s_c3d_has_no_residuals(written, sought):
     _, path = written("c3d", run=sought, spread=True)
     c3d = ezc3d.c3d(str(path))
-    assert c3d["data"]["points"].shape == (4, 3, 5) and np.abs(c3d["data"]["meta_points"]["residuals"]).max() < 0.01
+    assert c3d["data"]["points"].shape == (4, 3, 5) and not residuals_of(path)[0].any()
     assert "without uncertainty" in c3d["parameters"]["POINT"]["DESCRIPTIONS"]["value"][0]
 
 
@@ -201,5 +216,28 @@ def test_a_file_that_cannot_be_written_is_a_sentence(make_run, tmp_path, name):
 
 
 def test_a_format_that_does_not_exist(make_run, tmp_path):
-    with load_run(make_run()) as run, pytest.raises(InputError, match=r"--to: format 'cd3' does not exist; did you mean 'c3d'\?"):
+    said = r"--to: format 'cd3' does not exist; did you mean 'c3d'\? Known: bvh, c3d, csv, mot, npz, trc\."
+    with load_run(make_run()) as run, pytest.raises(InputError, match=said):
         export(run, "cd3", tmp_path / "arm.cd3")
+    with pytest.raises(InputError, match=r"--to: format '' does not exist"):
+        formats_in("mot,")
+
+
+def test_a_list_of_formats_has_one_name_for_all_files(tmp_path):
+    names = formats_in("mot, csv,mot,c3d")
+    assert names == ("mot", "csv", "c3d")
+    run, out = tmp_path / "run", tmp_path / "walk.1"
+    assert targets(names, None, run) == {name: run / f"motion.{name}" for name in names}
+    assert targets(names, tmp_path, run) == {name: tmp_path / f"motion.{name}" for name in names}
+    # A name may have dots.
+    assert targets(names, out, run) == {name: tmp_path / f"walk.1.{name}" for name in names}
+    assert targets(("csv",), out, run) == {"csv": out}
+    with pytest.raises(InputError, match=r"--out: .*walk\.csv for 3 formats; expected a name without an ending, or a folder; give --out .*walk,"):
+        targets(names, tmp_path / "walk.csv", run)
+
+
+def test_of_several_formats_none_is_written_if_a_file_is_there(make_run, tmp_path):
+    (tmp_path / "arm.csv").write_text("mine")
+    with load_run(make_run()) as run, pytest.raises(InputError, match=r"arm\.csv: already exists"):
+        export_formats(run, {"c3d": tmp_path / "arm.c3d", "csv": tmp_path / "arm.csv"})
+    assert not (tmp_path / "arm.c3d").exists() and (tmp_path / "arm.csv").read_text() == "mine"

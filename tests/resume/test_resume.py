@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import tomllib
+from pathlib import Path
 
 import cv2
 import jax
@@ -20,10 +21,15 @@ from bayes_body.kernels import annealed
 from bayes_body.model.build import build_model
 from bayes_body.runs.run import run
 from bayes_body.runs.settings import Settings
+from bayes_body.runs.smooth import SmoothSettings, smooth_run
 from bayes_body.session.read import load_session, save_session
 from bayes_body.storage import FrameFiles, frame_files
+from bayes_body.storage.frame_archive import FrameArchive
+from bayes_body.storage.frame_files import save_frame
 from bayes_body.storage.saved_run import load_run
 from bayes_body.tracking.track import track
+from bayes_body.view.report.page import page
+from bayes_body.view.report.provenance import command as command_of
 
 from .conftest import contents, digests
 from .looped import link_looped
@@ -58,9 +64,91 @@ def stopping(monkeypatch):
     return arrange
 
 
-def test_a_run_leaves_a_file_a_frame(uninterrupted):
+def test_the_draws_of_a_finished_run_are_in_its_posterior_alone(uninterrupted):
     assert {path.name for path in uninterrupted.iterdir()} == LEFT
-    assert {path.name for path in (uninterrupted / "frames").iterdir()} == {f"{frame:06d}.npz" for frame in range(FRAMES)}
+    assert [path.name for path in (uninterrupted / "frames").iterdir()] == ["index.npz"]
+    assert (uninterrupted / "frames" / "index.npz").stat().st_size < 10_000
+
+
+@pytest.mark.parametrize("moment", ["before the index", "among the files"])
+def test_a_stop_while_the_files_of_the_frames_are_removed_costs_nothing(looped, tmp_path, uninterrupted, monkeypatch, moment):
+    """The second time the index and the posterior are of fewer frames than there are."""
+    out, lines = tmp_path / "run", []
+    for frames in (2, FRAMES):
+        with monkeypatch.context() as patch:
+            stop_in_archive(patch, moment)
+            with pytest.raises(KeyboardInterrupt):
+                run(Settings(looped(FRAMES), out, frames=frames, resume=True, **SMALL), lines.append, bar=False)
+        assert len(FrameFiles(out / "frames")) == frames and any((out / "frames").glob("0*.npz"))
+    run(Settings(looped(FRAMES), out, resume=True), lines.append, bar=False)
+    assert f"{out}: all 6 frames exist, nothing is left to track" in lines
+    assert [path.name for path in (out / "frames").iterdir()] == ["index.npz"]
+    assert (out / "posterior.nc").read_bytes() == (uninterrupted / "posterior.nc").read_bytes()
+
+
+def stop_in_archive(patch, moment):
+    """Stop before the index is written, or after one frame's file was removed."""
+    unlink = Path.unlink
+
+    def write(archive, folder):
+        raise KeyboardInterrupt
+
+    def unlink_or_stop(path, missing_ok=False):
+        unlink(path, missing_ok)
+        if path.name in ("000000.npz", "000003.npz"):
+            raise KeyboardInterrupt
+
+    if moment == "before the index":
+        patch.setattr(FrameArchive, "write", write)
+    else:
+        patch.setattr(Path, "unlink", unlink_or_stop)
+
+
+KEEP = {"keep": 20}
+
+
+def test_a_thinned_run_has_the_figures_of_all_particles(looped, tmp_path, uninterrupted, stopping):
+    out, lines = tmp_path / "run", []
+    stopping(3, KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        run(Settings(looped(FRAMES), out, **SMALL, **KEEP), lines.append, bar=False)
+    # All particles of the last frame are there, and of the next one, whose draws could not be stored.
+    names = ["000000.npz", "000001.npz", "000002.npz", "last_000002.npz", "last_000003.npz"]
+    assert [path.name for path in sorted((out / "frames").iterdir())] == names
+    with pytest.raises(InputError, match="--keep was draws=20 and is now draws=30"):
+        run(Settings(looped(FRAMES), out, resume=True, keep=30), lines.append, bar=False)
+    summary = run(Settings(looped(FRAMES), out, resume=True), lines.append, bar=False)
+    assert [path.name for path in sorted((out / "frames").iterdir())] == ["index.npz", "last_000005.npz"]
+    whole = json.loads((uninterrupted / "summary.json").read_text())
+    exact = ("particles", "ess_min", "ess_median", "log_evidence", "iou_median", "marker_disagreement_mm", "rhat_max", "rhat_share", "pareto_k_max")
+    exact += ("independent_draws_min", "ancestors_min", "log_evidence_sd", "warnings")
+    for name in exact:
+        assert summary[name] == pytest.approx(whole[name], rel=1e-6) if isinstance(whole[name], float) else summary[name] == whole[name], name
+    with load_run(out) as few, load_run(uninterrupted) as all_of_them:
+        assert few.tree["posterior"].sizes["draw"] == 20 and few.tree.attrs["thinned_from"] == 40
+        # Every draw is a particle of the same frame of the whole run.
+        particles = all_of_them.tree["posterior"]["pose"].values
+        for chain, draw, frame in np.ndindex(2, 20, FRAMES):
+            assert (few.tree["posterior"]["pose"].values[chain, draw, frame] == particles[chain, :, frame]).all(axis=-1).any()
+        weights = np.exp(all_of_them.tree["sample_stats"]["log_weight"].values)[..., None]
+        np.testing.assert_allclose(few.tree["filter"]["all_mean_pose"], (weights * particles).sum(axis=1), rtol=1e-4, atol=1e-6)
+        assert "--keep draws=20" in command_of(few) and 'id="filter"' in page(few)
+
+
+def test_a_thinned_run_goes_on_with_all_particles_of_its_last_frame(looped, tmp_path):
+    out, lines = tmp_path / "run", []
+    run(Settings(looped(FRAMES), tmp_path / "whole", **SMALL, **KEEP), lines.append, bar=False)
+    run(Settings(looped(FRAMES), out, frames=2, **SMALL, **KEEP), lines.append, bar=False)
+    run(Settings(looped(FRAMES), out, frames=FRAMES, resume=True), lines.append, bar=False)
+    assert (out / "posterior.nc").read_bytes() == (tmp_path / "whole" / "posterior.nc").read_bytes()
+    # It is smoothed from the draws that it has, along which no ancestors are known.
+    smooth_run(SmoothSettings(out, tmp_path / "smoothed", {"draws": 30}), lines.append, bar=False)
+    assert any("20 of 40 particles of a frame are stored" in line for line in lines)
+    with pytest.raises(InputError, match=r"only 20 of 40 particles of a frame are stored; expected .* --start ensemble"):
+        smooth_run(SmoothSettings(out, tmp_path / "other", {"draws": 30, "start": "particles"}), lines.append, bar=False)
+    (out / "frames" / "last_000005.npz").unlink()
+    with pytest.raises(InputError, match=r"last_000005\.npz: missing; .*start again in another folder"):
+        FrameFiles(out / "frames").last  # noqa: B018
 
 
 @pytest.mark.parametrize("options", [SMALL, {}], ids=["the same command", "--resume alone"])
@@ -96,17 +184,23 @@ def test_more_frames_may_be_asked_for(looped, tmp_path, uninterrupted):
         run(Settings(looped(FRAMES), out, frames=3, resume=True), lambda line: None, bar=False)
 
 
-@pytest.mark.parametrize("missing", ["posterior.nc", "summary.json", "overlay.mp4", "overlay/frame_000000.png"])
+def test_without_its_posterior_a_finished_run_is_computed_again(looped, tmp_path, uninterrupted):
+    shutil.copytree(uninterrupted, tmp_path / "run")
+    (tmp_path / "run" / "posterior.nc").unlink()
+    lines = []
+    run(Settings(looped(FRAMES), tmp_path / "run", resume=True), lines.append, bar=False)
+    assert any(line.endswith("It is computed again.") and "posterior.nc: missing; expected the draws of frame 0" in line for line in lines)
+    assert (tmp_path / "run" / "posterior.nc").read_bytes() == (uninterrupted / "posterior.nc").read_bytes()
+
+
+@pytest.mark.parametrize("missing", ["summary.json", "overlay.mp4", "overlay/frame_000000.png"])
 def test_what_is_missing_of_a_finished_run_is_made_again(looped, tmp_path, uninterrupted, missing):
     before = {path: path.stat().st_mtime_ns for path in uninterrupted.rglob("*") if path.is_file()}
-    kept = (uninterrupted / missing).read_bytes()
     (uninterrupted / missing).unlink()
     lines = []
     run(Settings(looped(FRAMES), uninterrupted, resume=True), lines.append, bar=False)
     assert f"{uninterrupted}: all 6 frames exist, nothing is left to track" in lines
     assert (uninterrupted / missing).exists()
-    if missing == "posterior.nc":
-        assert (uninterrupted / missing).read_bytes() == kept
     made = {path for path, time in before.items() if path.stat().st_mtime_ns != time}
     pictures = {path for path in before if "overlay" in str(path.relative_to(uninterrupted))}
     assert made - {uninterrupted / name for name in (".lock", "run.toml", "manifest.json")} == (
@@ -256,7 +350,8 @@ def test_frames_of_another_seed_are_not_adopted(looped, tmp_path, uninterrupted,
     stopping(2, InputError("stopped"))
     with pytest.raises(InputError, match="stopped"):
         run(Settings(looped(FRAMES), out, **{**SMALL, "seed": 4}), lambda line: None, bar=False)
-    shutil.copyfile(uninterrupted / "frames" / "000002.npz", out / "frames" / "000002.npz")
+    foreign = FrameFiles(uninterrupted / "frames")._stored(2)
+    save_frame(out / "frames" / "000002.npz", foreign.result, foreign.place)
     before = digests(out)
     with pytest.raises(InputError, match=r"000002\.npz: belongs to another run"):
         run(Settings(looped(FRAMES), out, resume=True), lambda line: None, bar=False)

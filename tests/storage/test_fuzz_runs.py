@@ -24,7 +24,7 @@ from bayes_body.storage.saved_run import load_run
 QUICK, MANY = 120, 10_000
 FRAMES = 4
 # Files with many bytes are not more interesting than others.
-NAMES = ("run.toml", "summary.json", "manifest.json", "posterior.nc", "frames/000000.npz", "frames/000002.npz")
+NAMES = ("run.toml", "summary.json", "manifest.json", "posterior.nc", "frames/index.npz")
 SECONDS, MEMORY_BYTES = 10, 2 * 2**30
 
 

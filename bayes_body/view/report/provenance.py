@@ -30,6 +30,7 @@ def command(run: "SavedRun") -> str:
     options = {"model": settings["model"], "kernel": run.kernel["kind"]}
     options |= {name: run.kernel[name] for name in KERNEL_OPTIONS if name in run.kernel}
     options |= {name: settings[name] for name in ("runs", "first_frame", "frames", "seed") if name in settings}
+    options |= {"keep": f"draws={settings['keep']}"} if settings.get("keep") else {}
     return _with_options(["bayes-body", "track", str(settings["session"]), "--out", again], options)
 
 
