@@ -9,9 +9,9 @@ import pytest
 from bayes_body.model.definition import load_definition
 from bayes_body.storage.inputs import input_digests
 from bayes_body.storage.saved_run import load_run
-from bayes_body.view.report.chains import _image, chain_section, worst_mixed
+from bayes_body.view.backdrop import run_backdrop
+from bayes_body.view.report.chains import chain_section, worst_mixed
 from bayes_body.view.report.figures import style
-from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.page import page, sections_of
 
 RUNS, CHAINS, LENGTH, FRAMES = 2, 3, 20, 4
@@ -75,10 +75,11 @@ def test_the_image_is_that_of_the_run_or_none(chained):
     for frame in range(it.run.session.frames):
         path = it.run.session.image_path(view, frame)
         cv2.imwrite(str(path), picture)
-    assert np.unique(_image(it, 0, 0)).size == 1 and _image(it, 0, 0).max() < 100
+    dark, note = run_backdrop(it.run, 0, 0)
+    assert np.unique(dark).size == 1 and dark.max() < 100 and "no image" in note
     with load_run(it.run.folder) as known:
         known.inputs.update(input_digests(known.session))
-        assert (_image(Inspection(known), 0, 0) == picture).all()
+        assert (run_backdrop(known, 0, 0)[0] == picture).all()
 
 
 def test_without_a_body_that_fits_there_is_no_path_but_all_else(chained):

@@ -112,8 +112,8 @@ def _count(picture, ink):
 def test_the_import_picture_shows_the_axes_where_the_origin_is_in_view(textured_session, tmp_path, origin_in_view):
     session = _lowered(textured_session) if origin_in_view else textured_session
     picture = cv2.imread(str(draw_check(session, build_model("arm", session), tmp_path / "made" / "check.png")))
-    # The whole image of each camera, 4 by 3, and beside it the part that shows the body; the lowered cameras do not see it.
-    shape = (1, 2 * 4 / 3) if origin_in_view else (2, 4 / 3 + 1)
+    # The whole image of each camera, 4 by 3 and 8 by 9, and beside it the part that shows the body; the lowered cameras do not see it.
+    shape = (1, 4 / 3 + 8 / 9) if origin_in_view else (2, 4 / 3 + 1)
     assert picture.shape[:2] == tuple(round(STILL_HEIGHT * side) for side in shape)
     for ink in WORLD_AXES:
         assert (_count(picture, bgr(ink)) > 30) == origin_in_view

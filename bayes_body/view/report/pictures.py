@@ -10,7 +10,7 @@ import numpy as np
 from cv2.typing import MatLike
 
 from bayes_body.view.report.figures import data_uri
-from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
+from bayes_body.view.report.markup import Markup, Picture, details, figures, section, tag
 
 ABOUT = (
     "The mean is a translucent body: left side blue, right side orange, middle green. Draws are thin light outlines over it. Where the mean is not "
@@ -50,7 +50,8 @@ def picture_section(folder: Path, quality: Quality | None) -> Markup:
     video = _animation(folder / "overlay.mp4", quality)
     parts: list[str] = [tag("p", ABOUT)]
     parts += [figures([video], "moving")] if video else [tag("p", "overlay.mp4 is missing or cannot be read: there is no moving picture.")]
-    parts += [figures(stills, "large")] if stills else [tag("p", "There are no stills in overlay/.")]
+    parts += [figures(stills[:1], "large")] if stills else [tag("p", "There are no stills in overlay/.")]
+    parts += [details(f"{len(stills) - 1} more", figures(stills[1:], "large"))] if len(stills) > 1 else []
     command = tag("code", f"bayes-body view {shlex.quote(folder.resolve().name)}")
     # No link: the page has scripts, and in a stranger's folder they are the stranger's.
     scene = tag("p", command, " makes a page on which this run can be turned and played in 3D.", class_="note")
