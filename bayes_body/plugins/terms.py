@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from bayes_body.density.density import Density
@@ -66,7 +67,7 @@ def _array(where: str, found: Any) -> None:
 def _arrays(where: str, found: Any) -> None:
     """Refuse what a compiled program cannot take."""
     for leaf in jax.tree.leaves(found):
-        kind = np.dtype(leaf.dtype).kind if hasattr(leaf, "dtype") and not jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.extended) else "f"
+        kind = np.dtype(leaf.dtype).kind if hasattr(leaf, "dtype") and not jnp.issubdtype(leaf.dtype, jax.dtypes.extended) else "f"
         if kind not in "biufcV" or not (hasattr(leaf, "shape") or isinstance(leaf, int | float | complex)):
             raise input_error(where, f"returns {shown(leaf)}", "arrays of numbers", "convert it, or leave it out")
 

@@ -17,8 +17,10 @@ def frames_from(session: Session, first_frame: int | None, show: Show) -> Sessio
         InputError: the session does not have the frame.
     """
     part = excerpt(session, first_frame)
-    if part.first_frame != session.first_frame and (session.initial or session.initial_markers):
-        show(f"note: the first pose in session.toml belongs to frame {session.first_frame}; that of frame {part.first_frame} is looked for.")
+    # Keypoints of all frames have those of the new first one too.
+    given = session.initial or session.initial_markers or (session.initial_keypoints and not any(view.keypoints for view in session.views))
+    if given and part.first_frame != session.first_frame:
+        show(f"note: the first pose in session.toml belongs to frame {session.first_frame}, and is not used for frame {part.first_frame}.")
     return part
 
 
