@@ -5,6 +5,7 @@ and each of its variables is stored in one chunk. All chunks have checksums, whi
 when it was written nor on how often the run was resumed.
 """
 
+import math
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -50,9 +51,10 @@ def stream_posterior(draws: Draws, path: Path, attributes: Mapping[str, Any] | N
 
 
 def frames_in_chunk(draws: Draws) -> int:
-    """Return the number of frames in a chunk of the poses of one run."""
-    a_frame = sum(values[0].nbytes for values in draws.frames[0].states.values())
-    return int(np.clip(CHUNK_BYTES // a_frame, 1, min(CHUNK_FRAMES, len(draws.frames))))
+    """Return the number of frames in a chunk of the poses of one run. All chunks are about as long: HDF5 stores the last one whole too."""
+    count, a_frame = len(draws.frames), sum(values[0].nbytes for values in draws.frames[0].states.values())
+    most = int(np.clip(CHUNK_BYTES // a_frame, 1, min(CHUNK_FRAMES, count)))
+    return math.ceil(count / math.ceil(count / most))
 
 
 def _check_room(draws: Draws, path: Path) -> None:

@@ -19,7 +19,7 @@ from bayes_body.view.figures_text import warning_line
 # Of each particle, besides its state: its weight and its ancestor.
 WEIGHT_AND_ANCESTOR_BYTES = 8
 # Of each frame and run: figures of the kernel, and names of the arrays.
-FRAME_BYTES = 4_000
+FRAME_BYTES = 3_000
 MEGABYTE = 1e6
 
 
