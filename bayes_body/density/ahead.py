@@ -52,16 +52,27 @@ def log_ahead(transition: Transition, state: State, ahead: Ahead, after: Density
         ahead: the frames that follow, at least as many as the transition's memory.
         after: the density of the next frame, if a factor reads the frame before.
     """
-    total, before = jnp.zeros(()), state
+    return _log_path(transition, [dict(state)], ahead, ahead.known, after)
+
+
+def log_between(transition: Transition, before: State, state: State, ahead: Ahead, after: Density | None = None) -> Scalar:
+    """Return the log-density of a whole state given that of the frame before, and of the frames ahead given both. The arguments are as above."""
+    return _log_path(transition, [dict(before), dict(state)], ahead, jnp.concatenate([jnp.ones((1,), bool), ahead.known]), after)
+
+
+def _log_path(transition: Transition, path: list[State], ahead: Ahead, known: Bool[Array, " frame"], after: Density | None) -> Scalar:
+    """Return the log-density of states and of the frames ahead, given the first state."""
+    first = len(path) - 1
     for k in range(ahead.known.shape[0]):
-        sampled = {name: later[k] for name, later in ahead.sampled.items()}
-        here = transition.state(before, sampled)
-        term = transition.log_density(here, before)
-        if k == 0 and after is not None:
-            term += after.links(here, before)
-        total += jnp.where(ahead.known[k], term, 0.0)
-        before = here
-    return total
+        path.append(transition.state(path[-1], {name: later[k] for name, later in ahead.sampled.items()}))
+    if len(path) == 1:
+        return jnp.zeros(())
+    befores, states = (jax.tree.map(lambda *leaves: jnp.stack(leaves), *map(dict, some)) for some in (path[:-1], path[1:]))
+    # All frames at once, so that the program holds the motion prior once.
+    terms = jax.vmap(transition.log_density)(states, befores)
+    if after is not None:
+        terms = terms.at[first].add(after.links(path[first + 1], path[first]))
+    return jnp.sum(jnp.where(known, terms, 0.0))
 
 
 def sampled_of(transition: Transition, state: State) -> dict[str, Array]:

@@ -14,11 +14,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.scipy.special import betaln
 from jaxtyping import Array, Bool, Float
 from numpyro.distributions import constraints
 
-from bayes_body.dynamics.beta_draws import beta_draws
+from bayes_body.dynamics.beta import beta_draws, log_beta
 from bayes_body.dynamics.limits import InBox
 from bayes_body.shapes import Index, Key, Pose, Scalar
 
@@ -57,7 +56,7 @@ class JointNoise(InBox):
         share = jnp.clip((centre - safe_low) / width, 0.0, 1.0)
         kappa = concentration(share, jnp.minimum((scale / width) ** 2, LARGEST_VARIANCE))
         self.alpha, self.beta = 1 + share * kappa, 1 + (1 - share) * kappa
-        self.log_norm = jnp.where(self._limited, betaln(self.alpha, self.beta) + jnp.log(width), jnp.log(scale) + 0.5 * math.log(2 * math.pi))
+        self.log_norm = jnp.where(self._limited, log_beta(self.alpha, self.beta) + jnp.log(width), jnp.log(scale) + 0.5 * math.log(2 * math.pi))
         super().__init__(batch_shape=(), event_shape=centre.shape, validate_args=validate_args)
 
     @property

@@ -29,11 +29,10 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 from pydantic import Field
 
-from bayes_body.density.ahead import Ahead, log_ahead
+from bayes_body.density.ahead import Ahead, log_ahead, log_between
 from bayes_body.density.chart import Chart
 from bayes_body.density.density import Density, Predictions
 from bayes_body.density.factor import Particles, State
-from bayes_body.density.sharding import varying_like
 from bayes_body.density.tempering import LogTerms
 from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.kernels.parts.moves import Move, hmc
@@ -179,9 +178,10 @@ class Smoother:
         def target(whitened: State) -> tuple[Scalar, LogTerms]:
             position = unravel(root @ whitened["white"])
             state = density.transition.state(before, chart.constrain(position))
-            log_joint, terms = density.log_joint(state, before)
-            log_density = log_joint + chart.log_determinant(position) + log_ahead(density.transition, state, ahead, settings.after)
-            return log_density, varying_like(terms, log_density)
+            links = log_between(density.transition, before, state, ahead, settings.after)
+            log_density = links + density.log_weight(state, before) + chart.log_determinant(position)
+            # Nothing is tempered.
+            return log_density, LogTerms(log_density, log_density)
 
         start = {"white": jax.scipy.linalg.solve_triangular(root, vector, lower=False)}
         after = self.move.step(key, start, target, settings.step_size)

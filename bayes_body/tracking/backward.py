@@ -70,7 +70,6 @@ class _Laid(NamedTuple):
     states: State
     ancestors: Int[Array, " path"]
     ahead: Ahead
-    known: int
     density: Density | None
     begins: bool
     prediction: LinearPrediction | None = None
@@ -132,25 +131,26 @@ class Backward:
         particles, prediction = here.particles, None
         if after is None or after.begins:
             index = self.steps.begin(begin_key, particles)
-            states, ahead, known = self.steps.at(particles, index), None, 0
+            states, ahead = self.steps.at(particles, index), None
         elif self.memory is None:
             index = after.ancestors
-            states, ahead, known = self.steps.at(particles, index), after.ahead, 0
+            states, ahead = self.steps.at(particles, index), after.ahead
         else:
-            ahead, known = self.steps.pushed(after.ahead, self.steps.sampled(after.states)), min(after.known + 1, self.memory)
+            ahead = self.steps.pushed(after.ahead, self.steps.sampled(after.states))
             if self.smoother.options.start == "particles":
                 density = self.density(frame + 1, particles)
                 paths = OnParticles(after.ancestors, self.steps.sampled(after.states), after.ahead)
-                index = self.steps.choose(step_key, paths, density, after.density)
-                states = self.steps.at(particles, index)
                 linked = density if density.reads_previous else None
-                return _Laid(frame, states, self.steps.ancestors_at(here.ancestors, index), ahead, known, linked, here.begins)
+                # Without a frame ahead the link does not count; with one of the same form the program is the same.
+                index = self.steps.choose(step_key, paths, density, linked if after.density is None else after.density)
+                states = self.steps.at(particles, index)
+                return _Laid(frame, states, self.steps.ancestors_at(here.ancestors, index), ahead, linked, here.begins)
             index = self.steps.begin(begin_key, particles)
             predict_key, step_key = jax.random.split(step_key)
-            prediction = self.steps.predict(predict_key, particles, frames=known)
+            prediction = self.steps.predict(predict_key, particles)
             states = self.steps.regress(step_key, particles, index, ahead, prediction)
         ahead = self.steps.none_ahead(self.steps.sampled(states)) if ahead is None else ahead
-        return _Laid(frame, states, self.steps.ancestors_at(here.ancestors, index), ahead, known, None, here.begins, prediction)
+        return _Laid(frame, states, self.steps.ancestors_at(here.ancestors, index), ahead, None, here.begins, prediction)
 
     # -- the second walk --------------------------------------------------------------------------------------------------------------------
 
@@ -189,10 +189,11 @@ class Backward:
             return here._replace(log_step_size=step_size), None
         previous, sampled = self.filtered(here.frame - 1).particles, self.steps.sampled(here.states)
         density = self.density(here.frame, previous)
-        linked = after if density.reads_previous and ahead is not None else None
+        # Without a frame ahead the link does not count; with one of the same form the program is the same.
+        linked = (density if ahead is None else after) if density.reads_previous else None
         neighbours = (before.states, self.steps.none_ahead(sampled) if ahead is None else ahead)
         predict_key, move_key = jax.random.split(key)
-        prediction = self.steps.predict(predict_key, filtered.particles, frames=1) if here.prediction is None else here.prediction
+        prediction = self.steps.predict(predict_key, filtered.particles) if here.prediction is None else here.prediction
         moved = self.steps.move(move_key, sampled, *neighbours, density, prediction, step_size, linked)
         states = self.steps.completed(before.states, moved.sampled)
         step_size = self.steps.adapted(step_size, moved.acceptance_rate)

@@ -1,7 +1,8 @@
-"""The compiled steps of a walk back through the frames of a filter: each is traced once for all frames."""
+"""The compiled steps of a walk back through the frames of a filter: each is compiled once for all frames."""
 
 from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cached_property
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ from bayes_body.density.ahead import Ahead, nothing_ahead, sampled_of
 from bayes_body.density.chart import Chart
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles, State, Transition
+from bayes_body.kernels.parts.batching import everywhere, whole
 from bayes_body.kernels.parts.ensemble import LinearPrediction, linear_prediction, regressed, replaced
 from bayes_body.kernels.smoother import Moved, Moves, Smoother, adapted, whitening_of
 from bayes_body.shapes import Key, Scalar
@@ -26,67 +28,67 @@ class BackwardSteps:
         """Return the logarithm of the step size of the first moves, for states like these."""
         first = jax.tree.map(lambda leaf: leaf[0], dict(particles.states))
         size = sum(leaf.size for leaf in jax.tree.leaves(sampled_of(self.transition, first)))
-        return jnp.log(jnp.asarray(self.smoother.move.step_size(size), particles.log_weights.dtype))
+        return everywhere(jnp.log(jnp.asarray(self.smoother.move.step_size(size), particles.log_weights.dtype)))
 
     @cached_property
     def begin(self) -> Callable[[Key, Particles], Int[Array, " path"]]:
         """Return the particle with which each path begins."""
-        return jax.jit(self.smoother.begin)
+        return _compiled(self.smoother.begin)
 
     @cached_property
     def choose(self) -> Callable[..., Int[Array, " path"]]:
         """Redraw these particles (`Smoother.choose`)."""
-        return jax.jit(self.smoother.choose)
+        return _compiled(self.smoother.choose)
 
     @cached_property
     def at(self) -> Callable[[Particles, Int[Array, " path"]], State]:
         """Return the states of the particles with these indices."""
-        return jax.jit(lambda particles, index: jax.tree.map(lambda leaf: leaf[index], dict(particles.states)))
+        return _compiled(lambda particles, index: jax.tree.map(lambda leaf: leaf[index], dict(particles.states)))
 
     @cached_property
     def ancestors_at(self) -> Callable[[Int[Array, " particle"], Int[Array, " path"]], Int[Array, " path"]]:
         """Return the ancestors of the particles with these indices."""
-        return jax.jit(lambda ancestors, index: ancestors[index])
+        return _compiled(lambda ancestors, index: ancestors[index])
 
     @cached_property
     def adapted(self) -> Callable[[Scalar, Scalar], Scalar]:
         """Return the logarithm of the step size for the frame before, given that of a frame and its acceptance rate."""
-        return jax.jit(lambda log_step_size, acceptance_rate: adapted(log_step_size, acceptance_rate, self.smoother.move))
+        return _compiled(lambda log_step_size, acceptance_rate: adapted(log_step_size, acceptance_rate, self.smoother.move))
 
     @cached_property
     def sampled(self) -> Callable[[State], dict[str, Array]]:
         """Return the sampled variables of whole states."""
-        return jax.jit(jax.vmap(lambda state: sampled_of(self.transition, state)))
+        return _compiled(jax.vmap(lambda state: sampled_of(self.transition, state)))
 
     @cached_property
     def none_ahead(self) -> Callable[[State], Ahead]:
         """Return the frames ahead of the last frame of paths."""
         memory = self.memory or 0
-        return jax.jit(jax.vmap(lambda sampled: nothing_ahead(sampled, memory)))
+        return _compiled(jax.vmap(lambda sampled: nothing_ahead(sampled, memory)))
 
     @cached_property
     def pushed(self) -> Callable[[Ahead, State], Ahead]:
         """Return the frames ahead of the frame before, given the sampled variables of a frame."""
-        return jax.jit(jax.vmap(lambda ahead, sampled: ahead.pushed(sampled)))
+        return _compiled(jax.vmap(lambda ahead, sampled: ahead.pushed(sampled)))
 
     @cached_property
     def completed(self) -> Callable[[State, State], State]:
         """Return whole states, given those of the frame before and the sampled variables."""
-        return jax.jit(jax.vmap(self.transition.state))
+        return _compiled(jax.vmap(self.transition.state))
 
     @cached_property
     def carried(self) -> Callable[[State, State], State]:
         """Return whole states with what they carry from other states of the frame before."""
-        return jax.jit(jax.vmap(lambda before, state: self.transition.state(before, sampled_of(self.transition, state))))
+        return _compiled(jax.vmap(lambda before, state: self.transition.state(before, sampled_of(self.transition, state))))
 
     @cached_property
-    def predict(self) -> Callable[..., LinearPrediction]:
-        """Return the regression of the next `frames` frames on the particles of a frame (`kernels/parts/ensemble.py`)."""
+    def predict(self) -> Callable[[Key, Particles], LinearPrediction]:
+        """Return the regression of the next frames on the particles of a frame (`kernels/parts/ensemble.py`)."""
 
-        def ahead(key: Key, particles: Particles, frames: int) -> LinearPrediction:
-            return linear_prediction(key, particles, self.transition, _coordinates(self.transition, particles), frames)
+        def ahead(key: Key, particles: Particles) -> LinearPrediction:
+            return linear_prediction(key, particles, self.transition, _coordinates(self.transition, particles), self.memory or 0)
 
-        return partial(jax.jit, static_argnames="frames")(ahead)
+        return _compiled(ahead)
 
     @cached_property
     def regress(self) -> Callable[..., State]:
@@ -96,7 +98,7 @@ class BackwardSteps:
             chart = _coordinates(self.transition, particles)
             return replaced(particles, index, regressed(key, particles, index, nexts, self.transition, chart, prediction), self.transition)
 
-        return jax.jit(back)
+        return _compiled(back)
 
     @cached_property
     def move(self) -> Callable[..., Moved]:
@@ -115,7 +117,12 @@ class BackwardSteps:
             root = whitening_of(prediction.nearest().precision_between())
             return self.smoother.moved(key, sampled, before, ahead, Moves(density, density.coordinates(), after, root, jnp.exp(log_step_size)))
 
-        return jax.jit(moved)
+        return _compiled(moved)
+
+
+def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function whose results are placed as its arguments are: a result that is an argument later must not need another program."""
+    return jax.jit(function, out_shardings=whole())
 
 
 def _coordinates(transition: Transition, particles: Particles) -> Chart:

@@ -16,6 +16,7 @@ from bayes_body.dynamics import diffusion
 from bayes_body.dynamics.diffusion import TruncatedWalk
 from bayes_body.kernels import smoother
 from bayes_body.kernels.particle_filter import build_kernel
+from bayes_body.kernels.parts.batching import everywhere
 from bayes_body.kernels.smoother import build_smoother
 from bayes_body.tracking.backward import Backward, Filtered
 
@@ -83,25 +84,30 @@ def test_the_paths_know_what_is_seen_of_a_step():
 
 
 def test_a_smoother_that_forgets_what_is_seen_of_a_step_is_found_out(monkeypatch):
-    given = smoother.log_ahead
-    monkeypatch.setattr(smoother, "log_ahead", lambda transition, state, ahead, after=None: given(transition, state, ahead))
+    given = smoother.log_between
+    monkeypatch.setattr(smoother, "log_between", lambda transition, before, state, ahead, after=None: given(transition, before, state, ahead))
     with pytest.raises(AssertionError, match="standard errors from the exact smoother"):
         check(LINKED, start="particles", moves=6)
 
 
 @pytest.mark.parametrize("process", [SECOND, LINKED], ids=["second order", "linked"])
 def test_paths_go_on_from_stored_frames_as_if_they_had_never_stopped(process):
-    """Each state is stored only once what it carries is known; the density of a stored frame counts for the one before it."""
+    """Each state is stored only once what it carries is known; the density of a stored frame counts for the one before it.
+
+    All frames share their programs, also the last ones, which lack neighbours: compiling takes most of a smoother's time.
+    """
     frames, particles = [], process.start(jax.random.key(0))
     for frame in range(len(SEEN)):
         after, info = build_kernel()(jax.random.key(frame), particles, process.density(frame, particles))
         particles = Particles(dict(after.states), after.log_weights)
-        frames.append(Filtered(particles, info.ancestors, frame in (0, 1)))
+        frames.append(Filtered(*everywhere((particles, info.ancestors)), frame in (0, 1)))
 
     def walk():
         return Backward(build_smoother(draws=20), process.transition, lambda t: frames[t], process.density)
 
-    whole = {each.frame: each for each in walk().follow(jax.random.key(9), len(SEEN))}
+    once = walk()
+    whole = {each.frame: each for each in once.follow(jax.random.key(9), len(SEEN))}
+    assert [getattr(once.steps, step)._cache_size() for step in ("predict", "regress", "move")] == [1, 1, 1]
     assert list(whole) == [5, 4, 3, 2, 1, 0]
     for first in (5, 3, 1):
         rest = list(walk().follow(jax.random.key(9), len(SEEN), lambda t: whole[t]._replace(begins=False), first))

@@ -15,14 +15,14 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from bayes_body.density.ahead import Ahead, sampled_of
 from bayes_body.density.chart import Chart
 from bayes_body.density.factor import Particles, State, Transition
 from bayes_body.kernels.parts.batching import over_particles
 from bayes_body.kernels.parts.moves import shrunk
-from bayes_body.shapes import Key
+from bayes_body.shapes import Index, Key
 
 # Predictions of all particles together, at least, with noise of their own: they give the covariance of the noise.
 PREDICTIONS = 2000
@@ -50,6 +50,12 @@ class LinearPrediction(NamedTuple):
         """Return the regression of the nearest next frame alone."""
         size = len(self.spread)
         return LinearPrediction(self.spread, self.slope[:size], self.noise[:size, :size])
+
+    def of_known(self, known: Bool[Array, " frame"]) -> "LinearPrediction":
+        """Return the regression with no weight on next frames that a path does not have. One program serves all frames of the recording."""
+        rows = jnp.repeat(known, len(self.spread))
+        noise = jnp.where(rows[:, None] & rows, self.noise, jnp.eye(len(rows), dtype=self.noise.dtype))
+        return LinearPrediction(self.spread, jnp.where(rows[:, None], self.slope, 0.0), noise)
 
     def gain(self) -> Float[Array, "size all_sizes"]:
         """Return K of the regression of u on v."""
@@ -81,7 +87,7 @@ def regressed(
         key: random key of the predictions.
         particles: the particles of the frame before.
         indices: the particle from which each path continues.
-        nexts: the next frames of each path, the nearest first (path, frame, ...).
+        nexts: the next frames of each path, the nearest first (path, frame, ...); all paths have as many.
         transition: the motion prior.
         chart: the unconstrained coordinates.
         prediction: the regression (`linear_prediction`).
@@ -91,8 +97,8 @@ def regressed(
     unwound = jax.vmap(flat.unwound)(chosen)
     u = jax.vmap(lambda state: flat.vector(sampled_of(transition, state)))(unwound)
     v = jax.vmap(lambda key, state: _predicted(key, state, transition, chart, frames))(jax.random.split(key, len(indices)), unwound)
-    known = [jax.vmap(lambda path, k=k: flat.vector({name: values[k] for name, values in path.items()}))(nexts.sampled) for k in range(frames)]
-    return jax.vmap(flat.sampled)(u + (jnp.concatenate(known, axis=1) - v) @ prediction.gain().T)
+    ahead = jax.vmap(jax.vmap(flat.vector))(nexts.sampled).reshape(v.shape)
+    return jax.vmap(flat.sampled)(u + (ahead - v) @ prediction.of_known(nexts.known[0]).gain().T)
 
 
 def linear_prediction(key: Key, particles: Particles, transition: Transition, chart: Chart, frames: int) -> LinearPrediction:
@@ -107,9 +113,9 @@ def linear_prediction(key: Key, particles: Particles, transition: Transition, ch
     unwound = jax.vmap(flat.unwound)(dict(particles.states))
 
     def predictions(item: tuple[Key, State], shared: tuple[Transition, Chart, Key]) -> tuple[Array, Array]:
-        (own, state), (transition, chart, common) = item, shared
-        own_drawn, same_drawn = (jax.vmap(lambda key: _predicted(key, state, transition, chart, frames))(keys) for keys in (own, common))
-        return own_drawn, jnp.mean(same_drawn, axis=0)
+        (keys, state), (transition, chart, common) = item, shared
+        drawn = jax.vmap(lambda key: _predicted(key, state, transition, chart, frames))(jnp.concatenate([keys, common]))
+        return drawn[:repeats], jnp.mean(drawn[repeats:], axis=0)
 
     own_key, common_key = jax.random.split(key)
     keys = jax.random.split(own_key, (count, repeats)), jax.random.split(common_key, ALIKE * repeats)
@@ -147,11 +153,13 @@ def _flat(particles: Particles, transition: Transition, chart: Chart) -> _Flat:
 
 def _predicted(key: Key, state: State, transition: Transition, chart: Chart, frames: int) -> Array:
     """Draw the coordinates of the next frames of a state."""
-    found = []
-    for step in range(frames):
-        state = transition.sample(jax.random.fold_in(key, step), state)
-        found.append(ravel_pytree(chart.unconstrain(sampled_of(transition, state)))[0])
-    return jnp.concatenate(found)
+
+    # A loop, so that the program holds the motion prior once.
+    def step(state: State, number: Index) -> tuple[State, Array]:
+        state = dict(transition.sample(jax.random.fold_in(key, number), state))
+        return state, ravel_pytree(chart.unconstrain(sampled_of(transition, state)))[0]
+
+    return jax.lax.scan(step, dict(state), jnp.arange(frames))[1].ravel()
 
 
 def _inverse(covariance: Float[Array, "size size"]) -> Float[Array, "size size"]:
