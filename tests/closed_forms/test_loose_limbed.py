@@ -123,6 +123,32 @@ def test_ancestral_draws_have_the_density(body, blocks, joints, learned):
     assert weights.std() / weights.mean() / np.sqrt(len(weights)) < 0.01
 
 
+@pytest.mark.parametrize("reverse", [False, True], ids=["child", "parent"])
+def test_weighted_draws_are_draws_of_the_density(body, joints, learned, reverse):
+    """Their mean weight is 1, and by weight they have the moments of draws by rejection, though a tenth of the rotations go beyond a half turn."""
+    edge, count = _edge(_kinematic(body, learned(joints)), 3), 2**15
+    known = _random_rigid(np.random.default_rng(5), 1, 1.0)[0]
+    noise = jax.random.normal(jax.random.key(6), (count, 7))
+
+    @jax.jit
+    def draw(noise, keys):
+        weighted, log_weights = jax.vmap(lambda own: kinematic.weighted_draw(own, edge, known, reverse))(noise)
+        plain = jax.vmap(lambda key: kinematic.draw(key, edge, known, reverse))(keys)
+        return figures(weighted), figures(plain), log_weights
+
+    def figures(poses):
+        relative = rigid.relative(poses, known) if reverse else rigid.relative(known, poses)
+        w = rotations.logarithm(relative[:, 3:])
+        return jnp.concatenate([relative[:, :3], w, w**2], axis=1)
+
+    weighted, plain, log_weights = (np.asarray(values, float) for values in draw(noise, jax.random.split(jax.random.key(7), count)))
+    weights = np.exp(log_weights)
+    assert abs(weights.mean() - 1) < 4 * weights.std() / count**0.5 and (weights == 0).mean() > 0.05
+    away = (weights[:, None] * weighted).mean(axis=0) - plain.mean(axis=0)
+    error = np.sqrt(((weights[:, None] * weighted).var(axis=0) + plain.var(axis=0)) / count)
+    assert np.all(np.abs(away) < 4 * error)
+
+
 def test_the_prior_moves_with_the_world_and_does_not_see_a_quaternions_sign(body):
     factor = _kinematic(body, TWO)
     parts = body.placement.configuration(body.skeleton, _pose(body, 3))
