@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy.spatial.distance import cdist
 
 from bayes_body.body.solids import Body, part_transforms
 from bayes_body.body.space import configuration_space
@@ -71,9 +72,8 @@ def thinned(weights: Float[np.ndarray, " draw"]) -> tuple[Int[np.ndarray, " plac
 def distances(points: Float[np.ndarray, "pose point 3"]) -> Float[np.ndarray, "pose pose"]:
     """Return the root mean squared distance between the points of every two poses, metres."""
     flat = points.reshape(len(points), -1)
-    flat = flat - flat.mean(axis=0)
-    squares = (flat**2).sum(axis=1)
-    return np.sqrt(np.maximum(squares[:, None] + squares - 2 * flat @ flat.T, 0) / points.shape[1])
+    # Not by a matrix product: the threads of BLAS wait for each other for longer than this takes.
+    return cdist(flat, flat) / np.sqrt(points.shape[1])
 
 
 def lies_among(to_draws: Float[np.ndarray, " draw"], between: Float[np.ndarray, "draw draw"], shares: Float[np.ndarray, " draw"]) -> bool:

@@ -32,7 +32,7 @@ INSIDE, MEAN, DRAW, LIGHTER = 0.15, 0.75, 0.3, 0.55
 VIDEO = "overlay.mp4"
 FAN = 20
 STILLS = 5
-MEDOID = "\nmedoid: the mean is not among the draws"
+MEDOID = "\nmedoid, not the mean"
 CAMERAS = "use fewer cameras, and check their size_px"
 
 

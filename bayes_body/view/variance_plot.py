@@ -50,7 +50,7 @@ def _errors_by_frame(axes: Any, along: Mapping[str, Any]) -> None:
     """Draw error² of each filter with its whiskers, and its bias² as a grey line of the same style."""
     for number, (name, of) in enumerate(along.items()):
         if name == "truth_difference":
-            axes.plot(np.arange(1, len(of) + 1), of, color=GREY, label="difference² of the truth's two runs")
+            axes.plot(np.arange(1, len(of) + 1), of, color=GREY, linestyle=run_line(2), label="difference² of the truth's two runs")
             continue
         error, frames = np.array(of["error"]), np.arange(1, len(of["error"]) + 1) + 0.08 * number
         low, high = np.array(of["error_interval"]).T

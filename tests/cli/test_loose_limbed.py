@@ -46,6 +46,8 @@ def test_from_track_to_export(cli, model, keypoint_session, tmp_path):
     assert "forearm ry" in page and "upper arm x" in page
     outcome = cli("view", run)
     assert outcome.status == 0 and (run / "view.html").stat().st_size > 800_000, outcome.err
+    outcome = cli("picture", run, "--frame", 2, "--svg")
+    assert outcome.status == 0 and "draws" in (run / "picture_a_000002.svg").read_text(encoding="utf-8"), outcome.err
     for name in ("trc", "c3d", "csv", "bvh", "npz"):
         outcome = cli("export", run, "--to", name)
         assert outcome.status == 0, outcome.err

@@ -106,12 +106,13 @@ EMPTY = {
         "demo --out",
         "report run --out",
         "view run --out",
+        "picture run --out",
         "simulate walk --out",
         "export run --to csv --out",
         "track session --out",
         "mocap x.bvh --out",
     ],
-    "an argument": ["track", "report", "view", "import parsec source", "models check", "learn regions"],
+    "an argument": ["track", "report", "view", "picture", "import parsec source", "models check", "learn regions"],
     "--json": ["benchmark --json"],
 }
 
@@ -129,7 +130,7 @@ def test_an_empty_value_after_an_equals_sign(cli):
 
 LONG = "n" * 300
 TOO_LONG = [
-    *(["track", LONG], ["report", LONG], ["view", LONG], ["export", LONG, "--to", "csv"], ["import", "opencv", LONG, "x"]),
+    *(["track", LONG], ["report", LONG], ["view", LONG], ["picture", LONG], ["export", LONG, "--to", "csv"], ["import", "opencv", LONG, "x"]),
     *(["simulate", "walk", "--out", LONG], ["simulate", "walk", "--out", "s", "--rig", LONG]),
     *(["models", "check", LONG], ["check", LONG], ["mocap", "x.bvh", "--out", f"{LONG}.npz"]),
 ]

@@ -10,7 +10,7 @@ import numpy as np
 from cv2.typing import MatLike
 from jaxtyping import Float
 
-from bayes_body.errors import input_error, nearest
+from bayes_body.errors import input_error
 from bayes_body.geometry.camera import project
 from bayes_body.model.build import Model
 from bayes_body.posterior import CentralPose, central_pose
@@ -74,7 +74,7 @@ def write_picture(
         raise input_error("--frame", f"{frame}", f"0 to {run.frames - 1}: the run has {run.frames} frames", "name one of them")
     names = [view.camera.name for view in run.session.views]
     if camera is not None and camera not in names:
-        raise input_error("--camera", f"no camera '{camera}'", f"one of {', '.join(names)}", nearest(camera, names))
+        raise input_error("--camera", f"no camera '{camera}'", f"one of {', '.join(names)}", "name one of them")
     c = 0 if camera is None else names.index(camera)
     model = seen_in(run.model, run.session, frame)
     central, fan = _posterior(run, frame, 0 if run.mode_seeker else draws)
