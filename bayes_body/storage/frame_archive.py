@@ -7,7 +7,7 @@ bit that it had in a file of its own; its digest says so. Frames of a smoothed r
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from bayes_body.posterior.layout import frame_axis_of, place_in_tree
 from bayes_body.storage.frame_arrays import Place, Stored, digest_of, place_of, result_of
 from bayes_body.storage.names import INDEX_FILE
 from bayes_body.storage.posterior_file import check_plain
+
+if TYPE_CHECKING:
+    import h5py
 
 KIND, REMEDY = "the frames of a finished run", "compute them again with --resume"
 # Blocks of frames that stay in memory: readers go through the frames in order, and look back one frame.
@@ -95,8 +98,8 @@ class FrameArchive:
         found = {}
         with h5py.File(self.posterior, "r") as file:
             for name in self.names:
-                array, axis = file[place_in_tree(name)], frame_axis_of(name)
-                values = array[(*(slice(None),) * axis, slice(first, first + length))]
+                array, axis = _dataset(file, name), frame_axis_of(name)
+                values = np.asarray(array[(*(slice(None),) * axis, slice(first, first + length))])
                 boolean = array.attrs.get("dtype") == "bool"
                 found[name] = np.moveaxis(values.astype(bool) if boolean else values, axis, 0)
         return found
@@ -145,6 +148,20 @@ def read_archive(folder: Path, posterior: Path) -> FrameArchive | None:
     return archive
 
 
+def _dataset(file: "h5py.File", name: str) -> "h5py.Dataset":
+    """Return an array of the posterior by its name in a frame.
+
+    Raises:
+        KeyError, TypeError: there is none.
+    """
+    import h5py
+
+    array = file[place_in_tree(name)]
+    if not isinstance(array, h5py.Dataset):
+        raise TypeError(f"{name} is no array")
+    return array
+
+
 def in_posterior(arrays: Mapping[str, NDArray[Any]]) -> list[str]:
     """Return the names of the arrays of a frame that the posterior has."""
     return [name for name in arrays if place_in_tree(name)]
@@ -168,5 +185,5 @@ def _looked_at(posterior: Path, names: Sequence[str], trusted: bool, version: tu
         except InputError as fault:
             raise OSError(str(fault)) from None
     with h5py.File(posterior, "r") as file:
-        array, axis = file[place_in_tree(names[0])], frame_axis_of(names[0])
+        array, axis = _dataset(file, names[0]), frame_axis_of(names[0])
         return int(array.shape[axis]), max(int(array.chunks[axis] if array.chunks else 1), 1)

@@ -12,7 +12,7 @@ from bayes_body.errors import InputError
 from bayes_body.files.atomic import PARTIAL
 from bayes_body.storage import FrameFiles
 from bayes_body.storage.frame_files import Place, load_frame, save_frame
-from bayes_body.tracking.draws import FrameResult, Frames, FrameStore
+from bayes_body.tracking.draws import FrameResult, Frames, FrameStore, ThinningStore
 
 RUNS, PARTICLES, DOFS, LAYERS, CAMERAS = 2, 7, 3, 2, 4
 
@@ -195,3 +195,43 @@ def test_a_header_that_promises_too_much_is_a_sentence(kept):
         file.writestr("log_weights.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
     with pytest.raises(InputError, match=r"000001\.npz.*compute it again"):
         load_frame(kept.path(1))
+
+
+def few(frame: FrameResult, number: int) -> FrameResult:
+    """The first three particles."""
+    states = {name: values[:, :3] for name, values in frame.states.items()}
+    return dataclasses.replace(frame, states=states, log_weights=frame.log_weights[:, :3], figures={"particles": np.full(RUNS, PARTICLES)})
+
+
+@pytest.fixture
+def thinned(tmp_path):
+    """Files of four frames, of which some particles are stored."""
+    files = FrameFiles(tmp_path / "frames", "this", few)
+    for seed in range(4):
+        files.append(result(seed))
+    return files
+
+
+def test_of_a_thinned_run_the_last_frame_has_all_its_particles(thinned):
+    names = {"000000.npz", "000001.npz", "000002.npz", "000003.npz", "last_000003.npz"}
+    assert {path.name for path in thinned.folder.iterdir()} == names
+    # A stop before the last file was removed leaves one more.
+    (thinned.folder / "last_000002.npz").write_bytes(b"of no use")
+    again = FrameFiles(thinned.folder, "this", few)
+    assert isinstance(again, ThinningStore) and again.mend() == "" and {path.name for path in thinned.folder.iterdir()} == names
+    assert same(again.last, result(3)) and same(again[3], few(result(3), 3)) and again[3].figures["particles"].tolist() == [PARTICLES] * RUNS
+    # Without thinning the last frame is what is stored.
+    (thinned.folder / "last_000003.npz").write_bytes((thinned.folder / "000003.npz").read_bytes()[:-9])
+    with pytest.raises(InputError, match=r"last_000003\.npz: .*damaged"):
+        _ = again.last
+
+
+def test_a_damaged_frame_of_a_thinned_run_costs_the_run_but_not_what_is_computed_again(thinned):
+    thinned.path(1).write_bytes(b"damaged")
+    again = FrameFiles(thinned.folder, "this", few)
+    assert "000001.npz" in again.mend() and len(again) == 0
+    for seed in range(2):
+        again.append(dataclasses.replace(result(seed), seconds=9.0))
+    # It stops here: the next frame is one of before, and the run goes on after the second one.
+    again = FrameFiles(thinned.folder, "this", few)
+    assert "after another frame" in again.mend() and len(again) == 2 and again.last.seconds == 9.0
