@@ -14,7 +14,7 @@ SIZES, MOST_DRAWS = (200, 10_000), 1000
 
 def picture(
     run: Path = typer.Argument(help="Folder of a run made by `bayes-body track`."),
-    frame: int | None = typer.Option(None, "--frame", help="Number of the frame; the first one, 0, by default."),
+    frame: int | None = typer.Option(None, "--frame", help="Number of the frame in the recording; by default the run's first."),
     camera: str | None = typer.Option(None, "--camera", help="Name of the camera; the first one by default."),
     curves: str | None = typer.Option(None, "--curves", help="Curves over time instead: angles such as l_knee,r_knee, or knee for both sides."),
     size: int = typer.Option(2000, "--size", help=f"Longer side of a .png, pixels, {SIZES[0]} to {SIZES[1]}."),
@@ -53,6 +53,6 @@ def picture(
             write_curves(saved, path, [name.strip() for name in curves.split(",") if name.strip()], size)
         else:
             shown = saved.session.views[0].camera.name if camera is None else camera
-            path = out or saved.folder / f"picture_{re.sub(r'[^A-Za-z0-9.-]', '_', shown)}_{frame or 0:06d}.{'svg' if svg else 'png'}"
-            write_picture(saved, path, frame or 0, camera, size, draws, whole)
+            path = out or saved.folder / f"picture_{re.sub(r'[^A-Za-z0-9.-]', '_', shown)}_{saved.first_frame if frame is None else frame:06d}.{'svg' if svg else 'png'}"
+            write_picture(saved, path, frame, camera, size, draws, whole)
     say(f"{path}: {path.stat().st_size / 1e6:.1f} MB.")

@@ -54,14 +54,14 @@ class Scale(NamedTuple):
 
 
 def write_picture(
-    run: "SavedRun", path: Path, frame: int = 0, camera: str | None = None, size_px: int = 2000, draws: int = 40, whole: bool = False
+    run: "SavedRun", path: Path, number: int | None = None, camera: str | None = None, size_px: int = 2000, draws: int = 40, whole: bool = False
 ) -> None:
     """Write the posterior of a frame over a camera's image.
 
     Args:
         run: the run, loaded from its folder.
         path: the file: .png, .svg or .pdf. In a vector picture, bodies and text are vectors over the image.
-        frame: number of the frame.
+        number: the frame's number in the recording; the run's first frame by default.
         camera: name of the camera; the first one by default.
         size_px: longer side of a .png, pixels.
         draws: number of draws; a mode seeker has none.
@@ -70,8 +70,10 @@ def write_picture(
     Raises:
         InputError: the run has no such frame or camera, a file of the run or its recording cannot be used, or the picture cannot be written.
     """
+    first = run.first_frame
+    frame = 0 if number is None else number - first
     if not 0 <= frame < run.frames:
-        raise input_error("--frame", f"{frame}", f"0 to {run.frames - 1}: the run has {run.frames} frames", "name one of them")
+        raise input_error("--frame", f"{number}", f"{first} to {first + run.frames - 1}: the run has {run.frames} frames", "name one of them")
     names = [view.camera.name for view in run.session.views]
     if camera is not None and camera not in names:
         raise input_error("--camera", f"no camera '{camera}'", f"one of {', '.join(names)}", "name one of them")
@@ -82,7 +84,7 @@ def write_picture(
     strong, thin = outlines(model, central.pose)[c], [part for pose in fan for part in outlines(model, pose)[c]]
     crop = _crop(strong, thin, (image.shape[1], image.shape[0]), whole)
     scale = _scale(run, model, central, frame, c)
-    when = f"camera {names[c]}, frame {frame} ({frame / run.fps:.2f} s){note.replace(chr(10), ', ')}"
+    when = f"camera {names[c]}, frame {first + frame} ({frame / run.fps:.2f} s){note.replace(chr(10), ', ')}"
     at = "" if scale is None else f" Scale at the person's distance, {scale.depth_m:.2f} m from the camera."
     with paper_style():
         figure = _draw(
