@@ -53,6 +53,7 @@ def picture(
             write_curves(saved, path, [name.strip() for name in curves.split(",") if name.strip()], size)
         else:
             shown = saved.session.views[0].camera.name if camera is None else camera
-            path = out or saved.folder / f"picture_{re.sub(r'[^A-Za-z0-9.-]', '_', shown)}_{saved.first_frame if frame is None else frame:06d}.{'svg' if svg else 'png'}"
+            number = saved.first_frame if frame is None else frame
+            path = out or saved.folder / f"picture_{re.sub(r'[^A-Za-z0-9.-]', '_', shown)}_{number:06d}.{'svg' if svg else 'png'}"
             write_picture(saved, path, frame, camera, size, draws, whole)
     say(f"{path}: {path.stat().st_size / 1e6:.1f} MB.")
