@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bayes_body.clinical.moments import Curves, clinical_angles
 from bayes_body.errors import InputError
 from bayes_body.posterior.blocks import coordinate_blocks, pooled, weights_of_runs
-from bayes_body.posterior.moments import Moments, weighted_moments
+from bayes_body.posterior.moments import Moments, MomentsAndMedian, weighted_moments
 from bayes_body.storage.run_file import read_record
 from bayes_body.storage.saved_run import load_run
 from bayes_body.view.colours import GREY
@@ -93,7 +93,7 @@ def _labels(run: "SavedRun") -> list[tuple[str, ...]]:
     return [space.tangent_labels for space in run.spaces.values()]
 
 
-def draw_filter(axes: "Axes", places: NDArray[Any], curves: Moments, column: int, bands: bool) -> None:
+def draw_filter(axes: "Axes", places: NDArray[Any], curves: Moments | MomentsAndMedian, column: int, bands: bool) -> None:
     """Draw the filter's mean, and with `bands` the ends of its 90 % interval, as thin grey lines; for a single frame there are none."""
     if len(places) > 1:
         mean, *ends = drawn_filter(curves, column, bands)
@@ -102,6 +102,6 @@ def draw_filter(axes: "Axes", places: NDArray[Any], curves: Moments, column: int
             axes.plot(places, end, color=GREY, linewidth=0.8, linestyle=":")
 
 
-def drawn_filter(curves: Moments, column: int, bands: bool) -> list[NDArray[np.floating]]:
+def drawn_filter(curves: Moments | MomentsAndMedian, column: int, bands: bool) -> list[NDArray[np.floating]]:
     """Return the curves that `draw_filter` draws, for which an axis needs room."""
     return [curve[:, column] for curve in ((curves.mean, curves.q05, curves.q95) if bands else (curves.mean,))]
