@@ -21,18 +21,19 @@ print(here, matplotlib.rcParams["text.usetex"], matplotlib.rcParams["figure.dpi"
 PROGRAMS = """
 from bayes_body.config import configure
 configure()
+import os
 import jax
 def double(x):
     return 2 * x
 def triple(x):
     return 3 * x
-print(float(jax.jit(double)(1.0)), float(jax.jit(triple)(1.0)))
+print(float(jax.jit(double)(1.0)), float(jax.jit(triple)(1.0)), os.environ["TF_CPP_MIN_LOG_LEVEL"])
 """
 
 
 def output(code: str, folder: Path, **environment: str) -> str:
     """What a program prints that runs in a folder. A program that hangs is stopped."""
-    unset = ("MPLBACKEND", "MATPLOTLIBRC")
+    unset = ("MPLBACKEND", "MATPLOTLIBRC", "TF_CPP_MIN_LOG_LEVEL")
     inherited = {name: value for name, value in os.environ.items() if name not in unset}
     done = subprocess.run(
         [sys.executable, "-P", "-c", code], cwd=folder, env=inherited | environment, capture_output=True, text=True, timeout=120, check=False
@@ -75,12 +76,13 @@ def test_the_users_own_plot_settings_count_and_a_pipe_of_that_name_does_not_hang
 
 
 def test_exchanged_compiled_programs_are_compiled_again(tmp_path):
+    """On the way: of XLA's log only fatal errors are shown, unless the user wants more."""
     cache = tmp_path / "cache"
-    assert output(PROGRAMS, tmp_path, JAX_COMPILATION_CACHE_DIR=str(cache)) == "2.0 3.0"
+    assert output(PROGRAMS, tmp_path, JAX_COMPILATION_CACHE_DIR=str(cache)) == "2.0 3.0 3"
     double, triple = (next(cache.glob(f"jit_{name}-*-checked-cache")) for name in ("double", "triple"))
     sound, other = double.read_bytes(), triple.read_bytes()
     double.write_bytes(other)
     triple.write_bytes(other[:-1])
-    assert output(PROGRAMS, tmp_path, JAX_COMPILATION_CACHE_DIR=str(cache)) == "2.0 3.0"
+    assert output(PROGRAMS, tmp_path, JAX_COMPILATION_CACHE_DIR=str(cache), TF_CPP_MIN_LOG_LEVEL="2") == "2.0 3.0 2"
     # The entry was replaced.
     assert double.read_bytes()[32:] != other[32:] and len(double.read_bytes()) == pytest.approx(len(sound), rel=0.1)
