@@ -25,8 +25,8 @@ from bayes_body.shapes import Index, Key, Pose, Scalar
 LARGEST_VARIANCE = (1 - 1e-4) / 12
 # Nearer to a limit than this fraction of the range, the log-density is constant; otherwise it would go to minus infinity.
 NEAREST = 1.2e-7
-# These many iterations reach float64's rounding from any start.
-NEWTON_STEPS = 12
+# These many iterations reach float64's rounding for every mode and every variance from 1e-9 to the largest.
+NEWTON_STEPS = 6
 
 
 class JointNoise(InBox):
@@ -118,8 +118,8 @@ def concentration(mode: Float[Array, " *dof"], variance: Float[Array, " *dof"]) 
     """κ of the Beta distribution with this mode in [0, 1] and this variance below 1/12; differentiable by the implicit function theorem."""
 
     def excess(kappa: Array, mode: Array, variance: Array) -> Array:
-        spread = jnp.log1p(mode * kappa) + jnp.log1p((1 - mode) * kappa)
-        return spread - 2 * jnp.log(2 + kappa) - jnp.log(3 + kappa) - jnp.log(variance)
+        # One logarithm of a ratio near 1 is cheaper than five, whose digits would cancel.
+        return jnp.log((1 + mode * kappa) / (2 + kappa) * ((1 + (1 - mode) * kappa) / (2 + kappa)) / ((3 + kappa) * variance))
 
     def slope(kappa: Array, mode: Array) -> Array:
         return mode / (1 + mode * kappa) + (1 - mode) / (1 + (1 - mode) * kappa) - 2 / (2 + kappa) - 1 / (3 + kappa)
