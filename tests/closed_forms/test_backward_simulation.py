@@ -86,6 +86,7 @@ def test_the_paths_know_what_is_seen_of_a_step():
     check(LINKED, **WAYS["particles moved"])
 
 
+@pytest.mark.slow
 def test_a_smoother_that_forgets_what_is_seen_of_a_step_is_found_out(monkeypatch):
     given = smoother.log_ahead
     monkeypatch.setattr(smoother, "log_ahead", lambda transition, state, ahead, after=None: given(transition, state, ahead))
@@ -93,7 +94,7 @@ def test_a_smoother_that_forgets_what_is_seen_of_a_step_is_found_out(monkeypatch
         check(LINKED, start="particles", moves=6)
 
 
-@pytest.mark.parametrize("process", [SECOND, LINKED], ids=["second order", "linked"])
+@pytest.mark.parametrize("process", [pytest.param(SECOND, id="second order"), pytest.param(LINKED, id="linked", marks=pytest.mark.slow)])
 def test_paths_go_on_from_stored_frames_as_if_they_had_never_stopped(process):
     """Each state is stored only once what it carries is known; the density of a stored frame counts for the one before it."""
     frames, particles, kernel = [], process.start(jax.random.key(0)), jax.jit(build_kernel())
