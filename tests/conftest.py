@@ -24,6 +24,12 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 # Most tests wait for the compiler, not for what it compiles: less of it by default; `optimised` where it is the other way round.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+# Python's own compilation, of this process and of those that tests start: beside the sources, or in a cache of its own where that is forbidden.
+if sys.dont_write_bytecode:
+    sys.dont_write_bytecode = False
+    sys.pycache_prefix = sys.pycache_prefix or str(cache_folder("python-"))
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 import beartype
 import cv2
@@ -271,10 +277,15 @@ def loose_limbed(text: str) -> str:
     return text.replace(by_angles, 'kind = "rigid_walk"\n').replace(body, f'{body}placement = "parts"\n')
 
 
+@jax.jit
+def _placed(body, poses):
+    return jax.vmap(lambda pose: body.placement.configuration(body.skeleton, pose))(poses)
+
+
 def _parts(body, pose):
     """The posterior of a body that is placed by its parts, from poses."""
     space = configuration_space(body)
-    parts = jax.vmap(lambda one: body.placement.configuration(body.skeleton, one))(jnp.asarray(pose.reshape(-1, pose.shape[-1])))
+    parts = _placed(body, jnp.asarray(pose.reshape(-1, pose.shape[-1])))
     names, entries = space.axes
     values = (
         ("chain", "draw", "frame", names.name, entries.name),
@@ -284,8 +295,22 @@ def _parts(body, pose):
     return xr.Dataset({"parts": values}, {names.name: list(names.labels), entries.name: list(entries.labels)})
 
 
+@pytest.fixture(scope="session")
+def body_of():
+    """`body_of(definition, session)`: its body, built once for each text and axis."""
+    bodies = {}
+
+    def call(definition, session):
+        key = (definition.text, definition.body_text, session.up)
+        if key not in bodies:
+            bodies[key] = build_model(definition, session).body
+        return bodies[key]
+
+    return call
+
+
 @pytest.fixture
-def make_run(textured_session, tmp_path):
+def make_run(textured_session, body_of, tmp_path):
     """`make_run(frames=5, pose=..., log_weight=..., lost=...)`: the folder of a run of a model, arrays as (chain, draw, frame, ...).
 
     With `parts=True` the body is placed by its parts, which are where the poses place them.
@@ -300,12 +325,12 @@ def make_run(textured_session, tmp_path):
         lost = arrays.get("lost", np.zeros((runs, frames), bool))
         log_evidence = arrays.get("log_evidence", np.zeros((runs, frames)))
         definition = load_definition(model)
-        body = build_model(definition, session).body
+        body = body_of(definition, session)
         labels = {"dof": list(body.dof_names), "unit": ("dof", list(body.skeleton.topology.dof_units))}
         posterior = xr.Dataset({"pose": (("chain", "draw", "frame", "dof"), pose, {SPACE: space_to_text(pose_space(body))})}, labels)
         if parts:
             definition = parse_definition(model, loose_limbed(definition.text), definition.body_text)
-            posterior = _parts(build_model(definition, session).body, pose)
+            posterior = _parts(body_of(definition, session), pose)
         tree = xr.DataTree.from_dict(
             {
                 "posterior": posterior,

@@ -26,10 +26,14 @@ pytestmark = pytest.mark.usefixtures("optimised")
 KEYS, DRAWS = 16, 500
 
 
+@jax.jit
+def step(key, particles, density):
+    return build_kernel()(key, particles, density)
+
+
 def smoothed(process, change=lambda transition: transition, frames=len(SEEN), **options):
     """Mean and covariance of the paths of each key, (key, 12) and (key, 12, 12)."""
-    kernel, found, count = build_kernel(), [], frames
-    step = jax.jit(lambda key, particles, frame, density: kernel(key, particles, density))
+    found, count = [], frames
     built = build_smoother(draws=DRAWS, **options)
 
     def density(frame, previous):
@@ -42,7 +46,7 @@ def smoothed(process, change=lambda transition: transition, frames=len(SEEN), **
         key, particles = jax.random.key(seed), process.start(jax.random.key(seed + 1000))
         frames.clear()
         for frame in range(count):
-            particles, info = step(jax.random.fold_in(key, frame), particles, frame, process.density(frame, particles))
+            particles, info = step(jax.random.fold_in(key, frame), particles, process.density(frame, particles))
             frames.append(Filtered(particles, info.ancestors, frame == 0))
         paths = {one.frame: np.asarray(one.states["x"], float) for one in walk.follow(jax.random.key(seed + 2000), count)}
         found.append(np.concatenate([paths[t] for t in range(count)], axis=1))
@@ -83,6 +87,7 @@ def test_the_paths_know_what_is_seen_of_a_step():
     check(LINKED, **WAYS["particles moved"])
 
 
+@pytest.mark.slow
 def test_a_smoother_that_forgets_what_is_seen_of_a_step_is_found_out(monkeypatch):
     given = smoother.log_between
     monkeypatch.setattr(smoother, "log_between", lambda transition, before, state, ahead, after=None: given(transition, before, state, ahead))
@@ -90,27 +95,24 @@ def test_a_smoother_that_forgets_what_is_seen_of_a_step_is_found_out(monkeypatch
         check(LINKED, start="particles", moves=6)
 
 
-@pytest.mark.parametrize("process", [SECOND, LINKED], ids=["second order", "linked"])
+@pytest.mark.parametrize("process", [pytest.param(SECOND, id="second order"), pytest.param(LINKED, id="linked", marks=pytest.mark.slow)])
 def test_paths_go_on_from_stored_frames_as_if_they_had_never_stopped(process):
     """Each state is stored only once what it carries is known; the density of a stored frame counts for the one before it.
 
     All frames share their programs, also the last ones, which lack neighbours: compiling takes most of a smoother's time.
     """
-    frames, particles = [], process.start(jax.random.key(0))
+    frames, particles, kernel = [], process.start(jax.random.key(0)), jax.jit(build_kernel())
     for frame in range(len(SEEN)):
-        after, info = build_kernel()(jax.random.key(frame), particles, process.density(frame, particles))
+        after, info = kernel(jax.random.key(frame), particles, process.density(frame, particles))
         particles = Particles(dict(after.states), after.log_weights)
         frames.append(Filtered(*everywhere((particles, info.ancestors)), frame in (0, 1)))
 
-    def walk():
-        return Backward(build_smoother(draws=20), process.transition, lambda t: frames[t], process.density)
-
-    once = walk()
-    whole = {each.frame: each for each in once.follow(jax.random.key(9), len(SEEN))}
-    assert [getattr(once.steps, step)._cache_size() for step in ("predict", "regress", "move")] == [1, 1, 1]
+    walk = Backward(build_smoother(draws=20), process.transition, lambda t: frames[t], process.density)
+    whole = {each.frame: each for each in walk.follow(jax.random.key(9), len(SEEN))}
+    assert [getattr(walk.steps, step)._cache_size() for step in ("predict", "regress", "move")] == [1, 1, 1]
     assert list(whole) == [5, 4, 3, 2, 1, 0]
     for first in (5, 3, 1):
-        rest = list(walk().follow(jax.random.key(9), len(SEEN), lambda t: whole[t]._replace(begins=False), first))
+        rest = list(walk.follow(jax.random.key(9), len(SEEN), lambda t: whole[t]._replace(begins=False), first))
         assert [each.frame for each in rest] == list(range(first - 1, -1, -1))
         for each in rest:
             jax.tree.map(np.testing.assert_array_equal, dict(each.states), dict(whole[each.frame].states))

@@ -1,5 +1,7 @@
 """What holds for every shipped definition: it loads, its factors keep to their scopes, its transition is a distribution, its density finite."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,15 +26,22 @@ def _small_first():
     """The arms by default, but `arm_edges`, which compiles long; one whole body slow; the others, and what consists of the same terms, long."""
     found = []
     for name in definition_names():
-        alike = _made_of(name) in found
-        found.append(_made_of(name))
+        parts = _made_of(name)
+        alike = parts in found
+        found.append(parts)
         slow = pytest.mark.slow if name in ("arm_edges", "deutscher_apf") else pytest.mark.long
         yield pytest.param(name, marks=pytest.mark.long if alike else () if name.startswith("arm") and name != "arm_edges" else slow)
 
 
+@pytest.fixture(scope="module")
+def build(keypoint_session):
+    """A model by its name, built once."""
+    return functools.cache(lambda name: build_model(name, keypoint_session))
+
+
 @pytest.fixture(params=definition_names())
-def model(request, keypoint_session):
-    return build_model(request.param, keypoint_session)
+def model(request, build):
+    return build(request.param)
 
 
 @pytest.fixture

@@ -18,10 +18,17 @@ POSE = Variable("pose")
 SURFACE, OUTLINE, UNSEEN = (5, 3), 4, 0.5
 
 
+@jax.jit
+def evaluate(factor, pose, maps) -> jax.Array:
+    return factor({POSE: pose}, {"images": maps})
+
+
+area_of = jax.jit(projected_area, static_argnums=3)
+
+
 def log_likelihood(scene, pose=None, maps=None, **options) -> jax.Array:
     factor = scene.factor(surface_samples=SURFACE, outline_samples=OUTLINE, **options)
-    data = {"images": scene.maps() if maps is None else maps}
-    return factor({POSE: scene.pose if pose is None else pose}, data)
+    return evaluate(factor, scene.pose if pose is None else pose, scene.maps() if maps is None else maps)
 
 
 def points(body, T, p, viewpoint, t, s) -> np.ndarray:
@@ -94,7 +101,7 @@ def test_bilinear_and_nearest_are_of_the_same_maps(scene):
 
 def test_precision_scales(scene):
     arm = scene("arm_4")
-    assert log_likelihood(arm, precision=7.0) == pytest.approx(7 * float(log_likelihood(arm)), rel=1e-6)
+    assert log_likelihood(arm, precision=7.0) == pytest.approx(7 * float(log_likelihood(arm)), rel=1e-5)
 
 
 def test_the_value_is_finite_everywhere_and_nan_for_nan(scene):
@@ -137,14 +144,14 @@ def test_cameras_that_did_not_see_say_nothing(x64, scene, gamma):
 
 def test_at_equal_areas_w_is_one(x64, scene):
     man = scene("deutscher_31")
-    equal = man.maps()._replace(foreground=projected_area(man.body, man.rig, man.pose, (80, 60)))
+    equal = man.maps()._replace(foreground=area_of(man.body, man.rig, man.pose, (80, 60)))
     assert log_likelihood(man, maps=equal, gamma=5.0) == pytest.approx(float(log_likelihood(man)), rel=1e-12)
 
 
 @pytest.mark.parametrize(("gamma", "least", "covered"), [(1.0, 0.0, 1.0), (5.0, 0.0, 1.0), (5.0, 0.07, 0.9)])
 def test_w_is_9(x64, scene, gamma, least, covered):
     man = scene("deutscher_31")
-    share = np.asarray(projected_area(man.body, man.rig, man.pose, (80, 60)))
+    share = np.asarray(area_of(man.body, man.rig, man.pose, (80, 60)))
     maps = man.maps()._replace(foreground=jnp.asarray(share * [0.8, 1.3]))
     g_x, g_z = (s / (1 - s) for s in (share, covered * np.asarray(maps.foreground)))
     W = (1 - np.abs(g_z - g_x) / np.maximum(g_z, g_x)) ** gamma
@@ -159,19 +166,19 @@ def silhouette_of(man, maps, c) -> jax.Array:
     factor = man._replace(rig=jax.tree.map(lambda leaf: leaf[c : c + 1], man.rig)).factor(
         surface_samples=SURFACE, outline_samples=OUTLINE, terms=("silhouette",)
     )
-    return factor({POSE: man.pose}, {"images": jax.tree.map(lambda leaf: leaf[c : c + 1], maps)})
+    return evaluate(factor, man.pose, jax.tree.map(lambda leaf: leaf[c : c + 1], maps))
 
 
 def test_gamma_holds_a_body_to_its_size(x64, scene):
     # Twice as far from the one camera: with silhouettes alone a small body fits inside the big one just as well.
     man = scene("deutscher_31")
     one = man._replace(rig=jax.tree.map(lambda leaf: leaf[:1], man.rig))
-    area = projected_area(one.body, one.rig, one.pose, (80, 60))
+    area = area_of(one.body, one.rig, one.pose, (80, 60))
     everything = jnp.zeros_like(man.maps().errors[:1])
     maps = man.maps()._replace(errors=everything + 0x40404040, foreground=area)
     viewpoint = jax.tree.map(lambda leaf: leaf[0], one.rig).viewpoint
     far = one.pose.at[:3].add(-viewpoint)
-    assert projected_area(one.body, one.rig, far, (80, 60))[0] < 0.5 * area[0]
+    assert area_of(one.body, one.rig, far, (80, 60))[0] < 0.5 * area[0]
     plain = [float(log_likelihood(one, pose, maps)) for pose in (one.pose, far)]
     held = [float(log_likelihood(one, pose, maps, gamma=5.0)) for pose in (one.pose, far)]
     assert plain[0] == pytest.approx(plain[1], rel=1e-9)
@@ -189,19 +196,21 @@ def test_gradient_away_from_cell_borders(x64, scene):
     factor = arm.factor(surface_samples=(2, 2), outline_samples=2)
     data = {"images": arm.maps()}
     potential = factor.log_potential
-    pixels = rig_pixels(arm.body, arm.rig, potential.samples, arm.pose)
+    pixels = jax.jit(rig_pixels)(arm.body, arm.rig, potential.samples, arm.pose)
     # The precondition, held up: no sample reaches a pixel's line within the step (a radian moves none by more than 500 px).
     fraction = np.stack([pixels.u, pixels.v]) % 1
     assert min(fraction.min(), 1 - fraction.max()) > 500 * step
-    value = jax.jit(lambda pose: factor({POSE: pose}, data))
-    found = jax.grad(value)(arm.pose)
-    for k in range(arm.pose.size):
-        ahead, behind = (value(arm.pose.at[k].add(sign * step)) for sign in (1, -1))
-        assert found[k] == pytest.approx(float(ahead - behind) / (2 * step), rel=1e-6, abs=1e-8)
-    assert np.abs(np.asarray(found)).min() > 1e-3
+    steps = step * np.eye(arm.pose.size)
+    values, gradients = jax.jit(jax.vmap(jax.value_and_grad(lambda pose: factor({POSE: pose}, data))))(
+        np.asarray(arm.pose) + np.concatenate([steps, -steps, 0 * steps[:1]])
+    )
+    ahead, behind = np.split(np.asarray(values)[:-1], 2)
+    found = np.asarray(gradients[-1])
+    assert found == pytest.approx((ahead - behind) / (2 * step), rel=1e-6, abs=1e-8)
+    assert np.abs(found).min() > 1e-3
 
 
-@pytest.mark.parametrize("gamma", [0.0, 5.0])
+@pytest.mark.parametrize("gamma", [0.0, pytest.param(5.0, marks=pytest.mark.slow)])
 def test_gradient_is_zero_outside_the_scope(scene, gamma):
     arm = scene("arm_4")
     factor = arm.factor(gamma=gamma)

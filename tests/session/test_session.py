@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayes_body.errors import InputError
@@ -124,6 +124,7 @@ def test_sessions_differ_by_any_number(path):
 angle = st.floats(-10, 10, allow_nan=False)
 
 
+@settings(max_examples=30)
 @given(angle, angle, st.floats(0.001, 2.9), st.floats(1e-9, 1.0), st.text(max_size=10))
 def test_save_and_load_is_the_same(tmp_path_factory, hip, x, length, sd, title):
     # Angles and metres are rounded to 1e-9 on writing; what has been rounded once stays as it is.

@@ -21,7 +21,7 @@ from bayes_body.storage import FrameFiles
 from bayes_body.storage.run_file import read_record
 from bayes_body.storage.saved_run import load_run
 
-QUICK, MANY = 120, 10_000
+QUICK, MORE, MANY = 30, 150, 10_000
 FRAMES = 4
 # Files with many bytes are not more interesting than others.
 NAMES = ("run.toml", "summary.json", "manifest.json", "posterior.nc", "frames/index.npz")
@@ -129,6 +129,11 @@ def _fuzz(place, cases, seed):
 
 def test_some_mutations(place):
     _fuzz(place, QUICK, seed=1)
+
+
+@pytest.mark.slow
+def test_more_mutations(place):
+    _fuzz(place, MORE, seed=5)
 
 
 @pytest.mark.long

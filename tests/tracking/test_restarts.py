@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from bayes_body.kernels.particle_filter import build_kernel
-from bayes_body.model.build import FOUND_S, build_model
+from bayes_body.model.build import FOUND_S
+from bayes_body.tracking.program import compiled_ahead
 from bayes_body.tracking.restarts import Restarts
 from bayes_body.tracking.track import track
 
@@ -32,15 +33,10 @@ class Lost:
         return self.model.beginning_at(jnp.asarray(pose)) if frame >= self.since else None
 
 
-@pytest.fixture(scope="module")
-def arm(textured_session):
-    return build_model("arm", textured_session)
-
-
-def test_a_lost_run_starts_anew_and_the_other_goes_on(textured_session, arm):
-    without = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2)
+def test_a_lost_run_starts_anew_and_the_other_goes_on(textured_session, arm, ahead):
+    without = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, ahead=ahead)
     lost = Lost(arm, since=3)
-    draws = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, recovery=lost)
+    draws = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, recovery=lost, ahead=ahead)
     assert lost.asked == [3] and draws.frames_restarted == [3] and without.frames_restarted == []
     np.testing.assert_array_equal(draws.frames[3].restarted, [False, True])
     elbow = arm.body.dof_names.index("elbow")
@@ -52,8 +48,10 @@ def test_a_lost_run_starts_anew_and_the_other_goes_on(textured_session, arm):
 def test_the_first_frame_after_found_poses_is_wider(textured_session, arm):
     """A quarter of a second of the random walk, whose frames are a fifteenth of that at 60 frames a second."""
     found = arm.beginning_at(arm.first_pose, jnp.tile(arm.first_pose, (3, 1)))
+    with compiled_ahead(textured_session, arm, build_kernel(), 400) as program:
+        pass
     frames = {
-        name: track(KEY, textured_session, model, build_kernel(), particles=400, frames=2).frames
+        name: track(KEY, textured_session, model, build_kernel(), particles=400, frames=2, ahead=program).frames
         for name, model in (("given", arm), ("found", found))
     }
     joint = arm.body.dof_names.index("shoulder_y")
@@ -69,32 +67,33 @@ def test_the_first_frame_after_found_poses_is_wider(textured_session, arm):
 
 
 @pytest.mark.parametrize("since", [3, 4])
-def test_a_run_that_is_continued_restarts_in_the_same_way(textured_session, arm, since):
-    whole = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, recovery=Lost(arm, since))
+def test_a_run_that_is_continued_restarts_in_the_same_way(textured_session, arm, since, ahead):
+    whole = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, recovery=Lost(arm, since), ahead=ahead)
     assert whole.frames_restarted == [since]
     for stop in (3, 4):
         begun = list(whole.frames)[:stop]
-        continued = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, into=begun, recovery=Lost(arm, since))
+        continued = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, into=begun, recovery=Lost(arm, since), ahead=ahead)
         assert (continued.states["pose"] == whole.states["pose"]).all() and continued.frames_restarted == whole.frames_restarted
 
 
-def test_fewer_frames_are_no_loss(textured_session, arm):
+def test_fewer_frames_are_no_loss(textured_session, arm, ahead):
     lost = Lost(arm, since=0)
     lost.off = lambda result, frame: np.array([False, frame in (0, 1, 3)])
-    assert track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, recovery=lost).frames_restarted == [] and lost.asked == []
+    draws = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, recovery=lost, ahead=ahead)
+    assert draws.frames_restarted == [] and lost.asked == []
 
 
-def test_frames_that_nothing_explains_are_a_loss(textured_session, arm):
+def test_frames_that_nothing_explains_are_a_loss(textured_session, arm, ahead):
     lost = Lost(arm, since=0)
-    (seen,) = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, frames=1).frames
+    (seen,) = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, frames=1, ahead=ahead).frames
     unseen = dataclasses.replace(seen, info=seen.info._replace(lost=np.array([True, True])))
     assert Restarts(lost, 2, [unseen, unseen, unseen]).frames_off.tolist() == [3, 3]
     assert Restarts(lost, 2, [unseen, unseen, seen]).frames_off.tolist() == [0, 0]
 
 
-def test_the_frame_file_keeps_it(textured_session, arm, tmp_path):
+def test_the_frame_file_keeps_it(textured_session, arm, tmp_path, ahead):
     from bayes_body.storage import FrameFiles
 
     files = FrameFiles(tmp_path / "frames")
-    track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, into=files, recovery=Lost(arm, since=3))
+    track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, into=files, recovery=Lost(arm, since=3), ahead=ahead)
     np.testing.assert_array_equal(FrameFiles(tmp_path / "frames")[3].restarted, [False, True])

@@ -19,11 +19,6 @@ KEY = jax.random.key(11)
 
 
 @pytest.fixture(scope="module")
-def arm(textured_session):
-    return build_model("arm", textured_session)
-
-
-@pytest.fixture(scope="module")
 def loose_arm(textured_session):
     """Its upper arm and its forearm have a rigid transform each."""
     definition = load_definition("arm")
@@ -45,23 +40,23 @@ def test_a_new_frame_never_retraces(name, textured_session, arm, loose_arm):
     assert len(traces) == 1
 
 
-def test_runs_and_frames_do_not_depend_on_how_many_there_are(textured_session, arm):
-    whole = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2)
-    part = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=1, frames=3)
+def test_runs_and_frames_do_not_depend_on_how_many_there_are(textured_session, arm, ahead):
+    whole = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, ahead=ahead)
+    part = track(KEY, textured_session, arm, build_kernel(), particles=40, runs=1, frames=3, ahead=ahead)
     assert (part.states["pose"][0] == whole.states["pose"][0, :3]).all()
     assert not (whole.states["pose"][0] == whole.states["pose"][1]).all()
 
 
-def test_progress_is_told_frame_by_frame(textured_session, arm):
+def test_progress_is_told_frame_by_frame(textured_session, arm, ahead):
     told = []
-    track(KEY, textured_session, arm, build_kernel(), particles=40, on_frame=told.append)
+    track(KEY, textured_session, arm, build_kernel(), particles=40, on_frame=told.append, ahead=ahead)
     assert [(progress.frame, progress.frames) for progress in told] == [(frame + 1, 5) for frame in range(5)]
     assert all(0 < progress.ess <= 40 and progress.seconds_per_frame > 0 for progress in told)
 
 
-def test_ancestors_connect_the_frames(textured_session, arm):
+def test_ancestors_connect_the_frames(textured_session, arm, ahead):
     """A particle is its ancestor moved by one frame's noise: no further than eight standard deviations."""
-    draws = track(KEY, textured_session, arm, build_kernel(), particles=40)
+    draws = track(KEY, textured_session, arm, build_kernel(), particles=40, ahead=ahead)
     sd = np.asarray(arm.transition.conditional(arm.initial)["pose"].scale)
     for frame in range(1, 5):
         before = draws.states["pose"][0, frame - 1][draws.info.ancestors[0, frame]]
@@ -89,20 +84,20 @@ def damageable(textured_session, tmp_path):
     return dataclasses.replace(textured_session, folder=tmp_path)
 
 
-def test_a_frame_that_cannot_be_used_stops_with_its_name_and_keeps_those_before(damageable, arm):
+def test_a_frame_that_cannot_be_used_stops_with_its_name_and_keeps_those_before(damageable, arm, ahead):
     """Another camera's, of another size."""
     kept, told = [], []
     shutil.copyfile(damageable.folder / "a" / "image0003.png", damageable.folder / "b" / "image0003.png")
     with pytest.raises(InputError, match=r"image0003\.png"):
-        track(KEY, damageable, arm, build_kernel(), particles=10, on_frame=told.append, into=kept)
+        track(KEY, damageable, arm, build_kernel(), particles=40, on_frame=told.append, into=kept, ahead=ahead)
     assert len(kept) == len(told) == 3
 
 
-def test_a_frame_that_no_camera_saw_is_lost_and_the_filter_goes_on(damageable, arm):
+def test_a_frame_that_no_camera_saw_is_lost_and_the_filter_goes_on(damageable, arm, ahead):
     for name in ("a/image0002.png", "b/image0002.png", "b/image0003.png"):
         (damageable.folder / name).unlink()
     told = []
-    draws = track(KEY, damageable, arm, build_kernel(), particles=40, runs=2, on_frame=told.append)
+    draws = track(KEY, damageable, arm, build_kernel(), particles=40, runs=2, on_frame=told.append, ahead=ahead)
     assert draws.frames_lost == [2]
     assert [progress.lost for progress in told] == [False, False, True, False, False]
     assert draws.frames_unseen == {"a": [2], "b": [2, 3]}
