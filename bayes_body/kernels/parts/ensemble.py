@@ -114,7 +114,12 @@ def linear_prediction(key: Key, particles: Particles, transition: Transition, ch
 
     def predictions(item: tuple[Key, State], shared: tuple[Transition, Chart, Key]) -> tuple[Array, Array]:
         (keys, state), (transition, chart, common) = item, shared
-        drawn = jax.vmap(lambda key: _predicted(key, state, transition, chart, frames))(jnp.concatenate([keys, common]))
+        draw = jax.vmap(lambda key: _predicted(key, state, transition, chart, frames))
+        if frames == 1:
+            # Apart, the random numbers of common keys are drawn once for all particles.
+            return draw(keys), jnp.mean(draw(common), axis=0)
+        # Together, the program holds the motion prior once.
+        drawn = draw(jnp.concatenate([keys, common]))
         return drawn[:repeats], jnp.mean(drawn[repeats:], axis=0)
 
     own_key, common_key = jax.random.split(key)
@@ -154,11 +159,13 @@ def _flat(particles: Particles, transition: Transition, chart: Chart) -> _Flat:
 def _predicted(key: Key, state: State, transition: Transition, chart: Chart, frames: int) -> Array:
     """Draw the coordinates of the next frames of a state."""
 
-    # A loop, so that the program holds the motion prior once.
     def step(state: State, number: Index) -> tuple[State, Array]:
         state = dict(transition.sample(jax.random.fold_in(key, number), state))
         return state, ravel_pytree(chart.unconstrain(sampled_of(transition, state)))[0]
 
+    if frames == 1:
+        # Outside a loop, what draws from one state have in common is computed once.
+        return step(dict(state), jnp.zeros((), jnp.int32))[1]
     return jax.lax.scan(step, dict(state), jnp.arange(frames))[1].ravel()
 
 
