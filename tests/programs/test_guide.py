@@ -3,6 +3,7 @@
 import json
 import re
 import tomllib
+import types
 
 import pytest
 from programs.pages import FIRST_RUN, README, ROOT, blocks, page, sections
@@ -158,5 +159,5 @@ def test_public_names_mean_the_same_whatever_was_imported_before():
     import bayes_body as bb
     import bayes_body.runs.run
 
-    functions = set(bb.__all__) - {"compare", "kernels", "metrics", "posterior"}
-    assert {name for name in functions if not callable(getattr(bb, name))} == set()
+    members = set(bb.__all__) - {"compare", "kernels", "metrics", "posterior"}
+    assert {name for name in members if isinstance(getattr(bb, name), types.ModuleType)} == set()
