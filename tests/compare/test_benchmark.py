@@ -15,7 +15,6 @@ from bayes_body.compare import Row, Scene, Scenes, Settings, benchmark_rows, pai
 from bayes_body.compare.benchmark import FIGURES, followed, measured, options_of
 from bayes_body.compare.scenes import not_generative
 from bayes_body.errors import InputError
-from bayes_body.kernels.parts import batching
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.observation.frames import read_frame
@@ -86,12 +85,8 @@ def _tier(pair):
 
 
 @pytest.mark.parametrize("pair", [pytest.param(pair, id=f"{pair.model}-{pair.kernel}", marks=_tier(pair)) for pair in ALL])
-def test_every_kernel_is_traced_on_every_definition(frame_densities, pair, monkeypatch):
-    """All pairs, not compiled: states of the form that went in come out, so that one program serves all frames; or a sentence says why not.
-
-    The few particles are spread over all devices, as many are.
-    """
-    monkeypatch.setattr(batching, "_devices", lambda count, batch: jax.devices())
+def test_every_kernel_is_traced_on_every_definition(frame_densities, pair):
+    """All pairs, not compiled: states of the form that went in come out, so that one program serves all frames; or a sentence says why not."""
     definition, (model, start, density) = load_definition(pair.model), frame_densities(pair.model)
     options = options_of(definition, pair.kernel, TINY.most_particles)
     kernel = registry.find("kernel", pair.kernel).build(options=options)
