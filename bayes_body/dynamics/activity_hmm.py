@@ -139,6 +139,7 @@ def _features_of(arrays: ActivityArrays, away: Float[Array, " dof"]) -> Float[Ar
     return arrays.locations[best] + gain @ (away - arrays.basis @ arrays.locations[best])
 
 
+@jax.jit
 def _begin(arrays: ActivityArrays, body: Body, first: State) -> dict[str, Array]:
     """Return the state of a first pose: its features, what they leave, and the probabilities of the hidden states."""
     given = jnp.asarray(first[POSE], arrays.mean.dtype)

@@ -132,6 +132,7 @@ def _normal(centre: Array, sd: Array) -> Distribution:
     return Normal(centre, jnp.broadcast_to(sd, centre.shape)).to_event(1)
 
 
+@jax.jit
 def _begin(walk: _Walk, body: Body, first: State) -> dict[str, Array]:
     """Return the most likely state given a first pose with errors: ridge regression of the coefficients at each of many phases."""
     given = jnp.asarray(first["pose"], walk.mean.dtype)
@@ -244,6 +245,7 @@ def _arrays(options: Options, cycle: AngleCycle, body: Body, fps: float) -> _Wal
     )
 
 
+@jax.jit
 def _leg_length(body: Body) -> Scalar:
     """Return the length of thigh and shank together, metres."""
     places = marker_positions(body.skeleton, body.markers, jnp.clip(jnp.zeros_like(body.skeleton.low), body.skeleton.low, body.skeleton.high))

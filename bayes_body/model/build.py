@@ -187,8 +187,9 @@ def _likelihoods(definition: Definition, body: Body, rig: Camera) -> tuple[list[
 
 
 def _check_derived(transition: Transition, initial: State) -> None:
-    """Check that no variable is both sampled and derived."""
-    both = sorted(set(transition.conditional(initial)) & set(transition.derive(initial)))
+    """Check that no variable is both sampled and derived. Only names matter, so nothing is computed."""
+    both: list[str] = []
+    jax.eval_shape(lambda state: both.extend(sorted(set(transition.conditional(state)) & set(transition.derive(state)))), dict(initial))
     if both:
         found, expected = f"the variable '{both[0]}' is sampled, and it is derived too", "each variable in one of the two"
         raise input_error(f"dynamics '{transition.name}'", found, expected, "leave it out of `derive`, or out of `conditional`")

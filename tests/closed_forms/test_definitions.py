@@ -86,25 +86,33 @@ def test_a_factor_reads_its_scope_and_its_own_data(model, density):
         assert all(id(variable) in read for variable in traced.jaxpr.invars), factor.name
 
 
+POINTS = 20_000
+
+
+@jax.jit
+def _masses(transition, state):
+    """The integral over each dof of the pose, the others where they are. They are independent: a dof's factor is what is left of the whole."""
+    others = dict(transition.conditional(state))
+    distribution, pose = others.pop("pose"), state["pose"]
+    whole = transition.log_density(state, state) - sum(each.log_prob(state[name]) for name, each in others.items())
+
+    def mass(k):
+        reach = 12 * distribution.scale[k]
+        low, high = (jnp.clip(side[k], pose[k] - reach, pose[k] + reach) for side in (distribution.low, distribution.high))
+        points = low + (high - low) * (jnp.arange(POINTS) + 0.5) / POINTS
+        alone = jax.vmap(lambda x: distribution.log_prob(pose.at[k].set(x)))(points)
+        return jnp.sum(jnp.exp(alone - (whole - _own(distribution, pose, k)))) * (high - low) / POINTS
+
+    return jax.lax.map(mass, jnp.arange(pose.size))
+
+
 def test_each_dof_of_the_transition_integrates_to_one(model):
     """The dofs are independent: varying one alone leaves the others' log-density constant, which is divided out."""
     if "pose" not in model.transition.conditional(model.initial):
         pytest.skip("samples other variables; the tests of its dynamics do this")
     with jax.enable_x64(True):
-        double = jax.tree.map(_in_double, (model.transition, dict(model.initial)))
-        transition, state = double
-        others = dict(transition.conditional(state))
-        distribution = others.pop("pose")
-        whole = jax.jit(transition.log_density)(state, state) - sum(each.log_prob(state[name]) for name, each in others.items())
-        moved = jax.jit(jax.vmap(lambda x, k: distribution.log_prob(state["pose"].at[k].set(x)), in_axes=(0, None)))
-        for k in range(state["pose"].size):
-            low, high = (jnp.clip(side[k], state["pose"][k] - 12 * distribution.scale[k], state["pose"][k] + 12 * distribution.scale[k])
-                         for side in (distribution.low, distribution.high))  # fmt: skip
-            points = low + (high - low) * (jnp.arange(20_000) + 0.5) / 20_000
-            alone = moved(points, k)
-            one = whole - _own(distribution, state["pose"], k)
-            mass = jnp.sum(jnp.exp(alone - one)) * (high - low) / 20_000
-            assert abs(mass - 1) < 1e-6, model.body.dof_names[k]
+        masses = np.asarray(_masses(*jax.tree.map(_in_double, (model.transition, dict(model.initial)))))
+    assert dict(zip(model.body.dof_names, masses, strict=True)) == pytest.approx(dict.fromkeys(model.body.dof_names, 1.0), abs=1e-6)
 
 
 def _in_double(leaf):
@@ -113,16 +121,25 @@ def _in_double(leaf):
 
 def _own(distribution, pose, k):
     names = ("loc", "scale", "low", "high") if hasattr(distribution, "loc") else ("centre", "scale", "low", "high", "angular")
-    part = type(distribution)(*(getattr(distribution, name)[k : k + 1] for name in names))
-    return part.log_prob(pose[k : k + 1])
+    part = type(distribution)(*(getattr(distribution, name)[k][None] for name in names))
+    return part.log_prob(pose[k][None])
+
+
+@jax.jit
+def _draws(transition, previous):
+    """States of the next frame, and their log-densities."""
+
+    def draw(key):
+        state = transition.sample(key, previous)
+        return state, transition.log_density(state, previous)
+
+    return jax.vmap(draw)(jax.random.split(jax.random.key(1), 500))
 
 
 def test_particles_of_the_transition_stay_inside_the_limits(model):
-    # Outside the traced functions: it is computed once and kept.
-    initial = model.initial
-    states = jax.jit(jax.vmap(lambda key: model.transition.sample(key, initial)))(jax.random.split(jax.random.key(1), 500))
+    states, log_densities = _draws(model.transition, dict(model.initial))
     skeleton = model.body.skeleton
     # Parts have no limits.
     if "pose" in states:
         assert (states["pose"] >= skeleton.low).all() and (states["pose"] <= skeleton.high).all()
-    assert np.isfinite(jax.jit(jax.vmap(lambda s: model.transition.log_density(s, initial)))(states)).all()
+    assert np.isfinite(log_densities).all()

@@ -78,9 +78,13 @@ def _check_refusal(error, blind):
     assert SENTENCE.match(str(error.value)) and f"'{blind}' has no gradient" in str(error.value)
 
 
+# Read while tests are collected, for each kernel.
+_kind = cache(lambda model: load_definition(model).kernel.kind)
+
+
 def _tier(pair):
     """The arms with every kernel, other bodies with their own. The gradients of bodies of parts, with 60 variables or more, take long to trace."""
-    own = pair.kernel == load_definition(pair.model).kernel.kind and not pair.model.startswith("sigal")
+    own = pair.kernel == _kind(pair.model) and not pair.model.startswith("sigal")
     return pytest.mark.slow if own or pair.model.startswith("arm") or pair.model == "sidenbladh_2000_arm" else pytest.mark.long
 
 
