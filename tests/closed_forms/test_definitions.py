@@ -23,14 +23,14 @@ def _made_of(name):
 
 
 def _small_first():
-    """The arms by default, but `arm_edges`, which compiles long; one whole body slow; the others, and what consists of the same terms, long."""
+    """Two arms by default; the other arms and one whole body slow; the others, and what consists of the same terms, long."""
     found = []
     for name in definition_names():
         parts = _made_of(name)
         alike = parts in found
         found.append(parts)
-        slow = pytest.mark.slow if name in ("arm_edges", "deutscher_apf") else pytest.mark.long
-        yield pytest.param(name, marks=pytest.mark.long if alike else () if name.startswith("arm") and name != "arm_edges" else slow)
+        slow = pytest.mark.slow if name.startswith("arm") or name == "deutscher_apf" else pytest.mark.long
+        yield pytest.param(name, marks=() if name in ("arm", "arm_markers") else pytest.mark.long if alike else slow)
 
 
 @pytest.fixture(scope="module")

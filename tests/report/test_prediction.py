@@ -98,10 +98,11 @@ def frame_of(masks) -> Frame:
 def test_silhouettes_that_the_likelihood_draws_are_in_its_band(textured_session):
     model, poses = build_model("arm_silhouette", textured_session), np.tile(POSE, (40, 1))
     likelihood, inside = silhouette_likelihood(model), []
+    draw = jax.jit(lambda key: likelihood.draw(key, jnp.asarray(POSE)))
     # On its own grid, a silhouette is read as it is.
     whole = [np.array(view.camera.size_px[::-1]) for view in textured_session.views]
     for seed in range(6):
-        grids = np.asarray(likelihood.draw(jax.random.key(seed), jnp.asarray(POSE)))
+        grids = np.asarray(draw(jax.random.key(seed)))
         masks = [
             cv2.resize(grid.astype(np.uint8), size[::-1].tolist(), interpolation=cv2.INTER_NEAREST) > 0
             for grid, size in zip(grids, whole, strict=True)
