@@ -30,7 +30,18 @@ def track(cli, session):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
+    """Where the tests of the first tier make a run, one after the other."""
     return tmp_path_factory.mktemp("first_frame") / "run"
+
+
+@pytest.fixture(scope="module")
+def whole_run(tmp_path_factory, session):
+    """A run from that frame on."""
+    folder = tmp_path_factory.mktemp("whole") / "run"
+    with pytest.raises(SystemExit) as stopped:
+        main(["track", str(session), "--out", str(folder), "--model", "arm", "--particles", "40", "--runs", "2", "--first-frame", str(FIRST)])
+    assert stopped.value.code == 0
+    return folder
 
 
 def test_it_begins_there(track, run):
@@ -70,25 +81,25 @@ def test_its_frames_are_those_of_the_recording(track, run, tmp_path, textured_se
 
 
 @pytest.mark.slow
-def test_what_reads_it_names_its_frames(cli, run, tmp_path):
-    outcome = cli("report", run, "--out", tmp_path / "report.html")
+def test_what_reads_it_names_its_frames(cli, whole_run, tmp_path):
+    outcome = cli("report", whole_run, "--out", tmp_path / "report.html")
     assert outcome.status == 0, outcome.err
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "Time is in seconds from frame 2" in page and "Posterior of frame" in page
     assert "--first-frame 2" in page and "Frame 4: the recording with the posterior" in page
     for before in ("frame 0", "Frame 0", "frame 1<", "frame 1."):
         assert before not in page
-    assert cli("export", run, "--to", "csv", "--out", tmp_path / "run.csv").status == 0
+    assert cli("export", whole_run, "--to", "csv", "--out", tmp_path / "run.csv").status == 0
     table = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True)
     assert table["frame"].tolist() == [2, 3, 4] and table["time_s"][0] == 0
-    cli("view", run, "--out", tmp_path / "view.html", "--frames", "0-1").refuses("--frames: 0-1; expected A-B with frames from 2 to 4")
+    cli("view", whole_run, "--out", tmp_path / "view.html", "--frames", "0-1").refuses("--frames: 0-1; expected A-B with frames from 2 to 4")
 
 
 @pytest.mark.slow
-def test_a_smoothed_run_keeps_the_numbers(cli, run):
-    outcome = cli("smooth", run, "--out", run.parent / "smoothed", "--draws", 20, "--moves", 0)
+def test_a_smoothed_run_keeps_the_numbers(cli, whole_run):
+    outcome = cli("smooth", whole_run, "--out", whole_run.parent / "smoothed", "--draws", 20, "--moves", 0)
     assert outcome.status == 0, outcome.err
-    with xr.open_datatree(run.parent / "smoothed" / "posterior.nc") as tree:
+    with xr.open_datatree(whole_run.parent / "smoothed" / "posterior.nc") as tree:
         assert tree["posterior"]["frame"].values.tolist() == [2, 3, 4]
 
 
