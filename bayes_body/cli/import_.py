@@ -61,7 +61,7 @@ Frames = Annotated[int | None, typer.Option("--frames", help="Number of frames t
 DEFAULT_MODEL = "deutscher_apf"
 
 
-@app.command()
+@app.command(short_help="A recording of PARSEC's bodytrack.")
 def parsec(
     source: Annotated[
         Path,
@@ -91,7 +91,7 @@ def parsec(
     _import(import_parsec, source, session, options, model, overwrite)
 
 
-@app.command()
+@app.command(short_help="A Pose2Sim project: videos or images, and keypoints.")
 def pose2sim(
     source: Annotated[
         Path, typer.Argument(help="A Pose2Sim project: calibration/*.toml or *.qca.txt, videos/CAMERA.mp4, pose/CAMERA_json.", show_default=False)
@@ -120,7 +120,7 @@ def pose2sim(
     _import(import_pose2sim, source, session, options, model, overwrite)
 
 
-@app.command()
+@app.command(short_help="Cameras calibrated with OpenCV, EasyMocap or Anipose.")
 def opencv(
     source: Annotated[
         Path,
@@ -153,7 +153,7 @@ def opencv(
     _import(import_opencv, source, session, options, model, overwrite)
 
 
-@app.command()
+@app.command(short_help="Video cameras of Qualisys Track Manager.")
 def qualisys(
     source: Annotated[
         Path, typer.Argument(help="Folder with one *.qca.txt (or xml) of Qualisys Track Manager, and a video of each camera.", show_default=False)

@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from bayes_body.learning.cycle import Learned
 
 app = typer.Typer(help="Learn from captured motion, or from recordings with their truth.", no_args_is_help=True)
-app.command("likelihood-scale")(likelihood_scale)
-app.command("edge-statistics")(edge_statistics)
-app.command("regions")(regions)
-app.command("image-motion")(image_motion)
-app.command("walking-angles")(walking_angles)
-app.command("smooth-motion")(smooth_motion)
-app.command("kinematic-potentials")(kinematic_potentials)
-app.command("activity-hmm")(activity_hmm)
+app.command("likelihood-scale", short_help="The precision at which 90 % intervals hold.")(likelihood_scale)
+app.command("edge-statistics", short_help="Tables of the likelihood of edges.")(edge_statistics)
+app.command("regions", short_help="Probabilities of inside, band and edges.")(regions)
+app.command("image-motion", short_help="Noise and outliers of image motion.")(image_motion)
+app.command("walking-angles", short_help="The mean stride of several people.")(walking_angles)
+app.command("smooth-motion", short_help="Standard deviations of smooth motion.")(smooth_motion)
+app.command("kinematic-potentials", short_help="The joints of a loose-limbed body.")(kinematic_potentials)
+app.command("activity-hmm", short_help="A hidden Markov model of an activity.")(activity_hmm)
 
 
-@app.command("walking-cycle")
+@app.command("walking-cycle", short_help="A walker's stride and its main changes.")
 def walking_cycle(
     walks: list[Path] = typer.Argument(
         help="Captured walks of one person straight ahead, or a folder of them; motions in which the person runs are left out."

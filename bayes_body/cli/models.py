@@ -66,7 +66,7 @@ def _call_terms(definition: "Definition") -> None:
     probe(model_in_a_room(definition), find("kernel", kernel.kind).build(options=kernel.options), runs=False)
 
 
-@app.command()
+@app.command(short_help="Draw the anatomical axes of a definition's body.")
 def axes(
     file: str = typer.Argument(help="A definition's name or the path of your own .toml file."),
     out: Path = typer.Option(Path("axes.png"), "--out", help="The picture, .png."),
