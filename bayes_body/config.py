@@ -46,7 +46,7 @@ def configure(devices: int | None = None, cache: bool = True) -> None:
 
 
 def _use_one_blas_thread() -> None:
-    """Let OpenBLAS compute in the calling thread. With two threads, a triangular solve of 31 x 31 takes a hundred times as long."""
+    """Let OpenBLAS compute in the calling thread. In solves as small as 31 x 31, threads wait for each other longer than they compute."""
     if "OPENBLAS_NUM_THREADS" in os.environ:
         return
     # For libraries that are loaded later, and for the programs that this one starts.

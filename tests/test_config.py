@@ -30,6 +30,14 @@ def triple(x):
 print(float(jax.jit(double)(1.0)), float(jax.jit(triple)(1.0)), os.environ["TF_CPP_MIN_LOG_LEVEL"])
 """
 
+THREADS = """
+import scipy.linalg
+from bayes_body.config import configure
+configure(cache=False)
+from threadpoolctl import threadpool_info
+print(*sorted({library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}))
+"""
+
 
 def output(code: str, folder: Path, **environment: str) -> str:
     """What a program prints that runs in a folder. A program that hangs is stopped."""
@@ -86,3 +94,10 @@ def test_exchanged_compiled_programs_are_compiled_again(tmp_path):
     assert output(PROGRAMS, tmp_path, JAX_COMPILATION_CACHE_DIR=str(cache), TF_CPP_MIN_LOG_LEVEL="2") == "2.0 3.0 2"
     # The entry was replaced.
     assert double.read_bytes()[32:] != other[32:] and len(double.read_bytes()) == pytest.approx(len(sound), rel=0.1)
+
+
+def test_blas_has_one_thread_unless_the_user_says_otherwise(tmp_path, monkeypatch):
+    """Also where SciPy was imported before."""
+    assert output(THREADS, tmp_path, OPENBLAS_NUM_THREADS="2") == "2"
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    assert output(THREADS, tmp_path) == "1"

@@ -1,4 +1,4 @@
-"""`bayes-body demo`: simulate, track and report a walk in one or two minutes."""
+"""`bayes-body demo`: simulate, track and report a walk in two or three minutes."""
 
 import os
 import sys

@@ -232,14 +232,14 @@ def _chain_means(particles: Particles, length: int, transition: Transition) -> P
     """
     count = particles.log_weights.shape[0]
     chains = -(-count // length)
-    # One mean of all chains at once compiles in a fraction of the time of one after the other. The last chain may be shorter.
+    # All chains at once: one after the other, each mean would add to the program. The last chain may be shorter.
     place = np.arange(chains * length).reshape(chains, length)
     is_draw = place < count
     weights = is_draw / is_draw.sum(axis=1, keepdims=True)
 
     def means(name: str, draws: Array) -> Array:
         space = transition.space(name, draws.shape[1:])
-        return jax.vmap(lambda own, values: jnp.asarray(space.mean(own, values)))(
+        return jax.vmap(lambda shares, values: jnp.asarray(space.mean(shares, values)))(
             jnp.asarray(weights, draws.dtype), draws[np.minimum(place, count - 1)]
         )
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import xarray
 
+from bayes_body.cli.demo import has_display
 from bayes_body.cli.main import main
 from bayes_body.demo import result_of
 
@@ -20,6 +21,24 @@ def test_the_result_is_one_sentence():
     assert result_of(SUMMARY) == said + "the means of the two runs are 8 mm apart."
     assert "2 lost" in result_of(SUMMARY | {"frames_lost": 2})
     assert "(too narrow)" in result_of(SUMMARY | {"coverage_90": 0.5})
+
+
+def test_a_demonstration_is_quick_or_long(cli):
+    cli("demo", "--quick", "--long").refuses("--quick: given with --long; expected one of the two; leave one out")
+
+
+@pytest.mark.parametrize(
+    ("terminal", "variables", "shown"),
+    [(True, {"DISPLAY": ":0"}, True), (False, {"DISPLAY": ":0"}, False), (True, {}, False), (True, {"DISPLAY": ":0", "SSH_CONNECTION": "a"}, False)],
+)
+def test_the_report_opens_where_somebody_sits_before_a_desktop(monkeypatch, terminal, variables, shown):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "CI", "SSH_CONNECTION"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.setattr("sys.stdout.isatty", lambda: terminal, raising=False)
+    assert has_display() is shown
 
 
 def test_git_ignores_its_folder():

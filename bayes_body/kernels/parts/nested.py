@@ -240,8 +240,8 @@ def _limbs(
     index = jax.vmap(_draw_index)(uniform[-1], log_weights)
     path = []
     for depth in reversed(range(longest)):
-        path.insert(0, jax.vmap(lambda values, own: values[own])(paths[depth], index))
-        index = jax.vmap(lambda values, own: values[own])(chosen[depth], index)
+        path.insert(0, jax.vmap(lambda values, place: values[place])(paths[depth], index))
+        index = jax.vmap(lambda values, place: values[place])(chosen[depth], index)
     # Nodes of the trunk, then of the limbs, in the order of the graph.
     drawn = jnp.concatenate([trunks[0], *path])
     order = np.concatenate([tree.inner, nodes.ravel()])
@@ -311,7 +311,7 @@ def _unary(graph: Graph, tables: Sequence[tuple[Any, Any]], values: Float[Array,
 
 
 def _systematic(uniform: Scalar, log_weights: Float[Array, " sample"]) -> Int[Array, " sample"]:
-    """Return ancestors by systematic resampling. All pairs are compared: for so few particles, that is faster than a search, and compiles faster."""
+    """Return ancestors by systematic resampling. All pairs are compared: that needs no loop."""
     count = len(log_weights)
     return _inverse_cdf(log_weights, (jnp.arange(count) + uniform) / count)
 
