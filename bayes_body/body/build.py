@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from bayes_body.body.check import WORLD
@@ -14,6 +13,7 @@ from bayes_body.body.skeleton import Markers, Motion, Skeleton, Topology, preset
 from bayes_body.body.solids import Body, PartTopology
 from bayes_body.body.tables import Dof
 from bayes_body.errors import input_error, nearest
+from bayes_body.geometry.namespaces import device_array
 
 
 class Shape(NamedTuple):
@@ -54,15 +54,15 @@ def build_body(name: str, schema: BodySchema, shape: Shape = Shape()) -> Body:
         markers=Markers(
             names=tuple(schema.markers),
             joints=tuple(joint_index[marker.joint] for marker in schema.markers.values()),
-            offsets=jnp.asarray([vector(marker.offset, lengths) for marker in schema.markers.values()]).reshape(-1, 3),
+            offsets=device_array(np.array([vector(marker.offset, lengths) for marker in schema.markers.values()]).reshape(-1, 3)),
         ),
-        presets=jnp.stack([preset_rotation(part.preset) for part in parts]),
-        offsets=jnp.asarray([vector(part.offset, lengths) for part in parts]),
-        lengths=jnp.asarray([lengths[part.length] for part in parts]),
+        presets=device_array([preset_rotation(part.preset) for part in parts]),
+        offsets=device_array([vector(part.offset, lengths) for part in parts]),
+        lengths=device_array([lengths[part.length] for part in parts]),
         # No part is thicker than its outline.
-        radii=jnp.minimum(jnp.asarray([radii[part.name] for part in parts]), jnp.asarray([outline[part.name] for part in parts])),
-        outline_radii=jnp.asarray([outline[part.name] for part in parts]),
-        sections=jnp.asarray([shape.sections.get(part.name, part.section) for part in parts]),
+        radii=device_array(np.minimum([radii[part.name] for part in parts], [outline[part.name] for part in parts])),
+        outline_radii=device_array([outline[part.name] for part in parts]),
+        sections=device_array([shape.sections.get(part.name, part.section) for part in parts]),
     )
 
 
@@ -104,10 +104,10 @@ def _skeleton(frames: Sequence[Frame]) -> Skeleton:
     low, high = np.array([_limits(dof) for dof in dofs]).reshape(-1, 2).T
     return Skeleton(
         topology=topology,
-        presets=jnp.asarray(np.stack([frame.rotation for frame in frames]), float),
-        offsets=jnp.asarray(np.stack([frame.offset for frame in frames]), float),
-        low=jnp.asarray(low),
-        high=jnp.asarray(high),
+        presets=device_array([frame.rotation for frame in frames]),
+        offsets=device_array([frame.offset for frame in frames]),
+        low=device_array(low),
+        high=device_array(high),
     )
 
 

@@ -53,7 +53,7 @@ def _parents_first(schema: BodySchema) -> list[Joint]:
 
 def _split(joint: Joint, lengths: Mapping[str, float]) -> list[Frame]:
     frames: list[Frame] = []
-    offset, rotation = np.array(vector(joint.offset, lengths)), np.asarray(preset_rotation(joint.preset), float)
+    offset, rotation = np.array(vector(joint.offset, lengths)), preset_rotation(joint.preset)
     parent, free = joint.parent, []
     for dof in joint.dofs:
         if not dof.is_fixed:

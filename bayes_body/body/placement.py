@@ -98,7 +98,12 @@ class ByParts:
 
     def configuration(self, skeleton: Skeleton, pose: Pose) -> Configuration:
         """Return the frames of the parts of a body with these joint angles. Joints between parts that do not move count as bent by 0."""
-        return rigid.from_transform(transforms.pick(forward_kinematics(skeleton, pose), np.array(self.joints_of_parts)))
+        return _joint_frames(skeleton, pose, self.joints_of_parts)
+
+
+@partial(jax.jit, static_argnames="joints")
+def _joint_frames(skeleton: Skeleton, pose: Pose, joints: tuple[int, ...]) -> Configuration:
+    return rigid.from_transform(transforms.pick(forward_kinematics(skeleton, pose), np.array(joints)))
 
 
 def loosened(body: "Body") -> "Body":
@@ -119,7 +124,7 @@ def loosened(body: "Body") -> "Body":
     owners = _owners(topology.parents, own)
     names = tuple(body.topology.names[body.topology.joints.index(j)] for j in own)
     parents = tuple(-1 if topology.parents[j] < 0 else owners[topology.parents[j]] for j in own)
-    return replace(body, placement=ByParts(names, parents, owners, tuple(own), _held(body.skeleton, own, owners)))
+    return replace(body, placement=ByParts(names, parents, owners, tuple(own), _held(body.skeleton, tuple(own), owners)))
 
 
 def _owners(parents: Sequence[int], own: Sequence[int]) -> tuple[int, ...]:
@@ -129,7 +134,8 @@ def _owners(parents: Sequence[int], own: Sequence[int]) -> tuple[int, ...]:
     return tuple(owners)
 
 
-def _held(skeleton: Skeleton, own: Sequence[int], owners: Sequence[int]) -> Transform:
+@partial(jax.jit, static_argnames=("own", "owners"))
+def _held(skeleton: Skeleton, own: tuple[int, ...], owners: tuple[int, ...]) -> Transform:
     """Return every joint in its part's frame, with all angles at 0."""
     at_zero = forward_kinematics(skeleton, jnp.zeros(len(skeleton.topology.dof_names), skeleton.offsets.dtype))
     part = transforms.pick(at_zero, np.array(own)[list(owners)])
@@ -153,6 +159,14 @@ def require(body: "Body", variable: str, what: str, other: str) -> None:
         placement = {POSE: "angles", PARTS: "parts"}
         found, expected = f'[body] placement = "{placement[body.variable]}"', f'placement = "{placement[variable]}"'
         raise input_error(what, found, expected, f"change it, or take {other}")
+
+
+@jax.jit
+def solids_in_parts(body: "Body") -> Transform:
+    """Return `T_part_solid` of every solid: in the part that holds it, of a body that is placed by parts."""
+    placement = body.placement
+    assert isinstance(placement, ByParts)
+    return transforms.compose(transforms.pick(placement.held, np.array(body.topology.joints)), Transform(body.presets, body.offsets))
 
 
 def joint_transforms(body: "Body", configuration: Configuration) -> Transform:

@@ -6,11 +6,8 @@ from functools import partial
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-
-from bayes_body.shapes import Rotation
 
 
 class Motion(NamedTuple):
@@ -60,7 +57,7 @@ class Markers:
     offsets: Float[Array, "marker 3"]
 
 
-def preset_rotation(names: Sequence[str]) -> Rotation:
+def preset_rotation(names: Sequence[str]) -> Float[np.ndarray, "3 3"]:
     """The product of fixed rotations such as `x90` (about an axis, right-handed, in degrees), exact to the last bit."""
     R = np.eye(3)
     for name in names:
@@ -68,4 +65,4 @@ def preset_rotation(names: Sequence[str]) -> Rotation:
         quarter = np.eye(3)
         quarter[[i, k]] = quarter[[k, i]] * [[-1], [1]]
         R = R @ np.linalg.matrix_power(quarter, int(name[1:]) // 90)
-    return jnp.asarray(R, float)
+    return R

@@ -25,6 +25,7 @@ from jaxtyping import Array, Bool, Float
 from bayes_body.body.placement import ByAngles, Placement, joint_transforms
 from bayes_body.body.skeleton import Markers, Skeleton
 from bayes_body.geometry import transforms
+from bayes_body.geometry.namespaces import device_array
 from bayes_body.geometry.transforms import Transform
 from bayes_body.shapes import Configuration, Vector3
 
@@ -82,7 +83,7 @@ class Body:
     @property
     def seen(self) -> "Shapes":
         """What cameras see of its parts."""
-        is_sphere = jnp.array(self.topology.is_sphere) if any(self.topology.is_sphere) else None
+        is_sphere = device_array(self.topology.is_sphere, bool) if any(self.topology.is_sphere) else None
         return Shapes(self.lengths, self.outline_radii, self.sections, is_sphere)
 
     @property
@@ -221,7 +222,7 @@ def _samples(body: Body, t: np.ndarray, s: np.ndarray) -> Samples:
     chord = 2 * np.sqrt(grid_t * (1 - grid_t)) * grid_s
     rows = [chord if sphere else grid_s for sphere in body.topology.is_sphere]
     dtype = body.lengths.dtype
-    return Samples(jnp.asarray(np.broadcast_to(grid_t, (len(rows), grid_t.size)), dtype), jnp.asarray(np.stack(rows), dtype))
+    return Samples(device_array(np.broadcast_to(grid_t, (len(rows), grid_t.size)), dtype), device_array(np.stack(rows), dtype))
 
 
 class Spheres(NamedTuple):

@@ -18,10 +18,12 @@ from typing import Protocol
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.density.factor import State
 from bayes_body.geometry import rigid, rotations
+from bayes_body.geometry.namespaces import namespace
 from bayes_body.shapes import Scalar
 
 
@@ -75,11 +77,11 @@ class TreeChart:
         return jnp.sum(rotations.log_jacobian(position[self.name].reshape(-1, 6)[:, 3:]))
 
 
-def relative_to_parents(parts: Float[Array, "part 7"], parents: Sequence[int]) -> Float[Array, "part 7"]:
+def relative_to_parents[Parts: Array | np.ndarray](parts: Parts, parents: Sequence[int]) -> Parts:
     """Return every part as seen from its parent; the first part stays as it is."""
-    above = jnp.asarray([max(parent, 0) for parent in parents])
-    first = jnp.asarray([parent < 0 for parent in parents])
-    return jnp.where(first[:, None], parts, rigid.relative(parts[above], parts))
+    above = np.array([max(parent, 0) for parent in parents])
+    first = np.array([parent < 0 for parent in parents])
+    return namespace(parts).where(first[:, None], parts, rigid.relative(parts[above], parts))
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=["name", "parents"], data_fields=[])

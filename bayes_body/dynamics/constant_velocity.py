@@ -35,6 +35,7 @@ from bayes_body.density.spaces import euclidean
 from bayes_body.dynamics.deviations import by_dof, standard_deviations
 from bayes_body.dynamics.diffusion import TruncatedWalk
 from bayes_body.errors import input_error
+from bayes_body.geometry.namespaces import device_array
 from bayes_body.registry import register
 from bayes_body.shapes import Pose, Scalar
 from bayes_body.toml.schema import Positive, Schema
@@ -149,7 +150,7 @@ def _arguments(options: Options, body: Body, fps: float) -> tuple[Arguments, Pos
     pull = [_pull(name, spread.get(name), velocity, index, fps) for index, name in enumerate(dofs)]
 
     def array(values: Any) -> Array:
-        return jnp.asarray(values, body.lengths.dtype)
+        return device_array(values, body.lengths.dtype)
 
     arguments = Arguments(
         step_s=array(1 / fps),

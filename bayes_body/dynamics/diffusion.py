@@ -21,6 +21,7 @@ from bayes_body.body.space import pose_space
 from bayes_body.density.factor import State, Transition
 from bayes_body.dynamics.deviations import standard_deviations
 from bayes_body.dynamics.limits import InBox
+from bayes_body.geometry.namespaces import device_array
 from bayes_body.registry import register
 from bayes_body.shapes import Key, Pose, Scalar
 from bayes_body.toml.schema import Positive, Schema
@@ -111,7 +112,7 @@ def build(options: Options, body: Body, fps: float, subject_sd: Mapping[str, flo
     by_name = {name: sd * factor for name, sd in standard_deviations(options.sd_deg, options.sd_m, topology).items()}
     if options.use_subject_sd and subject_sd:
         by_name |= {name: sd for name, sd in subject_sd.items() if name in by_name}
-    sd = math.sqrt(gap) * jnp.asarray([by_name[name] for name in topology.dof_names], body.lengths.dtype)
+    sd = device_array([math.sqrt(gap) * by_name[name] for name in topology.dof_names], body.lengths.dtype)
     arguments = (sd, body.skeleton.low, body.skeleton.high)
     walk, noise = jax.tree_util.Partial(_walk, *arguments), jax.tree_util.Partial(_noise, *arguments)
     return Transition("diffusion", walk, noise, spaces=((POSE, pose_space(body)),))

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 from numpyro.distributions import Distribution, constraints
 from pydantic import Field
@@ -24,6 +25,7 @@ from bayes_body.density.factor import State, Transition
 from bayes_body.dynamics.deviations import by_part
 from bayes_body.errors import input_error
 from bayes_body.geometry import half_angles, rigid, rotations
+from bayes_body.geometry.namespaces import device_array
 from bayes_body.registry import register
 from bayes_body.shapes import Key, Scalar
 from bayes_body.toml.schema import Positive, Schema
@@ -115,13 +117,13 @@ def build(options: Options, body: Body, fps: float, **_: Any) -> Transition:
     require(body, PARTS, "dynamics 'rigid_walk'", 'kind = "diffusion"')
     assert isinstance(body.placement, ByParts)
     names, factor, dtype = body.placement.names, math.sqrt(options.at_fps / fps), body.lengths.dtype
-    sd_m = jnp.asarray(by_part(options.sd_m, names, "dynamics.sd_m"), dtype) * factor
+    sd_m = device_array(np.asarray(by_part(options.sd_m, names, "dynamics.sd_m")) * factor, dtype)
     degrees = [sd * factor for sd in by_part(options.sd_deg, names, "dynamics.sd_deg")]
     if max(degrees) > LARGEST_DEG:
         name = names[degrees.index(max(degrees))]
         found = f"{max(degrees):.3g} degrees per frame for '{name}' at {fps:g} fps"
         raise input_error("dynamics.sd_deg", found, f"at most {LARGEST_DEG:g}", "give a smaller value")
-    arguments = (sd_m, jnp.radians(jnp.asarray(degrees, dtype)))
+    arguments = (sd_m, device_array(np.radians(degrees), dtype))
     return Transition(
         "rigid_walk",
         jax.tree_util.Partial(_walk, *arguments),

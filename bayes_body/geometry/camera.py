@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float
 from numpy.typing import NDArray
 
 from bayes_body.geometry.folding import folding_radius
+from bayes_body.geometry.namespaces import device_array
 from bayes_body.shapes import Rotation, Scalar, Vector3
 
 # A point nearer to the camera's plane than this (metres) counts as behind it, so the division stays finite.
@@ -109,4 +110,4 @@ def turning_radius(distortion: NDArray[np.floating], limit: float = 1e3) -> floa
 
 def stack(cameras: list[Camera]) -> Camera:
     """Stack the cameras' leaves along a leading camera axis, which makes a rig."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *cameras)
+    return jax.tree.map(lambda *leaves: device_array(np.stack(leaves), leaves[0].dtype), *cameras)

@@ -5,6 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 
 def namespace(*arrays: Any) -> Any:
@@ -17,3 +18,9 @@ def joined(*arrays: Any) -> Any:
     xp = namespace(*arrays)
     batch = xp.broadcast_shapes(*(array.shape[:-1] for array in arrays))
     return xp.concatenate([xp.broadcast_to(array, (*batch, array.shape[-1])) for array in arrays], axis=-1)
+
+
+def device_array(values: Any, dtype: Any = float) -> Array:
+    """Return numbers of the host as an array of the device, without a program. Conversion by JAX, or no dtype, costs a program for each shape."""
+    on_host = np.asarray(values, jax.dtypes.canonicalize_dtype(dtype))
+    return jnp.asarray(on_host, on_host.dtype)

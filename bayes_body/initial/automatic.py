@@ -26,11 +26,10 @@ from bayes_body.initial.person_search import Found, PersonSearch
 from bayes_body.initial.points import Points, body_points
 from bayes_body.initial.presence import TRUNK, later_frame
 from bayes_body.initial.problem import build_problem
-from bayes_body.initial.refine import refine
+from bayes_body.initial.refine import refine, resampled
 from bayes_body.initial.report import FirstPose, tell
 from bayes_body.initial.stored import DIGITS
 from bayes_body.kernels.parts.batching import everywhere
-from bayes_body.kernels.parts.resampling import resampler
 from bayes_body.model.build import Model, with_likelihoods
 from bayes_body.observation.frames import read_frame
 from bayes_body.session.session import Session
@@ -143,7 +142,8 @@ def _is_ahead(found: Found) -> Bool[np.ndarray, " draw"]:
 def _taken(found: Found, seed: int) -> Int[np.ndarray, " taken"]:
     """Return DRAWS draws, each as often as its weight says."""
     weights = np.where(_is_ahead(found) | (found.turned >= LEAST_TURNED), found.weights, 0.0)
-    return np.asarray(resampler("systematic")(jax.random.key(seed), jnp.log(jnp.asarray(weights)), DRAWS))
+    with np.errstate(divide="ignore"):
+        return np.asarray(resampled(jax.random.key(seed), np.log(weights), DRAWS))
 
 
 def _other_leg(name: str) -> str:
@@ -196,9 +196,9 @@ def _fit_way(
         place = points.index(name)
         if place is not None:
             places[:, place] = drawn[:, number]
-    starts = unbounded(problem, jnp.tile(best.pose, (len(drawn), 1)))
-    poses = fit_draws(problem, starts, jnp.asarray(places, best.pose.dtype))
-    return tell(asked, points, measurements, best.distances, best.pose, {}), np.asarray(poses, float)
+    starts = unbounded(problem, np.tile(best.pose, (len(drawn), 1)))
+    poses = fit_draws(problem, starts, places)
+    return tell(asked, points, measurements, best.distances, best.pose, {}), poses.astype(float)
 
 
 def _left(names: Sequence[str], markers: Float[np.ndarray, "draw marker 3"]) -> Float[np.ndarray, "draw 3"]:

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from bayes_body.config import FAST_COMPILE
 from bayes_body.errors import InputError
+from bayes_body.geometry.namespaces import device_array
 from bayes_body.initial.adam import minimise
 from bayes_body.initial.misfit import Explained, Problem, explain
 from bayes_body.initial.shares import parameters_of, pose_of
@@ -67,33 +68,34 @@ def fit(problem: Problem, up: int) -> Fit:
     """
     keys = jax.random.split(jax.random.key(0), 2 + THROWS)
     start = candidates(problem, up, keys[0])
-    found = descend(problem, unbounded(problem, start.poses[choose(start, STARTS)]), SEARCH, SEARCH_WIDTH)
+    # Rows are taken on the host: on the device, each such operation would be a program of its own.
+    found = descend(problem, unbounded(problem, np.asarray(start.poses)[choose(start, STARTS)]), SEARCH, SEARCH_WIDTH)
     for key in keys[2:]:
-        found = descend(problem, _thrown(problem, key, found.parameters[_different(found)]), SEARCH, THROW_WIDTH)
+        found = descend(problem, _thrown(problem, key, np.asarray(found.parameters)[_different(found)]), SEARCH, THROW_WIDTH)
     before = found.order[0]
-    jitter = 0.01 * jax.random.normal(keys[1], found.parameters.shape, found.parameters.dtype)
-    last = descend(problem, found.parameters[before] + jitter.at[0].set(0), REFINE, 1.0)
-    best: Explained = jax.tree.map(lambda leaf: leaf[last.order[0]], last.explained)
-    if not jnp.isfinite(best.misfit):
+    last = descend(problem, _around(keys[1], np.asarray(found.parameters)[before]), REFINE, 1.0)
+    best: Explained = jax.tree.map(lambda leaf: device_array(np.asarray(leaf)[last.order[0]], leaf.dtype), last.explained)
+    if not np.isfinite(best.misfit):
         found_no = "session.toml: initial: the fit did not converge; expected finite numbers"
         raise InputError(f"{found_no}; check the calibration, or give the pose in angles.")
-    return Fit(best, float(found.explained.misfit[before] - best.misfit))
+    return Fit(best, float(np.asarray(found.explained.misfit)[before] - best.misfit))
 
 
 def rest(problem: Problem) -> Pose:
     """Return the body's resting pose: upright, with hanging limbs. The optimisation starts from the prior's mean, by the same program as `fit`."""
-    nothing = jax.tree.map(jnp.zeros_like, problem.measurements)
-    poses = jnp.tile(problem.prior.mean, (STARTS, 1))
-    heavy = problem.prior._replace(weights=WEIGHT * jnp.asarray(problem.points.hanging, poses.dtype))
-    return descend(problem._replace(measurements=nothing, prior=heavy), unbounded(problem, poses), SEARCH, 1.0).explained.pose[0]
+    nothing = jax.tree.map(np.zeros_like, problem.measurements)
+    poses = np.tile(problem.prior.mean, (STARTS, 1))
+    heavy = problem.prior._replace(weights=np.asarray(WEIGHT * np.asarray(problem.points.hanging), poses.dtype))
+    found = descend(problem._replace(measurements=nothing, prior=heavy), unbounded(problem, poses), SEARCH, 1.0)
+    return device_array(np.asarray(found.explained.pose)[0], poses.dtype)
 
 
 def descend(
     problem: Problem,
-    starts: Float[Array, "start parameter"],
+    starts: Float[Array | np.ndarray, "start parameter"],
     rate: float | Scalar,
     width: float | Scalar,
-    markers: Float[Array, "start point 3"] | None = None,
+    markers: Float[Array | np.ndarray, "start point 3"] | None = None,
 ) -> Descent:
     """Run Adam from every start. The misfit's width falls from `width` to 1 in the first half of the steps.
 
@@ -105,7 +107,7 @@ def descend(
         markers: positions in the world in place of the problem's markers, for each start; metres.
     """
     if markers is None:
-        markers = jnp.broadcast_to(problem.measurements.markers, (len(starts), *problem.measurements.markers.shape))
+        markers = np.broadcast_to(problem.measurements.markers, (len(starts), *problem.measurements.markers.shape))
     return _descend(problem, starts, rate, width, markers)
 
 
@@ -124,7 +126,9 @@ def _descend(
     return Descent(*minimise(slope, starts, rate, STEPS))
 
 
-def fit_draws(problem: Problem, starts: Float[Array, "draw parameter"], markers: Float[Array, "draw point 3"]) -> Float[Array, "draw dof"]:
+def fit_draws(
+    problem: Problem, starts: Float[Array | np.ndarray, "draw parameter"], markers: Float[np.ndarray, "draw point 3"]
+) -> Float[np.ndarray, "draw dof"]:
     """Return the pose that fits each draw's own markers, from a start that is near. The program is that of `fit`.
 
     Args:
@@ -135,12 +139,13 @@ def fit_draws(problem: Problem, starts: Float[Array, "draw parameter"], markers:
     Returns:
         Radians and metres.
     """
-    poses = []
+    starts, poses = np.asarray(starts), list[np.ndarray]()
+    markers = np.asarray(markers, starts.dtype)
     for first in range(0, len(starts), STARTS):
         # Always as many starts as `fit` has, so that nothing is compiled again.
         rows = np.minimum(np.arange(first, first + STARTS), len(starts) - 1)
-        poses.append(descend(problem, starts[rows], REFINE, 1.0, markers[rows]).explained.pose)
-    return jnp.concatenate(poses)[: len(starts)]
+        poses.append(np.asarray(descend(problem, starts[rows], REFINE, 1.0, markers[rows]).explained.pose))
+    return np.concatenate(poses)[: len(starts)]
 
 
 def _different(found: Descent) -> Int[np.ndarray, " kept"]:
@@ -151,6 +156,13 @@ def _different(found: Descent) -> Int[np.ndarray, " kept"]:
             kept.append(int(i))
     # Always the same number, so that nothing is compiled again.
     return np.resize(kept[:KEPT], KEPT)
+
+
+@partial(jax.jit, compiler_options=FAST_COMPILE)
+def _around(key: Key, parameters: Float[Array, " parameter"]) -> Float[Array, "start parameter"]:
+    """Return starts around the best parameters, which are the first of them."""
+    jitter = 0.01 * jax.random.normal(key, (STARTS, *parameters.shape), parameters.dtype)
+    return parameters + jitter.at[0].set(0)
 
 
 @jax.jit

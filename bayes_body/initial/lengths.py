@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from bayes_body.body.build import Shape, build_body
 from bayes_body.body.schema import BodySchema
 from bayes_body.body.solids import Body
+from bayes_body.geometry.namespaces import device_array
 
 # Standard deviation of a length's logarithm: how much a person's segments differ from average proportions.
 SPREAD = 0.1
@@ -45,8 +46,9 @@ class Scaling(NamedTuple):
 
 def fixed(body: Body) -> Scaling:
     """Return the scaling of a body with constant lengths: it has no parameters."""
-    none = jax.tree.map(lambda leaf: jnp.zeros((0, *leaf.shape), leaf.dtype), fields(body))
-    return Scaling(jnp.zeros(0, body.lengths.dtype), jnp.zeros((0, 0), body.lengths.dtype), none)
+    none = jax.tree.map(lambda leaf: device_array(np.zeros((0, *leaf.shape)), leaf.dtype), fields(body))
+    dtype = body.lengths.dtype
+    return Scaling(device_array(np.zeros(0), dtype), device_array(np.zeros((0, 0)), dtype), none)
 
 
 def scaling(body: Body, schema: BodySchema) -> Scaling:

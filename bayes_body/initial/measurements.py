@@ -3,11 +3,11 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.errors import FaultyFileError, InputError, nearest
+from bayes_body.geometry.namespaces import device_array
 from bayes_body.initial.points import FACE, Points
 from bayes_body.recording.keypoint_layouts import LAYOUTS
 from bayes_body.session.session import CameraSpec, Session
@@ -56,7 +56,7 @@ def read_measurements(session: Session, points: Points) -> Measurements:
     pixels, weights = _keypoints(session, points)
     _check_enough(session, points, marker_weights, weights)
     rays = np.stack([_undistorted(view.camera, pixels[c]) for c, view in enumerate(session.views)])
-    return Measurements(*(jnp.asarray(each, float) for each in (markers, marker_weights, pixels, rays, weights)))
+    return Measurements(*(device_array(each) for each in (markers, marker_weights, pixels, rays, weights)))
 
 
 def unused_names(session: Session, points: Points) -> Iterator[str]:

@@ -26,6 +26,7 @@ from bayes_body.body.solids import Body
 from bayes_body.config import FAST_COMPILE
 from bayes_body.errors import input_error
 from bayes_body.geometry.camera import Camera
+from bayes_body.geometry.namespaces import device_array
 from bayes_body.initial.adam import minimise
 from bayes_body.likelihood.outlines import outline_forms, signed_distance
 from bayes_body.model.build import Model
@@ -77,8 +78,8 @@ def fit_outline(model: Model, session: Session) -> Outline:
     """
     placed = model.at(cameras_at(session, 0)) if session.moves else model
     cameras, seen = _silhouettes(session)
-    rig = jax.tree.map(lambda leaf: leaf[np.array(cameras)], placed.rig)
-    groups = jnp.asarray(_groups(model.body), model.body.lengths.dtype)
+    rig = jax.tree.map(lambda leaf: np.asarray(leaf)[np.array(cameras)], placed.rig)
+    groups = np.asarray(_groups(model.body), model.body.lengths.dtype)
     logs, before, after = _fit(model.body.by_angles, rig, model.first_pose, groups, seen)
     if float(before) < LEAST_OVERLAP:
         return Outline({}, float(before), float(before))
@@ -99,7 +100,7 @@ def _silhouettes(session: Session) -> tuple[list[int], Silhouettes]:
             WHERE, "true, but no camera shows a silhouette in the first frame", "one that does", "set it to false, or start at another frame"
         )
     grids = [_grid(mask) for mask in seen.values()]
-    return list(seen), Silhouettes(*(jnp.asarray(np.stack(each), float) for each in zip(*grids, strict=True)))
+    return list(seen), Silhouettes(*(device_array(np.stack(each)) for each in zip(*grids, strict=True)))
 
 
 def _grid(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -126,6 +127,7 @@ def _groups(body: Body) -> Float[np.ndarray, "group part 2"]:
     return np.array(list(kinds.values())).reshape(-1, len(topology.names), 2)
 
 
+@jax.jit
 def _thick(body: Body, groups: Float[Array, "group part 2"], logs: Float[Array, " group"]) -> Body:
     return replace(body, outline_radii=body.outline_radii * jnp.exp(jnp.tensordot(logs, groups, 1)))
 

@@ -19,6 +19,7 @@ from bayes_body.body.skeleton import Markers
 from bayes_body.body.solids import Body
 from bayes_body.config import FAST_COMPILE
 from bayes_body.geometry import transforms
+from bayes_body.geometry.namespaces import device_array
 
 # Detectors' names of points that are joint centres of the body.
 OTHER_NAMES = {"neck": "thorax", "mid_hip": "pelvis"}
@@ -87,11 +88,10 @@ def body_points(body: Body) -> Points:
     markers = body.markers
     frame = _facing(body)
     if frame is None:
-        return Points(markers.names, markers.joints, 0, jnp.zeros((0, 3), body.lengths.dtype))
+        return Points(markers.names, markers.joints, 0, device_array(np.zeros((0, 3)), body.lengths.dtype))
     crown = markers.names.index("head")
-    fractions = jnp.asarray([list(fraction) for fraction in FACE.values()], body.lengths.dtype)
-    face = jnp.sum(fractions[:, :, None] * frame[None], axis=1)
-    return Points((*markers.names, *FACE), (*markers.joints, *[markers.joints[crown]] * len(FACE)), crown, face)
+    face = np.array([list(fraction) for fraction in FACE.values()]) @ np.asarray(frame, float)
+    return Points((*markers.names, *FACE), (*markers.joints, *[markers.joints[crown]] * len(FACE)), crown, device_array(face, frame.dtype))
 
 
 def as_markers(body: Body, points: Points) -> Markers:

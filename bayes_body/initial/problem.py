@@ -1,10 +1,10 @@
 """The optimisation problem of the first pose, from a session and a model: the measurements as arrays, and a prior."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from bayes_body.body.solids import Body
+from bayes_body.geometry.namespaces import device_array
 from bayes_body.initial.fit import rest
 from bayes_body.initial.lengths import fixed, scaling
 from bayes_body.initial.measurements import Measurements
@@ -25,20 +25,20 @@ LOOSER = 8.0
 def build_problem(model: Model, session: Session, points: Points, measurements: Measurements) -> Problem:
     """Return the problem of a session's first pose, in the model's dtype. The prior's mean is the resting pose, or the session's value of a dof."""
     body, dtype = model.body.by_angles, model.body.lengths.dtype
-    marker_weights, pixel_weights = measurements.marker_weights * points.weight, measurements.pixel_weights * points.weight
+    marker_weights, pixel_weights = (np.asarray(weights) * points.weight for weights in (measurements.marker_weights, measurements.pixel_weights))
     weighted = measurements._replace(marker_weights=marker_weights, pixel_weights=pixel_weights)
     problem = Problem(
         body=body,
         scaling=scaling(body, model.definition.body) if session.fit_lengths else fixed(body),
         rig=model.rig,
         points=points,
-        measurements=jax.tree.map(lambda leaf: leaf.astype(dtype), weighted),
-        tolerance=jnp.asarray(points.tolerance_m, dtype),
+        measurements=jax.tree.map(lambda leaf: device_array(leaf, dtype), weighted),
+        tolerance=device_array(points.tolerance_m, dtype),
         prior=_prior(body, session, points),
     )
-    mean = rest(problem)
-    given = jnp.array([name in session.initial for name in body.dof_names])
-    return problem._replace(prior=problem.prior._replace(mean=jnp.where(given, problem.prior.mean, mean)))
+    given = np.array([name in session.initial for name in body.dof_names])
+    mean = np.where(given, problem.prior.mean, rest(problem))
+    return problem._replace(prior=problem.prior._replace(mean=device_array(mean, dtype)))
 
 
 def _prior(body: Body, session: Session, points: Points) -> Prior:
@@ -55,5 +55,5 @@ def _prior(body: Body, session: Session, points: Points) -> Prior:
         k = body.dof_names.index(name)
         mean[k], sd[k] = value, GIVEN_SD[topology.angular[k]]
     up, upright = np.eye(3)["xyz".index(session.up)], floats / (width * TILT_SD) ** 2
-    arrays = (jnp.asarray(each, body.lengths.dtype) for each in (mean, sd, up, upright, np.zeros(len(points.names))))
+    arrays = (device_array(each, body.lengths.dtype) for each in (mean, sd, up, upright, np.zeros(len(points.names))))
     return Prior(*arrays)

@@ -6,27 +6,35 @@ forward or back there, so how they are turned about their axes is arbitrary; no 
 is, and nothing about its rotation (`density.point_and_axis`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from bayes_body.body.placement import PARTS, ByParts, placed_markers, require
 from bayes_body.body.solids import Body, part_transforms
+from bayes_body.config import FAST_COMPILE
 from bayes_body.density.graph import Mixture
 from bayes_body.density.point_and_axis import PointAndAxis
 from bayes_body.density.spaces import SE3
-from bayes_body.density.tangent_normal import WIDEST_RAD, tangent_normal
+from bayes_body.density.tangent_normal import WIDEST_RAD, TangentNormal, tangent_normal
 from bayes_body.detection.detect import Detected
 from bayes_body.detection.detections import Detections, axis_frames, strongest
 from bayes_body.geometry import rigid, rotations
+from bayes_body.geometry.namespaces import device_array
 from bayes_body.geometry.transforms import Transform
+from bayes_body.shapes import Configuration
 
 # Detections of a part, and of its landmarks, of which a proposal is made: the strongest. A fixed number, so that a frame never retraces.
 MOST = 12
+
+# The parameters of a distribution, and with its weight.
+type Parameters = tuple[np.ndarray, ...]
+type Weighted = tuple[Parameters, float]
 
 
 class Frames(NamedTuple):
@@ -48,13 +56,10 @@ def frames_of(body: Body) -> Frames:
         InputError: the body is placed by angles.
     """
     placement = by_parts(body)
-    zero = np.asarray(placement.configuration(body.skeleton, jnp.zeros(len(body.dof_names), body.lengths.dtype)), float)
-    markers = np.asarray(placed_markers(body, jnp.asarray(zero, body.lengths.dtype)), float)
+    zero, markers, (rotation, base) = jax.tree.map(lambda leaf: np.asarray(leaf, float), _at_rest(body))
     at = dict(zip(body.markers.names, markers, strict=True))
     # Left and up of an upright body; forward is across both.
     forward = np.cross(at["l_hip"] - at["r_hip"], at["thorax"] - at["pelvis"])
-    solids = part_transforms(body, jnp.asarray(zero, body.lengths.dtype))
-    rotation, base = np.asarray(solids.rotation, float), np.asarray(solids.origin, float)
     detected = {}
     for part, name in enumerate(placement.names):
         own = body.topology.names.index(name)
@@ -62,13 +67,20 @@ def frames_of(body: Body) -> Frames:
         tip = base[own] + float(body.lengths[own]) * axis
         # The axis of trunk and head points to the crown; that of a limb away from the trunk.
         towards = axis if "_" in name or axis @ (at["thorax"] - at["pelvis"]) > 0 else -axis
-        frame = Transform(jnp.asarray(axis_frames(towards[None], forward[None])[0]), jnp.asarray((base[own] + tip) / 2))
-        detected[name] = np.asarray(rigid.relative(zero[part], np.asarray(rigid.from_transform(frame), float)), float)
+        frame = rigid.rigid((base[own] + tip) / 2, rotations.from_matrix(axis_frames(towards[None], forward[None])[0]))
+        detected[name] = np.asarray(rigid.relative(zero[part], frame), float)
     landmarks = {}
     for name, joint, place in zip(body.markers.names, body.markers.joints, markers, strict=True):
         part = placement.owners[joint]
         landmarks[name] = part, np.asarray(rigid.apply(rigid.inverse(zero[part]), place), float)
     return Frames(detected, landmarks)
+
+
+@jax.jit(compiler_options=FAST_COMPILE)
+def _at_rest(body: Body) -> tuple[Configuration, Float[Array, "marker 3"], Transform]:
+    """Return the parts, the markers and the solids of a body with all angles at 0."""
+    parts = by_parts(body).configuration(body.skeleton, jnp.zeros(len(body.dof_names), body.lengths.dtype))
+    return parts, placed_markers(body, parts), part_transforms(body, parts)
 
 
 def proposals_of(detected: Detected, body: Body, frames: Frames | None = None) -> tuple[Mixture, ...]:
@@ -83,8 +95,8 @@ def proposals_of(detected: Detected, body: Body, frames: Frames | None = None) -
         InputError: the body is placed by angles.
     """
     placement, frames = by_parts(body), frames or frames_of(body)
-    of_parts: list[list[tuple[Any, float]]] = [[] for _ in placement.names]
-    of_landmarks: list[list[tuple[Any, float]]] = [[] for _ in placement.names]
+    of_parts: list[list[Weighted]] = [[] for _ in placement.names]
+    of_landmarks: list[list[Weighted]] = [[] for _ in placement.names]
     for part, name in enumerate(placement.names):
         if name in detected.parts:
             of_parts[part] = _rigid(strongest(detected.parts[name], MOST), frames.detected[name])
@@ -92,7 +104,13 @@ def proposals_of(detected: Detected, body: Body, frames: Frames | None = None) -
         if name in detected.landmarks:
             of_landmarks[part] += _points(strongest(detected.landmarks[name], MOST), point)
     strongest_points = [sorted(each, key=lambda one: -one[1])[:MOST] for each in of_landmarks]
-    return _mixture(of_parts, tangent_normal(SE3(), jnp.asarray(rigid.identity(), float), jnp.eye(6))), _mixture(strongest_points, _point(*np.eye(3)))
+    return _mixture(of_parts, (rigid.identity(), np.eye(6)), _normals), _mixture(strongest_points, _point(*np.eye(3)), PointAndAxis)
+
+
+@jax.jit(compiler_options=FAST_COMPILE)
+def _normals(means: Float[Array, "part component 7"], covariances: Float[Array, "part component 6 6"]) -> TangentNormal:
+    """Return the normal distributions of rigid transforms with these moments."""
+    return jax.vmap(jax.vmap(partial(tangent_normal, SE3())))(means, covariances)
 
 
 def by_parts(body: Body) -> ByParts:
@@ -106,8 +124,8 @@ def by_parts(body: Body) -> ByParts:
     return body.placement
 
 
-def _rigid(found: Detections, X_part_detected: Float[np.ndarray, "7"]) -> list[tuple[Any, float]]:
-    """Return normal distributions of the part's own frame, with their weights."""
+def _rigid(found: Detections, X_part_detected: Float[np.ndarray, "7"]) -> list[Weighted]:
+    """Return means and covariances of the part's frame, with their weights."""
     assert found.rotations is not None
     turn, arm = np.asarray(rotations.to_matrix(X_part_detected[3:]), float), X_part_detected[:3]
     cross = np.array([[0, -arm[2], arm[1]], [arm[2], 0, -arm[0]], [-arm[1], arm[0], 0]])
@@ -119,27 +137,28 @@ def _rigid(found: Detections, X_part_detected: Float[np.ndarray, "7"]) -> list[t
         spread = np.zeros((6, 6))
         spread[:3, :3], spread[:3, 3:], spread[3:, 3:] = R_world_detected, R_world_part @ cross @ turn, turn
         spread = spread * np.concatenate([sd_m, np.minimum(sd_rad, WIDEST_RAD)])
-        components.append((tangent_normal(SE3(), jnp.asarray(mean, float), jnp.asarray(spread @ spread.T, float)), float(weight)))
+        components.append(((mean, spread @ spread.T), float(weight)))
     return components
 
 
-def _points(found: Detections, point: Float[np.ndarray, "3"]) -> list[tuple[Any, float]]:
-    """Return distributions of the part's frame of which a point is known and nothing else, with their weights."""
+def _points(found: Detections, point: Float[np.ndarray, "3"]) -> list[Weighted]:
+    """Return the parameters of distributions of the part's frame of which a point is known and nothing else, with their weights."""
     return [(_point(place, point, sd_m), float(weight)) for place, sd_m, weight in zip(found.positions, found.sd_m, found.weights, strict=True)]
 
 
-def _point(place: np.ndarray, point: np.ndarray, sd_m: np.ndarray) -> PointAndAxis:
+def _point(place: np.ndarray, point: np.ndarray, sd_m: np.ndarray) -> Parameters:
+    """Return the parameters of a `PointAndAxis` whose axis points anywhere."""
     anywhere = np.array([0.0, 0.0, 1.0])
-    return PointAndAxis(*(jnp.asarray(each, float) for each in (place, point, sd_m, anywhere, anywhere, 0.0)))
+    return place, point, sd_m, anywhere, anywhere, np.zeros(())
 
 
-def _mixture(by_part: Sequence[Sequence[tuple[Any, float]]], filling: Any) -> Mixture:
-    """Return the mixture, with the same number of components for each part; the filling has no weight."""
+def _mixture(by_part: Sequence[Sequence[Weighted]], filling: Parameters, distributions: Callable[..., Any]) -> Mixture:
+    """Return the mixture, with the same number of components for each part; the filling has no weight. `distributions` takes all parameters."""
     weights = np.full((len(by_part), MOST), -np.inf)
     for part, own in enumerate(by_part):
         total = sum(weight for _, weight in own)
         for number, (_, weight) in enumerate(own):
             weights[part, number] = np.log(weight / total) if weight > 0 else -np.inf
-    components = [component for own in by_part for component in (*(one for one, _ in own), *[filling] * (MOST - len(own)))]
-    shape = (len(by_part), MOST)
-    return Mixture(jax.tree.map(lambda *leaves: jnp.stack(leaves).reshape(*shape, *leaves[0].shape), *components), jnp.asarray(weights, float))
+    components = [[*(component for component, _ in own), *[filling] * (MOST - len(own))] for own in by_part]
+    stacked = (device_array([[component[k] for component in row] for row in components]) for k in range(len(filling)))
+    return Mixture(distributions(*stacked), device_array(weights))

@@ -6,22 +6,27 @@ Particles are weighted with the power of the likelihood with which EFFECTIVE of 
 picture allows. Before one of the rounds, arms that stand out are looked for (initial/arms.py).
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from bayes_body.body.placement import POSE
+from bayes_body.config import FAST_COMPILE
 from bayes_body.density.density import Density
 from bayes_body.initial.arms import other_arms
 from bayes_body.kernels.parts.batching import everywhere, over_particles
 from bayes_body.kernels.parts.ladder import next_increment
 from bayes_body.kernels.parts.resampling import resampler
 from bayes_body.model.build import Model
-from bayes_body.shapes import Pose, Scalar
+from bayes_body.shapes import Key, Pose, Scalar
 
 # Particles, and those of them that are effective.
 MANY, EFFECTIVE = 8_192, 96
+# The log-weight of a pose that a constraint forbids: finite, because it is multiplied by powers that may be 0.
+IMPOSSIBLE = -1e30
 # Steps of each round: standard deviations of angles, degrees, and of positions, metres.
 ROUNDS = ((10.0, 0.03), (6.0, 0.02), (4.0, 0.015), (3.0, 0.01), (3.0, 0.01))
 # The round before which arms that stand out are looked for, once the poses are near.
@@ -38,18 +43,17 @@ def refine(model: Model, density: Density, poses: Float[np.ndarray, "pose dof"],
         count: number of poses to return.
         seed: random seed.
     """
-    random, resample, log_weights = np.random.default_rng(seed), resampler("systematic"), jax.jit(_log_weights)
-    skeleton = model.body.skeleton
+    random, log_weights, skeleton = np.random.default_rng(seed), jax.jit(_log_weights), model.body.skeleton
 
     def evaluate(poses: Float[np.ndarray, "pose dof"]) -> Float[np.ndarray, " pose"]:
-        return np.asarray(log_weights(everywhere(jnp.asarray(poses, model.body.lengths.dtype)), density), float)
+        return np.asarray(log_weights(everywhere(np.asarray(poses, model.body.lengths.dtype)), density), float)
 
     low, high = np.asarray(skeleton.low, float), np.asarray(skeleton.high, float)
     keys = jax.random.split(jax.random.key(seed), len(ROUNDS) + 1)
     found, weights = poses, np.zeros(len(poses))
     for number, (key, (step_deg, step_m)) in enumerate(zip(keys, ROUNDS, strict=False)):
         best = poses[weights.argmax()]
-        poses = poses[np.asarray(resample(key, jnp.asarray(weights), MANY))]
+        poses = poses[np.asarray(resampled(key, weights, MANY))]
         if number == ARMS_BEFORE:
             # Half of the particles get the other arm; the likelihood decides.
             for own, values in other_arms(skeleton, evaluate, best, MANY, random):
@@ -60,10 +64,22 @@ def refine(model: Model, density: Density, poses: Float[np.ndarray, "pose dof"],
         allowed = np.isfinite(weights)
         if not allowed.any():
             return found[:count]
-        poses, weights = poses[allowed], weights[allowed]
-        weights = weights * float(next_increment(jnp.asarray(weights), min(1.0, EFFECTIVE / len(weights)), jnp.asarray(1.0)))
-    drawn = np.asarray(resample(keys[-1], jnp.asarray(weights), count))
+        # Impossible poses remain among the others, so that shapes do not change and nothing is compiled again.
+        weights = np.where(allowed, weights * float(_increment(np.where(allowed, weights, IMPOSSIBLE))), IMPOSSIBLE)
+    drawn = np.asarray(resampled(keys[-1], weights, count))
     return poses[drawn[np.argsort(-weights[drawn], kind="stable")]]
+
+
+@partial(jax.jit, static_argnames="count", compiler_options=FAST_COMPILE)
+def resampled(key: Key, log_weights: Float[Array, " pose"], count: int) -> Int[Array, " drawn"]:
+    """Return the numbers of `count` poses, drawn systematically by their weights."""
+    return resampler("systematic")(key, log_weights, count)
+
+
+@partial(jax.jit, compiler_options=FAST_COMPILE)
+def _increment(log_weights: Float[Array, " pose"]) -> Scalar:
+    """Return the power at which EFFECTIVE poses are effective; at most 1."""
+    return next_increment(log_weights, EFFECTIVE / MANY, jnp.ones((), log_weights.dtype))
 
 
 def _log_weights(poses: Float[Array, "pose dof"], density: Density) -> Float[Array, " pose"]:

@@ -23,6 +23,7 @@ from bayes_body.body.solids import Body
 from bayes_body.config import FAST_COMPILE
 from bayes_body.geometry import transforms
 from bayes_body.geometry.camera import Camera, to_camera
+from bayes_body.geometry.namespaces import device_array
 from bayes_body.initial.misfit import Places, Problem, distances, places_of, potential
 from bayes_body.shapes import Key, Pose
 
@@ -110,11 +111,11 @@ def orientations(body: Body) -> Float[Array, "candidate angle"]:
     """Return every combination of the root's angles on a grid through 0; an angle without limits covers a full turn."""
     axes = []
     for k in _root_angles(body):
-        low, high = float(body.skeleton.low[k]), float(body.skeleton.high[k])
+        low, high = (float(np.asarray(limit)[k]) for limit in (body.skeleton.low, body.skeleton.high))
         low, high = (low, high) if np.isfinite(low) and np.isfinite(high) else (-np.pi + 0.5 * STEP, np.pi + 0.5 * STEP)
         axes.append(STEP * np.arange(np.ceil(low / STEP), np.floor(high / STEP) + 1))
     grid = np.array(list(itertools.product(*axes))).reshape(-1, len(axes))
-    return jnp.asarray(grid[:: int(np.ceil(len(grid) / MOST))], body.lengths.dtype)
+    return device_array(grid[:: int(np.ceil(len(grid) / MOST))], body.lengths.dtype)
 
 
 def _stance(body: Body, pose: Pose, up: int) -> tuple[Bool[Array, ""], Int[Array, ""]]:

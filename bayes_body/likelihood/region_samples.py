@@ -17,12 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from bayes_body.body.placement import ByParts
+from bayes_body.body.placement import ByParts, solids_in_parts
 from bayes_body.body.solids import Body, Shapes
 from bayes_body.errors import input_error
 from bayes_body.evidence.regions import BAND, EDGES, INSIDE
 from bayes_body.geometry import rigid, transforms
 from bayes_body.geometry.camera import Camera, Pixels
+from bayes_body.geometry.namespaces import device_array
 from bayes_body.geometry.transforms import Transform
 from bayes_body.likelihood.patch_pixels import corner_pixels, solid_patches
 
@@ -75,17 +76,21 @@ def part_samples(name: str, body: Body, samples: tuple[int, int, int], band: tup
     rows = [_of_part(solids, _divided(along, lengths[solids]), body.topology.is_sphere, (across, deep), band) for solids in held]
     t, s, cell, solid = (np.stack(each) for each in zip(*rows, strict=True))
     chosen = np.stack([np.concatenate([solids, np.repeat(solids[:1], most - len(solids))]) for solids in held])
-    joints = transforms.pick(placement.held, np.array(body.topology.joints))
-    in_part, seen, dtype = transforms.compose(joints, Transform(body.presets, body.offsets)), body.seen, body.lengths.dtype
+    dtype = body.lengths.dtype
     found = PartSamples(
-        T_part_solid=Transform(in_part.rotation[chosen], in_part.origin[chosen]),
-        shapes=jax.tree.map(lambda leaf: leaf[chosen], seen),
-        t=jnp.asarray(t, dtype),
-        s=jnp.asarray(s, dtype),
-        cell=jnp.asarray(cell, dtype),
-        solid=jnp.asarray(solid, jnp.int32),
+        T_part_solid=_rows(solids_in_parts(body), chosen),
+        shapes=_rows(body.seen, chosen),
+        t=device_array(t, dtype),
+        s=device_array(s, dtype),
+        cell=device_array(cell, dtype),
+        solid=device_array(solid, jnp.int32),
     )
     return found, np.repeat([INSIDE, BAND, EDGES], [along * across, 2 * along * deep, 2 * along])
+
+
+def _rows[Tree](tree: Tree, chosen: Int[np.ndarray, "part solid"]) -> Tree:
+    """Return rows of all arrays, taken on the host: on the device each would be a program of its own."""
+    return jax.tree.map(lambda leaf: device_array(np.asarray(leaf)[chosen], leaf.dtype), tree)
 
 
 def _divided(count: int, lengths: Float[np.ndarray, " solid"]) -> Int[np.ndarray, " solid"]:

@@ -30,6 +30,7 @@ from bayes_body.density.plate import Plate, plate_factor
 from bayes_body.evidence.regions import EDGES, RegionMaps, log_ratios_at
 from bayes_body.evidence.silhouette_edges import Lookup
 from bayes_body.geometry.camera import Camera
+from bayes_body.geometry.namespaces import device_array
 from bayes_body.likelihood.region_samples import PartSamples, part_samples, projected
 from bayes_body.registry import register
 from bayes_body.shapes import Scalar
@@ -87,6 +88,6 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
     samples, map_index = part_samples(name, body, options.samples, options.band)
     shares = IMAGE_PX / np.prod(np.asarray(rig.size, float), axis=1, keepdims=True)
     weights = options.precision * np.where(map_index == EDGES, options.edge_share * np.sqrt(shares), (1 - options.edge_share) * shares)
-    potential = Regions(options.lookup, rig, jnp.asarray(map_index, jnp.int32), jnp.asarray(weights, body.lengths.dtype))
+    potential = Regions(options.lookup, rig, device_array(map_index, jnp.int32), device_array(weights, body.lengths.dtype))
     rows = tuple((part,) for part in range(len(samples.t)))
     return plate_factor(name, "likelihood", Plate(PARTS, rows, potential, samples), has_gradient=options.lookup != "nearest")

@@ -34,6 +34,7 @@ from bayes_body.body.solids import Body, Samples, outline_samples, surface_sampl
 from bayes_body.density.factor import Factor, Variable, Variables
 from bayes_body.evidence.silhouette_edges import EDGES, SILHOUETTE, Lookup, SilhouetteEdgeMaps, look_up
 from bayes_body.geometry.camera import Camera
+from bayes_body.geometry.namespaces import device_array
 from bayes_body.likelihood.coverage import projected_area
 from bayes_body.likelihood.outlines import forms_of, point_distance
 from bayes_body.likelihood.patch_pixels import rig_patches, sample_pixels
@@ -151,8 +152,8 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
         body=body,
         rig=rig,
         samples=Samples(*(jnp.concatenate(each, axis=1) for each in zip(surface, outline, strict=True))),
-        map_index=jnp.asarray(np.repeat([SILHOUETTE, EDGES], counts)),
-        weights=jnp.asarray(weights, body.lengths.dtype),
+        map_index=device_array(np.repeat([SILHOUETTE, EDGES], counts), int),
+        weights=device_array(weights, body.lengths.dtype),
         precision=jnp.asarray(options.precision, body.lengths.dtype),
         soft_px=jnp.asarray(options.cover_soft_px, body.lengths.dtype),
     )

@@ -19,6 +19,7 @@ from bayes_body.density.factor import Data, Factor, Particles, State, Transition
 from bayes_body.density.kernel import NamedKernel
 from bayes_body.errors import InputError, input_error, nearest
 from bayes_body.geometry.camera import Camera, stack, turning_radius
+from bayes_body.geometry.namespaces import device_array
 from bayes_body.model.definition import Definition, load_body, load_definition
 from bayes_body.model.first import First, first_of
 from bayes_body.model.kernel_options import check_options, kernel_options
@@ -71,8 +72,8 @@ class Model:
             observation: the result of `observe`.
             previous: the particles of the previous frame; by default one particle, the initial state.
         """
-        point_mass = Particles(jax.tree.map(lambda leaf: leaf[None], dict(self.initial)), jnp.zeros(1, self.body.lengths.dtype))
-        return Density(self.transition, self.factors, jax.tree.map(jnp.asarray, observation), point_mass if previous is None else previous)
+        before = Particles(jax.tree.map(lambda leaf: leaf[None], dict(self.initial)), self._equal(1)) if previous is None else previous
+        return Density(self.transition, self.factors, jax.tree.map(jnp.asarray, observation), before)
 
     def kernel(self, kind: str | None = None, /, **changes: Any) -> NamedKernel:
         """Return the kernel of the definition, with single options changed.
@@ -121,7 +122,10 @@ class Model:
             key: random key, needed only if the first pose is uncertain (`Model.first`); by default that of seed 0.
         """
         states = self.first.start(jax.random.key(0) if key is None else key, count)
-        return Particles(states, jnp.full((count,), -math.log(count), self.body.lengths.dtype))
+        return Particles(states, self._equal(count))
+
+    def _equal(self, count: int) -> Float[Array, " particle"]:
+        return device_array(np.full(count, -math.log(count)), self.body.lengths.dtype)
 
     def markers(self, configuration: Configuration) -> Float[Array, "marker 3"]:
         """Return the world positions of the body's virtual markers, metres. `configuration` is a state's variable `body.variable`, such as `pose`."""
@@ -189,7 +193,7 @@ def _likelihoods(definition: Definition, body: Body, rig: Camera) -> tuple[list[
 def _check_derived(transition: Transition, initial: State) -> None:
     """Check that no variable is both sampled and derived. Only names matter, so nothing is computed."""
     both: list[str] = []
-    jax.eval_shape(lambda state: both.extend(sorted(set(transition.conditional(state)) & set(transition.derive(state)))), dict(initial))
+    jax.eval_shape(lambda of, state: both.extend(sorted(set(of.conditional(state)) & set(of.derive(state)))), transition, dict(initial))
     if both:
         found, expected = f"the variable '{both[0]}' is sampled, and it is derived too", "each variable in one of the two"
         raise input_error(f"dynamics '{transition.name}'", found, expected, "leave it out of `derive`, or out of `conditional`")
@@ -217,14 +221,14 @@ def _motion_sd(subject: Subject, definition: Definition) -> Mapping[str, float]:
 
 def _camera(spec: CameraSpec) -> Camera:
     return Camera(
-        rotation=jnp.asarray(spec.rotation, float),
-        translation=jnp.asarray(spec.translation_m, float),
-        focal=jnp.asarray(spec.focal_px, float),
-        centre=jnp.asarray(spec.centre_px, float),
-        skew=jnp.asarray(spec.skew, float),
-        distortion=jnp.asarray(spec.distortion, float),
-        radius_max=jnp.asarray(turning_radius(np.asarray(spec.distortion)), float),
-        size=jnp.asarray(spec.size_px, float),
+        rotation=device_array(spec.rotation),
+        translation=device_array(spec.translation_m),
+        focal=device_array(spec.focal_px),
+        centre=device_array(spec.centre_px),
+        skew=device_array(spec.skew),
+        distortion=device_array(spec.distortion),
+        radius_max=device_array(turning_radius(np.asarray(spec.distortion))),
+        size=device_array(spec.size_px),
     )
 
 

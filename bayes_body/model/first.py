@@ -19,8 +19,9 @@ from bayes_body.body.solids import Body
 from bayes_body.density.factor import State, Transition, draw
 from bayes_body.dynamics.deviations import known_deviations
 from bayes_body.dynamics.diffusion import TruncatedWalk
+from bayes_body.geometry.namespaces import device_array
 from bayes_body.model.definition import FirstTable
-from bayes_body.shapes import Key, Pose
+from bayes_body.shapes import Key, Keys, Pose
 
 
 class First(NamedTuple):
@@ -61,27 +62,34 @@ class First(NamedTuple):
     def sample(self, key: Key) -> State:
         """Draw a state."""
         if self.draws is None:
-            return self._near(key, self.pose)
+            return self.near(key, self.pose)
         pose_key, near_key = jax.random.split(key)
-        return self._near(near_key, jax.random.choice(pose_key, self.draws))
+        return self.near(near_key, jax.random.choice(pose_key, self.draws))
 
     def start(self, key: Key, count: int) -> State:
         """Draw `count` states, with a leading particle axis. A certain pose needs no random numbers. Of several, each is taken equally often."""
         if self.is_point:
             return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *leaf.shape)), dict(self.mode))
         if self.draws is None:
-            return jax.jit(jax.vmap(self.sample))(jax.random.split(key, count))
+            return _near(self, jax.random.split(key, count), jnp.broadcast_to(self.pose, (count, *self.pose.shape)))
         order_key, near_key = jax.random.split(key)
         poses = jax.random.permutation(order_key, self.draws)[np.arange(count) % len(self.draws)]
-        return jax.jit(jax.vmap(self._near))(jax.random.split(near_key, count), poses)
+        return _near(self, jax.random.split(near_key, count), poses)
 
-    def _near(self, key: Key, pose: Pose) -> State:
+    def near(self, key: Key, pose: Pose) -> State:
+        """Draw a state near a pose."""
         uncertain = self.sd > 0
         drawn = TruncatedWalk(pose, jnp.where(uncertain, self.sd, 1.0), self.low, self.high).sample(key)
         state = self.transition.begin({"pose": jnp.where(uncertain, drawn, pose)})
         if self.transition.first is None:
             return state
         return {**state, **draw(jax.random.fold_in(key, 1), self.transition.first(state))}
+
+
+@jax.jit
+def _near(first: First, keys: Keys, poses: Float[Array, "draw dof"]) -> State:
+    # The distribution is an argument: of a constant, numpyro would check the arguments with many small programs, and each one would need its own.
+    return jax.vmap(lambda key, pose: first.near(key, pose))(keys, poses)
 
 
 def first_of(table: FirstTable, body: Body, pose: Pose, transition: Transition) -> First:
@@ -92,5 +100,5 @@ def first_of(table: FirstTable, body: Body, pose: Pose, transition: Transition) 
     """
     topology = body.skeleton.topology
     known = known_deviations(table.sd_deg, table.sd_m, topology, "first.")
-    sd = jnp.asarray([known.get(name, 0.0) for name in topology.dof_names], body.lengths.dtype)
+    sd = device_array([known.get(name, 0.0) for name in topology.dof_names], body.lengths.dtype)
     return First(pose, sd, body.skeleton.low, body.skeleton.high, transition, transition.begin({"pose": pose}))

@@ -24,6 +24,7 @@ from bayes_body.density.factor import Factor
 from bayes_body.density.plate import Plate, plate_factor
 from bayes_body.errors import InputError, input_error, nearest
 from bayes_body.geometry import rigid, rotations
+from bayes_body.geometry.namespaces import device_array
 from bayes_body.potentials.joint_file import load_joint_mixtures
 from bayes_body.potentials.joint_mixture import log_of_components, mixture, times
 from bayes_body.potentials.joint_pairs import log_pairs
@@ -140,7 +141,7 @@ def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
     rows = tuple((parent, child) for child, parent in enumerate(placement.parents) if parent >= 0)
     children = [child for _, child in rows]
     found = _components(name, options, body, children)
-    parameters = {key: jnp.asarray(value, body.lengths.dtype) for key, value in mixture(*found).items()}
+    parameters = {key: device_array(value, body.lengths.dtype) for key, value in mixture(*found).items()}
     functions = {
         name: jax.tree_util.Partial(function) for name, function in (("draw", draw), ("weighted_draw", weighted_draw), ("pairwise", log_pairs))
     }
@@ -207,8 +208,9 @@ def _means(name: str, component: Component, body: Body) -> Float[np.ndarray, "pa
     for dof in component.mean_deg:
         if dof not in body.dof_names:
             raise InputError(f"{name}: mean_deg.{dof}: no dof of the body '{body.name}'; {nearest(dof, body.dof_names)}")
-    pose = jnp.asarray([math.radians(component.mean_deg.get(dof, 0.0)) for dof in body.dof_names], body.lengths.dtype)
-    relative = np.array(relative_to_parents(jnp.asarray(placement.configuration(body.skeleton, pose)), placement.parents), float)
+    pose = np.array([math.radians(component.mean_deg.get(dof, 0.0)) for dof in body.dof_names])
+    parts = placement.configuration(body.skeleton, device_array(pose, body.lengths.dtype))
+    relative = relative_to_parents(np.asarray(parts, float), placement.parents)
     for part, given in component.relative.items():
         if part not in placement.names:
             raise InputError(f"{name}: relative.{part}: no part of the body '{body.name}'; {nearest(part, placement.names)}")

@@ -16,13 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body.body.placement import PARTS, ByParts, require
-from bayes_body.body.solids import Body, sphere_approximation
+from bayes_body.body.placement import PARTS, ByParts, require, solids_in_parts
+from bayes_body.body.solids import Body, Spheres, sphere_approximation
+from bayes_body.config import FAST_COMPILE
 from bayes_body.density.factor import Factor
 from bayes_body.density.plate import Plate, plate_factor
 from bayes_body.errors import InputError, input_error, nearest
-from bayes_body.geometry import rigid, transforms
-from bayes_body.geometry.transforms import Transform
+from bayes_body.geometry import rigid
+from bayes_body.geometry.namespaces import device_array
 from bayes_body.registry import register
 from bayes_body.shapes import Scalar
 from bayes_body.toml.schema import NonNegative, Positive, Schema
@@ -67,10 +68,10 @@ def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
     dtype = body.lengths.dtype
     chosen = np.array(rows)
     parameters = {
-        "centres": jnp.asarray(centres[chosen], dtype),
-        "radii": jnp.asarray(radii[chosen], dtype),
-        "yields": jnp.full(len(rows), options.yield_m, dtype),
-        "soft_sd": jnp.full(len(rows), options.soft_sd_m, dtype),
+        "centres": device_array(centres[chosen], dtype),
+        "radii": device_array(radii[chosen], dtype),
+        "yields": device_array(np.full(len(rows), options.yield_m), dtype),
+        "soft_sd": device_array(np.full(len(rows), options.soft_sd_m), dtype),
     }
     log_potential = jax.tree_util.Partial(_hard if options.mode == "hard" else _soft)
     return plate_factor(name, "constraint", Plate(PARTS, rows, log_potential, parameters))
@@ -93,12 +94,17 @@ def _rows(name: str, options: Options, body: Body) -> tuple[tuple[int, ...], ...
     return rows
 
 
+@jax.jit(compiler_options=FAST_COMPILE)
+def _in_parts(body: Body) -> Spheres:
+    """Return the spheres of all solids, in the frame of the part that holds them."""
+    return sphere_approximation(body, solids_in_parts(body))
+
+
 def _spheres(body: Body) -> tuple[Float[np.ndarray, "part sphere 3"], Float[np.ndarray, "part sphere"]]:
     """Return the spheres of all solids that each part holds, in its frame. Parts with fewer repeat their first one."""
     placement = body.placement
     assert isinstance(placement, ByParts)
-    in_part = transforms.compose(transforms.pick(placement.held, np.array(body.topology.joints)), Transform(body.presets, body.offsets))
-    found = sphere_approximation(body, in_part)
+    found = _in_parts(body)
     holders = np.array([placement.owners[joint] for joint in body.topology.joints])
     each = [np.flatnonzero(holders == part) for part in range(len(placement.names))]
     centres, radii = ([np.concatenate(np.asarray(values, float)[solids]) for solids in each] for values in found)
