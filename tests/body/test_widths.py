@@ -44,10 +44,15 @@ def test_the_body_has_23_dofs_and_its_waist_is_the_last_of_the_torso():
 
 def test_a_width_moves_nothing():
     narrow, wide = _pose(-0.03), _pose(0.03)
-    for function in (lambda p: forward_kinematics(BODY.skeleton, p), lambda p: marker_positions(BODY.skeleton, BODY.markers, p)):
-        assert all(np.array_equal(a, b) for a, b in zip(jax.tree.leaves(function(narrow)), jax.tree.leaves(function(wide)), strict=True))
-    slopes = jax.jacrev(lambda p: marker_positions(BODY.skeleton, BODY.markers, p))(narrow)
-    assert not np.asarray(slopes[..., WAIST]).any() and np.asarray(slopes[..., 0]).any()
+    slopes = jax.jit(jax.jacrev(lambda pose: marker_positions(BODY.skeleton, BODY.markers, pose)))
+
+    @jax.jit
+    def places(pose):
+        return forward_kinematics(BODY.skeleton, pose), marker_positions(BODY.skeleton, BODY.markers, pose)
+
+    assert all(np.array_equal(a, b) for a, b in zip(jax.tree.leaves(places(narrow)), jax.tree.leaves(places(wide)), strict=True))
+    by_dof = np.asarray(slopes(narrow))
+    assert not by_dof[..., WAIST].any() and by_dof[..., 0].any()
 
 
 def test_the_radii_at_the_waist_are_added_to_and_no_others():
@@ -74,9 +79,12 @@ def test_pixels_change_with_it_as_their_slopes_say():
 
 
 def test_solids_that_must_not_meet_grow_with_it():
-    T = part_transforms(BODY, _pose())
-    grown = sphere_approximation(widened(BODY, _pose(0.04)), T).radii - sphere_approximation(BODY, T).radii
-    assert np.all(grown[:2] > 0) and not np.asarray(grown[2:]).any()
+    @jax.jit
+    def radii(body):
+        return sphere_approximation(body, part_transforms(BODY, _pose())).radii
+
+    grown = np.asarray(radii(widened(BODY, _pose(0.04)))) - radii(BODY)
+    assert np.all(grown[:2] > 0) and not grown[2:].any()
 
 
 def _document(**changes):

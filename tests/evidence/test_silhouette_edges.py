@@ -1,5 +1,7 @@
 """Packed maps: a look-up is what indexing and interpolation by hand give, and nothing jumps where the image ends."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -39,13 +41,24 @@ def rig() -> Camera:
     return Camera(**same, size=jnp.asarray([(columns, rows) for rows, columns in SHAPES], float))
 
 
-def look(kind, u, v, visible=True, which=SILHOUETTE) -> jax.Array:
-    """Values of both cameras at the same pixels: (camera, point)."""
+@partial(jax.jit, static_argnames="kind")
+def values_at(maps, which, kind, cameras, pixels):
+    return look_up(maps, which, kind, cameras, pixels)[:, 0]
+
+
+@partial(jax.jit, static_argnames="kind")
+def slopes_at(maps, which, kind, cameras, pixels):
+    """The derivatives by u and by v, of each camera at its pixels."""
+    return jax.grad(lambda u, v: values_at(maps, which, kind, cameras, Pixels(u, v, pixels.visible)).sum(), (0, 1))(pixels.u, pixels.v)
+
+
+def look(kind, u, v, visible=True, which=SILHOUETTE, function=values_at):
+    """Values of both cameras at the same pixels, (camera, point), or another function of what is looked up there."""
     largest = tuple(max(extent) for extent in zip(*SHAPES, strict=True))
     maps = jnp.asarray(np.stack([np.stack([pack(one, OUTSIDE, largest) for one in camera]) for camera in values()]))
-    u, v = (jnp.broadcast_to(jnp.asarray(axis, float), (2, 1, np.size(axis))) for axis in (u, v))
-    seen = jnp.broadcast_to(jnp.asarray(visible), u.shape)
-    return look_up(maps, jnp.full(u.shape[-1], which), kind, rig(), Pixels(u, v, seen))[:, 0]
+    u, v = (jnp.asarray(np.broadcast_to(axis, (2, 1, np.size(axis))), float) for axis in (u, v))
+    seen = jnp.asarray(np.broadcast_to(visible, u.shape))
+    return function(maps, jnp.asarray(np.full(u.shape[-1], which)), kind, rig(), Pixels(u, v, seen))
 
 
 def grid(shape) -> tuple[np.ndarray, np.ndarray]:
@@ -58,7 +71,7 @@ def grid(shape) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("camera", [0, 1])
 def test_at_pixels_it_is_the_map(kind, camera, which):
     u, v = grid(SHAPES[camera])
-    found = look(kind, u, v, which=which)[camera]
+    found = np.asarray(look(kind, u, v, which=which))[camera]
     np.testing.assert_allclose(found, values()[camera][which][v, u], atol=1e-6)
 
 
@@ -68,7 +81,7 @@ def test_nearest_is_direct_indexing(camera):
     rng = np.random.default_rng(1)
     u, v = rng.uniform(-0.499, columns - 0.501, 500), rng.uniform(-0.499, rows - 0.501, 500)
     expected = values()[camera][SILHOUETTE][np.rint(v).astype(int), np.rint(u).astype(int)]
-    np.testing.assert_allclose(look("nearest", u, v)[camera], expected, atol=1e-6)
+    np.testing.assert_allclose(np.asarray(look("nearest", u, v))[camera], expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("camera", [0, 1])
@@ -81,7 +94,7 @@ def test_bilinear_is_interpolation_by_hand(camera):
     a, b = u + 1 - j, v + 1 - i
     top, bottom = ((1 - a) * bordered[row, j] + a * bordered[row, j + 1] for row in (i, i + 1))
     # One level: 0.5, the border, is no whole number of levels.
-    np.testing.assert_allclose(look("bilinear", u, v)[camera], (1 - b) * top + b * bottom, atol=LEVEL)
+    np.testing.assert_allclose(np.asarray(look("bilinear", u, v))[camera], (1 - b) * top + b * bottom, atol=LEVEL)
 
 
 def test_values_between_levels_are_rounded():
@@ -93,8 +106,9 @@ def test_outside_is_the_borders_value(kind):
     # The far corner of the larger image is outside the smaller one.
     u, v = np.array([-1.0, -50, 1e6, 3, 3, 14, 3e38]), np.array([3.0, 3, 3, -1, 1e6, 9, -3e38])
     np.testing.assert_allclose(look(kind, u, v), OUTSIDE, atol=LEVEL)
-    assert np.abs(np.asarray(look(kind, 12.0, 8.0)[0]) - OUTSIDE) > 2 * LEVEL
-    np.testing.assert_allclose(look(kind, 12.0, 8.0)[1], OUTSIDE, atol=LEVEL)
+    first, second = np.asarray(look(kind, 12.0, 8.0))
+    assert np.abs(first - OUTSIDE) > 2 * LEVEL
+    np.testing.assert_allclose(second, OUTSIDE, atol=LEVEL)
 
 
 def test_not_visible_is_the_borders_value(kind):
@@ -117,9 +131,10 @@ def test_derivative_is_that_inside_a_cell(x64):
     inside = np.stack([(u < columns - 0.01) & (v < rows - 0.01) for rows, columns in SHAPES])
     assert inside.sum() > 200
     step = 1e-5
-    for camera in (0, 1):
-        along_u, along_v = jax.grad(lambda u, v, camera=camera: look("bilinear", u, v)[camera].sum(), (0, 1))(jnp.asarray(u), jnp.asarray(v))
-        for found, du, dv in ((along_u, step, 0), (along_v, 0, step)):
-            difference = (look("bilinear", u + du, v + dv)[camera] - look("bilinear", u - du, v - dv)[camera]) / (2 * step)
-            np.testing.assert_allclose(found[inside[camera]], difference[inside[camera]], atol=1e-8)
-            assert np.abs(np.asarray(difference)).max() > 0.1
+    along_u, along_v = (np.asarray(slope)[:, 0] for slope in look("bilinear", u, v, function=slopes_at))
+    for slope, du, dv in ((along_u, step, 0), (along_v, 0, step)):
+        ahead, behind = (np.asarray(look("bilinear", u + sign * du, v + sign * dv)) for sign in (1, -1))
+        difference = (ahead - behind) / (2 * step)
+        for camera in (0, 1):
+            np.testing.assert_allclose(slope[camera, inside[camera]], difference[camera, inside[camera]], atol=1e-8)
+            assert np.abs(difference[camera]).max() > 0.1

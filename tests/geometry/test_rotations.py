@@ -95,36 +95,57 @@ def test_both_signs_are_one_rotation():
     np.testing.assert_array_equal(rotations.logarithm(-half_turn), rotations.logarithm(half_turn))
 
 
+def there_and_back(w):
+    return rotations.logarithm(rotations.exponential(w))
+
+
 def test_gradients_at_the_zero_angle():
     zero, identity = jnp.zeros(3), jnp.asarray(rotations.identity(), jnp.float32)
-    np.testing.assert_allclose(jax.jacrev(rotations.exponential)(zero), np.eye(4)[:, 1:] / 2, atol=1e-7)
-    np.testing.assert_allclose(jax.jacrev(rotations.logarithm)(identity), 2 * np.eye(4)[1:], atol=1e-7)
-    np.testing.assert_allclose(jax.grad(rotations.log_jacobian)(zero), np.zeros(3), atol=1e-7)
+
+    @jax.jit
+    def slopes(zero, identity, matrix):
+        """Of the exponential, the logarithm, its Jacobian twice, the angle, there and back, and of a matrix's quaternion."""
+        at_zero = jax.jacrev(rotations.exponential)(zero), jax.grad(rotations.log_jacobian)(zero), jax.hessian(rotations.log_jacobian)(zero)
+        at_identity = jax.jacrev(rotations.logarithm)(identity), jax.grad(rotations.angle)(identity)
+        return *at_zero, *at_identity, jax.jacrev(there_and_back)(zero), jax.jacrev(rotations.from_matrix)(matrix)
+
+    exponential, jacobian, curvature, logarithm, angle, back, quaternion = slopes(zero, identity, jnp.eye(3))
+    np.testing.assert_allclose(exponential, np.eye(4)[:, 1:] / 2, atol=1e-7)
+    np.testing.assert_allclose(logarithm, 2 * np.eye(4)[1:], atol=1e-7)
+    np.testing.assert_allclose(jacobian, np.zeros(3), atol=1e-7)
     # -|w|² / 12 has the second derivatives -1/6.
-    np.testing.assert_allclose(jax.hessian(rotations.log_jacobian)(zero), -np.eye(3) / 6, atol=1e-6)
-    assert jnp.isfinite(jax.grad(rotations.angle)(identity)).all()
-    identity_there_and_back = jax.jacrev(lambda w: rotations.logarithm(rotations.exponential(w)))(zero)
-    np.testing.assert_allclose(identity_there_and_back, np.eye(3), atol=1e-7)
-    assert jnp.isfinite(jax.jacrev(rotations.from_matrix)(jnp.eye(3))).all()
+    np.testing.assert_allclose(curvature, -np.eye(3) / 6, atol=1e-6)
+    assert np.isfinite(angle).all()
+    np.testing.assert_allclose(back, np.eye(3), atol=1e-7)
+    assert np.isfinite(quaternion).all()
+
+
+# The values at several vectors and the slope at one, of each function.
+COMPILED = [
+    (jax.jit(jax.vmap(function)), jax.jit(jax.jacrev(function))) for function in (rotations.exponential, rotations.log_jacobian, there_and_back)
+]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("length", [1e-20, 1e-4, 0.0999, 0.1001, 1.0, 3.1])
 def test_gradients_against_central_differences(length):
     with jax.enable_x64(True):
-        w = length * jnp.array([0.48, -0.6, 0.64])
+        w = length * np.array([0.48, -0.6, 0.64])
         step = 1e-6
         moves = step * np.eye(3)
-        for function in (rotations.exponential, rotations.log_jacobian, lambda v: rotations.logarithm(rotations.exponential(v))):
-            differences = np.stack([(function(w + move) - function(w - move)) / (2 * step) for move in moves], axis=-1)
-            np.testing.assert_allclose(jax.jacrev(function)(w), differences, atol=1e-8)
+        for values, slopes in COMPILED:
+            ahead, behind = (np.asarray(values(w + sign * moves)) for sign in (1, -1))
+            np.testing.assert_allclose(slopes(w), np.moveaxis((ahead - behind) / (2 * step), 0, -1), atol=1e-8)
 
 
 def test_the_matrix_is_differentiated_through_every_row_of_shepperds_method():
+    def through_the_matrix(w):
+        return rotations.logarithm(rotations.from_matrix(rotations.to_matrix(rotations.exponential(w))))
+
     with jax.enable_x64(True):
+        slope = jax.jit(jax.jacrev(through_the_matrix))
         for w in ([0.1, 0.2, -0.1], [3.0, 0.1, 0.2], [0.1, 3.0, -0.2], [-0.2, 0.1, 3.0]):
-            jacobian = jax.jacrev(lambda v: rotations.logarithm(rotations.from_matrix(rotations.to_matrix(rotations.exponential(v)))))(jnp.array(w))
-            np.testing.assert_allclose(jacobian, np.eye(3), atol=1e-9)
+            np.testing.assert_allclose(slope(np.array(w)), np.eye(3), atol=1e-9)
 
 
 def test_log_jacobian_in_closed_form_and_in_single_precision():

@@ -1,6 +1,7 @@
 """Scenes: a body, cameras around it and images of noise, in the precision of the moment; and the real recording as a model."""
 
 from collections.abc import Callable
+from functools import cache
 from typing import NamedTuple
 
 import cv2
@@ -52,7 +53,12 @@ def x64():
 def scene() -> Callable[..., Scene]:
     """`scene("arm_4")`: the body in a pose of its own, about 2.5 m from each camera."""
 
-    def make(name: str, seed: int = 0) -> Scene:
+    return lambda name, seed=0: _scene(name, seed, jax.config.read("jax_enable_x64"))
+
+
+@cache
+def _scene(name: str, seed: int, x64: bool) -> Scene:
+    with jax.enable_x64(x64):
         body = build_body(name, load_body(name))
         angular = np.array(body.skeleton.topology.angular)
         pose = np.random.default_rng(seed).uniform(-0.5, 0.5, angular.size) * np.where(angular, 1, 0.2)
@@ -61,8 +67,6 @@ def scene() -> Callable[..., Scene]:
         sizes = ((160, 120), (128, 104))
         rig = stack([camera(position, np.array([0.0, 0.0, height]), size) for position, size in zip(positions, sizes, strict=True)])
         return Scene(body, rig, noise(sizes), jnp.asarray(pose))
-
-    return make
 
 
 def camera(position: np.ndarray, target: np.ndarray, size: tuple[int, int], distortion=DISTORTION) -> Camera:
