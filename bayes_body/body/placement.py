@@ -138,7 +138,7 @@ def _owners(parents: Sequence[int], own: Sequence[int]) -> tuple[int, ...]:
 def _held(skeleton: Skeleton, own: tuple[int, ...], owners: tuple[int, ...]) -> Transform:
     """Return every joint in its part's frame, with all angles at 0."""
     at_zero = forward_kinematics(skeleton, jnp.zeros(len(skeleton.topology.dof_names), skeleton.offsets.dtype))
-    part = transforms.pick(at_zero, np.array(own)[list(owners)])
+    part = transforms.pick(at_zero, np.array(own, np.int32)[list(owners)])
     inverse = jnp.swapaxes(part.rotation, -1, -2)
     return Transform(transforms.multiply(inverse, at_zero.rotation), transforms.turn(inverse, at_zero.origin - part.origin))
 

@@ -85,7 +85,6 @@ class MarkersGaussian:
         assert isinstance(placement, ByParts)
         markers = np.array(self.markers)
         joints = np.array(self.body.markers.joints)[markers]
-        in_part = transforms.apply(transforms.pick(placement.held, joints), self.body.markers.offsets[markers])
         owners = np.array(placement.owners)[joints]
         parts = sorted(set(owners.tolist()))
         most = int(np.bincount(owners).max())
@@ -93,7 +92,8 @@ class MarkersGaussian:
         lists = [np.flatnonzero(owners == part) for part in parts]
         chosen = np.stack([np.concatenate([each, np.repeat(each[:1], most - len(each))]) for each in lists])
         counted = np.stack([np.arange(most) < len(each) for each in lists])
-        parameters = PartMarkers(in_part[chosen], jnp.asarray(np.array(self.places)[chosen]), jnp.asarray(counted))
+        offsets = _offsets(placement, self.body.markers.offsets, joints[chosen].astype(np.int32), markers[chosen].astype(np.int32))
+        parameters = PartMarkers(offsets, jnp.asarray(np.array(self.places)[chosen]), jnp.asarray(counted))
         return Plate(PARTS, tuple((part,) for part in parts), jax.tree_util.Partial(_of_part, self.detections), parameters)
 
 
@@ -103,6 +103,14 @@ class PartMarkers(NamedTuple):
     offsets: Float[Array, "*part marker 3"]
     places: Int[Array, "*part marker"]
     counted: Bool[Array, "*part marker"]
+
+
+@jax.jit
+def _offsets(
+    placement: ByParts, offsets: Float[Array, "marker 3"], joints: Int[Array, "part chosen"], markers: Int[Array, "part chosen"]
+) -> Float[Array, "part chosen 3"]:
+    """The chosen markers, each on its joint, in the frames of the parts that hold them."""
+    return transforms.apply(jax.tree.map(lambda leaf: leaf[joints], placement.held), offsets[markers])
 
 
 def _of_part(detections: Detections, markers: PartMarkers, frame: Float[Array, "7"], *, data: MarkerEvidence) -> Scalar:

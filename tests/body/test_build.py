@@ -2,7 +2,7 @@
 
 import tomllib
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 import pytest
 
@@ -22,19 +22,22 @@ def schema() -> BodySchema:
     return load_body(NAME)
 
 
+positions = jax.jit(marker_positions)
+
+
 def length(body: Body, part: str) -> float:
-    return float(body.lengths[body.topology.names.index(part)])
+    return float(np.asarray(body.lengths)[body.topology.names.index(part)])
 
 
 def knee(body: Body) -> np.ndarray:
-    return np.asarray(body.skeleton.offsets[body.skeleton.topology.joint_names.index("l_knee")])
+    return np.asarray(body.skeleton.offsets)[body.skeleton.topology.joint_names.index("l_knee")]
 
 
 def test_lengths_are_shares_of_the_height(schema):
     body = build_body(NAME, schema, Shape(height_m=1.8))
     for part in schema.parts:
         assert length(body, part.name) == pytest.approx(1.8 * schema.lengths_of_height[part.length], rel=1e-6)
-        radii = np.asarray(body.radii[body.topology.names.index(part.name)])
+        radii = np.asarray(body.radii)[body.topology.names.index(part.name)]
         np.testing.assert_allclose(radii, 1.8 * np.array(part.radius_of_height), rtol=1e-6)
     np.testing.assert_allclose(knee(body), [0, 0, 1.8 * schema.lengths_of_height["l_thigh"]], rtol=1e-6)
 
@@ -138,5 +141,5 @@ def test_a_dof_whose_limits_are_equal_is_a_constant(schema, fixed):
     rng = np.random.default_rng(0)
     pose = dict(zip(whole.dof_names, rng.uniform(-0.4, 0.4, len(whole.dof_names)), strict=True))
     pose |= {name: values[name] if name.startswith("root") and name != "root_roll" else np.radians(values[name]) for name in fixed}
-    there, here = (marker_positions(body.skeleton, body.markers, jnp.array([pose[name] for name in body.dof_names])) for body in (whole, less))
+    there, here = (positions(body.skeleton, body.markers, np.float32([pose[name] for name in body.dof_names])) for body in (whole, less))
     np.testing.assert_allclose(here, there, atol=2e-6)

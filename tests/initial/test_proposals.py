@@ -1,7 +1,6 @@
 """Detections of a body whose pose is known become proposals around the true frames of its parts."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -18,6 +17,10 @@ from bayes_body.model.definition import load_body
 YAW, PLACE = 0.7, np.array([1.0, -0.5, 0.9])
 
 
+configured = jax.jit(lambda body, pose: body.placement.configuration(body.skeleton, pose))
+solids_of, markers_of = jax.jit(part_transforms), jax.jit(placed_markers)
+
+
 @pytest.fixture(scope="module")
 def standing():
     """A loose body that stands with hanging arms, turned about the vertical and moved: the body, its parts, and where it faces."""
@@ -27,24 +30,25 @@ def standing():
     pose[body.dof_names.index("root_yaw")] = YAW
     for name, degrees in {"l_shoulder_y": -90, "r_shoulder_y": 90, "r_shoulder_z": 180}.items():
         pose[body.dof_names.index(name)] = np.radians(degrees)
-    parts = np.asarray(body.placement.configuration(body.skeleton, jnp.asarray(pose, jnp.float32)), float)
+    parts = np.asarray(configured(body, pose.astype(np.float32)), float)
     return body, parts, np.array([np.cos(YAW), np.sin(YAW), 0.0])
 
 
 def detected(body, parts, forward, sd_rad, weights=(1.0,)):
     """What perfect detectors say of the parts and the markers."""
-    solids = part_transforms(body, jnp.asarray(parts, jnp.float32))
+    solids = solids_of(body, parts.astype(np.float32))
+    bases, axes, lengths = (np.asarray(array, float) for array in (solids.origin, np.asarray(solids.rotation)[..., 2], body.lengths))
     found = {}
     for name in body.placement.names:
         own = body.topology.names.index(name)
-        base, axis = np.asarray(solids.origin[own], float), np.asarray(solids.rotation[own][:, 2], float)
-        middle = base + 0.5 * float(body.lengths[own]) * axis
+        axis = axes[own]
+        middle = bases[own] + 0.5 * lengths[own] * axis
         # The solid of the torso hangs from the shoulders.
         axis = axis if "_" in name or axis[2] > 0 else -axis
         rotation = axis_frames(axis[None], forward[None])
         count = len(weights)
         found[name] = part(np.tile(middle, (count, 1)), np.tile(rotation, (count, 1, 1)), 0.02, sd_rad, np.array(weights), "test")
-    markers = np.asarray(placed_markers(body, jnp.asarray(parts, jnp.float32)), float)
+    markers = np.asarray(markers_of(body, parts.astype(np.float32)), float)
     landmarks = {name: landmark(place[None], 0.03, np.ones(1), "test") for name, place in zip(body.markers.names, markers, strict=True)}
     return Detected(landmarks, found, None, (), {})
 
@@ -52,7 +56,7 @@ def detected(body, parts, forward, sd_rad, weights=(1.0,)):
 def test_the_mean_of_a_detected_part_is_its_own_frame(standing):
     body, parts, forward = standing
     of_parts, _ = proposals_of(detected(body, parts, forward, 0.2), body)
-    away = np.asarray(SE3().local(jnp.asarray(parts, jnp.float32), of_parts.components.mean[:, 0]))
+    away = np.asarray(jax.jit(SE3().local)(parts.astype(np.float32), np.asarray(of_parts.components.mean)[:, 0]))
     # How arms and feet are turned about their axes is not told.
     told = np.array([not any(word in name for word in ("arm", "hand", "foot")) for name in body.placement.names])
     assert np.abs(away[told]).max() < 1e-3
@@ -68,8 +72,9 @@ def test_a_turn_about_the_axis_leaves_the_axis_where_it_is(standing):
     drawn = np.asarray(jax.jit(lambda key: of_parts.sample(key, 2000))(jax.random.key(0)), float)
     for name in ("l_forearm", "r_calf", "torso"):
         node, own = body.placement.names.index(name), body.topology.names.index(name)
-        solid = part_transforms(body, jnp.asarray(parts, jnp.float32))
-        ends = np.stack([solid.origin[own], solid.origin[own] + body.lengths[own] * solid.rotation[own][:, 2]]).astype(float)
+        solids = solids_of(body, parts.astype(np.float32))
+        base, axis = np.asarray(solids.origin)[own], np.asarray(solids.rotation)[own][:, 2]
+        ends = np.stack([base, base + np.asarray(body.lengths)[own] * axis]).astype(float)
         local = rigid.apply(rigid.inverse(parts[node]), ends)
         moved = np.stack([rigid.apply(drawn[node], end) for end in local])
         middle = moved.mean(0) - ends.mean(0)
@@ -83,8 +88,8 @@ def test_a_landmark_is_where_it_was_seen(standing):
     body, parts, forward = standing
     _, of_landmarks = proposals_of(detected(body, parts, forward, 0.2), body)
     drawn = jax.jit(lambda key: of_landmarks.sample(key, 500))(jax.random.key(0))
-    markers = np.asarray(jax.vmap(lambda one: placed_markers(body, one), in_axes=1)(drawn), float)
-    seen = np.asarray(placed_markers(body, jnp.asarray(parts, jnp.float32)), float)
+    markers = np.asarray(jax.jit(jax.vmap(placed_markers, (None, 1)))(body, drawn), float)
+    seen = np.asarray(markers_of(body, parts.astype(np.float32)), float)
     # Each draw of a part has one of the part's markers in its place.
     owners = np.array(body.placement.owners)[np.array(body.markers.joints)]
     for part_of in set(owners.tolist()):

@@ -45,12 +45,16 @@ def foreground(f: Factor, pose) -> jax.Array:
     return f.log_potential.foreground(pose)
 
 
+transforms_of, forms_of = jax.jit(part_transforms), jax.jit(outline_forms)
+distances_of = jax.jit(signed_distance, static_argnums=0)
+
+
 def opencv_outline(scene, c: int, p: int) -> np.ndarray:
     """The outline of a part in a camera as a polygon, pixels, by OpenCV."""
-    camera = jax.tree.map(lambda leaf: np.asarray(leaf[c], float), scene.rig)
-    T = part_transforms(scene.body, scene.pose)
-    x, y, z, origin = (np.asarray(column[p], float) for column in (T.x, T.y, T.z, T.origin))
-    length, (r0, r1), (sx, sy) = float(scene.body.lengths[p]), np.asarray(scene.body.radii[p]), np.asarray(scene.body.sections[p])
+    camera = jax.tree.map(lambda leaf: np.asarray(leaf, float)[c], scene.rig)
+    T = transforms_of(scene.body, scene.pose)
+    x, y, z, origin = *np.asarray(T.rotation, float)[p].T, np.asarray(T.origin, float)[p]
+    length, (r0, r1), (sx, sy) = (np.asarray(array)[p] for array in (scene.body.lengths, scene.body.radii, scene.body.sections))
     viewpoint = -camera.rotation.T @ camera.translation
     if scene.body.topology.is_sphere[p]:
         centre = origin + length / 2 * z
@@ -69,13 +73,9 @@ def opencv_outline(scene, c: int, p: int) -> np.ndarray:
 
 
 def distances(scene, c: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    size = np.asarray(scene.rig.size[c])
-
-    @jax.jit
-    def of(body, rig, pose, u, v):
-        return signed_distance(body.topology, outline_forms(body, rig, pose)[c], u, v)
-
-    return np.asarray(of(scene.body, scene.rig, scene.pose, jnp.asarray(u - size[0] / 2), jnp.asarray(v - size[1] / 2)))
+    size = np.asarray(scene.rig.size)[c]
+    forms = np.asarray(forms_of(scene.body, scene.rig, scene.pose))[c]
+    return np.asarray(distances_of(scene.body.topology, forms, u - size[0] / 2, v - size[1] / 2))
 
 
 @pytest.mark.parametrize("name", ["arm_4", "deutscher_31"])
@@ -150,10 +150,9 @@ def test_the_gradient_is_the_densitys(x64, scene, name):
     scene = scene(name)
     f = factor(scene, soft_px=6.0)
     seen = drawn(f, scene.pose + 0.1)
-    gradient = gradient_of(f, scene.pose, seen)
-    for k in range(scene.pose.size):
-        step = jnp.zeros_like(scene.pose).at[k].set(1e-5)
-        slope = (log_density(f, scene.pose + step, seen) - log_density(f, scene.pose - step, seen)) / 2e-5
+    gradient, pose = np.asarray(gradient_of(f, scene.pose, seen)), np.asarray(scene.pose)
+    for k, step in enumerate(1e-5 * np.eye(pose.size)):
+        slope = (float(log_density(f, pose + step, seen)) - float(log_density(f, pose - step, seen))) / 2e-5
         # A point whose form changes within the step has two slopes.
         assert float(slope) == pytest.approx(float(gradient[k]), rel=2e-3, abs=2e-2), scene.body.dof_names[k]
     assert np.linalg.norm(gradient) > 10

@@ -23,7 +23,9 @@ def evaluate(factor, pose, maps) -> jax.Array:
     return factor({POSE: pose}, {"images": maps})
 
 
+slope_of = jax.jit(jax.grad(evaluate, argnums=1))
 area_of = jax.jit(projected_area, static_argnums=3)
+transforms_of = jax.jit(part_transforms)
 
 
 def log_likelihood(scene, pose=None, maps=None, **options) -> jax.Array:
@@ -32,9 +34,9 @@ def log_likelihood(scene, pose=None, maps=None, **options) -> jax.Array:
 
 
 def points(body, T, p, viewpoint, t, s) -> np.ndarray:
-    """World points of part p at t along and s across the patch that faces the viewpoint."""
-    x, y, z, origin = (np.asarray(column[p]) for column in (T.x, T.y, T.z, T.origin))
-    length, (r0, r1), (sx, sy) = float(body.lengths[p]), np.asarray(body.radii[p]), np.asarray(body.sections[p])
+    """World points of part p at t along and s across the patch that faces the viewpoint; all as NumPy arrays."""
+    (x, y, z), origin = T.rotation[p].T, T.origin[p]
+    length, (r0, r1), (sx, sy) = body.lengths[p], body.radii[p], body.sections[p]
     if body.topology.is_sphere[p]:
         centre = origin + length / 2 * z
         view = (centre - viewpoint) / np.linalg.norm(centre - viewpoint)
@@ -64,15 +66,17 @@ def slow(scene, term: str) -> float:
     along, across = SURFACE
     surface = [((i + 0.5) / along, (2 * j + 1) / across - 1) for i in range(along) for j in range(across)]
     outline = [((i + 0.5) / OUTLINE, s) for i in range(OUTLINE) for s in (-1, 1)]
-    T, total = part_transforms(scene.body, scene.pose), 0.0
+    body, T = jax.tree.map(np.asarray, (scene.body, transforms_of(scene.body, scene.pose)))
+    total = 0.0
     for c in range(2):
-        camera = jax.tree.map(lambda leaf, c=c: leaf[c], scene.rig)
+        camera = jax.tree.map(lambda leaf, c=c: np.asarray(leaf)[c], scene.rig)
+        viewpoint = -camera.rotation.T @ camera.translation
         silhouette = cv2.GaussianBlur(scene.frame.masks[c].astype(np.float32), (0, 0), 2.0)
         V = silhouette if term == "silhouette" else edge_proximity(scene.frame.images[c], 20.0, 3.0)
         errors = []
         for p in range(len(scene.body.topology.names)):
             for t, s in surface if term == "silhouette" else outline:
-                u, v = np.rint(opencv_pixel(camera, points(scene.body, T, p, np.asarray(camera.viewpoint), t, s))).astype(int)
+                u, v = np.rint(opencv_pixel(camera, points(body, T, p, viewpoint, t, s))).astype(int)
                 inside = 0 <= u < V.shape[1] and 0 <= v < V.shape[0]
                 errors.append(np.floor(255 * (1 - V[v, u]) ** 2 + 0.5) / 255 if inside else round(255 * UNSEEN) / 255)
         total += np.mean(errors)
@@ -108,9 +112,9 @@ def test_the_value_is_finite_everywhere_and_nan_for_nan(scene):
     man = scene("deutscher_31")
     for lookup in ("nearest", "bilinear"):
         for shift in (0.0, 3.0, -3.0, 1e4):
-            assert jnp.isfinite(log_likelihood(man, man.pose.at[0].add(shift), lookup=lookup))
+            assert np.isfinite(log_likelihood(man, man.pose.at[0].add(shift), lookup=lookup))
         for bad in (jnp.nan, jnp.inf):
-            assert jnp.isnan(log_likelihood(man, man.pose.at[4].set(bad), lookup=lookup))
+            assert np.isnan(log_likelihood(man, man.pose.at[4].set(bad), lookup=lookup))
 
 
 def test_out_of_sight_counts_what_the_observation_says(scene):
@@ -120,7 +124,7 @@ def test_out_of_sight_counts_what_the_observation_says(scene):
     assert log_likelihood(man, man.pose.at[0].set(50.0), maps) == pytest.approx(-4 * 0.2, rel=1e-5)
 
 
-@pytest.mark.parametrize("gamma", [0.0, 5.0])
+@pytest.mark.parametrize("gamma", [0.0, pytest.param(5.0, marks=pytest.mark.slow)])
 def test_cameras_that_did_not_see_say_nothing(x64, scene, gamma):
     """One adds a constant, whatever the pose; two leave nothing but constants, and no slope."""
     man = scene("deutscher_31")
@@ -138,7 +142,7 @@ def test_cameras_that_did_not_see_say_nothing(x64, scene, gamma):
     both, first, second = values((True, True)), values((True, False)), values((False, True))
     np.testing.assert_allclose(np.add(first, second), np.subtract(both, 4 * round(255 * UNSEEN) / 255), rtol=1e-9)
     blind = man._replace(frame=man.frame._replace(images=(None, None), sizes_px=((160, 120), (128, 104)))).maps()
-    slope = jax.jit(jax.grad(lambda pose: log_likelihood(man, pose, blind, gamma=gamma)))(man.pose)
+    slope = slope_of(man.factor(surface_samples=SURFACE, outline_samples=OUTLINE, gamma=gamma), man.pose, blind)
     np.testing.assert_allclose(slope, 0, atol=1e-9)
 
 
