@@ -98,9 +98,13 @@ def as_markers(body: Body, points: Points) -> Markers:
     """Return the points as markers of this body, whose lengths may have changed since `body_points`."""
     if not points.face.shape[0]:
         return body.markers
-    crown = body.markers.offsets[points.crown]
-    face = points.face * jnp.sqrt(transforms.dot(crown, crown))
-    return replace(body.markers, names=points.names, joints=points.joints, offsets=jnp.concatenate([body.markers.offsets, face]))
+    return replace(body.markers, names=points.names, joints=points.joints, offsets=_with_face(body.markers.offsets, points))
+
+
+@jax.jit
+def _with_face(offsets: Float[Array, "marker 3"], points: Points) -> Float[Array, "point 3"]:
+    crown = offsets[points.crown]
+    return jnp.concatenate([offsets, points.face * jnp.sqrt(transforms.dot(crown, crown))])
 
 
 def _facing(body: Body) -> Float[Array, "3 3"] | None:

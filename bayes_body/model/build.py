@@ -129,7 +129,10 @@ class Model:
 
     def markers(self, configuration: Configuration) -> Float[Array, "marker 3"]:
         """Return the world positions of the body's virtual markers, metres. `configuration` is a state's variable `body.variable`, such as `pose`."""
-        return placed_markers(self.body, configuration)
+        return _markers(self.body, configuration)
+
+
+_markers = jax.jit(placed_markers)
 
 
 def build_model(name: str | Path | Definition, session: Session) -> Model:

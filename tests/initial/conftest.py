@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -19,6 +18,10 @@ SIZE = (1088, 1920)
 HEIGHT_M = 1.75
 # From a world whose z is up to one whose x or y is.
 TURNED = {"x": np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]), "y": np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]), "z": np.eye(3)}
+
+
+positions = jax.jit(marker_positions)
+projected = jax.jit(jax.vmap(project, (0, None)))
 
 
 class Person(NamedTuple):
@@ -71,8 +74,8 @@ def walker(body_schema):
         lengths = {name: length * pairs[name[2:] if name.startswith(("l_", "r_")) else name] for name, length in usual.items()}
         body = build_body("other", body_schema, Shape(HEIGHT_M, lengths))
         points = as_markers(body, body_points(body))
-        pose = jnp.asarray([_angle(name, rng) for name in body.dof_names])
-        places = np.asarray(marker_positions(body.skeleton, points, pose)) + rng.normal(0, noise_m, (len(points.names), 3))
+        pose = np.float32([_angle(name, rng) for name in body.dof_names])
+        places = np.asarray(positions(body.skeleton, points, pose)) + rng.normal(0, noise_m, (len(points.names), 3))
         return Person(dict(zip(points.names, places, strict=True)), lengths)
 
     return make
@@ -96,7 +99,7 @@ def seen(model):
     def look(session, person, rng, outliers=0.0, noise_px=4.0):
         places = np.array(list(person.places.values())) @ TURNED[session.up].T
         rig = build_model(model.definition, session).rig
-        pixels = np.array(jax.jit(jax.vmap(project, (0, None)))(rig, jnp.asarray(places))[0])
+        pixels = np.array(projected(rig, places.astype(np.float32))[0])
         pixels += rng.normal(0, noise_px, pixels.shape)
         wrong = rng.random(pixels.shape[:2]) < outliers
         pixels[wrong] = rng.uniform((80, 80), np.array(SIZE) - 80, pixels.shape)[wrong]

@@ -12,6 +12,9 @@ from bayes_body.initial import first_pose
 from bayes_body.model.build import build_model
 from bayes_body.recording.keypoint_series import KeypointSeries, write_series
 
+# Fits run for longer than they compile.
+pytestmark = pytest.mark.usefixtures("optimised")
+
 
 @pytest.fixture
 def reports():

@@ -12,18 +12,20 @@ from bayes_body.body.kinematics import marker_positions
 from bayes_body.errors import FaultyFileError, InputError
 from bayes_body.geometry.camera import project
 from bayes_body.initial.lengths import SPREAD, fields, fixed, scaled, scaling
-from bayes_body.initial.measurements import read_measurements
+from bayes_body.initial.measurements import read_measurements, unused_names
 from bayes_body.initial.points import as_markers, body_points
 from bayes_body.initial.problem import build_problem
 from bayes_body.initial.starts import HEADINGS, candidates
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_body
 
+positions = jax.jit(marker_positions)
+
 
 def test_the_nose_is_in_front_and_ears_are_on_their_sides(model):
     points = body_points(model.body)
-    zero = jnp.zeros(len(model.body.dof_names))
-    places = dict(zip(points.names, np.asarray(marker_positions(model.body.skeleton, as_markers(model.body, points), zero)), strict=True))
+    zero = np.zeros(len(model.body.dof_names), np.float32)
+    places = dict(zip(points.names, np.asarray(positions(model.body.skeleton, as_markers(model.body, points), zero)), strict=True))
     # With all angles 0 the body faces along +x and its left is +y.
     assert places["nose"][0] > places["l_eye"][0] > places["l_ear"][0] > 0
     assert places["l_ear"][1] > places["l_eye"][1] > 0 > places["r_eye"][1] > places["r_ear"][1]
@@ -43,11 +45,11 @@ def test_a_scaled_body_is_the_body_built_with_those_lengths(body_schema):
     body = build_body("one", body_schema, Shape(1.8, {"l_thigh": 0.5}))
     change = scaling(body, body_schema)
     z = jnp.asarray(np.random.default_rng(0).normal(size=change.groups.shape[1]))
-    grown = np.exp(SPREAD * np.asarray(change.groups @ z))
+    grown = np.exp(SPREAD * np.asarray(change.groups) @ np.asarray(z))
     usual = {name: share * 1.8 for name, share in body_schema.lengths_of_height.items()} | {"l_thigh": 0.5}
     lengths = {name: value * factor for (name, value), factor in zip(usual.items(), grown.tolist(), strict=True)}
     expected = build_body("one", body_schema, Shape(1.8, lengths))
-    for got, wanted in zip(fields(scaled(body, change, z)), fields(expected), strict=True):
+    for got, wanted in zip(jax.jit(lambda *given: fields(scaled(*given)))(body, change, z), fields(expected), strict=True):
         assert np.allclose(got, wanted, atol=1e-5)
     assert lengths["l_calf"] == pytest.approx(lengths["r_calf"])
     assert lengths["l_thigh"] / 0.5 == pytest.approx(lengths["r_thigh"] / usual["r_thigh"])
@@ -67,7 +69,7 @@ def test_rays_are_what_the_camera_projects_to_the_pixels(scene, model, walker, s
     given = measurements.pixel_weights[0] > 0
     ahead = np.concatenate([measurements.rays[0], np.ones((len(given), 1))], axis=1)
     places = (4 * ahead - spec.translation_m) @ spec.rotation
-    pixels, _ = project(jax.tree.map(lambda leaf: leaf[0], model.rig), jnp.asarray(places))
+    pixels, _ = jax.jit(project)(jax.tree.map(lambda leaf: np.asarray(leaf)[0], model.rig), places.astype(np.float32))
     assert np.allclose(np.asarray(pixels)[given], measurements.pixels[0][given], atol=0.05)
 
 
@@ -95,6 +97,16 @@ KEYPOINTS = dict.fromkeys(("l_hip", "r_hip", "l_knee", "r_knee", "l_ankle"), (50
 def test_what_cannot_be_used_is_said(scene, model, known, said):
     with pytest.raises(InputError, match=said):
         read_measurements(scene(1, **known), body_points(model.body))
+
+
+def test_names_of_no_point_of_the_body_are_left_out_and_said(scene, model):
+    points = body_points(model.body)
+    known = dict.fromkeys(("l_hip", "r_hip", "l_knee", "r_knee", "r_big_toe", "l_sholder"), (0.0, 0.0, 1.0))
+    session = scene(1, initial_markers=known)
+    detectors, misspelt = unused_names(session, points)
+    assert detectors == "this body has no points r_big_toe; the pose was fitted to the other points"
+    assert misspelt == "'l_sholder' is not a point of this body and was not used; did you mean 'l_shoulder'?"
+    assert np.asarray(read_measurements(session, points).marker_weights).sum() == 4
 
 
 def test_a_camera_that_sees_nothing_is_said(scene, model):

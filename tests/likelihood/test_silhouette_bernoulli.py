@@ -78,8 +78,9 @@ def distances(scene, c: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.asarray(distances_of(scene.body.topology, forms, u - size[0] / 2, v - size[1] / 2))
 
 
-@pytest.mark.parametrize("name", ["arm_4", "deutscher_31"])
-@pytest.mark.parametrize("c", [0, 1])
+@pytest.mark.parametrize(
+    ("name", "c"), [("arm_4", 0), ("deutscher_31", 1), *(pytest.param(*case, marks=pytest.mark.slow) for case in (("arm_4", 1), ("deutscher_31", 0)))]
+)
 def test_distances_are_opencvs(x64, scene, name, c):
     scene = scene(name)
     width, height = np.asarray(scene.rig.size[c])
