@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -89,7 +90,7 @@ def test_packed_maps_are_looked_up_as_they_are():
     angle = rng.uniform(0, 2 * math.pi, 500)
     exact = steer([map_coordinates(each, [v, u], order=1) for each in maps], np.cos(angle), np.sin(angle))
     shaped = [jnp.asarray(each).reshape(1, 1, -1) for each in (u, v, np.cos(angle), np.sin(angle))]
-    found = look_up(
+    found = jax.jit(look_up)(
         PhaseMaps(words[None, None], np.array([[level]]), np.ones(1)), _rig(), Pixels(shaped[0], shaped[1], jnp.ones((1, 1, 500), bool)), shaped[2:]
     )
     assert np.abs(np.asarray(found.even).ravel() - exact.even).max() < 2 * 7 * level
@@ -135,13 +136,22 @@ STANDING = {"root_z": 0.95, "l_hip_y": 0.1, "r_hip_y": -0.1, "l_hip_x": 0.1, "r_
 
 def _pose(model, **angles):
     names = model.body.dof_names
-    return jnp.zeros(len(names)).at[jnp.array([names.index(name) for name in angles])].set(jnp.array(list(angles.values())))
+    return jnp.asarray([angles.get(name, 0.0) for name in names])
+
+
+@partial(jax.jit, static_argnums=0)
+def _boundaries(visibility, body, rig, outline, pose):
+    return boundaries(body, rig, outline, rig_patches(body, rig, pose), visibility)
 
 
 def _seen(model, samples, visibility):
     """Pose -> where its boundaries are seen."""
-    body, rig, outline = model.body, model.rig, contour(model.body, samples)
-    return jax.jit(lambda pose: boundaries(body, rig, outline, rig_patches(body, rig, pose), visibility))
+    return partial(_boundaries, visibility, model.body, model.rig, contour(model.body, samples))
+
+
+@jax.jit
+def _log_likelihood(density, pose):
+    return density.log_likelihood({"pose": pose}, {})
 
 
 def test_samples_stand_on_the_occluding_contour_of_the_paper():
@@ -149,16 +159,18 @@ def test_samples_stand_on_the_occluding_contour_of_the_paper():
     model = _model()
     pose = _pose(model, **STANDING)
     found = _seen(model, 10, "soft")(pose)
-    T = part_transforms(model.body, pose)
-    camera = jax.tree.map(lambda leaf: leaf[0], model.rig)
+    T = jax.jit(part_transforms)(model.body, pose)
+    camera = jax.tree.map(lambda leaf: np.asarray(leaf)[0], model.rig)
+    viewpoint = -camera.rotation.T @ camera.translation
     thigh = model.body.topology.names.index("l_thigh")
     axis, base = np.asarray(T.z[thigh]), np.asarray(T.origin[thigh])
     length, (r0, r1) = float(model.body.lengths[thigh]), np.asarray(model.body.outline_radii[thigh])
-    side = np.cross(axis, base - np.asarray(camera.viewpoint))
+    side = np.cross(axis, base - viewpoint)
     side /= np.linalg.norm(side)
     t = (np.arange(10) + 0.5) / 10
     lines = [base + length * t[:, None] * axis + sign * (r0 + (r1 - r0) * t)[:, None] * side for sign in (1, -1)]
-    pixels = [np.asarray(project(camera, jnp.asarray(line))[0]) for line in lines]
+    project_line = jax.jit(project)
+    pixels = [np.asarray(project_line(camera, line)[0]) for line in lines]
     own = np.stack([found.pixels.u[0, thigh], found.pixels.v[0, thigh]], axis=1)
     halves = own[:10], own[10:]
     assert any(np.allclose(halves[0], p, atol=1e-6) and np.allclose(halves[1], q, atol=1e-6) for p, q in (pixels, pixels[::-1]))
@@ -213,7 +225,8 @@ def test_slopes_of_samples_are_those_of_differences():
     seen = _seen(model, 4, "soft")
 
     def places(pose):
-        return np.stack([seen(pose).pixels.u, seen(pose).pixels.v])
+        pixels = seen(pose).pixels
+        return np.stack([pixels.u, pixels.v])
 
     for dof in range(14):
         step = 1e-6 * np.eye(14)[dof]
@@ -294,13 +307,14 @@ def test_no_state_has_a_value_or_gradient_that_is_no_number(visibility):
     assert bool(jnp.isfinite(values).all()) and bool(jnp.isfinite(slopes).all())
 
 
+@pytest.mark.slow
 def test_hard_and_soft_visibility_agree_where_nothing_is_hidden():
     values = []
     for visibility in ("hard", "soft"):
         model = _model(visibility)
         pose = _pose(model, root_z=0.95, l_hip_x=0.2, r_hip_x=-0.2)
         density = _density_of(model, [_image()])
-        values.append(float(jax.jit(lambda pose, density=density: density.log_likelihood({"pose": pose}, {}))(pose)))
+        values.append(float(_log_likelihood(density, pose)))
     assert abs(values[0] - values[1]) < 2.0
 
 
@@ -310,8 +324,8 @@ def test_a_camera_that_did_not_see_says_the_same_of_all_poses():
     alone = _model("hard")
     single = _density_of(alone, [_image()])
     poses = _states(model, 20, seed=5)
-    values = jax.jit(jax.vmap(lambda pose: density.log_likelihood({"pose": pose}, {}) - single.log_likelihood({"pose": pose}, {})))(poses)
-    assert np.ptp(np.asarray(values)) < 1e-9
+    of_both, of_one = (np.array([_log_likelihood(seen, pose) for pose in np.asarray(poses)]) for seen in (density, single))
+    assert np.ptp(of_both - of_one) < 1e-9
 
 
 def test_the_sum_of_samples_is_the_normalised_one_times_their_number():
@@ -337,7 +351,8 @@ def test_the_curvature_is_that_of_the_formula():
     shifts = []
     for step in 1e-5 * np.eye(14):
         ahead, behind = seen(pose + step).pixels, seen(pose - step).pixels
-        shifts.append(((ahead.u - behind.u) * here.normals[0] + (ahead.v - behind.v) * here.normals[1]) / 2e-5)
+        moved_u, moved_v = np.asarray(ahead.u) - behind.u, np.asarray(ahead.v) - behind.v
+        shifts.append((moved_u * here.normals[0] + moved_v * here.normals[1]) / 2e-5)
     expected = phase * np.einsum("icps,jcps,cps->ij", shifts, shifts, here.visible)
     assert np.allclose(found, expected, rtol=1e-4, atol=1e-6 * np.abs(expected).max())
 
