@@ -2,7 +2,7 @@
 
 import dataclasses
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 import pytest
 
@@ -20,6 +20,9 @@ BENDS = ("ankle_y", "ankle_z", "wrist_y", "wrist_x")
 LIMBS = {"calf": "thigh", "foot": "calf", "forearm": "upper_arm", "hand": "forearm"}
 
 
+positions, solids_of = jax.jit(marker_positions), jax.jit(part_transforms)
+
+
 @pytest.fixture(scope="module")
 def pair():
     return [build_body(name, load_body(name), Shape(HEIGHT)) for name in ("deutscher_31", "person_31")]
@@ -31,7 +34,7 @@ def test_dofs_limits_and_markers_are_those_of_the_body_without(pair):
     low, high = (np.clip(np.asarray(limit), -1, 1) for limit in (without.skeleton.low, without.skeleton.high))
     assert np.array_equal(without.skeleton.low, person.skeleton.low) and np.array_equal(without.skeleton.high, person.skeleton.high)
     for pose in np.random.default_rng(0).uniform(low, high, (20, len(low))):
-        here, there = (marker_positions(body.skeleton, body.markers, jnp.asarray(pose)) for body in pair)
+        here, there = (positions(body.skeleton, body.markers, pose) for body in pair)
         assert np.allclose(here, there, atol=1e-6)
 
 
@@ -70,33 +73,33 @@ def test_where_new_joints_bend(fifteen, angle, marker, direction):
 
 
 def _markers(body, **angles):
-    return np.asarray(marker_positions(body.skeleton, body.markers, _pose(body, **({"root_z": 0.0} | angles))))
+    return np.asarray(positions(body.skeleton, body.markers, _pose(body, **({"root_z": 0.0} | angles))))
 
 
 def _pose(body, **angles):
     # Hips at 0.530 of the height, Winter's figure.
     values = {"root_z": 0.53 * HEIGHT, **angles}
-    return jnp.asarray([values.get(name, 0.0) for name in body.dof_names])
+    return np.float32([values.get(name, 0.0) for name in body.dof_names])
 
 
 @pytest.mark.parametrize("name", ["person_31", "person_40"])
 def test_who_stands_stands_on_flat_soles(pair, fifteen, name):
     person = pair[1] if name == "person_31" else fifteen
-    frames = part_transforms(person, _pose(person))
+    solids, radii = solids_of(person, _pose(person)), np.asarray(person.radii)
     for side in "lr":
         foot = person.topology.names.index(f"{side}_foot")
-        heel, along = np.asarray(frames.origin)[foot], np.asarray(frames.z)[foot]
+        heel, along = np.asarray(solids.origin)[foot], np.asarray(solids.rotation)[foot, :, 2]
         assert np.isclose(along[2], 0, atol=1e-6)
-        assert np.isclose(heel[2], float(person.radii[foot, 0]), atol=0.002)
+        assert np.isclose(heel[2], radii[foot, 0], atol=0.002)
 
 
 def test_toes_point_to_where_knees_do_not_bend(pair):
     _, person = pair
-    straight, bent = (marker_positions(person.skeleton, person.markers, _pose(person, l_knee=angle)) for angle in (0.0, -1.0))
+    straight, bent = (_markers(person, root_z=0.53 * HEIGHT, l_knee=angle) for angle in (0.0, -1.0))
     ankle = person.markers.names.index("l_ankle")
-    backward = np.asarray(bent - straight)[ankle] * [1, 1, 0]
+    backward = (bent - straight)[ankle] * [1, 1, 0]
     foot = person.topology.names.index("l_foot")
-    toes = np.asarray(part_transforms(person, _pose(person)).z)[foot]
+    toes = np.asarray(solids_of(person, _pose(person)).rotation)[foot, :, 2]
     assert toes @ backward / np.linalg.norm(backward) < -0.99
 
 
