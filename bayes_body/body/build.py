@@ -5,8 +5,6 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array
-from numpy.typing import ArrayLike
 
 from bayes_body.body.check import WORLD
 from bayes_body.body.frames import Frame, frames_of, vector
@@ -66,11 +64,6 @@ def build_body(name: str, schema: BodySchema, shape: Shape = Shape()) -> Body:
         outline_radii=device_array([outline[part.name] for part in parts]),
         sections=device_array([shape.sections.get(part.name, part.section) for part in parts]),
     )
-
-
-def _array(values: ArrayLike) -> Array:
-    """The numbers in JAX's precision; `jnp.asarray` would compile a program for each new shape."""
-    return jax.device_put(np.asarray(values, jax.dtypes.canonicalize_dtype(float)))
 
 
 def _check_names(name: str, schema: BodySchema, shape: Shape) -> None:

@@ -108,7 +108,6 @@ def turning_radius(distortion: NDArray[np.floating], limit: float = 1e3) -> floa
     return min(folding_radius(k1, k2, k3), limit)
 
 
-@jax.jit
 def stack(cameras: list[Camera]) -> Camera:
     """Stack the cameras' leaves along a leading camera axis, which makes a rig."""
     return jax.tree.map(lambda *leaves: device_array(np.stack(leaves), leaves[0].dtype), *cameras)
