@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 from numpyro.distributions import Distribution
 
 from bayes_body.density.graph import Graph, Mixture, Term, check_rows
@@ -197,13 +197,19 @@ def _check_reached(built: Graph) -> None:
         raise input_error("graph", f"nothing proposes values for the node '{lost[0]}'", "a proposal for every node", remedy)
 
 
+@jax.jit
+def _offered(proposals: tuple[Mixture, ...]) -> Float[Array, "proposal node trial *entry"]:
+    """Return values of every node from each of the proposals."""
+    return jnp.stack([mixture.sample(jax.random.key(0), TRIALS) for mixture in proposals])
+
+
 def _check_values(built: Graph) -> None:
     """Check every factor at some values that the proposals offer."""
-    offered = jnp.stack([mixture.sample(jax.random.key(0), TRIALS) for mixture in built.proposals])
+    offered = np.asarray(_offered(built.proposals))
     first = np.argmax([np.asarray(mixture.exists) for mixture in built.proposals], axis=0)
     values = offered[first, np.arange(built.count)]
     for term in (*built.unaries, *built.pairs):
-        nodes = [values[jnp.asarray(column)] for column in term.rows.T]
+        nodes = [values[column] for column in np.asarray(term.rows).T]
         of_row = jax.vmap(term.log_potential, in_axes=(None, *[0] * len(nodes)))
         found = jax.jit(jax.vmap(of_row))(term.plate.parameters, *nodes)
         if found.shape != (len(term.plate.rows), TRIALS):

@@ -68,39 +68,59 @@ def _pose(body, seed=0):
 
 
 def _edge(factor, row):
-    return jax.tree.map(lambda leaf: leaf[row], factor.log_potential.parameters)
+    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[row]), factor.log_potential.parameters)
 
 
 def _random_rigid(rng, count, shift_m):
     quaternions = Rotation.random(count, rng=rng).as_quat(scalar_first=True)
-    return jnp.asarray(np.concatenate([rng.normal(size=(count, 3)) * shift_m, quaternions], axis=1), jnp.float32)
+    return np.concatenate([rng.normal(size=(count, 3)) * shift_m, quaternions], axis=1).astype(np.float32)
+
+
+# One program of each for all tests.
+_parts_of = jax.jit(lambda body, pose: body.placement.configuration(body.skeleton, pose))
+_value = jax.jit(lambda factor, parts: factor({PARTS: parts}, {}))
+_log_of_parents = jax.jit(jax.vmap(kinematic.log_density, (None, 0, None)))
+_log_of_children = jax.jit(jax.vmap(kinematic.log_density, (None, None, 0)))
+
+
+@pytest.fixture(scope="module")
+def turns_and_shifts():
+    """A fixed pose, and many uniform rotations and standard normal shifts."""
+    rng, count = np.random.default_rng(1), 2**20
+    return _random_rigid(rng, 1, 1.0)[0], _random_rigid(rng, count, 0.0)[:, 3:], rng.normal(size=(count, 3))
 
 
 def test_parts_place_a_body_as_the_angles_do(body):
     pose = _pose(body)
-    parts = body.placement.configuration(body.skeleton, pose)
+    parts = _parts_of(body, pose)
     assert parts.shape == (10, 7)
-    np.testing.assert_allclose(placed_markers(body, parts), placed_markers(body.by_angles, pose), atol=2e-6)
+    markers, expected = jax.jit(lambda body, parts, pose: (placed_markers(body, parts), placed_markers(body.by_angles, pose)))(body, parts, pose)
+    np.testing.assert_allclose(markers, expected, atol=2e-6)
 
 
-@pytest.mark.parametrize("options", [WIDE, TWO, None], ids=["one component", "two", "full blocks"])
-@pytest.mark.parametrize("given", ["parent", "child"])
-def test_an_edge_is_normalised_in_both_directions(body, options, given, joints, learned):
+# One of each direction by default.
+EDGES = [
+    pytest.param(
+        given, options, id=f"{given}-{name}", marks=() if (given, name) in (("parent", "two"), ("child", "full blocks")) else pytest.mark.slow
+    )
+    for given in ("parent", "child")
+    for name, options in (("one component", WIDE), ("two", TWO), ("full blocks", None))
+]
+
+
+@pytest.mark.parametrize(("given", "options"), EDGES)
+def test_an_edge_is_normalised_in_both_directions(body, options, given, joints, learned, turns_and_shifts):
     """The other part's rotation is uniform over all rotations, and its position normal where the joint is, given the rotation."""
     options = options or learned(joints)
-    edge, rng, count, sd = _edge(_kinematic(body, options), 3), np.random.default_rng(1), 2**20, 0.05
-    fixed, turns = _random_rigid(rng, 1, 1.0)[0], _random_rigid(rng, count, 0.0)[:, 3:]
-    off = jnp.asarray(rng.normal(size=(count, 3)) * sd, jnp.float32)
-    joint = edge["mean"][0, :3] + off
+    edge, sd, (fixed, turns, shifts) = _edge(_kinematic(body, options), 3), 0.05, turns_and_shifts
+    off = (shifts * sd).astype(np.float32)
+    joint = np.asarray(edge["mean"])[0, :3] + off
     places = rigid.apply(fixed, joint) if given == "parent" else fixed[:3] - rotations.rotate(turns, joint)
     other = rigid.rigid(places, turns)
-
-    def value(x):
-        return kinematic.log_density(edge, fixed, x) if given == "parent" else kinematic.log_density(edge, x, fixed)
-
+    values = _log_of_children(edge, fixed, other) if given == "parent" else _log_of_parents(edge, other, fixed)
     log_proposal = norm.logpdf(np.asarray(off, float), scale=sd).sum(axis=1) - np.log(8 * np.pi**2)
-    weights = np.exp(np.asarray(jax.jit(jax.vmap(value))(other), float) - log_proposal)
-    error = weights.std() / np.sqrt(count)
+    weights = np.exp(np.asarray(values, float) - log_proposal)
+    error = weights.std() / np.sqrt(len(weights))
     assert abs(np.log(weights.mean())) < 4 * error
     assert error < 0.01
 
@@ -123,15 +143,15 @@ def test_ancestral_draws_have_the_density(body, blocks, joints, learned):
     assert weights.std() / weights.mean() / np.sqrt(len(weights)) < 0.01
 
 
-@pytest.mark.parametrize("reverse", [False, True], ids=["child", "parent"])
+@pytest.mark.parametrize("reverse", [pytest.param(False, id="child"), pytest.param(True, id="parent", marks=pytest.mark.slow)])
 def test_weighted_draws_are_draws_of_the_density(body, joints, learned, reverse):
     """Their mean weight is 1, and by weight they have the moments of draws by rejection, though a tenth of the rotations go beyond a half turn."""
     edge, count = _edge(_kinematic(body, learned(joints)), 3), 2**15
-    known = _random_rigid(np.random.default_rng(5), 1, 1.0)[0]
-    noise = jax.random.normal(jax.random.key(6), (count, 7))
+    known = jnp.asarray(_random_rigid(np.random.default_rng(5), 1, 1.0)[0])
 
     @jax.jit
-    def draw(noise, keys):
+    def draw(noise_key, draw_key):
+        noise, keys = jax.random.normal(noise_key, (count, 7)), jax.random.split(draw_key, count)
         weighted, log_weights = jax.vmap(lambda own: kinematic.weighted_draw(own, edge, known, reverse))(noise)
         plain = jax.vmap(lambda key: kinematic.draw(key, edge, known, reverse))(keys)
         return figures(weighted), figures(plain), log_weights
@@ -141,7 +161,7 @@ def test_weighted_draws_are_draws_of_the_density(body, joints, learned, reverse)
         w = rotations.logarithm(relative[:, 3:])
         return jnp.concatenate([relative[:, :3], w, w**2], axis=1)
 
-    weighted, plain, log_weights = (np.asarray(values, float) for values in draw(noise, jax.random.split(jax.random.key(7), count)))
+    weighted, plain, log_weights = (np.asarray(values, float) for values in draw(jax.random.key(6), jax.random.key(7)))
     weights = np.exp(log_weights)
     assert abs(weights.mean() - 1) < 4 * weights.std() / count**0.5 and (weights == 0).mean() > 0.05
     away = (weights[:, None] * weighted).mean(axis=0) - plain.mean(axis=0)
@@ -151,12 +171,13 @@ def test_weighted_draws_are_draws_of_the_density(body, joints, learned, reverse)
 
 def test_the_prior_moves_with_the_world_and_does_not_see_a_quaternions_sign(body):
     factor = _kinematic(body, TWO)
-    parts = body.placement.configuration(body.skeleton, _pose(body, 3))
+    parts = np.asarray(_parts_of(body, _pose(body, 3)))
     moved = rigid.compose(_random_rigid(np.random.default_rng(4), 1, 2.0), parts)
-    flipped = parts.at[2, 3:].multiply(-1)
-    value = float(factor({PARTS: parts}, {}))
-    assert float(factor({PARTS: moved}, {})) == pytest.approx(value, abs=2e-2)
-    assert float(factor({PARTS: flipped}, {})) == pytest.approx(value, abs=1e-4)
+    flipped = parts.copy()
+    flipped[2, 3:] *= -1
+    value = float(_value(factor, parts))
+    assert float(_value(factor, moved)) == pytest.approx(value, abs=2e-2)
+    assert float(_value(factor, flipped)) == pytest.approx(value, abs=1e-4)
 
 
 @pytest.mark.slow
@@ -182,10 +203,16 @@ def test_the_coordinates_are_those_of_the_tree_and_their_volume_is_right(body):
 def test_the_walk_is_normalised(body):
     """Its log-density under its own draws has the mean of a normal's, minus the mean log-Jacobian of the exponential map."""
     walk = rigid_walk.build(rigid_walk.Options(sd_deg={"*": 28.0}), body, 60.0)
-    before = {"parts": body.placement.configuration(body.skeleton, _pose(body))}
+    before = {"parts": _parts_of(body, _pose(body))}
     broad = rigid_walk.build(rigid_walk.Options(sd_deg={"*": 29.0}, sd_m={"*": 0.031}), body, 60.0)
-    draws = jax.vmap(lambda key: broad.sample(key, before))(jax.random.split(jax.random.key(1), 50_000))
-    weights = np.exp(np.asarray(jax.jit(jax.vmap(lambda s: walk.log_density(s, before) - broad.log_density(s, before)))(draws), float))
+
+    @jax.jit
+    @jax.vmap
+    def log_ratio(key):
+        draw = broad.sample(key, before)
+        return walk.log_density(draw, before) - broad.log_density(draw, before)
+
+    weights = np.exp(np.asarray(log_ratio(jax.random.split(jax.random.key(1), 50_000)), float))
     assert abs(weights.mean() - 1) < 4 * weights.std() / np.sqrt(len(weights))
 
 
@@ -241,11 +268,9 @@ def test_learned_and_given_components_are_mixed_by_their_shares(body, joints, le
     file, wide = learned(joints), WIDE["component"]
     options = file, {"component": wide}, file | {"component": wide, "component_share": 0.2}
     edges = [_edge(_kinematic(body, each), 3) for each in options]
-    still = jnp.asarray(rigid.identity(), body.lengths.dtype)
-    children = jax.vmap(lambda key: kinematic.draw(key, edges[1], still))(jax.random.split(jax.random.key(5), 50))
-    of_learned, of_given, of_both = (
-        np.asarray(jax.vmap(lambda child, edge=edge: kinematic.log_density(edge, still, child))(children)) for edge in edges
-    )
+    still = np.asarray(rigid.identity(), np.float32)
+    children = jax.jit(jax.vmap(kinematic.draw, (0, None, None)))(jax.random.split(jax.random.key(5), 50), edges[1], still)
+    of_learned, of_given, of_both = (np.asarray(_log_of_children(edge, still, children)) for edge in edges)
     np.testing.assert_allclose(of_both, np.logaddexp(np.log(0.8) + of_learned, np.log(0.2) + of_given), rtol=1e-4)
 
 
@@ -303,15 +328,15 @@ def test_potentials_of_parts_need_parts(body):
 
 def test_penetration_is_that_of_the_whole_body(body):
     """Crossed legs: the deepest pairs agree with the constraint on the body by angles."""
-    pose = jnp.zeros(len(body.dof_names)).at[body.dof_names.index("l_hip_x")].set(-0.25).at[body.dof_names.index("r_hip_x")].set(0.25)
-    parts = body.placement.configuration(body.skeleton, pose)
+    crossed = {"l_hip_x": -0.25, "r_hip_x": 0.25}
+    parts = _parts_of(body, jnp.asarray([crossed.get(name, 0.0) for name in body.dof_names]))
     pairs = tuple(pair for pair in body.topology.penetration)
     names = body.topology.names
     legs = [[names[a], names[b]] for a, b in pairs if {names[a][2:], names[b][2:]} <= {"thigh", "calf"}]
     soft = penetration.build("penetration", validate(penetration.Options, {"pairs": legs}, "test"), body)
     whole = intersection.build("intersection", intersection.Options(mode="soft"), body)
     hard = penetration.build("penetration", validate(penetration.Options, {"pairs": legs, "mode": "hard"}, "test"), body)
-    assert float(whole({PARTS: parts}, {})) < -1
+    assert float(_value(whole, parts)) < -1
     # The calf of the plate has the foot with it, so it may go deeper, but never less deep.
-    assert float(soft({PARTS: parts}, {})) <= float(whole({PARTS: parts}, {})) + 1e-3
-    assert float(hard({PARTS: parts}, {})) == -np.inf
+    assert float(_value(soft, parts)) <= float(_value(whole, parts)) + 1e-3
+    assert float(_value(hard, parts)) == -np.inf

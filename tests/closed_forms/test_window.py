@@ -16,11 +16,10 @@ from bayes_body.kernels.parts.window_nuts import chain_diagnostics
 from bayes_body.kernels.window import fitted_path, sample_window
 from bayes_body.kernels.window_sweep import LongPath, sweep, windows_of
 
-# These programs run for longer than they compile.
-pytestmark = pytest.mark.usefixtures("optimised")
-
 FRAMES, FAULT = len(SEEN), "standard errors from the exact smoother"
-BOTH = [pytest.param(FIRST, id="first order"), pytest.param(SECOND, id="second order")]
+# One of both with NUTS, the other with sweeps; the others are slow.
+NUTS = [pytest.param(FIRST, id="first order", marks=pytest.mark.slow), pytest.param(SECOND, id="second order")]
+SWEEPS = [pytest.param(FIRST, id="first order"), pytest.param(SECOND, id="second order", marks=pytest.mark.slow)]
 
 
 def _origin(process):
@@ -33,9 +32,9 @@ def _paths(process, count, scale=1.0):
     """Paths about the exact ones, wider by `scale`."""
     mean, covariance = process.exact(np.zeros((2, 2)))
     rng = np.random.default_rng(0)
-    x = jnp.asarray(mean + scale * rng.standard_normal((count, len(mean))) @ np.linalg.cholesky(covariance).T, float).reshape(count, FRAMES, 2)
-    earlier = jnp.concatenate([jnp.zeros((count, 1, 2)), x[:, :-1]], axis=1)
-    return {"x": x} | ({BEFORE: earlier} if process.memory == 2 else {})
+    x = (mean + scale * rng.standard_normal((count, len(mean))) @ np.linalg.cholesky(covariance).T).reshape(count, FRAMES, 2)
+    earlier = np.concatenate([np.zeros((count, 1, 2)), x[:, :-1]], axis=1)
+    return {name: jnp.asarray(values, float) for name, values in ({"x": x} | ({BEFORE: earlier} if process.memory == 2 else {})).items()}
 
 
 def _target(process):
@@ -43,20 +42,20 @@ def _target(process):
 
 
 @pytest.mark.parametrize("metric", ["diagonal", pytest.param("dense", marks=pytest.mark.long), pytest.param("low_rank", marks=pytest.mark.long)])
-@pytest.mark.parametrize("process", BOTH)
+@pytest.mark.parametrize("process", NUTS)
 def test_nuts_on_a_window_is_the_exact_smoother(process, metric):
-    found = sample_window(jax.random.key(3), _target(process), _paths(process, 40, 2.0), warm_up=200, draws=1500, metric=metric)
-    assert found.r_hat.max() <= 1.01 and not found.divergent.any() and found.effective.min() > 1000
+    found = sample_window(jax.random.key(3), _target(process), _paths(process, 40, 2.0), warm_up=200, draws=400, metric=metric)
+    assert np.max(found.r_hat) <= 1.01 and not np.any(found.divergent) and np.min(found.effective) > 1000
     draws = np.asarray(found.states["x"], float).reshape(-1, 2 * FRAMES)
     mean, covariance = process.exact(np.zeros((2, 2)))
     sd, effective = np.sqrt(np.diag(covariance)), np.asarray(found.effective).min()
     assert np.abs(draws.mean(axis=0) - mean).max() < 4 * sd.max() / np.sqrt(effective)
     # NUTS knows squares less well than means. The standard error of a covariance is at most sqrt(2) in units of both spreads.
-    squares = chain_diagnostics((found.states["x"] - jnp.asarray(mean, float).reshape(FRAMES, 2)) ** 2)[1].min()
+    squares = np.min(chain_diagnostics(jnp.asarray((np.asarray(found.states["x"], float) - mean.reshape(FRAMES, 2)) ** 2, float))[1])
     assert (np.abs(np.cov(draws.T) - covariance) / np.outer(sd, sd)).max() < 4 * np.sqrt(2 / squares)
 
 
-def _swept(process, sweeps=40, count=1600):
+def _swept(process, sweeps=40, count=800):
     """Means and covariances of 16 groups of paths after some sweeps; all paths start from their means."""
     frames, before, move = process.frames(), process.start(jax.random.key(5), 50), hmc(4)
     paths = _paths(process, 40)
@@ -73,7 +72,7 @@ def _swept(process, sweeps=40, count=1600):
         return jax.lax.scan(one, start, jax.random.split(key, sweeps))
 
     paths, rates = run(jax.random.key(6))
-    assert rates.shape == (sweeps, 4) and rates.min() > 0.5
+    assert rates.shape == (sweeps, 4) and np.min(rates) > 0.5
     groups = np.asarray(paths.sampled["x"], float).reshape(16, -1, 2 * FRAMES)
     # The particles before the first frame are few: their own mean and covariance stand for those of the first state.
     x = np.asarray(before.states["x"], float)
@@ -89,11 +88,12 @@ def check_sweeps(process):
         assert distance(given, found) < 4.5, f"{name}: {distance(given, found):.1f} {FAULT}"
 
 
-@pytest.mark.parametrize("process", BOTH)
+@pytest.mark.parametrize("process", SWEEPS)
 def test_sweeps_over_windows_lead_to_the_exact_smoother(process):
     check_sweeps(process)
 
 
+@pytest.mark.slow
 def test_windows_that_ignore_the_frames_after_them_are_found_out(monkeypatch):
     ahead = window_sweep.Ahead
     monkeypatch.setattr(window_sweep, "Ahead", lambda sampled, known: ahead(sampled, jnp.zeros_like(known)))

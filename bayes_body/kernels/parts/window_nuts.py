@@ -126,6 +126,7 @@ def _warmed_up(key: Key, start: Array, target: Callable[[Array], Scalar], schedu
     return state, parameters, jnp.sum(kept.steps)
 
 
+@jax.jit
 def chain_diagnostics(draws: Float[Array, "chain draw *shape"]) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
     """Return the rank-normalised split R-hat and the bulk effective sample size (Vehtari et al. 2021) of each entry."""
     from blackjax.diagnostics import ess_bulk, rhat
