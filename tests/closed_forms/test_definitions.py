@@ -15,11 +15,14 @@ from bayes_body.model.definition import definition_names, load_definition
 from bayes_body.observation.frames import read_frame
 
 
+def _terms(definition):
+    return [(term.kind, getattr(term.options, "lookup", "")) for term in (*definition.likelihoods, *definition.constraints)]
+
+
 def _made_of(name):
     """What a definition consists of, its numbers apart."""
     definition = load_definition(name)
-    terms = [(term.kind, getattr(term.options, "lookup", "")) for term in (*definition.likelihoods, *definition.constraints)]
-    return sum(len(joint.dofs) for joint in definition.body.joints) < 10, definition.dynamics.kind, terms
+    return sum(len(joint.dofs) for joint in definition.body.joints) < 10, definition.dynamics.kind, _terms(definition)
 
 
 def _small_first():
@@ -33,13 +36,26 @@ def _small_first():
         yield pytest.param(name, marks=() if name in ("arm", "arm_markers") else pytest.mark.long if alike else slow)
 
 
+def _new_first(parts_of):
+    """By default what has a part that none before it has; the others slow."""
+    seen = set()
+    for name in definition_names():
+        parts = set(parts_of(load_definition(name)))
+        yield pytest.param(name, marks=pytest.mark.slow if parts <= seen else ())
+        seen |= parts
+
+
+WITH_NEW_MOTION = list(_new_first(lambda definition: [definition.dynamics.kind]))
+WITH_NEW_TERMS = list(_new_first(lambda definition: [definition.dynamics.kind, *_terms(definition)]))
+
+
 @pytest.fixture(scope="module")
 def build(keypoint_session):
     """A model by its name, built once."""
     return functools.cache(lambda name: build_model(name, keypoint_session))
 
 
-@pytest.fixture(params=definition_names())
+@pytest.fixture
 def model(request, build):
     return build(request.param)
 
@@ -49,9 +65,10 @@ def density(model, keypoint_session) -> Density:
     return model.density(model.observe(read_frame(keypoint_session, 0)))
 
 
-def test_it_says_what_it_is(model):
-    definition = model.definition
-    assert definition == load_definition(definition.name)
+@pytest.mark.parametrize("name", definition_names())
+def test_it_says_what_it_is(name):
+    definition = load_definition(name)
+    assert definition.name == name
     assert len(definition.title) > 20 and len(definition.source) > 20
 
 
@@ -75,8 +92,10 @@ def test_its_density_is_the_sum_of_its_parts_finite_at_first_with_finite_gradien
     assert np.isfinite(gradients).all()
 
 
+@pytest.mark.parametrize("model", WITH_NEW_TERMS, indirect=True)
 def test_a_factor_reads_its_scope_and_its_own_data(model, density):
     """No more, or it could not be traced from them; and all of its scope: one that only says it reads the frame before costs every ancestor."""
+    assert model.definition == load_definition(model.definition.name)
     values = variables(model.initial, model.initial)
     for factor in density.factors:
         own = {name: data for name, data in density.data.items() if name == factor.name}
@@ -106,6 +125,7 @@ def _masses(transition, state):
     return jax.lax.map(mass, jnp.arange(pose.size))
 
 
+@pytest.mark.parametrize("model", WITH_NEW_MOTION, indirect=True)
 def test_each_dof_of_the_transition_integrates_to_one(model):
     """The dofs are independent: varying one alone leaves the others' log-density constant, which is divided out."""
     if "pose" not in model.transition.conditional(model.initial):
@@ -136,10 +156,11 @@ def _draws(transition, previous):
     return jax.vmap(draw)(jax.random.split(jax.random.key(1), 500))
 
 
+@pytest.mark.parametrize("model", WITH_NEW_MOTION, indirect=True)
 def test_particles_of_the_transition_stay_inside_the_limits(model):
-    states, log_densities = _draws(model.transition, dict(model.initial))
-    skeleton = model.body.skeleton
+    states, log_densities = jax.device_get(_draws(model.transition, dict(model.initial)))
+    low, high = jax.device_get((model.body.skeleton.low, model.body.skeleton.high))
     # Parts have no limits.
     if "pose" in states:
-        assert (states["pose"] >= skeleton.low).all() and (states["pose"] <= skeleton.high).all()
+        assert (states["pose"] >= low).all() and (states["pose"] <= high).all()
     assert np.isfinite(log_densities).all()
