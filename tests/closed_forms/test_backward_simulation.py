@@ -69,8 +69,8 @@ WAYS = {
 }
 
 
-# One of each kind; the others take as long.
-DEFAULT = {("first order", "particles moved"), ("second order", "particles"), ("second order", "ensemble moved")}
+# One of each start; a linked process below has moves.
+DEFAULT = {("second order", "particles"), ("second order", "ensemble")}
 CASES = [
     pytest.param(process, way, id=f"{order}, {way}", marks=[] if (order, way) in DEFAULT else pytest.mark.slow)
     for order, process in (("first order", FIRST), ("second order", SECOND))
@@ -95,7 +95,8 @@ def test_a_smoother_that_forgets_what_is_seen_of_a_step_is_found_out(monkeypatch
         check(LINKED, start="particles", moves=6)
 
 
-@pytest.mark.parametrize("process", [pytest.param(SECOND, id="second order"), pytest.param(LINKED, id="linked", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("process", [pytest.param(SECOND, id="second order"), pytest.param(LINKED, id="linked")])
 def test_paths_go_on_from_stored_frames_as_if_they_had_never_stopped(process):
     """Each state is stored only once what it carries is known; the density of a stored frame counts for the one before it.
 
@@ -118,6 +119,7 @@ def test_paths_go_on_from_stored_frames_as_if_they_had_never_stopped(process):
             jax.tree.map(np.testing.assert_array_equal, dict(each.states), dict(whole[each.frame].states))
 
 
+@pytest.mark.slow
 def test_a_smoother_that_ignores_the_second_frame_is_found_out():
     with pytest.raises(AssertionError, match="standard errors from the exact smoother"):
         check(SECOND, lambda transition: dataclasses.replace(transition, memory=1), **WAYS["particles"])
@@ -206,6 +208,7 @@ def test_the_moves_mend_an_ensemble_that_is_not_normal():
     check(Walled(), frames=len(NEAR), start="ensemble", moves=40)
 
 
+@pytest.mark.slow
 def test_a_density_without_its_normaliser_is_found_out(monkeypatch):
     monkeypatch.setattr(diffusion, "_log_mass", lambda a, b: jnp.zeros_like(a))
     with pytest.raises(AssertionError, match="standard errors from the exact smoother"):

@@ -12,9 +12,6 @@ from bayes_body.errors import InputError
 from bayes_body.kernels import conditional_smc
 from bayes_body.kernels.conditional_smc import particle_gibbs
 
-# These programs run for longer than they compile.
-pytestmark = pytest.mark.usefixtures("optimised")
-
 KEYS, BEFORE, PARTICLES, SWEEPS, BURN_IN = 16, 200, 12, 400, 50
 FAULT = "standard errors from the exact smoother"
 
@@ -36,7 +33,7 @@ def check(process, change=lambda transition: transition, particles=PARTICLES):
         assert distance(given, found) < 4, f"{name}: {distance(given, found):.1f} {FAULT}"
 
 
-@pytest.mark.parametrize("process", [pytest.param(FIRST, id="first order"), pytest.param(SECOND, id="second order")])
+@pytest.mark.parametrize("process", [pytest.param(FIRST, id="first order"), pytest.param(SECOND, id="second order", marks=pytest.mark.slow)])
 def test_the_paths_are_those_of_the_exact_smoother(process):
     check(process)
 
@@ -46,6 +43,7 @@ def test_two_particles_are_enough():
     check(FIRST, particles=2)
 
 
+@pytest.mark.slow
 def test_a_sweep_that_ignores_the_second_frame_is_found_out():
     with pytest.raises(AssertionError, match=FAULT):
         check(SECOND, lambda transition: dataclasses.replace(transition, memory=1))
