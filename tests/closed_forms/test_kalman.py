@@ -96,11 +96,13 @@ def test_the_evidence_is_unbiased(linear_gaussian, observations):
     exact = linear_gaussian.kalman(ys)[2].sum()
 
     def once(key):
-        particles, total = linear_gaussian.start(jax.random.fold_in(key, 99), 200), 0.0
-        for frame, y in enumerate(ys):
-            particles, info = kernel(jax.random.fold_in(key, frame), particles, linear_gaussian.density(y, particles))
-            total += info.log_evidence
-        return total
+        def frame(particles, step):
+            number, y = step
+            particles, info = kernel(jax.random.fold_in(key, number), particles, linear_gaussian.density(y, particles))
+            return particles, info.log_evidence
+
+        start = linear_gaussian.start(jax.random.fold_in(key, 99), 200)
+        return jnp.sum(jax.lax.scan(frame, start, (jnp.arange(len(ys)), jnp.asarray(ys)))[1])
 
     # One after the other: the kernel spreads its own particles over the devices.
     ratios = np.exp(np.asarray(jax.lax.map(once, jax.random.split(jax.random.key(3), runs)), float) - exact)

@@ -43,12 +43,11 @@ def _densities(process, before, linked):
         yield density
 
 
-def _by_hand(process, before, linked, later, x):
-    """The log-density of a window, frame by frame and particle by particle."""
-    total, frames = [], jnp.concatenate([x, PATH[COUNT:]]) if later else x
-    for index in range(len(before.log_weights)):
-        first = before.states["x"][index]
-        earlier, here, log_density = before.states.get(BEFORE, before.states["x"])[index], first, before.log_weights[index]
+def _by_particle(process, before, linked, later, x):
+    """The log-density of a window after each particle, frame by frame."""
+    frames = jnp.concatenate([x, PATH[COUNT:]]) if later else x
+
+    def after(here, earlier, log_density):
         for frame, value in enumerate(frames):
             mean = jnp.asarray(process.on) @ here + jnp.asarray(process.back) @ earlier
             log_density += dist.MultivariateNormal(mean, scale_tril=jnp.asarray(ROOT)).log_prob(value)
@@ -58,11 +57,18 @@ def _by_hand(process, before, linked, later, x):
             if linked and frame <= COUNT:
                 log_density -= (0.1 * frame + 0.2) * jnp.sum((value - 0.5 * here) ** 2)
             earlier, here = here, value
-        total.append(log_density)
-    return jax.nn.logsumexp(jnp.stack(total))
+        return log_density
+
+    return jax.vmap(after)(before.states["x"], before.states.get(BEFORE, before.states["x"]), before.log_weights)
 
 
-CASES = [(process, count, joined) for process in (FIRST, SECOND) for count in (1, MANY) for joined in (False, True)]
+# Slow: after one particle.
+CASES = [
+    pytest.param(process, count, joined, marks=pytest.mark.slow if count == 1 else ())
+    for process in (FIRST, SECOND)
+    for count in (1, MANY)
+    for joined in (False, True)
+]
 
 
 @pytest.mark.parametrize(("process", "count", "joined"), CASES)
@@ -76,14 +82,14 @@ def test_the_value_and_the_gradient_are_those_of_the_parts(process, count, joine
     target = trajectory(stacked(densities), before, states, ahead, after if later else None)
 
     def hand(x):
-        value = _by_hand(process, before, linked, later, x)
+        value = jax.nn.logsumexp(_by_particle(process, before, linked, later, x))
         if later and process.memory == 1:
             # A transition of memory one does not reach the second frame after the window.
             value -= dist.MultivariateNormal(jnp.asarray(process.on) @ PATH[COUNT], scale_tril=jnp.asarray(ROOT)).log_prob(PATH[COUNT + 1])
         return value
 
-    given, slope = jax.jit(jax.value_and_grad(lambda x: target({"x": x})))(PATH[:COUNT])
-    exact, exact_slope = jax.jit(jax.value_and_grad(hand))(PATH[:COUNT])
+    both = jax.jit(lambda x: [jax.value_and_grad(density)(x) for density in (lambda x: target({"x": x}), hand)])
+    (given, slope), (exact, exact_slope) = both(PATH[:COUNT])
     assert np.isclose(given, exact, rtol=1e-5)
     assert np.allclose(slope, exact_slope, rtol=1e-4, atol=1e-4)
 
@@ -105,24 +111,37 @@ def test_between_limits_the_jacobian_is_that_of_the_coordinates():
     seen, x = jnp.array([0.05, 0.4, 0.15]), jnp.array([[0.03], [0.6], [0.2]])
     densities = [_walled(z) for z in seen]
     target = trajectory(stacked(densities), densities[0].previous, {"x": x})
-    parts = [d.log_weight({"x": b}, {}) + _between({"x": a})["x"].log_prob(b) for d, a, b in zip(densities, [jnp.array([0.5]), *x], x, strict=False)]
-    bijection = dist.biject_to(_between({"x": x[0]})["x"].support)
-    jacobian = sum(bijection.log_abs_det_jacobian(bijection.inv(a), a) for a in x)
+
+    @jax.jit
+    def program(x):
+        pairs = zip(densities, [jnp.array([0.5]), *x], x, strict=False)
+        parts = [density.log_weight({"x": here}, {}) + _between({"x": before})["x"].log_prob(here) for density, before, here in pairs]
+        bijection = dist.biject_to(_between({"x": x[0]})["x"].support)
+        jacobian = sum(bijection.log_abs_det_jacobian(bijection.inv(here), here) for here in x)
+        position = target.position({"x": x})
+        return target(position), sum(parts), jacobian, target.states(position)["x"]
+
+    value, parts, jacobian, back = program(x)
     assert jacobian < -0.1
-    assert np.isclose(target(target.position({"x": x})), sum(parts) + jacobian, rtol=1e-5)
-    assert np.allclose(target.states(target.position({"x": x}))["x"], x, atol=1e-5)
+    assert np.isclose(value, float(parts) + float(jacobian), rtol=1e-5)
+    assert np.allclose(back, x, atol=1e-5)
 
 
 def test_the_particle_before_is_drawn_given_the_window():
     before = _mixture(SECOND, MANY)
     target = trajectory(SECOND.frames(COUNT), before, {"x": PATH[:COUNT], BEFORE: PATH[:COUNT]})
-    one = [_by_hand(SECOND, jax.tree.map(lambda leaf, i=i: leaf[i : i + 1], before), False, False, PATH[:COUNT]) for i in range(MANY)]
-    assert np.allclose(target.ancestor_log_probs({"x": PATH[:COUNT]}), jax.nn.log_softmax(jnp.stack(one)), atol=1e-4)
-    states, ancestor = target.complete(jax.random.key(0), {"x": PATH[:COUNT]})
+
+    @jax.jit
+    def program(x):
+        exact = jax.nn.log_softmax(_by_particle(SECOND, before, False, False, x))
+        return target.ancestor_log_probs({"x": x}), exact, target.complete(jax.random.key(0), {"x": x})
+
+    given, exact, (states, ancestor) = program(PATH[:COUNT])
+    assert np.allclose(given, exact, atol=1e-4)
     assert np.allclose(states[BEFORE], jnp.concatenate([before.states["x"][ancestor][None], PATH[: COUNT - 1]]))
 
 
-@pytest.mark.parametrize("process", [FIRST, SECOND], ids=["first order", "second order"])
+@pytest.mark.parametrize("process", [pytest.param(FIRST, id="first order"), pytest.param(SECOND, id="second order", marks=pytest.mark.slow)])
 def test_with_a_gaussian_prior_the_window_is_the_exact_smoother(process):
     """Particles from a normal distribution: the slope at the exact mean is zero, and the curvature is the inverse of the exact covariance."""
     mean, covariance = process.exact()
