@@ -1,13 +1,15 @@
 """The motion prior by an activity: a normalised mixture of emissions with a filtered belief, and the paper's proposal of an annealing layer."""
 
 import dataclasses
+import functools
 import math
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from numpyro.distributions import MultivariateNormal
+from scipy.special import softmax
+from scipy.stats import multivariate_normal
 
 from bayes_body.body.build import Shape, build_body
 from bayes_body.body.kinematics import marker_positions
@@ -20,12 +22,20 @@ from bayes_body.model.definition import load_body
 FPS, STATES, FEATURES = 60.0, 5, 2
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")
 def double_precision():
     with jax.enable_x64(True):
         yield
 
 
+# One program of each for all priors of a form.
+_derived = jax.jit(lambda prior, state: prior.with_derived(state))
+_conditional = jax.jit(lambda prior, state: prior.conditional(state))
+_sampled = jax.jit(lambda prior, key, state: prior.sample(key, state))
+_explored = jax.jit(lambda prior, key, state, scale: prior.explore(key, state, state, scale))
+
+
+@functools.cache
 def _body(name="person_31"):
     return build_body(name, load_body(name), Shape(1.75))
 
@@ -69,8 +79,13 @@ def _state(prior, activity, active=1):
     state = begun | {"features": features, "position": jnp.asarray([0.3, -0.2, 0.9]), "orientation": jnp.asarray([0.4, 0.05, -0.03])}
     if "residual" in state:
         state["residual"] = jnp.asarray(0.03 * rng.normal(size=len(activity.names)))
-    state["belief"] = jax.nn.softmax(MultivariateNormal(activity.locations, activity.covariances).log_prob(features))
-    return prior.with_derived(state)
+    state["belief"] = jnp.asarray(softmax(_emitted(activity, features)))
+    return _derived(prior, state)
+
+
+def _emitted(activity, features):
+    """log N(f; μ, Σ) of each hidden state."""
+    return np.array([multivariate_normal.logpdf(features, *moments) for moments in _states(activity)])
 
 
 def test_a_first_pose_is_kept_and_its_state_is_believed(path, activity):
@@ -81,23 +96,24 @@ def test_a_first_pose_is_kept_and_its_state_is_believed(path, activity):
     learned = [body.dof_names.index(name) for name in activity.names]
     pose[learned] = activity.means.mean(axis=0) + activity.centre + activity.basis @ activity.locations[1]
     state = prior.begin({"pose": jnp.asarray(pose)})
-    places = [marker_positions(body.skeleton, body.markers, jnp.asarray(each)) for each in (pose, state["pose"])]
-    assert np.abs(places[0] - places[1]).max() < 0.002
-    emitted = MultivariateNormal(activity.locations, activity.covariances).log_prob(state["features"])
-    assert np.allclose(state["belief"], jax.nn.softmax(emitted), atol=1e-4)
+    places = jax.jit(jax.vmap(lambda pose: marker_positions(body.skeleton, body.markers, pose)))(np.stack([pose, state["pose"]]))
+    assert np.abs(np.diff(places, axis=0)).max() < 0.002
+    assert np.allclose(state["belief"], softmax(_emitted(activity, state["features"])), atol=1e-4)
 
 
 def test_a_first_pose_unlike_the_activity_leaves_features_that_are_likely(path, activity):
     """What the states do not explain is residual, by Bayes' rule for a Gaussian; without a residual, the features are the projection."""
     body, given = _body(), activity.basis @ activity.locations[2] + 0.3 * np.random.default_rng(2).normal(size=len(activity.names))
-    pose = jnp.zeros(len(body.dof_names)).at[2].set(0.9)
-    pose = pose.at[np.array([body.dof_names.index(name) for name in activity.names])].set(activity.means.mean(axis=0) + activity.centre + given)
+    pose = np.zeros(len(body.dof_names))
+    pose[2] = 0.9
+    pose[[body.dof_names.index(name) for name in activity.names]] = activity.means.mean(axis=0) + activity.centre + given
+    pose = jnp.asarray(pose)
     state, projected = _prior(path).begin({"pose": pose}), _prior(path, residual=False).begin({"pose": pose})["features"]
     # Angles that no marker shows may have changed.
     away = np.asarray(activity.basis @ state["features"] + state["residual"])
     spread = np.diag(activity.residual**2 + activity.between**2)
-    explained = [MultivariateNormal(activity.basis @ m, activity.basis @ S @ activity.basis.T + spread) for m, S in _states(activity)]
-    m, S = _states(activity)[int(np.argmax([each.log_prob(away) for each in explained]))]
+    explained = [multivariate_normal.logpdf(away, activity.basis @ m, activity.basis @ S @ activity.basis.T + spread) for m, S in _states(activity)]
+    m, S = _states(activity)[int(np.argmax(explained))]
     precision = np.linalg.inv(S) + activity.basis.T @ np.linalg.inv(spread) @ activity.basis
     expected = np.linalg.solve(precision, np.linalg.inv(S) @ m + activity.basis.T @ np.linalg.inv(spread) @ away)
     assert np.allclose(state["features"], expected, atol=1e-3)
@@ -114,10 +130,15 @@ def test_the_features_are_a_mixture_over_the_states_that_follow(path, activity):
     state, saved = _state(prior, activity), load_activity(path)
     A = saved.transition / saved.transition.sum(axis=1, keepdims=True)
     f = saved.locations[2] + 0.03
-    joint = np.asarray(state["belief"]) @ A * np.exp(MultivariateNormal(saved.locations, saved.covariances).log_prob(f))
-    found = prior.conditional(state)["features"]
-    assert float(found.log_prob(jnp.asarray(f))) == pytest.approx(math.log(joint.sum()), abs=1e-6)
-    after = prior.state(state, {**prior.sample(jax.random.key(0), state), "features": jnp.asarray(f)})
+    joint = np.asarray(state["belief"]) @ A * np.exp(_emitted(saved, f))
+
+    @jax.jit
+    def program(prior, state, f):
+        after = prior.state(state, {**prior.sample(jax.random.key(0), state), "features": f})
+        return prior.conditional(state)["features"].log_prob(f), after
+
+    log_density, after = program(prior, state, jnp.asarray(f))
+    assert float(log_density) == pytest.approx(math.log(joint.sum()), abs=1e-6)
     assert np.allclose(after["belief"], joint / joint.sum(), atol=1e-6)
     assert np.array_equal(after["position_before"], state["position"])
 
@@ -127,8 +148,14 @@ def test_log_density_is_that_of_its_draws(path, activity):
     prior = _prior(path, residual=False)
     state = _state(prior, activity)
     wide = _prior(path, residual=False, position_sd_m=0.03, orientation_sd_deg=1.6, head_sd_deg=1.6)
-    draws = jax.vmap(lambda key: wide.sample(key, state))(jax.random.split(jax.random.key(3), 4000))
-    ratio = np.exp(np.asarray(jax.vmap(lambda draw: prior.log_density(draw, state) - wide.log_density(draw, state))(draws)))
+
+    @jax.jit
+    def program(prior, wide, state, key):
+        draws = jax.vmap(lambda key: wide.sample(key, state))(jax.random.split(key, 4000))
+        return draws, jax.vmap(lambda draw: prior.log_density(draw, state) - wide.log_density(draw, state))(draws)
+
+    draws, log_ratio = program(prior, wide, state, jax.random.key(3))
+    ratio = np.exp(np.asarray(log_ratio))
     assert abs(ratio.mean() - 1) < 4 * ratio.std() / np.sqrt(len(ratio))
     features = np.asarray(draws["features"])
     ahead = np.asarray(state["belief"]) @ activity.transition
@@ -139,17 +166,17 @@ def test_residuals_have_the_learned_spread_and_a_known_subject_has_their_own_mea
     for subject, spread in ((None, np.hypot(activity.residual, activity.between)), ("b", activity.residual)):
         prior = _prior(path, subject=subject, residual_s=0.5)
         state = _state(prior, activity)
-        noise = prior.conditional(state)["residual"]
+        noise = _conditional(prior, state)["residual"]
         kept = math.exp(-1 / (FPS * 0.5))
         assert np.allclose(noise.variance / (1 - kept**2), spread**2, rtol=1e-4)
-        assert np.allclose(noise.mean, kept * state["residual"])
+        assert np.allclose(noise.mean, kept * np.asarray(state["residual"]))
         mean = activity.means[1] if subject else activity.means.mean(axis=0)
         learned = np.array([_body().dof_names.index(name) for name in activity.names])
         rebuilt = mean + activity.centre + activity.basis @ np.asarray(state["features"]) + np.asarray(state["residual"])
         assert np.allclose(np.asarray(state["pose"])[learned], rebuilt, atol=1e-6)
 
 
-@pytest.mark.parametrize(("temperature", "scale"), [(0.0, 1.0), (0.6, 1.0), (0.6, 0.25)])
+@pytest.mark.parametrize(("temperature", "scale"), [pytest.param(0.0, 1.0, marks=pytest.mark.slow), (0.6, 1.0), (0.6, 0.25)])
 def test_a_layer_makes_the_transitions_of_the_paper(path, activity, temperature, scale):
     """Frequencies of the state that is reached, against powers of the matrix; K by (12)."""
     prior = _prior(path, temperature=temperature, residual=False)
@@ -159,9 +186,9 @@ def test_a_layer_makes_the_transitions_of_the_paper(path, activity, temperature,
     assert needed == {(0.0, 1.0): 1, (0.6, 1.0): 3, (0.6, 0.25): 1}[temperature, scale]
     count = 4000
     keys = jax.random.split(jax.random.key(1), count)
-    found = jax.vmap(lambda key: prior.explore(key, state, state, jnp.asarray(scale)))(keys)
+    found = jax.jit(jax.vmap(_explored, (None, 0, None, None)))(prior, keys, state, jnp.asarray(scale))
     expected = np.linalg.matrix_power(activity.transition, needed)[start]
-    moved = np.asarray(found["position"] - state["position"])
+    moved = np.asarray(found["position"]) - np.asarray(state["position"])
     assert np.allclose(moved.std(axis=0), 0.02 * scale, rtol=0.06)
     features = np.asarray(found["features"])
     reached = np.argmin(np.linalg.norm(features[:, None] - activity.locations, axis=-1), axis=1)
@@ -179,9 +206,9 @@ def test_the_first_layer_keeps_a_share_of_the_step(path, activity):
     """Later layers start from a position that has made it."""
     plain, keeping = _prior(path), _prior(path, momentum=0.75)
     state = _state(plain, activity)
-    state["position_before"] = state["position"] - jnp.asarray([0.02, -0.01, 0.004])
+    state["position_before"] = jnp.asarray(np.asarray(state["position"]) - np.array([0.02, -0.01, 0.004]))
     for scale, share in ((1.0, 0.75), (0.5, 0.0)):
-        ways = [prior.explore(jax.random.key(0), state, state, jnp.asarray(scale))["position"] for prior in (plain, keeping)]
+        ways = [np.asarray(_explored(prior, jax.random.key(0), state, jnp.asarray(scale))["position"]) for prior in (plain, keeping)]
         assert np.allclose(ways[1] - ways[0], share * np.array([0.02, -0.01, 0.004]), atol=1e-6)
 
 
@@ -189,18 +216,19 @@ def test_a_layer_of_an_annealing_kernel_explores(path, activity):
     prior = _prior(path)
     state = _state(prior, activity)
     key, scale = jax.random.key(0), jnp.asarray(0.5)
-    explored = prior.explore(key, state, state, scale)
-    perturbed, entered = prior.perturb(key, state, state, scale), prior.enter(key, state)
+    explored = _explored(prior, key, state, scale)
+    perturbed, entered = jax.jit(lambda key: (prior.perturb(key, state, state, scale), prior.enter(key, state)))(key)
     assert np.array_equal(perturbed["features"], explored["features"]) and set(perturbed) == set(entered) == set(state)
-    assert np.array_equal(entered["features"], prior.explore(key, state, state, jnp.asarray(1.0))["features"])
+    assert np.array_equal(entered["features"], _explored(prior, key, state, jnp.asarray(1.0))["features"])
 
 
 def test_a_session_of_half_the_rate_takes_two_steps_at_once(path, activity):
     once, twice = _prior(path), _prior(path, fps=30.0)
     state = _state(once, activity)
     expected = np.asarray(state["belief"]) @ np.linalg.matrix_power(activity.transition, 2)
-    assert np.allclose(twice.conditional(state)["features"].mixing_distribution.probs, expected, atol=1e-6)
-    assert np.allclose(twice.conditional(state)["position"].variance, 2 * np.asarray(once.conditional(state)["position"].variance))
+    slow, fast = (_conditional(prior, state) for prior in (twice, once))
+    assert np.allclose(slow["features"].mixing_distribution.probs, expected, atol=1e-6)
+    assert np.allclose(slow["position"].variance, 2 * np.asarray(fast["position"].variance))
     with pytest.raises(InputError, match="learned at 60 frames per second, and the session has 50"):
         _prior(path, fps=50.0)
 
@@ -209,19 +237,22 @@ def test_gradients_reach_every_sampled_variable(path, activity):
     """Of the density of the second of two frames, which depends on the features of the first through the belief."""
     prior = _prior(path, momentum=0.5)
     state = _state(prior, activity)
-    later = prior.sample(jax.random.key(2), prior.sample(jax.random.key(1), state))
+    between = _sampled(prior, jax.random.key(1), state)
+    later = _sampled(prior, jax.random.key(2), between)
     coordinates = coordinates_of(prior.conditional(state))
-    position = coordinates.unconstrain(prior.sample(jax.random.key(1), state))
+    position = jax.jit(coordinates.unconstrain)(between)
 
+    @jax.jit
+    @jax.value_and_grad
     def density(position):
         middle = prior.state(state, coordinates.constrain(position))
         return prior.log_density(middle, state) + prior.log_density(later, middle)
 
-    gradient = jax.grad(density)(position)
-    for name, values in gradient.items():
+    for name, values in density(position)[1].items():
         at = int(np.abs(values).argmax())
-        plus, minus = (position | {name: position[name].at[at].add(sign * 1e-6)} for sign in (1, -1))
-        assert float(values[at]) == pytest.approx(float(density(plus) - density(minus)) / 2e-6, rel=1e-4)
+        step = 1e-6 * np.eye(len(values))[at]
+        plus, minus = (float(density(position | {name: np.asarray(position[name]) + sign * step})[0]) for sign in (1, -1))
+        assert float(values[at]) == pytest.approx((plus - minus) / 2e-6, rel=1e-4)
 
 
 def test_what_does_not_belong_together_is_a_sentence(path, activity, tmp_path):

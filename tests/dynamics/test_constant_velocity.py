@@ -14,16 +14,19 @@ from bayes_body.model.definition import FirstTable, load_body
 from bayes_body.model.first import first_of
 
 ARM = build_body("arm_4", load_body("arm_4"))
+# One program of each for all walks.
+_conditional = jax.jit(lambda walk, previous: walk.conditional(previous))
+_draws = jax.jit(lambda walk, previous, keys: jax.vmap(lambda key: walk.sample(key, previous))(keys))
 SD = {"sd_deg": {"*": 2.0}, "velocity_sd_deg": {"*": 20.0}}
 
 
 def test_the_pose_follows_its_velocity_and_stays_within_its_limits():
     walk = build(Options(**SD), ARM, 30.0)
     before = {"pose": jnp.array([0.1, 0.2, -0.1, -0.5]), "velocity": jnp.array([1.0, -2.0, 0.5, 60.0])}
-    conditional = walk.conditional(before)
+    conditional = _conditional(walk, before)
     high = np.asarray(ARM.skeleton.high)
-    assert np.allclose(conditional["pose"].loc, np.minimum(np.asarray(before["pose"] + before["velocity"] / 30), high), atol=1e-6)
-    states = jax.vmap(lambda key: walk.sample(key, before))(jax.random.split(jax.random.key(0), 4000))
+    assert np.allclose(conditional["pose"].loc, np.minimum(np.asarray(before["pose"]) + np.asarray(before["velocity"]) / 30, high), atol=1e-6)
+    states = _draws(walk, before, jax.random.split(jax.random.key(0), 4000))
     poses, velocities = np.asarray(states["pose"]), np.asarray(states["velocity"])
     assert (poses <= high + 1e-6).all() and poses[:, 3].max() > high[3] - 0.01
     # At 30 fps two frames of 60 fps have passed: sd √2 times as large.
@@ -36,13 +39,19 @@ def test_a_first_pose_stands_still_and_the_density_is_that_of_both_variables():
     walk = build(Options(**SD), ARM, 60.0)
     first = walk.begin({"pose": jnp.array([0.1, 0.2, -0.1, -0.5])})
     assert (np.asarray(first["velocity"]) == 0).all()
-    state = walk.sample(jax.random.key(1), first)
-    each = [d.log_prob(state[name]) for name, d in walk.conditional(first).items()]
-    assert float(walk.log_density(state, first)) == pytest.approx(float(sum(each)), rel=1e-6)
-    assert np.isfinite(jax.grad(lambda v: walk.log_density(state, first | {"velocity": v}))(first["velocity"])).all()
+
+    @jax.jit
+    def program(key, first):
+        state = walk.sample(key, first)
+        parts = [d.log_prob(state[name]) for name, d in walk.conditional(first).items()]
+        return parts, jax.value_and_grad(lambda v: walk.log_density(state, first | {"velocity": v}))(first["velocity"])
+
+    parts, (log_density, gradient) = program(jax.random.key(1), first)
+    assert float(log_density) == pytest.approx(float(sum(map(float, parts))), rel=1e-6)
+    assert np.isfinite(gradient).all()
 
 
-@pytest.mark.parametrize("fps", [30.0, 120.0])
+@pytest.mark.parametrize("fps", [30.0, pytest.param(120.0, marks=pytest.mark.slow)])
 def test_a_velocity_that_fades_has_the_same_distribution_at_every_frame_rate_and_a_spread_holds_the_pose(fps):
     lasting = Options(**SD, velocity_lasts_s={"*": 0.4}, spread_deg={"shoulder_x": 20.0}, rest_deg={"shoulder_x": 5.0})
     walk = build(lasting, replace(ARM, skeleton=replace(ARM.skeleton, low=jnp.full(4, -jnp.inf), high=jnp.full(4, jnp.inf))), fps)
