@@ -1,5 +1,6 @@
 """Diagnostics of message passing: changes and oscillation in closed form, and the parts of the proposal that bring the weight."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from bayes_body.density.spaces import SE3, circle, euclidean
 from bayes_body.kernels.parts.message_diagnostics import Summary, belief_sds, changes, message_figures, oscillation, shares_of_weight
 
+_changes, _oscillation = (jax.jit(function, static_argnums=0) for function in (changes, oscillation))
 LINE = euclidean(("x", "y"), ("m", "m"))
 ANGLE = circle(("angle",))
 LIMB = SE3("coordinate")
@@ -22,19 +24,19 @@ def placed(x: float, turn: float) -> np.ndarray:
 def test_a_change_is_a_root_mean_square_in_standard_deviations():
     means = jnp.asarray([[[0.0, 0.0]], [[0.3, 0.0]], [[0.3, 0.8]]])
     sds = jnp.asarray([[[9.0, 9.0]], [[0.1, 0.1]], [[0.1, 0.4]]])
-    found = np.asarray(changes(LINE, means, sds))
+    found = np.asarray(_changes(LINE, means, sds))
     assert np.isnan(found[0]).all()
     np.testing.assert_allclose(found[1:, 0], [3 / 2**0.5, 2 / 2**0.5], rtol=1e-3)
 
 
 def test_angles_change_the_short_way():
-    found = changes(ANGLE, jnp.asarray([[[3.1]], [[-3.1]]]), jnp.full((2, 1, 1), 0.1))
+    found = _changes(ANGLE, jnp.asarray([[[3.1]], [[-3.1]]]), jnp.full((2, 1, 1), 0.1))
     np.testing.assert_allclose(found[1, 0], (2 * np.pi - 6.2) / 0.1, rtol=1e-3)
 
 
 def test_a_turned_limb_changes_by_its_angle():
     means = jnp.asarray([[placed(0.0, 0.2)], [placed(0.0, 0.5)]])
-    np.testing.assert_allclose(changes(LIMB, means, jnp.full((2, 1, 6), 0.1))[1, 0], 3 / 6**0.5, rtol=1e-3)
+    np.testing.assert_allclose(_changes(LIMB, means, jnp.full((2, 1, 6), 0.1))[1, 0], 3 / 6**0.5, rtol=1e-3)
 
 
 @pytest.mark.parametrize(("last", "expected"), [(0.0, 2.0), (0.1, 2**0.5), (0.2, 0.0), (0.9, 0.0)])
@@ -44,19 +46,19 @@ def test_an_oscillation_is_a_jump_back(last, expected):
         (LINE, [np.full(2, value) for value in (0.0, 0.2, last)], 2),
         (LIMB, [placed(3**0.5 * value, 3**0.5 * value) for value in (0.0, 0.2, last)], 6),
     ):
-        found = oscillation(space, jnp.asarray(points)[:, None], jnp.full((3, 1, dimension), 0.1))
+        found = _oscillation(space, np.asarray(points, np.float32)[:, None], jnp.full((3, 1, dimension), 0.1))
         np.testing.assert_allclose(found[0], expected, rtol=1e-3, atol=1e-3)
 
 
 def test_too_few_iterations_have_no_oscillation():
-    assert np.isnan(oscillation(LINE, jnp.zeros((2, 3, 2)), jnp.ones((2, 3, 2)))).all()
+    assert np.isnan(_oscillation(LINE, jnp.zeros((2, 3, 2)), jnp.ones((2, 3, 2)))).all()
 
 
 def test_an_iteration_of_several_rounds_ends_with_its_last():
     """Rounds 0, 1, 2 and 3, 4, 5 are two iterations."""
     means = jnp.arange(6.0)[:, None, None] * jnp.ones(2)
     rounds = Summary(means, jnp.ones((6, 1, 2)), jnp.arange(6.0)[:, None], jnp.arange(6.0))
-    found = message_figures(LINE, rounds, 2, 50, jnp.asarray(7.0), jnp.ones((1, 4)) / 4)
+    found = jax.jit(message_figures, static_argnums=(0, 2, 3))(LINE, rounds, 2, 50, jnp.asarray(7.0), jnp.ones((1, 4)) / 4)
     np.testing.assert_allclose(found["message_change"][1], 3, rtol=1e-3)
     assert found["belief_sd"].shape == (2, 1, 2) and found["belief_ess"] == 5 and found["message_ess"] == 5
     assert found["samples"] == 50 and found["joint_ess"] == 7
@@ -64,7 +66,7 @@ def test_an_iteration_of_several_rounds_ends_with_its_last():
 
 def test_standard_deviations_are_weighted():
     points = jnp.asarray([[[0.0, 0.0], [1.0, 0.0], [50.0, 50.0]]])
-    found = belief_sds(LINE, jnp.asarray([[0.25, 0.75, 0.0]]), points, jnp.asarray([[0.75, 0.0]]))
+    found = jax.jit(belief_sds, static_argnums=0)(LINE, jnp.asarray([[0.25, 0.75, 0.0]]), points, jnp.asarray([[0.75, 0.0]]))
     np.testing.assert_allclose(found, [[(0.25 * 0.75) ** 0.5, 0.0]], rtol=1e-6)
 
 
@@ -72,4 +74,4 @@ def test_a_share_is_what_a_part_of_the_proposal_brought():
     """Two heavy points, one from the messages alone and one at which both mixtures of detections are equally likely; the light one counts nothing."""
     log_weights = jnp.log(jnp.asarray([[0.6, 0.4, 0.0]]))
     log_parts = jnp.log(jnp.asarray([[[2.0, 0, 0, 0, 0], [0, 0, 0.5, 0.5, 1.0], [0, 9.0, 0, 0, 0]]]))
-    np.testing.assert_allclose(shares_of_weight(log_weights, log_parts), [[0.6, 0.0, 0.2, 0.2]], atol=1e-6)
+    np.testing.assert_allclose(jax.jit(shares_of_weight)(log_weights, log_parts), [[0.6, 0.0, 0.2, 0.2]], atol=1e-6)

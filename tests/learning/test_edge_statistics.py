@@ -163,6 +163,7 @@ def _traced():
     return Points(np.array(places), np.array(normals))
 
 
+@pytest.mark.slow
 def test_on_a_real_still_the_true_boundary_wins(sports2d_walk):
     video = cv2.VideoCapture(str(next(sports2d_walk.rglob("*.mp4"))))
     video.set(cv2.CAP_PROP_POS_FRAMES, 100)
