@@ -105,7 +105,7 @@ def _random_walk(y, previous):
     return Density(Transition("walk", jax.tree_util.Partial(_step), jax.tree_util.Partial(_noise)), (factor,), {"y": y}, previous)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_runs_agree_about_dofs_that_are_hardly_seen():
     """Independent draws that a run is worth, in the second half of forty frames: the variance of the posterior over that of the runs' means."""
     rng = np.random.default_rng(4)
