@@ -7,6 +7,7 @@ limits. A coarse grid shrinks it to the posterior's mass. Then the grid is refin
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -73,33 +74,35 @@ def integrate(density: Density, name: str = "pose") -> Quadrature:
     return Quadrature(mean, sd, error, log_evidence, count + used)
 
 
-def _reachable(density: Density, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """The box that the motion prior reaches from the previous particles, inside its support."""
+@jax.jit
+def _predicted(density: Density) -> State:
+    """Draws of the motion prior from the previous particles."""
     keys = jax.random.split(jax.random.key(0), PREDICTED)
     ancestors = jax.random.categorical(jax.random.key(1), density.previous.log_weights, shape=(PREDICTED,))
-    drawn = jax.vmap(lambda key, ancestor: density.transition.sample(key, density.ancestor(ancestor)))(keys, ancestors)
-    values = np.asarray(drawn[name], float)
+    return jax.vmap(lambda key, ancestor: density.transition.sample(key, density.ancestor(ancestor)))(keys, ancestors)
+
+
+def _reachable(density: Density, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """The box that the motion prior reaches from the previous particles, inside its support."""
+    values = np.asarray(_predicted(density)[name], float)
     middle, spread = values.mean(axis=0), np.maximum(values.std(axis=0), 1e-9)
     support = density.transition.conditional(density.ancestor(0))[name].support
     low, high = (np.asarray(getattr(support, side, end), float) for side, end in (("low", -np.inf), ("high", np.inf)))
     return np.maximum(middle - REACH * spread, low), np.minimum(middle + REACH * spread, high)
 
 
-def _evaluator(density: Density, name: str) -> Evaluate:
+@partial(jax.jit, static_argnames="name")
+def _log_densities(points: Float[Array, "batch point dof"], density: Density, name: str) -> Float[Array, "batch point"]:
+    """The log-density at values of one variable; the others are those of the first particle."""
     carried = {other: leaf for other, leaf in density.ancestor(0).items() if other != name}
+    return jax.lax.map(jax.vmap(lambda point: density({**carried, name: point})), points)
 
-    def one(point: Float[Array, " dof"], density: Density) -> Array:
-        state: State = {**carried, name: point}
-        return density(state)
 
-    @jax.jit
-    def all_of(points: Float[Array, "batch point dof"], density: Density) -> Array:
-        return jax.lax.map(lambda batch: jax.vmap(one, (0, None))(batch, density), points)
-
+def _evaluator(density: Density, name: str) -> Evaluate:
     def evaluate(points: Float[np.ndarray, "point dof"]) -> Float[np.ndarray, " point"]:
         padded = np.concatenate([points, np.repeat(points[-1:], -len(points) % BATCH, axis=0)])
         batches = jnp.asarray(padded.reshape(-1, BATCH, points.shape[1]), density.previous.log_weights.dtype)
-        return np.asarray(all_of(batches, density), float).reshape(-1)[: len(points)]
+        return np.asarray(_log_densities(batches, density, name), float).reshape(-1)[: len(points)]
 
     return evaluate
 
