@@ -29,7 +29,11 @@ def with_constraint(level):
 
 
 def draw(problem, count, frames=2):
-    return jax.jit(lambda keys: jax.lax.map(lambda key: draw_case(key, problem, frames), keys))(jax.random.split(jax.random.key(0), count))
+    def cases(keys, factors):
+        given = dataclasses.replace(problem, factors=factors)
+        return jax.lax.map(lambda key: draw_case(key, given, frames), keys)
+
+    return jax.jit(cases)(jax.random.split(jax.random.key(0), count), problem.factors)
 
 
 def test_a_gaussian_case_has_the_law_of_the_model():

@@ -15,9 +15,6 @@ from bayes_body.calibration.problem import point_mass
 from bayes_body.density.coordinates import Coordinates
 from bayes_body.kernels import tempered_smc
 
-# Fits and replications run for longer than they compile.
-pytestmark = pytest.mark.usefixtures("optimised")
-
 REPLICATIONS, BINS, SEED = 200, 20, 100
 LIMIT = 0.05 / 3
 # A check with two tests would fail at its first look.
@@ -36,8 +33,9 @@ def least_p(found):
 # -- sampling importance resampling -----------------------------------------------------------------------------------------------------------
 
 
+# Replications of these kernels run for longer than they compile.
 @pytest.fixture(scope="module")
-def sir():
+def sir(optimised):
     """`sir(power, forgets)`: its replications, its weights to a power and perhaps forgotten at the end."""
 
     @jax.jit
@@ -55,6 +53,7 @@ def sir():
     return call
 
 
+@pytest.mark.slow
 def test_sir_is_calibrated(sir):
     found = sir()
     assert least_p(found) > LIMIT
@@ -64,6 +63,7 @@ def test_sir_is_calibrated(sir):
         assert inside.low <= 0.9 <= inside.high
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", [{"power": -1.0}, {"power": 0.5}, {"forgets": True}], ids=["sign", "root of the weights", "weights forgotten"])
 def test_a_faulty_sir_is_found_out(sir, fault):
     assert least_p(sir(**fault)) <= FAILS
@@ -100,13 +100,13 @@ def tempered_runs(**options):
 
 
 @pytest.fixture(scope="module")
-def tempered():
+def tempered(optimised):
     """In few stages: what the weights do."""
     return tempered_runs(final_stages=0, target_ess=0.2)
 
 
 @pytest.fixture(scope="module")
-def tempered_slowly():
+def tempered_slowly(optimised):
     """In many stages with many moves: what the moves do."""
     return tempered_runs(final_stages=0, target_ess=0.8, moves=4)
 
@@ -136,6 +136,7 @@ def test_a_dropped_jacobian_is_found_out(tempered_slowly):
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("optimised")
 def test_annealed_is_not_calibrated():
     """A mode seeker: truths lie outside of its spread."""
     found = ranks(sbc.replicate(toys.skewed(), kernels.annealed(), 500, bins=BINS))
@@ -159,12 +160,13 @@ def test_truths_at_a_limit_are_ranked_at_random():
 
 def test_effective_sizes_count_equal_states_and_common_ancestors_once():
     weights = jnp.full(8, 1 / 8)
-    states = {"x": jnp.repeat(jax.random.normal(jax.random.key(0), (4, 3)), 2, axis=0)}
-    assert np.isclose(sbc._ess(weights), 8) and np.isclose(sbc._merged(weights, states), 4)
+    states, merged = {"x": jnp.asarray(np.repeat(np.random.default_rng(0).normal(size=(4, 3)), 2, axis=0))}, jax.jit(sbc._merged)
+    assert np.isclose(sbc._ess(weights), 8) and np.isclose(merged(weights, states), 4)
     uneven = jnp.array([0.5, 0.0, 0.1, 0.1, 0.1, 0.1, 0.1, 0.0])
-    assert np.isclose(sbc._merged(uneven, states), 1 / (0.25 + 0.04 + 0.04 + 0.01), rtol=1e-5)
-    info = kernels.sir()(
+    assert np.isclose(merged(uneven, states), 1 / (0.25 + 0.04 + 0.04 + 0.01), rtol=1e-5)
+    info = jax.jit(kernels.sir())(
         jax.random.key(0), point_mass(toys.gaussian().first, 8), toys.gaussian().density({"seen": jnp.zeros(1)}, point_mass(toys.gaussian().first))
     )[1]
     before = point_mass(toys.gaussian().first, 8)._replace(states={"x": jnp.arange(16.0).reshape(8, 2)})
-    assert np.isclose(sbc._by_ancestor(weights, before, info._replace(ancestors=jnp.array([0, 0, 0, 0, 5, 5, 5, 5])), 2), 2)
+    by_ancestor = jax.jit(sbc._by_ancestor, static_argnums=3)
+    assert np.isclose(by_ancestor(weights, before, info._replace(ancestors=jnp.array([0, 0, 0, 0, 5, 5, 5, 5])), 2), 2)
