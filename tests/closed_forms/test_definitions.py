@@ -26,14 +26,14 @@ def _made_of(name):
 
 
 def _small_first():
-    """Two arms by default; the other arms and one whole body slow; the others, and what consists of the same terms, long."""
+    """One arm by default; the other arms and one whole body slow; the others, and what consists of the same terms, long."""
     found = []
     for name in definition_names():
         parts = _made_of(name)
         alike = parts in found
         found.append(parts)
         slow = pytest.mark.slow if name.startswith("arm") or name == "deutscher_apf" else pytest.mark.long
-        yield pytest.param(name, marks=() if name in ("arm", "arm_markers") else pytest.mark.long if alike else slow)
+        yield pytest.param(name, marks=() if name == "arm" else pytest.mark.long if alike else slow)
 
 
 def _new_first(parts_of):

@@ -75,7 +75,8 @@ KERNELS = {
 }
 
 
-@pytest.mark.parametrize("name", KERNELS)
+# What kernels do with it they share: of one by default.
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name == "sir" else pytest.mark.slow) for name in KERNELS])
 def test_every_sampler_draws_what_factors_read_from_what_it_samples(name):
     density = _density(count=COUNT)
     after, info = jax.jit(KERNELS[name])(jax.random.key(1), density.previous, density)
@@ -105,7 +106,7 @@ def test_a_mode_seeker_and_the_means_of_chains_keep_both_together():
 def test_the_mass_is_the_curvature_pulled_back_to_what_is_sampled(curvature):
     density, at = _density(_bent, curvature), {"u": jnp.array([0.9, 0.7])}
     target = density.unconstrained()
-    found = np.linalg.inv(mass.inverse_mass(target, at, density.ancestor(0), whole=True))
+    found = np.linalg.inv(jax.jit(lambda at: mass.inverse_mass(target, at, density.ancestor(0), whole=True))(at))
     # y_0 = u_0 + 1.5 u_1²: the first derivatives at (0.9, 0.7), not at the state before.
     row = np.array([1.0, 3.0 * 0.7])
     wanted = np.eye(2) / SD**2 + np.outer(row, row) / NOISE**2
@@ -118,15 +119,16 @@ def test_the_mass_is_the_curvature_pulled_back_to_what_is_sampled(curvature):
 def test_a_mass_at_the_state_before_is_found_out():
     """A mutant: the curvature taken where the previous state is. It is off by far more than the test above allows."""
     density, at = _density(_bent, _curvature), {"u": jnp.array([0.9, 0.7])}
-    right = mass.offered(density, at, density.ancestor(0))
-    mutant = mass.offered(density, {"u": density.ancestor(0)["u"]}, density.ancestor(0))
-    assert np.abs(np.asarray(right - mutant)).max() > 50
+    right, mutant = jax.jit(lambda *states: [mass.offered(density, state, density.ancestor(0)) for state in states])(
+        at, {"u": density.ancestor(0)["u"]}
+    )
+    assert np.abs(np.asarray(right) - np.asarray(mutant)).max() > 50
 
 
 def test_the_gradient_goes_through_what_follows():
     target = _density(_bent).unconstrained()
     at = jnp.array([0.4, -0.6])
-    found = jax.grad(lambda u: target({"u": u}))(at)
+    found = jax.jit(jax.grad(lambda u: target({"u": u})))(at)
     before = np.array([MEAN, -0.1])
     residual = (SEEN - (0.4 + 1.5 * 0.36)) / NOISE**2
     wanted = -(np.asarray(at) - before) / SD**2 + residual * np.array([1.0, 3.0 * -0.6])

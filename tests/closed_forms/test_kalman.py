@@ -47,6 +47,7 @@ def test_sir_equals_the_kalman_filter(linear_gaussian, observations, scheme):
     _check_against_kalman(linear_gaussian, observations, build_kernel(scheme))
 
 
+@pytest.mark.slow
 def test_a_filter_that_forgets_the_weights_is_found_out(linear_gaussian, observations, monkeypatch):
     monkeypatch.setattr(particle_filter, "resampler", lambda scheme: lambda key, log_weights: jnp.arange(log_weights.shape[0]))
     with pytest.raises(AssertionError, match="MCSE from the Kalman filter"):

@@ -98,6 +98,7 @@ def test_a_potential_taken_for_a_likelihood_is_found_out():
     assert abs(float(info.log_evidence) - _exact()[2]) > 5
 
 
+@pytest.mark.slow
 def test_a_mode_seeker_anneals_the_potential_too():
     density = _density()
     after, _ = jax.jit(kernels.annealed(layers=12))(jax.random.key(4), density.previous, density)

@@ -78,14 +78,18 @@ def _check_refusal(error, blind):
     assert SENTENCE.match(str(error.value)) and f"'{blind}' has no gradient" in str(error.value)
 
 
+# With the terms, the motion prior and the kernel of another definition.
+LIKE_ANOTHER = ("darby_2008_monocular", "poon_fleet_2002", "tempered_smc")
+
 # Read while tests are collected, for each kernel.
 _kind = cache(lambda model: load_definition(model).kernel.kind)
 
 
 def _tier(pair):
     """The arms with every kernel, other bodies with their own. The gradients of bodies of parts, with 60 variables or more, take long to trace."""
-    own = pair.kernel == _kind(pair.model) and not pair.model.startswith("sigal")
-    return pytest.mark.slow if own or pair.model.startswith("arm") or pair.model == "sidenbladh_2000_arm" else pytest.mark.long
+    own = pair.kernel == _kind(pair.model) and not pair.model.startswith("sigal") and pair.model not in LIKE_ANOTHER
+    gradients_of_image_motion = pair == ("sidenbladh_2000_arm", "hmc")
+    return pytest.mark.slow if own or pair.model.startswith("arm") or gradients_of_image_motion else pytest.mark.long
 
 
 @pytest.mark.parametrize("pair", [pytest.param(pair, id=f"{pair.model}-{pair.kernel}", marks=_tier(pair)) for pair in ALL])
@@ -117,13 +121,13 @@ WITH_ITS_OWN_KERNEL = ("deutscher_apf", "annealed")
 
 def _marks(pair):
     if pair.model == EVERY_KERNEL_ON:
-        return pytest.mark.slow if pair.kernel in ("hmc", "annealed") else ()
+        return () if pair.kernel in ("sir", "particle_bp") else pytest.mark.slow
     return pytest.mark.slow if (pair.model, pair.kernel) == WITH_ITS_OWN_KERNEL else pytest.mark.long
 
 
 @pytest.mark.parametrize("pair", [pytest.param(pair, id=f"{pair.model}-{pair.kernel}", marks=_marks(pair)) for pair in ALL])
 def test_a_kernel_follows_a_scene_of_a_definition(scenes, pair, monkeypatch):
-    """Every kernel on one model, the arms with one kernel; `slow`: every model with it, two whole bodies with their own; `long`: all pairs."""
+    """One kernel on one model; `slow`: every kernel on it, and a whole body with its own; `long`: all pairs."""
     definition, options = load_definition(pair.model), options_of(load_definition(pair.model), pair.kernel, TINY.most_particles)
     term, traces = registry.find("kernel", pair.kernel), []
 
@@ -198,6 +202,7 @@ def test_a_row_that_is_there_is_not_made_again(rows):
     assert rows(asked, [kept | {"error": "it failed"}])[0]["error_mm_mean"] > 0
 
 
+@pytest.mark.slow
 def test_the_same_settings_make_the_same_row(rows):
     one, other = (rows(pairs(["arm_markers"], ["sir"]))[0] for _ in range(2))
     assert [one[key] for key in ("error_mm_mean", "coverage_90", "log_evidence")] == [
@@ -233,6 +238,7 @@ def test_a_fault_of_the_program_is_told_apart(rows):
     assert fine["error"] is None and fine["error_mm_mean"] > 0
 
 
+@pytest.mark.slow
 def test_a_recording_that_was_given_takes_the_place_of_scenes(rows, textured_session):
     from bayes_body.session.read import save_session
 
@@ -243,6 +249,7 @@ def test_a_recording_that_was_given_takes_the_place_of_scenes(rows, textured_ses
     assert "no keypoints" in markers["why_not"]
 
 
+@pytest.mark.slow
 def test_what_is_drawn_is_the_model_s_own(tmp_path):
     """The truth of a drawn scene is what its data are of: at the true pose they lie within their own noise."""
     scene = Scenes(tmp_path, 4).of(load_definition("arm_markers"))

@@ -43,7 +43,8 @@ def _density(noise, points):
     return np.exp(_log_probs(noise, jnp.asarray(points)))
 
 
-def _graded(number=400_001):
+@cache
+def _graded(number=200_001):
     """Middles of cells that shrink towards both limits, where a skewed density is steep, and their widths."""
     edges = LOW + (HIGH - LOW) * np.sin(np.linspace(0, math.pi / 2, number)) ** 2
     return (edges[1:] + edges[:-1]) / 2, np.diff(edges)

@@ -42,44 +42,51 @@ def _problem(count):
     return particles, Density(transition, (Factor("peaks", "likelihood", (X,), jax.tree_util.Partial(_two_peaks)),), {}, particles)
 
 
+_power, _effective = jax.jit(_power_for_survival, static_argnums=2), jax.jit(effective_sample_size)
+
+
 @pytest.mark.parametrize("rate", [0.2, 0.5, 0.8])
 @pytest.mark.parametrize("spread", [1e-3, 1.0, 300.0])
 def test_the_survival_rate_is_met(rate, spread):
     log_likelihood = spread * jax.random.gumbel(jax.random.key(3), (2000,))
-    beta = _power_for_survival(log_likelihood, jnp.zeros(2000), rate)
-    assert np.isclose(effective_sample_size(beta * log_likelihood) / 2000, rate, atol=2e-3)
+    beta = _power(log_likelihood, jnp.zeros(2000), rate)
+    assert np.isclose(_effective(beta * log_likelihood) / 2000, rate, atol=2e-3)
 
 
 def test_the_survival_rate_counts_constraints_in():
     log_likelihood = jax.random.normal(jax.random.key(3), (2000,))
     constraint = jnp.where(jnp.arange(2000) < 300, -jnp.inf, 0.0)
-    beta = _power_for_survival(log_likelihood, constraint, 0.5)
-    assert np.isclose(effective_sample_size(beta * log_likelihood + constraint) / 2000, 0.5, atol=2e-3)
+    beta = _power(log_likelihood, constraint, 0.5)
+    assert np.isclose(_effective(beta * log_likelihood + constraint) / 2000, 0.5, atol=2e-3)
+
+
+_kernel = jax.jit(build_kernel(layers=8, survival_rate=0.5))
 
 
 def test_every_layer_survives_at_the_rate_and_powers_are_said():
     particles, density = _problem(2000)
-    _, info = build_kernel(layers=6, survival_rate=0.5)(jax.random.key(0), particles, density)
+    _, info = _kernel(jax.random.key(0), particles, density)
     assert np.allclose(info.survival_rate, 0.5, atol=2e-3)
-    assert info.inverse_temperatures.shape == (6,) and (np.asarray(info.inverse_temperatures) > 0).all()
+    assert info.inverse_temperatures.shape == (8,) and (np.asarray(info.inverse_temperatures) > 0).all()
     assert np.isclose(info.ess, 1000, rtol=5e-3)
 
 
 def test_it_finds_the_higher_mode_and_claims_no_evidence():
     particles, density = _problem(2000)
-    after, info = build_kernel(layers=8)(jax.random.key(1), particles, density)
+    after, info = _kernel(jax.random.key(1), particles, density)
     mean = np.exp(np.asarray(after.log_weights)) @ np.asarray(after.states["x"])
     assert np.linalg.norm(mean - 2) < 0.15
     assert np.isnan(info.log_evidence)
 
 
+@pytest.mark.slow
 def test_it_is_no_posterior_sampler():
     """Its spread around a mode is not the posterior's: on a Gaussian posterior of known width it is far off."""
     transition = Transition("walk", jax.tree_util.Partial(_walk), jax.tree_util.Partial(_noise))
     particles = Particles({"x": jnp.zeros((4000, 3))}, jnp.full(4000, -jnp.log(4000)))
     flat = jax.tree_util.Partial(lambda values, data: -0.5 * jnp.sum(values[X] ** 2) / 100.0)
     density = Density(transition, (Factor("flat", "likelihood", (X,), flat),), {}, particles)
-    after, _ = build_kernel(layers=10)(jax.random.key(1), particles, density)
+    after, _ = jax.jit(build_kernel(layers=10))(jax.random.key(1), particles, density)
     weights, x = np.exp(np.asarray(after.log_weights)), np.asarray(after.states["x"])
     variance = weights @ (x - weights @ x) ** 2
     exact = 1 / (1 / 1.0 + 1 / 100.0)
@@ -126,5 +133,5 @@ def test_ancestors_lead_back_to_the_frame_before():
     particles = Particles({"x": 10.0 * jnp.arange(count, dtype=float)[:, None]}, jnp.full(count, -jnp.log(count)))
     level = jax.tree_util.Partial(lambda values, data: jnp.sin(values[X][0]))
     density = Density(transition, (Factor("level", "likelihood", (X,), level),), {}, particles)
-    after, info = build_kernel(layers=4, crossover_rate=0.0)(jax.random.key(0), particles, density)
+    after, info = jax.jit(build_kernel(layers=4, crossover_rate=0.0))(jax.random.key(0), particles, density)
     assert np.allclose(after.states["x"][:, 0], 10.0 * np.asarray(info.ancestors), atol=0.05)

@@ -17,6 +17,9 @@ DRAWS, CHAINS, BEFORE = 200, 16, 40
 RIGHT, WRONG, SHARP, WORSE = np.array([3.0, 1.0, 0.5]), np.array([-3.0, -1.0, 0.2]), 0.02, 3.0
 
 
+WAYS = [by_importance, pytest.param(by_annealing, marks=pytest.mark.slow)]
+
+
 def _two_modes(values, data):
     x = values[Variable("x")]
     away = jnp.stack([jnp.sum((x - jnp.asarray(mode)) ** 2) for mode in (RIGHT, WRONG)])
@@ -56,7 +59,7 @@ def test_annealing_keeps_both_modes_where_importance_keeps_a_draw_or_two(seed):
     assert np.median(nearest) < 0.23 + 4 * 0.04
 
 
-@pytest.mark.parametrize("begin", [by_importance, by_annealing])
+@pytest.mark.parametrize("begin", WAYS)
 def test_ancestors_and_evaluations_are_those_of_the_draws(begin):
     found = _started(begin, _two_modes)
     assert found.starts.ancestor.shape == (CHAINS,) and np.all((found.starts.ancestor >= 0) & (found.starts.ancestor < BEFORE))
@@ -66,7 +69,7 @@ def test_ancestors_and_evaluations_are_those_of_the_draws(begin):
     assert int(found.evaluations) == (DRAWS if begin is by_importance else 6 * DRAWS) and not found.lost and np.isfinite(found.log_evidence)
 
 
-@pytest.mark.parametrize("begin", [by_importance, by_annealing])
+@pytest.mark.parametrize("begin", WAYS)
 def test_an_image_that_nothing_explains_is_lost(begin):
     found = _started(begin, _nothing)
     assert found.lost and found.log_evidence == -np.inf and np.isfinite(found.starts.position["x"]).all()

@@ -46,7 +46,7 @@ def _same(one, other, within=1e-9):
         np.testing.assert_allclose(here, there, atol=within, rtol=0)
 
 
-@pytest.mark.parametrize("learn_initial", [False, True])
+@pytest.mark.parametrize("learn_initial", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_hmmlearn_finds_the_same(sequences, begin, learn_initial):
     hmm = pytest.importorskip("hmmlearn.hmm")
     # By default hmmlearn has priors; without their weight it maximises the likelihood.
