@@ -185,7 +185,7 @@ def _mixture(distributions: Distribution, rows: Sequence[Sequence[int]], count: 
 
 def _check_reached(built: Graph) -> None:
     """Check that every node has a proposal, or is reached from one that has along edges that propose."""
-    reached = {int(node) for mixture in built.proposals for node in jnp.flatnonzero(mixture.exists)}
+    reached = {int(node) for mixture in built.proposals for node in np.flatnonzero(np.asarray(mixture.exists))}
     before = -1
     while len(reached) > before:
         before = len(reached)

@@ -29,11 +29,14 @@ def with_constraint(level):
 
 
 def draw(problem, count, frames=2):
-    def cases(keys, factors):
-        given = dataclasses.replace(problem, factors=factors)
-        return jax.lax.map(lambda key: draw_case(key, given, frames), keys)
+    return jax.jit(lambda keys: jax.lax.map(lambda key: draw_case(key, problem, frames), keys))(jax.random.split(jax.random.key(0), count))
 
-    return jax.jit(cases)(jax.random.split(jax.random.key(0), count), problem.factors)
+
+@jax.jit
+def draw_constrained(keys, factors):
+    """With the factors as argument: one program for constraints of all levels."""
+    problem = dataclasses.replace(toys.skewed(), factors=factors)
+    return jax.lax.map(lambda key: draw_case(key, problem, 2), keys)
 
 
 def test_a_gaussian_case_has_the_law_of_the_model():
@@ -71,13 +74,13 @@ def test_a_path_starts_at_one_of_the_particles_by_weight():
 
 
 def test_constraints_that_refuse_everything_are_said():
-    case = draw(with_constraint(-np.inf), 2)
+    case = draw_constrained(jax.random.split(jax.random.key(0), 2), with_constraint(-np.inf).factors)
     with pytest.raises(ValueError, match=f"{MOST_PATHS} paths of the motion prior were all rejected"):
         check_cases(case.refused, case.unbounded)
 
 
 def test_a_constraint_above_zero_is_said():
-    case = draw(with_constraint(0.5), 2)
+    case = draw_constrained(jax.random.split(jax.random.key(0), 2), with_constraint(0.5).factors)
     with pytest.raises(ValueError, match="a constraint's log-potential is above 0"):
         check_cases(case.refused, case.unbounded)
 

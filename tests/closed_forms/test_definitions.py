@@ -19,10 +19,14 @@ def _terms(definition):
     return [(term.kind, getattr(term.options, "lookup", "")) for term in (*definition.likelihoods, *definition.constraints)]
 
 
+def _dofs(definition):
+    return sum(len(joint.dofs) for joint in definition.body.joints)
+
+
 def _made_of(name):
     """What a definition consists of, its numbers apart."""
     definition = load_definition(name)
-    return sum(len(joint.dofs) for joint in definition.body.joints) < 10, definition.dynamics.kind, _terms(definition)
+    return _dofs(definition) < 10, definition.dynamics.kind, _terms(definition)
 
 
 def _small_first():
@@ -37,11 +41,11 @@ def _small_first():
 
 
 def _new_first(parts_of):
-    """By default what has a part that none before it has; the others slow."""
+    """By default what has a part that no smaller body and none before it has; the others slow."""
     seen = set()
-    for name in definition_names():
-        parts = set(parts_of(load_definition(name)))
-        yield pytest.param(name, marks=pytest.mark.slow if parts <= seen else ())
+    for definition in sorted(map(load_definition, definition_names()), key=_dofs):
+        parts = set(parts_of(definition))
+        yield pytest.param(definition.name, marks=pytest.mark.slow if parts <= seen else ())
         seen |= parts
 
 

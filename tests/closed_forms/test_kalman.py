@@ -91,6 +91,7 @@ def test_the_error_falls_with_the_root_of_the_particles(linear_gaussian, observa
     assert abs((log_rmse[1] - log_rmse[0]) / octaves + 0.5) < 4 * slope_se
 
 
+@pytest.mark.slow
 def test_the_evidence_is_unbiased(linear_gaussian, observations):
     """E[Z_hat] = Z for any number of particles: here few, many times."""
     ys, kernel, runs = observations[:3], build_kernel(), 400

@@ -49,6 +49,7 @@ def test_a_sweep_that_ignores_the_second_frame_is_found_out():
         check(SECOND, lambda transition: dataclasses.replace(transition, memory=1))
 
 
+@pytest.mark.slow
 def test_a_sweep_that_forgets_the_weights_of_the_past_is_found_out(monkeypatch):
     def forgetful(particles, ahead, after, transition):
         return weights(particles._replace(log_weights=jnp.zeros_like(particles.log_weights)), ahead, after, transition)

@@ -233,6 +233,7 @@ def test_a_session_of_half_the_rate_takes_two_steps_at_once(path, activity):
         _prior(path, fps=50.0)
 
 
+@pytest.mark.slow
 def test_gradients_reach_every_sampled_variable(path, activity):
     """Of the density of the second of two frames, which depends on the features of the first through the belief."""
     prior = _prior(path, momentum=0.5)
