@@ -30,8 +30,9 @@ from bayes_body.density.pairwise import edge_factor, graph, node_factor, proposa
 from bayes_body.kernels.parts import messages, node_proposals, passing
 from bayes_body.kernels.parts.passing import Passing
 
-# These programs run for longer than they compile.
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("optimised")]
+pytestmark = pytest.mark.slow
+# Many runs or many particles: for longer than they compile.
+OPTIMISED = pytest.mark.usefixtures("optimised")
 
 # -- a Gaussian chain -------------------------------------------------------------------------------------------------------------------------
 
@@ -48,12 +49,14 @@ def test_a_gaussian_chain_is_exact(kind, iterations):
 
 
 @pytest.mark.long
+@OPTIMISED
 def test_without_a_share_for_detections_the_first_particles_still_come_from_them():
     ratio = np.exp(chain_scores(200, 20, shares=(0.5, 0.0, 0.0, 0.5))[2])
     assert abs(ratio.mean() - 1) < 4 * ratio.std() / len(ratio) ** 0.5
 
 
 @pytest.mark.long
+@OPTIMISED
 def test_joint_draws_of_a_chain_have_equal_weights():
     found = passed(chain(random_walk()), 4, samples=200, iterations=4)
     log_weights = np.asarray(found.joint.log_weights, float)
@@ -85,6 +88,7 @@ MUTANTS = {"no division by q": (passing, "log_density", without_division), "own 
 
 
 @pytest.mark.long
+@OPTIMISED
 @pytest.mark.parametrize("mutant", list(MUTANTS))
 def test_a_wrong_weight_is_found_out(monkeypatch, mutant):
     module, name, function = MUTANTS[mutant]
@@ -100,6 +104,7 @@ def stale(term, come_from, targets, rows, kept=keeping(messages, "log_messages")
 
 
 @pytest.mark.long
+@OPTIMISED
 def test_stale_messages_in_the_last_pass_are_found_out(monkeypatch):
     """The last pass draws from messages at new points. Densities from before, at points that are gone, bias the evidence."""
     of_pass = Passing.redraw
@@ -118,6 +123,7 @@ def test_stale_messages_in_the_last_pass_are_found_out(monkeypatch):
 
 
 @pytest.mark.long
+@OPTIMISED
 def test_a_tree_with_heavy_tails_has_the_beliefs_of_a_grid():
     built, grid, exact = heavy_tree()
     found = distance(beliefs_at(passed(built, 10, samples=100, iterations=5), built, grid), exact, grid)
@@ -126,6 +132,7 @@ def test_a_tree_with_heavy_tails_has_the_beliefs_of_a_grid():
 
 
 @pytest.mark.long
+@OPTIMISED
 @pytest.mark.parametrize(("samples", "most"), [(50, 0.06), pytest.param(150, 0.04, marks=pytest.mark.long)])
 def test_on_loops_messages_reach_the_fixed_point_of_the_grid(samples, most):
     """They are not the true marginals: that is belief propagation's own error. With more samples the distance to its fixed point falls."""
@@ -134,6 +141,7 @@ def test_on_loops_messages_reach_the_fixed_point_of_the_grid(samples, most):
 
 
 @pytest.mark.long
+@OPTIMISED
 def test_weights_of_joint_draws_correct_a_loop():
     """Three nodes in a circle: beliefs are too narrow (Weiss & Freeman 2001), weighted joint draws are not."""
     pull, noise = 0.5, 1.0
@@ -178,6 +186,7 @@ def resampled(means, count, seed):
 
 
 @pytest.mark.long
+@OPTIMISED
 @pytest.mark.parametrize("sizes", [(4, 4), pytest.param((100, 150), marks=pytest.mark.long)])
 def test_the_product_of_two_density_estimates(sizes):
     one, other = [0.1, 0.45, 0.55, 0.8], [0.25, 0.35, 0.7, 0.75]

@@ -154,6 +154,7 @@ def test_a_motion_that_does_not_belong_is_told(walks, planted, topology, schema)
     assert told.startswith("c9: ") and told.endswith("nats a frame less likely than the other motions of 'walk': perhaps another activity")
 
 
+@pytest.mark.slow
 def test_several_activities_have_models_of_their_own(walks, planted, topology, schema):
     runs = [_motion(planted, topology, f"{person}9", person, "run", 25.0, (0.2, 0.8)) for person in "abc"]
     options = OPTIONS._replace(states=8, switch_per_s=0.6)
