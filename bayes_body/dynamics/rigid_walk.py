@@ -103,7 +103,6 @@ def _noise(sd_m: Array, sd_rad: Array, state: State, scale: Scalar) -> dict[str,
     return {PARTS: RigidWalk(state[PARTS], sd_m * scale, sd_rad * scale)}
 
 
-@jax.jit
 def _begin(body: Body, first: State) -> dict[str, Array]:
     return {PARTS: body.placement.configuration(body.skeleton, first["pose"])}
 

@@ -30,7 +30,7 @@ from bayes_body.potentials.joint_mixture import log_of_components, mixture, time
 from bayes_body.potentials.joint_pairs import log_pairs
 from bayes_body.potentials.widths import widths_by_part
 from bayes_body.registry import register
-from bayes_body.shapes import Key, Pose, Scalar
+from bayes_body.shapes import Key, Scalar
 from bayes_body.toml.schema import Finite, Positive, Schema
 
 type Width = Positive | tuple[Positive, Positive, Positive]
@@ -199,14 +199,6 @@ def _learned(name: str, file: str, body: Body, children: list[int]) -> _Joints:
     means[..., :3] += _means(name, Component(), body)[children, None, :3]
     means[..., 3:] = rotations.normalised(means[..., 3:])
     return _Joints(means, joints.covariance[order], joints.weight[order])
-
-
-@jax.jit
-def _relative_parts(body: Body, pose: Pose) -> Float[Array, "part 7"]:
-    """Return the pose of every part in its parent's frame, for a body that is placed by its parts."""
-    placement = body.placement
-    assert isinstance(placement, ByParts)
-    return relative_to_parents(jnp.asarray(placement.configuration(body.skeleton, pose)), placement.parents)
 
 
 def _means(name: str, component: Component, body: Body) -> Float[np.ndarray, "part 7"]:
