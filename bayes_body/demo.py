@@ -22,9 +22,8 @@ from bayes_body.initial.person_search import PersonSearch
 from bayes_body.learning.walking_cycle import load_cycle, walk
 from bayes_body.metrics.figures import width
 from bayes_body.model.build import build_model
-from bayes_body.model.kernel_options import kernel_options
+from bayes_body.model.kernel_options import kernel_of, kernel_options
 from bayes_body.recording.rig import read_rig
-from bayes_body.registry import find
 from bayes_body.runs.run import run
 from bayes_body.runs.settings import AUTO, Settings
 from bayes_body.session.read import FILE_NAME
@@ -105,7 +104,7 @@ def rehearsed(seed: int, size: Size) -> Iterator[tuple[Ahead, Future[Any]]]:
         model = build_model(MODEL, session)
         kind, options = kernel_options(model.definition, None, {"particles": size.particles})
         searching = pool.submit(lambda: PersonSearch(session).searched(0))
-        with compiled_ahead(session, model, find("kernel", kind).build(options=options), size.particles) as ahead:
+        with compiled_ahead(session, model, kernel_of(kind, options), size.particles) as ahead:
             yield ahead, searching
 
 

@@ -22,7 +22,7 @@ from bayes_body.geometry.camera import Camera, stack, turning_radius
 from bayes_body.geometry.namespaces import device_array
 from bayes_body.model.definition import Definition, load_body, load_definition
 from bayes_body.model.first import First, first_of
-from bayes_body.model.kernel_options import check_options, kernel_options
+from bayes_body.model.kernel_options import check_options, kernel_of, kernel_options
 from bayes_body.registry import find
 from bayes_body.session.session import CameraSpec, Session, Subject
 from bayes_body.shapes import Configuration, Key, Pose
@@ -87,7 +87,7 @@ class Model:
         """
         check_options(kind or self.definition.kernel.kind, changes)
         kind, options = kernel_options(self.definition, kind, changes)
-        return NamedKernel(kind, options, find("kernel", kind).build(options=options))
+        return kernel_of(kind, options)
 
     def at(self, cameras: Sequence[CameraSpec]) -> "Model":
         """Return the same model with other camera positions, for a frame of moving cameras. Shapes do not change, so nothing is compiled again."""

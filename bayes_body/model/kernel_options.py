@@ -1,8 +1,11 @@
 """The options of a run's kernel: from the definition, from a continued run, and from the command line."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
+from pydantic import BaseModel
+
+from bayes_body.density.kernel import Kernel, NamedKernel
 from bayes_body.errors import InputError, input_error, nearest
 from bayes_body.model.definition import Definition
 from bayes_body.registry import find
@@ -50,3 +53,20 @@ def check_options(kind: str, changes: Mapping[str, Any]) -> None:
     for name in changes:
         if name not in fields:
             raise InputError(f"model.kernel({name}=...): the kernel '{kind}' has no such option; {nearest(name, fields)}")
+
+
+# The latest kernels, by build function, name and options.
+_BUILT: dict[tuple[Callable[..., Kernel], str, str], NamedKernel] = {}
+MOST_BUILT = 8
+
+
+def kernel_of(kind: str, options: BaseModel) -> NamedKernel:
+    """Return a kernel with validated options: the same object each time, so that its compiled program can be used again."""
+    # A plugin may be registered again, with other code under the same name.
+    build = find("kernel", kind).build
+    place = (build, kind, repr(options))
+    if place not in _BUILT:
+        while len(_BUILT) >= MOST_BUILT:
+            _BUILT.pop(next(iter(_BUILT)))
+        _BUILT[place] = NamedKernel(kind, options, build(options=options))
+    return _BUILT[place]

@@ -30,9 +30,9 @@ from bayes_body.metrics.plausibility import check_silhouettes, check_view, first
 from bayes_body.metrics.plausibility_sentences import fit_sentences
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import load_definition
-from bayes_body.model.kernel_options import kernel_options
+from bayes_body.model.kernel_options import kernel_of, kernel_options
 from bayes_body.posterior.thinning import thinning_of
-from bayes_body.registry import find, notes
+from bayes_body.registry import notes
 from bayes_body.runs.disk import disk_lines, draws_to_keep
 from bayes_body.runs.finish import finish, kept_frames, remark_on_stop
 from bayes_body.runs.frame_pairs import check_pairs
@@ -87,7 +87,7 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
     name = chosen.model or _chosen_model(session, show)
     definition = load_definition(name)
     kind, options = kernel_options(definition, chosen.kernel, settings.overrides, (before or {}).get("kernel"))
-    term, model = find("kernel", kind), build_model(definition, session)
+    model = build_model(definition, session)
     check_size(model, options.model_dump(), chosen.runs)
     # Everything that a user can correct is checked before the program is compiled.
     if chosen.init == GIVEN:
@@ -108,7 +108,7 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
     if before:
         refuse_changes(settings.out, before, record)
     pairs = check_pairs(session, model, chosen.frames or session.frames, show, bar)
-    kernel = term.build(options=options)
+    kernel = kernel_of(kind, options)
     compiling = compiled_ahead(session, model, kernel, options.particles) if must_fit and ahead is None else nullcontext(ahead)
     with compiling as ahead, waiting("first pose: fitting the body to the first frame; the program compiles meanwhile", bar and must_fit):
         model, record = _with_first_pose(model, session, record, before, settings.out, show, chosen.seed)

@@ -5,6 +5,7 @@ compiles in a thread while the pose is fitted, on the core that the fit leaves i
 """
 
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -36,6 +37,9 @@ class Program(NamedTuple):
     form: Any
 
 
+# The latest programs of this process. Tracing one costs a second or more, even if it is in the compilation cache.
+_COMPILED: deque[tuple[Kernel, Program]] = deque(maxlen=8)
+_LOCK = threading.Lock()
 # The program that is compiled ahead; None if compilation was given up.
 type Ahead = Future[Program | None]
 
@@ -74,8 +78,11 @@ def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: in
             key, start = everywhere(jax.random.key(0)), everywhere(model.start(particles))
             placed = replace(model, transition=everywhere(model.transition), factors=everywhere(model.factors))
             density = placed.density(everywhere(model.observe(read_frame(session, 0))), start)
+            known = _known(kernel, form_of(key, start, density))
+            if known is not None:
+                return known
             lowered = None if given_up.is_set() else traced(kernel, key, start, density)
-            return None if lowered is None or given_up.is_set() else Program(lowered.compile(), form_of(key, start, density))
+            return None if lowered is None or given_up.is_set() else _kept(kernel, Program(lowered.compile(), form_of(key, start, density)))
 
     pool = ThreadPoolExecutor(1, thread_name_prefix="compile")
     try:
@@ -95,4 +102,18 @@ def program_from(ahead: Ahead | None, kernel: Kernel, key: Key, particles: Parti
         ready = ahead.result()
         if ready is not None and ready.form == form_of(key, particles, density):
             return ready.step
-    return traced(kernel, key, particles, density).compile()
+    form = form_of(key, particles, density)
+    program = _known(kernel, form) or _kept(kernel, Program(traced(kernel, key, particles, density).compile(), form))
+    return program.step
+
+
+def _known(kernel: Kernel, form: Any) -> Program | None:
+    """Return the program that this process has already compiled for a kernel and a form."""
+    with _LOCK:
+        return next((program for of, program in _COMPILED if of is kernel and program.form == form), None)
+
+
+def _kept(kernel: Kernel, program: Program) -> Program:
+    with _LOCK:
+        _COMPILED.append((kernel, program))
+    return program

@@ -97,3 +97,17 @@ def test_a_program_is_the_same_in_every_process():
         done = subprocess.run([sys.executable, "-c", LAWS], env=os.environ | {"PYTHONHASHSEED": seed}, capture_output=True, text=True, check=True)
         texts.append(done.stdout)
     assert texts[0] == texts[1] and texts[0].count("func.func public") == 2
+
+
+def test_a_second_run_of_the_same_form_is_not_traced_again(textured_session, arm):
+    kernel = Counted()
+    for _ in range(2):
+        track(KEY, textured_session, arm, kernel, 40, frames=1)
+    assert kernel.traces == 1
+    track(KEY, textured_session, arm, kernel, 41, frames=1)
+    assert kernel.traces == 2
+
+
+def test_a_kernel_with_the_same_options_is_the_same_object(arm):
+    assert arm.kernel("sir", particles=40) is arm.kernel("sir", particles=40)
+    assert arm.kernel("sir", particles=40) is not arm.kernel("sir", particles=41)
