@@ -215,8 +215,11 @@ def loose_arm(tmp_path_factory):
     return path
 
 
-# A sampler and the mode seeker by default: what is told does not depend on the kernel, and the others take longer to compile.
-@pytest.mark.parametrize("kernel", [each if each in ("sir", "annealed") else pytest.param(each, marks=pytest.mark.slow) for each in OPTIONS])
+# One sampler by default, and the mode seeker among the slow tests: what is told does not depend on the kernel, and the others compile for long.
+@pytest.mark.parametrize(
+    "kernel",
+    [pytest.param(name, marks={"sir": [], "annealed": [pytest.mark.slow]}.get(name, [pytest.mark.long])) for name in OPTIONS],
+)
 def test_a_body_beside_the_person_is_told_and_one_on_the_person_is_not(cli, arms, loose_arm, tmp_path, kernel):
     model = loose_arm if kernel == "particle_bp" else "arm"
     for name, told in (("good", False), ("aside", True)):

@@ -142,6 +142,7 @@ def test_another_seed_gives_another_posterior(run, again):
     assert not same(posterior(run), again("--seed", 6))
 
 
+@pytest.mark.slow
 def test_fewer_frames_are_the_first_ones_of_the_whole(run, again):
     whole, part = posterior(run), again("--frames", 2)
     np.testing.assert_array_equal(whole["posterior"]["pose"].isel(frame=slice(2)), part["posterior"]["pose"])
@@ -165,6 +166,7 @@ def test_the_run_file_alone_is_enough_to_repeat_the_run(cli, run, tmp_path, monk
     assert record["machine"]["devices"]
 
 
+@pytest.mark.slow
 def test_the_session_chooses_the_model_and_the_command_line_another_kernel(cli, walk, tmp_path):
     outcome = cli("track", walk, "--out", tmp_path / "run", "--kernel", "sir", "--particles", 50, "--frames", 2)
     assert outcome.status == 0

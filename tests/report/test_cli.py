@@ -32,6 +32,7 @@ def test_a_report(report, make_run, draw_pictures, tmp_path):
     assert status == 0 and str(tmp_path / "walk.html") in out and (tmp_path / "walk.html").read_bytes() == path.read_bytes()
 
 
+@pytest.mark.slow
 def test_a_file_that_is_no_report_is_not_replaced_unasked(report, make_run, tmp_path):
     folder, mine = make_run(), tmp_path / "session.toml"
     mine.write_text('title = "mine"')

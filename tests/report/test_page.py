@@ -65,6 +65,7 @@ def test_every_section_is_there_and_led_to(whole, parse):
     assert [each["href"] for each in found.of("a")] == [f"#{name}" for name in names]
 
 
+@pytest.mark.slow
 def test_the_same_run_makes_the_same_page_and_its_parts_are_watched(folder, whole):
     seen = []
     with load_run(folder) as run:
@@ -72,6 +73,7 @@ def test_the_same_run_makes_the_same_page_and_its_parts_are_watched(folder, whol
         assert seen == list(range(len(sections_of(Inspection(run)))))
 
 
+@pytest.mark.slow
 def test_what_comes_from_files_cannot_be_markup(make_run, parse):
     evil = '<script>alert("1")</script><img src=x onerror=alert(1)> & </title>'
     with load_run(make_run(title=evil, dofs=("<b>hip</b>", "l_knee"), units=("rad", "rad"))) as run:
@@ -82,6 +84,7 @@ def test_what_comes_from_files_cannot_be_markup(make_run, parse):
     assert not any(key.startswith("on") for _, attributes in found.tags for key in attributes)
 
 
+@pytest.mark.slow
 def test_names_in_plots_are_no_formulas_and_hold_no_control_characters(make_run, parse):
     names = (r"$\frac{$", r"l_$\frac{$ $", "a\x1b[31m", "r_a\nb", "<&>")
     folder = make_run(dofs=names)

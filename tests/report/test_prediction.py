@@ -59,7 +59,7 @@ def test_a_right_model_has_nine_of_ten_coordinates_inside_and_a_shifted_body_has
     assert abs(np.median(shifted.error) - 50) < 1 and abs(shifted.inside.mean() - 0.45) < 0.03
 
 
-@pytest.mark.parametrize("noise", ["gaussian", "student"])
+@pytest.mark.parametrize("noise", ["gaussian", pytest.param("student", marks=pytest.mark.slow)])
 def test_the_errors_of_predicted_keypoints_are_those_of_the_noise(detections, places, noise):
     """P(error > r) is exp(-r² / 2σ²), or for Student's t (1 + r² / νσ²)^(-ν/2)."""
     nu, rest = 4.0, np.array([0.5, 0.1])
@@ -95,6 +95,7 @@ def frame_of(masks) -> Frame:
     return Frame(0, (np.zeros((2, 2), np.uint8),) * len(masks), masks)
 
 
+@pytest.mark.slow
 def test_silhouettes_that_the_likelihood_draws_are_in_its_band(textured_session):
     model, poses = build_model("arm_silhouette", textured_session), np.tile(POSE, (40, 1))
     likelihood, inside = silhouette_likelihood(model), []

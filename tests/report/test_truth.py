@@ -101,6 +101,7 @@ def test_a_mode_seeker_promises_nothing(inspect, parse, arm):
     assert rows(found)["marker"] == ["error, mm"] and len(parse(found).of("img")) == 1 and "90 % interval" not in parse(found).text
 
 
+@pytest.mark.slow
 def test_a_long_run_is_thinned_and_each_frame_meets_its_own_truth(inspect, parse, arm):
     frames = MOST_POINTS + 1
     pose, centres = still(frames, runs=1, draws=20)

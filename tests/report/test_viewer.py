@@ -72,6 +72,7 @@ def page(make_arm, keypoint_session, tmp_path_factory):
     return written(make_arm(recording=dataclasses.replace(keypoint_session, folder=folder, views=tuple(views)), title=EVIL))[0]
 
 
+@pytest.mark.slow
 def test_a_browser_without_a_network_shows_it_and_moves_to_a_later_frame(tab, page):
     shown = tab(page)
     left, top, width, height = shown.until(f"(() => {{ const r = {TRACK}?.getBoundingClientRect(); return r && [r.x, r.y, r.width, r.height] }})()")

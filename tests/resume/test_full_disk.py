@@ -48,6 +48,7 @@ def size_of(folder, *names):
     return sum(FRAMES * FRAME_BYTES if name == "frames" else (folder / name).stat().st_size for name in names)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("room_for", "said"),
     [
@@ -76,6 +77,7 @@ def test_what_is_computed_stays(looped, disk, uninterrupted, capfd, room_for, sa
     assert contents(out / "posterior.nc") == contents(uninterrupted / "posterior.nc")
 
 
+@pytest.mark.slow
 def test_a_run_without_room_for_pictures_is_complete(looped, disk, uninterrupted, capfd):
     kept = ("frames", "posterior.nc")
     out = disk(size_of(uninterrupted, *kept) + 8 * FRAMES * 1024 + 3 * FRAME_BYTES) / "run"

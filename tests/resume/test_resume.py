@@ -135,6 +135,7 @@ def test_a_thinned_run_has_the_figures_of_all_particles(looped, tmp_path, uninte
         assert "--keep draws=20" in command_of(few) and 'id="filter"' in page(few)
 
 
+@pytest.mark.slow
 def test_a_thinned_run_goes_on_with_all_particles_of_its_last_frame(looped, tmp_path):
     out, lines = tmp_path / "run", []
     run(Settings(looped(FRAMES), tmp_path / "whole", **SMALL, **KEEP), lines.append, bar=False)
@@ -279,6 +280,7 @@ def test_a_folder_that_another_process_works_on(looped, uninterrupted):
         run(Settings(looped(FRAMES), uninterrupted, resume=True), lambda line: None, bar=False)
 
 
+@pytest.mark.slow
 def test_resume_of_nothing_begins(looped, tmp_path, uninterrupted):
     run(Settings(looped(FRAMES), tmp_path / "run", resume=True, **SMALL), lambda line: None, bar=False)
     assert contents(tmp_path / "run" / "posterior.nc") == contents(uninterrupted / "posterior.nc")
@@ -435,6 +437,7 @@ def test_a_run_whose_pictures_cannot_be_drawn_is_complete_each_time(looped, tmp_
     assert contents(out / "posterior.nc") == contents(uninterrupted / "posterior.nc")
 
 
+@pytest.mark.slow
 def test_a_video_that_plays_at_another_rate_is_said(looped, tmp_path, uninterrupted):
     session, lines = tmp_path / "fast", []
     save_session(dataclasses.replace(load_session(looped(FRAMES)), folder=session, fps=70_000.0))

@@ -41,6 +41,7 @@ def smoothed(filtered, tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_a_smoothed_run_is_read_like_any_other(filtered, smoothed, tmp_path):
     with load_run(smoothed) as paths, load_run(filtered) as source:
         assert paths.smoothed and not source.smoothed and not paths.mode_seeker
@@ -111,6 +112,7 @@ def test_without_its_recording_a_run_is_smoothed_only_without_moves(filtered, tm
     assert len(FrameFiles(tmp_path / "b" / "frames")) == FRAMES
 
 
+@pytest.mark.slow
 def test_the_command_says_where_the_result_is(filtered, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["smooth", str(filtered), "--draws", "10", "--moves", "0"])

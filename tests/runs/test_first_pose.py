@@ -91,6 +91,7 @@ def test_where_nothing_tells_whether_the_body_is_on_the_person_the_user_reads_so
     assert line.startswith("note: neither silhouettes nor keypoints tell")
 
 
+@pytest.mark.slow
 def test_a_body_that_loses_the_person_is_a_warning_from_that_frame_on(arm_session, tmp_path):
     summary, lines = _run(arm_session(lambda frame: 50 * (frame >= 2)), tmp_path / "run")
     assert summary["fit_first"] > 0.95 and summary["frames_off"] == [2, 3, 4] and summary["fit_worst"] < 0.7
