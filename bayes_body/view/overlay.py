@@ -6,6 +6,7 @@ their medoid (posterior/central.py), and the picture says so. Draws are thin lig
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import lru_cache, partial
 from pathlib import Path
 
 import cv2
@@ -29,6 +30,8 @@ from bayes_body.view.windows import EMPTY, STILL_HEIGHT, TILE_HEIGHT, Window, gr
 
 # Opacity of the mean's inside, of its outline, and of each draw; and the fraction by which the draws' colours move towards white.
 INSIDE, MEAN, DRAW, LIGHTER = 0.15, 0.75, 0.3, 0.55
+# How far a line may reach beyond its corners, pixels.
+LINE_PX = 4
 VIDEO = "overlay.mp4"
 FAN = 20
 STILLS = 5
@@ -126,17 +129,27 @@ def backdrop(session: Session, index: int, view: View) -> tuple[MatLike, str]:
 
 def paint(image: MatLike, strong: list[Outline], fan: Sequence[list[Outline]]) -> MatLike:
     """Return the colour image with a translucent body under thin outlines. Where many outlines agree, they add up to a strong line."""
-    picture = _blended(image, INSIDE, lambda layer: _fill(layer, strong))
-    picture = _blended(picture, MEAN, lambda layer: _draw(layer, strong, 2))
-    for each in fan:
-        picture = _blended(picture, DRAW, lambda layer, each=each: _draw(layer, each, 1, LIGHTER))
+    picture = image.copy()
+    _blend(picture, INSIDE, strong, _fill)
+    _blend(picture, MEAN, strong, partial(_draw, thickness=2))
+    for body in fan:
+        _blend(picture, DRAW, body, partial(_draw, thickness=1, lighter=LIGHTER))
     return picture
 
 
-def _blended(picture: MatLike, opacity: float, draw: Callable[[MatLike], None]) -> MatLike:
-    layer = picture.copy()
-    draw(layer)
-    return cv2.addWeighted(layer, opacity, picture, 1 - opacity, 0)
+def _blend(picture: MatLike, opacity: float, parts: list[Outline], draw: Callable[[MatLike, list[Outline]], None]) -> None:
+    """Draw parts into a picture with an opacity. Only the rectangle around them is touched: a fan is many layers."""
+    if not parts:
+        return
+    corners = np.concatenate([outline.polygon for outline in parts])
+    size = np.array(picture.shape[1::-1])
+    left, top = np.clip(np.floor(corners.min(axis=0)) - LINE_PX, 0, size).astype(int)
+    right, bottom = np.clip(np.ceil(corners.max(axis=0)) + LINE_PX, 0, size).astype(int)
+    region = picture[top:bottom, left:right]
+    if region.size:
+        layer = region.copy()
+        draw(layer, [Outline(outline.part, outline.polygon - (left, top)) for outline in parts])
+        region[:] = cv2.addWeighted(layer, opacity, region, 1 - opacity, 0)
 
 
 def _fill(picture: MatLike, parts: list[Outline]) -> None:
@@ -155,6 +168,7 @@ def _fixed(outline: Outline) -> Int[np.ndarray, "corner 2"]:
     return np.round(outline.polygon * 16).astype(np.int32)
 
 
+@lru_cache
 def colour(part: str) -> tuple[int, int, int]:
     """Return the colour of a part's side for OpenCV, so that swapped left and right legs are visible at once."""
     return bgr(over_image(part))

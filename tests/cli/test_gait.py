@@ -31,6 +31,7 @@ def stepping(frames=150):
     return pose
 
 
+@pytest.mark.slow
 def test_the_command_prints_a_table_and_writes_all_strides(make_run, cli, monkeypatch):
     folder = make_run(model="markers_31", draws=20, frames=150, pose=stepping(), log_weight=np.zeros((2, 20, 150)))
     cli("gait", folder).refuses("a smoothed run", f"smooth it first with `bayes-body smooth {folder}`")

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
-from conftest import loose_limbed
+from shared_fixtures import loose_limbed
 
 from bayes_body.model.definition import load_definition
 from bayes_body.session.read import save_session

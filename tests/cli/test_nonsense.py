@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import loose_limbed
+from shared_fixtures import loose_limbed
 
 from bayes_body.evidence.markers import MARKERS
 from bayes_body.geometry.camera import project

@@ -148,6 +148,7 @@ def test_fewer_frames_are_the_first_ones_of_the_whole(run, again):
     np.testing.assert_array_equal(whole["posterior"]["pose"].isel(frame=slice(2)), part["posterior"]["pose"])
 
 
+@pytest.mark.slow
 def test_the_run_file_alone_is_enough_to_repeat_the_run(cli, run, tmp_path, monkeypatch):
     """From another folder and in another process, by the same seed: the same posterior, bit for bit."""
     record = tomllib.loads((run / "run.toml").read_text(encoding="utf-8"))

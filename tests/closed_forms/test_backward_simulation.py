@@ -83,6 +83,7 @@ def test_the_paths_are_those_of_the_exact_smoother(process, way):
     check(process, **WAYS[way])
 
 
+@pytest.mark.slow
 def test_the_paths_know_what_is_seen_of_a_step():
     check(LINKED, **WAYS["particles moved"])
 

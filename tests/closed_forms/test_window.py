@@ -19,7 +19,7 @@ from bayes_body.kernels.window_sweep import LongPath, sweep, windows_of
 FRAMES, FAULT = len(SEEN), "standard errors from the exact smoother"
 # One of both with NUTS, the other with sweeps; the others are slow.
 NUTS = [pytest.param(FIRST, id="first order", marks=pytest.mark.slow), pytest.param(SECOND, id="second order")]
-SWEEPS = [pytest.param(FIRST, id="first order"), pytest.param(SECOND, id="second order", marks=pytest.mark.slow)]
+SWEEPS = [pytest.param(FIRST, id="first order"), pytest.param(SECOND, id="second order")]
 
 
 def _origin(process):
@@ -88,6 +88,7 @@ def check_sweeps(process):
         assert distance(given, found) < 4.5, f"{name}: {distance(given, found):.1f} {FAULT}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("process", SWEEPS)
 def test_sweeps_over_windows_lead_to_the_exact_smoother(process):
     check_sweeps(process)

@@ -130,6 +130,7 @@ def histogram_distance(values, grid, density):
     return 0.5 * np.abs(np.histogram(values, np.concatenate([[-1e9], edges, [1e9]]))[0] / len(values) - 0.1).sum()
 
 
+@pytest.mark.slow
 def test_a_product_of_mixtures_is_that_on_a_grid(monkeypatch):
     """Labels mix slowly: eight sweeps are 0.07 away in total variation."""
     monkeypatch.setattr(products, "SWEEPS", 60)

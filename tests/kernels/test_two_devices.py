@@ -9,7 +9,7 @@ from functools import cache
 import jax
 import jax.numpy as jnp
 import pytest
-from conftest import loose_limbed
+from shared_fixtures import loose_limbed
 
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Variable

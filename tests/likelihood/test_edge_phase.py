@@ -318,6 +318,7 @@ def test_hard_and_soft_visibility_agree_where_nothing_is_hidden():
     assert abs(values[0] - values[1]) < 2.0
 
 
+@pytest.mark.slow
 def test_a_camera_that_did_not_see_says_the_same_of_all_poses():
     model = _model("hard", cameras=2)
     density = _density_of(model, [_image(), None])

@@ -172,7 +172,8 @@ def test_a_part_is_read_on_its_own(loose):
     assert float(value(scene, data=data)) == pytest.approx(float(before.sum()), rel=1e-5)
 
 
-@pytest.mark.parametrize("lookup", [pytest.param("nearest", marks=pytest.mark.slow), "bilinear"])
+@pytest.mark.slow
+@pytest.mark.parametrize("lookup", ["nearest", "bilinear"])
 def test_what_nobody_sees_counts_nothing(loose, lookup):
     scene = loose("person_31")
     data = maps(scene)

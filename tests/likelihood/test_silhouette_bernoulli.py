@@ -180,6 +180,7 @@ def test_a_body_that_no_camera_sees(scene):
     assert np.isnan(log_density(f, scene.pose.at[0].set(jnp.nan), seen))
 
 
+@pytest.mark.slow
 def test_data_of_another_grid(scene):
     scene = scene("arm_4")
     seen = drawn(factor(scene, grid=(20, 16)), scene.pose)

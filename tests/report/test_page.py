@@ -223,6 +223,7 @@ def test_lost_frames_are_shaded_and_said_to_be(inspect, parse):
         assert "shaded" not in parse(band_section(inspect(**HIP))).text
 
 
+@pytest.mark.slow
 def test_one_frame_and_dofs_that_never_move(inspect, parse):
     pose = np.zeros((2, 60, 1, 5))
     pose[..., 1] = np.random.default_rng(0).normal(size=(2, 60, 1))

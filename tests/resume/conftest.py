@@ -9,7 +9,17 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
+from bayes_body.view import overlay
+
 from .looped import link_looped
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_stills():
+    """Pictures as small as the video's: what is tested here is that they are made."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(overlay, "STILL_HEIGHT", overlay.TILE_HEIGHT)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -70,7 +70,7 @@ def test_the_draws_of_a_finished_run_are_in_its_posterior_alone(uninterrupted):
     assert (uninterrupted / "frames" / "index.npz").stat().st_size < 10_000
 
 
-@pytest.mark.parametrize("moment", ["before the index", "among the files"])
+@pytest.mark.parametrize("moment", ["before the index", pytest.param("among the files", marks=pytest.mark.slow)])
 def test_a_stop_while_the_files_of_the_frames_are_removed_costs_nothing(looped, tmp_path, uninterrupted, monkeypatch, moment):
     """The second time the index and the posterior are of fewer frames than there are."""
     out, lines = tmp_path / "run", []
@@ -152,7 +152,7 @@ def test_a_thinned_run_goes_on_with_all_particles_of_its_last_frame(looped, tmp_
         FrameFiles(out / "frames").last  # noqa: B018
 
 
-@pytest.mark.parametrize("options", [SMALL, {}], ids=["the same command", "--resume alone"])
+@pytest.mark.parametrize("options", [pytest.param(SMALL, id="the same command", marks=pytest.mark.slow), pytest.param({}, id="--resume alone")])
 def test_an_interrupted_run_goes_on_to_the_same_end(looped, tmp_path, uninterrupted, stopping, options):
     out, lines = tmp_path / "run", []
     stopping(3, KeyboardInterrupt())

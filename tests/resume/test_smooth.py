@@ -18,7 +18,8 @@ from bayes_body.view.report.page import page
 
 from .conftest import contents
 
-FRAMES, DRAWS = 6, {"draws": 30}
+# Without moves by default: the program of a move compiles for long.
+FRAMES, DRAWS = 6, {"draws": 30, "moves": 0}
 FILTER = {"model": "arm", "kernel": "sir", "overrides": {"particles": 200}, "runs": 2, "seed": 3}
 
 
@@ -52,7 +53,7 @@ def test_a_smoothed_run_is_read_like_any_other(filtered, smoothed, tmp_path):
         assert np.array_equal(paths.tree["filter"]["log_evidence"], source.tree["filter"]["log_evidence"])
         text = page(paths)
         assert "smoothed: 30 paths of each run, given all images" in text and 'id="filter"' not in text and "the filter&#x27;s mean" in text
-        assert f"bayes-body smooth {filtered} --out {smoothed}_again --draws 30 --moves 1 --seed 0" in text
+        assert f"bayes-body smooth {filtered} --out {smoothed}_again --draws 30 --moves 0 --seed 0" in text
         # The curves beside are those of the filter's run, and of no other run to which a stranger's run may lead.
         frames = range(FRAMES)
         np.testing.assert_array_equal(filter_curves(paths, frames).dofs.mean, dof_curves(source, frames).mean)
@@ -64,8 +65,13 @@ def test_a_smoothed_run_is_read_like_any_other(filtered, smoothed, tmp_path):
     assert len((tmp_path / "motion.csv").read_text().splitlines()) == FRAMES + 1
 
 
-def test_after_a_stop_it_goes_on_to_the_same_paths(filtered, smoothed, tmp_path, monkeypatch):
-    out, lines, save = tmp_path / "run", [], frame_files.save_frame
+@pytest.mark.parametrize("moves", [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_after_a_stop_it_goes_on_to_the_same_paths(filtered, smoothed, tmp_path, monkeypatch, moves):
+    whole, out, lines, save = smoothed, tmp_path / "run", [], frame_files.save_frame
+    draws = DRAWS | {"moves": moves}
+    if moves:
+        whole = tmp_path / "whole"
+        smooth_run(SmoothSettings(filtered, whole, draws), quiet, bar=False)
 
     def save_or_stop(path, result, place):
         if path.name == "000003.npz":
@@ -75,15 +81,15 @@ def test_after_a_stop_it_goes_on_to_the_same_paths(filtered, smoothed, tmp_path,
 
     monkeypatch.setattr(frame_files, "save_frame", save_or_stop)
     with pytest.raises(KeyboardInterrupt):
-        smooth_run(SmoothSettings(filtered, out, DRAWS), lines.append, bar=False)
+        smooth_run(SmoothSettings(filtered, out, draws), lines.append, bar=False)
     assert lines[-1] == f"{out}: 3 frames are kept; the same command with --resume continues from there."
     with pytest.raises(InputError, match=r"bayes-body smooth .* --resume"):
         load_run(out)
     with pytest.raises(InputError, match=r"smoothing.draws was 30 and is now 31"):
         smooth_run(SmoothSettings(filtered, out, {"draws": 31}, resume=True), lines.append, bar=False)
     smooth_run(SmoothSettings(filtered, out, {}, resume=True), lines.append, bar=False)
-    assert contents(out / "posterior.nc") == contents(smoothed / "posterior.nc")
-    assert (out / "posterior.nc").read_bytes() == (smoothed / "posterior.nc").read_bytes()
+    assert contents(out / "posterior.nc") == contents(whole / "posterior.nc")
+    assert (out / "posterior.nc").read_bytes() == (whole / "posterior.nc").read_bytes()
 
 
 def test_other_folders_are_refused(filtered, smoothed, looped, tmp_path):
@@ -107,8 +113,8 @@ def test_other_folders_are_refused(filtered, smoothed, looped, tmp_path):
 def test_without_its_recording_a_run_is_smoothed_only_without_moves(filtered, tmp_path, monkeypatch):
     monkeypatch.setattr(SavedRun, "changed_inputs", frozenset({"images of a"}))
     with pytest.raises(InputError, match=r"images of a: changed or gone since the run was made; .*--moves 0"):
-        smooth_run(SmoothSettings(filtered, tmp_path / "a", DRAWS), quiet, bar=False)
-    smooth_run(SmoothSettings(filtered, tmp_path / "b", {**DRAWS, "moves": 0}), quiet, bar=False)
+        smooth_run(SmoothSettings(filtered, tmp_path / "a", DRAWS | {"moves": 1}), quiet, bar=False)
+    smooth_run(SmoothSettings(filtered, tmp_path / "b", DRAWS), quiet, bar=False)
     assert len(FrameFiles(tmp_path / "b" / "frames")) == FRAMES
 
 
