@@ -1,6 +1,5 @@
 """How the tests run: two host devices, the compilation cache, the order of the files. What they stand on is in shared_fixtures.py."""
 
-import gc
 import os
 import sys
 from pathlib import Path
@@ -30,9 +29,6 @@ def pytest_configure(config):
     """Load the fixtures, and with them JAX, where tests run: the process that hands files to the workers needs neither."""
     if hasattr(config, "workerinput") or not getattr(config.option, "numprocesses", None):
         config.pluginmanager.import_plugin("shared_fixtures")
-        # What was imported stays. Traces make many objects that live long.
-        gc.freeze()
-        gc.set_threshold(20_000, 20, 20)
 
 
 TESTS = Path(__file__).parent

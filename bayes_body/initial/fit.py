@@ -86,8 +86,8 @@ def rest(problem: Problem) -> Pose:
     nothing = jax.tree.map(np.zeros_like, problem.measurements)
     poses = np.tile(problem.prior.mean, (STARTS, 1))
     heavy = problem.prior._replace(weights=np.asarray(WEIGHT * np.asarray(problem.points.hanging), poses.dtype))
-    found = descend(problem._replace(measurements=nothing, prior=heavy), unbounded(problem, poses), SEARCH, 1.0)
-    return device_array(np.asarray(found.explained.pose)[0], poses.dtype)
+    hanging = descend(problem._replace(measurements=nothing, prior=heavy), unbounded(problem, poses), SEARCH, 1.0)
+    return device_array(np.asarray(hanging.explained.pose)[0], poses.dtype)
 
 
 def descend(

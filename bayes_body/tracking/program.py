@@ -82,7 +82,7 @@ def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: in
             if known is not None:
                 return known
             lowered = None if given_up.is_set() else traced(kernel, key, start, density)
-            return None if lowered is None or given_up.is_set() else _kept(kernel, Program(lowered.compile(), form_of(key, start, density)))
+            return None if lowered is None or given_up.is_set() else _remembered(kernel, Program(lowered.compile(), form_of(key, start, density)))
 
     pool = ThreadPoolExecutor(1, thread_name_prefix="compile")
     try:
@@ -103,7 +103,7 @@ def program_from(ahead: Ahead | None, kernel: Kernel, key: Key, particles: Parti
         if ready is not None and ready.form == form_of(key, particles, density):
             return ready.step
     form = form_of(key, particles, density)
-    program = _known(kernel, form) or _kept(kernel, Program(traced(kernel, key, particles, density).compile(), form))
+    program = _known(kernel, form) or _remembered(kernel, Program(traced(kernel, key, particles, density).compile(), form))
     return program.step
 
 
@@ -113,7 +113,7 @@ def _known(kernel: Kernel, form: Any) -> Program | None:
         return next((program for of, program in _COMPILED if of is kernel and program.form == form), None)
 
 
-def _kept(kernel: Kernel, program: Program) -> Program:
+def _remembered(kernel: Kernel, program: Program) -> Program:
     with _LOCK:
         _COMPILED.append((kernel, program))
     return program

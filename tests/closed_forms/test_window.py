@@ -17,7 +17,7 @@ from bayes_body.kernels.window import fitted_path, sample_window
 from bayes_body.kernels.window_sweep import LongPath, sweep, windows_of
 
 FRAMES, FAULT = len(SEEN), "standard errors from the exact smoother"
-# One of both with NUTS, the other with sweeps; the others are slow.
+# By default NUTS with one of both.
 NUTS = [pytest.param(FIRST, id="first order", marks=pytest.mark.slow), pytest.param(SECOND, id="second order")]
 SWEEPS = [pytest.param(FIRST, id="first order"), pytest.param(SECOND, id="second order")]
 
