@@ -163,7 +163,7 @@ def require(body: "Body", variable: str, what: str, other: str) -> None:
 
 @jax.jit
 def solids_in_parts(body: "Body") -> Transform:
-    """Return `T_part_solid` of every solid: in the part that holds it, of a body that is placed by parts."""
+    """Return `T_part_solid` of every solid of a body that is placed by parts: rotations (solid, 3, 3) and origins (solid, 3), metres."""
     placement = body.placement
     assert isinstance(placement, ByParts)
     return transforms.compose(transforms.pick(placement.held, np.array(body.topology.joints)), Transform(body.presets, body.offsets))

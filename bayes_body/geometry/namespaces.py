@@ -21,6 +21,9 @@ def joined(*arrays: Any) -> Any:
 
 
 def device_array(values: Any, dtype: Any = float) -> Array:
-    """Return numbers of the host as an array of the device, without a program. Conversion by JAX, or no dtype, costs a program for each shape."""
+    """Return numbers of the host as an array of the device, of the same shape, without compiling anything.
+
+    `jnp.asarray` compiles a program for each shape if it must convert the numbers, or is given no dtype.
+    """
     on_host = np.asarray(values, jax.dtypes.canonicalize_dtype(dtype))
     return jnp.asarray(on_host, on_host.dtype)

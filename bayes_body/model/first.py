@@ -88,7 +88,7 @@ class First(NamedTuple):
 
 @jax.jit
 def _near(first: First, keys: Keys, poses: Float[Array, "draw dof"]) -> State:
-    # The distribution is an argument: of a constant, numpyro would check the arguments with many small programs, and each one would need its own.
+    # `first` is an argument. If it were a constant, numpyro would check its values, with many small programs.
     return jax.vmap(lambda key, pose: first.near(key, pose))(keys, poses)
 
 

@@ -61,7 +61,11 @@ MOST_BUILT = 8
 
 
 def kernel_of(kind: str, options: BaseModel) -> NamedKernel:
-    """Return a kernel with validated options: the same object each time, so that its compiled program can be used again."""
+    """Return a kernel with validated options: the same object each time, so that its compiled program can be used again.
+
+    Raises:
+        InputError: there is no such kernel.
+    """
     # A plugin may be registered again, with other code under the same name.
     build = find("kernel", kind).build
     place = (build, kind, repr(options))

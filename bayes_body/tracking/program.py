@@ -78,11 +78,11 @@ def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: in
             key, start = everywhere(jax.random.key(0)), everywhere(model.start(particles))
             placed = replace(model, transition=everywhere(model.transition), factors=everywhere(model.factors))
             density = placed.density(everywhere(model.observe(read_frame(session, 0))), start)
-            known = _known(kernel, form_of(key, start, density))
-            if known is not None:
+            form = form_of(key, start, density)
+            if (known := _known(kernel, form)) is not None:
                 return known
             lowered = None if given_up.is_set() else traced(kernel, key, start, density)
-            return None if lowered is None or given_up.is_set() else _remembered(kernel, Program(lowered.compile(), form_of(key, start, density)))
+            return None if lowered is None or given_up.is_set() else _remembered(kernel, Program(lowered.compile(), form))
 
     pool = ThreadPoolExecutor(1, thread_name_prefix="compile")
     try:
@@ -97,12 +97,12 @@ def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: in
 
 def program_from(ahead: Ahead | None, kernel: Kernel, key: Key, particles: Particles, density: Density) -> Step:
     """Return the step that was compiled ahead if it accepts these arguments, else a new one."""
+    form = form_of(key, particles, density)
     # An error in the thread occurs again below, where it can be reported.
     if ahead is not None and ahead.exception() is None:
         ready = ahead.result()
-        if ready is not None and ready.form == form_of(key, particles, density):
+        if ready is not None and ready.form == form:
             return ready.step
-    form = form_of(key, particles, density)
     program = _known(kernel, form) or _remembered(kernel, Program(traced(kernel, key, particles, density).compile(), form))
     return program.step
 

@@ -65,7 +65,7 @@ def test_it_goes_on_from_there(track, run, tmp_path):
         assert all(one[group].to_dataset().equals(other[group].to_dataset()) for group in ("posterior", "sample_stats", "filter"))
 
 
-def test_its_frames_are_those_of_the_recording(track, run, tmp_path, textured_session):
+def test_its_frames_are_those_of_the_recording(whole_run, tmp_path, textured_session):
     """The same posterior as that of a session whose file begins there."""
     folder = tmp_path / "cut"
     views = tuple(
@@ -76,7 +76,7 @@ def test_its_frames_are_those_of_the_recording(track, run, tmp_path, textured_se
     with pytest.raises(SystemExit) as stopped:
         main(["track", str(folder), "--out", str(tmp_path / "run"), "--model", "arm", "--particles", "40", "--runs", "2"])
     assert stopped.value.code == 0
-    with xr.open_datatree(run / "posterior.nc") as one, xr.open_datatree(tmp_path / "run" / "posterior.nc") as other:
+    with xr.open_datatree(whole_run / "posterior.nc") as one, xr.open_datatree(tmp_path / "run" / "posterior.nc") as other:
         assert one["posterior"].to_dataset().equals(other["posterior"].to_dataset())
 
 
