@@ -9,8 +9,8 @@ import pytest
 from closed_forms.processes import FIRST, SECOND, SEEN, distance
 
 from bayes_body.errors import InputError
-from bayes_body.kernels import conditional_smc
-from bayes_body.kernels.conditional_smc import particle_gibbs
+from closed_forms import conditional_smc
+from closed_forms.conditional_smc import particle_gibbs
 
 KEYS, BEFORE, PARTICLES, SWEEPS, BURN_IN = 16, 200, 12, 400, 50
 FAULT = "standard errors from the exact smoother"

@@ -10,7 +10,7 @@ from bayes_body.errors import InputError
 from bayes_body.learning.gait import heel_strikes, height, points_of, terms
 from bayes_body.learning.walking_angles import AngleWalk, angles_of_walk, learn_angles, unusable
 from bayes_body.learning.walking_cycle import load_cycle, walk
-from bayes_body.learning.walking_fit import aligned, reconstruct
+from learning.walking_fit import aligned, reconstruct
 from bayes_body.model.definition import load_body
 from bayes_body.recording.mocap import read_motion
 
