@@ -38,8 +38,6 @@ _HOME = {
     "load_run": "storage.saved_run",
     "summarise": "metrics",
     "draw_overlay": "view.overlay",
-    "draw_error_curves": "view.error_plot",
-    "draw_errors": "view.error_plot",
     "watched": "view.progress",
     "Factor": "density.factor",
     "Particles": "density.factor",

@@ -1,7 +1,7 @@
 """Trajectories of a window of frames with error bars from a gradient-based sampler.
 
 Chains of NUTS sample the joint posterior of the window (density/trajectory.py). They start from smoothed paths, and move in coordinates in which
-these are white (kernels/parts/path_whitening.py). For paths longer than a window, tests/closed_forms/window_sweep.py moves overlapping windows in turn.
+these are white (kernels/parts/path_whitening.py).
 """
 
 from functools import partial

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from calibration import toys
+from equal_computation import mixture_after
 from scipy import stats
 
 from bayes_body.body.placement import loosened
 from bayes_body.calibration.problem import MOST_PATHS, check_cases, draw_case, draw_path, point_mass, problem_of
-from bayes_body.compare.estimator_variance import mixture_after
 from bayes_body.density.factor import Factor
 from bayes_body.errors import InputError
 from bayes_body.model.build import build_model

@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from closed_forms import conditional_smc
+from closed_forms.conditional_smc import particle_gibbs
 from closed_forms.processes import FIRST, SECOND, SEEN, distance
 
 from bayes_body.errors import InputError
-from closed_forms import conditional_smc
-from closed_forms.conditional_smc import particle_gibbs
 
 KEYS, BEFORE, PARTICLES, SWEEPS, BURN_IN = 16, 200, 12, 400, 50
 FAULT = "standard errors from the exact smoother"

@@ -4,13 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from closed_forms.conditional_smc import particle_gibbs
 
 from bayes_body import kernels
 from bayes_body.calibration.problem import draw_case, point_mass, problem_of
 from bayes_body.density.factor import Particles
 from bayes_body.density.frames import stacked
 from bayes_body.density.trajectory import trajectory
-from closed_forms.conditional_smc import particle_gibbs
 from bayes_body.kernels.smoother import build_smoother
 from bayes_body.kernels.window import sample_window
 from bayes_body.model.build import build_model

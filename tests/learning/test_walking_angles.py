@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from learning.walking_fit import aligned, reconstruct
 
 from bayes_body.body.build import build_body
 from bayes_body.cli.main import main
@@ -10,7 +11,6 @@ from bayes_body.errors import InputError
 from bayes_body.learning.gait import heel_strikes, height, points_of, terms
 from bayes_body.learning.walking_angles import AngleWalk, angles_of_walk, learn_angles, unusable
 from bayes_body.learning.walking_cycle import load_cycle, walk
-from learning.walking_fit import aligned, reconstruct
 from bayes_body.model.definition import load_body
 from bayes_body.recording.mocap import read_motion
 

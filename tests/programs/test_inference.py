@@ -13,20 +13,13 @@ import xarray as xr
 
 from bayes_body.cli.main import main
 
-ROOT = Path(__file__).parents[2]
-PROGRAMS = sorted((ROOT / "inference").glob("*.py"))
+INFERENCE = Path(__file__).parents[2] / "inference"
+PROGRAMS = sorted(INFERENCE.glob("*.py"))
+FILTER, PAPERS = INFERENCE / "filter.py", INFERENCE / "papers"
 GRAPHS = {"particle_bp_on_a_grid": "beliefs.png", "particle_bp_smoother": "swing.png", "sensor_localisation": "sensors.png"}
-# Filters follow a whole recording; the others have tests of their own below.
-FILTERS = [
-    path
-    for path in PROGRAMS
-    if path.stem
-    not in {"estimator_variance", "loose_limbed", "recover", "image_motion", "bending_arm", "prior_only", "few_cameras", "window", *GRAPHS}
-]
-# These compile the gradient of an image likelihood.
-TIERS = dict.fromkeys(("tempered_smc", "hmc_filter"), pytest.mark.long)
-QUICKLY = [pytest.param(path, marks=TIERS.get(path.stem, ())) for path in FILTERS]
-LONGEST = 80
+# The others compile the gradient of an image likelihood, or teach nothing that the first does not.
+KERNELS = {"sir": (), "annealed": pytest.mark.slow, "tempered": pytest.mark.long, "hmc": pytest.mark.long}
+LONGEST = 110
 PUBLIC = {"bayes_body", "bayes_body.errors"}
 
 
@@ -35,13 +28,9 @@ def program(request) -> Path:
     return request.param
 
 
-@pytest.fixture(params=FILTERS, ids=lambda path: path.stem)
-def filtering(request) -> Path:
-    return request.param
-
-
 def test_there_are_programs():
-    assert {"annealed_filter", "hmc_filter", "particle_filter", "tempered_smc"} <= {path.stem for path in FILTERS} < {path.stem for path in PROGRAMS}
+    assert {path.stem for path in PROGRAMS} == {"filter", "window", *GRAPHS}
+    assert len(list(PAPERS.glob("*/*.py"))) > 8
 
 
 def test_it_is_short_and_uses_the_public_package_only(program):
@@ -50,24 +39,24 @@ def test_it_is_short_and_uses_the_public_package_only(program):
     assert set(re.findall(r"^(?:from|import) (bayes_body[\w.]*)", text, re.MULTILINE)) <= PUBLIC
 
 
-@pytest.mark.parametrize("filtering", QUICKLY, indirect=True, ids=lambda path: path.stem)
-def test_quick(run, filtering, walk, tmp_path):
-    done = run(filtering, "--session", walk, "--out", tmp_path / "run", "--quick", "--runs", 2)
+@pytest.mark.parametrize("kernel", [pytest.param(kernel, marks=tier) for kernel, tier in KERNELS.items()])
+def test_quick(run, kernel, walk, tmp_path):
+    done = run(FILTER, "--session", walk, "--out", tmp_path / "run", "--kernel", kernel, "--quick", "--runs", 2)
     assert done.status == 0, done.err
     assert done.err == ""
-    spread = "" if filtering.stem == "annealed_filter" else r" ± \d+\.\d"
-    assert re.search(rf"^l_knee +-?\d+\.\d{spread} .* deg$", done.out, re.MULTILINE)
-    assert re.search(rf"^root_x +-?\d+\.\d{spread} .* mm$", done.out, re.MULTILINE)
+    spread = r" +\d+\.\d" if kernel == "annealed" else r" ± \d+\.\d"
+    assert re.search(rf"^l_knee +-?\d+\.\d{spread} +deg$", done.out, re.MULTILINE)
+    assert re.search(rf"^root_x +-?\d+\.\d{spread} +mm$", done.out, re.MULTILINE)
     assert "effective particles" in done.out
     assert "seconds" in done.out
-    if filtering.stem == "annealed_filter":
+    if kernel == "annealed":
         assert "mode seeker" in done.out
         assert "no interval is printed" in done.out and "±" not in done.out
     else:
         assert re.search(r"log-evidence: -?\d+\.\d\d \(by run: -?\d+\.\d\d, -?\d+\.\d\d\)", done.out)
         assert "log p(images | model)" in done.out
     with xr.open_datatree(tmp_path / "run" / "posterior.nc") as tree:
-        dofs = 14 if filtering.stem == "hmc_filter" else 31
+        dofs = 14 if kernel == "hmc" else 31
         assert dict(tree["posterior"]["pose"].sizes) == {"chain": 2, "draw": 64, "frame": 2, "dof": dofs}
     assert cv2.VideoCapture(str(tmp_path / "run" / "overlay.mp4")).get(cv2.CAP_PROP_FRAME_COUNT) == 2
 
@@ -75,7 +64,7 @@ def test_quick(run, filtering, walk, tmp_path):
 @pytest.mark.long
 @pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.long if name == "particle_bp_smoother" else ()) for name in GRAPHS])
 def test_a_graph_without_a_body(run, name, tmp_path):
-    done = run(ROOT / "inference" / f"{name}.py", "--out", tmp_path, "--quick", "--samples", 50)
+    done = run(INFERENCE / f"{name}.py", "--out", tmp_path, "--quick", "--samples", 50)
     assert (done.status, done.err) == (0, "")
     assert re.search(
         r"standard deviations are \d\.\d\d to|log-evidence of 36 images: -\d+\.\d; draws within|^ +19 +\d\.\d{3} +\d\.\d{3}$", done.out, re.MULTILINE
@@ -92,18 +81,18 @@ WRONG = {
 
 
 @pytest.mark.parametrize("fault", WRONG)
-def test_a_wrong_input_is_a_sentence(run, filtering, walk, tmp_path, fault):
+def test_a_wrong_input_is_a_sentence(run, walk, tmp_path, fault):
     arguments, part = WRONG[fault]
-    done = run(filtering, "--session", walk, "--out", tmp_path / "run", *arguments)
+    done = run(FILTER, "--session", walk, "--out", tmp_path / "run", *arguments)
     assert done.status == 2
     assert part in done.err.splitlines()[-1]
     assert done.out == ""
 
 
-@pytest.mark.parametrize("name", ["loose_limbed", "recover", "prior_only", "few_cameras"])
+@pytest.mark.parametrize("name", ["sigal_2011/loose_limbed", "sigal_2011/recover", "sidenbladh_2000/prior_only", "darby_2008/few_cameras"])
 def test_a_person_without_a_session_is_a_sentence(run, name, tmp_path):
-    out = ("--json", tmp_path / "figures.json") if name in {"loose_limbed", "few_cameras"} else ("--out", tmp_path)
-    done = run(ROOT / "inference" / f"{name}.py", "--session", "nowhere", *out)
+    out = ("--json", tmp_path / "figures.json") if name.endswith(("loose_limbed", "few_cameras")) else ("--out", tmp_path)
+    done = run(PAPERS / f"{name}.py", "--session", "nowhere", *out)
     assert done.status == 2 and done.err.count("\n") == 1 and "nowhere: no such file" in done.err
 
 
@@ -111,7 +100,7 @@ def test_a_person_without_a_session_is_a_sentence(run, name, tmp_path):
 @pytest.mark.usefixtures("optimised")
 def test_a_person_of_other_motion_is_found_in_single_frames(run, stride, tmp_path):
     """Nothing that was learned saw this person. Three frames and their neighbours, four cameras, no first pose."""
-    program, out = ROOT / "inference" / "loose_limbed.py", tmp_path / "figures.json"
+    program, out = PAPERS / "sigal_2011" / "loose_limbed.py", tmp_path / "figures.json"
     done = run(program, "--session", stride, "--json", out, "--plot", tmp_path / "errors.png", "--frames", 21, "--every", 10)
     assert done.status == 0, done.err
     figures = json.loads(out.read_text())
@@ -124,7 +113,7 @@ def test_a_person_of_other_motion_is_found_in_single_frames(run, stride, tmp_pat
 @pytest.mark.long
 @pytest.mark.usefixtures("optimised")
 def test_a_track_that_starts_from_the_pictures_comes_back_after_black_frames(run, stride, tmp_path):
-    program = ROOT / "inference" / "recover.py"
+    program = PAPERS / "sigal_2011" / "recover.py"
     own = ("--model", "deutscher_apf", "--kernel", "annealed", "--black", 5, 9, "--particles", 200)
     done = run(program, "--session", stride, "--out", tmp_path, *own)
     assert done.status == 0, done.err
@@ -138,7 +127,7 @@ def test_a_track_that_starts_from_the_pictures_comes_back_after_black_frames(run
 @pytest.mark.usefixtures("optimised")
 def test_image_motion_beside_the_prior_alone_and_with_edges(run, tmp_path):
     """The prior ends where it likes; the overlays of all three tracks are there. prior_only says the same of the film."""
-    done = run(ROOT / "inference" / "image_motion.py", "--path", "circle", "--out", tmp_path, "--json", tmp_path / "figures.json", "--quick")
+    done = run(PAPERS / "sidenbladh_2000" / "image_motion.py", "--path", "circle", "--out", tmp_path, "--json", tmp_path / "figures.json", "--quick")
     assert done.status == 0, done.err
     figures = json.loads((tmp_path / "figures.json").read_text())
     print(figures)
@@ -146,7 +135,7 @@ def test_image_motion_beside_the_prior_alone_and_with_edges(run, tmp_path):
     assert figures["relative_error_mm"] < 150 and figures["absolute_error_mm"] < 200 and figures["effective_particles"] > 1
     for name in ("tracked", "prior", "with_edges"):
         assert cv2.VideoCapture(str(tmp_path / name / "overlay.mp4")).get(cv2.CAP_PROP_FRAME_COUNT) == 12
-    done = run(ROOT / "inference" / "prior_only.py", "--session", tmp_path / "recording", "--out", tmp_path / "again", "--quick")
+    done = run(PAPERS / "sidenbladh_2000" / "prior_only.py", "--session", tmp_path / "recording", "--out", tmp_path / "again", "--quick")
     assert done.status == 0, done.err
     assert re.findall(r"^(\w+): \d+ mm from the truth in the mean, \d+ mm in frame 1$", done.out, re.MULTILINE) == ["tracked", "prior_only"]
     assert cv2.imread(str(tmp_path / "again" / "prior_only" / "errors.png")).std() > 10
@@ -156,7 +145,7 @@ def test_image_motion_beside_the_prior_alone_and_with_edges(run, tmp_path):
 @pytest.mark.usefixtures("optimised")
 def test_few_cameras_with_and_without_an_activity(run, tmp_path):
     options = ("--out", tmp_path / "recording", "--json", tmp_path / "figures.json", "--plot", tmp_path / "errors.png", "--quick")
-    done = run(ROOT / "inference" / "few_cameras.py", "--cameras", 2, *options)
+    done = run(PAPERS / "darby_2008" / "few_cameras.py", "--cameras", 2, *options)
     assert done.status == 0, done.err
     figures = json.loads((tmp_path / "figures.json").read_text())
     print(figures)
@@ -170,7 +159,9 @@ def test_few_cameras_with_and_without_an_activity(run, tmp_path):
 @pytest.mark.long
 @pytest.mark.usefixtures("optimised")
 def test_the_twist_of_an_arm_is_unknown_until_it_bends(run, tmp_path):
-    done = run(ROOT / "inference" / "bending_arm.py", "--out", tmp_path, "--json", tmp_path / "figures.json", "--particles", 5000, "--runs", 1)
+    done = run(
+        PAPERS / "sidenbladh_2000" / "bending_arm.py", "--out", tmp_path, "--json", tmp_path / "figures.json", "--particles", 5000, "--runs", 1
+    )
     assert done.status == 0, done.err
     figures = json.loads((tmp_path / "figures.json").read_text())["runs"][0]
     # Ten filters of 40000 particles are the acceptance; this one shows that the program works.
@@ -188,7 +179,7 @@ def stride(cmu_mocap, tmp_path_factory) -> Path:
 
 
 def test_a_program_of_its_own_process_ends_as_one_in_this_process(run, tmp_path):
-    arguments = [FILTERS[0], "--session", tmp_path, "--out", tmp_path / "run"]
+    arguments = [FILTER, "--session", tmp_path, "--out", tmp_path / "run"]
     alone = subprocess.run([sys.executable, *map(str, arguments)], capture_output=True, text=True, check=False)
     assert (alone.returncode, alone.stdout, alone.stderr) == run(*arguments)
 
@@ -206,7 +197,7 @@ def one_camera(walk, tmp_path) -> Path:
 @pytest.mark.long
 @pytest.mark.usefixtures("optimised")
 def test_estimator_variance_quick(run, one_camera, tmp_path):
-    program, out = ROOT / "inference" / "estimator_variance.py", tmp_path / "figures.json"
+    program, out = PAPERS / "poon_fleet_2002" / "estimator_variance.py", tmp_path / "figures.json"
     own = ("--frame", 2, "--frames", 1, "--runs", 4, "--truth", 100_000, "--set", "leapfrog_steps=10")
     done = run(program, "--session", one_camera, "--quick", "--json", out, "--plot", tmp_path / "figures.png", *own)
     assert done.status == 0, done.err
@@ -226,12 +217,12 @@ def test_estimator_variance_quick(run, one_camera, tmp_path):
 
 
 def test_estimator_variance_of_no_session_is_a_sentence(run, tmp_path):
-    done = run(ROOT / "inference" / "estimator_variance.py", "--session", "nowhere", "--json", tmp_path / "figures.json")
+    done = run(PAPERS / "poon_fleet_2002" / "estimator_variance.py", "--session", "nowhere", "--json", tmp_path / "figures.json")
     assert done.status == 2 and done.err.count("\n") == 1 and "nowhere" in done.err
 
 
 @pytest.mark.parametrize("fault", [("--set", "step"), ("--set", "step=a"), ("--components", "0"), ("--frame", "0")], ids="=".join)
 def test_estimator_variance_says_which_argument_is_wrong(run, tmp_path, fault):
-    done = run(ROOT / "inference" / "estimator_variance.py", "--session", ".", "--json", tmp_path / "figures.json", *fault)
+    done = run(PAPERS / "poon_fleet_2002" / "estimator_variance.py", "--session", ".", "--json", tmp_path / "figures.json", *fault)
     assert done.status == 2
     assert f"{fault[0]}: {fault[1]}; expected" in done.err.splitlines()[-1]

@@ -14,7 +14,6 @@ from bayes_body.model.build import build_model
 from bayes_body.posterior import CentralPose
 from bayes_body.tracking.track import track
 from bayes_body.view.colours import OVER_IMAGE, WORLD_AXES, bgr
-from bayes_body.view.error_plot import draw_error_curves
 from bayes_body.view.overlay import colour, draw_overlay, mosaic, paint, write_png
 from bayes_body.view.rig_check import WIDEST, draw_check, padded, whole_image
 from bayes_body.view.silhouette import Outline, outlines, projected_masks
@@ -216,10 +215,3 @@ def test_a_picture_that_is_too_large_is_an_error(tmp_path):
     with pytest.raises(InputError, match=r"large\.png: 2000000 x 1 pixels cannot be written"):
         write_png(tmp_path / "large.png", np.zeros((1, 2_000_000), np.uint8))
     assert not list(tmp_path.iterdir())
-
-
-def test_a_name_in_a_plot_is_no_formula(tmp_path):
-    errors = np.ones((2, 3))
-    for number, name in enumerate((r"$\frac{$", r"$\frac{$ $", "a\x1b[31m", "\udcff", r"\$")):
-        draw_error_curves(tmp_path / f"{number}.png", {"absolute": {name: errors}})
-        assert cv2.imread(str(tmp_path / f"{number}.png")) is not None

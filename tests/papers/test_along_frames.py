@@ -1,17 +1,17 @@
 """Errors along frames where Kalman's filter has the truth, and where what the means of a single chain forget has a closed form."""
 
+import along_frames as path
 import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
 import numpyro.distributions as dist
 import pytest
+from ratio_plot import draw_ratios
 
-from bayes_body.compare import estimator_path as path
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
 from bayes_body.kernels import hmc, sir
-from bayes_body.view.variance_plot import draw_ratios
 
 POSE = Variable("pose")
 KEPT, NOISE, SEEN = 0.9, np.array([0.5, 1.5]), 0.7
@@ -103,7 +103,7 @@ def test_figures_sentences_and_a_plot(densities, truth, tmp_path, monkeypatch):
         assert all(len(of[each]) == 4 for each in ("bias", "variance", "error", "error_interval"))
         assert all(low <= error <= high for error, (low, high) in zip(of["error"], of["error_interval"], strict=True))
     assert figures["sir"]["evaluations"] == 80 and figures["hmc, draws"]["evaluations"] > 600
-    told = path.summary(figures).splitlines()
+    told = path.along_summary(figures).splitlines()
     assert len(told) in (3, 4) and told[1].startswith("along 4 frames, sir: error²")
     row = {"per_dof": {"a": (2.0, 1.0, 3.0), "b": (5.0, 4.0, 8.0)}}
     draw_ratios(tmp_path / "plot.png", {**row, "equal_seconds": row, "frames": figures})
@@ -120,6 +120,6 @@ def test_a_truth_that_is_not_known_is_said(difference, words):
     row = {"bias": [0.1, 0.1, 0.1], "variance": [0.1, 0.1, 0.1], "error": [0.2, 0.2, 0.2], "seconds": 1.0}
     # The smallest error of any filter counts.
     worse = row | {"error": [9.0, 9.0, 9.0]}
-    lines = path.summary({"hmc": worse, "sir": row, "truth_difference": list(difference)}).splitlines()
+    lines = path.along_summary({"hmc": worse, "sir": row, "truth_difference": list(difference)}).splitlines()
     assert len(lines) == 3 + (words is not None)
     assert words is None or lines[-1].startswith(words)

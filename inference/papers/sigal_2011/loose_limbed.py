@@ -1,9 +1,9 @@
 """Find a person in single frames, or track them, with a loose-limbed body and without any first pose (Sigal, Isard, Haussecker & Black 2011).
 
-    python inference/loose_limbed.py --session SESSION --mode pose --json poses.json --plot poses.png
+    python inference/papers/sigal_2011/loose_limbed.py --session SESSION --mode pose --json poses.json --plot poses.png
 
 `--mode pose` searches each frame on its own, and lets neighbouring frames decide which way the person faces. `--mode track` finds the person once and
-follows them by particle belief propagation. With the session's true markers, errors are those of the paper's tables. Copy this file and change it.
+follows them by particle belief propagation. With the session's true markers, errors are those of the paper's tables.
 """
 
 import argparse
@@ -15,6 +15,10 @@ import jax
 
 import bayes_body as bb
 from bayes_body.errors import InputError
+
+sys.path.append(str(Path(__file__).parents[1]))
+from error_plot import draw_errors
+from single_frames import single_frames, track_figures
 
 MODELS = {10: "sigal_2011_10", 15: "loose_limbed_15"}
 
@@ -41,20 +45,20 @@ def main() -> None:
     count = min(arguments.frames or session.frames, session.frames)
     if arguments.mode == "pose":
         frames = range(0, count, arguments.every)[: 10 if arguments.quick else None]
-        found = bb.compare.single_frames(bb.PersonSearch(session, name, arguments.seed), frames, bb.watched("frames"))
-        figures, errors = found.figures(), found.error_m
+        poses = single_frames(bb.PersonSearch(session, name, arguments.seed), frames, bb.watched("frames"))
+        figures, errors = poses.figures(), poses.error_m
     else:
         model, key = bb.load_model(name, session), jax.random.key(arguments.seed)
         frames, recovery = range(min(10, count) if arguments.quick else count), bb.PersonRecovery(session, model)
         draws = bb.track(key, session, model, model.kernel("particle_bp"), particles=500, frames=len(frames), recovery=recovery)
-        figures, errors = bb.compare.track_figures(session, draws)
+        figures, errors = track_figures(session, draws)
     figures = {"mode": arguments.mode, "model": name, "cameras": len(session.views), **figures}
     arguments.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
     for key, value in figures.items():
         if key != "errors_mm":
             print(f"{key:<20}{value}")
     if arguments.plot:
-        bb.draw_errors(arguments.plot, frames, errors)
+        draw_errors(arguments.plot, frames, errors)
 
 
 if __name__ == "__main__":

@@ -17,8 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from true_mean import LARGEST_DIFFERENCE, OPTIONS
 
-from bayes_body.compare.estimator_truth import LARGEST_DIFFERENCE, OPTIONS
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
 from bayes_body.density.kernel import Kernel
@@ -152,7 +152,7 @@ def path_figures(paths: Paths, truth: TruePath, seed: int = 0) -> dict[str, Any]
     return medians | {"error_interval": interval, "seconds": paths.seconds, "evaluations": paths.evaluations}
 
 
-def summary(figures: Mapping[str, Any]) -> str:
+def along_summary(figures: Mapping[str, Any]) -> str:
     """The figures of `along` in sentences, as means over the frames."""
     lines = []
     for name, of in figures.items():

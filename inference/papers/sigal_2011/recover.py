@@ -1,9 +1,9 @@
 """Black out some frames of a recording, and see whether the track finds the person again.
 
-    python inference/recover.py --session SESSION --out RUN --model tempered_smc --kernel tempered
+    python inference/papers/sigal_2011/recover.py --session SESSION --out RUN --model tempered_smc --kernel tempered
 
 Writes a copy of the session in which a stretch of frames is black in every camera, tracks it with and without recovery, and prints the error of the
-frames before, in and after the stretch if the session has true markers. Copy this file and change it.
+frames before, in and after the stretch if the session has true markers.
 """
 
 import argparse
@@ -18,6 +18,10 @@ import numpy as np
 
 import bayes_body as bb
 from bayes_body.errors import InputError
+
+sys.path.append(str(Path(__file__).parents[1]))
+from error_plot import draw_errors
+from single_frames import track_figures
 
 
 def parse() -> argparse.Namespace:
@@ -62,12 +66,12 @@ def main() -> None:
     kernel, figures = model.kernel(arguments.kernel), {}
     for name, recovery in (("without", None), ("with", bb.PersonRecovery(session, model, arguments.seed))):
         draws = bb.track(jax.random.key(arguments.seed), session, model, kernel, recovery=recovery, **options)
-        of_track, error = bb.compare.track_figures(session, draws)
+        of_track, error = track_figures(session, draws)
         parts = {"before": error[: black.start], "after": error[black.stop + 10 :]}
-        figures[name] = {part: 1000 * float(np.mean(each)) for part, each in parts.items()} | {"restarted": draws.frames_restarted}
+        figures[name] = {part: 1000 * float(np.mean(errors)) for part, errors in parts.items()} | {"restarted": draws.frames_restarted}
         print(f"{name} recovery: {figures[name]}")
         figures[name]["errors_mm"] = of_track["errors_mm"]
-        bb.draw_errors(arguments.out / f"{name}.png", range(len(error)), error)
+        draw_errors(arguments.out / f"{name}.png", range(len(error)), error)
     (arguments.out / "figures.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
 
 

@@ -18,8 +18,10 @@ from bayes_body.metrics.truth import draws_against_truth, true_markers
 from bayes_body.posterior import markers, mean_pose
 from bayes_body.session.session import Session
 from bayes_body.tracking.draws import Draws
-from bayes_body.view.error_plot import LIMITS_M
 from bayes_body.view.progress import Watch, unwatched
+
+# The limits of the paper's Table 3, metres.
+LIMITS_M = (0.08, 0.12)
 
 
 class SingleFrames(NamedTuple):

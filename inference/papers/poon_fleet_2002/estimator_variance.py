@@ -1,6 +1,6 @@
 """Compare the errors of two samplers' posterior means at equal computation (Poon & Fleet 2002, Fig. 8 and 9).
 
-    python inference/estimator_variance.py --session SESSION --frame 20 --json figures.json --plot figures.png
+    python inference/papers/poon_fleet_2002/estimator_variance.py --session SESSION --frame 20 --json figures.json --plot figures.png
 
 The program compares the hybrid Monte Carlo filter with the particle filter on one frame, both with the same fixed prediction mixture. It does so at
 equal evaluations of the likelihood (a gradient counts by its cost) and at equal seconds, and then along the frames that follow. SESSION is a folder
@@ -14,6 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import jax
+from along_frames import along, along_summary
+from equal_computation import at_equal_computation, figures_of, mixture_after, summary
+from ratio_plot import draw_ratios
+from true_mean import best_truth
 
 import bayes_body as bb
 from bayes_body.errors import InputError
@@ -37,39 +41,39 @@ def parse() -> argparse.Namespace:
 
 
 def main() -> None:
-    arguments, bar, ev, path = parse(), sys.stderr.isatty(), bb.compare.estimator_variance, bb.compare.estimator_path
+    arguments, bar = parse(), sys.stderr.isatty()
     bb.configure()
     session = bb.load_session(arguments.session)
     model = bb.load_model(arguments.model, session)
     runs, many, long, frames = (10, 400_000, 600, 0) if arguments.quick else (50, 4_000_000, 6000, 20)
     runs, many, frames = arguments.runs or runs, arguments.truth or many, frames if arguments.frames is None else arguments.frames
-    own = model.definition.kernel.options.model_dump() if model.definition.kernel.kind == "hmc" else {}
-    options, keys = own | dict(arguments.set), jax.random.split(jax.random.key(arguments.seed), 6)
+    usual = model.definition.kernel.options.model_dump() if model.definition.kernel.kind == "hmc" else {}
+    options, keys = usual | dict(arguments.set), jax.random.split(jax.random.key(arguments.seed), 6)
     draws = options.get("particles", 400)
 
     before = bb.track(keys[0], session, model, bb.kernels.sir(), particles=20_000, frames=arguments.frame)
-    mixture = ev.mixture_after(keys[1], before, arguments.components)
+    mixture = mixture_after(keys[1], before, arguments.components)
     shown = range(arguments.frame, max(min(arguments.frame + frames, session.frames), arguments.frame + 1))
     densities = [model.density(model.observe(bb.read_frame(session, frame)), mixture) for frame in shown]
 
-    equal = ev.at_equal_computation(keys[2], densities[0], options, draws, runs, bar)
-    truth = ev.best_truth(keys[3], densities[0], many, long, bar)
-    figures = ev.figures_of(model.body.dof_names, equal, truth)
+    equal = at_equal_computation(keys[2], densities[0], options, draws, runs, bar)
+    truth = best_truth(keys[3], densities[0], many, long, bar)
+    figures = figures_of(model.body.dof_names, equal, truth)
     figures["settings"] |= vars(arguments) | {"hmc": options, "runs": runs, "truth": many}
-    print(ev.summary(figures))
+    print(summary(figures))
     save(arguments, figures)
     if frames:
         filters = {f"hmc, {carry}": (bb.kernels.hmc(**options | {"carry": carry}), draws) for carry in ("means", "draws")}
         filters["sir"] = bb.kernels.sir(), equal.particles["evaluations"]
-        figures["frames"] = path.along(keys[4], densities, mixture, filters, runs, 400 if arguments.quick else 1600, bar)
-        print(path.summary(figures["frames"]))
+        figures["frames"] = along(keys[4], densities, mixture, filters, runs, 400 if arguments.quick else 1600, bar)
+        print(along_summary(figures["frames"]))
         save(arguments, figures)
 
 
 def save(arguments: argparse.Namespace, figures: dict[str, Any]) -> None:
     arguments.json.write_text(json.dumps(figures, indent=2, default=str) + "\n", encoding="utf-8")
     if arguments.plot:
-        bb.compare.estimator_variance.draw_ratios(arguments.plot, figures)
+        draw_ratios(arguments.plot, figures)
 
 
 if __name__ == "__main__":

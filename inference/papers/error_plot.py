@@ -8,7 +8,6 @@ from jaxtyping import Float
 
 from bayes_body.files.atomic import replacing
 from bayes_body.view.colours import GREY, INK, WARNING, run_line
-from bayes_body.view.plot_text import plot_text
 
 # The limits of the paper's Table 3, metres.
 LIMITS_M = (0.08, 0.12)
@@ -31,7 +30,7 @@ def draw_error_curves(path: Path, panels: Mapping[str, Mapping[str, Float[np.nda
     for axes, (kind, compared) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):
         for number, (name, errors) in enumerate(compared.items()):
             frames, mean = np.arange(errors.shape[1]), 1000 * errors.mean(axis=0)
-            axes.plot(frames, mean, color=INK, linestyle=run_line(number), label=f"{plot_text(name)}: {mean.mean():.0f} mm")
+            axes.plot(frames, mean, color=INK, linestyle=run_line(number), label=f"{name}: {mean.mean():.0f} mm")
             axes.fill_between(frames, 1000 * errors.min(axis=0), 1000 * errors.max(axis=0), color=GREY, alpha=0.2, linewidth=0)
         axes.set(title=f"{kind} error", xlabel="frame", ylabel="mean error of the markers, mm")
         axes.set_ylim(bottom=0)

@@ -2,14 +2,14 @@
 
 from types import SimpleNamespace
 
+import equal_computation as ev
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import true_mean
 from closed_forms.targets import conjugate
 
-from bayes_body.compare import estimator_truth
-from bayes_body.compare import estimator_variance as ev
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
 from bayes_body.density.kernel import FilterInfo
 
@@ -51,9 +51,9 @@ def _independent(mean, sd, number):
 
 
 def test_the_truth_is_the_posteriors_mean(target, monkeypatch):
-    monkeypatch.setattr(estimator_truth, "CHUNK", 20_000)
+    monkeypatch.setattr(true_mean, "CHUNK", 20_000)
     density, mean = target
-    truth = estimator_truth.true_mean(jax.random.key(0), density, 100_000)
+    truth = true_mean.true_mean(jax.random.key(0), density, 100_000)
     assert 100 < truth.effective < 100_000 and np.all((truth.sd > 0.1) & (truth.sd < 1.5))
     # Two such runs: their mean, and their difference.
     assert np.all(np.abs(truth.mean - mean) < 4 * truth.sd / np.sqrt(2 * truth.effective))
@@ -63,24 +63,24 @@ def test_the_truth_is_the_posteriors_mean(target, monkeypatch):
 @pytest.mark.long
 def test_the_truth_by_chains_is_the_same(target):
     density, mean = target
-    truth = estimator_truth.true_mean_by_chains(jax.random.key(1), density, 400, chains=16, starts=2000)
+    truth = true_mean.true_mean_by_chains(jax.random.key(1), density, 400, chains=16, starts=2000)
     assert truth.by == "hmc" and truth.converged and truth.rhat < 1.01 and truth.effective > 1000
     assert np.all(np.abs(truth.mean - mean) < 4 * truth.sd / np.sqrt(2 * truth.effective))
 
 
 def test_the_better_truth_is_worth_more_draws():
     nothing = np.zeros(1)
-    particles, chains = ev.Truth(nothing, nothing, nothing, 500.0), ev.Truth(nothing, nothing, nothing, 5000.0, "hmc", 1.005)
-    assert estimator_truth.better_of(particles, chains) is chains and chains.converged
+    particles, chains = true_mean.Truth(nothing, nothing, nothing, 500.0), true_mean.Truth(nothing, nothing, nothing, 5000.0, "hmc", 1.005)
+    assert true_mean.better_of(particles, chains) is chains and chains.converged
     assert not chains._replace(rhat=1.05).converged and not chains._replace(rhat=float("nan")).converged
-    other = estimator_truth.better_of(particles, chains._replace(effective=40.0, rhat=1.05))
+    other = true_mean.better_of(particles, chains._replace(effective=40.0, rhat=1.05))
     assert other.by == "sir" and other.effective == 500 and other.rhat == 1.05 and other.converged
 
 
 def test_a_truth_whose_runs_differ_is_said():
     one, none = np.ones((5, 1)), np.zeros(1)
     equal = ev.Equal(ev.Runs(one, 10, 0.1), {at: ev.Runs(one, 10, 0.1) for at in ("evaluations", "seconds")}, {"evaluations": 10, "seconds": 10}, 1.3)
-    sound, doubtful = (ev.figures_of(["a"], equal, ev.Truth(none, one[0], np.array([error]), 300.0)) for error in (0.05, 0.2))
+    sound, doubtful = (ev.figures_of(["a"], equal, true_mean.Truth(none, one[0], np.array([error]), 300.0)) for error in (0.05, 0.2))
     assert sound["settings"]["truth_difference"] == 0.05 and "meaningless" not in ev.summary(sound)
     assert "differ by at most 20.0% of hmc's error²" in ev.summary(doubtful)
     assert "a difference above 10% is too much: these ratios are meaningless; leave out --quick" in ev.summary(doubtful)
@@ -88,7 +88,7 @@ def test_a_truth_whose_runs_differ_is_said():
 
 def test_the_error_of_n_draws_is_the_variance_over_n(target):
     density, mean = target
-    truth = ev.Truth(np.asarray(mean), np.ones(3), np.zeros(3), 1e6)
+    truth = true_mean.Truth(np.asarray(mean), np.ones(3), np.zeros(3), 1e6)
     few, many = (ev.run_many(jax.random.key(n), density, _independent(jnp.asarray(mean), 1.0, n), 400) for n in (10, 160))
     found = ev.ratios(few, many, truth)
     assert few.evaluations == 10 and many.evaluations == 160 and few.seconds > 0
@@ -99,7 +99,7 @@ def test_the_error_of_n_draws_is_the_variance_over_n(target):
 
 def test_a_bias_counts(target):
     density, mean = target
-    truth = ev.Truth(np.asarray(mean), np.ones(3), np.zeros(3), 1e6)
+    truth = true_mean.Truth(np.asarray(mean), np.ones(3), np.zeros(3), 1e6)
     biased, honest = (ev.run_many(jax.random.key(n), density, _independent(jnp.asarray(mean) + off, 0.1, 50), 20) for n, off in ((1, 1.0), (2, 0.0)))
     assert ev.ratios(biased, honest, truth).median > 1000
 
@@ -108,7 +108,7 @@ def test_a_bias_counts(target):
 def test_both_samplers_find_the_same_posterior(target):
     density, mean = target
     hmc = ev.hmc_sampler(chains=8, burn_in=40, leapfrog_steps=8, step=0.6)
-    for sampler in (lambda key, density: hmc(key, density, 800), ev.sir_sampler(20_001)):
+    for sampler in (lambda key, density: hmc(key, density, 800), true_mean.sir_sampler(20_001)):
         runs = ev.run_many(jax.random.key(3), density, sampler, 20)
         assert np.max(np.abs(runs.means.mean(axis=0) - mean) / (runs.means.std(axis=0, ddof=1) / np.sqrt(20))) < 4.5
 

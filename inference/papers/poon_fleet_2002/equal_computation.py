@@ -1,7 +1,7 @@
 r"""Estimator variance of two samplers at equal computation (Poon & Fleet 2002, 5.2, Fig. 8).
 
 Both sample one frame, with one fixed prediction mixture. An estimate is a run's posterior mean of each dof. Its error is the mean squared deviation
-from the true posterior mean (`estimator_truth`) over independent runs, $\frac{1}{R} \sum_r (\hat\mu_r - \mu)^2$. A particle costs one likelihood
+from the true posterior mean (`true_mean`) over independent runs, $\frac{1}{R} \sum_r (\hat\mu_r - \mu)^2$. A particle costs one likelihood
 evaluation; a gradient costs as many as were measured.
 """
 
@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from true_mean import LARGEST_DIFFERENCE, LARGEST_RHAT, Sampler, Truth, sir_sampler
 
 from bayes_body.body.placement import POSE, require
-from bayes_body.compare.estimator_truth import LARGEST_DIFFERENCE, LARGEST_RHAT, Sampler, Truth, best_truth, sir_sampler
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
 from bayes_body.kernels.hmc_filter import build_sampler as hmc_sampler
@@ -24,10 +24,6 @@ from bayes_body.kernels.parts.resampling import resampler
 from bayes_body.shapes import Key
 from bayes_body.tracking.draws import Draws
 from bayes_body.view.progress import Watch, unwatched, watched
-from bayes_body.view.variance_plot import draw_ratios
-
-__all__ = ["Equal", "Ratios", "Runs", "Truth", "at_equal_computation", "best_truth", "draw_ratios", "figures_of", "gradient_cost", "hmc_sampler"]
-__all__ += ["mixture_after", "ratios", "run_many", "sir_sampler", "summary"]
 
 BOOTSTRAPS = 2000
 TIMED = 8

@@ -3,10 +3,10 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bending_arm import BEND_DEG, FRAMES, STRAIGHT, TwistInterval, arm_angles, film_arm, with_arm
 
 from bayes_body.body.build import build_body
 from bayes_body.body.kinematics import marker_positions
-from bayes_body.compare.bending_arm import BEND_DEG, FRAMES, STRAIGHT, TwistInterval, _with_arm, arm_angles, film_arm
 from bayes_body.errors import InputError
 from bayes_body.learning.walking_cycle import load_cycle, walk
 from bayes_body.model.definition import load_body
@@ -34,7 +34,7 @@ def test_the_person_has_the_arm_and_faces_where_it_bends():
         [np.asarray(marker_positions(body.skeleton, body.markers, jnp.asarray(pose, jnp.float32))) for pose in arm_angles(20.0)[[0, -1]]]
     )
     arm = {name: np.repeat(places[:1, k], FRAMES, axis=0) for k, name in enumerate(body.markers.names)}
-    person = _with_arm(still, arm)
+    person = with_arm(still, arm)
     for name in ("l_shoulder", "l_elbow", "l_wrist"):
         np.testing.assert_allclose(person[name], arm[name], atol=1e-9)
     # Distances between the other points are kept, and the left arm is on the left of a person who faces where the forearm goes.

@@ -1,9 +1,15 @@
-"""One arm by image motion: while it is straight nothing says how it is twisted; when it bends, the forearm does (Sidenbladh, Black & Fleet 2000, 7).
+"""What image motion knows of an arm's twist while the arm is straight, and when it has bent (Sidenbladh, Black & Fleet 2000, 7, arm tracking).
 
-A standing person is filmed from the side. One arm follows given angles: it swings a little, and after STRAIGHT frames the elbow bends by BEND_DEG, as
-smoothly as people move (minimum jerk, Flash & Hogan 1985). The rest stands still. The filter begins with every twist.
+    python inference/papers/sidenbladh_2000/bending_arm.py --out RUN --json figures.json
+
+While the arm is straight, nothing says how it is twisted; when it bends, the forearm does. A standing person is filmed from the side. One arm follows
+given angles: it swings a little, and after STRAIGHT frames the elbow bends by BEND_DEG, as smoothly as people move (minimum jerk, Flash & Hogan
+1985). The rest stands still. The filter begins with every twist.
 """
 
+import argparse
+import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -13,12 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+import bayes_body as bb
 from bayes_body.body.build import Shape, build_body
 from bayes_body.body.kinematics import marker_positions
-from bayes_body.compare.image_motion import FPS, captured_walk
-from bayes_body.errors import input_error
+from bayes_body.errors import InputError, input_error
 from bayes_body.files.shipped import definitions_folder
-from bayes_body.kernels import particle_filter
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import load_body, load_definition
 from bayes_body.posterior.moments import weighted_quantiles
@@ -28,8 +33,10 @@ from bayes_body.simulation.options import Options
 from bayes_body.simulation.person import build_person
 from bayes_body.simulation.session import simulate
 from bayes_body.simulation.staging import Landmarks, scaled, stature_m
-from bayes_body.tracking.track import track
 from bayes_body.view.progress import Watch, unwatched
+
+sys.path.append(str(Path(__file__).parents[1]))
+from filmed_walk import FPS, captured_walk
 
 MODEL, TWIST = "sidenbladh_2000_arm", "shoulder_z"
 FRAMES, STRAIGHT, BENDING, BEND_DEG = 60, 20, 30, 75.0
@@ -76,6 +83,37 @@ class TwistInterval(NamedTuple):
         return self.before_deg > WIDE_DEG and self.after_deg < NARROW_DEG and self.holds
 
 
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Track an arm that bends by image motion.")
+    parser.add_argument("--out", type=Path, required=True, help="folder for the recording")
+    parser.add_argument("--json", type=Path, required=True, help="file for the figures")
+    parser.add_argument("--motion", type=Path, help="a captured walk; by default the walking cycle that ships")
+    parser.add_argument("--model", default="sidenbladh_2000_arm", help="a definition of the arm (%(default)s)")
+    parser.add_argument("--twist", type=float, default=20.0, help="the true twist of the upper arm, degrees (%(default)s)")
+    parser.add_argument("--particles", type=bb.whole_number(1), default=40_000, help="particles (%(default)s)")
+    parser.add_argument("--runs", type=bb.whole_number(1), default=10, help="independent filters (%(default)s)")
+    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="seed of the person and the room (%(default)s)")
+    parser.add_argument("--quick", action="store_true", help="one filter with 500 particles: a trial")
+    return parser.parse_args()
+
+
+def main() -> None:
+    arguments = parse()
+    bb.configure()
+    particles, runs = (500, 1) if arguments.quick else (arguments.particles, arguments.runs)
+    filmed = film_arm(arguments.out / "recording", arguments.twist, arguments.seed, arguments.motion, bb.watched("filming"))
+    rows = []
+    for seed in bb.watched("filters")(range(runs)):
+        twist = twist_interval(filmed, particles, seed, arguments.model)
+        row = {"before_deg": twist.before_deg, "after_deg": twist.after_deg, "holds": twist.holds, "passes": twist.passes, "effective": twist.ess}
+        rows.append(row | {"low_deg": twist.low.tolist(), "high_deg": twist.high.tolist()})
+        print(f"filter {seed}: 90 % interval {twist.before_deg:.0f} degrees wide before, {twist.after_deg:.0f} after, ", end="")
+        print(f"{twist.low[-1]:.0f} to {twist.high[-1]:.0f} in the last frame; truth {twist.true:.0f}")
+    passed = sum(row["passes"] for row in rows)
+    arguments.json.write_text(json.dumps({"twist_deg": arguments.twist, "passed": passed, "runs": rows}, indent=2) + "\n", encoding="utf-8")
+    print(f"{passed} of {runs} filters knew nothing before and the truth after")
+
+
 def arm_angles(twist_deg: float) -> Float[np.ndarray, "frame 4"]:
     """Return the angles of the arm in each frame, in the order of the body's dofs, radians."""
     frames = np.arange(FRAMES)
@@ -108,11 +146,11 @@ def film_arm(folder: Path, twist_deg: float = 20.0, seed: int = 0, motion: Path 
         raise input_error("the twist", f"{twist_deg:g} degrees", f"{low:g} to {high:g}", "give one within the shoulder's limits")
     angles = arm_angles(twist_deg)
     places = jax.vmap(lambda pose: marker_positions(body.skeleton, body.markers, pose))(jnp.asarray(angles, body.lengths.dtype))
-    filmed = _with_arm(still, dict(zip(body.markers.names, np.moveaxis(np.asarray(places, float), 1, 0), strict=True)))
+    filmed = with_arm(still, dict(zip(body.markers.names, np.moveaxis(np.asarray(places, float), 1, 0), strict=True)))
     return FilmedArm(simulate(filmed, rig, person, Options(seed=seed), folder, title="an arm that bends", watch=watch)[0], angles)
 
 
-def _with_arm(still: Landmarks, arm: dict[str, Float[np.ndarray, "frame 3"]]) -> Landmarks:
+def with_arm(still: Landmarks, arm: dict[str, Float[np.ndarray, "frame 3"]]) -> Landmarks:
     """Return the person with the left shoulder where the arm's is, facing as the arm does, and the arm's elbow and wrist."""
     # The arm bends towards -x; a walker faces +x.
     right = still["r_hip"][0] - still["l_hip"][0]
@@ -121,8 +159,8 @@ def _with_arm(still: Landmarks, arm: dict[str, Float[np.ndarray, "frame 3"]]) ->
     turned = {name: np.asarray(way) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) for name, way in still.items()}
     shift = arm["l_shoulder"] - turned["l_shoulder"]
     # Fingers are unknown; the hand follows the forearm.
-    kept = {name: way + shift for name, way in turned.items() if not name.startswith("l_") or not any(part in name for part in ("hand", "finger"))}
-    return kept | {name: arm[name] for name in ("l_elbow", "l_wrist")}
+    others = {name: way + shift for name, way in turned.items() if not name.startswith("l_") or not any(part in name for part in ("hand", "finger"))}
+    return others | {name: arm[name] for name in ("l_elbow", "l_wrist")}
 
 
 def model_of_arm(filmed: FilmedArm, particles: int, seed: int = 0, name: str = MODEL) -> Model:
@@ -153,10 +191,18 @@ def twist_interval(filmed: FilmedArm, particles: int, seed: int = 0, name: str =
         InputError: the definition cannot be used.
     """
     model = model_of_arm(filmed, particles, seed, name)
-    draws = track(jax.random.key(seed), filmed.session, model, particle_filter.build_kernel(), particles)
+    draws = bb.track(jax.random.key(seed), filmed.session, model, bb.kernels.sir(), particles=particles)
     twist = model.body.dof_names.index(TWIST)
     values = np.degrees([np.asarray(frame.states["pose"])[0, :, twist] for frame in draws.frames])
     weights = np.exp([np.asarray(frame.log_weights)[0] for frame in draws.frames])
     low, high = weighted_quantiles(values[:, :, None], weights, ((1 - LEVEL) / 2, (1 + LEVEL) / 2))[:, :, 0]
     true = float(np.degrees(filmed.angles[0, twist]))
     return TwistInterval(low, high, true, float(np.median([frame.info.ess for frame in draws.frames])))
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except (InputError, OSError) as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)

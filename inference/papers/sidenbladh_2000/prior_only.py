@@ -1,19 +1,23 @@
 """Let the motion prior run without any image, beside the tracked result (Sidenbladh, Black & Fleet 2000, Fig. 7).
 
-    python inference/prior_only.py --session SESSION --out RUN
+    python inference/papers/sidenbladh_2000/prior_only.py --session SESSION --out RUN
 
-If the prior alone stayed on the person, the images would not be needed. If the tracked body followed the prior, they would have no effect. Copy this
-file and change it.
+If the prior alone stayed on the person, the images would not be needed. If the tracked body followed the prior, they would have no effect.
 """
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import jax
 
 import bayes_body as bb
 from bayes_body.errors import InputError
+from bayes_body.metrics.truth import draws_against_truth
+
+sys.path.append(str(Path(__file__).parents[1]))
+from error_plot import draw_errors
 
 
 def parse() -> argparse.Namespace:
@@ -35,18 +39,20 @@ def main() -> None:
     session, definition = bb.load_session(arguments.session), bb.load_definition(arguments.model)
     particles = 64 if arguments.quick else arguments.particles
     frames = min(2 if arguments.quick else arguments.frames or session.frames, session.frames)
-    prior = bb.compare.uniform(definition)
+    # Without likelihoods the images say nothing.
+    prior = replace(definition, likelihoods=())
     for name, chosen in (("tracked", definition), ("prior_only", prior)):
         model, key, folder = bb.load_model(chosen, session), jax.random.key(arguments.seed), arguments.out / name
         folder.mkdir(parents=True, exist_ok=True)
         draws = bb.track(key, session, model, bb.kernels.sir(), particles=particles, runs=arguments.runs, frames=frames)
         bb.draw_overlay(session, draws, folder)
-        figures, error = bb.compare.track_figures(session, draws)
-        if figures["mean_mm"] is None:
+        against = draws_against_truth(session, draws)
+        if against is None:
             print(f"{name}: the session has no truth; look at {folder / 'overlay.mp4'}")
             continue
-        bb.draw_errors(folder / "errors.png", range(frames), error)
-        print(f"{name}: {figures['mean_mm']:.0f} mm from the truth in the mean, {figures['errors_mm'][-1]:.0f} mm in frame {frames - 1}")
+        error = against.plain.frame_error.mean(axis=1)
+        draw_errors(folder / "errors.png", range(frames), error)
+        print(f"{name}: {1000 * error.mean():.0f} mm from the truth in the mean, {1000 * error[-1]:.0f} mm in frame {frames - 1}")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,16 @@
-"""Tracking with few cameras: an annealed filter guided by an activity, one without, and the posterior of the activity (Darby, Li & Costen 2008, 7).
+"""Track a walk with few cameras: an annealed filter with an activity, one without, and the activity's posterior (Darby, Li & Costen 2008, Fig. 2).
+
+    python inference/papers/darby_2008/few_cameras.py --cameras 2 --runs 10 --json figures.json --plot errors.png --out WALK
+
+Without --session, a walk is filmed with four cameras, 60 frames per second. The first --cameras of them are used.
 
 The optimistic error is that of the best particle. The relative error is measured after both pelvises are put in one place. A run is lost if its mean
 relative error over the last LAST_S seconds is above LOST_M: its limbs have nothing to do with the person's by then.
 """
 
+import argparse
+import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,19 +19,22 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.compare.image_motion import by_hand, film
-from bayes_body.errors import input_error
+import bayes_body as bb
+from bayes_body.errors import InputError, input_error
 from bayes_body.files.shipped import definitions_folder
-from bayes_body.initial import load_model
 from bayes_body.metrics.figures import coverage_at
 from bayes_body.metrics.truth import Accuracy, draws_against_truth, no_truth
 from bayes_body.model.definition import Definition, TermDefinition, load_definition
 from bayes_body.recording.rig import read_rig
 from bayes_body.registry import find
 from bayes_body.session.session import Session
-from bayes_body.tracking.track import track
 from bayes_body.view.progress import Watch, unwatched
 
+sys.path.append(str(Path(__file__).parents[1]))
+from error_plot import draw_error_curves
+from filmed_walk import film, placed_by_hand
+
+PANELS = {"absolute": "absolute_m", "optimistic": "optimistic_m", "relative": "relative_m"}
 # What is compared: the names of the figures.
 GUIDED, PLAIN, POSTERIOR = "hmm_apf", "apf", "hmm_tempered"
 RIG = "room_4"
@@ -75,20 +85,61 @@ def _over_runs(values: Float[np.ndarray, " run"]) -> dict[str, float | None]:
     return {"mean": float(values.mean()), "sd": float(values.std(ddof=1)) if len(values) > 1 else None}
 
 
-def film_in_room(folder: Path, frames: int = 150, seed: int = 0, motion: Path | None = None, watch: Watch = unwatched) -> Session:
-    """Film a walk with the four cameras of a room, 60 frames per second, and write the session.
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Track a walk with few cameras, with and without an activity.")
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("--session", type=Path, help="folder with a session.toml and true markers")
+    where.add_argument("--out", type=Path, help="folder for a walk that is filmed")
+    parser.add_argument("--motion", type=Path, help="with --out: a captured walk; by default the walking cycle that ships")
+    parser.add_argument("--json", type=Path, required=True, help="file for the figures")
+    parser.add_argument("--plot", type=Path, help="file for a picture of the errors, .png")
+    parser.add_argument("--cameras", type=bb.whole_number(1), default=2, help="use the first so many (%(default)s); with 1, silhouettes alone")
+    parser.add_argument(
+        "--activity", help="an activity: a name, or an .npz of `bayes-body learn activity-hmm`; by default people who are not tracked"
+    )
+    parser.add_argument(
+        "--subject", choices=["known", "unknown"], default="unknown", help="whether the activity is the tracked person's (%(default)s)"
+    )
+    parser.add_argument("--gamma", type=float, help="exponent of the agreement of areas; by default 5 with one camera, else 0")
+    parser.add_argument("--methods", nargs="+", choices=["hmm_apf", "apf", "hmm_tempered"], help="only these; all by default")
+    parser.add_argument("--runs", type=bb.whole_number(1), default=10, help="runs of each (%(default)s)")
+    parser.add_argument("--frames", type=bb.whole_number(1), default=150, help="number of frames (%(default)s)")
+    parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="seed of the film and of the first run (%(default)s)")
+    parser.add_argument("--quick", action="store_true", help="2 runs, 20 frames, 100 particles at most: a trial")
+    arguments = parser.parse_args()
+    if arguments.subject == "known" and arguments.activity is None:
+        parser.error("--subject known needs --activity, learned from other walks of the tracked person with `bayes-body learn activity-hmm`")
+    return arguments
 
-    Args:
-        folder: the session's folder.
-        frames: number of frames.
-        seed: of the person, the room and the noise.
-        motion: a captured walk; by default the walking cycle that ships.
-        watch: wraps the frames to show progress.
 
-    Raises:
-        InputError: the folder already holds a session, or the motion cannot be read or is too short.
-    """
-    return film(folder, read_rig(definitions_folder() / "rigs" / f"{RIG}.toml"), frames, seed, motion, "a walk in a room", watch)
+def main() -> None:
+    arguments = parse()
+    bb.configure()
+    frames, runs, most = (20, 2, 100) if arguments.quick else (arguments.frames, arguments.runs, None)
+    if arguments.session:
+        whole = bb.load_session(arguments.session)
+    else:
+        rig = read_rig(definitions_folder() / "rigs" / f"{RIG}.toml")
+        whole = film(arguments.out, rig, frames, arguments.seed, arguments.motion, "a walk in a room", bb.watched("filming"))
+    session = with_cameras(whole, arguments.cameras, arguments.seed)
+    definitions = few_camera_definitions(arguments.cameras, arguments.activity, arguments.subject == "known", arguments.gamma)
+    tracks = {}
+    for name in arguments.methods or definitions:
+        usual = definitions[name].kernel.options.particles
+        particles = usual if most is None else min(usual, most)
+        tracks[name] = follow(session, definitions[name], runs, arguments.seed, frames, particles, bb.watched(name))
+    figures = {"cameras": arguments.cameras, "subject": arguments.subject, "runs": runs, **{name: track.figures() for name, track in tracks.items()}}
+    arguments.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    for name in tracks:
+        print(name, *(f"{key} {formatted(value)}" for key, value in figures[name].items()), sep="\n    ")
+    if arguments.plot:
+        draw_error_curves(arguments.plot, {kind: {name: getattr(track, field) for name, track in tracks.items()} for kind, field in PANELS.items()})
+
+
+def formatted(value) -> str:
+    if isinstance(value, dict):
+        return f"{value['mean']:.1f}" + (f" ± {value['sd']:.1f}" if value["sd"] is not None else "")
+    return f"{value:.2f}" if isinstance(value, float) else str(value)
 
 
 def with_cameras(session: Session, count: int, seed: int = 0) -> Session:
@@ -104,7 +155,7 @@ def with_cameras(session: Session, count: int, seed: int = 0) -> Session:
     """
     if not 1 <= count <= len(session.views):
         raise input_error("cameras", str(count), f"1 to {len(session.views)}, which the session has", "give another number, or another session")
-    placed = by_hand(session, seed)
+    placed = placed_by_hand(session, seed)
     return replace(session, views=session.views[:count], initial={}, initial_keypoints={}, initial_markers=placed)
 
 
@@ -165,28 +216,36 @@ def follow(
     Raises:
         InputError: the definition or the first pose cannot be used, or the session has no truth.
     """
-    model, options = load_model(definition, session, lambda line: None), definition.kernel.options
+    model, options = bb.load_model(definition, session, lambda line: None), definition.kernel.options
     term, count = find("kernel", definition.kernel.kind), particles or int(options.particles)
     kernel, mode_seeker = term.build(options=options), bool(term.note)
-    found, evaluations, seconds = [], [], []
+    accuracies, evaluations, seconds = [], [], []
     for run in watch(range(runs)):
-        draws = track(jax.random.key(seed + run), session, model, kernel, count, frames=frames)
+        draws = bb.track(jax.random.key(seed + run), session, model, kernel, particles=count, frames=frames)
         against = draws_against_truth(session, draws)
         if against is None:
             raise no_truth(session)
-        found.append(against.plain)
+        accuracies.append(against.plain)
         evaluations.append(np.mean([np.asarray(frame.info.evaluations) for frame in draws.frames]))
         seconds.append((draws.timing.total - draws.timing.compile) / len(draws.frames))
     return Followed(
-        absolute_m=_of(found, "frame_error"),
-        optimistic_m=_of(found, "optimistic"),
-        relative_m=_of(found, "relative"),
-        coverage_90=np.array([np.nan if mode_seeker else coverage_at(each.coverage, 0.9) for each in found]),
+        absolute_m=_of(accuracies, "frame_error"),
+        optimistic_m=_of(accuracies, "optimistic"),
+        relative_m=_of(accuracies, "relative"),
+        coverage_90=np.array([np.nan if mode_seeker else coverage_at(accuracy.coverage, 0.9) for accuracy in accuracies]),
         evaluations=float(np.mean(evaluations)),
         seconds=np.array(seconds),
         fps=session.fps,
     )
 
 
-def _of(found: list[Accuracy], name: str) -> Float[np.ndarray, "run frame"]:
-    return np.stack([getattr(each, name)[:, 0] for each in found])
+def _of(accuracies: list[Accuracy], name: str) -> Float[np.ndarray, "run frame"]:
+    return np.stack([getattr(each, name)[:, 0] for accuracy in accuracies])
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except (InputError, OSError) as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from error_plot import draw_error_curves
+from few_cameras import Followed, few_camera_definitions, with_cameras
 
-from bayes_body.compare.few_cameras import Followed, few_camera_definitions, with_cameras
 from bayes_body.errors import InputError
 from bayes_body.evidence.markers import MARKERS
 from bayes_body.model.definition import load_definition
-from bayes_body.view.error_plot import draw_error_curves
 
 
 def _followed(relative, coverage=0.85):

@@ -8,11 +8,10 @@ import numpy as np
 
 from bayes_body.files.atomic import replacing
 from bayes_body.view.colours import GREY, INK, paper, run_line, run_mark
-from bayes_body.view.plot_text import plot_text
 
 
 def draw_ratios(path: Path, figures: Mapping[str, Any]) -> None:
-    """Write a .png with the figures of `compare.estimator_variance`, and of its `frames` if they exist. Whiskers are 95 % intervals.
+    """Write a .png with the figures of `estimator_variance.py`, and of its `frames` if they exist. Whiskers are 95 % intervals.
 
     Raises:
         InputError: the file cannot be written.
@@ -40,7 +39,7 @@ def _ratios_by_dof(axes: Any, ratios: Mapping[str, Mapping[str, Sequence[float]]
             style = {"fmt": run_mark(number), "capsize": 3, "color": paper(dof), "label": label}
             axes.errorbar(value, place + 0.15 * number, xerr=[[value - low], [high - value]], **style)
     axes.axvline(1, color=GREY)
-    axes.set_yticks(places, [plot_text(dof) for dof in dofs])
+    axes.set_yticks(places, [dof.replace("$", r"\$") for dof in dofs])
     axes.set(xscale="log", xlabel="error² of the particle filter / error² of hybrid Monte Carlo")
     axes.invert_yaxis()
     axes.legend()
