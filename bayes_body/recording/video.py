@@ -1,7 +1,10 @@
-"""Read videos through OpenCV: any frame by its number, with the same bits whether it is reached by reading on or by seeking.
+"""Read videos: any frame by its number, with the same bits whether it is reached by reading on or by seeking, and which frames are damaged.
 
-A frame's number is the count of frames that the decoder returns before it. A container's index and frame rate may disagree, so a seek is trusted only
-within frames that were decoded before: it must arrive at the time recorded for that frame, else decoding restarts from the beginning.
+A frame's number is the count of frames before it. A container's index and frame rate may disagree, so a seek is trusted only within frames that were
+decoded before: it must arrive at the time recorded for that frame, else decoding restarts from the beginning.
+
+In most codecs a frame builds on those before it, so damage lasts until the next key frame. If a frame was dropped, later ones may be counted wrongly,
+and the damage lasts until the end; unless all are key frames, and the file has as many as it states.
 """
 
 import os
@@ -13,17 +16,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.errors import input_error
-from bayes_body.files.read import NoSuchFileError, native_path, open_regular
-from bayes_body.recording.images import check_size, not_seen, silent
-from bayes_body.recording.video_damage import LARGEST_BYTES, Damage
+from bayes_body.files.read import NoSuchFileError, open_regular
+from bayes_body.recording.images import check_size, not_seen
+from bayes_body.recording.video_stream import DROPPED, LARGEST_BYTES, Outcome, VideoStream, open_video, picture_of
 
-# FFmpeg's messages add nothing to the error that follows. The variable is read when OpenCV opens its first video.
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 # Within this many frames, decode instead of seeking, since a seek starts at a key frame, often a hundred frames before its target.
 NEAR = 50
 OPEN_AT_ONCE = 32
@@ -47,7 +47,7 @@ def probe(path: Path) -> VideoInfo:
     """Size, rate and length of a video. Its first frame is decoded.
 
     Raises:
-        InputError: missing, not a video that OpenCV can read, or without frames.
+        InputError: missing, not a video that FFmpeg can read, or without frames.
     """
     with _reading(path) as reader:
         image = reader.read(0)
@@ -55,10 +55,7 @@ def probe(path: Path) -> VideoInfo:
             raise input_error(
                 path, "a video without a frame that can be decoded", "at least one", "copy the file again, or convert it to mp4 (H.264)"
             )
-        named = reader.property(cv2.CAP_PROP_FRAME_COUNT)
-        rate = reader.property(cv2.CAP_PROP_FPS)
-        frames = int(named) if named >= 1 else reader.count()
-    return VideoInfo((image.shape[1], image.shape[0]), rate if np.isfinite(rate) and rate > 0 else 0.0, frames)
+        return VideoInfo((image.shape[1], image.shape[0]), reader.fps, reader.stated_frames or reader.count())
 
 
 def read_video_frame(path: Path, number: int, size_px: tuple[int, int] | None = None) -> NDArray[np.uint8]:
@@ -67,7 +64,7 @@ def read_video_frame(path: Path, number: int, size_px: tuple[int, int] | None = 
     The last 32 videos of a process stay open. May be called from any thread.
 
     Args:
-        path: the file, in any format that OpenCV's FFmpeg reads.
+        path: the file, in any format that FFmpeg reads.
         number: which frame.
         size_px: the required (width, height); None accepts any.
 
@@ -78,12 +75,12 @@ def read_video_frame(path: Path, number: int, size_px: tuple[int, int] | None = 
     if number < 0:
         raise input_error(path, f"frame {number}", "0 or later", "correct first_frame and the camera's offset in session.toml")
     with _reading(path) as reader:
-        if reader.damage.of(number):
+        if reader.is_damaged(number):
             raise not_seen(path, f"frame {number} is damaged", "a frame that can be decoded without errors", "copy the file again")
-        image, end = reader.read(number), reader.end
+        image, end = reader.read(number), reader.count_known
     if image is None:
-        found, expected = f"frame {number} cannot be read, the video ends after {end} frames", f"more than {number}"
-        raise not_seen(path, found, expected, "copy the file again, or correct first_frame and frames in session.toml")
+        problem, expected = f"frame {number} cannot be read, the video ends after {end} frames", f"more than {number}"
+        raise not_seen(path, problem, expected, "copy the file again, or correct first_frame and frames in session.toml")
     check_size(path, (image.shape[1], image.shape[0]), size_px)
     return image
 
@@ -105,105 +102,143 @@ def damaged_frames(path: Path, numbers: Sequence[int]) -> list[int]:
         InputError: missing, or not a video.
     """
     with _reading(path) as reader:
-        return [number for number in numbers if reader.damage.of(number)]
+        return [number for number in numbers if reader.is_damaged(number)]
 
 
 class _Reader:
-    """An open video and the timestamps of the frames that were decoded so far."""
+    """An open video. The frames decoded so far have a time and a state each; frames are numbered from 0, in the order of display."""
 
     def __init__(self, path: Path):
         self.lock = threading.Lock()
-        self.end: int | None = None
-        self.damage = Damage(path)
         self._path = path
-        self._times: list[float] = []
+        self._stream, self._options = open_video(path)
+        self.fps, self.stated_frames = self._stream.fps, self._stream.stated_frames
+        self._times: list[int | None] = []
+        self._damaged: list[bool] = []
+        # Whether all frames are decoded; how many there are, where those after a dropped one cannot be numbered.
+        self._ended, self._unnumbered = False, 0
+        self._spoiled = False
+        # The number of the frame that the stream decodes next.
         self._next = 0
-        # The frame before `_next`, if it was requested, since images and silhouettes both read it.
-        self._last: NDArray[np.uint8] | None = None
-        self._capture = self._open()
+        # The frame before `_next`: images and silhouettes both read it.
+        self._last: tuple[int, NDArray[np.uint8]] | None = None
 
-    def _open(self) -> cv2.VideoCapture:
-        with silent():
-            capture = cv2.VideoCapture(native_path(self._path), cv2.CAP_FFMPEG)
-        if not capture.isOpened():
-            found = "not a video that OpenCV can read, or cut short"
-            raise input_error(self._path, found, "a whole mp4, avi, mov or mkv", "copy the file again, or convert it to mp4 (H.264)")
-        self._next, self._last = 0, None
-        return capture
-
-    def property(self, which: int) -> float:
-        """One of OpenCV's CAP_PROP values."""
-        return float(self._capture.get(which))
-
-    def read(self, number: int) -> NDArray[np.uint8] | None:
-        """A frame, or None beyond the end."""
-        if self._last is None or self._next != number + 1:
-            if not self._reach(number):
-                return None
-            decoded, image = self._capture.retrieve()
-            if not decoded:
-                self.end = number
-                return None
-            self._last = np.asarray(image, np.uint8)
-        return self._last.copy()
+    @property
+    def count_known(self) -> int:
+        """How many frames were decoded so far."""
+        return len(self._times) + self._unnumbered
 
     def count(self) -> int:
         """How many frames can be decoded."""
-        while self.end is None:
-            self._reach(len(self._times))
-        return self.end
+        while not self._ended:
+            self._explore()
+        return self.count_known
+
+    def is_damaged(self, number: int) -> bool:
+        """Whether a frame is damaged; False beyond the end of a sound video."""
+        while number >= len(self._damaged) and not self._ended:
+            self._explore()
+        return self._damaged[number] if number < len(self._damaged) else self._unnumbered > 0
+
+    def read(self, number: int) -> NDArray[np.uint8] | None:
+        """A frame, or None if it cannot be decoded."""
+        if self._last is None or self._last[0] != number:
+            outcome = self._reach(number)
+            if outcome is None or outcome.frame is None:
+                return None
+            self._last = number, picture_of(outcome.frame)
+        return self._last[1].copy()
 
     def leads_to(self, number: int) -> bool:
-        """Whether a seek to this frame succeeds, for a frame that the container's header counts. The video is at its beginning afterwards."""
+        """Whether a seek to this frame succeeds, for a frame that the container's header counts."""
         if number < len(self._times):
             return True
-        if self.end is not None or number >= self.property(cv2.CAP_PROP_FRAME_COUNT):
+        if self._ended or number >= self.stated_frames:
             return False
-        self._capture.set(cv2.CAP_PROP_POS_FRAMES, number)
-        found = self._capture.grab()
-        self._reopen()
-        return found
+        time = self._stream.time_of(number)
+        # Half a frame early: the time is rounded.
+        half = (time - self._stream.time_of(number - 1)) // 2 if number else 0
+        arrives = self._stream.seek(time) and any(
+            outcome.frame is not None and outcome.time is not None and outcome.time >= time - half for outcome in self._stream.outcomes
+        )
+        self._restart()
+        return arrives
 
-    def _reach(self, number: int) -> bool:
-        """Grab frame `number`; False beyond the end."""
-        if self.end is not None and number >= self.end:
-            return False
-        self._last = None
+    def _explore(self) -> None:
+        """Decode the next frame that was never decoded, or notice the end."""
+        if self._next > len(self._times):
+            self._restart()
+        while self._next < len(self._times):
+            self._advance()
+        self._advance()
+
+    def _advance(self) -> Outcome | None:
+        """Decode the next frame; None at the end, and where frames can no longer be numbered."""
+        outcome = next(self._stream.outcomes, None)
+        if self._next == len(self._times) and not self._ended:
+            if outcome is None:
+                self._ended = True
+            elif outcome.frame is None:
+                self._decode_the_rest()
+                return None
+            else:
+                self._spoiled = not outcome.sound or (self._spoiled and not outcome.key)
+                self._times.append(outcome.time)
+                self._damaged.append(self._spoiled)
+        self._next += outcome is not None
+        return outcome
+
+    def _decode_the_rest(self) -> None:
+        """A frame was dropped: decide whether those after it can be numbered. The video is at its beginning afterwards."""
+        rest = [DROPPED, *(outcome.without_picture() for outcome in self._stream.outcomes)]
+        numbered = len(rest) == 1 or len(self._times) + len(rest) == self.stated_frames
+        if numbered and all(outcome.key or outcome.dropped for outcome in rest):
+            self._damaged += [not outcome.sound for outcome in rest]
+            self._times += [outcome.time for outcome in rest]
+        else:
+            self._unnumbered = len(rest)
+        self._ended = True
+        self._restart()
+
+    def _reach(self, number: int) -> Outcome | None:
+        """Decode a frame; None beyond the end."""
+        if self._ended and number >= len(self._times):
+            return None
         if not self._next <= number <= self._next + NEAR:
-            jumped = self._known(number) and self._jump(number)
-            if not jumped and number < self._next:
-                self._reopen()
+            outcome = self._jump(number)
+            if outcome is not None:
+                return outcome
+        outcome = None
         while self._next <= number:
-            if not self._grab():
-                return False
-        return True
+            outcome = self._advance()
+            if outcome is None:
+                return None
+        return outcome
 
-    def _grab(self) -> bool:
-        if not self._capture.grab():
-            self.end = self._next
-            return False
-        if self._next == len(self._times):
-            self._times.append(self.property(cv2.CAP_PROP_POS_MSEC))
-        self._next += 1
-        return True
+    def _jump(self, number: int) -> Outcome | None:
+        """Decode a frame by the container's index. If that does not lead to it: None, and the video is at its beginning if the frame lies behind."""
+        time = self._times[number] if number < len(self._times) else None
+        if time is not None and self._is_distinct(number):
+            if self._stream.seek(time):
+                for outcome in self._stream.outcomes:
+                    if outcome.time is None or outcome.time > time:
+                        break
+                    if outcome.time == time:
+                        self._next = number + 1
+                        return outcome
+            self._restart()
+        elif number < self._next:
+            self._restart()
+        return None
 
-    def _known(self, number: int) -> bool:
-        """Whether a frame's timestamp is known and unique: in streams without timestamps all are the same."""
-        around = self._times[max(0, number - 1) : number + 2]
-        return number < len(self._times) and all(a < b for a, b in pairwise(around))
+    def _is_distinct(self, number: int) -> bool:
+        """Whether a frame's time is unlike its neighbours': in streams without times all are the same."""
+        times = self._times[max(0, number - 1) : number + 2]
+        return all(before is not None and after is not None and before < after for before, after in pairwise(times))
 
-    def _jump(self, number: int) -> bool:
-        """Grab a frame by the container's index. If it arrives elsewhere: False, and the video is at its beginning."""
-        self._capture.set(cv2.CAP_PROP_POS_FRAMES, number)
-        if self._capture.grab() and self.property(cv2.CAP_PROP_POS_MSEC) == self._times[number]:
-            self._next = number + 1
-            return True
-        self._reopen()
-        return False
-
-    def _reopen(self) -> None:
-        self._capture.release()
-        self._capture = self._open()
+    def _restart(self) -> None:
+        self._stream.close()
+        self._stream, self._next = VideoStream(self._path, self._options), 0
 
 
 _readers: OrderedDict[tuple[int, str, int, int], _Reader] = OrderedDict()

@@ -173,7 +173,7 @@ def test_no_video(tmp_path, capfd):
     faults = {
         "text.mp4": "not a video",
         "empty.mp4": "not a video",
-        "half.mp4": "not a video that OpenCV can read, or cut short",
+        "half.mp4": "not a video that FFmpeg can read, or cut short",
         "none.mp4": "no such file",
     }
     for name, found in faults.items():

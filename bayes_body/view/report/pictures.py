@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from cv2.typing import MatLike
 
+from bayes_body.errors import InputError
+from bayes_body.recording.video_stream import open_video, picture_of
 from bayes_body.view.report.figures import data_uri
 from bayes_body.view.report.markup import Markup, Picture, details, figures, section, tag
 
@@ -132,18 +134,21 @@ def read_video(path: Path, width: int, most: int = MOST_FRAMES) -> tuple[list[Ma
     """
     if not _is_mp4(path):
         return [], 0.0, 0
-    video = cv2.VideoCapture(str(path))
     try:
-        total, fps = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), float(video.get(cv2.CAP_PROP_FPS))
-        step, frames, place = max(-(-total // most), 1), [], 0
-        # Seeking in an mp4 reaches key frames only. Therefore all frames are read, but only few are decoded.
-        while fps > 0 and len(frames) < most and video.grab():
-            if place % step == 0:
-                done, image = video.retrieve()
-                frames += [narrowed(image, width)] if done else []
-            place += 1
+        video, _ = open_video(path)
+    except InputError:
+        return [], 0.0, 0
+    total, fps = video.stated_frames, video.fps
+    step, frames = max(-(-total // most), 1), []
+    try:
+        # Seeking in an mp4 reaches key frames only. Therefore all frames are decoded, but only few become pictures.
+        for place, outcome in enumerate(video.outcomes if fps > 0 else ()):
+            if len(frames) == most:
+                break
+            if place % step == 0 and outcome.frame is not None:
+                frames.append(narrowed(picture_of(outcome.frame), width))
     finally:
-        video.release()
+        video.close()
     return frames, fps, total
 
 
