@@ -12,57 +12,57 @@ from typing import Any
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**27))
 
 _HOME = {
-    "InputError": "errors",
-    "configure": "config",
-    "load_session": "session.read",
-    "save_session": "session.read",
+    "InputError": "base.errors",
+    "configure": "base.config",
+    "load_session": "recording.session.read",
+    "save_session": "recording.session.read",
     "load_definition": "model.definition",
     "load_model": "initial",
     "unposed": "initial",
-    "PersonSearch": "initial.person_search",
+    "PersonSearch": "initial.search.person_search",
     "PersonRecovery": "runs.recovery",
-    "read_frame": "observation.frames",
-    "read_colour": "observation.pictures",
-    "RunWarning": "errors",
+    "read_frame": "recording.observation.frames",
+    "read_colour": "recording.observation.pictures",
+    "RunWarning": "base.errors",
     "track": "runs.track",
-    "to_datatree": "posterior",
-    "save_posterior": "posterior",
-    "equal_weight": "posterior",
-    "diagnose": "posterior.diagnostics",
-    "stream_posterior": "posterior",
+    "to_datatree": "results.posterior",
+    "save_posterior": "results.posterior",
+    "equal_weight": "results.posterior",
+    "diagnose": "results.posterior.diagnostics",
+    "stream_posterior": "results.posterior",
     "window_of_run": "runs.window",
     "window_posterior": "tracking.window",
-    "window_sentences": "posterior.window",
-    "window_to_datatree": "posterior.window",
-    "FrameFiles": "storage",
-    "load_run": "storage.saved_run",
-    "summarise": "metrics",
+    "window_sentences": "results.posterior.window",
+    "window_to_datatree": "results.posterior.window",
+    "FrameFiles": "results.storage",
+    "load_run": "results.storage.saved_run",
+    "summarise": "results.metrics",
     "draw_overlay": "view.overlay",
-    "watched": "view.progress",
+    "watched": "base.progress",
     "Factor": "density.factor",
     "Particles": "density.factor",
     "FilterInfo": "density.kernel",
-    "MarkerEvidence": "evidence.markers",
-    "MARKERS": "evidence.markers",
-    "over_particles": "kernels.parts.batching",
-    "excerpt": "recording.excerpt",
+    "MarkerEvidence": "recording.evidence.markers",
+    "MARKERS": "recording.evidence.markers",
+    "over_particles": "kernels.batching",
+    "excerpt": "recording.readers.excerpt",
     "graph": "density.pairwise",
     "node_factor": "density.pairwise",
     "edge_factor": "density.pairwise",
     "proposal": "density.pairwise",
-    "Schema": "toml.schema",
-    "Count": "toml.schema",
-    "Positive": "toml.schema",
+    "Schema": "base.toml.schema",
+    "Count": "base.toml.schema",
+    "Positive": "base.toml.schema",
     "Transition": "density.factor",
     "Variable": "density.factor",
-    "load_plugin": "plugins.load",
-    "marker_positions": "body.kinematics",
-    "project": "geometry.camera",
-    "register": "registry",
+    "load_plugin": "model.plugins.load",
+    "marker_positions": "model.body.kinematics",
+    "project": "base.geometry.camera",
+    "register": "base.registry",
     "setting": "cli.arguments",
     "whole_number": "cli.arguments",
 }
-_MODULES = ("compare", "kernels", "posterior", "metrics")
+_MODULES = {"compare": "workshop.compare", "kernels": "kernels", "metrics": "results.metrics", "posterior": "results.posterior"}
 __all__ = sorted({*_HOME, *_MODULES})  # pyright: ignore[reportUnsupportedDunderAll]
 
 
@@ -75,7 +75,7 @@ def __getattr__(name: str) -> Any:
     if name in _HOME:
         return getattr(import_module(f"bayes_body.{_HOME[name]}"), name)
     if name in _MODULES:
-        return import_module(f"bayes_body.{name}")
+        return import_module(f"bayes_body.{_MODULES[name]}")
     raise AttributeError(f"module 'bayes_body' has no attribute '{name}'; it has {', '.join(__all__)}")
 
 

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 import bayes_body as bb
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
 
 # By kernel: a model whose posterior it samples well, particles, and options that differ from the model's.
 KERNELS = {

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import bayes_body as bb
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
 
 
 def parse() -> argparse.Namespace:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bayes_body.config import cache_folder
+from bayes_body.base.config import cache_folder
 
 # Read by JAX when it is imported, here and in the programs that tests start: nothing above this line may import it.
 os.environ.setdefault("XLA_FLAGS", "--xla_force_host_platform_device_count=2")

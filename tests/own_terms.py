@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from bayes_body import registry
-from bayes_body.plugins import load as plugins
+from bayes_body.base import registry
+from bayes_body.model.plugins import load as plugins
 
 GOOD = """
 import bayes_body as bb

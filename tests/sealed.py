@@ -5,9 +5,9 @@ from pathlib import Path
 
 import tomlkit
 
-from bayes_body.storage.manifest import MadeOf, Manifest
-from bayes_body.storage.names import POSTERIOR_FILE, RUN_FILE, SUMMARY_FILE
-from bayes_body.storage.run_file import FORMAT, _seal
+from bayes_body.results.storage.manifest import MadeOf, Manifest
+from bayes_body.results.storage.names import POSTERIOR_FILE, RUN_FILE, SUMMARY_FILE
+from bayes_body.results.storage.run_file import FORMAT, _seal
 
 
 def seal(folder: Path, frames: int = 5) -> None:

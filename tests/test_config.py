@@ -9,7 +9,7 @@ import pytest
 
 # What configure() leaves, from within a folder; the plotting libraries are imported as a report does.
 PLOTS = """
-from bayes_body.config import configure
+from bayes_body.base.config import configure
 configure(cache=False)
 import os
 here = os.getcwd()
@@ -19,7 +19,7 @@ import matplotlib.pyplot
 print(here, matplotlib.rcParams["text.usetex"], matplotlib.rcParams["figure.dpi"], arviz_base.rcParams["plot.max_subplots"], matplotlib.get_backend())
 """
 PROGRAMS = """
-from bayes_body.config import configure
+from bayes_body.base.config import configure
 configure()
 import os
 import jax
@@ -32,7 +32,7 @@ print(float(jax.jit(double)(1.0)), float(jax.jit(triple)(1.0)), os.environ["TF_C
 
 THREADS = """
 import scipy.linalg
-from bayes_body.config import configure
+from bayes_body.base.config import configure
 configure(cache=False)
 from threadpoolctl import threadpool_info
 print(*sorted({library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}))

@@ -3,8 +3,8 @@
 import pytest
 from pydantic import BaseModel
 
-from bayes_body import registry
-from bayes_body.errors import InputError
+from bayes_body.base import registry
+from bayes_body.base.errors import InputError
 
 ROOMS = ("likelihood", "observation", "dynamics", "potential", "kernel")
 BUILT_IN = sorted(registry._BUILT_IN)

@@ -11,9 +11,9 @@ from bayes_body.cli.learned_files import check_out, motion_files, portable
 from bayes_body.cli.terminal import say
 
 if TYPE_CHECKING:
-    from bayes_body.learning.activity_hmm import LearnedActivity, LearnOptions
-    from bayes_body.learning.activity_motions import Captured
-    from bayes_body.recording.mocap.motion import Motion
+    from bayes_body.recording.readers.mocap.motion import Motion
+    from bayes_body.workshop.learning.activity_hmm import LearnedActivity, LearnOptions
+    from bayes_body.workshop.learning.activity_motions import Captured
 
 WALK = "walk"
 LABELLED = re.compile(r"([A-Za-z]\w*)=(.+)")
@@ -48,19 +48,19 @@ def activity_hmm(
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace existing files."),
 ) -> None:
     """Learn a linear subspace of the joint angles of an activity, and a hidden Markov model in it."""
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     table = out.with_suffix(".toml")
     check_out(out, table, overwrite)
     given = [labelled(word) for word in mocap]
     configure()
-    from bayes_body.dynamics.activity import save_activity
-    from bayes_body.files.atomic import write_text
-    from bayes_body.learning.activity_hmm import LearnOptions, learn_activity
-    from bayes_body.learning.activity_motions import captured, check_rate
+    from bayes_body.base.files.atomic import write_text
+    from bayes_body.base.progress import watched
     from bayes_body.model.definition import load_body
-    from bayes_body.recording.mocap import read_motion
-    from bayes_body.view.progress import watched
+    from bayes_body.model.dynamics.activity import save_activity
+    from bayes_body.recording.readers.mocap import read_motion
+    from bayes_body.workshop.learning.activity_hmm import LearnOptions, learn_activity
+    from bayes_body.workshop.learning.activity_motions import captured, check_rate
 
     schema, options = load_body(body), LearnOptions(components, states, fps, restarts, seed, switch_per_s, learn_initial)
     files = [(one.label, file) for one in given for file in motion_files(one.path)]
@@ -91,7 +91,7 @@ def labelled(word: str) -> Given:
 
 def _usable(motions: "Sequence[tuple[str | None, Path, Motion]]") -> "list[tuple[str | None, Path, Motion]]":
     """Return the motions without those that are left out, and say why. Motions with a label are all used."""
-    from bayes_body.learning.activity_motions import no_walk
+    from bayes_body.workshop.learning.activity_motions import no_walk
 
     faults = [no_walk(file.stem, motion) if label is None else None for label, file, motion in motions]
     for sentence in filter(None, faults):
@@ -101,7 +101,7 @@ def _usable(motions: "Sequence[tuple[str | None, Path, Motion]]") -> "list[tuple
 
 def _options(body: str, options: "LearnOptions") -> list[str]:
     """Return the words of the options that are not the default ones."""
-    from bayes_body.learning.activity_hmm import LearnOptions
+    from bayes_body.workshop.learning.activity_hmm import LearnOptions
 
     words = [] if body == "person_31" else ["--body", body]
     for name, value in options._asdict().items():
@@ -117,7 +117,7 @@ def _told(found: "LearnedActivity", tracks: "Sequence[Captured]", options: "Lear
 
     activity = found.activity
     document = tomlkit.document()
-    document.add(tomlkit.comment("Arrays: see `bayes_body.dynamics.activity.Activity`. Log-likelihoods are in nats per frame."))
+    document.add(tomlkit.comment("Arrays: see `bayes_body.model.dynamics.activity.Activity`. Log-likelihoods are in nats per frame."))
     document["title"] = f"Joint angles of an activity ({', '.join(dict.fromkeys(activity.labels))}) as a hidden Markov model"
     document["source"] = source
     document["body"] = activity.body

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from bayes_body.base.errors import input_error
 from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.cli.terminal import say, show
-from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
-    from bayes_body.compare import Pair, Row, Settings
+    from bayes_body.workshop.compare import Pair, Row, Settings
 
 # Columns of the table: heading, the row's key, format.
 COLUMNS = (
@@ -39,12 +39,12 @@ def benchmark(
     """Run each kernel on each model and show seconds per frame, ESS per second, errors, coverage and evidence, or why a pair cannot run."""
     from dataclasses import replace
 
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     configure()
-    from bayes_body.compare import Settings, pairs
-    from bayes_body.compare.benchmark import QUICK
-    from bayes_body.session.read import load_session
+    from bayes_body.recording.session.read import load_session
+    from bayes_body.workshop.compare import Settings, pairs
+    from bayes_body.workshop.compare.benchmark import QUICK
 
     if frames is not None and frames < 1:
         raise input_error("--frames", str(frames), "a whole number from 1 up", "give another number")
@@ -62,8 +62,8 @@ def benchmark(
 
 def _made(asked: "tuple[Pair, ...]", settings: "Settings", out: Path | None) -> "list[Row]":
     """Return all rows; each is written to the file as soon as it is computed."""
-    from bayes_body.compare import benchmark_rows
-    from bayes_body.view.progress import steps_bar
+    from bayes_body.base.progress import steps_bar
+    from bayes_body.workshop.compare import benchmark_rows
 
     kept = _kept(out)
     rows: list[Row] = []
@@ -92,7 +92,7 @@ def _kept(out: Path | None) -> "dict[tuple[Any, Any], Row]":
 
 
 def _write(out: Path | None, rows: "list[Row]") -> None:
-    from bayes_body.files.atomic import write_text
+    from bayes_body.base.files.atomic import write_text
 
     if out is not None:
         write_text(out, json.dumps({"rows": rows}, indent=2) + "\n")

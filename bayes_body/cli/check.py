@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from bayes_body.base.errors import input_error
 from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.cli.terminal import say
 from bayes_body.cli.track import LARGEST_SEED, check_range
-from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
-    from bayes_body.calibration.check import Plan
+    from bayes_body.workshop.calibration.check import Plan
 
 FAILED = 1
 LARGEST_BINS = 200
@@ -47,12 +47,12 @@ def check(
     plugin: Plugins = None,
 ) -> None:
     """Check a kernel on a model: simulation-based calibration, invariance of its Markov move, coverage; or compare means with a grid quadrature."""
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     configure()
-    from bayes_body.calibration.check import Plan
     from bayes_body.cli.models import checked_definition
     from bayes_body.model.kernel_options import kernel_options
+    from bayes_body.workshop.calibration.check import Plan
 
     counts = {"particles": particles, "layers": layers, "moves": moves, "leapfrog_steps": leapfrog_steps}
     for name, value in (counts | {"frames": frames, "jobs": jobs}).items():
@@ -76,14 +76,14 @@ def check(
 
 def _run(plan: "Plan", pilot: bool, replications: int, jobs: int, json_file: Path | None, plot: Path | None) -> bool:
     """Run the check, and return whether it passed."""
-    from bayes_body.calibration.report import run_and_report
+    from bayes_body.workshop.calibration.report import run_and_report
 
     return run_and_report(plan, pilot, replications, jobs, json_file, plot, lambda line: say(line), bar=True)
 
 
 def _check_files(json_file: Path | None, plot: Path | None) -> None:
     """Check that the output files can be written, before minutes of computation."""
-    from bayes_body.calibration.rank_tree import ranks_file
+    from bayes_body.workshop.calibration.rank_tree import ranks_file
 
     ranks = None if json_file is None else ranks_file(json_file)
     for option, path in (("--json", json_file), ("--json", ranks), ("--plot", plot)):

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from bayes_body.base.errors import input_error
 from bayes_body.cli.terminal import say, show
 from bayes_body.cli.track import LARGEST_SEED, check_range
-from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
-    from bayes_body.demo import Demo
+    from bayes_body.runs.demo import Demo
 
 FOLDER = "bayes_body_demo"
 # Key of the summary, label, format.
@@ -38,15 +38,15 @@ def demo(
     open_report: bool | None = typer.Option(None, "--open/--no-open", help="Show the report in a browser; by default on a terminal with a display."),
 ) -> None:
     """Film a simulated walk, track it like a real recording, and compare the posterior with the truth."""
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     check_range("--seed", seed, 0, LARGEST_SEED)
     if quick and long:
         raise input_error("--quick", "given with --long", "one of the two", "leave one out")
     configure()
-    from bayes_body.demo import LONG, QUICK, SHORT, result_of
-    from bayes_body.demo import demo as demonstrate
-    from bayes_body.storage.names import free_folder
+    from bayes_body.results.storage.names import free_folder
+    from bayes_body.runs.demo import LONG, QUICK, SHORT, result_of
+    from bayes_body.runs.demo import demo as demonstrate
 
     size = QUICK if quick else LONG if long else SHORT
     folder, lines = free_folder(Path(FOLDER)) if out is None else out, list[str]()

@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from bayes_body.base.errors import input_error
 from bayes_body.cli.terminal import say
 from bayes_body.cli.track import check_range
-from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
-    from bayes_body.learning.edge_statistics import Images
-    from bayes_body.likelihood.edge_density import EdgeStatistics
+    from bayes_body.model.likelihood.edge_density import EdgeStatistics
+    from bayes_body.workshop.learning.edge_statistics import Images
 
 WAVELENGTHS = "8,16"
 DISPLACED_PX = (0.0, 2.0, 5.0, 10.0)
@@ -29,11 +29,11 @@ def edge_statistics(
     plot: Path | None = typer.Option(None, "--plot", help="A .png of the learned densities over the data."),
 ) -> None:
     """Learn the `likelihood.scale` tables of `edge_phase`, and print them."""
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     configure()
-    from bayes_body.learning.edge_statistics import fit, mean_log_density
-    from bayes_body.view.progress import waiting
+    from bayes_body.base.progress import waiting
+    from bayes_body.workshop.learning.edge_statistics import fit, mean_log_density
 
     check_range("--frames", frames, 1)
     tried = _numbers(wavelengths)
@@ -75,9 +75,9 @@ def _table(wavelength: float, statistics: "EdgeStatistics") -> str:
 
 def _images(sessions: list[Path], frames: int) -> "Images":
     """Return the images of some frames whose silhouettes are known."""
-    from bayes_body.learning.edge_statistics import Images, known_pairs
-    from bayes_body.session.read import load_session
-    from bayes_body.simulation.film import TRUE_MASKS, mask_pattern
+    from bayes_body.recording.session.read import load_session
+    from bayes_body.workshop.learning.edge_statistics import Images, known_pairs
+    from bayes_body.workshop.simulation.film import TRUE_MASKS, mask_pattern
 
     pairs = []
     for path in sessions:

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from bayes_body.base.errors import input_error
 from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.cli.terminal import say
-from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
-    from bayes_body.export.motion import Axis, Motion
+    from bayes_body.view.export.motion import Axis, Motion
 
 
 def export(
@@ -37,12 +37,12 @@ def export(
     skeleton. A c3d file of a smoothed run has the gait events too. For a mode seeker's run only means are written: the spread of its particles is not
     a measure of uncertainty.
     """
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     configure()
-    from bayes_body.export.formats import export_formats, files_of, formats_in, targets
-    from bayes_body.export.motion import AXES
-    from bayes_body.storage.saved_run import load_run
+    from bayes_body.results.storage.saved_run import load_run
+    from bayes_body.view.export.formats import export_formats, files_of, formats_in, targets
+    from bayes_body.view.export.motion import AXES
 
     names = formats_in(to)
     axis: Axis | None = next((axis for axis in AXES if axis == up), None)
@@ -72,12 +72,12 @@ def _report(motions: "Mapping[str, Motion]", kernel: str, smoothed: bool) -> Ite
     if not motion.has_intervals:
         yield f"Means only: the kernel {kernel} is a mode seeker, and the spread of its particles is not a measure of uncertainty."
     if motion.lost.any():
-        from bayes_body.posterior.diagnostics import frame_ranges
+        from bayes_body.results.posterior.diagnostics import frame_ranges
 
         lost = (motion.first_frame + motion.lost.nonzero()[0]).tolist()
         yield f"{frame_ranges(lost)}: lost, or the body is off the person; do not use the values there."
     if "c3d" in motions:
-        from bayes_body.export.c3d_events import written_events
+        from bayes_body.view.export.c3d_events import written_events
 
         count = len(written_events(motions["c3d"].events))
         why = "" if smoothed else ": a filter's draws do not reach over frames; export the run that `bayes-body smooth` makes of this one"

@@ -12,8 +12,8 @@ from bayes_body.cli.terminal import say, show
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from bayes_body.clinical.gait_table import Row
-    from bayes_body.clinical.ranges import AngleRange
+    from bayes_body.results.clinical.gait_table import Row
+    from bayes_body.results.clinical.ranges import AngleRange
 
 FILE_NAME = "gait.csv"
 SIDES = {"r": "right", "l": "left", "": ""}
@@ -33,16 +33,16 @@ def gait(
 
     The CSV file has the single strides and all angles too. The person walks upright; events within 0.2 s of the recording's ends are not found.
     """
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     configure()
-    from bayes_body.clinical.gait import POINTS, gait_of
-    from bayes_body.clinical.gait_table import event_rows, walk_rows, write_gait
-    from bayes_body.clinical.ranges import ranges_of, stride_ranges
-    from bayes_body.clinical.trajectories import angle_paths, marker_paths
-    from bayes_body.files.atomic import make_folder
-    from bayes_body.files.existing import check_free
-    from bayes_body.storage.saved_run import load_run
+    from bayes_body.base.files.atomic import make_folder
+    from bayes_body.base.files.existing import check_free
+    from bayes_body.results.clinical.gait import POINTS, gait_of
+    from bayes_body.results.clinical.gait_table import event_rows, walk_rows, write_gait
+    from bayes_body.results.clinical.ranges import ranges_of, stride_ranges
+    from bayes_body.results.clinical.trajectories import angle_paths, marker_paths
+    from bayes_body.results.storage.saved_run import load_run
 
     path = out or run / FILE_NAME
     check_free(path, overwrite)
@@ -83,7 +83,7 @@ def _table(title: str, rows: "Sequence[Row]") -> "Table":
 def _angle_table(title: str, ranges: "Sequence[AngleRange]") -> "Table":
     from rich.table import Table
 
-    from bayes_body.clinical.gait_table import angle_rows
+    from bayes_body.results.clinical.gait_table import angle_rows
 
     table = Table(title=title, title_justify="left", box=None)
     for name in ("", "side"):

@@ -14,12 +14,12 @@ def image_motion(
     frames: int = typer.Option(10, "--frames", help="Number of evenly spaced pairs of frames of each recording."),
 ) -> None:
     """Learn `noise_grey`, `outlier_share` and `precision` of the likelihood `image_motion`, and print them."""
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     configure()
     from bayes_body.cli.models import checked_definition
-    from bayes_body.learning.image_motion import motion_noise, motion_pairs
-    from bayes_body.session.read import load_session
+    from bayes_body.recording.session.read import load_session
+    from bayes_body.workshop.learning.image_motion import motion_noise, motion_pairs
 
     check_range("--frames", frames, 1)
     definition, everything = checked_definition(model), []

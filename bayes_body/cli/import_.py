@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bayes_body.base.errors import input_error
 from bayes_body.cli.terminal import say
-from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
-    from bayes_body.recording.options import Options
-    from bayes_body.session.session import Session
+    from bayes_body.recording.readers.options import Options
+    from bayes_body.recording.session.session import Session
 
     type Importer = Callable[[Path, Path, Options], tuple[Session, list[str]]]
 
@@ -84,8 +84,8 @@ def parsec(
     frames: Frames = None,
 ) -> None:
     """Import cameras, images, masks, body shape and initial pose of the PARSEC suite's bodytrack."""
-    from bayes_body.recording.options import Options
-    from bayes_body.recording.parsec import import_parsec
+    from bayes_body.recording.readers.options import Options
+    from bayes_body.recording.readers.parsec import import_parsec
 
     options = Options(None, None, fps, height, masks, background, truth, _offsets(offset), layout, keypoints, first_frame, frames)
     _import(import_parsec, source, session, options, model, overwrite)
@@ -113,8 +113,8 @@ def pose2sim(
     up: Up = None,
 ) -> None:
     """Import a Pose2Sim project: cameras, videos or images, and keypoints if there are any."""
-    from bayes_body.recording.options import Options
-    from bayes_body.recording.pose2sim import import_pose2sim
+    from bayes_body.recording.readers.options import Options
+    from bayes_body.recording.readers.pose2sim import import_pose2sim
 
     options = Options(unit, up, fps, height, masks, background, truth, _offsets(offset), layout, keypoints, first_frame, frames)
     _import(import_pose2sim, source, session, options, model, overwrite)
@@ -146,8 +146,8 @@ def opencv(
     up: Up = None,
 ) -> None:
     """Import cameras calibrated with OpenCV, EasyMocap or Anipose, and their videos or images; --unit and --up must be given."""
-    from bayes_body.recording.opencv import import_opencv
-    from bayes_body.recording.options import Options
+    from bayes_body.recording.readers.opencv import import_opencv
+    from bayes_body.recording.readers.options import Options
 
     options = Options(unit, up, fps, height, masks, background, truth, _offsets(offset), layout, keypoints, first_frame, frames)
     _import(import_opencv, source, session, options, model, overwrite)
@@ -174,8 +174,8 @@ def qualisys(
     up: Up = None,
 ) -> None:
     """Import video cameras of Qualisys Track Manager; z points up unless --up gives another axis."""
-    from bayes_body.recording.options import Options
-    from bayes_body.recording.qualisys import import_qualisys
+    from bayes_body.recording.readers.options import Options
+    from bayes_body.recording.readers.qualisys import import_qualisys
 
     options = Options(None, up, fps, height, masks, background, truth, _offsets(offset), layout, keypoints, first_frame, frames)
     _import(import_qualisys, source, session, options, model, overwrite)
@@ -199,9 +199,9 @@ def _offsets(texts: list[str] | None) -> dict[str, int]:
 
 def _import(importer: "Importer", source: Path, folder: Path, options: "Options", model: str, overwrite: bool) -> None:
     """Run an importer, print its remarks, and draw the picture for checking the session."""
+    from bayes_body.base.config import configure
     from bayes_body.cli.models import checked_definition
-    from bayes_body.config import configure
-    from bayes_body.session.read import FILE_NAME
+    from bayes_body.recording.session.read import FILE_NAME
 
     if (folder / FILE_NAME).exists() and not overwrite:
         raise input_error(folder, f"already holds a {FILE_NAME}", "a folder without one", "name another, or replace it with --overwrite")
@@ -220,12 +220,12 @@ def _import(importer: "Importer", source: Path, folder: Path, options: "Options"
 
 def _warn_of_nobody(session: "Session") -> None:
     """Tell the user if nobody is in the first frame. Without masks the background is learned first, which takes some seconds."""
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     configure()
-    from bayes_body.initial.presence import nobody_first
+    from bayes_body.base.progress import waiting
+    from bayes_body.initial.search.presence import nobody_first
     from bayes_body.view.figures_text import warning_line
-    from bayes_body.view.progress import waiting
 
     with waiting("looking for the person in the first frame", sys.stderr.isatty()):
         sentence = nobody_first(session)
@@ -242,7 +242,7 @@ def size_of(session: "Session") -> str:
 
 def draw_first_frame(session: "Session", name: str, path: Path) -> Path:
     """Draw a body in its first pose into the first picture of every camera, and print the remarks of the fit."""
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     configure()
     from bayes_body.model.build import build_model

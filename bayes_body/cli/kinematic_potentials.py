@@ -10,9 +10,9 @@ from bayes_body.cli.learned_files import check_out, motion_files, portable
 from bayes_body.cli.terminal import say, show
 
 if TYPE_CHECKING:
-    from bayes_body.body.schema import BodySchema
-    from bayes_body.learning.kinematic_potentials import HeldOut, JointPoses
-    from bayes_body.potentials.joint_file import JointMixtures
+    from bayes_body.model.body.schema import BodySchema
+    from bayes_body.model.potentials.joint_file import JointMixtures
+    from bayes_body.workshop.learning.kinematic_potentials import HeldOut, JointPoses
 
 
 def kinematic_potentials(
@@ -30,8 +30,8 @@ def kinematic_potentials(
     """Learn a Gaussian mixture of the pose of each part relative to its parent, and compare it with one Gaussian."""
     import math
 
-    from bayes_body.config import configure
-    from bayes_body.errors import input_error
+    from bayes_body.base.config import configure
+    from bayes_body.base.errors import input_error
 
     table = out.with_suffix(".toml")
     check_out(out, table, overwrite)
@@ -39,11 +39,11 @@ def kinematic_potentials(
         if not (math.isfinite(value) and value > 0):
             raise input_error(option, f"{value:g}", "a finite number above 0", "correct it")
     configure()
-    from bayes_body.files.atomic import write_text
-    from bayes_body.learning.joint_mixtures import Floors
-    from bayes_body.learning.kinematic_potentials import held_out, joints_of, learn_joints
+    from bayes_body.base.files.atomic import write_text
     from bayes_body.model.definition import load_body
-    from bayes_body.potentials.joint_file import save_joint_mixtures
+    from bayes_body.model.potentials.joint_file import save_joint_mixtures
+    from bayes_body.workshop.learning.joint_mixtures import Floors
+    from bayes_body.workshop.learning.kinematic_potentials import held_out, joints_of, learn_joints
 
     schema = load_body(body)
     joints_of(body, schema)
@@ -62,9 +62,9 @@ def kinematic_potentials(
 
 
 def _poses(paths: Sequence[Path], body: str, schema: "BodySchema", frames: int) -> "list[JointPoses]":
-    from bayes_body.learning.kinematic_potentials import joint_poses
-    from bayes_body.recording.mocap import read_motion
-    from bayes_body.view.progress import watched
+    from bayes_body.base.progress import watched
+    from bayes_body.recording.readers.mocap import read_motion
+    from bayes_body.workshop.learning.kinematic_potentials import joint_poses
 
     files = [file for path in paths for file in motion_files(path)]
     motions = [read_motion(file) for file in files]

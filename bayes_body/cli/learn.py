@@ -17,7 +17,7 @@ from bayes_body.cli.terminal import say
 from bayes_body.cli.walking_angles import walking_angles
 
 if TYPE_CHECKING:
-    from bayes_body.learning.cycle import Learned
+    from bayes_body.workshop.learning.cycle import Learned
 
 app = typer.Typer(help="Learn from captured motion, or from recordings with their truth.", no_args_is_help=True)
 app.command("likelihood-scale", short_help="The precision at which 90 % intervals hold.")(likelihood_scale)
@@ -40,9 +40,9 @@ def walking_cycle(
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace existing files."),
 ) -> None:
     """Learn a walker's mean stride and the main variations between strides; simulated people walk with them."""
-    from bayes_body.files.atomic import write_text
-    from bayes_body.learning.cycle import learn, save_cycle
-    from bayes_body.recording.mocap import landmarks, read_motion
+    from bayes_body.base.files.atomic import write_text
+    from bayes_body.recording.readers.mocap import landmarks, read_motion
+    from bayes_body.workshop.learning.cycle import learn, save_cycle
 
     table = out.with_suffix(".toml")
     check_out(out, table, overwrite)

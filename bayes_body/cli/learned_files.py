@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from bayes_body.errors import input_error
+from bayes_body.base.errors import input_error
 
 ENDINGS = (".amc", ".bvh", ".c3d", ".trc")
 

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from bayes_body.base.errors import input_error
 from bayes_body.cli.terminal import say
 from bayes_body.cli.track import LARGEST_SEED, check_range
-from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
-    from bayes_body.learning.likelihood_scale import Trial
+    from bayes_body.workshop.learning.likelihood_scale import Trial
 
 SCALES = "2,4,8,16,32"
 HEADINGS = f"{'recording':32} {'scale':>7} {'coverage of 90 %':>17} {'error mm':>9} {'overlap':>8} {'ESS':>6}"
@@ -32,12 +32,12 @@ def likelihood_scale(
     ),
 ) -> None:
     """Find the `precision` at which 90 % intervals contain the truth in nine of ten cases."""
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     configure()
     from bayes_body.cli.models import checked_definition
-    from bayes_body.learning.likelihood_scale import LEVEL, choose_scale, pooled
     from bayes_body.model.kernel_options import kernel_options
+    from bayes_body.workshop.learning.likelihood_scale import LEVEL, choose_scale, pooled
 
     check_range("--particles", particles, 1)
     check_range("--frames", frames, 1)
@@ -63,11 +63,11 @@ def _tried(
     sessions: list[Path], definition: Any, scales: list[float], kind: str, options: Any, settings: dict[str, Any], out: Path | None
 ) -> "list[Trial]":
     """Return all trials; each is printed as soon as it is computed."""
-    from bayes_body.calibration.replication_log import SUFFIX, ReplicationLog
-    from bayes_body.learning.likelihood_scale import trials
-    from bayes_body.registry import find
-    from bayes_body.session.read import load_session
-    from bayes_body.view.progress import watched
+    from bayes_body.base.progress import watched
+    from bayes_body.base.registry import find
+    from bayes_body.recording.session.read import load_session
+    from bayes_body.workshop.calibration.replication_log import SUFFIX, ReplicationLog
+    from bayes_body.workshop.learning.likelihood_scale import trials
 
     kernel, found = find("kernel", kind).build(options=options), []
     loaded = [load_session(path) for path in sessions]
@@ -92,8 +92,8 @@ def _numbers(text: str) -> list[float]:
 
 
 def _write(path: Path, figures: dict[str, Any]) -> None:
-    from bayes_body.calibration.replication_log import SUFFIX
-    from bayes_body.files.atomic import write_text
+    from bayes_body.base.files.atomic import write_text
+    from bayes_body.workshop.calibration.replication_log import SUFFIX
 
     write_text(path, json.dumps(figures, indent=2) + "\n")
     path.with_name(path.name + SUFFIX).unlink(missing_ok=True)

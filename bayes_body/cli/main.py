@@ -12,12 +12,12 @@ from typing import Any
 import typer
 
 import bayes_body
+from bayes_body.base.errors import FaultyFileError, InputError, input_error
+from bayes_body.base.files.read import check_native
 from bayes_body.cli import benchmark, check, demo, export, gait, import_, learn, mocap, models, picture, report, simulate, smooth, track, view
 from bayes_body.cli.stopping import STOPPED, stoppable
 from bayes_body.cli.surroundings import check_current_folder, fault_of_surroundings
 from bayes_body.cli.terminal import Guarded, complain, guarded, say
-from bayes_body.errors import FaultyFileError, InputError, input_error
-from bayes_body.files.read import check_native
 
 WRONG_INPUT, OUR_FAULT, OUTPUT_LOST = 2, 1, 1
 

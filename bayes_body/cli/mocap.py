@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from bayes_body.base.errors import input_error
 from bayes_body.cli.terminal import say, show
-from bayes_body.errors import input_error
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from bayes_body.retarget import Retargeted
+    from bayes_body.initial.retarget import Retargeted
 
 
 def mocap(
@@ -29,15 +29,15 @@ def mocap(
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace an existing file."),
 ) -> None:
     """Map a captured motion to a body's joint angles, exactly if the skeletons agree, and show the distances of its markers."""
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     _check(out, height, overwrite)
     configure()
-    from bayes_body.body.build import Shape, build_body
+    from bayes_body.base.progress import waiting
+    from bayes_body.initial.retarget import retarget
+    from bayes_body.model.body.build import Shape, build_body
     from bayes_body.model.definition import load_body
-    from bayes_body.recording.mocap import landmarks, read_motion, resample
-    from bayes_body.retarget import retarget
-    from bayes_body.view.progress import waiting
+    from bayes_body.recording.readers.mocap import landmarks, read_motion, resample
 
     schema = load_body(body)
     motion = read_motion(file, skeleton=skeleton, unit=unit, up=up)
@@ -62,8 +62,8 @@ def _write(out: Path, found: "Retargeted", points: "dict[str, np.ndarray]", fps:
     """Write the motion in the form that `recording.truth.read_truth` reads, and the joint angles, lengths and residuals."""
     import numpy as np
 
-    from bayes_body.evidence.markers import MARKERS
-    from bayes_body.files.atomic import replacing
+    from bayes_body.base.files.atomic import replacing
+    from bayes_body.recording.evidence.markers import MARKERS
 
     with replacing(out) as partial, partial.open("wb") as file:
         np.savez_compressed(

@@ -31,8 +31,8 @@ def list_models() -> None:
     """List the definitions that ship, one line each."""
     from rich.table import Table
 
-    from bayes_body.body.space import configuration_space
-    from bayes_body.files.shipped import definitions_folder
+    from bayes_body.base.files.shipped import definitions_folder
+    from bayes_body.model.body.space import configuration_space
     from bayes_body.model.build import body_of
     from bayes_body.model.definition import definition_names, load_definition
 
@@ -55,12 +55,12 @@ def check(file: str = typer.Argument(help="A definition's name or the path of yo
 
 
 def _call_terms(definition: "Definition") -> None:
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     configure()
-    from bayes_body.calibration.probe import probe
-    from bayes_body.calibration.scene import model_in_a_room
-    from bayes_body.registry import find
+    from bayes_body.base.registry import find
+    from bayes_body.workshop.calibration.probe import probe
+    from bayes_body.workshop.calibration.scene import model_in_a_room
 
     kernel = definition.kernel
     probe(model_in_a_room(definition), find("kernel", kernel.kind).build(options=kernel.options), runs=False)
@@ -74,8 +74,8 @@ def axes(
     plugin: Plugins = None,
 ) -> None:
     """Draw the anatomical axes of a definition's body and the positive directions of its clinical angles, and list the angles."""
-    from bayes_body.files.atomic import make_folder
-    from bayes_body.files.existing import check_free
+    from bayes_body.base.files.atomic import make_folder
+    from bayes_body.base.files.existing import check_free
     from bayes_body.model.build import body_of
     from bayes_body.model.definition import load_definition
     from bayes_body.view.anatomical_axes import draw_axes
@@ -94,10 +94,10 @@ def checked_definition(name: str) -> "Definition":
     Raises:
         InputError: something in the file is wrong; each sentence names one fault.
     """
-    from bayes_body.errors import InputError
+    from bayes_body.base.errors import InputError
+    from bayes_body.base.registry import find
     from bayes_body.model.build import body_of
     from bayes_body.model.definition import load_definition
-    from bayes_body.registry import find
 
     definition = load_definition(name)
     try:

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import typer
 
+from bayes_body.base.errors import input_error
 from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.cli.terminal import say
-from bayes_body.errors import input_error
 
 SIZES, MOST_DRAWS = (200, 10_000), 1000
 
@@ -26,12 +26,12 @@ def picture(
     plugin: Plugins = None,
 ) -> None:
     """Write the posterior of one frame over a camera's image, with legend, scale and name; or curves of angles with their 90 % bands."""
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     configure()
-    from bayes_body.files.existing import check_free
-    from bayes_body.storage.run_file import check_plugins
-    from bayes_body.storage.saved_run import load_run
+    from bayes_body.base.files.existing import check_free
+    from bayes_body.results.storage.run_file import check_plugins
+    from bayes_body.results.storage.saved_run import load_run
     from bayes_body.view.picture import write_curves, write_picture
     from bayes_body.view.picture.paper import check_format
 

@@ -24,7 +24,7 @@ def own_terms(files: list[Path] | None) -> Iterator[None]:
     if not files:
         yield
         return
-    from bayes_body.plugins.load import load_plugin, plugins_to_blame
+    from bayes_body.model.plugins.load import load_plugin, plugins_to_blame
 
     for file in files:
         load_plugin(file)

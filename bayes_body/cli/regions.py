@@ -14,12 +14,12 @@ def regions(
     frames: int = typer.Option(5, "--frames", help="Number of evenly spaced frames of each recording."),
 ) -> None:
     """Learn `inside`, `band` and `edge_elsewhere` of the likelihood `regions`, and print them."""
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     configure()
     from bayes_body.cli.models import checked_definition
-    from bayes_body.learning.regions import region_statistics, region_sums
-    from bayes_body.session.read import load_session
+    from bayes_body.recording.session.read import load_session
+    from bayes_body.workshop.learning.regions import region_statistics, region_sums
 
     check_range("--frames", frames, 1)
     definition, everything = checked_definition(model), []

@@ -15,12 +15,12 @@ def report(
     plugin: Plugins = None,
 ) -> None:
     """Write one HTML file that opens without a network: figures, pictures, joint angles, diagnostics, and how the run was made."""
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     configure()
-    from bayes_body.storage.run_file import check_plugins
-    from bayes_body.storage.saved_run import load_run
-    from bayes_body.view.progress import watched
+    from bayes_body.base.progress import watched
+    from bayes_body.results.storage.run_file import check_plugins
+    from bayes_body.results.storage.saved_run import load_run
     from bayes_body.view.report import write_report
 
     with own_terms(plugin), load_run(run) as saved:

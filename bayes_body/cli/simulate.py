@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import typer
 
+from bayes_body.base.errors import InputError, input_error, nearest
 from bayes_body.cli.terminal import say
-from bayes_body.errors import InputError, input_error, nearest
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from bayes_body.recording.rig import Rig
-    from bayes_body.session.session import Session
+    from bayes_body.recording.readers.rig import Rig
+    from bayes_body.recording.session.session import Session
 
     type Landmarks = Mapping[str, np.ndarray]
 
@@ -87,13 +87,13 @@ def simulate(
     seed: Seed = 0,
 ) -> None:
     """Film a motion with simulated cameras: videos, empty scenes, calibration, first keypoints and the truth, as a session."""
+    from bayes_body.base.progress import watched
     from bayes_body.cli.import_ import size_of
-    from bayes_body.simulation.options import Options
-    from bayes_body.simulation.person import build_person
-    from bayes_body.simulation.session import check_folder
-    from bayes_body.simulation.session import simulate as film
-    from bayes_body.simulation.staging import centred, cut, scaled, stature_m
-    from bayes_body.view.progress import watched
+    from bayes_body.workshop.simulation.options import Options
+    from bayes_body.workshop.simulation.person import build_person
+    from bayes_body.workshop.simulation.session import check_folder
+    from bayes_body.workshop.simulation.session import simulate as film
+    from bayes_body.workshop.simulation.staging import centred, cut, scaled, stature_m
 
     if frames is not None and frames > MOST_FRAMES:
         raise input_error("--frames", str(frames), f"at most {MOST_FRAMES}", "give a smaller number")
@@ -125,9 +125,9 @@ def _quality(text: str | None) -> Literal["good", "poor"] | None:
 
 
 def _rig(name: str, cameras: str | None) -> "Rig":
-    from bayes_body.files.shipped import definitions_folder
+    from bayes_body.base.files.shipped import definitions_folder
     from bayes_body.model.definition import definition_names
-    from bayes_body.recording.rig import read_rig
+    from bayes_body.recording.readers.rig import read_rig
 
     shipped = definition_names("rigs")
     path = definitions_folder() / "rigs" / f"{name}.toml" if name in shipped else Path(name)
@@ -139,14 +139,14 @@ def _rig(name: str, cameras: str | None) -> "Rig":
 
 def _captured(path: Path, fps: float, skeleton: Path | None, unit: str | None, up: str | None) -> "Landmarks":
     """Return a captured motion's landmarks, resampled to a frame rate."""
-    from bayes_body.recording.mocap import landmarks, read_motion, resample
+    from bayes_body.recording.readers.mocap import landmarks, read_motion, resample
 
     return landmarks(resample(read_motion(path, skeleton, unit=unit, up=up), fps))
 
 
 def _walk(fps: float, frames: int | None, first: int, seed: int, height: float | None) -> "Landmarks":
     """Return the landmarks of the walk that ships, with enough frames, in the subject's own gait."""
-    from bayes_body.learning.walking_cycle import load_cycle, walk
+    from bayes_body.workshop.learning.walking_cycle import load_cycle, walk
 
     count = round(WALK_S * fps) if frames is None else frames
     cycle = load_cycle()
@@ -162,11 +162,11 @@ def _angles(name: str, landmarks: "Landmarks", fps: float) -> dict[str, "np.ndar
     """Return the joint angles of a body fitted to the person's motion, with their names."""
     import numpy as np
 
-    from bayes_body.body.build import build_body
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
+    from bayes_body.base.progress import waiting
+    from bayes_body.initial.retarget import retarget
+    from bayes_body.model.body.build import build_body
     from bayes_body.model.definition import load_body
-    from bayes_body.retarget import retarget
-    from bayes_body.view.progress import waiting
 
     schema = load_body(name)
     configure()

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import typer
 
+from bayes_body.base.errors import input_error
 from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.cli.terminal import say
 from bayes_body.cli.track import LARGEST_SEED, check_range
-from bayes_body.errors import input_error
 
 
 def smooth(
@@ -26,11 +26,11 @@ def smooth(
 
     A draw of the result is one path through all frames: the draws give velocities, gait events and other quantities of several frames.
     """
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     configure()
+    from bayes_body.results.storage.names import free_folder
     from bayes_body.runs.smooth import SmoothSettings, smooth_run
-    from bayes_body.storage.names import free_folder
 
     check_range("--draws", draws, 1)
     check_range("--moves", moves, 0)

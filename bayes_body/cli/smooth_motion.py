@@ -13,15 +13,15 @@ def smooth_motion(
     body: str = typer.Option("sidenbladh_25", "--body", help="The body that follows the motion: its name or the path of your own .toml file."),
 ) -> None:
     """Learn the standard deviations of `constant_velocity`, and print its tables."""
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     configure()
     import math
 
-    from bayes_body.learning.smooth_motion import FPS, smooth_noise, track_of
+    from bayes_body.base.progress import watched
     from bayes_body.model.definition import load_body
-    from bayes_body.recording.mocap import read_motion
-    from bayes_body.view.progress import watched
+    from bayes_body.recording.readers.mocap import read_motion
+    from bayes_body.workshop.learning.smooth_motion import FPS, smooth_noise, track_of
 
     schema = load_body(body)
     files = [file for path in motions for file in motion_files(path)]

@@ -4,7 +4,7 @@ import os
 import sys
 from pathlib import Path
 
-from bayes_body.errors import InputError, input_error
+from bayes_body.base.errors import InputError, input_error
 
 
 def check_current_folder() -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import typer
 
-from bayes_body.errors import printable
+from bayes_body.base.errors import printable
 
 # Columns of a table that is not printed on a terminal.
 WIDTH = 160

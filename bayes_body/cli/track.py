@@ -6,10 +6,10 @@ from typing import Any
 
 import typer
 
+from bayes_body.base.errors import InputError, input_error
 from bayes_body.cli.arguments import setting
 from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.cli.terminal import say
-from bayes_body.errors import InputError, input_error
 
 # The largest seed of a JAX key without 64-bit arrays.
 LARGEST_SEED = 2**32 - 1
@@ -64,14 +64,14 @@ def track(
     plugin: Plugins = None,
 ) -> None:
     """Track the person in a session; writes run.toml, frames, posterior.nc, summary.json, overlay.mp4 and stills."""
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     configure()
     from bayes_body.cli.models import checked_definition
+    from bayes_body.results.storage.names import RUN_FILE
+    from bayes_body.results.storage.run_file import read_run_file
     from bayes_body.runs.run import run
     from bayes_body.runs.settings import AUTO, GIVEN, Settings
-    from bayes_body.storage.names import RUN_FILE
-    from bayes_body.storage.run_file import read_run_file
 
     most = _frames_of(session, first_frame, frames)
     counts = {"particles": particles, "layers": layers, "moves": moves, "leapfrog_steps": leapfrog_steps}
@@ -113,7 +113,7 @@ def draws_of(keep: str | None) -> int | None:
 
 def _free_run(session: Path, resume: bool) -> Path:
     """Return `SESSION_run` beside the session, or the next free `SESSION_run_2`, ..."""
-    from bayes_body.storage.names import free_folder
+    from bayes_body.results.storage.names import free_folder
 
     if resume:
         raise input_error("--resume", "no --out", "the folder of the run to continue", "name it with --out")
@@ -143,10 +143,10 @@ def _with_settings(overrides: dict[str, Any], texts: list[str]) -> dict[str, Any
 
 def _frames_of(folder: Path, first_frame: int | None, wanted: int | None) -> int:
     """Return the number of frames from the first to track on, after a check that their files exist, so that the run does not fail half way."""
-    from bayes_body.recording.check import check_session
-    from bayes_body.recording.excerpt import excerpt
-    from bayes_body.session.read import FILE_NAME, load_session
-    from bayes_body.view.progress import waiting
+    from bayes_body.base.progress import waiting
+    from bayes_body.recording.readers.check import check_session
+    from bayes_body.recording.readers.excerpt import excerpt
+    from bayes_body.recording.session.read import FILE_NAME, load_session
 
     if not folder.exists() or (folder.is_dir() and not (folder / FILE_NAME).exists()):
         found = f"no {FILE_NAME} in it" if folder.exists() else "no such folder"

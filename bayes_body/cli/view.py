@@ -6,9 +6,9 @@ from pathlib import Path
 
 import typer
 
+from bayes_body.base.errors import input_error
 from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.cli.terminal import say
-from bayes_body.errors import input_error
 
 MOST_DRAWS = 1000
 
@@ -23,12 +23,12 @@ def view(
     plugin: Plugins = None,
 ) -> None:
     """Write one HTML file that turns, zooms and plays without a network: mean body, draws, cameras with their images, truth and keypoints."""
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     configure()
-    from bayes_body.storage.run_file import check_plugins
-    from bayes_body.storage.saved_run import load_run
-    from bayes_body.view.progress import watched
+    from bayes_body.base.progress import watched
+    from bayes_body.results.storage.run_file import check_plugins
+    from bayes_body.results.storage.saved_run import load_run
     from bayes_body.view.viewer import write_view
 
     if not 0 <= draws <= MOST_DRAWS:

@@ -9,7 +9,7 @@ from bayes_body.cli.learned_files import check_out, motion_files, portable
 from bayes_body.cli.terminal import say
 
 if TYPE_CHECKING:
-    from bayes_body.learning.walking_angles import LearnedAngles
+    from bayes_body.workshop.learning.walking_angles import LearnedAngles
 
 
 def walking_angles(
@@ -22,17 +22,17 @@ def walking_angles(
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace existing files."),
 ) -> None:
     """Learn the mean stride of several people as joint angles, and the main variations between strides and people."""
-    from bayes_body.config import configure
+    from bayes_body.base.config import configure
 
     table = out.with_suffix(".toml")
     check_out(out, table, overwrite)
     configure()
-    from bayes_body.dynamics.angle_cycle import save_angle_cycle
-    from bayes_body.files.atomic import write_text
-    from bayes_body.learning.walking_angles import angles_of_walk, learn_angles, unusable
+    from bayes_body.base.files.atomic import write_text
+    from bayes_body.base.progress import watched
     from bayes_body.model.definition import load_body
-    from bayes_body.recording.mocap import read_motion
-    from bayes_body.view.progress import watched
+    from bayes_body.model.dynamics.angle_cycle import save_angle_cycle
+    from bayes_body.recording.readers.mocap import read_motion
+    from bayes_body.workshop.learning.walking_angles import angles_of_walk, learn_angles, unusable
 
     schema = load_body(body)
     files = [file for path in walks for file in motion_files(path)]

@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from bayes_body.base.shapes import Scalar
 from bayes_body.density.density import Density
 from bayes_body.density.factor import State, Transition
-from bayes_body.shapes import Scalar
 
 
 class Ahead(NamedTuple):

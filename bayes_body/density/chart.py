@@ -21,10 +21,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_body.base.geometry import rigid, rotations
+from bayes_body.base.geometry.namespaces import namespace
+from bayes_body.base.shapes import Scalar
 from bayes_body.density.factor import State
-from bayes_body.geometry import rigid, rotations
-from bayes_body.geometry.namespaces import namespace
-from bayes_body.shapes import Scalar
 
 
 class Chart(Protocol):

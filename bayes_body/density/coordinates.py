@@ -11,9 +11,9 @@ from jaxtyping import Array
 from numpyro.distributions import Distribution, biject_to
 from numpyro.distributions.transforms import Transform
 
+from bayes_body.base.shapes import Scalar
 from bayes_body.density.chart import Chart
 from bayes_body.density.factor import State, Transition
-from bayes_body.shapes import Scalar
 
 
 class Coordinates(NamedTuple):

@@ -21,12 +21,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpyro.distributions import Distribution
 
+from bayes_body.base.errors import input_error
+from bayes_body.base.shapes import Index, Key, Scalar
 from bayes_body.density.chart import Chart
 from bayes_body.density.coordinates import coordinates_after
 from bayes_body.density.factor import Data, Factor, Particles, Side, State, Transition, variables
 from bayes_body.density.tempering import LogTerms, tempered
-from bayes_body.errors import input_error
-from bayes_body.shapes import Index, Key, Scalar
 
 # For each variable, a batch of distributions: one for each particle of the previous frame.
 type Predictions = Mapping[str, Distribution]

@@ -13,11 +13,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from bayes_body.base.shapes import Index, Key, Scalar
 from bayes_body.density.chart import Chart
 from bayes_body.density.density import Density
 from bayes_body.density.factor import State
 from bayes_body.density.tempering import LogTerms
-from bayes_body.shapes import Index, Key, Scalar
 
 
 class Extended(NamedTuple):

@@ -18,8 +18,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpyro.distributions import Distribution
 
+from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.spaces import Flat, Space, numbered
-from bayes_body.shapes import Key, Scalar
 
 type State = Mapping[str, Array]
 type Data = Mapping[str, Any]

@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from bayes_body.base.errors import input_error
+from bayes_body.base.shapes import Index, Scalar
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Data, Factor, Particles, State, Transition
-from bayes_body.errors import input_error
-from bayes_body.shapes import Index, Scalar
 
 # What one frame has for itself: its factors if they differ between frames, and its data.
 type Own = tuple[tuple[Factor, ...] | None, Data]

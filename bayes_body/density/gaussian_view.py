@@ -19,12 +19,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_body.base.errors import input_error
+from bayes_body.base.shapes import Index, Key, Keys, Scalar
 from bayes_body.density.chart import Chart
 from bayes_body.density.density import Density
 from bayes_body.density.factor import State, nothing_carried, nothing_derived
 from bayes_body.density.tempering import LogTerms, tempered
-from bayes_body.errors import input_error
-from bayes_body.shapes import Index, Key, Keys, Scalar
 
 # What is added to the variances of the prediction, relative and absolute, so that float32 finds a root of the covariance.
 FLOOR = (1e-4, 1e-10)

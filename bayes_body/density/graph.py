@@ -17,10 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from bayes_body.base.errors import input_error
+from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.plate import Plate
 from bayes_body.density.spaces import Space
-from bayes_body.errors import input_error
-from bayes_body.shapes import Key, Scalar
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=["name", "tempered"], data_fields=["plate", "data"])

@@ -7,9 +7,9 @@ from typing import NamedTuple, Protocol
 from jaxtyping import Array
 from pydantic import BaseModel
 
+from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
-from bayes_body.shapes import Key, Scalar
 
 # In place of an ancestor's index, if a kernel's particles have none: a prediction by a Gaussian, or the paths of a smoother.
 NO_ANCESTOR = -1
@@ -29,7 +29,7 @@ class FilterInfo(NamedTuple):
         evaluations: number of likelihoods of a whole pose computed for the frame; a likelihood with its gradient counts as one.
         markov: figures of each chain from a kernel that runs Markov chains, (chain,): `acceptance`, `divergences`, `energy_fraction`, `step`; also
             `ess` of each entry of a state, and `length`, the number of draws of a chain. Empty from other kernels.
-        messages: figures of a kernel that passes messages on a graph (formulas: kernels/parts/message_diagnostics.py). Empty from other kernels.
+        messages: figures of a kernel that passes messages on a graph (formulas: kernels/messages/message_diagnostics.py). Empty from other kernels.
             `samples`: number of particles of a node.
             `belief_ess` (node,): effective sample size, 1 / sum of w², of every belief after the last iteration.
             `message_ess`: the smallest of all messages then.

@@ -19,11 +19,11 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpyro.distributions import Distribution
 
+from bayes_body.base.errors import input_error
+from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.graph import Graph, Mixture, Term, check_rows
 from bayes_body.density.plate import Plate
 from bayes_body.density.spaces import Space, numbered
-from bayes_body.errors import input_error
-from bayes_body.shapes import Key, Scalar
 
 type Node = int | str
 # Values of each node at which factors are checked.

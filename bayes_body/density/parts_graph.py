@@ -11,12 +11,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from bayes_body.base.errors import input_error
+from bayes_body.base.shapes import Scalar
 from bayes_body.density.density import Density, Predictions
 from bayes_body.density.graph import Graph, Mixture, Term, check_rows
 from bayes_body.density.plate import Plate
 from bayes_body.density.spaces import Plate as PlateSpace
-from bayes_body.errors import input_error
-from bayes_body.shapes import Scalar
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=["variable"], data_fields=["density", "predictions"])

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.factor import Factor, Side, Variable, Variables
-from bayes_body.shapes import Key, Scalar
 
 
 @partial(

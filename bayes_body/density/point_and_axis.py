@@ -18,8 +18,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from bayes_body.geometry import rigid, rotations
-from bayes_body.shapes import Key, Scalar, Vector3
+from bayes_body.base.geometry import rigid, rotations
+from bayes_body.base.shapes import Key, Scalar, Vector3
 
 # Concentrations below this count as it: the formulas divide by κ.
 LEAST = 1e-3

@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.spaces import Space
-from bayes_body.shapes import Key, Scalar
 
 # Standard deviation, radians, above which a fit does not go: the turns that are not summed would matter.
 WIDEST_RAD = 1.2

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from bayes_body.shapes import Scalar
+from bayes_body.base.shapes import Scalar
 
 
 class LogTerms(NamedTuple):

@@ -21,6 +21,8 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from bayes_body.base.errors import input_error
+from bayes_body.base.shapes import Index, Key, Scalar
 from bayes_body.density.ahead import Ahead, log_ahead, sampled_of
 from bayes_body.density.chart import Chart
 from bayes_body.density.coordinates import coordinates_after
@@ -29,8 +31,6 @@ from bayes_body.density.factor import Particles, State
 from bayes_body.density.frames import Frames, Own
 from bayes_body.density.sharding import varying_like
 from bayes_body.density.window_prior import WindowPrior, window_prior
-from bayes_body.errors import input_error
-from bayes_body.shapes import Index, Key, Scalar
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=[], data_fields=["frames", "before", "predictions", "references", "ahead", "after", "prior"])

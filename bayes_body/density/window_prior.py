@@ -15,12 +15,12 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from bayes_body.base.errors import input_error
+from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.ahead import sampled_of
 from bayes_body.density.coordinates import coordinates_after
 from bayes_body.density.factor import Particles, State, Transition
 from bayes_body.density.gaussian_view import TRANSITIONS, fitted_gaussian
-from bayes_body.errors import input_error
-from bayes_body.shapes import Key, Scalar
 
 
 class WindowPrior(NamedTuple):

@@ -13,7 +13,7 @@ from bayes_body.initial.first import (
     with_first_keypoints,
     with_first_pose,
 )
-from bayes_body.initial.report import FirstPose
+from bayes_body.initial.fitting.report import FirstPose
 from bayes_body.initial.stored import restored, stored
 
 __all__ = [

@@ -9,20 +9,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body.errors import input_error
-from bayes_body.initial.automatic import check_pictures, find_first_pose
-from bayes_body.initial.fit import SETTLED, fit
-from bayes_body.initial.lengths import factors
-from bayes_body.initial.measurements import read_measurements, unused_names
-from bayes_body.initial.misfit import Problem
-from bayes_body.initial.outline import LEAST_OVERLAP, fit_outline
-from bayes_body.initial.points import body_points
-from bayes_body.initial.problem import build_problem
-from bayes_body.initial.report import FirstPose, tell
+from bayes_body.base.errors import input_error
+from bayes_body.initial.fitting.fit import SETTLED, fit
+from bayes_body.initial.fitting.lengths import factors
+from bayes_body.initial.fitting.measurements import read_measurements, unused_names
+from bayes_body.initial.fitting.misfit import Problem
+from bayes_body.initial.fitting.outline import LEAST_OVERLAP, fit_outline
+from bayes_body.initial.fitting.points import body_points
+from bayes_body.initial.fitting.problem import build_problem
+from bayes_body.initial.fitting.report import FirstPose, tell
+from bayes_body.initial.search.automatic import check_pictures, find_first_pose
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import Definition
-from bayes_body.recording.keypoint_series import read_series
-from bayes_body.session.session import Keypoints, Session, Subject
+from bayes_body.recording.readers.keypoint_series import read_series
+from bayes_body.recording.session.session import Keypoints, Session, Subject
 
 type Show = Callable[[str], None]
 

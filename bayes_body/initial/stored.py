@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import input_error
-from bayes_body.initial.report import FirstPose
+from bayes_body.base.errors import input_error
+from bayes_body.initial.fitting.report import FirstPose
 from bayes_body.model.build import Model
 
 # Decimals of the draws, radians and metres. Draws are rounded when they are found, so that a run that is continued has the same ones.

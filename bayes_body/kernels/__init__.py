@@ -10,8 +10,9 @@ from inspect import signature
 from pydantic import BaseModel
 
 from bayes_body.density.kernel import Kernel, NamedKernel
-from bayes_body.kernels import annealed_filter, hmc_filter, particle_filter, tempered_smc
-from bayes_body.kernels.particle_bp import build_kernel as particle_bp
+from bayes_body.kernels.hmc import hmc_filter
+from bayes_body.kernels.messages.particle_bp import build_kernel as particle_bp
+from bayes_body.kernels.smc import annealed_filter, particle_filter, tempered_smc
 
 __all__ = ["annealed", "hmc", "particle_bp", "sir", "tempered"]
 

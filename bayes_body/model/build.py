@@ -11,21 +11,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body.body.build import Shape, build_body
-from bayes_body.body.placement import PARTS, loosened, placed_markers
-from bayes_body.body.solids import Body
+from bayes_body.base.errors import InputError, input_error, nearest
+from bayes_body.base.geometry.camera import Camera, stack, turning_radius
+from bayes_body.base.geometry.namespaces import device_array
+from bayes_body.base.registry import find
+from bayes_body.base.shapes import Configuration, Key, Pose
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Data, Factor, Particles, State, Transition
 from bayes_body.density.kernel import NamedKernel
-from bayes_body.errors import InputError, input_error, nearest
-from bayes_body.geometry.camera import Camera, stack, turning_radius
-from bayes_body.geometry.namespaces import device_array
+from bayes_body.model.body.build import Shape, build_body
+from bayes_body.model.body.placement import PARTS, loosened, placed_markers
+from bayes_body.model.body.solids import Body
 from bayes_body.model.definition import Definition, load_body, load_definition
 from bayes_body.model.first import First, first_of
 from bayes_body.model.kernel_options import check_options, kernel_of, kernel_options
-from bayes_body.registry import find
-from bayes_body.session.session import CameraSpec, Session, Subject
-from bayes_body.shapes import Configuration, Key, Pose
+from bayes_body.recording.session.session import CameraSpec, Session, Subject
 
 # Seconds after which the pose of a person who was seen is as uncertain as one that was found in pictures.
 FOUND_S = 0.25

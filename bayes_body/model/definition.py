@@ -10,12 +10,12 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from bayes_body.body.schema import BodySchema
-from bayes_body.errors import FaultyFileError, InputError, input_error, nearest
-from bayes_body.files.shipped import definitions_folder
-from bayes_body.registry import Room, find, names
-from bayes_body.toml.read import parse_toml, read_toml, validate
-from bayes_body.toml.schema import Positive, Schema
+from bayes_body.base.errors import FaultyFileError, InputError, input_error, nearest
+from bayes_body.base.files.shipped import definitions_folder
+from bayes_body.base.registry import Room, find, names
+from bayes_body.base.toml.read import parse_toml, read_toml, validate
+from bayes_body.base.toml.schema import Positive, Schema
+from bayes_body.model.body.schema import BodySchema
 
 # How a state places the body: by joint angles, or by one rigid transform for each part.
 PLACEMENTS = ("angles", "parts")
@@ -73,7 +73,7 @@ class LikelihoodDefinition(TermDefinition):
 class Definition:
     """A model definition: the text of its file, its title and source, a body, and terms with validated options.
 
-    `placement` is `angles`, or `parts` for a loose-limbed body (body/placement.py). `first` says how uncertain the first pose is.
+    `placement` is `angles`, or `parts` for a loose-limbed body (model/body/placement.py). `first` says how uncertain the first pose is.
     """
 
     name: str

@@ -15,13 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body.body.solids import Body
+from bayes_body.base.geometry.namespaces import device_array
+from bayes_body.base.shapes import Key, Keys, Pose
 from bayes_body.density.factor import State, Transition, draw
-from bayes_body.dynamics.deviations import known_deviations
-from bayes_body.dynamics.diffusion import TruncatedWalk
-from bayes_body.geometry.namespaces import device_array
+from bayes_body.model.body.solids import Body
 from bayes_body.model.definition import FirstTable
-from bayes_body.shapes import Key, Keys, Pose
+from bayes_body.model.dynamics.deviations import known_deviations
+from bayes_body.model.dynamics.diffusion import TruncatedWalk
 
 
 class First(NamedTuple):

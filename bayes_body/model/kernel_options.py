@@ -5,11 +5,11 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from bayes_body.base.errors import InputError, input_error, nearest
+from bayes_body.base.registry import find
+from bayes_body.base.toml.read import validate
 from bayes_body.density.kernel import Kernel, NamedKernel
-from bayes_body.errors import InputError, input_error, nearest
 from bayes_body.model.definition import Definition
-from bayes_body.registry import find
-from bayes_body.toml.read import validate
 
 # Options that have their own flag in `bayes-body track`; the others are given by --set.
 FLAGS = ("particles", "layers", "move", "moves", "leapfrog_steps")

@@ -1,1 +1,1 @@
-"""Read recordings: calibrations, images, videos, keypoints, motion capture and true markers."""
+"""A recording: its plain data, the readers of its files, and what is seen in its pictures."""

@@ -6,27 +6,27 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from bayes_body.clinical.ranges import range_figures, ranges_of
-from bayes_body.clinical.trajectories import angle_paths
-from bayes_body.errors import InputError
-from bayes_body.files.atomic import remove_partial, write_text
+from bayes_body.base.errors import InputError
+from bayes_body.base.files.atomic import remove_partial, write_text
+from bayes_body.base.progress import waiting, watched
 from bayes_body.initial import Show
-from bayes_body.metrics import summarise
-from bayes_body.metrics.plausibility_sentences import fit_sentences
 from bayes_body.model.build import Model
-from bayes_body.posterior import stream_posterior
-from bayes_body.posterior.diagnostics import diagnose, sentences, worst_figures
+from bayes_body.recording.session.session import Session
+from bayes_body.results.clinical.ranges import range_figures, ranges_of
+from bayes_body.results.clinical.trajectories import angle_paths
+from bayes_body.results.metrics import summarise
+from bayes_body.results.metrics.plausibility_sentences import fit_sentences
+from bayes_body.results.posterior import stream_posterior
+from bayes_body.results.posterior.diagnostics import diagnose, sentences, worst_figures
+from bayes_body.results.storage import FrameFiles
+from bayes_body.results.storage.frame_files import Thinning
+from bayes_body.results.storage.names import FRAMES_FOLDER, POSTERIOR_FILE, SUMMARY_FILE
+from bayes_body.results.storage.results import Results
+from bayes_body.results.storage.run_file import write_run_file
 from bayes_body.runs.settings import Record
-from bayes_body.session.session import Session
-from bayes_body.storage import FrameFiles
-from bayes_body.storage.frame_files import Thinning
-from bayes_body.storage.names import FRAMES_FOLDER, POSTERIOR_FILE, SUMMARY_FILE
-from bayes_body.storage.results import Results
-from bayes_body.storage.run_file import write_run_file
 from bayes_body.tracking.draws import Draws
 from bayes_body.view.figures_text import figures_text, warning_line
 from bayes_body.view.overlay import VIDEO, draw_overlay
-from bayes_body.view.progress import waiting, watched
 from bayes_body.view.video import playing_rate
 
 

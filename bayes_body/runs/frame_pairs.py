@@ -1,12 +1,12 @@
 """What a run says about a likelihood that compares frames: where it is silent, and what in the recording misleads it."""
 
-from bayes_body.errors import input_error
+from bayes_body.base.errors import input_error
+from bayes_body.base.progress import watched
 from bayes_body.initial import Show
 from bayes_body.model.build import Model
-from bayes_body.observation.frame_pairs import pair_sentences
-from bayes_body.session.session import Session
+from bayes_body.recording.observation.frame_pairs import pair_sentences
+from bayes_body.recording.session.session import Session
 from bayes_body.view.figures_text import warning_line
-from bayes_body.view.progress import watched
 
 
 def check_pairs(session: Session, model: Model, frames: int, show: Show, bar: bool) -> list[str]:

@@ -1,8 +1,8 @@
 """The range of a recording's frames that a run tracks."""
 
 from bayes_body.initial import Show
-from bayes_body.recording.excerpt import excerpt
-from bayes_body.session.session import Session
+from bayes_body.recording.readers.excerpt import excerpt
+from bayes_body.recording.session.session import Session
 
 
 def frames_from(session: Session, first_frame: int | None, show: Show) -> Session:

@@ -2,10 +2,10 @@
 
 from typing import NamedTuple
 
-from bayes_body.errors import input_error
-from bayes_body.observation.silhouettes import has_silhouettes
-from bayes_body.session.read import FILE_NAME
-from bayes_body.session.session import Session
+from bayes_body.base.errors import input_error
+from bayes_body.recording.observation.silhouettes import has_silhouettes
+from bayes_body.recording.session.read import FILE_NAME
+from bayes_body.recording.session.session import Session
 
 KEYPOINT_MODEL, SILHOUETTE_MODEL, ONE_CAMERA_MODEL = "markers_31", "tempered_smc", "hmc_walker"
 ONE_VIEW = "in one view depth is uncertain: expect wide intervals"

@@ -5,18 +5,18 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool
 
-from bayes_body.detection.detect import Detected
 from bayes_body.initial import apply_first_pose
-from bayes_body.initial.automatic import known_markers, poses_of
-from bayes_body.initial.measurements import FEWEST
-from bayes_body.initial.person_search import PersonSearch
-from bayes_body.initial.presence import shows_somebody
-from bayes_body.metrics.fit import frame_fit
-from bayes_body.metrics.plausibility import is_off
+from bayes_body.initial.detection.detect import Detected
+from bayes_body.initial.fitting.measurements import FEWEST
+from bayes_body.initial.search.automatic import known_markers, poses_of
+from bayes_body.initial.search.person_search import PersonSearch
+from bayes_body.initial.search.presence import shows_somebody
 from bayes_body.model.build import Model
-from bayes_body.observation.frames import read_frame
-from bayes_body.posterior import mean_pose
-from bayes_body.session.session import Session
+from bayes_body.recording.observation.frames import read_frame
+from bayes_body.recording.session.session import Session
+from bayes_body.results.metrics.fit import frame_fit
+from bayes_body.results.metrics.plausibility import is_off
+from bayes_body.results.posterior import mean_pose
 from bayes_body.tracking.draws import FrameResult
 
 # Of the frames that show a person who was not found before, those that are searched.

@@ -11,8 +11,10 @@ from typing import Any
 
 import jax
 
-from bayes_body.errors import input_error
-from bayes_body.files.lock import locked
+from bayes_body.base.errors import input_error
+from bayes_body.base.files.lock import locked
+from bayes_body.base.progress import waiting
+from bayes_body.base.registry import notes
 from bayes_body.initial import (
     Show,
     apply_first_pose,
@@ -25,35 +27,34 @@ from bayes_body.initial import (
     unposed,
     with_first_keypoints,
 )
-from bayes_body.metrics import true_markers
-from bayes_body.metrics.plausibility import check_silhouettes, check_view, first_fit
-from bayes_body.metrics.plausibility_sentences import fit_sentences
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.model.kernel_options import kernel_of, kernel_options
-from bayes_body.posterior.thinning import thinning_of
-from bayes_body.registry import notes
+from bayes_body.recording.session.read import load_session
+from bayes_body.recording.session.session import Session
+from bayes_body.results.metrics import true_markers
+from bayes_body.results.metrics.plausibility import check_silhouettes, check_view, first_fit
+from bayes_body.results.metrics.plausibility_sentences import fit_sentences
+from bayes_body.results.posterior.thinning import thinning_of
+from bayes_body.results.storage import FrameFiles
+from bayes_body.results.storage.frame_files import Thinning
+from bayes_body.results.storage.inputs import input_digests
+from bayes_body.results.storage.names import RUN_FILE
+from bayes_body.results.storage.results import Results
+from bayes_body.results.storage.run_changes import refuse_changes
+from bayes_body.results.storage.run_file import describe, write_run_file
 from bayes_body.runs.disk import disk_lines, draws_to_keep
 from bayes_body.runs.finish import finish, kept_frames, remark_on_stop
 from bayes_body.runs.frame_pairs import check_pairs
 from bayes_body.runs.frame_range import frames_from, number_of_first
 from bayes_body.runs.model_choice import choose_model
+from bayes_body.runs.progress import progress_bar
 from bayes_body.runs.recovery import PersonRecovery
 from bayes_body.runs.settings import AUTO, GIVEN, Record, Settings, choose, stored_record
 from bayes_body.runs.size import check_size
-from bayes_body.session.read import load_session
-from bayes_body.session.session import Session
-from bayes_body.storage import FrameFiles
-from bayes_body.storage.frame_files import Thinning
-from bayes_body.storage.inputs import input_digests
-from bayes_body.storage.names import RUN_FILE
-from bayes_body.storage.results import Results
-from bayes_body.storage.run_changes import refuse_changes
-from bayes_body.storage.run_file import describe, write_run_file
 from bayes_body.tracking.program import Ahead, compiled_ahead
 from bayes_body.tracking.track import track
 from bayes_body.view.figures_text import warning_line
-from bayes_body.view.progress import progress_bar, waiting
 
 # Kernels whose runs recover from a loss unless the user says otherwise.
 RECOVERING = ("particle_bp",)

@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bayes_body.errors import input_error
-from bayes_body.storage import FrameFiles
-from bayes_body.storage.names import FRAMES_FOLDER, RESULTS, RUN_FILE
-from bayes_body.storage.run_file import read_record, read_run_file, refuse_links
+from bayes_body.base.errors import input_error
+from bayes_body.results.storage import FrameFiles
+from bayes_body.results.storage.names import FRAMES_FOLDER, RESULTS, RUN_FILE
+from bayes_body.results.storage.run_file import read_record, read_run_file, refuse_links
 
 # Where the first pose comes from: from the session, or from the pictures where the session gives none; or from the pictures in any case.
 GIVEN, AUTO = "given", "auto"

@@ -8,8 +8,8 @@ from typing import Any
 
 import jax
 
-from bayes_body.body.space import configuration_space
-from bayes_body.errors import input_error
+from bayes_body.base.errors import input_error
+from bayes_body.model.body.space import configuration_space
 from bayes_body.model.build import Model
 
 # Larger counts of runs, layers, moves, leapfrog steps ... are mistakes of typing: such a run would not end.

@@ -10,22 +10,22 @@ from typing import Any
 
 import jax
 
-from bayes_body.errors import input_error
-from bayes_body.files.lock import locked
+from bayes_body.base.errors import input_error
+from bayes_body.base.files.lock import locked
 from bayes_body.initial import Show
-from bayes_body.kernels.smoother import Options, Smoother
-from bayes_body.posterior.diagnostics import frame_ranges
+from bayes_body.kernels.paths.smoother import Options, Smoother
+from bayes_body.results.posterior.diagnostics import frame_ranges
+from bayes_body.results.storage import FrameFiles
+from bayes_body.results.storage.names import FRAMES_FOLDER, RUN_FILE
+from bayes_body.results.storage.results import Results
+from bayes_body.results.storage.run_changes import refuse_changes
+from bayes_body.results.storage.run_file import computing_here, read_run_file, write_run_file
+from bayes_body.results.storage.saved_run import SavedRun, load_run
 from bayes_body.runs.finish import finish, kept_frames, remark_on_stop
+from bayes_body.runs.progress import smoothing_bar
 from bayes_body.runs.settings import Record, refuse_occupied
-from bayes_body.storage import FrameFiles
-from bayes_body.storage.names import FRAMES_FOLDER, RUN_FILE
-from bayes_body.storage.results import Results
-from bayes_body.storage.run_changes import refuse_changes
-from bayes_body.storage.run_file import computing_here, read_run_file, write_run_file
-from bayes_body.storage.saved_run import SavedRun, load_run
 from bayes_body.tracking.draws import Draws, timing_of
 from bayes_body.tracking.smooth import smooth
-from bayes_body.view.progress import smoothing_bar
 
 FILTER = "the run of a filter, made by `bayes-body track`"
 

@@ -10,24 +10,25 @@ import jax
 import numpy as np
 from pydantic import BaseModel
 
+from bayes_body.base.errors import RunWarning, input_error
+from bayes_body.base.progress import waiting, watched
+from bayes_body.base.shapes import Key
 from bayes_body.density.kernel import Kernel
-from bayes_body.errors import RunWarning, input_error
-from bayes_body.metrics.fit import frame_fit
-from bayes_body.metrics.plausibility import fit_figures
-from bayes_body.metrics.plausibility_sentences import fit_sentences
 from bayes_body.model.build import Model
-from bayes_body.posterior import mean_pose
-from bayes_body.posterior.diagnostics import diagnose, sentences
-from bayes_body.posterior.on_demand import tree_on_demand
+from bayes_body.recording.session.session import Session
+from bayes_body.results.metrics.fit import frame_fit
+from bayes_body.results.metrics.plausibility import fit_figures
+from bayes_body.results.metrics.plausibility_sentences import fit_sentences
+from bayes_body.results.posterior import mean_pose
+from bayes_body.results.posterior.diagnostics import diagnose, sentences
+from bayes_body.results.posterior.on_demand import tree_on_demand
 from bayes_body.runs.frame_pairs import pair_remarks
-from bayes_body.session.session import Session
-from bayes_body.shapes import Key
+from bayes_body.runs.progress import progress_bar
 from bayes_body.tracking import track as tracking
 from bayes_body.tracking.draws import Draws, FrameStore
 from bayes_body.tracking.program import Ahead
 from bayes_body.tracking.restarts import Recovery
 from bayes_body.tracking.track import Progress
-from bayes_body.view.progress import progress_bar, waiting, watched
 
 ORDER = "track(key, session, model, kernel=None, ...)"
 

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import jax
 
-from bayes_body.errors import input_error
-from bayes_body.storage import FrameFiles
-from bayes_body.storage.names import FRAMES_FOLDER
-from bayes_body.storage.saved_run import load_run
+from bayes_body.base.errors import input_error
+from bayes_body.results.storage import FrameFiles
+from bayes_body.results.storage.names import FRAMES_FOLDER
+from bayes_body.results.storage.saved_run import load_run
 from bayes_body.tracking.window import Prior, WindowPosterior, window_posterior
 
 

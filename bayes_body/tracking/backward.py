@@ -1,4 +1,4 @@
-r"""Walk back through the frames of one filter run, and yield one frame of all paths after the other (kernels/smoother.py).
+r"""Walk back through the frames of one filter run, and yield one frame of all paths after the other (kernels/paths/smoother.py).
 
 The last frame comes first. A first walk, which reads no images, lays the paths. A second walk follows some frames behind and moves each state given
 the frames before and after it. Memory holds a few frames, whatever their number. To continue, the first walk is repeated, since it is fast; the
@@ -15,12 +15,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
+from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.ahead import Ahead
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles, State, Transition
-from bayes_body.kernels.parts.ensemble import LinearPrediction
-from bayes_body.kernels.smoother import OnParticles, Smoother
-from bayes_body.shapes import Key, Scalar
+from bayes_body.kernels.paths.ensemble import LinearPrediction
+from bayes_body.kernels.paths.smoother import OnParticles, Smoother
 from bayes_body.tracking.backward_steps import BackwardSteps
 
 # Folded into a key for the second walk, so that it has other random numbers than the first.

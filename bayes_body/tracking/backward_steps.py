@@ -8,14 +8,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
+from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.ahead import Ahead, nothing_ahead, sampled_of
 from bayes_body.density.chart import Chart
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles, State, Transition
-from bayes_body.kernels.parts.batching import everywhere, whole
-from bayes_body.kernels.parts.ensemble import LinearPrediction, linear_prediction, regressed, replaced
-from bayes_body.kernels.smoother import Moved, Moves, Smoother, adapted, whitening_of
-from bayes_body.shapes import Key, Scalar
+from bayes_body.kernels.batching import everywhere, whole
+from bayes_body.kernels.paths.ensemble import LinearPrediction, linear_prediction, regressed, replaced
+from bayes_body.kernels.paths.smoother import Moved, Moves, Smoother, adapted, whitening_of
 
 
 class BackwardSteps:
@@ -83,7 +83,7 @@ class BackwardSteps:
 
     @cached_property
     def predict(self) -> Callable[[Key, Particles], LinearPrediction]:
-        """Return the regression of the next frames on the particles of a frame (`kernels/parts/ensemble.py`)."""
+        """Return the regression of the next frames on the particles of a frame (`kernels/paths/ensemble.py`)."""
 
         def ahead(key: Key, particles: Particles) -> LinearPrediction:
             return linear_prediction(key, particles, self.transition, _coordinates(self.transition, particles), self.memory or 0)

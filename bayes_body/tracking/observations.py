@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bayes_body.kernels.parts.batching import everywhere
+from bayes_body.kernels.batching import everywhere
 from bayes_body.model.build import Model
-from bayes_body.observation.frames import prefetch, read_frame
-from bayes_body.session.session import Session
+from bayes_body.recording.observation.frames import prefetch, read_frame
+from bayes_body.recording.session.session import Session
 
 # Frames that are read forwards before they are taken backwards: a video cannot be read backwards.
 PIECE = 8

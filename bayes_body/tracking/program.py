@@ -17,14 +17,14 @@ import numpy as np
 from jax.stages import Lowered
 from jaxtyping import Array
 
+from bayes_body.base.shapes import Key
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
 from bayes_body.density.kernel import FilterInfo, Kernel
-from bayes_body.kernels.parts.batching import everywhere, whole
+from bayes_body.kernels.batching import everywhere, whole
 from bayes_body.model.build import Model
-from bayes_body.observation.frames import read_frame
-from bayes_body.session.session import Session
-from bayes_body.shapes import Key
+from bayes_body.recording.observation.frames import read_frame
+from bayes_body.recording.session.session import Session
 
 # (key of the run, number of the frame, particles, density) -> particles and information.
 type Step = Callable[..., tuple[Particles, FilterInfo]]

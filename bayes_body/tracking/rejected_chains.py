@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from bayes_body.base.errors import input_error
 from bayes_body.density.kernel import FilterInfo
-from bayes_body.errors import input_error
 
 # Chains with a lower mean acceptance do not move; the suggested step is smaller by this factor.
 LEAST_ACCEPTANCE, REDUCTION = 1e-3, 10.0

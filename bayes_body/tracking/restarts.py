@@ -12,10 +12,10 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Int
 
+from bayes_body.base.shapes import Key
 from bayes_body.density.factor import Particles
-from bayes_body.kernels.parts.batching import everywhere
+from bayes_body.kernels.batching import everywhere
 from bayes_body.model.build import Model
-from bayes_body.shapes import Key
 from bayes_body.tracking.draws import FrameResult, FrameStore
 
 # A single bad silhouette is no loss.

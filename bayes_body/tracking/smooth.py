@@ -16,15 +16,15 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from bayes_body.base.errors import input_error
+from bayes_body.base.shapes import Key
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
 from bayes_body.density.kernel import NO_ANCESTOR, FilterInfo
-from bayes_body.errors import input_error
-from bayes_body.kernels.parts.batching import everywhere
-from bayes_body.kernels.smoother import Smoother
+from bayes_body.kernels.batching import everywhere
+from bayes_body.kernels.paths.smoother import Smoother
 from bayes_body.model.build import Model
-from bayes_body.session.session import Session
-from bayes_body.shapes import Key
+from bayes_body.recording.session.session import Session
 from bayes_body.tracking.backward import Backward, Filtered, PathFrame
 from bayes_body.tracking.draws import FrameResult, Frames, FrameStore
 from bayes_body.tracking.near_frames import HELD, Begun, Near

@@ -15,15 +15,15 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
+from bayes_body.base.errors import input_error
+from bayes_body.base.shapes import Key
 from bayes_body.density.factor import Particles
 from bayes_body.density.kernel import FilterInfo, Kernel
-from bayes_body.errors import input_error
-from bayes_body.kernels.parts.batching import everywhere
+from bayes_body.kernels.batching import everywhere
 from bayes_body.model.build import Model
-from bayes_body.plugins.load import check_own_factors
-from bayes_body.plugins.terms import check_result
-from bayes_body.session.session import Session
-from bayes_body.shapes import Key
+from bayes_body.model.plugins.load import check_own_factors
+from bayes_body.model.plugins.terms import check_result
+from bayes_body.recording.session.session import Session
 from bayes_body.tracking.draws import Draws, FrameResult, FrameStore, ThinningStore, timing_of
 from bayes_body.tracking.observations import Observed, observations
 from bayes_body.tracking.program import Ahead, program_from

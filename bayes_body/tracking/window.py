@@ -1,4 +1,4 @@
-"""The joint posterior of a window of frames of a filtered session, by NUTS (kernels/window.py).
+"""The joint posterior of a window of frames of a filtered session, by NUTS (kernels/paths/window.py).
 
 The filter's particles in the frame before the window are its prior. The chains start from the smoother's paths, and move in coordinates fitted to
 them. Both know the images up to the end of the window and no later ones: so the paths and the draws have the same distribution. The runs of a filter
@@ -13,19 +13,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from bayes_body.base.errors import input_error
+from bayes_body.base.shapes import Key
 from bayes_body.density.ahead import sampled_of
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles, State
 from bayes_body.density.frames import stacked
 from bayes_body.density.trajectory import trajectory
-from bayes_body.errors import input_error
-from bayes_body.kernels.parts.batching import everywhere
-from bayes_body.kernels.parts.moves import check_gradients
-from bayes_body.kernels.smoother import build_smoother
-from bayes_body.kernels.window import WindowDraws, sample_window
+from bayes_body.kernels.batching import everywhere
+from bayes_body.kernels.paths.smoother import build_smoother
+from bayes_body.kernels.paths.window import WindowDraws, sample_window
+from bayes_body.kernels.smc.moves import check_gradients
 from bayes_body.model.build import Model
-from bayes_body.session.session import Session
-from bayes_body.shapes import Key
+from bayes_body.recording.session.session import Session
 from bayes_body.tracking.draws import Frames
 from bayes_body.tracking.observations import observations
 from bayes_body.tracking.smooth import smooth_window

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.body.solids import Body
-from bayes_body.body.tables import Segment
-from bayes_body.clinical.conventions import LABORATORY
-from bayes_body.clinical.joints import Joint, axes_of, joints_of
-from bayes_body.errors import input_error
-from bayes_body.files.atomic import replacing
+from bayes_body.base.errors import input_error
+from bayes_body.base.files.atomic import replacing
+from bayes_body.model.body.solids import Body
+from bayes_body.model.body.tables import Segment
+from bayes_body.results.clinical.conventions import LABORATORY
+from bayes_body.results.clinical.joints import Joint, axes_of, joints_of
 from bayes_body.view.colours import AXES, GREY, INK, SKIN
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from bayes_body.view.overlay import backdrop
 from bayes_body.view.windows import EMPTY
 
 if TYPE_CHECKING:
-    from bayes_body.storage.saved_run import SavedRun
+    from bayes_body.results.storage.saved_run import SavedRun
 
 
 def run_backdrop(run: "SavedRun", frame: int, camera: int) -> tuple[MatLike, str]:

@@ -1,7 +1,7 @@
 """Pictures of a run: the recording with the posterior drawn over it, all cameras side by side, each cropped to the person.
 
 The posterior mean is a translucent body with an outline (left side blue, right side orange, middle green); where the mean lies among no draws, it is
-their medoid (posterior/central.py), and the picture says so. Draws are thin light outlines over it; they spread where the posterior is wide.
+their medoid (results/posterior/central.py), and the picture says so. Draws are thin light outlines over it; they spread where the posterior is wide.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -14,17 +14,17 @@ import numpy as np
 from cv2.typing import MatLike
 from jaxtyping import Float, Int
 
-from bayes_body.body.solids import Body
-from bayes_body.errors import input_error
-from bayes_body.files.atomic import make_folder, remove_partial, replacing
+from bayes_body.base.errors import input_error
+from bayes_body.base.files.atomic import make_folder, remove_partial, replacing
+from bayes_body.base.progress import Watch, unwatched
+from bayes_body.model.body.solids import Body
 from bayes_body.model.build import Model
-from bayes_body.observation.pictures import read_colour
-from bayes_body.posterior import CentralPose, central_pose, equal_weight_poses
-from bayes_body.session.session import Session, View
+from bayes_body.recording.observation.pictures import read_colour
+from bayes_body.recording.session.session import Session, View
+from bayes_body.results.metrics.silhouette import Outline, outlines, seen_in
+from bayes_body.results.posterior import CentralPose, central_pose, equal_weight_poses
 from bayes_body.tracking.draws import Draws, FrameResult
 from bayes_body.view.colours import bgr, over_image
-from bayes_body.view.progress import Watch, unwatched
-from bayes_body.view.silhouette import Outline, outlines, seen_in
 from bayes_body.view.video import h264_video
 from bayes_body.view.windows import EMPTY, STILL_HEIGHT, TILE_HEIGHT, Window, grid, person_windows
 

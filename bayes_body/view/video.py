@@ -12,7 +12,7 @@ from av.error import ExternalError, FFmpegError
 from av.video.stream import VideoStream
 from cv2.typing import MatLike
 
-from bayes_body.errors import input_error
+from bayes_body.base.errors import input_error
 
 # Slowest and fastest rate of a video, frames a second. Players show nothing useful outside of them, and far outside encoders fail.
 SLOWEST, FASTEST = 0.1, 1000.0

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.files.atomic import replacing
+from bayes_body.base.files.atomic import replacing
 from bayes_body.view.colours import GREY, INK, WARNING, run_line
 
 # The limits of the paper's Table 3, metres.

@@ -5,17 +5,17 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.evidence.markers import MARKERS
-from bayes_body.learning.walking_cycle import load_cycle, walk
-from bayes_body.metrics.truth import no_truth, true_markers
-from bayes_body.recording.mocap import landmarks, read_motion, resample
-from bayes_body.recording.rig import Rig
-from bayes_body.session.session import Session
-from bayes_body.simulation.options import Options
-from bayes_body.simulation.person import build_person
-from bayes_body.simulation.session import simulate
-from bayes_body.simulation.staging import Landmarks, centred, cut, scaled, stature_m
-from bayes_body.view.progress import Watch, unwatched
+from bayes_body.base.progress import Watch, unwatched
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.readers.mocap import landmarks, read_motion, resample
+from bayes_body.recording.readers.rig import Rig
+from bayes_body.recording.session.session import Session
+from bayes_body.results.metrics.truth import no_truth, true_markers
+from bayes_body.workshop.learning.walking_cycle import load_cycle, walk
+from bayes_body.workshop.simulation.options import Options
+from bayes_body.workshop.simulation.person import build_person
+from bayes_body.workshop.simulation.session import simulate
+from bayes_body.workshop.simulation.staging import Landmarks, centred, cut, scaled, stature_m
 
 FPS, HAND_SD_M = 30.0, 0.015
 

@@ -16,12 +16,12 @@ import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 from case import Case, Timing, load, measure, recording, spread  # noqa: E402
 
-from bayes_body.body.solids import part_transforms, patches  # noqa: E402
-from bayes_body.geometry.camera import to_camera  # noqa: E402
-from bayes_body.kernels.parts.batching import everywhere  # noqa: E402
-from bayes_body.kernels.parts.resampling import resampler  # noqa: E402
-from bayes_body.likelihood.patch_pixels import rig_pixels  # noqa: E402
-from bayes_body.likelihood.silhouette_edges import SilhouetteEdges  # noqa: E402
+from bayes_body.base.geometry.camera import to_camera  # noqa: E402
+from bayes_body.kernels.batching import everywhere  # noqa: E402
+from bayes_body.kernels.resampling import resampler  # noqa: E402
+from bayes_body.model.body.solids import part_transforms, patches  # noqa: E402
+from bayes_body.model.likelihood.patch_pixels import rig_pixels  # noqa: E402
+from bayes_body.model.likelihood.silhouette_edges import SilhouetteEdges  # noqa: E402
 
 # Every stage ends in one number a particle, so that nothing is left out and little is written.
 

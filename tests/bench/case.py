@@ -15,12 +15,12 @@ import jax.numpy as jnp
 
 from bayes_body.density.density import Density
 from bayes_body.density.factor import State
-from bayes_body.kernels.parts.batching import everywhere, over_particles
+from bayes_body.kernels.batching import everywhere, over_particles
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import load_definition
-from bayes_body.observation.frames import read_frame
-from bayes_body.recording.parsec import import_parsec
-from bayes_body.session.session import Session
+from bayes_body.recording.observation.frames import read_frame
+from bayes_body.recording.readers.parsec import import_parsec
+from bayes_body.recording.session.session import Session
 
 RECORDING = "bodytrack_4cam"
 # Particles spread this many times the model's own noise around the first pose: as a filter's are, and as the images are looked into.

@@ -54,7 +54,7 @@ def main() -> None:
 
 def programs(arguments):
     """Names of programs, each with the folder of its session."""
-    from bayes_body.files.shipped import definitions_folder
+    from bayes_body.base.files.shipped import definitions_folder
     from bayes_body.model.definition import load_definition
 
     names = arguments.program or [SEARCH, *sorted(path.stem for path in definitions_folder().glob("*.toml"))]
@@ -112,15 +112,15 @@ def frame_program(name: str, folder: Path):
     """The step of one frame, as it is tracked: the model's own kernel and number of particles."""
     import jax
 
-    from bayes_body.errors import InputError
+    from bayes_body.base.errors import InputError
+    from bayes_body.base.registry import find
     from bayes_body.initial import load_model
-    from bayes_body.kernels.parts.batching import everywhere, whole
+    from bayes_body.kernels.batching import everywhere, whole
     from bayes_body.model.build import build_model
     from bayes_body.model.definition import load_definition
     from bayes_body.model.kernel_options import kernel_options
-    from bayes_body.observation.frames import read_frame
-    from bayes_body.registry import find
-    from bayes_body.session.read import load_session
+    from bayes_body.recording.observation.frames import read_frame
+    from bayes_body.recording.session.read import load_session
 
     session = load_session(folder)
     kind, options = kernel_options(load_definition(name), None, {})
@@ -143,11 +143,11 @@ def search_program(name: str, folder: Path):
     """The search in frame 0, for the way that is detected first."""
     import jax
 
-    from bayes_body.detection.detect import TRUSTED, detect
-    from bayes_body.initial import person_search
-    from bayes_body.kernels.parts.batching import everywhere
-    from bayes_body.observation.frames import read_frame
-    from bayes_body.session.read import load_session
+    from bayes_body.initial.detection.detect import TRUSTED, detect
+    from bayes_body.initial.search import person_search
+    from bayes_body.kernels.batching import everywhere
+    from bayes_body.recording.observation.frames import read_frame
+    from bayes_body.recording.session.read import load_session
 
     session = load_session(folder)
     hunt, frame = person_search.PersonSearch(session), read_frame(session, 0)

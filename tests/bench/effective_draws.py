@@ -19,8 +19,8 @@ import jax  # noqa: E402
 import numpy as np  # noqa: E402
 from case import recording  # noqa: E402
 
+from bayes_body.base.registry import find  # noqa: E402
 from bayes_body.model.definition import Definition, load_definition  # noqa: E402
-from bayes_body.registry import find  # noqa: E402
 from bayes_body.tracking.track import Draws, track  # noqa: E402
 
 # What, kernel, options, particles.

@@ -17,12 +17,12 @@ bayes_body.configure()
 import jax  # noqa: E402
 from case import recording  # noqa: E402
 
+from bayes_body.base.registry import find  # noqa: E402
 from bayes_body.model.build import build_model  # noqa: E402
 from bayes_body.model.kernel_options import kernel_options  # noqa: E402
-from bayes_body.posterior import stream_posterior  # noqa: E402
-from bayes_body.registry import find  # noqa: E402
-from bayes_body.session.read import load_session  # noqa: E402
-from bayes_body.storage import FrameFiles  # noqa: E402
+from bayes_body.recording.session.read import load_session  # noqa: E402
+from bayes_body.results.posterior import stream_posterior  # noqa: E402
+from bayes_body.results.storage import FrameFiles  # noqa: E402
 from bayes_body.tracking.track import Progress, track  # noqa: E402
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "resume"))

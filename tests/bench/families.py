@@ -17,12 +17,12 @@ import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
+from bayes_body.base.registry import find  # noqa: E402
 from bayes_body.initial import load_model  # noqa: E402
-from bayes_body.kernels.parts.batching import everywhere  # noqa: E402
+from bayes_body.kernels.batching import everywhere  # noqa: E402
 from bayes_body.model.kernel_options import kernel_options  # noqa: E402
-from bayes_body.observation.frames import read_frame  # noqa: E402
-from bayes_body.registry import find  # noqa: E402
-from bayes_body.session.read import load_session  # noqa: E402
+from bayes_body.recording.observation.frames import read_frame  # noqa: E402
+from bayes_body.recording.session.read import load_session  # noqa: E402
 
 
 def moments(model, particles):

@@ -10,12 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bayes_body.body.placement import placed_markers
-from bayes_body.calibration.problem import point_mass
-from bayes_body.calibration.scene import model_in_a_room
 from bayes_body.density.density import Density
-from bayes_body.kernels import hmc, particle_bp
+from bayes_body.kernels import hmc
+from bayes_body.kernels.messages import particle_bp
+from bayes_body.model.body.placement import placed_markers
 from bayes_body.model.definition import load_definition, parse_definition
+from bayes_body.workshop.calibration.problem import point_mass
+from bayes_body.workshop.calibration.scene import model_in_a_room
 
 RUNS, DRAWS, REFERENCE = 8, 500, 2000
 LIKELIHOOD = '[[likelihood]]\nkind = "markers_gaussian"\nsd_px = 12.0\nat_diagonal_px = 800.0\n\n[kernel]\nkind = "sir"\n'

@@ -25,20 +25,20 @@ import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
 from case import recording  # noqa: E402
 
+from bayes_body.base.registry import find  # noqa: E402
 from bayes_body.density.density import Density  # noqa: E402
 from bayes_body.density.graph import Graph, Term  # noqa: E402
 from bayes_body.density.parts_graph import parts_graph  # noqa: E402
-from bayes_body.kernels.particle_bp import Options  # noqa: E402
-from bayes_body.kernels.parts.batching import everywhere  # noqa: E402
-from bayes_body.kernels.parts.node_proposals import Shares  # noqa: E402
-from bayes_body.kernels.parts.passing import Passing, Settings  # noqa: E402
-from bayes_body.kernels.parts.schedules import schedule  # noqa: E402
+from bayes_body.kernels.batching import everywhere  # noqa: E402
+from bayes_body.kernels.messages.node_proposals import Shares  # noqa: E402
+from bayes_body.kernels.messages.particle_bp import Options  # noqa: E402
+from bayes_body.kernels.messages.passing import Passing, Settings  # noqa: E402
+from bayes_body.kernels.messages.schedules import schedule  # noqa: E402
 from bayes_body.model.build import build_model  # noqa: E402
 from bayes_body.model.definition import Definition, load_definition  # noqa: E402
-from bayes_body.observation.frames import read_frame  # noqa: E402
-from bayes_body.registry import find  # noqa: E402
-from bayes_body.session.read import load_session  # noqa: E402
-from bayes_body.session.session import Session  # noqa: E402
+from bayes_body.recording.observation.frames import read_frame  # noqa: E402
+from bayes_body.recording.session.read import load_session  # noqa: E402
+from bayes_body.recording.session.session import Session  # noqa: E402
 
 REPETITIONS, FRAMES = 12, 5
 JOINTS, SAMPLES = (1, 2, 4, 7, 14), (100, 200, 400, 500, 800)
@@ -102,7 +102,7 @@ def messages(graph: Graph, samples: int) -> float:
 
 def frame(density: Density, samples: int) -> tuple[float, float]:
     """The seconds to compile and to sample a frame with 6 iterations and 500 joint draws."""
-    sampler = bayes_body.kernels.particle_bp(samples=samples, iterations=6, particles=500)
+    sampler = bayes_body.kernels.messages.particle_bp(samples=samples, iterations=6, particles=500)
     return seconds(
         jax.jit(lambda key, density: sampler.on(key, parts_graph(density)).joint), everywhere(jax.random.key(0)), density, repetitions=FRAMES
     )

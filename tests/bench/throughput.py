@@ -19,7 +19,7 @@ from case import load, measure, recording, spread  # noqa: E402
 
 from bayes_body.density.density import Density  # noqa: E402
 from bayes_body.density.factor import State  # noqa: E402
-from bayes_body.metrics import peak_memory_mb  # noqa: E402
+from bayes_body.results.metrics import peak_memory_mb  # noqa: E402
 
 PEER_VALUES, REQUIRED_GRADIENTS = 237_000, 60_000
 

@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 import jax
 import pytest
 
-from bayes_body.body.build import build_body
-from bayes_body.body.schema import BodySchema
-from bayes_body.body.solids import Body
+from bayes_body.model.body.build import build_body
+from bayes_body.model.body.schema import BodySchema
+from bayes_body.model.body.solids import Body
 
 # A part wherever one wants it: shifted along the world's axes, then turned.
 FREE = [("tx", "tx"), ("ty", "ty"), ("tz", "tz"), ("z", "z"), ("x", "x"), ("y", "y")]

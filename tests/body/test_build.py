@@ -6,12 +6,12 @@ import jax
 import numpy as np
 import pytest
 
-from bayes_body.body.build import Shape, build_body
-from bayes_body.body.kinematics import marker_positions
-from bayes_body.body.schema import BodySchema
-from bayes_body.body.solids import Body
-from bayes_body.errors import InputError
-from bayes_body.files.shipped import definitions_folder
+from bayes_body.base.errors import InputError
+from bayes_body.base.files.shipped import definitions_folder
+from bayes_body.model.body.build import Shape, build_body
+from bayes_body.model.body.kinematics import marker_positions
+from bayes_body.model.body.schema import BodySchema
+from bayes_body.model.body.solids import Body
 from bayes_body.model.definition import load_body
 
 NAME = "deutscher_31"

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from bayes_body.body.build import build_body
+from bayes_body.model.body.build import build_body
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import definition_names, load_body
-from bayes_body.recording.parsec import import_parsec
+from bayes_body.recording.readers.parsec import import_parsec
 
 KNEES = ("l_knee", "r_knee")
 

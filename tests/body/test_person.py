@@ -6,13 +6,13 @@ import jax
 import numpy as np
 import pytest
 
-from bayes_body.body.build import Shape, build_body
-from bayes_body.body.kinematics import marker_positions
-from bayes_body.body.placement import loosened
-from bayes_body.body.solids import part_transforms
+from bayes_body.model.body.build import Shape, build_body
+from bayes_body.model.body.kinematics import marker_positions
+from bayes_body.model.body.placement import loosened
+from bayes_body.model.body.solids import part_transforms
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_body
-from bayes_body.session.session import Subject
+from bayes_body.recording.session.session import Subject
 
 HEIGHT = 1.8
 # The dofs of ankle and wrist, and the parts of a limb with the one that each hangs on.

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.dynamics import rigid_walk
-from bayes_body.geometry import rigid
+from bayes_body.base.geometry import rigid
+from bayes_body.base.registry import find
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import LikelihoodDefinition, TermDefinition, load_definition
-from bayes_body.observation.frames import read_frame
-from bayes_body.registry import find
+from bayes_body.model.dynamics import rigid_walk
+from bayes_body.recording.observation.frames import read_frame
 
 log_likelihood = jax.jit(lambda density, state: density.log_likelihood(state, state))
 

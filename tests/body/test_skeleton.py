@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from bayes_body.body.build import build_body
-from bayes_body.body.kinematics import forward_kinematics, marker_positions
-from bayes_body.body.schema import BodySchema
-from bayes_body.body.skeleton import preset_rotation
-from bayes_body.body.solids import Body
-from bayes_body.files.shipped import definitions_folder
-from bayes_body.geometry import transforms
+from bayes_body.base.files.shipped import definitions_folder
+from bayes_body.base.geometry import transforms
+from bayes_body.model.body.build import build_body
+from bayes_body.model.body.kinematics import forward_kinematics, marker_positions
+from bayes_body.model.body.schema import BodySchema
+from bayes_body.model.body.skeleton import preset_rotation
+from bayes_body.model.body.solids import Body
 
 BODIES = ["arm_4", "deutscher_31", "person_31", "person_40"]
 

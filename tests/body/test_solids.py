@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.build import build_body
-from bayes_body.body.solids import (
+from bayes_body.model.body.build import build_body
+from bayes_body.model.body.solids import (
     outline_samples,
     part_transforms,
     patches,

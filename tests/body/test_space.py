@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from bayes_body.body.build import build_body
-from bayes_body.body.placement import loosened
-from bayes_body.body.space import configuration_space, pose_space
 from bayes_body.density.spaces import Plate
-from bayes_body.dynamics import diffusion, second_order
+from bayes_body.model.body.build import build_body
+from bayes_body.model.body.placement import loosened
+from bayes_body.model.body.space import configuration_space, pose_space
 from bayes_body.model.definition import load_body, load_definition
+from bayes_body.model.dynamics import diffusion, second_order
 
 
 def test_a_pose_has_translations_angles_on_the_circle_and_limits():

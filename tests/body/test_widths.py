@@ -5,14 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.build import build_body
-from bayes_body.body.kinematics import forward_kinematics, marker_positions
-from bayes_body.body.schema import BodySchema
-from bayes_body.body.solids import part_transforms, sphere_approximation, widened
-from bayes_body.geometry.camera import Camera
-from bayes_body.likelihood.boundaries import contour
-from bayes_body.likelihood.patch_pixels import rig_pixels, sample_slopes
+from bayes_body.base.geometry.camera import Camera
+from bayes_body.model.body.build import build_body
+from bayes_body.model.body.kinematics import forward_kinematics, marker_positions
+from bayes_body.model.body.schema import BodySchema
+from bayes_body.model.body.solids import part_transforms, sphere_approximation, widened
 from bayes_body.model.definition import load_definition
+from bayes_body.model.likelihood.boundaries import contour
+from bayes_body.model.likelihood.patch_pixels import rig_pixels, sample_slopes
 
 DEFINITION = load_definition("poon_fleet_2002")
 BODY = build_body("poon_fleet_23", DEFINITION.body)

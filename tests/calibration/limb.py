@@ -14,14 +14,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bayes_body.body.placement import ByParts, placed_markers
-from bayes_body.body.solids import Body
-from bayes_body.calibration.problem import AXES, point_mass
-from bayes_body.calibration.scene import model_in_a_room
+from bayes_body.base.geometry import rigid, rotations
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition
-from bayes_body.geometry import rigid, rotations
+from bayes_body.model.body.placement import ByParts, placed_markers
+from bayes_body.model.body.solids import Body
 from bayes_body.model.definition import parse_definition
+from bayes_body.workshop.calibration.problem import AXES, point_mass
+from bayes_body.workshop.calibration.scene import model_in_a_room
 
 # The arm hangs: its frames are half a turn away from the world's, where both signs of a quaternion are equally near.
 MODEL = """

@@ -8,7 +8,7 @@ import pytest
 from arviz_stats.ecdf_utils import simulate_confidence_bands
 from scipy import stats
 
-from bayes_body.calibration import bands
+from bayes_body.workshop.calibration import bands
 
 BINS = 20
 

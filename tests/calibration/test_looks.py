@@ -8,13 +8,13 @@ import pytest
 from calibration import toys
 from scipy.stats import binom, norm
 
-from bayes_body.calibration import bands, looks, report
-from bayes_body.calibration.check import SBC, Findings, Plan
-from bayes_body.calibration.replication_log import ReplicationLog, settings_of
-from bayes_body.calibration.replications import Experiments
-from bayes_body.calibration.sbc import Replication
-from bayes_body.calibration.sequential import decide
-from bayes_body.calibration.verdict import Verdict
+from bayes_body.workshop.calibration import bands, looks, report
+from bayes_body.workshop.calibration.check import SBC, Findings, Plan
+from bayes_body.workshop.calibration.replication_log import ReplicationLog, settings_of
+from bayes_body.workshop.calibration.replications import Experiments
+from bayes_body.workshop.calibration.sbc import Replication
+from bayes_body.workshop.calibration.sequential import decide
+from bayes_body.workshop.calibration.verdict import Verdict
 
 BINS, QUANTITIES, FIRST = 20, 11, 200
 EVEN = np.full(BINS, 1 / BINS)

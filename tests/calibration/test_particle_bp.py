@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from calibration.limb import ANCESTORS, MARKERS, SILHOUETTES, draw_prior, limb, replicate
 
-from bayes_body.calibration import bands
-from bayes_body.evidence.markers import MARKERS as NAMES
-from bayes_body.evidence.markers import MarkerEvidence
-from bayes_body.kernels.particle_bp import build_kernel
+from bayes_body.kernels.messages.particle_bp import build_kernel
+from bayes_body.recording.evidence.markers import MARKERS as NAMES
+from bayes_body.recording.evidence.markers import MarkerEvidence
+from bayes_body.workshop.calibration import bands
 
 pytestmark = pytest.mark.usefixtures("optimised")
 RUNS, REPLICATIONS, BINS, DRAWS = 16, 500, 10, 500

@@ -10,12 +10,12 @@ from calibration import toys
 from equal_computation import mixture_after
 from scipy import stats
 
-from bayes_body.body.placement import loosened
-from bayes_body.calibration.problem import MOST_PATHS, check_cases, draw_case, draw_path, point_mass, problem_of
+from bayes_body.base.errors import InputError
 from bayes_body.density.factor import Factor
-from bayes_body.errors import InputError
+from bayes_body.model.body.placement import loosened
 from bayes_body.model.build import build_model
 from bayes_body.tracking.draws import Draws, Timing
+from bayes_body.workshop.calibration.problem import MOST_PATHS, check_cases, draw_case, draw_path, point_mass, problem_of
 
 
 def _always(level, values, data):

@@ -10,12 +10,12 @@ import pytest
 from closed_forms.targets import CENTRE, conjugate, point_mass, skewed
 
 from bayes_body import kernels
-from bayes_body.calibration.quadrature import integrate
-from bayes_body.calibration.reference import LIMIT, compare
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
-from bayes_body.observation.frames import Frame
-from bayes_body.session.session import CameraSpec, Session, View
+from bayes_body.recording.observation.frames import Frame
+from bayes_body.recording.session.session import CameraSpec, Session, View
+from bayes_body.workshop.calibration.quadrature import integrate
+from bayes_body.workshop.calibration.reference import LIMIT, compare
 
 
 @pytest.mark.parametrize("make", [conjugate, skewed])

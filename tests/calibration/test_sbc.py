@@ -9,11 +9,11 @@ import pytest
 from calibration import toys
 
 from bayes_body import kernels
-from bayes_body.calibration import bands, looks, sbc
-from bayes_body.calibration.coverage import coverage
-from bayes_body.calibration.problem import point_mass
 from bayes_body.density.coordinates import Coordinates
-from bayes_body.kernels import tempered_smc
+from bayes_body.kernels.smc import tempered_smc
+from bayes_body.workshop.calibration import bands, looks, sbc
+from bayes_body.workshop.calibration.coverage import coverage
+from bayes_body.workshop.calibration.problem import point_mass
 
 REPLICATIONS, BINS, SEED = 200, 20, 100
 LIMIT = 0.05 / 3

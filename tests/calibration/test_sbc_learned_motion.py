@@ -4,15 +4,15 @@ import jax
 import numpy as np
 import pytest
 
-from bayes_body.calibration import bands
-from bayes_body.calibration.check import SBC, experiments
-from bayes_body.calibration.problem import problem_of
-from bayes_body.calibration.scene import model_in_a_room
-from bayes_body.dynamics.activity import Activity, save_activity
-from bayes_body.dynamics.angle_cycle import AngleCycle, save_angle_cycle
+from bayes_body.base.registry import find
+from bayes_body.base.toml.read import validate
 from bayes_body.model.definition import parse_definition
-from bayes_body.registry import find
-from bayes_body.toml.read import validate
+from bayes_body.model.dynamics.activity import Activity, save_activity
+from bayes_body.model.dynamics.angle_cycle import AngleCycle, save_angle_cycle
+from bayes_body.workshop.calibration import bands
+from bayes_body.workshop.calibration.check import SBC, experiments
+from bayes_body.workshop.calibration.problem import problem_of
+from bayes_body.workshop.calibration.scene import model_in_a_room
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("optimised")]
 

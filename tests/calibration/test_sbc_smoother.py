@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from bayes_body import kernels
-from bayes_body.calibration import bands
-from bayes_body.calibration.problem import draw_case, point_mass, problem_of
 from bayes_body.density.factor import Particles
-from bayes_body.kernels.smoother import build_smoother
+from bayes_body.kernels.paths.smoother import build_smoother
 from bayes_body.model.build import build_model
 from bayes_body.tracking.backward import Backward, Filtered
+from bayes_body.workshop.calibration import bands
+from bayes_body.workshop.calibration.problem import draw_case, point_mass, problem_of
 
 pytestmark = [pytest.mark.long, pytest.mark.usefixtures("optimised")]
 

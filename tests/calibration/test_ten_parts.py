@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from bayes_body.body.placement import ByParts, placed_markers
-from bayes_body.calibration.scene import model_in_a_room
+from bayes_body.base.registry import find
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
-from bayes_body.kernels.particle_bp import build_kernel
-from bayes_body.kernels.tempered_smc import build_kernel as tempered
+from bayes_body.kernels.messages.particle_bp import build_kernel
+from bayes_body.kernels.smc.tempered_smc import build_kernel as tempered
+from bayes_body.model.body.placement import ByParts, placed_markers
 from bayes_body.model.build import Model
 from bayes_body.model.definition import load_definition
-from bayes_body.registry import find
+from bayes_body.workshop.calibration.scene import model_in_a_room
 
 pytestmark = [pytest.mark.long, pytest.mark.usefixtures("optimised")]
 CHAINS, WARMUP, DRAWS, RUNS, SAMPLES, ANCESTORS = 4, 500, 2000, 8, 1000, 5

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro.distributions as dist
 
-from bayes_body.calibration.problem import Problem, Quantities
 from bayes_body.density.factor import Factor, Transition, Variable
-from bayes_body.dynamics.diffusion import TruncatedWalk
+from bayes_body.model.dynamics.diffusion import TruncatedWalk
+from bayes_body.workshop.calibration.problem import Problem, Quantities
 
 X = Variable("x")
 partial = jax.tree_util.Partial

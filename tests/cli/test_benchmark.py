@@ -38,7 +38,7 @@ def test_every_option_is_explained(capsys):
 
 
 def test_a_plugin_s_model_is_tried(cli, tmp_path, textured_session):
-    from bayes_body.session.read import save_session
+    from bayes_body.recording.session.read import save_session
 
     save_session(textured_session)
     (tmp_path / "mine.py").write_text(GOOD, encoding="utf-8")

@@ -11,7 +11,7 @@ import xarray
 
 from bayes_body.cli.demo import has_display
 from bayes_body.cli.main import main
-from bayes_body.demo import result_of
+from bayes_body.runs.demo import result_of
 
 SUMMARY = {"frames": 60, "frames_lost": 0, "error_mm_mean": 47.6, "coverage_90": 0.91, "marker_disagreement_mm": 8.2}
 

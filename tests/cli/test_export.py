@@ -4,10 +4,10 @@ import ezc3d
 import numpy as np
 import pytest
 
+from bayes_body.results.storage.saved_moments import marker_moments
+from bayes_body.results.storage.saved_run import load_run
 from bayes_body.runs.run import run as run_session
 from bayes_body.runs.settings import Settings
-from bayes_body.storage.saved_moments import marker_moments
-from bayes_body.storage.saved_run import load_run
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from bayes_body.cli.main import main
-from bayes_body.session.read import save_session
+from bayes_body.recording.session.read import save_session
 
 FIRST, FRAMES = 2, 3
 

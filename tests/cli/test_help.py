@@ -4,7 +4,7 @@ import pytest
 import typer
 from rich.markup import render
 
-from bayes_body import registry
+from bayes_body.base import registry
 from bayes_body.cli.main import app
 
 

@@ -97,7 +97,7 @@ LOST = {
 @pytest.fixture
 def damaged(cli, copy, tmp_path):
     """`damaged(name, damage)`: what tracking says when an image was damaged after the import."""
-    from bayes_body.recording.parsec import import_parsec
+    from bayes_body.recording.readers.parsec import import_parsec
 
     def call(name, damage):
         path = copy.image(name)

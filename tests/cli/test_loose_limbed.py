@@ -8,8 +8,8 @@ import xarray as xr
 from shared_fixtures import loose_limbed
 
 from bayes_body.model.definition import load_definition
-from bayes_body.session.read import save_session
-from bayes_body.storage.saved_run import load_run
+from bayes_body.recording.session.read import save_session
+from bayes_body.results.storage.saved_run import load_run
 
 
 @pytest.fixture(scope="module")

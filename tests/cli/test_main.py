@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from bayes_body import __version__
+from bayes_body.base.errors import InputError, input_error
 from bayes_body.cli import models
 from bayes_body.cli.terminal import say, show
-from bayes_body.errors import InputError, input_error
 
 
 def test_help_imports_nothing_that_takes_a_second_to_import():

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from bayes_body.files import shipped
+from bayes_body.base.files import shipped
 
 MODELS = Path(__file__).parents[2] / "models"
 

@@ -8,7 +8,7 @@ import jaxtyping
 import pytest
 from own_terms import GOOD, MODEL, plugins_of_this_test
 
-from bayes_body.session.read import save_session
+from bayes_body.recording.session.read import save_session
 
 FRAMES = 2
 

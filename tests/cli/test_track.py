@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from bayes_body.session.read import save_session
+from bayes_body.recording.session.read import save_session
 
 from .conftest import PROGRESS
 

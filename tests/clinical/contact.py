@@ -8,7 +8,7 @@ whole time around a peak of the speed in which it is above that.
 import numpy as np
 from scipy.signal import butter, filtfilt, find_peaks
 
-from bayes_body.recording.mocap import landmarks, read_motion
+from bayes_body.recording.readers.mocap import landmarks, read_motion
 
 LIMIT, SWING = 0.5, 1.2
 

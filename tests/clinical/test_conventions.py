@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from bayes_body.clinical.conventions import (
+from bayes_body.results.clinical.conventions import (
     ANKLE,
     ARM,
     CLINICAL,

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from bayes_body.clinical.gait import CONTACT, LIFT, POINTS, cadence, gait_of, speed
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
+from bayes_body.results.clinical.gait import CONTACT, LIFT, POINTS, cadence, gait_of, speed
 
 from .contact import captured
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from bayes_body.clinical.conventions import ELBOW, SHOULDER
-from bayes_body.clinical.gait import Gait, Stride, low_pass
-from bayes_body.clinical.joints import Joint
-from bayes_body.clinical.ranges import range_figures, ranges_of, stride_ranges
-from bayes_body.clinical.trajectories import AnglePaths, _aligned, _determined
+from bayes_body.results.clinical.conventions import ELBOW, SHOULDER
+from bayes_body.results.clinical.gait import Gait, Stride, low_pass
+from bayes_body.results.clinical.joints import Joint
+from bayes_body.results.clinical.ranges import range_figures, ranges_of, stride_ranges
+from bayes_body.results.clinical.trajectories import AnglePaths, _aligned, _determined
 
 FPS, FRAMES, DRAWS = 50.0, 200, 400
 

@@ -19,13 +19,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
+from bayes_body.base.errors import input_error
+from bayes_body.base.shapes import Index, Key
 from bayes_body.density.ahead import Ahead, log_ahead
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles, State, Transition
 from bayes_body.density.frames import Frames, Own
-from bayes_body.errors import input_error
-from bayes_body.kernels.parts.weights import LogWeights
-from bayes_body.shapes import Index, Key
+from bayes_body.kernels.weights import LogWeights
 
 
 class Path(NamedTuple):

@@ -12,10 +12,10 @@ import numpyro.distributions as dist
 
 from bayes_body.density.graph import Graph
 from bayes_body.density.pairwise import edge_factor, graph, node_factor, proposal
-from bayes_body.kernels.parts import messages
-from bayes_body.kernels.parts.schedules import schedule
+from bayes_body.kernels.messages import messages
+from bayes_body.kernels.messages.schedules import schedule
 
-MODULE = sys.modules["bayes_body.kernels.particle_bp"]
+MODULE = sys.modules["bayes_body.kernels.messages.particle_bp"]
 
 
 def passed(built: Graph, runs: int, kind: str = "flooding", seed: int = 0, **options):

@@ -10,7 +10,7 @@ import numpyro.distributions as dist
 
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
-from bayes_body.dynamics.diffusion import TruncatedWalk
+from bayes_body.model.dynamics.diffusion import TruncatedWalk
 
 X = Variable("x")
 

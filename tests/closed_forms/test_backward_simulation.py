@@ -12,12 +12,12 @@ from closed_forms.processes import FIRST, LINKED, PARTICLES, SECOND, SEEN, dista
 
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
-from bayes_body.dynamics import diffusion
-from bayes_body.dynamics.diffusion import TruncatedWalk
-from bayes_body.kernels import smoother
-from bayes_body.kernels.particle_filter import build_kernel
-from bayes_body.kernels.parts.batching import everywhere
-from bayes_body.kernels.smoother import build_smoother
+from bayes_body.kernels.batching import everywhere
+from bayes_body.kernels.paths import smoother
+from bayes_body.kernels.paths.smoother import build_smoother
+from bayes_body.kernels.smc.particle_filter import build_kernel
+from bayes_body.model.dynamics import diffusion
+from bayes_body.model.dynamics.diffusion import TruncatedWalk
 from bayes_body.tracking.backward import Backward, Filtered
 
 # These programs run for longer than they compile.

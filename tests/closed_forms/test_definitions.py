@@ -12,7 +12,7 @@ from bayes_body.density.density import Density
 from bayes_body.density.factor import variables
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import definition_names, load_definition
-from bayes_body.observation.frames import read_frame
+from bayes_body.recording.observation.frames import read_frame
 
 
 def _terms(definition):

@@ -10,7 +10,7 @@ from scipy.stats import norm
 from bayes_body import kernels
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
-from bayes_body.kernels.parts import mass
+from bayes_body.kernels.hmc import mass
 
 Y = Variable("y")
 SD, NOISE, SEEN, MEAN = 0.8, 0.15, 1.6, 0.3

@@ -9,8 +9,8 @@ from closed_forms.conftest import POSITION, LinearGaussian
 
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
-from bayes_body.kernels.parts import tempering
-from bayes_body.kernels.tempered_smc import build_kernel
+from bayes_body.kernels.smc import tempering
+from bayes_body.kernels.smc.tempered_smc import build_kernel
 
 OPTIONS = {"prediction": "gaussian", "moves": 1, "target_ess": 0.3, "final_stages": 4}
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from calibration import toys
 
-from bayes_body.calibration import invariance, looks
-from bayes_body.calibration.markov_moves import iterated_sir, markov_move
+from bayes_body.base.registry import find, names
 from bayes_body.density.coordinates import Coordinates
 from bayes_body.density.extended import Extended
-from bayes_body.registry import find, names
+from bayes_body.workshop.calibration import invariance, looks
+from bayes_body.workshop.calibration.markov_moves import iterated_sir, markov_move
 
 REPLICATIONS = 1000
 LIMIT = 0.05 / 5

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.kernels import particle_filter
-from bayes_body.kernels.particle_filter import build_kernel
+from bayes_body.kernels.smc import particle_filter
+from bayes_body.kernels.smc.particle_filter import build_kernel
 
 # These programs run for longer than they compile.
 pytestmark = pytest.mark.usefixtures("optimised")

@@ -13,7 +13,7 @@ from closed_forms.targets import CENTRE, ROOT, conjugate
 
 from bayes_body import kernels
 from bayes_body.density.factor import Factor, Variable
-from bayes_body.kernels.tempered_smc import build_ladder_kernel
+from bayes_body.kernels.smc.tempered_smc import build_ladder_kernel
 
 X = Variable("x")
 PARTICLES = 1000

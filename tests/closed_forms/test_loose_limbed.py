@@ -9,17 +9,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
-from bayes_body.body.build import Shape, build_body
-from bayes_body.body.placement import loosened, placed_markers
+from bayes_body.base.errors import InputError
+from bayes_body.base.geometry import rigid, rotations
+from bayes_body.base.toml.read import validate
 from bayes_body.density.factor import Variable
-from bayes_body.dynamics import rigid_walk
-from bayes_body.errors import InputError
-from bayes_body.geometry import rigid, rotations
-from bayes_body.kernels.parts.hamiltonian import Schedule, run_chain
+from bayes_body.kernels.hmc.hamiltonian import Schedule, run_chain
+from bayes_body.model.body.build import Shape, build_body
+from bayes_body.model.body.placement import loosened, placed_markers
 from bayes_body.model.definition import load_body
-from bayes_body.potentials import intersection, kinematic, penetration
-from bayes_body.potentials.joint_file import JointMixtures, save_joint_mixtures
-from bayes_body.toml.read import validate
+from bayes_body.model.dynamics import rigid_walk
+from bayes_body.model.potentials import intersection, kinematic, penetration
+from bayes_body.model.potentials.joint_file import JointMixtures, save_joint_mixtures
 
 PARTS = Variable("parts")
 WIDE = {"component": [{"sd_m": {"*": [0.02, 0.03, 0.05]}, "sd_deg": {"*": [20.0, 55.0, 35.0]}, "mean_deg": {"l_knee": -40.0}}]}

@@ -21,8 +21,8 @@ from closed_forms.message_graphs import (
 
 from bayes_body.density.graph import Graph
 from bayes_body.density.pairwise import edge_factor, graph, node_factor, proposal
-from bayes_body.kernels.parts import pampas
-from bayes_body.kernels.parts.messages import normalised
+from bayes_body.kernels.messages import pampas
+from bayes_body.kernels.messages.messages import normalised
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("optimised")]
 

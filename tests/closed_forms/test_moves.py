@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayes_body.density.tempering import LogTerms
-from bayes_body.kernels.parts.moves import hmc, random_walk
+from bayes_body.kernels.smc.moves import hmc, random_walk
 
 MOVES = {"hmc": hmc(6), "random_walk": random_walk()}
 START = {"a": jnp.array([0.5, -0.2]), "b": jnp.array([1.0])}

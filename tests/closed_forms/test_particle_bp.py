@@ -27,8 +27,8 @@ from closed_forms.message_graphs import (
 )
 
 from bayes_body.density.pairwise import edge_factor, graph, node_factor, proposal
-from bayes_body.kernels.parts import messages, node_proposals, passing
-from bayes_body.kernels.parts.passing import Passing
+from bayes_body.kernels.messages import messages, node_proposals, passing
+from bayes_body.kernels.messages.passing import Passing
 
 pytestmark = pytest.mark.slow
 # Many runs or many particles: for longer than they compile.

@@ -10,7 +10,7 @@ from closed_forms import conditional_smc
 from closed_forms.conditional_smc import particle_gibbs
 from closed_forms.processes import FIRST, SECOND, SEEN, distance
 
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
 
 KEYS, BEFORE, PARTICLES, SWEEPS, BURN_IN = 16, 200, 12, 400, 50
 FAULT = "standard errors from the exact smoother"

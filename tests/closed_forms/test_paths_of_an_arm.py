@@ -7,14 +7,14 @@ import pytest
 from closed_forms.conditional_smc import particle_gibbs
 
 from bayes_body import kernels
-from bayes_body.calibration.problem import draw_case, point_mass, problem_of
 from bayes_body.density.factor import Particles
 from bayes_body.density.frames import stacked
 from bayes_body.density.trajectory import trajectory
-from bayes_body.kernels.smoother import build_smoother
-from bayes_body.kernels.window import sample_window
+from bayes_body.kernels.paths.smoother import build_smoother
+from bayes_body.kernels.paths.window import sample_window
 from bayes_body.model.build import build_model
 from bayes_body.tracking.backward import Backward, Filtered
+from bayes_body.workshop.calibration.problem import draw_case, point_mass, problem_of
 
 # These programs run for longer than they compile.
 pytestmark = [pytest.mark.long, pytest.mark.usefixtures("optimised")]

@@ -11,8 +11,8 @@ from scipy import stats
 
 from bayes_body.density.coordinates import Coordinates
 from bayes_body.density.extended import Extended
-from bayes_body.kernels import tempered_smc
-from bayes_body.kernels.tempered_smc import build_kernel, build_ladder_kernel
+from bayes_body.kernels.smc import tempered_smc
+from bayes_body.kernels.smc.tempered_smc import build_kernel, build_ladder_kernel
 
 PARTICLES, RUNS = 240, 240
 KERNELS = {

@@ -9,13 +9,13 @@ import numpyro.distributions as dist
 import pytest
 from closed_forms.processes import BEFORE, FIRST, LOOK, LOOK_SD, ROOT, SECOND, SEEN
 
+from bayes_body.base.errors import InputError
 from bayes_body.density.ahead import Ahead
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Variable
 from bayes_body.density.frames import stacked
 from bayes_body.density.trajectory import trajectory
-from bayes_body.dynamics.diffusion import TruncatedWalk
-from bayes_body.errors import InputError
+from bayes_body.model.dynamics.diffusion import TruncatedWalk
 
 COUNT, MANY = 4, 5
 PATH = 0.5 * jax.random.normal(jax.random.key(7), (COUNT + 2, 2))

@@ -10,7 +10,7 @@ from bayes_body.density.coordinates import Coordinates
 from bayes_body.density.density import Density
 from bayes_body.density.extended import extended
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
-from bayes_body.dynamics.diffusion import TruncatedWalk
+from bayes_body.model.dynamics.diffusion import TruncatedWalk
 
 POSE, BEFORE = Variable("pose"), Variable("pose", -1)
 LOW, HIGH = (-1.0, -np.inf), (0.5, np.inf)

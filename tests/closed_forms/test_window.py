@@ -8,13 +8,13 @@ from closed_forms import window_sweep
 from closed_forms.processes import BEFORE, FIRST, SECOND, SEEN, distance
 from closed_forms.window_sweep import LongPath, sweep, windows_of
 
+from bayes_body.base.errors import InputError
 from bayes_body.density.factor import Particles
 from bayes_body.density.trajectory import trajectory
-from bayes_body.errors import InputError
-from bayes_body.kernels.parts.moves import hmc
-from bayes_body.kernels.parts.path_whitening import gaussian_path
-from bayes_body.kernels.parts.window_nuts import chain_diagnostics
-from bayes_body.kernels.window import fitted_path, sample_window
+from bayes_body.kernels.paths.path_whitening import gaussian_path
+from bayes_body.kernels.paths.window import fitted_path, sample_window
+from bayes_body.kernels.paths.window_nuts import chain_diagnostics
+from bayes_body.kernels.smc.moves import hmc
 
 FRAMES, FAULT = len(SEEN), "standard errors from the exact smoother"
 # By default NUTS with one of both.

@@ -11,18 +11,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from bayes_body.base.errors import input_error
+from bayes_body.base.shapes import Index, Key, Scalar
 from bayes_body.density.ahead import Ahead
 from bayes_body.density.factor import Particles, State
 from bayes_body.density.frames import Frames
 from bayes_body.density.sharding import varying_like
 from bayes_body.density.tempering import LogTerms
 from bayes_body.density.trajectory import Trajectory, sampled_path, trajectory
-from bayes_body.errors import input_error
-from bayes_body.kernels.parts.batching import over_particles
-from bayes_body.kernels.parts.moves import Move
-from bayes_body.kernels.parts.path_whitening import GaussianPath, Whitening
-from bayes_body.kernels.window import flat, position_at, whitened
-from bayes_body.shapes import Index, Key, Scalar
+from bayes_body.kernels.batching import over_particles
+from bayes_body.kernels.paths.path_whitening import GaussianPath, Whitening
+from bayes_body.kernels.paths.window import flat, position_at, whitened
+from bayes_body.kernels.smc.moves import Move
 
 
 class LongPath(NamedTuple):

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from own_terms import plugins_of_this_test
 
-from bayes_body import registry
-from bayes_body.compare import Row, Scene, Scenes, Settings, benchmark_rows, pairs
-from bayes_body.compare.benchmark import FIGURES, followed, measured, options_of
-from bayes_body.compare.scenes import not_generative
-from bayes_body.errors import InputError
+from bayes_body.base import registry
+from bayes_body.base.errors import InputError
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
-from bayes_body.observation.frames import read_frame
+from bayes_body.recording.observation.frames import read_frame
+from bayes_body.workshop.compare import Row, Scene, Scenes, Settings, benchmark_rows, pairs
+from bayes_body.workshop.compare.benchmark import FIGURES, followed, measured, options_of
+from bayes_body.workshop.compare.scenes import not_generative
 
 TINY = Settings(frames=2, most_particles=12)
 # One sentence: found, expected, remedy.
@@ -221,7 +221,7 @@ def test_what_cannot_be_has_its_sentence_and_the_others_go_on(rows, tmp_path):
 
 
 def test_a_fault_of_the_program_is_told_apart(rows):
-    from bayes_body.toml.schema import Count, Schema
+    from bayes_body.base.toml.schema import Count, Schema
 
     class Options(Schema):
         particles: Count = 10
@@ -240,7 +240,7 @@ def test_a_fault_of_the_program_is_told_apart(rows):
 
 @pytest.mark.slow
 def test_a_recording_that_was_given_takes_the_place_of_scenes(rows, textured_session):
-    from bayes_body.session.read import save_session
+    from bayes_body.recording.session.read import save_session
 
     save_session(textured_session)
     settings = Settings(frames=2, most_particles=12, session=textured_session.folder)
@@ -257,8 +257,8 @@ def test_what_is_drawn_is_the_model_s_own(tmp_path):
     known = list(scene.model.body.markers.names)
     positions = truth["markers"][:, [list(truth["names"]).index(name) for name in known]]
     assert np.isfinite(positions).all() and np.isnan(truth["markers"]).any()
-    from bayes_body.evidence.markers import MARKERS
-    from bayes_body.geometry.camera import project
+    from bayes_body.base.geometry.camera import project
+    from bayes_body.recording.evidence.markers import MARKERS
 
     places = [MARKERS.index(name) for name in known]
     for frame in range(4):

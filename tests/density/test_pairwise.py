@@ -6,8 +6,8 @@ import numpy as np
 import numpyro.distributions as dist
 import pytest
 
+from bayes_body.base.errors import InputError
 from bayes_body.density.pairwise import edge_factor, graph, node_factor, proposal
-from bayes_body.errors import InputError
 
 WIDE = dist.Normal(0.0, 2.0).expand([1]).to_event(1)
 STEP = dist.Normal(0.0, 0.5).expand([1]).to_event(1)

@@ -10,9 +10,9 @@ from calibration.limb import draw_prior, limb
 
 from bayes_body.density.factor import Factor, Variable
 from bayes_body.density.parts_graph import parts_graph
-from bayes_body.dynamics.rigid_walk import RigidWalk
-from bayes_body.kernels.particle_bp import Options, pass_messages
-from bayes_body.kernels.parts.schedules import schedule
+from bayes_body.kernels.messages.particle_bp import Options, pass_messages
+from bayes_body.kernels.messages.schedules import schedule
+from bayes_body.model.dynamics.rigid_walk import RigidWalk
 
 PARTS, BEFORE = Variable("parts"), Variable("parts", -1)
 

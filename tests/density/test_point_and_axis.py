@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from bayes_body.base.geometry import rigid, rotations
 from bayes_body.density.point_and_axis import PointAndAxis
-from bayes_body.geometry import rigid, rotations
 
 COUNT = 40_000
 

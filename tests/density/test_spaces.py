@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bayes_body.base.geometry import rigid, rotations
 from bayes_body.density.spaces import SE3, SO3, Plate, Product, Space, box, circle, euclidean, numbered, space_from_text, space_to_text
-from bayes_body.geometry import rigid, rotations
 
 DEG = math.pi / 180
 PARTS = Plate(("torso", "head"), SE3("coordinate"), "part")

@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
+from bayes_body.base.geometry import rotations
 from bayes_body.density.spaces import SE3, SO3, Flat, circle
 from bayes_body.density.tangent_normal import WIDEST_RAD, fit, tangent_normal
-from bayes_body.geometry import rotations
 
 # As wide as a fit goes about one axis: 5 % of the tangent vectors are longer than half a turn.
 WIDE = np.array([WIDEST_RAD, 0.9, 1.0])

@@ -3,10 +3,10 @@
 import cv2
 import numpy as np
 
-from bayes_body.detection.hull import clean
-from bayes_body.detection.scene import Scene
-from bayes_body.recording.triangulate import project
-from bayes_body.session.session import CameraSpec
+from bayes_body.initial.detection.hull import clean
+from bayes_body.initial.detection.scene import Scene
+from bayes_body.recording.readers.triangulate import project
+from bayes_body.recording.session.session import CameraSpec
 
 SIZE = (640, 480)
 # Ends and radii (metres) of the parts of a person 1.75 m tall who faces +x, with the arms held aside; forearm and hand are one part.

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from detection.people import JOINTS, mask, ring
 
-from bayes_body.detection.detect import DETECTORS, detect
-from bayes_body.detection.detections import LANDMARKS, PARTS, landmark, merge, strongest
-from bayes_body.errors import InputError
-from bayes_body.observation.frames import read_frame
-from bayes_body.recording.options import Options
-from bayes_body.recording.parsec import import_parsec
-from bayes_body.session.session import Session, View
+from bayes_body.base.errors import InputError
+from bayes_body.initial.detection.detect import DETECTORS, detect
+from bayes_body.initial.detection.detections import LANDMARKS, PARTS, landmark, merge, strongest
+from bayes_body.recording.observation.frames import read_frame
+from bayes_body.recording.readers.options import Options
+from bayes_body.recording.readers.parsec import import_parsec
+from bayes_body.recording.session.session import Session, View
 
 
 @pytest.fixture(scope="module")

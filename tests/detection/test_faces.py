@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from detection.people import JOINTS, SIZE, camera, mask, ring, scene
 
-from bayes_body.detection import faces
-from bayes_body.detection.faces import detect_faces
-from bayes_body.detection.upright import upright
-from bayes_body.recording.triangulate import project
+from bayes_body.initial.detection import faces
+from bayes_body.initial.detection.faces import detect_faces
+from bayes_body.initial.detection.upright import upright
+from bayes_body.recording.readers.triangulate import project
 
 FACE = np.array([0.08, 0.0, 1.6])
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from detection.people import camera, ring, scene
 
-from bayes_body.detection.keypoints import detect_keypoints
-from bayes_body.recording.triangulate import project
+from bayes_body.initial.detection.keypoints import detect_keypoints
+from bayes_body.recording.readers.triangulate import project
 
 # A person who faces +x and stands at (0.5, 0.2); left is +y.
 PLACES = {

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from detection.people import JOINTS, PERSON, camera, mask, ring, scene
 
-from bayes_body.detection.hull import bodies, carve
-from bayes_body.detection.silhouettes import detect_silhouettes
-from bayes_body.detection.standing import detect_standing
+from bayes_body.initial.detection.hull import bodies, carve
+from bayes_body.initial.detection.silhouettes import detect_silhouettes
+from bayes_body.initial.detection.standing import detect_standing
 
 BALL = (((0.3, -0.2, 0.9), (0.3, -0.2, 0.9), 0.25),)
 

@@ -11,13 +11,13 @@ import pytest
 from scipy.special import softmax
 from scipy.stats import multivariate_normal
 
-from bayes_body.body.build import Shape, build_body
-from bayes_body.body.kinematics import marker_positions
+from bayes_body.base.errors import InputError
 from bayes_body.density.coordinates import coordinates_of
-from bayes_body.dynamics.activity import Activity, load_activity, save_activity
-from bayes_body.dynamics.activity_hmm import Options, build
-from bayes_body.errors import InputError
+from bayes_body.model.body.build import Shape, build_body
+from bayes_body.model.body.kinematics import marker_positions
 from bayes_body.model.definition import load_body
+from bayes_body.model.dynamics.activity import Activity, load_activity, save_activity
+from bayes_body.model.dynamics.activity_hmm import Options, build
 
 FPS, STATES, FEATURES = 60.0, 5, 2
 

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.build import build_body
-from bayes_body.dynamics.constant_velocity import Options, build
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
+from bayes_body.model.body.build import build_body
 from bayes_body.model.definition import FirstTable, load_body
+from bayes_body.model.dynamics.constant_velocity import Options, build
 from bayes_body.model.first import first_of
 
 ARM = build_body("arm_4", load_body("arm_4"))

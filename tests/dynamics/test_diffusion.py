@@ -9,10 +9,10 @@ import pytest
 from numpyro.distributions import biject_to
 from scipy import stats
 
-from bayes_body.body.build import Shape, build_body
-from bayes_body.dynamics.diffusion import Options, TruncatedWalk, build
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
+from bayes_body.model.body.build import Shape, build_body
 from bayes_body.model.definition import load_body
+from bayes_body.model.dynamics.diffusion import Options, TruncatedWalk, build
 
 LOW, HIGH = -0.4, 1.1
 LOCATIONS = [LOW, LOW + 1e-4, 0.0, 0.7, HIGH]

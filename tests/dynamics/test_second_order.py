@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayes_body.body.build import Shape, build_body
-from bayes_body.body.schema import BodySchema
-from bayes_body.dynamics.joint_noise import JointNoise, concentration
-from bayes_body.dynamics.second_order import Options, build
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
+from bayes_body.base.toml.read import validate
+from bayes_body.model.body.build import Shape, build_body
+from bayes_body.model.body.schema import BodySchema
 from bayes_body.model.definition import load_body
-from bayes_body.toml.read import validate
+from bayes_body.model.dynamics.joint_noise import JointNoise, concentration
+from bayes_body.model.dynamics.second_order import Options, build
 
 LOW, HIGH = -0.4, 1.9
 # Previous states in the range, on its limits, and beyond them by less and by more than the range.

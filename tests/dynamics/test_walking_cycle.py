@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.build import Shape, build_body
-from bayes_body.body.kinematics import marker_positions
+from bayes_body.base.errors import InputError
 from bayes_body.density.coordinates import coordinates_of
-from bayes_body.dynamics.angle_cycle import load_angle_cycle, save_angle_cycle
-from bayes_body.dynamics.walking_cycle import Options, build
-from bayes_body.errors import InputError
+from bayes_body.model.body.build import Shape, build_body
+from bayes_body.model.body.kinematics import marker_positions
 from bayes_body.model.definition import load_body, load_definition
+from bayes_body.model.dynamics.angle_cycle import load_angle_cycle, save_angle_cycle
+from bayes_body.model.dynamics.walking_cycle import Options, build
 
 FPS = 60.0
 

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.evidence.silhouette_edges import EDGES, SILHOUETTE, look_up, pack
-from bayes_body.geometry.camera import Camera, Pixels
+from bayes_body.base.geometry.camera import Camera, Pixels
+from bayes_body.recording.evidence.silhouette_edges import EDGES, SILHOUETTE, look_up, pack
 
 OUTSIDE = 0.5
 # (rows, columns) of two cameras' images: the second is smaller both ways.

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from sealed import seal
 
-from bayes_body.errors import InputError
-from bayes_body.export.formats import export, export_formats, formats_in, targets
-from bayes_body.export.motion import read_motion
-from bayes_body.recording.mocap.c3d_parameters import open_c3d
-from bayes_body.storage.saved_run import load_run
+from bayes_body.base.errors import InputError
+from bayes_body.recording.readers.mocap.c3d_parameters import open_c3d
+from bayes_body.results.storage.saved_run import load_run
+from bayes_body.view.export.formats import export, export_formats, formats_in, targets
+from bayes_body.view.export.motion import read_motion
 
 MARKERS = ("l_shoulder", "l_elbow", "l_wrist")
 MOMENTS = ("mean", "sd", "q05", "q95")

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bayes_body.body.build import build_body
-from bayes_body.body.placement import joint_transforms, loosened, placed_markers
-from bayes_body.errors import InputError
-from bayes_body.export.bvh import write_bvh
-from bayes_body.export.formats import export
-from bayes_body.export.motion import Motion, Parts
+from bayes_body.base.errors import InputError
+from bayes_body.model.body.build import build_body
+from bayes_body.model.body.placement import joint_transforms, loosened, placed_markers
 from bayes_body.model.definition import load_body
-from bayes_body.posterior.moments import Moments
-from bayes_body.recording.mocap import landmarks, read_motion
-from bayes_body.storage.saved_run import load_run
+from bayes_body.recording.readers.mocap import landmarks, read_motion
+from bayes_body.results.posterior.moments import Moments
+from bayes_body.results.storage.saved_run import load_run
+from bayes_body.view.export.bvh import write_bvh
+from bayes_body.view.export.formats import export
+from bayes_body.view.export.motion import Motion, Parts
 
 # Six decimals of a centimetre and of a degree, over a chain of a metre; and what 32 bits hold of two metres.
 PRINTED_M = 5e-7

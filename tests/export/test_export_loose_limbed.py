@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bayes_body.export.formats import export
-from bayes_body.storage.saved_run import load_run
+from bayes_body.results.storage.saved_run import load_run
+from bayes_body.view.export.formats import export
 
 MARKERS, MOMENTS, AXES = ("l_shoulder", "l_elbow", "l_wrist"), ("mean", "sd", "q05", "q95"), "xyz"
 # Micrometres: what 32 bits hold of two metres, and the last digit of a file.

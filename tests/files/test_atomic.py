@@ -2,9 +2,9 @@
 
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.files import atomic
-from bayes_body.files.atomic import PARTIAL, replacing, write_text
+from bayes_body.base.errors import InputError
+from bayes_body.base.files import atomic
+from bayes_body.base.files.atomic import PARTIAL, replacing, write_text
 
 
 @pytest.fixture

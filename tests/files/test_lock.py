@@ -7,13 +7,13 @@ import sys
 
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.files.lock import locked
+from bayes_body.base.errors import InputError
+from bayes_body.base.files.lock import locked
 
 HOLD = """
 import sys
 from pathlib import Path
-from bayes_body.files.lock import locked
+from bayes_body.base.files.lock import locked
 with locked(Path(sys.argv[1])):
     print(1, flush=True)
     sys.stdin.read()

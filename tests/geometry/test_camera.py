@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.geometry.camera import NEAR, Camera, project, turning_radius
+from bayes_body.base.geometry.camera import NEAR, Camera, project, turning_radius
 
 ROTATION = cv2.Rodrigues(np.array([0.4, -1.1, 0.3]))[0]
 TRANSLATION = np.array([0.2, -0.1, 3.0])

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from bayes_body.geometry.namespaces import device_array
+from bayes_body.base.geometry.namespaces import device_array
 
 
 @pytest.fixture

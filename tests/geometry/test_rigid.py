@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bayes_body.geometry import rigid, transforms
+from bayes_body.base.geometry import rigid, transforms
 
 
 @pytest.fixture

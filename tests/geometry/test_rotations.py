@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bayes_body.geometry import rotations
+from bayes_body.base.geometry import rotations
 
 LIBRARIES = [np.asarray, lambda array: jnp.asarray(array, jnp.float32)]
 TOLERANCE = {np.dtype(np.float64): 1e-14, np.dtype(np.float32): 1e-6}

@@ -6,13 +6,13 @@ import jax
 import numpy as np
 import pytest
 
-from bayes_body.body.build import Shape, build_body
-from bayes_body.body.kinematics import marker_positions
-from bayes_body.geometry.camera import project
-from bayes_body.initial.points import as_markers, body_points
+from bayes_body.base.geometry.camera import project
+from bayes_body.initial.fitting.points import as_markers, body_points
+from bayes_body.model.body.build import Shape, build_body
+from bayes_body.model.body.kinematics import marker_positions
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_body
-from bayes_body.session.session import CameraSpec, Session, Subject, View
+from bayes_body.recording.session.session import CameraSpec, Session, Subject, View
 
 SIZE = (1088, 1920)
 HEIGHT_M = 1.75

@@ -4,13 +4,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.evidence.markers import MARKERS
-from bayes_body.initial import automatic, restored, stored
-from bayes_body.initial.automatic import DRAWS, find_first_pose, fit_to
-from bayes_body.initial.person_search import Found
-from bayes_body.initial.report import FirstPose
+from bayes_body.base.errors import InputError
+from bayes_body.initial import restored, stored
+from bayes_body.initial.fitting.report import FirstPose
+from bayes_body.initial.search import automatic
+from bayes_body.initial.search.automatic import DRAWS, find_first_pose, fit_to
+from bayes_body.initial.search.person_search import Found
 from bayes_body.model.build import build_model
+from bayes_body.recording.evidence.markers import MARKERS
 
 TURNED, SD_M = 0.25, 0.01
 

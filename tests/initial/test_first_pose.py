@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.kinematics import marker_positions
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
 from bayes_body.initial import first_pose, with_first_pose
+from bayes_body.model.body.kinematics import marker_positions
 from bayes_body.model.build import build_model
 
 # Fits and replications run for longer than they compile.

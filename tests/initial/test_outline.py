@@ -8,16 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.solids import part_transforms
-from bayes_body.errors import FaultyFileError, InputError
-from bayes_body.geometry.camera import project
+from bayes_body.base.errors import FaultyFileError, InputError
+from bayes_body.base.geometry.camera import project
 from bayes_body.initial import FirstPose, apply_first_pose, first_pose, restored, stored, with_first_pose
-from bayes_body.initial.outline import fit_outline
+from bayes_body.initial.fitting.outline import fit_outline
+from bayes_body.model.body.solids import part_transforms
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
-from bayes_body.session.read import load_session, save_session
-from bayes_body.session.session import Subject
-from bayes_body.view.silhouette import intersection_over_union, projected_masks
+from bayes_body.recording.session.read import load_session, save_session
+from bayes_body.recording.session.session import Subject
+from bayes_body.results.metrics.silhouette import intersection_over_union, projected_masks
 
 # Fits and replications run for longer than they compile.
 pytestmark = pytest.mark.usefixtures("optimised")

@@ -7,15 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.build import Shape, build_body
-from bayes_body.body.kinematics import marker_positions
-from bayes_body.errors import FaultyFileError, InputError
-from bayes_body.geometry.camera import project
-from bayes_body.initial.lengths import SPREAD, fields, fixed, scaled, scaling
-from bayes_body.initial.measurements import read_measurements, unused_names
-from bayes_body.initial.points import as_markers, body_points
-from bayes_body.initial.problem import build_problem
-from bayes_body.initial.starts import HEADINGS, candidates
+from bayes_body.base.errors import FaultyFileError, InputError
+from bayes_body.base.geometry.camera import project
+from bayes_body.initial.fitting.lengths import SPREAD, fields, fixed, scaled, scaling
+from bayes_body.initial.fitting.measurements import read_measurements, unused_names
+from bayes_body.initial.fitting.points import as_markers, body_points
+from bayes_body.initial.fitting.problem import build_problem
+from bayes_body.initial.fitting.starts import HEADINGS, candidates
+from bayes_body.model.body.build import Shape, build_body
+from bayes_body.model.body.kinematics import marker_positions
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_body
 

@@ -8,7 +8,7 @@ import pytest
 
 from bayes_body.initial import first_pose
 from bayes_body.model.build import build_model
-from bayes_body.session.session import CameraSpec, Session, Subject, View
+from bayes_body.recording.session.session import CameraSpec, Session, Subject, View
 
 # BODY_25B: in this order limbs have a body's proportions.
 NAMES = (

@@ -4,14 +4,14 @@ import jax
 import numpy as np
 import pytest
 
-from bayes_body.body.build import Shape, build_body
-from bayes_body.body.placement import loosened, placed_markers
-from bayes_body.body.solids import part_transforms
+from bayes_body.base.geometry import rigid
 from bayes_body.density.spaces import SE3
-from bayes_body.detection.detect import Detected
-from bayes_body.detection.detections import UNKNOWN_RAD, axis_frames, landmark, part
-from bayes_body.geometry import rigid
-from bayes_body.initial.proposals import MOST, proposals_of
+from bayes_body.initial.detection.detect import Detected
+from bayes_body.initial.detection.detections import UNKNOWN_RAD, axis_frames, landmark, part
+from bayes_body.initial.search.proposals import MOST, proposals_of
+from bayes_body.model.body.build import Shape, build_body
+from bayes_body.model.body.placement import loosened, placed_markers
+from bayes_body.model.body.solids import part_transforms
 from bayes_body.model.definition import load_body
 
 YAW, PLACE = 0.7, np.array([1.0, -0.5, 0.9])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from bayes_body.density.factor import Factor, Variable
-from bayes_body.initial.automatic import _other_leg
-from bayes_body.initial.refine import refine
+from bayes_body.initial.search.automatic import _other_leg
+from bayes_body.initial.search.refine import refine
 from bayes_body.model.build import build_model
 
 SD_RAD, FOUND, POSE = 0.15, 32, Variable("pose")

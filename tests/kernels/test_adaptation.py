@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
 from bayes_body.kernels import hmc
-from bayes_body.kernels.parts.adaptation import Plan, geometric_mean, init
-from bayes_body.kernels.parts.batching import axes_of, over_particles
-from bayes_body.kernels.parts.hamiltonian import Chain, Schedule, run_chain
+from bayes_body.kernels.batching import axes_of, over_particles
+from bayes_body.kernels.hmc.adaptation import Plan, geometric_mean, init
+from bayes_body.kernels.hmc.hamiltonian import Chain, Schedule, run_chain
 
 DOFS, CHAINS = 6, 8
 # Deviations from 1 to 100 along directions of no axis.

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.kernels.parts.batching import over_particles
+from bayes_body.kernels.batching import over_particles
 
 
 def _both(pair, shared):

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.kernels.parts.hamiltonian import Schedule, leapfrog_steps, run_chain
+from bayes_body.kernels.hmc.hamiltonian import Schedule, leapfrog_steps, run_chain
 
 
 def _schedule(steps, jitter):

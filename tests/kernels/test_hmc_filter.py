@@ -12,16 +12,16 @@ from blackjax.mcmc import hmc as blackjax_hmc
 from blackjax.mcmc import metrics
 from closed_forms.targets import conjugate, skewed
 
+from bayes_body.base.errors import InputError
 from bayes_body.density.coordinates import Coordinates
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
 from bayes_body.density.spaces import SO3, circle
-from bayes_body.errors import InputError
-from bayes_body.kernels import hmc_filter
-from bayes_body.kernels.hmc_filter import build_kernel
-from bayes_body.kernels.parts.ancestors import compares_frames
-from bayes_body.kernels.parts.hamiltonian import Schedule, chain_figures, effective_draws, run_chain
-from bayes_body.kernels.parts.mass import correlated, differenced, inverse_mass
+from bayes_body.kernels.hmc import hmc_filter
+from bayes_body.kernels.hmc.ancestors import compares_frames
+from bayes_body.kernels.hmc.hamiltonian import Schedule, chain_figures, effective_draws, run_chain
+from bayes_body.kernels.hmc.hmc_filter import build_kernel
+from bayes_body.kernels.hmc.mass import correlated, differenced, inverse_mass
 from bayes_body.tracking.rejected_chains import raise_if_all_rejected
 
 CHAINS = 64

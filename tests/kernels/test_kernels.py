@@ -10,11 +10,11 @@ import numpy as np
 import numpyro.distributions as dist
 import pytest
 
+from bayes_body.base.registry import find, names
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
 from bayes_body.density.spaces import Plate, euclidean
-from bayes_body.kernels.parts.batching import everywhere, whole
-from bayes_body.registry import find, names
+from bayes_body.kernels.batching import everywhere, whole
 
 X = Variable("x")
 COUNT = 500

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import softmax
 
-from bayes_body.kernels.parts import moment_correction
+from bayes_body.kernels.smc import moment_correction
 
 DOFS, DRAWS = 12, 150
 EQUAL = np.zeros(DRAWS)

@@ -7,7 +7,7 @@ import numpyro.distributions as dist
 import pytest
 
 import bayes_body as bb
-from bayes_body.kernels.parts.nested import nested_draws, tree_of, trunk_draws
+from bayes_body.kernels.messages.nested import nested_draws, tree_of, trunk_draws
 
 # Node 0 is the root, 1 branches into two limbs of two nodes, 6 is a limb of its own; the last edge points to its inner node.
 EDGES = [(0, 1), (1, 2), (2, 3), (1, 4), (4, 5), (6, 0)]

@@ -6,9 +6,9 @@ import numpy as np
 import numpyro.distributions as dist
 import pytest
 
+from bayes_body.base.errors import InputError
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
-from bayes_body.errors import InputError
 from bayes_body.kernels import annealed, sir
 
 X = Variable("x")

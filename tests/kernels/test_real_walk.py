@@ -11,7 +11,7 @@ import pytest
 
 import bayes_body as bb
 from bayes_body.cli.main import main
-from bayes_body.posterior.weighted import markers
+from bayes_body.results.posterior.weighted import markers
 
 pytestmark = [pytest.mark.long, pytest.mark.usefixtures("optimised")]
 

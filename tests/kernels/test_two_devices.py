@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import pytest
 from shared_fixtures import loose_limbed
 
+from bayes_body.base.registry import find, names
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Variable
-from bayes_body.kernels.parts import batching
-from bayes_body.kernels.smoother import build_smoother
+from bayes_body.kernels import batching
+from bayes_body.kernels.paths.smoother import build_smoother
 from bayes_body.model.build import body_of
 from bayes_body.model.definition import load_definition, parse_definition
-from bayes_body.registry import find, names
 from bayes_body.tracking.backward import Backward, Filtered
 
 COUNT, FRAMES = 6, 4

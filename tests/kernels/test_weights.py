@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.kernels.parts.weights import effective_sample_size, normalise
+from bayes_body.kernels.weights import effective_sample_size, normalise
 
 
 def test_normalised_weights_sum_to_one():

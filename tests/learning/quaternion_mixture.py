@@ -11,8 +11,8 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 from sklearn.cluster import KMeans
 
-from bayes_body.geometry import rotations
-from bayes_body.potentials.joint_mixture import log_of_components, mixture
+from bayes_body.base.geometry import rotations
+from bayes_body.model.potentials.joint_mixture import log_of_components, mixture
 
 BLOCKS = (slice(0, 3), slice(3, 7))
 

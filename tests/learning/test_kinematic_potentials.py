@@ -7,15 +7,15 @@ import pytest
 from learning import quaternion_mixture
 from scipy.spatial.transform import Rotation
 
-from bayes_body.body.build import Shape, build_body
+from bayes_body.base.geometry import rigid, rotations
 from bayes_body.cli.main import main
-from bayes_body.geometry import rigid, rotations
-from bayes_body.learning.joint_mixtures import Floors
-from bayes_body.learning.kinematic_potentials import JointPoses, held_out, joint_poses, joints_of, learn_joints, relative_poses
-from bayes_body.learning.walking_cycle import load_cycle, walk
+from bayes_body.model.body.build import Shape, build_body
 from bayes_body.model.definition import load_body
-from bayes_body.potentials.joint_file import load_joint_mixtures
-from bayes_body.recording.mocap import read_motion
+from bayes_body.model.potentials.joint_file import load_joint_mixtures
+from bayes_body.recording.readers.mocap import read_motion
+from bayes_body.workshop.learning.joint_mixtures import Floors
+from bayes_body.workshop.learning.kinematic_potentials import JointPoses, held_out, joint_poses, joints_of, learn_joints, relative_poses
+from bayes_body.workshop.learning.walking_cycle import load_cycle, walk
 
 BODY, FPS = "person_31", 60.0
 FLOORS = Floors(0.01, np.radians(2))
@@ -131,7 +131,7 @@ def test_the_command_learns_the_bend_of_a_knee(tmp_path, capsys):
 
 
 def _fifteen():
-    from bayes_body.evidence.markers import MARKERS
+    from bayes_body.recording.evidence.markers import MARKERS
 
     return MARKERS
 

@@ -6,12 +6,12 @@ import json
 import numpy as np
 import pytest
 
-from bayes_body.calibration.replication_log import ReplicationLog
+from bayes_body.base.errors import InputError
 from bayes_body.cli.main import main
-from bayes_body.errors import InputError
-from bayes_body.learning import likelihood_scale
-from bayes_body.learning.likelihood_scale import Trial, choose_scale, pooled, trials, with_scale
 from bayes_body.model.definition import load_definition
+from bayes_body.workshop.calibration.replication_log import ReplicationLog
+from bayes_body.workshop.learning import likelihood_scale
+from bayes_body.workshop.learning.likelihood_scale import Trial, choose_scale, pooled, trials, with_scale
 
 
 def trial(scale, inside, known=100):

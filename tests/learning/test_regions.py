@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from bayes_body.base.errors import InputError
 from bayes_body.cli.main import main
-from bayes_body.errors import InputError
-from bayes_body.learning.regions import Sums, fitted_to_truth, region_statistics, region_sums
 from bayes_body.model.definition import load_definition
-from bayes_body.observation.frames import read_frame
-from bayes_body.session.read import load_session
+from bayes_body.recording.observation.frames import read_frame
+from bayes_body.recording.session.read import load_session
+from bayes_body.workshop.learning.regions import Sums, fitted_to_truth, region_statistics, region_sums
 
 MODEL = """
 title  = "Parts in their regions"

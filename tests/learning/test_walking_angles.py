@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from learning.walking_fit import aligned, reconstruct
 
-from bayes_body.body.build import build_body
+from bayes_body.base.errors import InputError
 from bayes_body.cli.main import main
-from bayes_body.dynamics.angle_cycle import load_angle_cycle
-from bayes_body.errors import InputError
-from bayes_body.learning.gait import heel_strikes, height, points_of, terms
-from bayes_body.learning.walking_angles import AngleWalk, angles_of_walk, learn_angles, unusable
-from bayes_body.learning.walking_cycle import load_cycle, walk
+from bayes_body.model.body.build import build_body
 from bayes_body.model.definition import load_body
-from bayes_body.recording.mocap import read_motion
+from bayes_body.model.dynamics.angle_cycle import load_angle_cycle
+from bayes_body.recording.readers.mocap import read_motion
+from bayes_body.workshop.learning.gait import heel_strikes, height, points_of, terms
+from bayes_body.workshop.learning.walking_angles import AngleWalk, angles_of_walk, learn_angles, unusable
+from bayes_body.workshop.learning.walking_cycle import load_cycle, walk
 
 BODY, FPS, DOFS = "person_31", 60.0, 25
 # Walks of two people whom the cycle was not learned from; the others are long.

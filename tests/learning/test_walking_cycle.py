@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.signal import find_peaks
 
+from bayes_body.base.errors import InputError
 from bayes_body.cli.main import main
-from bayes_body.errors import InputError
-from bayes_body.evidence.markers import MARKERS
-from bayes_body.learning.cycle import ARRAYS, learn, save_cycle
-from bayes_body.learning.gait import TREE, is_run, points_of, strides
-from bayes_body.learning.walking_cycle import load_cycle, walk
-from bayes_body.recording.mocap import landmarks, read_motion
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.readers.mocap import landmarks, read_motion
+from bayes_body.workshop.learning.cycle import ARRAYS, learn, save_cycle
+from bayes_body.workshop.learning.gait import TREE, is_run, points_of, strides
+from bayes_body.workshop.learning.walking_cycle import load_cycle, walk
 
 FPS = 60.0
 FEET = [f"{side}_{point}" for side in "lr" for point in ("ankle", "toe")]

@@ -5,11 +5,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.body.skeleton import Topology
-from bayes_body.dynamics.angle_cycle import AngleCycle
-from bayes_body.errors import input_error
-from bayes_body.learning.gait import terms
-from bayes_body.learning.walking_angles import AngleWalk, near_reference, strikes_of
+from bayes_body.base.errors import input_error
+from bayes_body.model.body.skeleton import Topology
+from bayes_body.model.dynamics.angle_cycle import AngleCycle
+from bayes_body.workshop.learning.gait import terms
+from bayes_body.workshop.learning.walking_angles import AngleWalk, near_reference, strikes_of
 
 # Candidates for a change of phase, cycles, and how often phase and coefficients are fitted in turn.
 NEARBY, ROUNDS = np.linspace(-0.04, 0.04, 17), 6

@@ -10,15 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.build import build_body
-from bayes_body.body.solids import Body
+from bayes_body.base.geometry.camera import Camera, stack, turning_radius
+from bayes_body.base.registry import find
 from bayes_body.density.factor import Factor
-from bayes_body.evidence.silhouette_edges import SilhouetteEdgeMaps
-from bayes_body.geometry.camera import Camera, stack, turning_radius
+from bayes_body.model.body.build import build_body
+from bayes_body.model.body.solids import Body
 from bayes_body.model.definition import load_body
-from bayes_body.observation.frames import Frame
-from bayes_body.recording.parsec import import_parsec
-from bayes_body.registry import find
+from bayes_body.recording.evidence.silhouette_edges import SilhouetteEdgeMaps
+from bayes_body.recording.observation.frames import Frame
+from bayes_body.recording.readers.parsec import import_parsec
 
 DISTORTION, SKEW = (-0.2, 0.1, 0.004, -0.003, -0.02), 0.01
 

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.solids import Samples
+from bayes_body.base.registry import find
 from bayes_body.density.factor import Variable
-from bayes_body.likelihood.patch_pixels import rig_pixels
-from bayes_body.observation.frames import Frame
-from bayes_body.observation.thickness import spread_points
-from bayes_body.registry import find
+from bayes_body.model.body.solids import Samples
+from bayes_body.model.likelihood.patch_pixels import rig_pixels
+from bayes_body.recording.observation.frames import Frame
+from bayes_body.recording.observation.thickness import spread_points
 
 POSE = Variable("pose")
 SOFT, POINTS = 2.0, 300

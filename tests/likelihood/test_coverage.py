@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.solids import Samples
-from bayes_body.likelihood.coverage import projected_area
-from bayes_body.likelihood.patch_pixels import rig_pixels
+from bayes_body.model.body.solids import Samples
+from bayes_body.model.likelihood.coverage import projected_area
+from bayes_body.model.likelihood.patch_pixels import rig_pixels
 
 GRID = (80, 60)
 SCALE = 8

@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from bayes_body.body.solids import outline_samples, part_transforms
-from bayes_body.errors import InputError
-from bayes_body.evidence.edge_phase import PhaseMaps, look_up, pack, steer
-from bayes_body.geometry.camera import Pixels, project
-from bayes_body.likelihood.boundaries import boundaries, contour
-from bayes_body.likelihood.edge_phase import Options, build
-from bayes_body.likelihood.patch_pixels import rig_patches, sample_slopes
+from bayes_body.base.errors import InputError
+from bayes_body.base.geometry.camera import Pixels, project
+from bayes_body.base.toml.read import validate
+from bayes_body.model.body.solids import outline_samples, part_transforms
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_body, load_definition
-from bayes_body.observation.edge_phase import responses
-from bayes_body.observation.frames import Frame
-from bayes_body.session.session import CameraSpec, Session, View
-from bayes_body.toml.read import validate
+from bayes_body.model.likelihood.boundaries import boundaries, contour
+from bayes_body.model.likelihood.edge_phase import Options, build
+from bayes_body.model.likelihood.patch_pixels import rig_patches, sample_slopes
+from bayes_body.recording.evidence.edge_phase import PhaseMaps, look_up, pack, steer
+from bayes_body.recording.observation.edge_phase import responses
+from bayes_body.recording.observation.frames import Frame
+from bayes_body.recording.session.session import CameraSpec, Session, View
 
 SIZE = (320, 240)
 

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.kinematics import forward_kinematics, marker_positions
+from bayes_body.base.geometry import transforms
+from bayes_body.base.geometry.camera import Camera, project
 from bayes_body.density.factor import Variable
-from bayes_body.geometry import transforms
-from bayes_body.geometry.camera import Camera, project
-from bayes_body.likelihood.patch_pixels import rig_pixels
+from bayes_body.model.body.kinematics import forward_kinematics, marker_positions
+from bayes_body.model.likelihood.patch_pixels import rig_pixels
 
 POSE = Variable("pose")
 R_NEW_OLD = cv2.Rodrigues(np.array([0.5, -0.7, 1.9]))[0]

@@ -8,15 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.solids import part_transforms, patches
+from bayes_body.base.geometry.camera import project
+from bayes_body.base.registry import find
 from bayes_body.density.factor import Variable
-from bayes_body.evidence.image_motion import BACKGROUND
-from bayes_body.evidence.image_motion import BEFORE as BEFORE_PICTURE
-from bayes_body.geometry.camera import project
-from bayes_body.likelihood.surface_points import LEAST_COSINE, carried_points
-from bayes_body.observation.frames import Frame
-from bayes_body.registry import find
-from bayes_body.session.session import CameraSpec
+from bayes_body.model.body.solids import part_transforms, patches
+from bayes_body.model.likelihood.surface_points import LEAST_COSINE, carried_points
+from bayes_body.recording.evidence.image_motion import BACKGROUND
+from bayes_body.recording.evidence.image_motion import BEFORE as BEFORE_PICTURE
+from bayes_body.recording.observation.frames import Frame
+from bayes_body.recording.session.session import CameraSpec
 
 NOW, BEFORE = Variable("pose"), Variable("pose", -1)
 SMOOTH_PX, ROLL_RAD = 2**0.5, 0.03

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from bayes_body.body.kinematics import marker_positions
-from bayes_body.body.placement import loosened, placed_markers
+from bayes_body.base.errors import InputError
+from bayes_body.base.registry import find
 from bayes_body.density.factor import Factor, Variable
-from bayes_body.errors import InputError
-from bayes_body.evidence.markers import MARKERS, MarkerEvidence
-from bayes_body.registry import find
+from bayes_body.model.body.kinematics import marker_positions
+from bayes_body.model.body.placement import loosened, placed_markers
+from bayes_body.recording.evidence.markers import MARKERS, MarkerEvidence
 
 POSE = Variable("pose")
 NOISES = {

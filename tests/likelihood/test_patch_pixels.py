@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.solids import Samples, outline_samples, part_transforms, patches, surface_samples
-from bayes_body.geometry.camera import Camera, project
-from bayes_body.likelihood.patch_pixels import rig_pixels
+from bayes_body.base.geometry.camera import Camera, project
+from bayes_body.model.body.solids import Samples, outline_samples, part_transforms, patches, surface_samples
+from bayes_body.model.likelihood.patch_pixels import rig_pixels
 
 pytestmark = pytest.mark.usefixtures("x64")
 

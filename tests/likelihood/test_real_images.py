@@ -11,7 +11,7 @@ import pytest
 from bayes_body.density.factor import Variable
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
-from bayes_body.observation.frames import read_frame
+from bayes_body.recording.observation.frames import read_frame
 
 POSE = Variable("pose")
 NAME = "silhouette_edges"

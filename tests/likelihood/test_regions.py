@@ -9,15 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.placement import loosened
-from bayes_body.body.solids import part_transforms, patches
+from bayes_body.base.errors import InputError
+from bayes_body.base.geometry.camera import project
+from bayes_body.base.registry import find
+from bayes_body.base.toml.read import validate
 from bayes_body.density.factor import Factor, Variable
-from bayes_body.errors import InputError
-from bayes_body.geometry.camera import project
-from bayes_body.observation.frames import Frame
-from bayes_body.observation.silhouette_edges import distance_to, edges
-from bayes_body.registry import find
-from bayes_body.toml.read import validate
+from bayes_body.model.body.placement import loosened
+from bayes_body.model.body.solids import part_transforms, patches
+from bayes_body.recording.observation.frames import Frame
+from bayes_body.recording.observation.silhouette_edges import distance_to, edges
 
 PARTS, LARGER = Variable("parts"), 3
 OBSERVED = {"inside": 0.9, "band": 0.2, "elsewhere": 0.4, "edge_elsewhere": 2.0, "smooth_px": 2.0}

@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.solids import part_transforms
+from bayes_body.base.errors import InputError
+from bayes_body.base.registry import find
 from bayes_body.density.factor import Factor, Variable
-from bayes_body.errors import InputError
-from bayes_body.evidence.silhouettes import SilhouetteEvidence
-from bayes_body.likelihood.outlines import outline_forms, signed_distance
-from bayes_body.observation.silhouette_bernoulli import sample_mask
-from bayes_body.registry import find
+from bayes_body.model.body.solids import part_transforms
+from bayes_body.model.likelihood.outlines import outline_forms, signed_distance
+from bayes_body.recording.evidence.silhouettes import SilhouetteEvidence
+from bayes_body.recording.observation.silhouette_bernoulli import sample_mask
 
 POSE = Variable("pose")
 

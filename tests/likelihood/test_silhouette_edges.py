@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.solids import part_transforms
 from bayes_body.density.factor import Variable
-from bayes_body.likelihood.coverage import projected_area
-from bayes_body.likelihood.patch_pixels import rig_pixels
-from bayes_body.observation.silhouette_edges import edge_proximity
+from bayes_body.model.body.solids import part_transforms
+from bayes_body.model.likelihood.coverage import projected_area
+from bayes_body.model.likelihood.patch_pixels import rig_pixels
+from bayes_body.recording.observation.silhouette_edges import edge_proximity
 
 POSE = Variable("pose")
 SURFACE, OUTLINE, UNSEEN = (5, 3), 4, 0.5

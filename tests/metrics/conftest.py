@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from bayes_body.evidence.markers import MARKERS
-from bayes_body.metrics.truth import Cloud
 from bayes_body.model.build import build_model
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.results.metrics.truth import Cloud
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bayes_body.metrics.accuracy import LEVELS, SHARES, frame_accuracy, inside_intervals
-from bayes_body.posterior.moments import weighted_quantiles
+from bayes_body.results.metrics.accuracy import LEVELS, SHARES, frame_accuracy, inside_intervals
+from bayes_body.results.posterior.moments import weighted_quantiles
 
 FIFTY, NINETY = LEVELS.index(0.5), LEVELS.index(0.9)
 NAMES = ("pelvis", "l_knee", "head")

@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from bayes_body.evidence.markers import MARKERS
-from bayes_body.metrics.fit import Fit, cover_of, frame_fit
-from bayes_body.metrics.plausibility import FEWEST_FRAMES, fit_figures
-from bayes_body.metrics.plausibility_sentences import fit_sentences
-from bayes_body.recording.keypoint_series import KeypointSeries, write_series
-from bayes_body.view.silhouette import outlines
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
+from bayes_body.results.metrics.fit import Fit, cover_of, frame_fit
+from bayes_body.results.metrics.plausibility import FEWEST_FRAMES, fit_figures
+from bayes_body.results.metrics.plausibility_sentences import fit_sentences
+from bayes_body.results.metrics.silhouette import outlines
 
 
 def _fit(cover=np.nan, distance=np.nan, overlap=np.nan, body=0.1, silhouette=0.1, cameras=2):
@@ -110,7 +110,7 @@ def _with_keypoints(model, session, folder, pose):
     import jax
     import jax.numpy as jnp
 
-    from bayes_body.geometry.camera import project
+    from bayes_body.base.geometry.camera import project
 
     places = np.asarray(model.markers(jnp.asarray(pose, jnp.float32)))
     views = []

@@ -7,18 +7,18 @@ import jax
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
 from bayes_body.kernels import annealed
-from bayes_body.kernels.particle_filter import build_kernel
-from bayes_body.metrics import draws_against_truth, log_evidence, marker_disagreement, silhouette_overlap, summarise
-from bayes_body.metrics.figures import NAMES
+from bayes_body.kernels.smc.particle_filter import build_kernel
 from bayes_body.model.build import build_model
-from bayes_body.posterior import markers, mean_poses, rhat
+from bayes_body.recording.session.read import save_session
+from bayes_body.results.metrics import draws_against_truth, log_evidence, marker_disagreement, silhouette_overlap, summarise
+from bayes_body.results.metrics.figures import NAMES
+from bayes_body.results.metrics.silhouette import intersection_over_union
+from bayes_body.results.posterior import markers, mean_poses, rhat
 from bayes_body.runs.run import run
 from bayes_body.runs.settings import Settings
-from bayes_body.session.read import save_session
 from bayes_body.tracking.track import track
-from bayes_body.view.silhouette import intersection_over_union
 
 
 @pytest.fixture(scope="module")

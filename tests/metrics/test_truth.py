@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.placement import loosened
-from bayes_body.metrics import accuracy_figures, against_truth
-from bayes_body.metrics.accuracy import LEVELS
-from bayes_body.metrics.figures import NAMES, width
-from bayes_body.metrics.truth import FEWEST
-from bayes_body.posterior import markers
-from bayes_body.posterior.moments import weighted_quantiles
+from bayes_body.model.body.placement import loosened
+from bayes_body.results.metrics import accuracy_figures, against_truth
+from bayes_body.results.metrics.accuracy import LEVELS
+from bayes_body.results.metrics.figures import NAMES, width
+from bayes_body.results.metrics.truth import FEWEST
+from bayes_body.results.posterior import markers
+from bayes_body.results.posterior.moments import weighted_quantiles
 
 NINETY = LEVELS.index(0.9)
 

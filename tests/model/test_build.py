@@ -9,11 +9,11 @@ import pytest
 from own_terms import plugins_of_this_test
 from scipy.stats import kstest, truncnorm
 
-from bayes_body import registry
-from bayes_body.errors import InputError
+from bayes_body.base import registry
+from bayes_body.base.errors import InputError
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import FirstTable, load_definition
-from bayes_body.session.session import Subject
+from bayes_body.recording.session.session import Subject
 
 
 def _with(session, **changes):

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.files import shipped
-from bayes_body.files.shipped import definitions_folder
+from bayes_body.base.errors import InputError
+from bayes_body.base.files import shipped
+from bayes_body.base.files.shipped import definitions_folder
+from bayes_body.base.registry import names
 from bayes_body.model.definition import definition_names, load_body, load_definition
-from bayes_body.registry import names
 
 ROOT = Path(__file__).parents[2]
 TEXT = """

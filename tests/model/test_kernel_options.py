@@ -2,11 +2,11 @@
 
 import pytest
 
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
+from bayes_body.base.registry import names
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.model.kernel_options import kernel_options
-from bayes_body.registry import names
 
 
 def test_the_definition_s_kernel_has_the_definition_s_options():

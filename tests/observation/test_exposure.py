@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayes_body.observation.exposure import fit_exposure
+from bayes_body.recording.observation.exposure import fit_exposure
 
 
 @pytest.fixture

@@ -6,14 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.evidence.markers import MARKERS
-from bayes_body.likelihood.silhouette_bernoulli import Options, _centres
-from bayes_body.observation.frames import Frame, read_frame
-from bayes_body.observation.silhouette_bernoulli import sample_mask
-from bayes_body.recording import truth
-from bayes_body.recording.keypoint_series import KeypointSeries, write_series
-from bayes_body.registry import find
+from bayes_body.base.errors import InputError
+from bayes_body.base.registry import find
+from bayes_body.model.likelihood.silhouette_bernoulli import Options, _centres
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.observation.frames import Frame, read_frame
+from bayes_body.recording.observation.silhouette_bernoulli import sample_mask
+from bayes_body.recording.readers import truth
+from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
 
 
 def observe(kind, frame, **given):

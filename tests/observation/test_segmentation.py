@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.observation import silhouettes
-from bayes_body.observation.background import learn_background, shrink, still_background
-from bayes_body.observation.frames import read_frame
-from bayes_body.observation.segmentation import foreground_levels, independent_log_odds
-from bayes_body.recording.video import read_video_frame
-from bayes_body.session.session import Segmentation
+from bayes_body.base.errors import InputError
+from bayes_body.recording.observation import silhouettes
+from bayes_body.recording.observation.background import learn_background, shrink, still_background
+from bayes_body.recording.observation.frames import read_frame
+from bayes_body.recording.observation.segmentation import foreground_levels, independent_log_odds
+from bayes_body.recording.readers.video import read_video_frame
+from bayes_body.recording.session.session import Segmentation
 
 ROWS, COLUMNS, FRAMES = 120, 160, 30
 PERSON = (60, 90, 220)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.evidence.silhouette_edges import BORDER, EDGES, SILHOUETTE, UNSEEN_SHARE
-from bayes_body.observation.frames import Frame
-from bayes_body.observation.silhouette_edges import edge_proximity, edges, smooth_silhouette
-from bayes_body.registry import find
+from bayes_body.base.errors import InputError
+from bayes_body.base.registry import find
+from bayes_body.recording.evidence.silhouette_edges import BORDER, EDGES, SILHOUETTE, UNSEEN_SHARE
+from bayes_body.recording.observation.frames import Frame
+from bayes_body.recording.observation.silhouette_edges import edge_proximity, edges, smooth_silhouette
 
 
 def step_image(height: float, shape=(40, 60), column=30) -> np.ndarray:
@@ -131,8 +131,8 @@ def test_by_distance_nothing_is_near_where_there_is_nothing():
 
 
 def test_the_real_silhouette_is_a_small_part_of_each_image(bodytrack, tmp_path):
-    from bayes_body.observation.frames import read_frame
-    from bayes_body.recording.parsec import import_parsec
+    from bayes_body.recording.observation.frames import read_frame
+    from bayes_body.recording.readers.parsec import import_parsec
 
     session, _ = import_parsec(bodytrack, tmp_path)
     maps = observe(read_frame(session, 0))

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import jaxtyping
 import pytest
 
-from bayes_body.geometry import camera
+from bayes_body.base.geometry import camera
 
 
 def _camera() -> camera.Camera:

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from bending_arm import BEND_DEG, FRAMES, STRAIGHT, TwistInterval, arm_angles, film_arm, with_arm
 
-from bayes_body.body.build import build_body
-from bayes_body.body.kinematics import marker_positions
-from bayes_body.errors import InputError
-from bayes_body.learning.walking_cycle import load_cycle, walk
+from bayes_body.base.errors import InputError
+from bayes_body.model.body.build import build_body
+from bayes_body.model.body.kinematics import marker_positions
 from bayes_body.model.definition import load_body
+from bayes_body.workshop.learning.walking_cycle import load_cycle, walk
 
 
 def test_the_arm_is_straight_and_then_bends_smoothly_from_rest():

@@ -5,9 +5,9 @@ import pytest
 from error_plot import draw_error_curves
 from few_cameras import Followed, few_camera_definitions, with_cameras
 
-from bayes_body.errors import InputError
-from bayes_body.evidence.markers import MARKERS
+from bayes_body.base.errors import InputError
 from bayes_body.model.definition import load_definition
+from bayes_body.recording.evidence.markers import MARKERS
 
 
 def _followed(relative, coverage=0.85):
@@ -63,7 +63,7 @@ def test_cameras_are_left_out(session_of_two_cameras):
 
 @pytest.fixture
 def session_of_two_cameras(tmp_path):
-    from bayes_body.session.session import CameraSpec, Session, View
+    from bayes_body.recording.session.session import CameraSpec, Session, View
 
     cameras = [CameraSpec(name, (64, 48), (60.0, 60.0), (32.0, 24.0), 0.0, (0.0,) * 5, np.eye(3), np.zeros(3)) for name in ("left", "right")]
     keypoints = {camera.name: {"head": (1.0, 2.0, 0.9)} for camera in cameras}

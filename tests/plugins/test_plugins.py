@@ -12,16 +12,16 @@ import pytest
 from own_terms import GOOD, MODEL, plugins_of_this_test
 
 import bayes_body as bb
-from bayes_body import registry
-from bayes_body.calibration import replications
-from bayes_body.calibration.replications import Experiments
-from bayes_body.errors import FaultyFileError, InputError
+from bayes_body.base import registry
+from bayes_body.base.errors import FaultyFileError, InputError
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
-from bayes_body.observation.frames import read_frame
-from bayes_body.plugins import load as plugins
-from bayes_body.plugins.load import check_own_factors, load_plugin, loaded, plugins_to_blame, providing, unload
-from bayes_body.plugins.terms import check_result
+from bayes_body.model.plugins import load as plugins
+from bayes_body.model.plugins.load import check_own_factors, load_plugin, loaded, plugins_to_blame, providing, unload
+from bayes_body.model.plugins.terms import check_result
+from bayes_body.recording.observation.frames import read_frame
+from bayes_body.workshop.calibration import replications
+from bayes_body.workshop.calibration.replications import Experiments
 
 
 @pytest.fixture(autouse=True)

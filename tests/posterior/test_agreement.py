@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from bayes_body.density.spaces import SE3, Plate, circle, numbered, space_to_text
-from bayes_body.posterior import frame_rhat
-from bayes_body.posterior.agreement import independent_draws, rhat_of_block
-from bayes_body.posterior.blocks import Block, coordinate_blocks
-from bayes_body.posterior.diagnostics import diagnose, sentences
+from bayes_body.results.posterior import frame_rhat
+from bayes_body.results.posterior.agreement import independent_draws, rhat_of_block
+from bayes_body.results.posterior.blocks import Block, coordinate_blocks
+from bayes_body.results.posterior.diagnostics import diagnose, sentences
 from bayes_body.tracking.draws import FrameResult
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from bayes_body.model.build import body_of
 from bayes_body.model.definition import load_definition
-from bayes_body.posterior.central import DRAWS, central_pose, distances, lies_among, thinned
+from bayes_body.results.posterior.central import DRAWS, central_pose, distances, lies_among, thinned
 
 EVEN = np.full(100, 0.01)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bayes_body.density.kernel import NO_ANCESTOR
-from bayes_body.posterior.diagnostics import Thresholds, diagnose, frame_ranges, sentences, worst_figures
-from bayes_body.posterior.genealogy import unique_ancestors
+from bayes_body.results.posterior.diagnostics import Thresholds, diagnose, frame_ranges, sentences, worst_figures
+from bayes_body.results.posterior.genealogy import unique_ancestors
 
 RUNS, DRAWS, FRAMES = 3, 400, 12
 

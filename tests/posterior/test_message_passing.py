@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from bayes_body.posterior.diagnostics import diagnose, sentences, worst_figures
-from bayes_body.posterior.message_passing import DIMS, message_passing_of
+from bayes_body.results.posterior.diagnostics import diagnose, sentences, worst_figures
+from bayes_body.results.posterior.message_passing import DIMS, message_passing_of
 
 RUNS, FRAMES, ITERATIONS, SAMPLES = 2, 4, 5, 200
 PARTS = ("torso", "l_calf", "r_calf")

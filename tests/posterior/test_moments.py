@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayes_body.density.spaces import SE3, circle, numbered
-from bayes_body.posterior.moments import moments_in, weighted_moments, weighted_quantiles
+from bayes_body.results.posterior.moments import moments_in, weighted_moments, weighted_quantiles
 
 
 def normalised(weights):

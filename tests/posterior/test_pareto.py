@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_body.posterior.pareto import pareto_shape, tail_size
+from bayes_body.results.posterior.pareto import pareto_shape, tail_size
 
 DRAWS = 4000
 

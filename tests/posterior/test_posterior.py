@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from bayes_body.base.errors import InputError
 from bayes_body.density.spaces import SE3, Plate, euclidean, space_from_text
-from bayes_body.errors import InputError
-from bayes_body.kernels.particle_filter import build_kernel
+from bayes_body.kernels.smc.particle_filter import build_kernel
 from bayes_body.model.build import build_model
-from bayes_body.posterior import equal_weight, equal_weight_draws, markers, mean_poses, rhat, save_posterior, stream_posterior, to_datatree
-from bayes_body.posterior import stream as streaming
-from bayes_body.posterior.on_demand import tree_on_demand
+from bayes_body.results.posterior import equal_weight, equal_weight_draws, markers, mean_poses, rhat, save_posterior, stream_posterior, to_datatree
+from bayes_body.results.posterior import stream as streaming
+from bayes_body.results.posterior.on_demand import tree_on_demand
 from bayes_body.tracking.track import track
 
 RUNS, FRAMES, PARTICLES = 3, 5, 400

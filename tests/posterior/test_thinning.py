@@ -7,9 +7,9 @@ import pytest
 
 from bayes_body.density.kernel import NO_ANCESTOR, FilterInfo
 from bayes_body.density.spaces import euclidean
-from bayes_body.posterior.mixing import by_chain
-from bayes_body.posterior.thinning import choose, thinned
-from bayes_body.posterior.weighted import equal_weight_poses, frame_rhat
+from bayes_body.results.posterior.mixing import by_chain
+from bayes_body.results.posterior.thinning import choose, thinned
+from bayes_body.results.posterior.weighted import equal_weight_poses, frame_rhat
 from bayes_body.tracking.draws import FrameResult
 
 RUNS, PARTICLES, DOFS, REPEATED = 2, 60, 3, 4000

@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.build import Shape, build_body
-from bayes_body.body.solids import part_transforms, penetration_depths
+from bayes_body.base.registry import find
 from bayes_body.density.factor import Factor, Variable
+from bayes_body.model.body.build import Shape, build_body
+from bayes_body.model.body.solids import part_transforms, penetration_depths
 from bayes_body.model.definition import load_body
-from bayes_body.recording.parsec import import_parsec
-from bayes_body.registry import find
+from bayes_body.recording.readers.parsec import import_parsec
 
 POSE = Variable("pose")
 

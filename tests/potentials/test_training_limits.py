@@ -4,11 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.build import build_body
+from bayes_body.base.errors import InputError
+from bayes_body.base.registry import find
 from bayes_body.density.factor import Variable
-from bayes_body.errors import InputError
+from bayes_body.model.body.build import build_body
 from bayes_body.model.definition import load_body
-from bayes_body.registry import find
 
 POSE = Variable("pose")
 

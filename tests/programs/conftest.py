@@ -10,7 +10,7 @@ import pytest
 from programs.pages import FIRST_RUN, blocks
 
 from bayes_body.cli.main import main
-from bayes_body.recording.parsec import import_parsec
+from bayes_body.recording.readers.parsec import import_parsec
 
 
 @pytest.fixture(scope="session")

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from bayes_body.cli.main import main
-from bayes_body.recording.keypoint_layouts import LAYOUTS
-from bayes_body.recording.keypoints import read_people
-from bayes_body.recording.person import choose_person
-from bayes_body.recording.triangulate import triangulate
-from bayes_body.storage.saved_moments import marker_moments
-from bayes_body.storage.saved_run import load_run
+from bayes_body.recording.readers.keypoint_layouts import LAYOUTS
+from bayes_body.recording.readers.keypoints import read_people
+from bayes_body.recording.readers.person import choose_person
+from bayes_body.recording.readers.triangulate import triangulate
+from bayes_body.results.storage.saved_moments import marker_moments
+from bayes_body.results.storage.saved_run import load_run
 
 pytestmark = [pytest.mark.long, pytest.mark.usefixtures("optimised")]
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from bayes_body.cli.main import main
-from bayes_body.storage.saved_moments import marker_moments
-from bayes_body.storage.saved_run import load_run
+from bayes_body.results.storage.saved_moments import marker_moments
+from bayes_body.results.storage.saved_run import load_run
 
 SIZES = ["--particles", "1000", "--runs", "5"]
 KERNELS = {"annealed": ["--layers", "5"], "tempered": ["--model", "tempered_smc"]}

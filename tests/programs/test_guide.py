@@ -9,12 +9,12 @@ import pytest
 from programs.pages import FIRST_RUN, README, ROOT, blocks, page, sections
 from pydantic import BaseModel
 
-from bayes_body.body import schema, tables
+from bayes_body.base.registry import Room, find, names
 from bayes_body.cli.main import main
-from bayes_body.likelihood.edge_phase import Scale
+from bayes_body.model.body import schema, tables
 from bayes_body.model.definition import definition_names, load_definition
-from bayes_body.potentials.kinematic import Component
-from bayes_body.registry import Room, find, names
+from bayes_body.model.likelihood.edge_phase import Scale
+from bayes_body.model.potentials.kinematic import Component
 
 # These programs run for longer than they compile.
 pytestmark = pytest.mark.usefixtures("optimised")

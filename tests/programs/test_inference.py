@@ -20,7 +20,7 @@ GRAPHS = {"particle_bp_on_a_grid": "beliefs.png", "particle_bp_smoother": "swing
 # The others compile the gradient of an image likelihood, or teach nothing that the first does not.
 KERNELS = {"sir": (), "annealed": pytest.mark.slow, "tempered": pytest.mark.long, "hmc": pytest.mark.long}
 LONGEST = 110
-PUBLIC = {"bayes_body", "bayes_body.errors"}
+PUBLIC = {"bayes_body", "bayes_body.base.errors"}
 
 
 @pytest.fixture(params=PROGRAMS, ids=lambda path: path.stem)

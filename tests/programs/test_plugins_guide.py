@@ -12,13 +12,13 @@ import pytest
 from own_terms import plugins_of_this_test
 
 import bayes_body as bb
-from bayes_body.calibration.scene import model_in_a_room
+from bayes_body.base.registry import find
 from bayes_body.cli.main import main
 from bayes_body.initial import with_first_pose
 from bayes_body.model.definition import load_definition
-from bayes_body.observation.frames import read_frame
-from bayes_body.plugins.load import check_own_factors, load_plugin
-from bayes_body.registry import find
+from bayes_body.model.plugins.load import check_own_factors, load_plugin
+from bayes_body.recording.observation.frames import read_frame
+from bayes_body.workshop.calibration.scene import model_in_a_room
 
 GUIDE = (Path(__file__).parents[2] / "docs" / "guide" / "plugins.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", GUIDE, re.MULTILINE | re.DOTALL)
@@ -147,8 +147,8 @@ def test_its_program_runs_and_a_wrong_keypoint_moves_the_pose_little(folder, mon
 def test_the_man_on_the_beam_is_tracked_with_it(folder, pose2sim_beam):
     from programs.test_beam import triangulated
 
-    from bayes_body.storage.saved_moments import marker_moments
-    from bayes_body.storage.saved_run import load_run
+    from bayes_body.results.storage.saved_moments import marker_moments
+    from bayes_body.results.storage.saved_run import load_run
 
     (track,) = [command for command in COMMANDS if "bayes-body track" in command]
     (report,) = [command for command in COMMANDS if "bayes-body report" in command]

@@ -18,9 +18,9 @@ import xarray as xr
 from programs.pages import README, blocks, python_blocks, sections
 
 import bayes_body as bb
-from bayes_body.evidence.markers import MARKERS
-from bayes_body.posterior import markers, mean_pose
-from bayes_body.storage import FrameFiles
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.results.posterior import markers, mean_pose
+from bayes_body.results.storage import FrameFiles
 from bayes_body.tracking.draws import Draws, timing_of
 
 BLOCKS = python_blocks()
@@ -153,7 +153,7 @@ NAMES = {"docs/guide/accuracy.md #0": accuracy_names, "docs/api/terms.md #0": sp
 
 
 @pytest.mark.usefixtures("optimised")
-@pytest.mark.filterwarnings("ignore::bayes_body.errors.RunWarning")
+@pytest.mark.filterwarnings("ignore::bayes_body.base.errors.RunWarning")
 @pytest.mark.parametrize("name", RUN)
 def test_a_block_runs(folder, tmp_path, monkeypatch, name):
     work = tmp_path / "work"

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.recording.camera_path import cameras_at, read_camera_path
-from bayes_body.session.session import CameraSpec, Session, View
+from bayes_body.base.errors import InputError
+from bayes_body.recording.readers.camera_path import cameras_at, read_camera_path
+from bayes_body.recording.session.session import CameraSpec, Session, View
 
 
 def turned(angle):

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from bayes_body.errors import FaultyFileError
-from bayes_body.recording.check import check_session, named
-from bayes_body.recording.parsec import import_parsec
-from bayes_body.session.session import View
+from bayes_body.base.errors import FaultyFileError
+from bayes_body.recording.readers.check import check_session, named
+from bayes_body.recording.readers.parsec import import_parsec
+from bayes_body.recording.session.session import View
 
 
 @pytest.fixture

@@ -6,15 +6,15 @@ import cv2
 import numpy as np
 import pytest
 
-from bayes_body.errors import FaultyFileError, InputError
-from bayes_body.evidence.markers import MARKERS
-from bayes_body.metrics.truth import true_markers
-from bayes_body.observation.frames import read_frame
-from bayes_body.observation.silhouettes import background_of, has_silhouettes
-from bayes_body.recording.camera_path import cameras_at
-from bayes_body.recording.excerpt import excerpt
-from bayes_body.session.read import load_session, save_session
-from bayes_body.session.session import CameraSpec, Session, View
+from bayes_body.base.errors import FaultyFileError, InputError
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.observation.frames import read_frame
+from bayes_body.recording.observation.silhouettes import background_of, has_silhouettes
+from bayes_body.recording.readers.camera_path import cameras_at
+from bayes_body.recording.readers.excerpt import excerpt
+from bayes_body.recording.session.read import load_session, save_session
+from bayes_body.recording.session.session import CameraSpec, Session, View
+from bayes_body.results.metrics.truth import true_markers
 
 FRAMES, FIRST = 12, 100
 

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.observation.frames import Frame, prefetch, read_frame
-from bayes_body.observation.pictures import read_colour
-from bayes_body.recording.parsec import import_parsec
+from bayes_body.base.errors import InputError
+from bayes_body.recording.observation.frames import Frame, prefetch, read_frame
+from bayes_body.recording.observation.pictures import read_colour
+from bayes_body.recording.readers.parsec import import_parsec
 
 
 def test_real_frames(bodytrack, tmp_path):

@@ -17,22 +17,22 @@ import numpy as np
 import pytest
 from mutations import mutated
 
-from bayes_body.errors import InputError
-from bayes_body.evidence.markers import MARKERS
-from bayes_body.recording.calibration import check_rig
-from bayes_body.recording.calibration_opencv import read_opencv
-from bayes_body.recording.calibration_qualisys import read_qualisys
-from bayes_body.recording.calibration_toml import read_calibration_toml
-from bayes_body.recording.camera_path import read_camera_path
-from bayes_body.recording.images import read_colour
-from bayes_body.recording.keypoint_layouts import choose_layout
-from bayes_body.recording.keypoint_series import read_series
-from bayes_body.recording.keypoints import read_people
-from bayes_body.recording.mocap import read_motion
-from bayes_body.recording.parsec_files import read_calibration
-from bayes_body.recording.truth import read_truth
-from bayes_body.recording.video import probe, read_video_frame
-from bayes_body.session.read import load_session
+from bayes_body.base.errors import InputError
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.readers.calibration import check_rig
+from bayes_body.recording.readers.calibration_opencv import read_opencv
+from bayes_body.recording.readers.calibration_qualisys import read_qualisys
+from bayes_body.recording.readers.calibration_toml import read_calibration_toml
+from bayes_body.recording.readers.camera_path import read_camera_path
+from bayes_body.recording.readers.images import read_colour
+from bayes_body.recording.readers.keypoint_layouts import choose_layout
+from bayes_body.recording.readers.keypoint_series import read_series
+from bayes_body.recording.readers.keypoints import read_people
+from bayes_body.recording.readers.mocap import read_motion
+from bayes_body.recording.readers.parsec_files import read_calibration
+from bayes_body.recording.readers.truth import read_truth
+from bayes_body.recording.readers.video import probe, read_video_frame
+from bayes_body.recording.session.read import load_session
 
 QUICK, MANY = 300, 10_000
 # No reader takes a second; a loop without end would not stop at ten.
@@ -278,11 +278,11 @@ NESTED = {
 ALONE = """
 import sys
 from pathlib import Path
-from bayes_body.errors import InputError
-from bayes_body.recording.calibration_opencv import read_opencv
-from bayes_body.recording.images import is_image, read_colour
-from bayes_body.recording.video import probe
-from bayes_body.session.read import load_session
+from bayes_body.base.errors import InputError
+from bayes_body.recording.readers.calibration_opencv import read_opencv
+from bayes_body.recording.readers.images import is_image, read_colour
+from bayes_body.recording.readers.video import probe
+from bayes_body.recording.session.read import load_session
 readers = {"opencv": lambda path: read_opencv(path, 1.0), "image": read_colour, "is image": is_image, "video": probe, "session": load_session}
 for kind, path in zip(sys.argv[1::2], sys.argv[2::2]):
     try:

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.recording.images import NotSeenError, is_image, read_colour, read_grey, read_mask
+from bayes_body.base.errors import InputError
+from bayes_body.recording.readers.images import NotSeenError, is_image, read_colour, read_grey, read_mask
 
 GREY = np.random.default_rng(3).integers(0, 256, (37, 51), dtype=np.uint8)
 

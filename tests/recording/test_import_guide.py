@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from bayes_body.cli.import_ import app
-from bayes_body.recording.keypoint_layouts import LAYOUTS
-from bayes_body.recording.truth import read_truth
-from bayes_body.session.read import load_session
-from bayes_body.session.schema import CameraTable, InitialTable, SegmentationTable, SessionFile, SubjectTable
+from bayes_body.recording.readers.keypoint_layouts import LAYOUTS
+from bayes_body.recording.readers.truth import read_truth
+from bayes_body.recording.session.read import load_session
+from bayes_body.recording.session.schema import CameraTable, InitialTable, SegmentationTable, SessionFile, SubjectTable
 
 PAGE = (Path(__file__).parents[2] / "docs" / "guide" / "recordings.md").read_text(encoding="utf-8")
 

@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.observation.frames import read_frame
-from bayes_body.recording.keypoint_series import read_series
-from bayes_body.recording.opencv import import_opencv
-from bayes_body.recording.options import Options
-from bayes_body.session.read import load_session, save_session
+from bayes_body.base.errors import InputError
+from bayes_body.recording.observation.frames import read_frame
+from bayes_body.recording.readers.keypoint_series import read_series
+from bayes_body.recording.readers.opencv import import_opencv
+from bayes_body.recording.readers.options import Options
+from bayes_body.recording.session.read import load_session, save_session
 
 FRAMES, SIZE = 6, (96, 64)
 K = np.array([[60.0, 0, 48], [0, 60, 32], [0, 0, 1]])

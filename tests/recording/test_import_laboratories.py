@@ -7,16 +7,16 @@ import cv2
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.evidence.markers import MARKERS
-from bayes_body.recording.calibration_opencv import read_opencv
-from bayes_body.recording.check import check_session
-from bayes_body.recording.opencv import import_opencv
-from bayes_body.recording.options import Options
-from bayes_body.recording.pose2sim import import_pose2sim
-from bayes_body.recording.qualisys import import_qualisys
-from bayes_body.recording.video import read_video_frame
-from bayes_body.session.read import load_session, save_session
+from bayes_body.base.errors import InputError
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.readers.calibration_opencv import read_opencv
+from bayes_body.recording.readers.check import check_session
+from bayes_body.recording.readers.opencv import import_opencv
+from bayes_body.recording.readers.options import Options
+from bayes_body.recording.readers.pose2sim import import_pose2sim
+from bayes_body.recording.readers.qualisys import import_qualisys
+from bayes_body.recording.readers.video import read_video_frame
+from bayes_body.recording.session.read import load_session, save_session
 
 SIZE = (96, 64)
 K = np.array([[90.0, 0, 48], [0, 92, 32], [0, 0, 1]])

@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.files import arrays_file
-from bayes_body.recording.keypoint_layouts import LAYOUTS
-from bayes_body.recording.keypoint_series import KeypointSeries, read_series, write_series
-from bayes_body.recording.keypoint_subject import follow_person
-from bayes_body.session.session import CameraSpec
+from bayes_body.base.errors import InputError
+from bayes_body.base.files import arrays_file
+from bayes_body.recording.readers.keypoint_layouts import LAYOUTS
+from bayes_body.recording.readers.keypoint_series import KeypointSeries, read_series, write_series
+from bayes_body.recording.readers.keypoint_subject import follow_person
+from bayes_body.recording.session.session import CameraSpec
 
 NAMES = ("neck", "mid_hip", "l_knee", "nose")
 
@@ -173,9 +173,9 @@ def test_nobody_for_a_while():
 
 def test_the_real_subject_is_followed(pose2sim_beam):
     """Another person stands in two of the views, and is listed first in some frames."""
-    from bayes_body.recording.calibration_qualisys import read_qualisys
-    from bayes_body.recording.keypoints import read_openpose
-    from bayes_body.recording.person import choose_person
+    from bayes_body.recording.readers.calibration_qualisys import read_qualisys
+    from bayes_body.recording.readers.keypoints import read_openpose
+    from bayes_body.recording.readers.person import choose_person
 
     rig = [camera.spec((1088, 1920)) for camera in read_qualisys(pose2sim_beam / "calibration" / "Calib.qca.txt")]
     beam = [read_openpose(pose2sim_beam / "pose" / f"cam0{c}_json", range(0, 100, 4)) for c in (1, 2, 3, 4)]

@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.recording.calibration_qualisys import read_qualisys
-from bayes_body.recording.keypoint_layouts import LAYOUTS, PROPORTIONS, choose_layout, disproportion
-from bayes_body.recording.keypoints import keypoint_files, read_openpose, read_people
-from bayes_body.recording.person import choose_person
-from bayes_body.recording.triangulate import triangulate
+from bayes_body.base.errors import InputError
+from bayes_body.recording.readers.calibration_qualisys import read_qualisys
+from bayes_body.recording.readers.keypoint_layouts import LAYOUTS, PROPORTIONS, choose_layout, disproportion
+from bayes_body.recording.readers.keypoints import keypoint_files, read_openpose, read_people
+from bayes_body.recording.readers.person import choose_person
+from bayes_body.recording.readers.triangulate import triangulate
 
 
 def person(keypoints: int, seed: int = 0) -> list[float]:

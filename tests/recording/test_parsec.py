@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
-from bayes_body.errors import FaultyFileError, InputError
-from bayes_body.recording.check import check_session
-from bayes_body.recording.parsec import import_parsec
-from bayes_body.recording.parsec_subject import DOFS, PARTS
-from bayes_body.session.read import load_session, save_session
+from bayes_body.base.errors import FaultyFileError, InputError
+from bayes_body.recording.readers.check import check_session
+from bayes_body.recording.readers.parsec import import_parsec
+from bayes_body.recording.readers.parsec_subject import DOFS, PARTS
+from bayes_body.recording.session.read import load_session, save_session
 
 
 @pytest.fixture
@@ -65,8 +65,8 @@ def test_projects_as_the_files_camera_does(imported, bodytrack):
 
 
 def test_names_are_those_of_the_body(imported, deutscher):
-    from bayes_body.body.schema import BodySchema
-    from bayes_body.toml.read import read_toml
+    from bayes_body.base.toml.read import read_toml
+    from bayes_body.model.body.schema import BodySchema
 
     body = BodySchema.model_validate(read_toml(deutscher))
     assert {dof.name for joint in body.joints for dof in joint.dofs} == set(DOFS) == set(imported[0].initial)

@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.body.build import Shape, build_body
-from bayes_body.body.schema import BodySchema
-from bayes_body.body.solids import Body, part_transforms
-from bayes_body.observation.frames import read_frame
-from bayes_body.recording.parsec import import_parsec
-from bayes_body.recording.parsec_subject import DOFS, LIMBS, PARTS, canonical_hinges
-from bayes_body.session.session import Session
-from bayes_body.toml.read import read_toml
+from bayes_body.base.toml.read import read_toml
+from bayes_body.model.body.build import Shape, build_body
+from bayes_body.model.body.schema import BodySchema
+from bayes_body.model.body.solids import Body, part_transforms
+from bayes_body.recording.observation.frames import read_frame
+from bayes_body.recording.readers.parsec import import_parsec
+from bayes_body.recording.readers.parsec_subject import DOFS, LIMBS, PARTS, canonical_hinges
+from bayes_body.recording.session.session import Session
 
 # The format's presets, as it has them.
 X90 = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])

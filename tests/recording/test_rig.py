@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.recording.rig import CameraPath, read_rig
-from bayes_body.recording.rig_schema import RigCameraTable
-from bayes_body.session.read import save_session
-from bayes_body.session.session import Session, View
-from bayes_body.simulation.session_files import write_calibration
+from bayes_body.base.errors import InputError
+from bayes_body.recording.readers.rig import CameraPath, read_rig
+from bayes_body.recording.readers.rig_schema import RigCameraTable
+from bayes_body.recording.session.read import save_session
+from bayes_body.recording.session.session import Session, View
+from bayes_body.workshop.simulation.session_files import write_calibration
 
 RIGS = Path(__file__).parents[2] / "models" / "rigs"
 CAMERA = """

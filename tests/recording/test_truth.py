@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.evidence.markers import MARKERS
-from bayes_body.recording.truth import read_truth
+from bayes_body.base.errors import InputError
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.readers.truth import read_truth
 
 
 @pytest.fixture

@@ -13,12 +13,12 @@ import tomlkit
 import xarray as xr
 from sealed import seal
 
-from bayes_body.evidence.markers import MARKERS
 from bayes_body.model.definition import load_definition
-from bayes_body.posterior.message_passing import DIMS as MESSAGES
-from bayes_body.session.read import load_session, save_session
-from bayes_body.storage.inputs import input_digests
-from bayes_body.storage.saved_run import load_run
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.session.read import load_session, save_session
+from bayes_body.results.posterior.message_passing import DIMS as MESSAGES
+from bayes_body.results.storage.inputs import input_digests
+from bayes_body.results.storage.saved_run import load_run
 from bayes_body.view.report.inspection import Inspection
 
 DOFS = ("root_x", "l_hip_y", "l_knee", "r_elbow", "head_z")

@@ -5,7 +5,7 @@ import re
 import cv2
 import pytest
 
-from bayes_body.storage.saved_run import load_run
+from bayes_body.results.storage.saved_run import load_run
 from bayes_body.view.report import write_report
 
 # Read by the test alone: the page itself has no script, and forbids any.

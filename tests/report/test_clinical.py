@@ -5,12 +5,12 @@ import csv
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.export.formats import export
-from bayes_body.export.motion import read_motion
+from bayes_body.base.errors import InputError
 from bayes_body.model.build import body_of
 from bayes_body.model.definition import load_definition
-from bayes_body.storage.saved_run import load_run
+from bayes_body.results.storage.saved_run import load_run
+from bayes_body.view.export.formats import export
+from bayes_body.view.export.motion import read_motion
 from bayes_body.view.report.clinical import clinical_section
 from bayes_body.view.report.figures import style
 from bayes_body.view.report.inspection import Inspection

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_body.posterior.message_passing import DIMS
+from bayes_body.results.posterior.message_passing import DIMS
 from bayes_body.view.report.figures import style
 from bayes_body.view.report.message_passing import chosen_frames, message_section
 from bayes_body.view.report.page import sections_of

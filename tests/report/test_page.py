@@ -10,9 +10,9 @@ import pytest
 import xarray as xr
 from sealed import seal
 
-from bayes_body.errors import InputError
-from bayes_body.metrics.plausibility_sentences import fit_sentences
-from bayes_body.storage.saved_run import load_run
+from bayes_body.base.errors import InputError
+from bayes_body.results.metrics.plausibility_sentences import fit_sentences
+from bayes_body.results.storage.saved_run import load_run
 from bayes_body.view.report import page as pages
 from bayes_body.view.report.bands import band_section
 from bayes_body.view.report.figures import style

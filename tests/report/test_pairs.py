@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_body.posterior.blocks import weights_of_runs
+from bayes_body.results.posterior.blocks import weights_of_runs
 from bayes_body.view.report.dependence import adjusted, chosen_dofs, correlations, dependence
 from bayes_body.view.report.figures import style
 from bayes_body.view.report.pairs import pair_section

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from bayes_body.cli.main import main
-from bayes_body.storage.saved_run import load_run
+from bayes_body.results.metrics.silhouette import Outline
+from bayes_body.results.storage.saved_run import load_run
 from bayes_body.view.picture.frame import BARS, LONGEST, write_picture
 from bayes_body.view.picture.frame import _crop as crop_of
 from bayes_body.view.picture.frame import _scale as scale_of
-from bayes_body.view.silhouette import Outline
 
 DOFS, RADIANS = ("shoulder_x", "shoulder_y", "shoulder_z", "elbow"), ("rad",) * 4
 
@@ -62,7 +62,7 @@ def test_a_frame_as_pixels_and_as_vectors(picture, folder, tmp_path):
 
 def test_the_scale_is_that_of_a_pinhole_at_the_person_s_depth(folder):
     with load_run(folder) as run:
-        from bayes_body.posterior import CentralPose
+        from bayes_body.results.posterior import CentralPose
 
         pose = np.asarray(run.model.initial["pose"], float)
         for c, view in enumerate(run.session.views):

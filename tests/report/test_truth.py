@@ -5,10 +5,10 @@ import re
 import numpy as np
 import pytest
 
-from bayes_body.evidence.markers import MARKERS
 from bayes_body.model.build import build_model
-from bayes_body.posterior import markers
-from bayes_body.storage.saved_run import load_run
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.results.posterior import markers
+from bayes_body.results.storage.saved_run import load_run
 from bayes_body.view.report.figures import MOST_POINTS, style
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.page import LARGEST, SECTIONS, fitted, sections_of

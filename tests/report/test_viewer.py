@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 import zstandard
 
-from bayes_body.body.solids import part_transforms
+from bayes_body.base.geometry import rotations
 from bayes_body.cli.main import main
-from bayes_body.evidence.markers import MARKERS
-from bayes_body.geometry import rotations
-from bayes_body.recording.triangulate import project
-from bayes_body.session.session import CameraSpec
-from bayes_body.storage.saved_run import load_run
+from bayes_body.model.body.solids import part_transforms
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.readers.triangulate import project
+from bayes_body.recording.session.session import CameraSpec
+from bayes_body.results.storage.saved_run import load_run
 from bayes_body.view.viewer import page as pages
 from bayes_body.view.viewer import write_view
 from bayes_body.view.viewer.budget import LARGEST, Budget

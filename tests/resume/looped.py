@@ -3,8 +3,8 @@
 import dataclasses
 from pathlib import Path
 
-from bayes_body.session.read import save_session
-from bayes_body.session.session import Session
+from bayes_body.recording.session.read import save_session
+from bayes_body.recording.session.session import Session
 
 
 def link_looped(session: Session, folder: Path, frames: int) -> Path:

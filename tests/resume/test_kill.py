@@ -8,10 +8,10 @@ from collections import Counter
 
 import pytest
 
+from bayes_body.results.storage import FrameFiles
+from bayes_body.results.storage.run_file import read_record
 from bayes_body.runs.run import run
 from bayes_body.runs.settings import Settings
-from bayes_body.storage import FrameFiles
-from bayes_body.storage.run_file import read_record
 
 from .conftest import command, contents, track
 

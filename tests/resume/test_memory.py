@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 import jax
 import bayes_body as bb
-from bayes_body.metrics import log_evidence, marker_disagreement
-from bayes_body.posterior import stream_posterior
-from bayes_body.storage import FrameFiles
+from bayes_body.results.metrics import log_evidence, marker_disagreement
+from bayes_body.results.posterior import stream_posterior
+from bayes_body.results.storage import FrameFiles
 from bayes_body.tracking.track import track
 
 folder, out, frames = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])

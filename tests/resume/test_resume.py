@@ -14,19 +14,19 @@ import jax
 import numpy as np
 import pytest
 
+from bayes_body.base.errors import InputError
+from bayes_body.base.files.lock import locked
 from bayes_body.cli.main import main
-from bayes_body.errors import InputError
-from bayes_body.files.lock import locked
 from bayes_body.kernels import annealed
 from bayes_body.model.build import build_model
+from bayes_body.recording.session.read import load_session, save_session
+from bayes_body.results.storage import FrameFiles, frame_files
+from bayes_body.results.storage.frame_archive import FrameArchive
+from bayes_body.results.storage.frame_files import save_frame
+from bayes_body.results.storage.saved_run import load_run
 from bayes_body.runs.run import run
 from bayes_body.runs.settings import Settings
 from bayes_body.runs.smooth import SmoothSettings, smooth_run
-from bayes_body.session.read import load_session, save_session
-from bayes_body.storage import FrameFiles, frame_files
-from bayes_body.storage.frame_archive import FrameArchive
-from bayes_body.storage.frame_files import save_frame
-from bayes_body.storage.saved_run import load_run
 from bayes_body.tracking.track import track
 from bayes_body.view.report.page import page
 from bayes_body.view.report.provenance import command as command_of

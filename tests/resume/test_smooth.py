@@ -5,14 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
+from bayes_body.base.errors import InputError
 from bayes_body.cli.main import main
-from bayes_body.errors import InputError
-from bayes_body.export.formats import export
+from bayes_body.results.storage import FrameFiles, frame_files
+from bayes_body.results.storage.saved_run import SavedRun, load_run
 from bayes_body.runs.run import run
 from bayes_body.runs.settings import Settings
 from bayes_body.runs.smooth import SmoothSettings, smooth_run
-from bayes_body.storage import FrameFiles, frame_files
-from bayes_body.storage.saved_run import SavedRun, load_run
+from bayes_body.view.export.formats import export
 from bayes_body.view.report.curves import dof_curves, filter_curves
 from bayes_body.view.report.page import page
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bayes_body.body.build import Shape, build_body
 from bayes_body.cli.main import main
+from bayes_body.model.body.build import Shape, build_body
 from bayes_body.model.definition import load_body
-from bayes_body.recording.mocap.motion import Motion
+from bayes_body.recording.readers.mocap.motion import Motion
 
 
 @pytest.fixture(scope="session")

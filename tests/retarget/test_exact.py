@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bayes_body.body.build import Shape, build_body
-from bayes_body.export.bvh import write_bvh
-from bayes_body.export.motion import Motion as Exported
-from bayes_body.posterior.moments import Moments
-from bayes_body.recording.mocap import read_motion
-from bayes_body.retarget import retarget
-from bayes_body.retarget.exact import decompose
-from bayes_body.retarget.turns import angles_of
+from bayes_body.initial.retarget import retarget
+from bayes_body.initial.retarget.exact import decompose
+from bayes_body.initial.retarget.turns import angles_of
+from bayes_body.model.body.build import Shape, build_body
+from bayes_body.recording.readers.mocap import read_motion
+from bayes_body.results.posterior.moments import Moments
+from bayes_body.view.export.bvh import write_bvh
+from bayes_body.view.export.motion import Motion as Exported
 
 # Fits and replications run for longer than they compile.
 pytestmark = pytest.mark.usefixtures("optimised")

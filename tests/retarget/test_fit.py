@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.evidence.markers import MARKERS
-from bayes_body.learning.walking_cycle import load_cycle, walk
-from bayes_body.recording.mocap import landmarks, read_motion, resample
-from bayes_body.recording.truth import read_truth
-from bayes_body.retarget import retarget
+from bayes_body.base.errors import InputError
+from bayes_body.initial.retarget import retarget
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.readers.mocap import landmarks, read_motion, resample
+from bayes_body.recording.readers.truth import read_truth
+from bayes_body.workshop.learning.walking_cycle import load_cycle, walk
 
 # Fits and replications run for longer than they compile.
 pytestmark = pytest.mark.usefixtures("optimised")

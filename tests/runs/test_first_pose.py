@@ -7,17 +7,17 @@ import cv2
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.metrics.plausibility import first_fit
-from bayes_body.metrics.plausibility_sentences import fit_sentences
+from bayes_body.base.errors import InputError
 from bayes_body.model.build import build_model
+from bayes_body.recording.session.read import load_session, save_session
+from bayes_body.results.metrics.plausibility import first_fit
+from bayes_body.results.metrics.plausibility_sentences import fit_sentences
+from bayes_body.results.metrics.silhouette import projected_masks
+from bayes_body.results.storage.saved_run import load_run
 from bayes_body.runs import run as module
 from bayes_body.runs.run import run
 from bayes_body.runs.settings import Settings
-from bayes_body.session.read import load_session, save_session
-from bayes_body.storage.saved_run import load_run
 from bayes_body.view.report.inspection import Inspection
-from bayes_body.view.silhouette import projected_masks
 
 SMALL = {"model": "arm", "overrides": {"particles": 200}}
 
@@ -105,7 +105,7 @@ def test_a_body_that_loses_the_person_is_a_warning_from_that_frame_on(arm_sessio
 
 @pytest.mark.parametrize(("metres", "warned"), [(0.0, False), (0.25, True)])
 def test_of_a_real_recording(bodytrack, tmp_path, metres, warned):
-    from bayes_body.recording.parsec import import_parsec
+    from bayes_body.recording.readers.parsec import import_parsec
 
     import_parsec(bodytrack, tmp_path)
     session = load_session(tmp_path)

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
 from bayes_body.model.definition import load_definition
 from bayes_body.runs.model_choice import choose_model
 

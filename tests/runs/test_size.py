@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import jax
 import pytest
 
-from bayes_body.body.space import configuration_space
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
+from bayes_body.model.body.space import configuration_space
 from bayes_body.model.build import build_model
 from bayes_body.runs import size
 from bayes_body.runs.size import check_size, least_bytes, memory_bytes

@@ -44,7 +44,7 @@ def tracked(textured_session, model):
     return draws, [str(each.message) for each in shown if each.category is bb.RunWarning]
 
 
-@pytest.mark.filterwarnings("ignore::bayes_body.errors.RunWarning")
+@pytest.mark.filterwarnings("ignore::bayes_body.base.errors.RunWarning")
 def test_without_a_kernel_the_definition_s_is_used_with_all_its_settings(textured_session, model, tracked):
     draws, _ = tracked
     assert (draws.kernel, draws.particles) == ("sir", PARTICLES)

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayes_body.errors import InputError
-from bayes_body.session.read import load_session, save_session
-from bayes_body.session.session import CameraSpec, Segmentation, Session, Subject, View
+from bayes_body.base.errors import InputError
+from bayes_body.recording.session.read import load_session, save_session
+from bayes_body.recording.session.session import CameraSpec, Segmentation, Session, Subject, View
 
 SOUND = """\
 title = "one man"

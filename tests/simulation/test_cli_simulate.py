@@ -6,12 +6,12 @@ import typer
 from simulation.walker import FPS, walker
 from typer.testing import CliRunner
 
+from bayes_body.base.errors import InputError
 from bayes_body.cli import simulate as verb
-from bayes_body.errors import InputError
-from bayes_body.evidence.markers import MARKERS
-from bayes_body.recording.truth import read_truth
-from bayes_body.session.read import load_session
-from bayes_body.simulation.staging import stature_m
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.readers.truth import read_truth
+from bayes_body.recording.session.read import load_session
+from bayes_body.workshop.simulation.staging import stature_m
 
 
 @pytest.fixture

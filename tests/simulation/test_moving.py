@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from simulation.walker import walker
 
-from bayes_body.files.shipped import definitions_folder
-from bayes_body.geometry.camera import project
+from bayes_body.base.files.shipped import definitions_folder
+from bayes_body.base.geometry.camera import project
 from bayes_body.model.build import build_model
-from bayes_body.observation.frames import read_frame
-from bayes_body.recording.camera_path import cameras_at
-from bayes_body.recording.check import check_session
-from bayes_body.recording.rig import read_rig
-from bayes_body.recording.truth import read_truth
-from bayes_body.simulation.options import Options
-from bayes_body.simulation.person import build_person
-from bayes_body.simulation.session import simulate
-from bayes_body.simulation.staging import centred
-from bayes_body.view.silhouette import seen_in
+from bayes_body.recording.observation.frames import read_frame
+from bayes_body.recording.readers.camera_path import cameras_at
+from bayes_body.recording.readers.check import check_session
+from bayes_body.recording.readers.rig import read_rig
+from bayes_body.recording.readers.truth import read_truth
+from bayes_body.results.metrics.silhouette import seen_in
+from bayes_body.workshop.simulation.options import Options
+from bayes_body.workshop.simulation.person import build_person
+from bayes_body.workshop.simulation.session import simulate
+from bayes_body.workshop.simulation.staging import centred
 
 FRAMES = 75
 

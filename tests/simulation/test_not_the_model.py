@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 from simulation.walker import FPS, walker
 
-from bayes_body.body.build import build_body
-from bayes_body.initial.outline import fit_outline
+from bayes_body.initial.fitting.outline import fit_outline
+from bayes_body.initial.retarget import retarget
+from bayes_body.model.body.build import build_body
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_body, load_definition
-from bayes_body.recording.images import read_mask
-from bayes_body.recording.rig import read_rig
-from bayes_body.retarget import retarget
-from bayes_body.session.session import Subject
-from bayes_body.simulation.options import Options
-from bayes_body.simulation.person import build_person
-from bayes_body.simulation.session import simulate
-from bayes_body.simulation.staging import centred
-from bayes_body.view.silhouette import intersection_over_union, projected_masks
+from bayes_body.recording.readers.images import read_mask
+from bayes_body.recording.readers.rig import read_rig
+from bayes_body.recording.session.session import Subject
+from bayes_body.results.metrics.silhouette import intersection_over_union, projected_masks
+from bayes_body.workshop.simulation.options import Options
+from bayes_body.workshop.simulation.person import build_person
+from bayes_body.workshop.simulation.session import simulate
+from bayes_body.workshop.simulation.staging import centred
 
 from .test_session import RIGS
 

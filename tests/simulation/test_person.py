@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from simulation.walker import FPS, walker
 
-from bayes_body.errors import InputError
-from bayes_body.evidence.markers import MARKERS
-from bayes_body.recording.mocap import landmarks, read_motion, resample
-from bayes_body.simulation.clothes import folded
-from bayes_body.simulation.person import build_person
-from bayes_body.simulation.person_frames import chain, turned
-from bayes_body.simulation.person_motion import complete
-from bayes_body.simulation.surface import ANGLES, sweep
+from bayes_body.base.errors import InputError
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.readers.mocap import landmarks, read_motion, resample
+from bayes_body.workshop.simulation.clothes import folded
+from bayes_body.workshop.simulation.person import build_person
+from bayes_body.workshop.simulation.person_frames import chain, turned
+from bayes_body.workshop.simulation.person_motion import complete
+from bayes_body.workshop.simulation.surface import ANGLES, sweep
 
 
 @pytest.fixture(scope="module")

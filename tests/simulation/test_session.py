@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 from simulation.walker import FPS, walker
 
-from bayes_body.errors import FaultyFileError, InputError
-from bayes_body.evidence.markers import MARKERS
-from bayes_body.observation.frames import read_frame
-from bayes_body.recording.check import check_session
-from bayes_body.recording.images import read_mask
-from bayes_body.recording.rig import read_rig
-from bayes_body.recording.truth import read_truth
-from bayes_body.recording.video import probe, read_video_frame
-from bayes_body.session.read import load_session
-from bayes_body.simulation.film import EMPTY_FRAMES
-from bayes_body.simulation.options import Options
-from bayes_body.simulation.person import build_person
-from bayes_body.simulation.session import simulate
-from bayes_body.simulation.staging import centred, cut, scaled, stacked, stature_m
-from bayes_body.simulation.visibility import detected, frames_seen
+from bayes_body.base.errors import FaultyFileError, InputError
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.observation.frames import read_frame
+from bayes_body.recording.readers.check import check_session
+from bayes_body.recording.readers.images import read_mask
+from bayes_body.recording.readers.rig import read_rig
+from bayes_body.recording.readers.truth import read_truth
+from bayes_body.recording.readers.video import probe, read_video_frame
+from bayes_body.recording.session.read import load_session
+from bayes_body.workshop.simulation.film import EMPTY_FRAMES
+from bayes_body.workshop.simulation.options import Options
+from bayes_body.workshop.simulation.person import build_person
+from bayes_body.workshop.simulation.session import simulate
+from bayes_body.workshop.simulation.staging import centred, cut, scaled, stacked, stature_m
+from bayes_body.workshop.simulation.visibility import detected, frames_seen
 
 RIGS = Path(__file__).parents[2] / "models" / "rigs"
 FRAMES = 6

@@ -7,11 +7,11 @@ import zipfile
 import numpy as np
 import pytest
 
+from bayes_body.base.errors import InputError
+from bayes_body.base.files.atomic import PARTIAL
 from bayes_body.density.kernel import FilterInfo
-from bayes_body.errors import InputError
-from bayes_body.files.atomic import PARTIAL
-from bayes_body.storage import FrameFiles
-from bayes_body.storage.frame_files import Place, load_frame, save_frame
+from bayes_body.results.storage import FrameFiles
+from bayes_body.results.storage.frame_files import Place, load_frame, save_frame
 from bayes_body.tracking.draws import FrameResult, Frames, FrameStore, ThinningStore
 
 RUNS, PARTICLES, DOFS, LAYERS, CAMERAS = 2, 7, 3, 2, 4

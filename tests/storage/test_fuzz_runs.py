@@ -13,13 +13,13 @@ import pytest
 from mutations import mutated
 from sealed import seal
 
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
+from bayes_body.recording.session.read import save_session
+from bayes_body.results.storage import FrameFiles
+from bayes_body.results.storage.run_file import read_record
+from bayes_body.results.storage.saved_run import load_run
 from bayes_body.runs.run import run
 from bayes_body.runs.settings import Settings, stored_record
-from bayes_body.session.read import save_session
-from bayes_body.storage import FrameFiles
-from bayes_body.storage.run_file import read_record
-from bayes_body.storage.saved_run import load_run
 
 QUICK, MORE, MANY = 30, 150, 10_000
 FRAMES = 4

@@ -5,10 +5,10 @@ import tomllib
 
 import pytest
 
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
 from bayes_body.model.definition import load_definition
-from bayes_body.storage.run_changes import refuse_changes, run_id
-from bayes_body.storage.run_file import describe, read_run_file, write_run_file
+from bayes_body.results.storage.run_changes import refuse_changes, run_id
+from bayes_body.results.storage.run_file import describe, read_run_file, write_run_file
 
 SESSION = "title = \"blobs\"\nfps = 60.0\n# a \"comment\" with '''quotes'''\n[[camera]]\nname = \"a\"\nfocal_px = [200.0, 205.0]\n"
 

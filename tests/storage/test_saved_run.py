@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from sealed import seal
 
-from bayes_body.body.space import pose_space
-from bayes_body.errors import InputError
-from bayes_body.files.shipped import definitions_folder
+from bayes_body.base.errors import InputError
+from bayes_body.base.files.shipped import definitions_folder
+from bayes_body.model.body.space import pose_space
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition, parse_definition
-from bayes_body.posterior import markers
-from bayes_body.session.read import load_session
-from bayes_body.storage.names import free_folder
-from bayes_body.storage.saved_moments import angle_moments, marker_moments
-from bayes_body.storage.saved_run import load_run
+from bayes_body.recording.session.read import load_session
+from bayes_body.results.posterior import markers
+from bayes_body.results.storage.names import free_folder
+from bayes_body.results.storage.saved_moments import angle_moments, marker_moments
+from bayes_body.results.storage.saved_run import load_run
 
 
 def test_what_was_written_is_read_back(make_run):

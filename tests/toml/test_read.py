@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from bayes_body.errors import FaultyFileError, InputError
-from bayes_body.toml.read import read_toml, validate
-from bayes_body.toml.schema import Name, Schema
+from bayes_body.base.errors import FaultyFileError, InputError
+from bayes_body.base.toml.read import read_toml, validate
+from bayes_body.base.toml.schema import Name, Schema
 
 type Finite = Annotated[float, Field(allow_inf_nan=False)]
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bayes_body.kernels.particle_filter import build_kernel
+from bayes_body.kernels.smc.particle_filter import build_kernel
 from bayes_body.model.build import build_model
 from bayes_body.tracking.program import compiled_ahead
 

@@ -11,8 +11,8 @@ import jax
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.kernels.particle_filter import build_kernel
+from bayes_body.base.errors import InputError
+from bayes_body.kernels.smc.particle_filter import build_kernel
 from bayes_body.model.build import build_model
 from bayes_body.tracking.program import compiled_ahead
 from bayes_body.tracking.track import track
@@ -81,8 +81,8 @@ def test_its_own_error_is_told_where_it_belongs(textured_session, arm):
 
 LAWS = """
 import jax, jax.numpy as jnp
-from bayes_body.dynamics.diffusion import TruncatedWalk
-from bayes_body.dynamics.joint_noise import JointNoise
+from bayes_body.model.dynamics.diffusion import TruncatedWalk
+from bayes_body.model.dynamics.joint_noise import JointNoise
 zero, one = jnp.zeros(2), jnp.ones(2)
 for law in (TruncatedWalk(zero, one, -one, one), JointNoise(zero, 0.1 * one, -one, one, jnp.array([True, False]))):
     print(jax.jit(lambda law, x: law.log_prob(x)).lower(law, zero).as_text())

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.kernels.particle_filter import build_kernel
+from bayes_body.kernels.smc.particle_filter import build_kernel
 from bayes_body.model.build import FOUND_S
 from bayes_body.tracking.program import compiled_ahead
 from bayes_body.tracking.restarts import Restarts
@@ -92,7 +92,7 @@ def test_frames_that_nothing_explains_are_a_loss(textured_session, arm, ahead):
 
 
 def test_the_frame_file_keeps_it(textured_session, arm, tmp_path, ahead):
-    from bayes_body.storage import FrameFiles
+    from bayes_body.results.storage import FrameFiles
 
     files = FrameFiles(tmp_path / "frames")
     track(KEY, textured_session, arm, build_kernel(), particles=40, runs=2, into=files, recovery=Lost(arm, since=3), ahead=ahead)

@@ -7,12 +7,12 @@ import jax
 import numpy as np
 import pytest
 
-from bayes_body.dynamics import rigid_walk
-from bayes_body.errors import InputError
-from bayes_body.kernels.particle_filter import build_kernel
+from bayes_body.base.errors import InputError
+from bayes_body.base.registry import find, names
+from bayes_body.kernels.smc.particle_filter import build_kernel
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import TermDefinition, load_definition
-from bayes_body.registry import find, names
+from bayes_body.model.dynamics import rigid_walk
 from bayes_body.tracking.track import track
 
 KEY = jax.random.key(11)

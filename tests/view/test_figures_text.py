@@ -1,6 +1,6 @@
 """A run's figures for a terminal."""
 
-from bayes_body.metrics.figures import NAMES
+from bayes_body.results.metrics.figures import NAMES
 from bayes_body.view.figures_text import figures_text, warning_line
 
 SUMMARY = {

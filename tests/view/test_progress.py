@@ -4,9 +4,10 @@ import re
 
 import pytest
 
+from bayes_body.base.progress import steps_bar, waiting, watched
+from bayes_body.base.progress_log import ProgressLog
+from bayes_body.runs.progress import progress_bar
 from bayes_body.tracking.track import Progress
-from bayes_body.view.progress import progress_bar, steps_bar, waiting, watched
-from bayes_body.view.progress_log import ProgressLog
 
 LINE = re.compile(r"\[\d\d:\d\d:\d\d\] (.*)")
 

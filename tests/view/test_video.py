@@ -9,7 +9,7 @@ import av
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
 from bayes_body.view.video import h264_video
 
 SIZE, FPS, FRAMES = (160, 120), 10.0, 12

@@ -8,15 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.kernels.particle_filter import build_kernel
+from bayes_body.base.errors import InputError
+from bayes_body.kernels.smc.particle_filter import build_kernel
 from bayes_body.model.build import build_model
-from bayes_body.posterior import CentralPose
+from bayes_body.results.metrics.silhouette import Outline, outlines, projected_masks
+from bayes_body.results.posterior import CentralPose
 from bayes_body.tracking.track import track
 from bayes_body.view.colours import OVER_IMAGE, WORLD_AXES, bgr
 from bayes_body.view.overlay import colour, draw_overlay, mosaic, paint, write_png
 from bayes_body.view.rig_check import WIDEST, draw_check, padded, whole_image
-from bayes_body.view.silhouette import Outline, outlines, projected_masks
 from bayes_body.view.windows import EMPTY, STILL_HEIGHT, person_windows
 
 

@@ -4,9 +4,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from bayes_body.base.geometry.namespaces import joined, namespace
 from bayes_body.density.spaces.flat import length
 from bayes_body.density.spaces.space import Axis, Numbers, Points, Space, Vectors, Weights
-from bayes_body.geometry.namespaces import joined, namespace
 
 
 @dataclass(frozen=True)

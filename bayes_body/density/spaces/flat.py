@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool
 
+from bayes_body.base.geometry.namespaces import namespace
 from bayes_body.density.spaces.space import Axis, Numbers, Points, Vectors, Weights
-from bayes_body.geometry.namespaces import namespace
 
 TURN = 2 * math.pi
 

@@ -6,10 +6,10 @@ the torso's own long axis. Neither distances nor volumes change if frame a moves
 
 from dataclasses import dataclass
 
+from bayes_body.base.geometry import rigid, rotations
+from bayes_body.base.geometry.namespaces import joined, namespace
 from bayes_body.density.spaces.flat import TURN, length
 from bayes_body.density.spaces.space import Axis, Numbers, Points, Vectors, Weights
-from bayes_body.geometry import rigid, rotations
-from bayes_body.geometry.namespaces import joined, namespace
 
 # Steps towards the intrinsic mean of rotations: from the extrinsic mean, each step leaves about the square of the spread of the error before.
 MEAN_STEPS = 5

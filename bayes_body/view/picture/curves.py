@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.clinical.conventions import CLINICAL
-from bayes_body.errors import input_error, nearest
-from bayes_body.export.motion import lost_frames
+from bayes_body.base.errors import input_error, nearest
+from bayes_body.results.clinical.conventions import CLINICAL
 from bayes_body.view.colours import INK, paper, side_of
 from bayes_body.view.colours import NAMES as SIDES
+from bayes_body.view.export.motion import lost_frames
 from bayes_body.view.labels import label_lines
 from bayes_body.view.picture.paper import SMALL, made_of, paper_style, save, wrapped
 from bayes_body.view.report.bands import LEAST_SPAN, draw_band, limits
@@ -22,7 +22,7 @@ from bayes_body.view.report.limbs import spoken
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from bayes_body.storage.saved_run import SavedRun
+    from bayes_body.results.storage.saved_run import SavedRun
 
 # Inches: a panel, margins on the left, below and above its axes, and a line of the text. Most panels in a row.
 PANEL, LEFT, BELOW, ABOVE, LINE, COLUMNS = (3.5, 2.3), 0.62, 0.46, 0.28, 0.15, 2

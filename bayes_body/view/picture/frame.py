@@ -10,25 +10,25 @@ import numpy as np
 from cv2.typing import MatLike
 from jaxtyping import Float
 
-from bayes_body.errors import input_error
-from bayes_body.geometry.camera import project
+from bayes_body.base.errors import input_error
+from bayes_body.base.geometry.camera import project
 from bayes_body.model.build import Model
-from bayes_body.posterior import CentralPose, central_pose
-from bayes_body.posterior.blocks import pooled, pose_blocks, weights_of_runs
-from bayes_body.posterior.central import part_ends
-from bayes_body.posterior.resampling import RESAMPLING_SEED, systematic_resampling
-from bayes_body.recording.camera_path import cameras_at
+from bayes_body.recording.readers.camera_path import cameras_at
+from bayes_body.results.metrics.silhouette import Outline, outlines, seen_in
+from bayes_body.results.posterior import CentralPose, central_pose
+from bayes_body.results.posterior.blocks import pooled, pose_blocks, weights_of_runs
+from bayes_body.results.posterior.central import part_ends
+from bayes_body.results.posterior.resampling import RESAMPLING_SEED, systematic_resampling
 from bayes_body.view.backdrop import run_backdrop
 from bayes_body.view.colours import GREY, INK, NAMES, OVER_IMAGE, over_image, side_of
 from bayes_body.view.crop import Crop, crop_about
 from bayes_body.view.picture.paper import SMALL, made_of, paper_style, save, wrapped
-from bayes_body.view.silhouette import Outline, outlines, seen_in
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from bayes_body.storage.saved_run import SavedRun
+    from bayes_body.results.storage.saved_run import SavedRun
 
 # Inches: the longer side of the image, and room below it for a line of legend and for a line of the text.
 LONGER, LEGEND, LINE = 7.0, 0.3, 0.15

@@ -6,14 +6,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayes_body.errors import escaped, input_error
-from bayes_body.files.atomic import make_folder, replacing
+from bayes_body.base.errors import escaped, input_error
+from bayes_body.base.files.atomic import make_folder, replacing
 from bayes_body.view.report.figures import style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from bayes_body.storage.saved_run import SavedRun
+    from bayes_body.results.storage.saved_run import SavedRun
 
 FORMATS = (".png", ".svg", ".pdf")
 # Points: letters of the small print. Mean width of a letter, as a fraction of its height.

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.dynamics.activity_arrays import BELIEF
-from bayes_body.errors import escaped
-from bayes_body.posterior.blocks import weights_of_runs
+from bayes_body.base.errors import escaped
+from bayes_body.model.dynamics.activity_arrays import BELIEF
+from bayes_body.results.posterior.blocks import weights_of_runs
 from bayes_body.view.report.figures import draw_runs, encoded, frames_a_point, new_panel, time_axis, time_label
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, details, figures, tag

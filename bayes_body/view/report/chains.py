@@ -6,9 +6,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import InputError
-from bayes_body.posterior.blocks import coordinate_blocks, pose_blocks
-from bayes_body.posterior.mixing import Mixing, autocorrelation, by_chain
+from bayes_body.base.errors import InputError
+from bayes_body.results.metrics.silhouette import outlines, seen_in
+from bayes_body.results.posterior.blocks import coordinate_blocks, pose_blocks
+from bayes_body.results.posterior.mixing import Mixing, autocorrelation, by_chain
 from bayes_body.view.backdrop import run_backdrop
 from bayes_body.view.colours import GREY, paper, run_line
 from bayes_body.view.crop import crop_about
@@ -17,7 +18,6 @@ from bayes_body.view.report.figures import data_uri, draw_limit, draw_runs, enco
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.limbs import spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
-from bayes_body.view.silhouette import outlines, seen_in
 
 ABOUT = (
     "Each frame is sampled by a few Markov chains, which start from different predictions. If they agree (R-hat near 1), they have found the same "

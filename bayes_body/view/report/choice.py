@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.posterior.blocks import coordinate_blocks, weights_of_runs
-from bayes_body.posterior.resampling import RESAMPLING_SEED
+from bayes_body.results.posterior.blocks import coordinate_blocks, weights_of_runs
+from bayes_body.results.posterior.resampling import RESAMPLING_SEED
 from bayes_body.view.report.curves import dof_scale
 from bayes_body.view.report.inspection import Inspection
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from bayes_body.clinical.conventions import CLINICAL, Angle, Convention
-from bayes_body.posterior.moments import Moments
+from bayes_body.results.clinical.conventions import CLINICAL, Angle, Convention
+from bayes_body.results.posterior.moments import Moments
 from bayes_body.view.colours import SIDES as COLOURS
 from bayes_body.view.report.bands import LEAST_SPAN, draw_band, limits, sparse_frames, value_range
 from bayes_body.view.report.curves import LEGEND, draw_filter, drawn_filter

@@ -7,18 +7,18 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from bayes_body.clinical.moments import Curves, clinical_angles
-from bayes_body.errors import InputError
-from bayes_body.posterior.blocks import coordinate_blocks, pooled, weights_of_runs
-from bayes_body.posterior.moments import Moments, MomentsAndMedian, weighted_moments
-from bayes_body.storage.run_file import read_record
-from bayes_body.storage.saved_run import load_run
+from bayes_body.base.errors import InputError
+from bayes_body.results.clinical.moments import Curves, clinical_angles
+from bayes_body.results.posterior.blocks import coordinate_blocks, pooled, weights_of_runs
+from bayes_body.results.posterior.moments import Moments, MomentsAndMedian, weighted_moments
+from bayes_body.results.storage.run_file import read_record
+from bayes_body.results.storage.saved_run import load_run
 from bayes_body.view.colours import GREY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from bayes_body.storage.saved_run import SavedRun
+    from bayes_body.results.storage.saved_run import SavedRun
 
 LEGEND = " Thin grey lines are the filter's mean (solid) and the ends of its 90 % interval (dotted): a filter's frame knows only the images up to it."
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.posterior.blocks import coordinate_blocks, pooled, weights_of_runs
+from bayes_body.results.posterior.blocks import coordinate_blocks, pooled, weights_of_runs
 from bayes_body.view.colours import SEQUENTIAL
 from bayes_body.view.report.figures import encoded, frames_a_point, new_panel, set_margins, time_axis, time_label
 from bayes_body.view.report.inspection import Inspection

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.posterior.blocks import coordinate_blocks, weights_of_runs
+from bayes_body.results.posterior.blocks import coordinate_blocks, weights_of_runs
 from bayes_body.view.report.inspection import Inspection
 
 # Number of pairs in the table, and of dofs in the plot.

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bayes_body.errors import escaped
+from bayes_body.base.errors import escaped
 from bayes_body.view.colours import INK, SEQUENTIAL
 from bayes_body.view.report.figures import (
     bins,

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from bayes_body.clinical.gait import POINTS, gait_of
-from bayes_body.clinical.gait_table import Row, event_rows, walk_rows
-from bayes_body.clinical.trajectories import marker_paths
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
+from bayes_body.results.clinical.gait import POINTS, gait_of
+from bayes_body.results.clinical.gait_table import Row, event_rows, walk_rows
+from bayes_body.results.clinical.trajectories import marker_paths
 from bayes_body.view.colours import NAMES
 from bayes_body.view.colours import SIDES as SIDE_COLOURS
 from bayes_body.view.report.inspection import Inspection

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayes_body.metrics.evidence_read import shows_overlap, shows_reprojection
-from bayes_body.posterior.blocks import log_mean_exp
+from bayes_body.results.metrics.evidence_read import shows_overlap, shows_reprojection
+from bayes_body.results.posterior.blocks import log_mean_exp
 from bayes_body.view.report.markup import Markup, joined, section, table, tag
 
 if TYPE_CHECKING:
-    from bayes_body.posterior.diagnostics import Diagnosis
-    from bayes_body.storage.saved_run import SavedRun
+    from bayes_body.results.posterior.diagnostics import Diagnosis
+    from bayes_body.results.storage.saved_run import SavedRun
     from bayes_body.view.report.inspection import Inspection
 
 # Key of summary.json, label, format.

@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool
 
-from bayes_body.clinical.moments import Curves
-from bayes_body.errors import InputError
-from bayes_body.metrics.plausibility_sentences import fit_sentences
-from bayes_body.posterior.diagnostics import Diagnosis, Thresholds, diagnose, sentences
-from bayes_body.posterior.moments import Moments
-from bayes_body.view.progress import Watch, unwatched
+from bayes_body.base.errors import InputError
+from bayes_body.base.progress import Watch, unwatched
+from bayes_body.results.clinical.moments import Curves
+from bayes_body.results.metrics.plausibility_sentences import fit_sentences
+from bayes_body.results.posterior.diagnostics import Diagnosis, Thresholds, diagnose, sentences
+from bayes_body.results.posterior.moments import Moments
 from bayes_body.view.report.curves import FilterCurves, clinical_curves, dof_curves, filter_curves, units_of
 from bayes_body.view.report.figures import frames_a_point, time_label
 from bayes_body.view.report.predictive import Predicted, prediction_of
 
 if TYPE_CHECKING:
-    from bayes_body.storage.saved_run import SavedRun
+    from bayes_body.results.storage.saved_run import SavedRun
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 
-from bayes_body.errors import escaped
+from bayes_body.base.errors import escaped
 
 SIDES = {"l": "left", "r": "right"}
 # Words in the names of joints. Joints with other names are grouped under OTHER.

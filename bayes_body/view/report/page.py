@@ -6,10 +6,10 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING
 
-from bayes_body.errors import input_error
-from bayes_body.files.atomic import make_folder, write_text
-from bayes_body.files.existing import check_free, has_mark
-from bayes_body.view.progress import Watch, unwatched
+from bayes_body.base.errors import input_error
+from bayes_body.base.files.atomic import make_folder, write_text
+from bayes_body.base.files.existing import check_free, has_mark
+from bayes_body.base.progress import Watch, unwatched
 from bayes_body.view.report.bands import band_section
 from bayes_body.view.report.chains import chain_section
 from bayes_body.view.report.clinical import clinical_section
@@ -28,7 +28,7 @@ from bayes_body.view.report.runs import run_section
 from bayes_body.view.report.truth import truth_section
 
 if TYPE_CHECKING:
-    from bayes_body.storage.saved_run import SavedRun
+    from bayes_body.results.storage.saved_run import SavedRun
 
 FILE_NAME = "report.html"
 # Bytes; small enough to be mailed and to be opened on a phone.

@@ -10,10 +10,10 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
-from bayes_body.likelihood.detections import Detections
-from bayes_body.likelihood.markers_gaussian import MarkersGaussian
+from bayes_body.base.shapes import Key
 from bayes_body.model.build import Model
-from bayes_body.shapes import Key
+from bayes_body.model.likelihood.detections import Detections
+from bayes_body.model.likelihood.markers_gaussian import MarkersGaussian
 
 # Draws of the noise for each draw of the pose.
 NOISES = 5

@@ -15,13 +15,13 @@ from cv2.typing import MatLike
 from jaxtyping import Array, Bool, Float, PRNGKeyArray, Shaped
 from numpy.typing import NDArray
 
-from bayes_body.likelihood.silhouette_bernoulli import SilhouetteBernoulli
+from bayes_body.base.shapes import Key
 from bayes_body.model.build import Model
-from bayes_body.observation.frames import Frame
-from bayes_body.observation.silhouette_bernoulli import sample_mask
-from bayes_body.session.session import Session
-from bayes_body.shapes import Key
-from bayes_body.view.silhouette import Outline, fill, intersection_over_union, outlines
+from bayes_body.model.likelihood.silhouette_bernoulli import SilhouetteBernoulli
+from bayes_body.recording.observation.frames import Frame
+from bayes_body.recording.observation.silhouette_bernoulli import sample_mask
+from bayes_body.recording.session.session import Session
+from bayes_body.results.metrics.silhouette import Outline, fill, intersection_over_union, outlines
 
 # The likelihoods that read silhouettes.
 KINDS = ("silhouette_bernoulli", "silhouette_edges", "regions")

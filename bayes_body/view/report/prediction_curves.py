@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayes_body.errors import escaped
+from bayes_body.base.errors import escaped
 from bayes_body.view.colours import GREY, INK, run_line
 from bayes_body.view.report.figures import encoded, new_panel, shade_lost, time_axis, time_label
 from bayes_body.view.report.inspection import Inspection

@@ -18,7 +18,7 @@ from bayes_body.view.report.predicted_silhouettes import body_masks, seen_mask
 from bayes_body.view.report.predictive import moment, seen_keypoints
 
 if TYPE_CHECKING:
-    from bayes_body.storage.saved_run import SavedRun
+    from bayes_body.results.storage.saved_run import SavedRun
 
 WIDEST, QUALITY = 640, 75
 BLACK, WHITE = (0, 0, 0), (255, 255, 255)

@@ -10,20 +10,20 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayes_body.body.space import configuration_space
-from bayes_body.errors import InputError, input_error
+from bayes_body.base.errors import InputError, input_error
+from bayes_body.base.progress import Watch, unwatched
+from bayes_body.model.body.space import configuration_space
 from bayes_body.model.build import Model
-from bayes_body.observation.frames import Frame, read_frame
-from bayes_body.posterior import markers
-from bayes_body.posterior.blocks import pooled, pose_blocks, weights_of_runs
-from bayes_body.posterior.resampling import RESAMPLING_SEED, systematic_resampling
-from bayes_body.view.progress import Watch, unwatched
+from bayes_body.recording.observation.frames import Frame, read_frame
+from bayes_body.results.metrics.silhouette import seen_in
+from bayes_body.results.posterior import markers
+from bayes_body.results.posterior.blocks import pooled, pose_blocks, weights_of_runs
+from bayes_body.results.posterior.resampling import RESAMPLING_SEED, systematic_resampling
 from bayes_body.view.report.predicted_keypoints import KeypointCheck, keypoint_check, marker_likelihood
 from bayes_body.view.report.predicted_silhouettes import KINDS, SilhouetteCheck, reads_silhouettes, silhouette_check
-from bayes_body.view.silhouette import seen_in
 
 if TYPE_CHECKING:
-    from bayes_body.storage.saved_run import SavedRun
+    from bayes_body.results.storage.saved_run import SavedRun
 
 FRAMES, DRAWS = 20, 60
 NOTHING = (

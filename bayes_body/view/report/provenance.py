@@ -4,13 +4,13 @@ import shlex
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from bayes_body.errors import InputError
-from bayes_body.session.session import Session
-from bayes_body.toml.read import read_toml
+from bayes_body.base.errors import InputError
+from bayes_body.base.toml.read import read_toml
+from bayes_body.recording.session.session import Session
 from bayes_body.view.report.markup import Markup, details, section, table, tag
 
 if TYPE_CHECKING:
-    from bayes_body.storage.saved_run import SavedRun
+    from bayes_body.results.storage.saved_run import SavedRun
 
 # Texts with more characters than this are cut, because the page has a size limit.
 LONGEST = 200_000

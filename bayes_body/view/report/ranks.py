@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from bayes_body.posterior.resampling import RESAMPLING_SEED
+from bayes_body.results.posterior.resampling import RESAMPLING_SEED
 
 SIMULATIONS = 500
 

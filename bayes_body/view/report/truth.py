@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.errors import InputError, input_error
-from bayes_body.metrics.accuracy import LEVELS
-from bayes_body.metrics.figures import accuracy_figures, width
-from bayes_body.metrics.truth import AgainstTruth, Cloud, Clouds, against_truth, mean_known, true_markers
-from bayes_body.posterior.blocks import pose_blocks
+from bayes_body.base.errors import InputError, input_error
+from bayes_body.results.metrics.accuracy import LEVELS
+from bayes_body.results.metrics.figures import accuracy_figures, width
+from bayes_body.results.metrics.truth import AgainstTruth, Cloud, Clouds, against_truth, mean_known, true_markers
+from bayes_body.results.posterior.blocks import pose_blocks
 from bayes_body.view.colours import GREY, INK, run_line
 from bayes_body.view.report.bands import sparse_frames
 from bayes_body.view.report.figures import encoded, frames_a_point, new_panel, run_label, shade_lost, time_axis, time_label
@@ -19,7 +19,7 @@ from bayes_body.view.report.limbs import spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, table, tag
 
 if TYPE_CHECKING:
-    from bayes_body.storage.saved_run import SavedRun
+    from bayes_body.results.storage.saved_run import SavedRun
 
 ERROR = "Each line is the error of a run: the distance of its mean markers from the true ones, averaged over the markers."
 EXPECTED = (

@@ -1,4 +1,4 @@
-"""Where the body is in the frames that are shown: the mean of the posterior, or its medoid (posterior/central.py), and draws of equal weight.
+"""Where the body is in the frames that are shown: the mean of the posterior, or its medoid (results/posterior/central.py), and draws of equal weight.
 
 The draws of a frame are made by systematic resampling over all runs, with the same random offset in every frame. Draws of equal weight are therefore
 the same draws in every frame, so that the paths of a smoother stay whole.
@@ -12,15 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from bayes_body.body.solids import Body, part_transforms, widened
-from bayes_body.geometry import rotations
-from bayes_body.posterior import central_pose
-from bayes_body.posterior.blocks import pooled, pose_blocks, weights_of_runs
-from bayes_body.posterior.resampling import RESAMPLING_SEED
-from bayes_body.shapes import Configuration
+from bayes_body.base.geometry import rotations
+from bayes_body.base.shapes import Configuration
+from bayes_body.model.body.solids import Body, part_transforms, widened
+from bayes_body.results.posterior import central_pose
+from bayes_body.results.posterior.blocks import pooled, pose_blocks, weights_of_runs
+from bayes_body.results.posterior.resampling import RESAMPLING_SEED
 
 if TYPE_CHECKING:
-    from bayes_body.storage.saved_run import SavedRun
+    from bayes_body.results.storage.saved_run import SavedRun
 
 
 class Pose(NamedTuple):

@@ -12,15 +12,15 @@ import numpy as np
 from cv2.typing import MatLike
 from jaxtyping import Float
 
-from bayes_body.metrics.truth import true_markers
-from bayes_body.observation.pictures import Colours, read_colour
-from bayes_body.recording.camera_path import cameras_at
-from bayes_body.recording.keypoint_series import KeypointSeries, read_series
-from bayes_body.recording.triangulate import triangulate
-from bayes_body.session.session import CameraSpec, Session, View
+from bayes_body.recording.observation.pictures import Colours, read_colour
+from bayes_body.recording.readers.camera_path import cameras_at
+from bayes_body.recording.readers.keypoint_series import KeypointSeries, read_series
+from bayes_body.recording.readers.triangulate import triangulate
+from bayes_body.recording.session.session import CameraSpec, Session, View
+from bayes_body.results.metrics.truth import true_markers
 
 if TYPE_CHECKING:
-    from bayes_body.storage.saved_run import SavedRun
+    from bayes_body.results.storage.saved_run import SavedRun
 
 
 class Seen(NamedTuple):

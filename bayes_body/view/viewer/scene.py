@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.body.solids import Body
-from bayes_body.errors import escaped
-from bayes_body.geometry import rotations
-from bayes_body.observation.pictures import Colours
-from bayes_body.session.session import CameraSpec
+from bayes_body.base.errors import escaped
+from bayes_body.base.geometry import rotations
+from bayes_body.model.body.solids import Body
+from bayes_body.recording.observation.pictures import Colours
+from bayes_body.recording.session.session import CameraSpec
 from bayes_body.view.colours import CAMERAS, FLOOR, KEYPOINTS, TRUTH, Colour, over_image
 from bayes_body.view.report.limbs import spoken
 from bayes_body.view.viewer.motion import Pose

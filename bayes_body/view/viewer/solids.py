@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayes_body.body.solids import Body
+from bayes_body.model.body.solids import Body
 
 # Corners of a section, sections of an end, and the height of an end as a fraction of its radius.
 AROUND, ROUNDED, HEIGHT = 20, 4, 0.4

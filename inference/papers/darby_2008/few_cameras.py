@@ -20,15 +20,15 @@ import numpy as np
 from jaxtyping import Float
 
 import bayes_body as bb
-from bayes_body.errors import InputError, input_error
-from bayes_body.files.shipped import definitions_folder
-from bayes_body.metrics.figures import coverage_at
-from bayes_body.metrics.truth import Accuracy, draws_against_truth, no_truth
+from bayes_body.base.errors import InputError, input_error
+from bayes_body.base.files.shipped import definitions_folder
+from bayes_body.base.progress import Watch, unwatched
+from bayes_body.base.registry import find
 from bayes_body.model.definition import Definition, TermDefinition, load_definition
-from bayes_body.recording.rig import read_rig
-from bayes_body.registry import find
-from bayes_body.session.session import Session
-from bayes_body.view.progress import Watch, unwatched
+from bayes_body.recording.readers.rig import read_rig
+from bayes_body.recording.session.session import Session
+from bayes_body.results.metrics.figures import coverage_at
+from bayes_body.results.metrics.truth import Accuracy, draws_against_truth, no_truth
 
 sys.path.append(str(Path(__file__).parents[1]))
 from error_plot import draw_error_curves

@@ -19,12 +19,12 @@ import numpy as np
 from jaxtyping import Array, Float
 from true_mean import LARGEST_DIFFERENCE, OPTIONS
 
+from bayes_body.base.progress import Watch, unwatched, watched
+from bayes_body.base.shapes import Key
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
 from bayes_body.density.kernel import Kernel
-from bayes_body.kernels.hmc_filter import build_kernel as hmc_kernel
-from bayes_body.shapes import Key
-from bayes_body.view.progress import Watch, unwatched, watched
+from bayes_body.kernels.hmc.hmc_filter import build_kernel as hmc_kernel
 
 # For a run that estimates the truth: chains, total draws, and predictions from which the chains' starts are drawn.
 CHAINS, DRAWS, STARTS = 16, 1600, 20_000

@@ -15,15 +15,15 @@ import numpy as np
 from jaxtyping import Array, Float
 from true_mean import LARGEST_DIFFERENCE, LARGEST_RHAT, Sampler, Truth, sir_sampler
 
-from bayes_body.body.placement import POSE, require
+from bayes_body.base.progress import Watch, unwatched, watched
+from bayes_body.base.shapes import Key
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
-from bayes_body.kernels.hmc_filter import build_sampler as hmc_sampler
-from bayes_body.kernels.parts.batching import everywhere, over_particles
-from bayes_body.kernels.parts.resampling import resampler
-from bayes_body.shapes import Key
+from bayes_body.kernels.batching import everywhere, over_particles
+from bayes_body.kernels.hmc.hmc_filter import build_sampler as hmc_sampler
+from bayes_body.kernels.resampling import resampler
+from bayes_body.model.body.placement import POSE, require
 from bayes_body.tracking.draws import Draws
-from bayes_body.view.progress import Watch, unwatched, watched
 
 BOOTSTRAPS = 2000
 TIMED = 8

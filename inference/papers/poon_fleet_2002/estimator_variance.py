@@ -20,7 +20,7 @@ from ratio_plot import draw_ratios
 from true_mean import best_truth
 
 import bayes_body as bb
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
 
 
 def parse() -> argparse.Namespace:

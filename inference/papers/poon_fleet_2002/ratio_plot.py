@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_body.files.atomic import replacing
+from bayes_body.base.files.atomic import replacing
 from bayes_body.view.colours import GREY, INK, paper, run_line, run_mark
 
 

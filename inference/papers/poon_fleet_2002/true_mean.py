@@ -12,16 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_body.base.progress import Watch, unwatched, watched
+from bayes_body.base.shapes import Key
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
 from bayes_body.density.kernel import FilterInfo
-from bayes_body.kernels.hmc_filter import build_sampler
-from bayes_body.kernels.particle_filter import build_kernel
-from bayes_body.kernels.parts.adaptation import FEWEST
-from bayes_body.kernels.parts.hamiltonian import effective_draws
-from bayes_body.posterior.agreement import split_rhat
-from bayes_body.shapes import Key
-from bayes_body.view.progress import Watch, unwatched, watched
+from bayes_body.kernels.hmc.adaptation import FEWEST
+from bayes_body.kernels.hmc.hamiltonian import effective_draws
+from bayes_body.kernels.hmc.hmc_filter import build_sampler
+from bayes_body.kernels.smc.particle_filter import build_kernel
+from bayes_body.results.posterior.agreement import split_rhat
 
 # Particles of one program call; millions are summed over many calls.
 CHUNK = 50_000

@@ -20,20 +20,20 @@ import numpy as np
 from jaxtyping import Float
 
 import bayes_body as bb
-from bayes_body.body.build import Shape, build_body
-from bayes_body.body.kinematics import marker_positions
-from bayes_body.errors import InputError, input_error
-from bayes_body.files.shipped import definitions_folder
+from bayes_body.base.errors import InputError, input_error
+from bayes_body.base.files.shipped import definitions_folder
+from bayes_body.base.progress import Watch, unwatched
+from bayes_body.model.body.build import Shape, build_body
+from bayes_body.model.body.kinematics import marker_positions
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import load_body, load_definition
-from bayes_body.posterior.moments import weighted_quantiles
-from bayes_body.recording.rig import read_rig
-from bayes_body.session.session import Session
-from bayes_body.simulation.options import Options
-from bayes_body.simulation.person import build_person
-from bayes_body.simulation.session import simulate
-from bayes_body.simulation.staging import Landmarks, scaled, stature_m
-from bayes_body.view.progress import Watch, unwatched
+from bayes_body.recording.readers.rig import read_rig
+from bayes_body.recording.session.session import Session
+from bayes_body.results.posterior.moments import weighted_quantiles
+from bayes_body.workshop.simulation.options import Options
+from bayes_body.workshop.simulation.person import build_person
+from bayes_body.workshop.simulation.session import simulate
+from bayes_body.workshop.simulation.staging import Landmarks, scaled, stature_m
 
 sys.path.append(str(Path(__file__).parents[1]))
 from filmed_walk import FPS, captured_walk

@@ -21,12 +21,12 @@ import numpy as np
 from jaxtyping import Float
 
 import bayes_body as bb
-from bayes_body.errors import InputError
-from bayes_body.files.shipped import definitions_folder
-from bayes_body.metrics.truth import draws_against_truth, no_truth
+from bayes_body.base.errors import InputError
+from bayes_body.base.files.shipped import definitions_folder
 from bayes_body.model.definition import Definition
-from bayes_body.recording.rig import read_rig
-from bayes_body.session.session import Session
+from bayes_body.recording.readers.rig import read_rig
+from bayes_body.recording.session.session import Session
+from bayes_body.results.metrics.truth import draws_against_truth, no_truth
 from bayes_body.tracking.draws import Draws
 
 sys.path.append(str(Path(__file__).parents[1]))

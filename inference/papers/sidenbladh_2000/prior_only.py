@@ -13,8 +13,8 @@ from pathlib import Path
 import jax
 
 import bayes_body as bb
-from bayes_body.errors import InputError
-from bayes_body.metrics.truth import draws_against_truth
+from bayes_body.base.errors import InputError
+from bayes_body.results.metrics.truth import draws_against_truth
 
 sys.path.append(str(Path(__file__).parents[1]))
 from error_plot import draw_errors

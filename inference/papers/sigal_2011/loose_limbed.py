@@ -14,7 +14,7 @@ from pathlib import Path
 import jax
 
 import bayes_body as bb
-from bayes_body.errors import InputError
+from bayes_body.base.errors import InputError
 
 sys.path.append(str(Path(__file__).parents[1]))
 from error_plot import draw_errors

@@ -2,7 +2,7 @@
 
 The error of a frame is the mean distance of the found markers from the true ones. A person is turned round if the line from the right hip to the left
 one points more than 90 degrees away from the true one. That is counted twice: for what each frame says alone, and for what it says with its
-neighbours (initial/facing.py). The error is that of the latter.
+neighbours (initial/search/facing.py). The error is that of the latter.
 """
 
 from collections.abc import Sequence
@@ -11,14 +11,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bayes_body.detection.detect import Detected
-from bayes_body.evidence.markers import MARKERS
-from bayes_body.initial.person_search import Found, PersonSearch
-from bayes_body.metrics.truth import draws_against_truth, true_markers
-from bayes_body.posterior import markers, mean_pose
-from bayes_body.session.session import Session
+from bayes_body.base.progress import Watch, unwatched
+from bayes_body.initial.detection.detect import Detected
+from bayes_body.initial.search.person_search import Found, PersonSearch
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.session.session import Session
+from bayes_body.results.metrics.truth import draws_against_truth, true_markers
+from bayes_body.results.posterior import markers, mean_pose
 from bayes_body.tracking.draws import Draws
-from bayes_body.view.progress import Watch, unwatched
 
 # The limits of the paper's Table 3, metres.
 LIMITS_M = (0.08, 0.12)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from recording.mocap.conftest import AMC, ASF, UNIT
 
-from bayes_body.errors import InputError
-from bayes_body.recording.mocap import landmarks, read_motion
-from bayes_body.recording.mocap.asf import read_asf
+from bayes_body.base.errors import InputError
+from bayes_body.recording.readers.mocap import landmarks, read_motion
+from bayes_body.recording.readers.mocap.asf import read_asf
 
 SUBJECTS = ("02", "05", "06", "07", "08", "16", "35", "38", "39")
 # The floor of this trial is 4.5 cm below that of the subject's other one.

@@ -5,8 +5,8 @@ import pytest
 from recording.mocap.conftest import BVH
 from scipy.spatial.transform import Rotation
 
-from bayes_body.errors import InputError
-from bayes_body.recording.mocap import landmarks, read_motion
+from bayes_body.base.errors import InputError
+from bayes_body.recording.readers.mocap import landmarks, read_motion
 
 # y up to z up, as the reader turns.
 TURN = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])

@@ -5,7 +5,7 @@ import pytest
 from recording.mocap.conftest import AMC, ASF, BVH
 from recording.test_fuzz_readers import Reader, torture
 
-from bayes_body.recording.mocap import read_motion
+from bayes_body.recording.readers.mocap import read_motion
 
 QUICK, MANY = 200, 10_000
 

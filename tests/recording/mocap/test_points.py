@@ -5,13 +5,13 @@ import struct
 import numpy as np
 import pytest
 
-from bayes_body.errors import InputError
-from bayes_body.evidence.markers import MARKERS
-from bayes_body.export.c3d import write_c3d
-from bayes_body.export.motion import Motion
-from bayes_body.export.trc import write_trc
-from bayes_body.posterior.moments import Moments
-from bayes_body.recording.mocap import landmarks, read_motion
+from bayes_body.base.errors import InputError
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.readers.mocap import landmarks, read_motion
+from bayes_body.results.posterior.moments import Moments
+from bayes_body.view.export.c3d import write_c3d
+from bayes_body.view.export.motion import Motion
+from bayes_body.view.export.trc import write_trc
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("mm", 1000.0), ("m", 1.0), ("cm", 100.0)])

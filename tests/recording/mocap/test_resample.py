@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bayes_body.errors import InputError
-from bayes_body.recording.mocap import Motion, resample
+from bayes_body.base.errors import InputError
+from bayes_body.recording.readers.mocap import Motion, resample
 
 
 def motion(positions, fps=120.0, rotations=None):

@@ -1,0 +1,175 @@
+"""The registry of terms. It maps the names of likelihoods, dynamics, potentials, observations and kernels in a definition to their code.
+
+A built-in term is imported when it is first looked up, so that listing names costs nothing. A user's plugin adds terms with `register`.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any, Literal, NamedTuple, get_args
+
+from pydantic import BaseModel
+
+from bayes_body.base.errors import InputError, input_error, nearest
+from bayes_body.base.toml.schema import Schema
+
+type Room = Literal["likelihood", "observation", "dynamics", "potential", "kernel"]
+type Place = tuple[Room, str]
+
+# The remedy if a definition names a user's own term.
+OWN = "If it is a term of your own, name its file with --plugin."
+ROOMS: tuple[Room, ...] = get_args(Room.__value__)
+
+
+class Term(NamedTuple):
+    """A registered term.
+
+    Attributes:
+        options: the schema of its options, a pydantic model.
+        build: makes the term from its options.
+        note: what a user must know about it before a run; printed at every run.
+    """
+
+    options: type[BaseModel]
+    build: Callable[..., Any]
+    note: str = ""
+
+
+_BUILT_IN: dict[Place, str] = {
+    ("likelihood", "silhouette_edges"): "bayes_body.model.likelihood.silhouette_edges",
+    ("likelihood", "markers_gaussian"): "bayes_body.model.likelihood.markers_gaussian",
+    ("likelihood", "silhouette_bernoulli"): "bayes_body.model.likelihood.silhouette_bernoulli",
+    ("likelihood", "edge_phase"): "bayes_body.model.likelihood.edge_phase",
+    ("likelihood", "regions"): "bayes_body.model.likelihood.regions",
+    ("likelihood", "image_motion"): "bayes_body.model.likelihood.image_motion",
+    ("observation", "edge_phase"): "bayes_body.recording.observation.edge_phase",
+    ("observation", "silhouette_edges"): "bayes_body.recording.observation.silhouette_edges",
+    ("observation", "markers_gaussian"): "bayes_body.recording.observation.markers_gaussian",
+    ("observation", "silhouette_bernoulli"): "bayes_body.recording.observation.silhouette_bernoulli",
+    ("observation", "regions"): "bayes_body.recording.observation.regions",
+    ("observation", "image_motion"): "bayes_body.recording.observation.image_motion",
+    ("dynamics", "diffusion"): "bayes_body.model.dynamics.diffusion",
+    ("dynamics", "second_order"): "bayes_body.model.dynamics.second_order",
+    ("dynamics", "constant_velocity"): "bayes_body.model.dynamics.constant_velocity",
+    ("dynamics", "rigid_walk"): "bayes_body.model.dynamics.rigid_walk",
+    ("dynamics", "walking_cycle"): "bayes_body.model.dynamics.walking_cycle",
+    ("dynamics", "activity_hmm"): "bayes_body.model.dynamics.activity_hmm",
+    ("potential", "intersection"): "bayes_body.model.potentials.intersection",
+    ("potential", "kinematic"): "bayes_body.model.potentials.kinematic",
+    ("potential", "penetration"): "bayes_body.model.potentials.penetration",
+    ("potential", "training_limits"): "bayes_body.model.potentials.training_limits",
+    ("kernel", "sir"): "bayes_body.kernels.smc.particle_filter",
+    ("kernel", "hmc"): "bayes_body.kernels.hmc.hmc_filter",
+    ("kernel", "annealed"): "bayes_body.kernels.smc.annealed_filter",
+    ("kernel", "particle_bp"): "bayes_body.kernels.messages.particle_bp",
+    ("kernel", "tempered"): "bayes_body.kernels.smc.tempered_smc",
+}
+_terms: dict[Place, Term] = {}
+
+
+def register(
+    room: Room, name: str, options: type[BaseModel] = Schema, note: str = "", observation: str | None = None
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Register a build function under a name in a room. Use it as a decorator.
+
+    Args:
+        room: likelihood, observation, dynamics, potential or kernel.
+        name: the value of `kind` in a definition.
+        options: the schema of the term's table, a subclass of `Schema`; by default the term has no options.
+        note: what a user must know before trusting its results.
+        observation: for a likelihood, the observation that prepares its data, unless one of the same name is registered.
+
+    Raises:
+        InputError: there is no such room or observation, the name is taken, or the options are not a schema.
+    """
+
+    def decorate(build: Callable[..., Any]) -> Callable[..., Any]:
+        _check(room, name, options, build)
+        terms: dict[Place, Term] = {(room, name): Term(options, build, note)}
+        if observation is not None:
+            terms["observation", name] = find("observation", observation)
+        for place in terms:
+            taken = place in _terms or _BUILT_IN.get(place, _home(build)) != _home(build)
+            if taken:
+                raise InputError(f"{place[0]} '{name}' is registered twice; expected a new name; rename yours.")
+        _terms.update(terms)
+        return build
+
+    return decorate
+
+
+def _check(room: Room, name: str, options: type[BaseModel], build: Callable[..., Any]) -> None:
+    """Check the types of the arguments, since a plugin's code need not have passed a type checker."""
+    if room not in ROOMS:
+        raise InputError(f"register: room '{room}' does not exist; {nearest(str(room), ROOMS)}")
+    if not isinstance(name, str) or not name:
+        raise input_error(f"register: {room}", f"the name {name!r}", "a string", f'name it, such as register("{room}", "mine")')
+    if not (isinstance(options, type) and issubclass(options, BaseModel)):
+        shown = options.__name__ if isinstance(options, type) else repr(options)
+        found, remedy = f"{shown} is not a schema", "write `class Options(Schema)`"
+        raise input_error(f"{room} '{name}': options", found, "a class that derives from Schema", remedy)
+    if not callable(build):
+        raise input_error(f"{room} '{name}'", f"{build!r} cannot be called", "a build function", "put @register above a function")
+
+
+def _home(build: Callable[..., Any]) -> str:
+    return getattr(build, "__module__", "")
+
+
+@contextmanager
+def additions() -> Iterator[list[Place]]:
+    """Collect the terms registered in the body of the `with` statement, without built-in terms. If the body fails, they are removed again."""
+    before, found = set(_terms), []
+
+    def new() -> list[Place]:
+        return [place for place in _terms if place not in before and place not in _BUILT_IN]
+
+    try:
+        yield found
+    except BaseException:
+        forget(new())
+        raise
+    found += new()
+
+
+def forget(places: Iterable[Place]) -> None:
+    """Remove terms from the registry."""
+    for place in places:
+        _terms.pop(place, None)
+
+
+def replace(place: Place, term: Term) -> None:
+    """Replace the term of a registered name."""
+    _terms[place] = term
+
+
+def names(room: Room) -> tuple[str, ...]:
+    """Return all names of a room, sorted."""
+    return tuple(sorted({name for r, name in [*_BUILT_IN, *_terms] if r == room}))
+
+
+def own_names(room: Room) -> tuple[str, ...]:
+    """Return the names of a room that are not built in, sorted."""
+    return tuple(sorted(name for r, name in _terms if r == room and (r, name) not in _BUILT_IN))
+
+
+def notes(places: Iterable[Place]) -> Iterator[str]:
+    """Yield the notes of these terms; most have none."""
+    for room, name in dict.fromkeys(places):
+        note = find(room, name).note
+        if note:
+            yield f"{name}: {note}"
+
+
+def find(room: Room, name: str) -> Term:
+    """Return the term of that name.
+
+    Raises:
+        InputError: there is none. The message gives the nearest known name, and says how a user's own term is loaded.
+    """
+    if (room, name) not in _terms and (room, name) in _BUILT_IN:
+        import_module(_BUILT_IN[room, name])
+    if (room, name) not in _terms:
+        known = nearest(name, names(room))
+        raise InputError(f"{room} '{name}' does not exist; {known}{'' if known.endswith('?') else '.'} {OWN}")
+    return _terms[room, name]

@@ -1,0 +1,164 @@
+r"""The person's figure in a visual hull: floor, crown, centre line of the trunk, line of the shoulders, and extremities.
+
+Extremities are accumulative geodesic extrema (Plagemann, Ganapathi, Koller & Thrun 2010): the voxel farthest from the pelvis on the hull's graph;
+then, again and again, the voxel farthest from the pelvis and all paths found so far. The path from an extremity to the pelvis keeps to the middle of
+a limb, since an edge costs its length divided by the depth inside the hull.
+
+The trunk is found for people who are roughly upright. Shoulders are at the fraction of the stature of Drillis & Contini (1966); hips are at 0.51, a
+little lower than their 0.53, as in walking.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.ndimage import distance_transform_edt
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from bayes_body.initial.detection.hull import VOXEL_M, Voxels, neighbours
+from bayes_body.initial.detection.person import floor_height
+
+# Heights of hip and shoulder above the floor, and half of the slabs in which the trunk's middle is measured, as fractions of the height.
+HIP, SHOULDER, SLAB = 0.51, 0.818, 0.04
+# The slab in which the line of the shoulders is measured.
+CHEST, CHEST_PERCENTILES = (0.76, 0.82), (3, 97)
+# Extremities: at most so many, and none that is nearer to the pelvis or to another's path than this.
+MOST_TIPS, NEAREST_M = 7, 0.18
+# A hull of this height, as shares of the stature, is that of a person who stands, perhaps with parts that masks lack.
+# A walker's crown is a little below the stature (0.95 to 1 of it in motion capture).
+STANDS, WALKING = (0.75, 1.1), 0.95
+# Skin to skin of a thin part, such as an arm: the crown is where the hull is deeper.
+THIN_M = 0.06
+
+
+class Figure(NamedTuple):
+    """The person's figure, metres in the world.
+
+    Attributes:
+        floor: height of the floor.
+        height: from the floor to the crown; of a person who stands, at least a walker's of the given stature.
+        crown: the highest point of the hull's head.
+        pelvis: the middle of the trunk at the height of the hips.
+        thorax: the middle of the trunk at the height of the shoulders.
+        across: horizontal unit vector along the line of the shoulders; its sign says nothing.
+        elongation: how many times the chest is as wide as deep; near 1 the line of the shoulders is not known.
+        paths: for each extremity, the points from its tip to the pelvis.
+    """
+
+    floor: float
+    height: float
+    crown: Float[np.ndarray, "3"]
+    pelvis: Float[np.ndarray, "3"]
+    thorax: Float[np.ndarray, "3"]
+    across: Float[np.ndarray, "3"]
+    elongation: float
+    paths: tuple[Float[np.ndarray, "point 3"], ...]
+
+
+def figure(centres: Voxels, viewpoints: Float[np.ndarray, "view 3"], up: int, stature_m: float | None = None) -> Figure:
+    """The figure of one body, seen from cameras at `viewpoints` (metres); `up` is the index of the world's axis that points up.
+
+    A person whose stature is known, and whose hull is nearly as high, stands: the height is at least that of a walker of the stature, since masks
+    lack heads more often than people stoop.
+    """
+    depths = interior_depths(centres)
+    floor = floor_height(centres, up)
+    crown = _crown(centres, depths, up)
+    height = float(crown[up] - floor)
+    if stature_m is not None and STANDS[0] < height / stature_m < STANDS[1]:
+        height = max(height, WALKING * stature_m)
+    pelvis, thorax = (_middle(centres, depths, floor + share * height, height, up) for share in (HIP, SHOULDER))
+    across, elongation = _across(centres, thorax, floor + height * np.array(CHEST), viewpoints, up)
+    return Figure(floor, height, crown, pelvis, thorax, across, elongation, _paths(centres, depths, pelvis))
+
+
+def interior_depths(centres: Voxels) -> Float[np.ndarray, " voxel"]:
+    """Each voxel's distance to the outside, metres."""
+    cells = np.rint((centres - centres.min(axis=0)) / VOXEL_M).astype(int) + 1
+    filled = np.zeros(cells.max(axis=0) + 2, bool)
+    filled[tuple(cells.T)] = True
+    return VOXEL_M * np.asarray(distance_transform_edt(filled))[tuple(cells.T)]
+
+
+def _crown(centres: Voxels, depths: Float[np.ndarray, " voxel"], up: int) -> Float[np.ndarray, "3"]:
+    """The top of the highest part that is thicker than an arm; of any part if there is none."""
+    thick = depths > THIN_M
+    candidates, inside = (centres[thick], depths[thick]) if thick.any() else (centres, depths)
+    top = np.argmax(candidates[:, up])
+    crown = candidates[top].copy()
+    level = candidates[:, up] > crown[up] - VOXEL_M / 2
+    crown = candidates[level].mean(axis=0)
+    crown[up] += inside[top] - VOXEL_M / 2
+    return crown
+
+
+def _middle(centres: Voxels, depths: Float[np.ndarray, " voxel"], level: float, height: float, up: int) -> Float[np.ndarray, "3"]:
+    """The middle of the trunk at a height. Deep voxels count more, so that arms beside the trunk count little."""
+    weights = depths**3 * np.exp(-0.5 * ((centres[:, up] - level) / (SLAB * height)) ** 2)
+    middle = weights @ centres / weights.sum()
+    middle[up] = level
+    return middle
+
+
+def _across(
+    centres: Voxels, thorax: Float[np.ndarray, "3"], height_of_chest: Float[np.ndarray, "2"], viewpoints: Float[np.ndarray, "view 3"], up: int
+) -> tuple[Float[np.ndarray, "3"], float]:
+    """The line of the shoulders, and how many times the chest is as wide as deep.
+
+    An ellipse with the matrix S is seen from the horizontal direction d with the width w: $w^2 = u^T S u$, u across d. The hull fills the corners
+    between the views, so its widths in the views tell more than its moments.
+    """
+    chest = centres[(centres[:, up] > height_of_chest[0]) & (centres[:, up] < height_of_chest[1])]
+    level = [k for k in range(3) if k != up]
+    towards = (thorax - viewpoints)[:, level]
+    u = towards[:, ::-1] * (-1, 1) / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-6)
+    if len(chest) < 4:
+        return np.eye(3)[level[0]], 1.0
+    widths = np.ptp(np.percentile(chest[:, level] @ u.T, CHEST_PERCENTILES, axis=0), axis=0)
+    rows = np.stack([u[:, 0] ** 2, 2 * u[:, 0] * u[:, 1], u[:, 1] ** 2], axis=1)
+    # With two views the smallest solution is taken.
+    a, b, c = np.linalg.lstsq(rows, widths**2, rcond=None)[0]
+    spread, axes = np.linalg.eigh([[a, b], [b, c]])
+    across = np.zeros(3)
+    across[level] = axes[:, 1]
+    return across, float(np.sqrt(spread[1] / max(spread[0], 0.1 * spread[1])))
+
+
+def _paths(centres: Voxels, depths: Float[np.ndarray, " voxel"], pelvis: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "point 3"], ...]:
+    graph = neighbours(centres)
+    root = int(np.argmin(((centres - pelvis) ** 2).sum(axis=1)))
+    inner = coo_array((graph.data / np.minimum(depths[graph.row], depths[graph.col]), (graph.row, graph.col)), graph.shape)
+    before = dijkstra(inner.tocsr(), directed=False, indices=root, return_predecessors=True)[1]
+    lengths, reached, paths = graph.tocsr(), np.array([root]), []
+    for _ in range(MOST_TIPS):
+        tip, distance = _farthest(lengths, reached)
+        if distance < NEAREST_M:
+            break
+        path = _path(before, tip)
+        reached = np.union1d(reached, path)
+        paths.append(_smooth(centres[path]))
+    return tuple(paths)
+
+
+def _farthest(lengths: csr_array, reached: Int[np.ndarray, " voxel"]) -> tuple[int, float]:
+    distances = dijkstra(lengths, directed=False, indices=reached, min_only=True)
+    tip = int(np.argmax(distances))
+    return tip, float(distances[tip])
+
+
+def _path(before: Int[np.ndarray, " voxel"], tip: int) -> list[int]:
+    path = [tip]
+    while before[path[-1]] >= 0:
+        path.append(int(before[path[-1]]))
+    return path
+
+
+def _smooth(path: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 3"]:
+    """The path without the steps of the voxels: means of five neighbours; the tip stays."""
+    if len(path) < 5:
+        return path
+    padded = np.concatenate([path[:1].repeat(2, 0), path, path[-1:].repeat(2, 0)])
+    smooth = np.stack([padded[k : k + len(path)] for k in range(5)]).mean(axis=0)
+    smooth[0] = path[0]
+    return smooth

@@ -1,0 +1,212 @@
+r"""The outermost parts, from colour blobs in pairs of views (Sigal, Isard, Haussecker & Black 2011, 6.2).
+
+A limb is assumed to have about one colour. Its middle is where the rays through the blobs' middles meet; its axis is the line in which the planes
+through the two cameras and the blobs' long axes intersect. Limbs without a possible size, or outside the foreground, are dropped. All outermost
+parts get the same limbs, weighted by the height above the floor (their equation 13), $w_n \propto \mathcal N(z_n; z_\text{part},
+\sigma_\text{part}^2)$, and likewise by tilt and length; and by the number of pairs of views that agree. The twist about the axis is unknown.
+"""
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from bayes_body.initial.detection.blobs import Blob, blobs
+from bayes_body.initial.detection.detections import Detections, Found, landmark, segments, strongest
+from bayes_body.initial.detection.pairs import rays, triangulate_pair
+from bayes_body.initial.detection.scene import Scene
+from bayes_body.recording.session.session import CameraSpec
+
+NAME = "limbs"
+# For each part: the height of its middle and its standard deviation, its length, as fractions of the stature; and whether it hangs in most poses.
+PARTS: Mapping[str, tuple[float, float, float, bool]] = {
+    "forearm": (0.55, 0.08, 0.146, True),
+    "hand": (0.45, 0.10, 0.095, True),
+    "calf": (0.17, 0.06, 0.246, True),
+    "foot": (0.03, 0.03, 0.152, False),
+}
+# The joint at a part's proximal end.
+PROXIMAL = {"forearm": "elbow", "hand": "wrist", "calf": "knee", "foot": "ankle"}
+# Accepted ratio of a limb's length to the part's (a forearm with its hand is 1.9 times as long, as ellipses go), and radii in metres.
+LENGTHS, RADII_M = (0.5, 2.1), (0.015, 0.10)
+# Rays may miss each other by this share of the blobs' short half axis and a pixel count; a limb's middle is foreground in this share of the views.
+MISS, MISS_PX, FOREGROUND = 0.7, 2.0, 0.7
+# A limb's middle lies no deeper inside the visual hull than this, metres.
+DEEPEST_M = 0.12
+# What is nearer to the crown than this is the head, metres.
+HEAD_M = 0.3
+# Largest distance of the colours of two blobs of one limb, grey levels of a channel; grey cameras are not compared with colour cameras.
+COLOURS = 40.0
+# Limbs nearer than this and more parallel than this (cosine) are the same; spread of a limb's length about the part's, as a logarithm.
+SAME_M, PARALLEL, SD_LOG_LENGTH = 0.06, 0.85, 0.6
+# Limbs of less than this share of the largest weight are dropped.
+LEAST_WEIGHT = 0.01
+# Limbs that are kept for each part; the stature where it is not known.
+MOST, STATURE_M = 24, 1.7
+SD_ACROSS_M, SD_ALONG_M = 0.04, 0.08
+# Spread of the tilt about the one in most poses, radians.
+SD_POSE_RAD = 0.6
+
+
+class Limbs(NamedTuple):
+    """Limbs in the world, metres: their middles, lower and upper ends, and radii."""
+
+    middles: Float[np.ndarray, "limb 3"]
+    lower: Float[np.ndarray, "limb 3"]
+    upper: Float[np.ndarray, "limb 3"]
+    radii: Float[np.ndarray, " limb"]
+
+
+def detect_limbs(scene: Scene) -> Found:
+    """Detections of forearms, hands, calves and feet, and of the landmarks at their proximal ends."""
+    masks = scene.people
+    if masks is None or len(scene.cameras) < 2:
+        return Found({}, {}, ("limbs need silhouettes in two or more cameras",))
+    seen = [blobs(picture, mask) for picture, mask in zip(scene.pictures, masks, strict=True)]
+    limbs = _all_limbs(scene, seen)
+    if not len(limbs.middles):
+        return Found({}, {}, ("no limb was found in any pair of views",))
+    stature = scene.stature_m or (STATURE_M if scene.figure is None else scene.figure.height)
+    floor = 0.0 if scene.figure is None else scene.figure.floor
+    landmarks, parts = {}, {}
+    for name in PARTS:
+        found, proximal = _of_part(scene, limbs, name, stature, floor)
+        if len(found.weights):
+            for side in ("l_", "r_"):
+                parts[side + name], landmarks[side + PROXIMAL[name]] = found, proximal
+    return Found(landmarks, parts)
+
+
+def _of_part(scene: Scene, limbs: Limbs, name: str, stature: float, floor: float) -> tuple[Detections, Detections]:
+    """The detections of a part and of the joint at its proximal end, weighted by height."""
+    height, sd, length, hangs = PARTS[name]
+    axes = limbs.lower - limbs.upper
+    lengths = np.linalg.norm(axes, axis=1)
+    tilts = np.arccos(np.clip(-axes[:, scene.up] / lengths, -1.0, 1.0))
+    away = ((limbs.middles[:, scene.up] - floor) / stature - height) / sd, (tilts if hangs else np.pi / 2 - tilts) / SD_POSE_RAD
+    # A height or a tilt that does not fit, beyond three standard deviations, is no more than improbable: arms may be raised.
+    log_weights = sum(-0.5 * np.minimum(np.abs(each), 3.0) ** 2 for each in away)
+    lengths = lengths / (length * stature)
+    weights = np.exp(log_weights - 0.5 * (np.log(lengths) / SD_LOG_LENGTH) ** 2) * _support(limbs)
+    weights *= (lengths > LENGTHS[0]) & (lengths < LENGTHS[1])
+    weights[_suppressed(limbs, weights)] = 0.0
+    weights[weights < LEAST_WEIGHT * weights.max(initial=0.0)] = 0.0
+    kept = weights > 0
+    limbs = Limbs(*(each[kept] for each in limbs))
+    sd_m = np.array([SD_ACROSS_M, SD_ACROSS_M, SD_ALONG_M])
+    # A foot is nearly level: either end may be the ankle.
+    proximal = limbs.middles if name == "foot" else limbs.upper
+    return (
+        strongest(segments(limbs.upper, limbs.lower, sd_m, weights[kept], NAME), MOST),
+        strongest(landmark(proximal, SD_ALONG_M, weights[kept], NAME), MOST),
+    )
+
+
+def _support(limbs: Limbs) -> Float[np.ndarray, " limb"]:
+    """How many limbs, of any pairs of views, agree with each one: a pattern of the clothes that is mistaken for a limb differs from pair to pair."""
+    return (np.exp(-0.5 * (_distances(limbs) / SAME_M) ** 2) * _parallel(limbs)).sum(axis=1)
+
+
+def _suppressed(limbs: Limbs, weights: Float[np.ndarray, " limb"]) -> Bool[np.ndarray, " limb"]:
+    """Which limbs are nearly the same as one of a larger weight."""
+    same = (_distances(limbs) < SAME_M) & _parallel(limbs)
+    suppressed = np.zeros(len(weights), bool)
+    for k in np.argsort(-weights, kind="stable"):
+        if not suppressed[k]:
+            suppressed |= same[k]
+            suppressed[k] = False
+            same[:, k] = False
+    return suppressed
+
+
+def _distances(limbs: Limbs) -> Float[np.ndarray, "limb limb"]:
+    return np.linalg.norm(limbs.middles[:, None] - limbs.middles, axis=2)
+
+
+def _parallel(limbs: Limbs) -> Bool[np.ndarray, "limb limb"]:
+    axes = (limbs.upper - limbs.lower) / np.linalg.norm(limbs.upper - limbs.lower, axis=1, keepdims=True)
+    return np.abs(axes @ axes.T) > PARALLEL
+
+
+def _all_limbs(scene: Scene, seen: Sequence[Sequence[Blob]]) -> Limbs:
+    pairs = [_pair(scene, a, b, seen[a], seen[b]) for a, b in combinations(range(len(seen)), 2) if seen[a] and seen[b]]
+    limbs = Limbs(*(np.concatenate(each) for each in zip(*pairs, strict=True))) if pairs else _no_limbs()
+    return Limbs(*(each[_is_outside(scene, limbs.middles)] for each in limbs))
+
+
+def _is_outside(scene: Scene, middles: Float[np.ndarray, "limb 3"]) -> Bool[np.ndarray, " limb"]:
+    """Whether limbs are foreground, and neither head nor trunk, where the visual hull tells: what lies deep inside is a pattern of the clothes."""
+    kept = scene.foreground(middles) >= FOREGROUND
+    if scene.figure is None:
+        return kept
+    depths = scene.depths(middles)
+    return kept & (depths > 0) & (depths < DEEPEST_M) & (np.linalg.norm(middles - scene.figure.crown, axis=1) > HEAD_M)
+
+
+def _no_limbs() -> Limbs:
+    return Limbs(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+
+
+def _pair(scene: Scene, a: int, b: int, first: Sequence[Blob], second: Sequence[Blob]) -> Limbs:
+    """The limbs that the blobs of two views form."""
+    cameras, viewpoints = [scene.cameras[a], scene.cameras[b]], scene.viewpoints[[a, b]]
+    matches = [(p, q) for p in first for q in second if _same_colour(p.colour, q.colour)]
+    if not matches:
+        return _no_limbs()
+    left, right = (list(each) for each in zip(*matches, strict=True))
+    middles, errors = triangulate_pair(cameras, np.array([p.middle for p in left]), np.array([q.middle for q in right]))
+    radii_px = np.array([min(p.radius, q.radius) for p, q in matches])
+    axes = _axes(cameras, left, right)
+    ends = [_ends(cameras[k], viewpoints[k], each, middles, axes) for k, each in enumerate((left, right))]
+    lengths = np.abs(np.stack(ends)).mean(axis=0).mean(axis=1, keepdims=True)
+    distances = np.linalg.norm(middles - viewpoints[:, None], axis=2)
+    radii = np.mean(
+        [
+            [blob.radius for blob in each] * distance / max(camera.focal_px)
+            for each, distance, camera in zip((left, right), distances, cameras, strict=True)
+        ],
+        axis=0,
+    )
+    with np.errstate(invalid="ignore"):
+        kept = (errors < MISS_PX + MISS * radii_px) & (radii > RADII_M[0]) & (radii < RADII_M[1]) & np.isfinite(lengths[:, 0]) & (lengths[:, 0] < 0.5)
+    axes = np.where(axes[:, [scene.up]] > 0, axes, -axes)
+    return Limbs(middles[kept], (middles - lengths * axes)[kept], (middles + lengths * axes)[kept], radii[kept])
+
+
+def _same_colour(first: Float[np.ndarray, "3"], second: Float[np.ndarray, "3"]) -> bool:
+    """Whether two blobs may be one limb by their colours. A blob of equal channels is grey, perhaps since its camera is."""
+    if min(np.ptp(first), np.ptp(second)) < 1.0:
+        return True
+    return bool(np.abs(first - second).max() < COLOURS)
+
+
+def _axes(cameras: Sequence[CameraSpec], left: Sequence[Blob], right: Sequence[Blob]) -> Float[np.ndarray, "limb 3"]:
+    """Directions of the lines in which the two planes through camera and blob intersect; NaN where the planes are nearly one."""
+    normals = []
+    for camera, each in zip(cameras, (left, right), strict=True):
+        ends = [rays(camera, np.array([blob.ends[k] for blob in each])) for k in (0, 1)]
+        normal = np.cross(ends[0], ends[1])
+        normals.append(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9))
+    axes = np.cross(normals[0], normals[1])
+    length = np.linalg.norm(axes, axis=1, keepdims=True)
+    return np.where(length > 0.2, axes / np.maximum(length, 1e-9), np.nan)
+
+
+def _ends(
+    camera: CameraSpec,
+    viewpoint: Float[np.ndarray, "3"],
+    each: Sequence[Blob],
+    middles: Float[np.ndarray, "limb 3"],
+    axes: Float[np.ndarray, "limb 3"],
+) -> Float[np.ndarray, "limb 2"]:
+    """Where the rays through a blob's two ends pass the limb's axis: distances from its middle, metres."""
+    found = []
+    for k in (0, 1):
+        ray = rays(camera, np.array([blob.ends[k] for blob in each]))
+        offset = viewpoint - middles
+        along, both = (offset * axes).sum(axis=1), (ray * axes).sum(axis=1)
+        # The point of the axis that is nearest to the ray.
+        found.append((along - both * (offset * ray).sum(axis=1)) / np.maximum(1 - both**2, 1e-3))
+    return np.stack(found, axis=1)

@@ -1,0 +1,130 @@
+"""What the detectors see of one frame: cameras, pictures, silhouettes, keypoints, and the person's hull, which several detectors use."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
+
+from bayes_body.initial.detection.figure import Figure, figure, interior_depths
+from bayes_body.initial.detection.hull import VOXEL_M, Mask, Voxels, clean
+from bayes_body.initial.detection.person import ChosenBody, choose_person
+from bayes_body.recording.observation.frames import Frame
+from bayes_body.recording.observation.pictures import Colours, read_colour
+from bayes_body.recording.readers.camera_path import cameras_at
+from bayes_body.recording.readers.triangulate import project
+from bayes_body.recording.session.session import CameraSpec, Keypoints, Session
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One frame. Everything has one entry for each camera that saw it.
+
+    Attributes:
+        cameras: with their extrinsics in this frame.
+        pictures: blue, green and red; a grey camera's channels are equal.
+        masks: cleaned silhouettes; None if the session has none.
+        keypoints: the subject's keypoints by name; None if the session has none.
+        up: index of the world's axis that points up.
+        stature_m: the person's height, if it is known.
+    """
+
+    cameras: Sequence[CameraSpec]
+    pictures: Sequence[Colours]
+    masks: Sequence[Mask] | None
+    keypoints: Sequence[Keypoints | None] | None
+    up: int
+    stature_m: float | None = None
+
+    @cached_property
+    def chosen(self) -> ChosenBody:
+        """The person's hull; without masks of two or more cameras there is none."""
+        if self.masks is None or len(self.masks) < 2:
+            return ChosenBody(None, ())
+        return choose_person(self.cameras, self.masks, self.up)
+
+    @cached_property
+    def figure(self) -> Figure | None:
+        """The person's figure; None without a hull."""
+        return None if self.chosen.voxels is None else figure(self.chosen.voxels, self.viewpoints, self.up, self.stature_m)
+
+    @property
+    def viewpoints(self) -> Float[np.ndarray, "camera 3"]:
+        """The cameras' centres in the world, metres."""
+        return np.stack([-camera.rotation.T @ camera.translation_m for camera in self.cameras])
+
+    @cached_property
+    def people(self) -> Sequence[Mask] | None:
+        """The silhouettes without what is far from the person's hull; as they are without a hull; None without silhouettes."""
+        if self.masks is None or self.chosen.voxels is None:
+            return self.masks
+        return [mask & _around(camera, self.chosen.voxels, mask.shape) for camera, mask in zip(self.cameras, self.masks, strict=True)]
+
+    def depths(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " point"]:
+        """How deep points lie inside the person's hull, metres: 0 outside; NaN without a hull."""
+        if self.chosen.voxels is None:
+            return np.full(len(points), np.nan)
+        distance, nearest = KDTree(self.chosen.voxels).query(points)
+        return np.where(distance < VOXEL_M, self._interior[nearest], 0.0)
+
+    @cached_property
+    def _interior(self) -> Float[np.ndarray, " voxel"]:
+        return np.zeros(0) if self.chosen.voxels is None else interior_depths(self.chosen.voxels)
+
+    @property
+    def upwards(self) -> Float[np.ndarray, "3"]:
+        """The unit vector that points up."""
+        return np.eye(3)[self.up]
+
+    def foreground(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " point"]:
+        """The share of the views that show each point on the foreground, of those that show it; NaN where none does, or without silhouettes."""
+        hits, shown = np.zeros(len(points)), np.zeros(len(points))
+        for camera, mask in zip(self.cameras, self.people or (), strict=False):
+            pixels = project(camera, points)
+            inside = _is_inside(pixels, mask.shape)
+            columns, rows = np.rint(pixels[inside]).astype(int).T
+            hits[inside] += mask[rows, columns]
+            shown += inside
+        return np.where(shown > 0, hits / np.maximum(shown, 1), np.nan)
+
+
+def read_scene(session: Session, frame: Frame) -> Scene:
+    """The scene of a frame of a session. Cameras that have no picture, or no silhouette where the session has silhouettes, are left out.
+
+    Raises:
+        InputError: the background cannot be learned, or a file cannot be used.
+    """
+    pictures = [read_colour(session, frame.index, view) for view in session.views]
+    masks = None if frame.masks is None else list(frame.masks)
+    seen = [c for c, picture in enumerate(pictures) if picture is not None and (masks is None or masks[c] is not None)]
+    cameras = cameras_at(session, frame.index)
+    return Scene(
+        [cameras[c] for c in seen],
+        [picture for c in seen if (picture := pictures[c]) is not None],
+        None if masks is None else [clean(mask) for c in seen if (mask := masks[c]) is not None],
+        None if frame.keypoints is None else [frame.keypoints[c] for c in seen],
+        "xyz".index(session.up),
+        session.subject.height_m,
+    )
+
+
+def _around(camera: CameraSpec, centres: Voxels, shape: tuple[int, ...]) -> Mask:
+    """The voxels' projection, wider by two voxels: holes of a mask stay holes, shadows and other people go."""
+    pixels = project(camera, centres)
+    depth = centres @ camera.rotation[2] + camera.translation_m[2]
+    inside = _is_inside(pixels, shape)
+    hit = np.zeros(shape, np.uint8)
+    if not inside.any():
+        return hit > 0
+    columns, rows = np.rint(pixels[inside]).astype(int).T
+    hit[rows, columns] = 1
+    size = 2 * int(np.ceil(2 * VOXEL_M * max(camera.focal_px) / np.median(depth[inside]))) + 1
+    return cv2.dilate(hit, np.ones((size, size), np.uint8)) > 0
+
+
+def _is_inside(pixels: Float[np.ndarray, "point 2"], shape: tuple[int, ...]) -> Bool[np.ndarray, " point"]:
+    """Whether pixels (column, row) lie in an image of a shape (rows, columns)."""
+    return np.isfinite(pixels).all(axis=1) & (pixels > -0.5).all(axis=1) & (pixels < (shape[1] - 0.5, shape[0] - 0.5)).all(axis=1)

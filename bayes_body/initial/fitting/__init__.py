@@ -1,0 +1,1 @@
+"""Fit a body to given points: lengths and angles by least squares."""

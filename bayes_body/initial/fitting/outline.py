@@ -1,0 +1,159 @@
+r"""Estimate the apparent thickness of body parts, clothes included, from the silhouettes of the first frame.
+
+Trousers are wider than a calf of average thickness. If the model leaves them out, they affect the silhouette term more than the pose does: at the
+true pose they remain uncovered, and a pose with one leg beside the other explains the silhouette just as well (docs/decisions). The pose is kept
+fixed, and the radii are the solution of
+
+$$\min_r\ 1 - \frac1C \sum_c \frac{\sum_x m_c(x)\, s_c(x; r)}{\sum_x m_c + s_c - m_c s_c}
+    + \frac{\lambda}{2} \sum_g \log^2 (r_g / \bar r_g),$$
+
+The first two terms are one minus the overlap (IoU) of the silhouettes m with the body's projection s, which is a logistic function of the signed
+distance to the body's outline (model/likelihood/outlines.py). The last term pulls the radii towards the body's own radii $\bar r$. Each kind of part
+has one r for its base and one for its tip; left and right share them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_body.base.config import FAST_COMPILE
+from bayes_body.base.errors import input_error
+from bayes_body.base.geometry.camera import Camera
+from bayes_body.base.geometry.namespaces import device_array
+from bayes_body.base.shapes import Pose, Scalar
+from bayes_body.initial.fitting.adam import minimise
+from bayes_body.model.body.solids import Body
+from bayes_body.model.build import Model
+from bayes_body.model.likelihood.outlines import outline_forms, signed_distance
+from bayes_body.recording.observation.frames import read_frame
+from bayes_body.recording.readers.camera_path import cameras_at
+from bayes_body.recording.session.session import Session
+
+# Columns and rows of the grid on which silhouettes are compared. It covers each silhouette with a margin of this fraction of its size on all sides.
+GRID = (64, 96)
+MARGIN = 0.25
+# Softness of the projection's outline, steps of the grid.
+SOFT = 0.25
+# λ: about this value gives the largest overlap of the body with the silhouettes in later frames of simulated people (docs/decisions).
+PULL = 0.2
+STEPS = 100
+RATE = 0.05
+# With less overlap than this, the pose does not match the silhouettes, and no thickness helps.
+LEAST_OVERLAP = 0.4
+WHERE = "session.toml: initial.fit_outline"
+
+
+class Silhouettes(NamedTuple):
+    """The silhouette in each camera that saw the person, on its grid.
+
+    The grid's columns and rows are in pixels from the image's middle; `inside` is 1 where a grid point is foreground.
+    """
+
+    columns: Float[Array, "camera column"]
+    rows: Float[Array, "camera row"]
+    inside: Float[Array, "camera row column"]
+
+
+class Outline(NamedTuple):
+    """The (base, tip) radii of each part, metres, by name; and the overlap (IoU) with the silhouettes before and after the fit."""
+
+    radii_m: Mapping[str, tuple[float, float]]
+    before: float
+    after: float
+
+
+def fit_outline(model: Model, session: Session) -> Outline:
+    """Return the fitted outline of a model's body in the first frame; the model's initial state is the pose there.
+
+    Parts on a joint without dofs, such as hands and feet, keep their radii: the pose cannot turn them to where they are in the image.
+
+    Raises:
+        InputError: the session has no silhouettes, or no camera shows one in the first frame.
+    """
+    placed = model.at(cameras_at(session, 0)) if session.moves else model
+    cameras, seen = _silhouettes(session)
+    rig = jax.tree.map(lambda leaf: np.asarray(leaf)[np.array(cameras)], placed.rig)
+    groups = np.asarray(_groups(model.body), model.body.lengths.dtype)
+    logs, before, after = _fit(model.body.by_angles, rig, model.first_pose, groups, seen)
+    if float(before) < LEAST_OVERLAP:
+        return Outline({}, float(before), float(before))
+    radii = np.asarray(_thick(model.body, groups, logs).outline_radii, float)
+    names = model.body.topology.names
+    return Outline({name: (float(base), float(tip)) for name, (base, tip) in zip(names, radii, strict=True)}, float(before), float(after))
+
+
+def _silhouettes(session: Session) -> tuple[list[int], Silhouettes]:
+    """Return the numbers of the cameras that show the person in the first frame, and their silhouettes."""
+    masks = read_frame(session, 0).masks
+    if masks is None:
+        found, remedy = "true, in a session without silhouettes", "set it to false, or give each [[camera]] its `masks` or a `background`"
+        raise input_error(WHERE, found, "silhouettes to fit to", remedy)
+    seen = {c: np.asarray(mask) for c, mask in enumerate(masks) if mask is not None and mask.any()}
+    if not seen:
+        raise input_error(
+            WHERE, "true, but no camera shows a silhouette in the first frame", "one that does", "set it to false, or start at another frame"
+        )
+    grids = [_grid(mask) for mask in seen.values()]
+    return list(seen), Silhouettes(*(device_array(np.stack(each)) for each in zip(*grids, strict=True)))
+
+
+def _grid(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    axes = []
+    for axis, count in zip((1, 0), GRID, strict=True):
+        hit = np.flatnonzero(mask.any(axis=1 - axis))
+        margin = MARGIN * (hit[-1] - hit[0] + 1)
+        axes.append(np.linspace(max(hit[0] - margin, 0), min(hit[-1] + margin, mask.shape[axis] - 1), count))
+    columns, rows = axes
+    inside = mask[np.rint(rows).astype(int)[:, None], np.rint(columns).astype(int)]
+    return columns - mask.shape[1] / 2, rows - mask.shape[0] / 2, inside
+
+
+def _groups(body: Body) -> Float[np.ndarray, "group part 2"]:
+    """Return an array that is 1 where the radius of a part's base or tip depends on a parameter."""
+    topology, moves = body.topology, [bool(motions) for motions in body.skeleton.topology.motions]
+    kinds = dict[tuple[str, int], np.ndarray]()
+    for p, (name, joint) in enumerate(zip(topology.names, topology.joints, strict=True)):
+        if moves[joint]:
+            for end in (0, 1):
+                # A sphere has one radius, at its base.
+                key = name.removeprefix("l_").removeprefix("r_"), 0 if topology.is_sphere[p] else end
+                kinds.setdefault(key, np.zeros((len(topology.names), 2)))[p, end] = 1.0
+    return np.array(list(kinds.values())).reshape(-1, len(topology.names), 2)
+
+
+@jax.jit
+def _thick(body: Body, groups: Float[Array, "group part 2"], logs: Float[Array, " group"]) -> Body:
+    return replace(body, outline_radii=body.outline_radii * jnp.exp(jnp.tensordot(logs, groups, 1)))
+
+
+def _overlap(body: Body, rig: Camera, pose: Pose, seen: Silhouettes) -> Scalar:
+    """Return the mean IoU of the silhouettes and the body's projection."""
+
+    def of(forms: Array, columns: Array, rows: Array, inside: Array) -> Scalar:
+        distance = signed_distance(body.topology, forms, columns, rows)
+        covered = jax.nn.sigmoid(distance / (SOFT * (columns[1] - columns[0])))
+        both = jnp.sum(inside * covered)
+        return both / (jnp.sum(inside) + jnp.sum(covered) - both)
+
+    return jnp.mean(jax.vmap(of)(outline_forms(body, rig, pose), *seen))
+
+
+@partial(jax.jit, compiler_options=FAST_COMPILE)
+def _fit(
+    body: Body, rig: Camera, pose: Pose, groups: Float[Array, "group part 2"], seen: Silhouettes
+) -> tuple[Float[Array, " group"], Scalar, Scalar]:
+    """Return the logarithms of the radii's factors, and the overlap before and after the fit."""
+
+    def loss(logs: Float[Array, " group"]) -> tuple[Scalar, Scalar]:
+        overlap = _overlap(_thick(body, groups, logs), rig, pose, seen)
+        return 1 - overlap + 0.5 * PULL * jnp.sum(logs**2), overlap
+
+    start = jnp.zeros(groups.shape[0], groups.dtype)
+    logs, after = minimise(lambda logs, _: jax.grad(loss, has_aux=True)(logs), start, RATE, STEPS)
+    return logs, _overlap(body, rig, pose, seen), after

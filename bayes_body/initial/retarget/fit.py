@@ -1,0 +1,141 @@
+r"""Fit of a motion: the angles of all frames together, and the lengths that they share, by Adam in unconstrained coordinates.
+
+$$U = \sum_t \Bigl[\sum_i \tfrac{\nu + 3}{2} \log\bigl(1 + \tfrac{r_{ti}^2}{\nu \sigma_i^2}\bigr)
+    + \tfrac12 \sum_k \bigl(\tfrac{s_{tk} - m_k}{\tau_k}\bigr)^2\Bigr]
+    + \tfrac12 \sum_{tk} \Bigl(\frac{s_{t+1,k} - 2 s_{tk} + s_{t-1,k}}{\alpha_k\,\Delta t^2}\Bigr)^2 + \tfrac12 \|z\|^2$$
+
+The first sums are the misfit of a first pose to markers (`bayes_body.initial.fitting.misfit`). The term with second differences keeps dofs that the
+landmarks do not determine from jumping between equally good solutions. The lengths depend on z as in `bayes_body.initial.fitting.lengths`.
+
+The misfit of a single frame has many minima. The most complete frame is therefore searched like a first pose. Each other frame starts from the
+solution of its neighbour.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from bayes_body.base.config import FAST_COMPILE
+from bayes_body.base.shapes import Index, Pose, Scalar
+from bayes_body.initial.fitting.adam import minimise
+from bayes_body.initial.fitting.fit import fit as search
+from bayes_body.initial.fitting.lengths import scaled
+from bayes_body.initial.fitting.misfit import NU, Problem
+from bayes_body.initial.fitting.shares import parameters_of, pose_of
+from bayes_body.initial.retarget.problem import landmarks_of_frame
+from bayes_body.model.body.kinematics import marker_positions
+from bayes_body.model.body.solids import Body
+
+# Adam's steps and rates (unconstrained coordinates): for each frame from its neighbour's pose, and for all frames together.
+FOLLOW_STEPS, FOLLOW_RATE = 40, 0.05
+STEPS, RATE = 600, 0.06
+# Typical speeds (rad/s for angles, m/s for shifts) and accelerations (rad/s^2, m/s^2) of a person who moves.
+SPEEDS, ACCELERATIONS = (10.0, 3.0), (100.0, 20.0)
+UP = 2
+# The number of frames is padded to a multiple of this, so that recordings of similar length share a compiled program.
+BLOCK = 60
+
+type Frames = Float[Array, "frame marker 3"]
+
+
+class Fitted(NamedTuple):
+    """The angles in every frame, and the lengths' parameters."""
+
+    poses: Float[Array, "frame dof"]
+    z: Float[Array, " group"]
+
+
+class Motion(NamedTuple):
+    """Landmarks, metres, 0 where they are unknown; a mask, 1 for those that are known; and the time between frames, s."""
+
+    places: Frames
+    known: Float[Array, "frame marker"]
+    step_s: Scalar
+
+
+def fit_motion(problem: Problem, places: Float[np.ndarray, "frame marker 3"], fps: float) -> Fitted:
+    """Return the poses with the smallest misfit to the landmarks (metres, NaN where unknown) at `fps` frames a second.
+
+    Raises:
+        InputError: no start led to finite numbers.
+    """
+    dtype, frames = problem.body.lengths.dtype, len(places)
+    places = filled(places, np.nan)
+    known = np.isfinite(places).all(axis=-1)
+    motion = Motion(jnp.asarray(np.where(known[..., None], places, 0.0), dtype), jnp.asarray(known, dtype), jnp.asarray(1 / fps, dtype))
+    first = int(known.sum(axis=1).argmax())
+    best, _ = search(problem._replace(measurements=landmarks_of_frame(places[first], dtype)), UP)
+    started = follow(problem, motion, best.pose, best.z, jnp.asarray(_order(first, len(places))), jnp.asarray(first))
+    found = together(problem, motion, started, best.z)
+    return Fitted(found.poses[:frames], found.z)
+
+
+def filled(frames: Float[np.ndarray, "frame *rest"], value: float) -> Float[np.ndarray, "more *rest"]:
+    """Return the frames, padded with frames of that value to a multiple of `BLOCK`."""
+    return np.concatenate([frames, np.full((-len(frames) % BLOCK, *frames.shape[1:]), value)])
+
+
+def _order(first: int, frames: int) -> Int[np.ndarray, " frame"]:
+    """Return the order of the frames: from `first` to the end, then from `first` back to the beginning."""
+    return np.concatenate([np.arange(first, frames), np.arange(first)[::-1]])
+
+
+@jax.jit(compiler_options=FAST_COMPILE)
+def follow(problem: Problem, motion: Motion, pose: Pose, z: Float[Array, " group"], order: Int[Array, " frame"], first: Index) -> Array:
+    """Return the unconstrained angles of every frame. Each frame is fitted from its neighbour's solution; the lengths are fixed."""
+    start, body = parameters_of(problem.body.skeleton, pose), scaled(problem.body, problem.scaling, z)
+    usual = _by_unit(problem, SPEEDS)
+
+    def one(before: Pose, frame: Index) -> tuple[Pose, Pose]:
+        # The frame before `first` starts from the first pose, not from the solution of the last frame.
+        before = jnp.where(frame == first - 1, start, before)
+
+        def misfit(x: Pose) -> Scalar:
+            pose = pose_of(problem.body.skeleton, x)
+            # Adam's steps do not depend on the gradient's size: without this term it would drift in directions that the landmarks do not determine.
+            moved = (pose - pose_of(problem.body.skeleton, before)) / (usual * motion.step_s)
+            return _misfit_of_frame(problem, body, pose, motion.places[frame], motion.known[frame]) + 0.5 * jnp.sum(moved**2)
+
+        x, _ = minimise(lambda x, _: (jax.grad(misfit)(x), ()), before, FOLLOW_RATE, FOLLOW_STEPS)
+        return x, x
+
+    _, found = jax.lax.scan(one, start, order)
+    return jnp.zeros_like(found).at[order].set(found)
+
+
+class _Parameters(NamedTuple):
+    x: Float[Array, "frame dof"]
+    z: Float[Array, " group"]
+
+
+@jax.jit(compiler_options=FAST_COMPILE)
+def together(problem: Problem, motion: Motion, x: Float[Array, "frame dof"], z: Float[Array, " group"]) -> Fitted:
+    """Fit all frames and the lengths together, starting from unconstrained angles `x` and length parameters `z`."""
+    found, _ = minimise(lambda p, _: (jax.grad(_misfit, argnums=2)(problem, motion, p), ()), _Parameters(x, z), RATE, STEPS)
+    return Fitted(pose_of(problem.body.skeleton, found.x), found.z)
+
+
+def _misfit(problem: Problem, motion: Motion, parameters: _Parameters) -> Scalar:
+    poses, body = pose_of(problem.body.skeleton, parameters.x), scaled(problem.body, problem.scaling, parameters.z)
+    each = jax.vmap(_misfit_of_frame, (None, None, 0, 0, 0))(problem, body, poses, motion.places, motion.known)
+    return jnp.sum(each) + 0.5 * jnp.sum(parameters.z**2) + _jerkiness(problem, poses, motion.step_s)
+
+
+def _misfit_of_frame(problem: Problem, body: Body, pose: Pose, markers: Float[Array, "marker 3"], known: Float[Array, " marker"]) -> Scalar:
+    missed = jnp.sum((marker_positions(body.skeleton, body.markers, pose) - markers) ** 2, axis=1)
+    robust = 0.5 * (NU + 3) * jnp.log1p(missed / (NU * problem.tolerance**2))
+    return jnp.sum(known * robust) + 0.5 * jnp.sum(((pose - problem.prior.mean) / problem.prior.sd) ** 2)
+
+
+def _by_unit(problem: Problem, values: tuple[float, float]) -> Pose:
+    """Return the first value for each angle, the second for each shift."""
+    return jnp.where(jnp.array(problem.body.skeleton.topology.angular), *(jnp.asarray(value, problem.body.lengths.dtype) for value in values))
+
+
+def _jerkiness(problem: Problem, poses: Float[Array, "frame dof"], step_s: Scalar) -> Scalar:
+    usual = _by_unit(problem, ACCELERATIONS) * step_s**2
+    bends = poses[2:] - 2 * poses[1:-1] + poses[:-2]
+    return 0.5 * jnp.sum((bends / usual) ** 2)

@@ -1,0 +1,1 @@
+"""Search a person in pictures without any first pose."""

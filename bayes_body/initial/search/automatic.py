@@ -1,0 +1,236 @@
+"""The first pose from the pictures alone, for a model of any body: detectors, and a search for a loose-limbed body (initial/search/person_search.py).
+
+The search samples a body of parts of its own, whatever the model is. Some of its draws are taken, each as often as its weight says, and a pose of the
+model's body is fitted to the markers of each. A likelihood of the whole body then refines these poses (initial/search/refine.py). They are equally
+likely first poses: how uncertain the first frame is, and which way the person may face, stays known to the sampler that starts from them.
+"""
+
+import re
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import NoReturn
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from bayes_body.base.errors import input_error
+from bayes_body.initial.detection.detect import TRUSTED, Detected, detect
+from bayes_body.initial.fitting.fit import fit, fit_draws, unbounded
+from bayes_body.initial.fitting.measurements import FEWEST, PREFIX, read_measurements
+from bayes_body.initial.fitting.points import Points, body_points
+from bayes_body.initial.fitting.problem import build_problem
+from bayes_body.initial.fitting.report import FirstPose, tell
+from bayes_body.initial.search.person_search import Found, PersonSearch
+from bayes_body.initial.search.presence import TRUNK, later_frame
+from bayes_body.initial.search.refine import refine, resampled
+from bayes_body.initial.stored import DIGITS
+from bayes_body.kernels.batching import everywhere
+from bayes_body.model.body.placement import POSE
+from bayes_body.model.build import Model, with_likelihoods
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.observation.frames import read_frame
+from bayes_body.recording.session.session import Session
+
+# The definition whose likelihood compares body and silhouette both ways.
+JUDGE = "tempered_smc"
+# Poses that are drawn.
+DRAWS = 32
+# Warnings: share of the weight that faces the other way, or is elsewhere, and effective draws.
+MOST_TURNED, MOST_ELSEWHERE, FEWEST_DRAWS = 0.05, 0.3, 5.0
+# Markers of a leg below the hip.
+LEG = re.compile(r"[lr]_(knee|ankle|heel|toe|big_toe|small_toe)")
+# Below this share of the weight, nothing starts from poses that face the other way: one frame, which a sampler sees first, may not tell them apart.
+LEAST_TURNED = 0.25
+
+
+def find_first_pose(model: Model, session: Session, show: Callable[[str], None], seed: int = 0) -> FirstPose:
+    """Return the pose of frame 0 that is found in the pictures, and DRAWS equally likely ones; lines for the user go to `show`.
+
+    Args:
+        model: the model whose body is placed.
+        session: the recording, without a first pose.
+        show: receives a line for the user about each step.
+        seed: seed of the draws.
+
+    Raises:
+        InputError: there are no silhouettes, no person was detected in frame 0, or the body has too few markers.
+    """
+    _check_silhouettes(model, session)
+    show("first pose: looking for the person in the first frames")
+    begun = time.perf_counter()
+    found = PersonSearch(session, seed=seed).window(0)
+    for notice in found.notices:
+        show(f"first pose: {notice}")
+    if isinstance(found, Detected):
+        _nobody(found, model, session)
+    show(f"first pose: a person was found in {time.perf_counter() - begun:.0f} s; {found.precision}, by {found.ess:.0f} effective draws")
+    for warning in _warnings(found):
+        show(f"first pose: warning: {warning}")
+    # How far the poses are from the markers of the search is no residual: nobody measured these.
+    return poses_of(model, session, found, seed=seed)._replace(median_m=float("nan"))
+
+
+def check_pictures(model: Model, session: Session) -> None:
+    """Check that frame 0 has silhouettes, and that detectors see a person there.
+
+    Raises:
+        InputError: they do not, or a file of frame 0 cannot be used.
+    """
+    _check_silhouettes(model, session)
+    detected = detect(session, 0, TRUSTED)
+    if TRUNK not in detected.parts:
+        _nobody(detected, model, session)
+
+
+def known_markers(model: Model) -> int:
+    """Return how many of the markers that are searched for are markers of the model's body; with fewer than FEWEST no pose is fitted to them."""
+    points = body_points(model.body.by_angles)
+    return sum(points.index(name) is not None for name in MARKERS)
+
+
+def poses_of(model: Model, session: Session, found: Found, frame: int = 0, seed: int = 0) -> FirstPose:
+    """Return DRAWS equally likely poses of the model's body, and the likeliest of them: fitted to what was found, then refined (refine.py).
+
+    A body that is placed by parts is fitted only.
+
+    Args:
+        model: the model whose body is placed.
+        session: the recording.
+        found: what was found, markers in metres.
+        frame: the frame in which it was found, counted from 0.
+        seed: seed of the draws.
+
+    Raises:
+        InputError: the body has too few markers, the fit did not converge, or a file of the frame cannot be used.
+    """
+    told = fit_to(model, session, found, seed)
+    if model.body.variable != POSE:
+        return told
+    exchanged = fit_to(model, session, found._replace(names=tuple(map(_other_leg, found.names))), seed)
+    seen, judge = read_frame(session, frame), _judge(model)
+    placed = judge.at(seen.cameras) if session.moves else judge
+    density = everywhere(placed.density(placed.observe(seen), placed.start(1)))
+    # Each way to face keeps its share: one frame must not decide again what several have decided.
+    ahead = _is_ahead(found)[_taken(found, seed)]
+    refined = [
+        refine(model, density, np.concatenate([np.asarray(each.draws, float)[way] for each in (told, exchanged)]), int(way.sum()), seed)
+        for way in (ahead, ~ahead)
+        if way.any()
+    ]
+    draws = jnp.asarray(np.concatenate(refined).round(DIGITS))
+    return told._replace(pose=draws[0], draws=draws)
+
+
+def _judge(model: Model) -> Model:
+    """Return the model whose likelihood refines found poses: the model itself if it compares keypoints, else with the likelihood of JUDGE.
+
+    Many likelihoods reward a body inside the silhouette and do not ask what it leaves uncovered, or say nothing about a single frame. With them, arms
+    are folded in front of the trunk.
+    """
+    of_keypoints = any(term.kind == "markers_gaussian" for term in model.definition.likelihoods)
+    return model if of_keypoints else with_likelihoods(model, JUDGE)
+
+
+def _is_ahead(found: Found) -> Bool[np.ndarray, " draw"]:
+    """Whether each draw faces as the mean does."""
+    return _left(found.names, found.draws) @ _left(found.names, found.markers[None])[0] >= 0
+
+
+def _taken(found: Found, seed: int) -> Int[np.ndarray, " taken"]:
+    """Return DRAWS draws, each as often as its weight says."""
+    weights = np.where(_is_ahead(found) | (found.turned >= LEAST_TURNED), found.weights, 0.0)
+    with np.errstate(divide="ignore"):
+        return np.asarray(resampled(jax.random.key(seed), np.log(weights), DRAWS))
+
+
+def _other_leg(name: str) -> str:
+    """The name of the same marker of the other leg; of any other marker its own."""
+    return {"l": "r", "r": "l"}[name[0]] + name[1:] if LEG.match(name) else name
+
+
+def fit_to(model: Model, session: Session, found: Found, seed: int = 0) -> FirstPose:
+    """Return the model's pose that fits the main mode's mean markers, and DRAWS poses that fit the markers of as many draws.
+
+    Args:
+        model: the model whose body is placed.
+        session: the recording.
+        found: what was found, markers in metres.
+        seed: seed of the choice of draws.
+
+    Raises:
+        InputError: the body has too few markers, or the fit did not converge.
+    """
+    known = known_markers(model)
+    if known < FEWEST:
+        _nothing(f"no first pose, and the model's body has {known} of the markers that are searched for, fewer than {FEWEST}", model)
+    points = body_points(model.body.by_angles)
+    taken = _taken(found, seed)
+    drawn, ahead = found.draws[taken], _is_ahead(found)[taken]
+    told, poses = _fit_way(model, session, points, found.names, found.markers, drawn)
+    if not ahead.all():
+        # The fit of the main way is no start for bodies that face the other way.
+        poses = np.where(ahead[:, None], poses, _fit_way(model, session, points, found.names, drawn[~ahead].mean(axis=0), drawn)[1])
+    return told._replace(draws=jnp.asarray(poses.round(DIGITS)))
+
+
+def _fit_way(
+    model: Model,
+    session: Session,
+    points: Points,
+    names: Sequence[str],
+    mean: Float[np.ndarray, "marker 3"],
+    drawn: Float[np.ndarray, "draw marker 3"],
+) -> tuple[FirstPose, Float[np.ndarray, "draw dof"]]:
+    """Return the pose that fits mean markers, and poses near it that fit each draw's markers."""
+    of_mean = {name: (float(x), float(y), float(z)) for name, (x, y, z) in zip(names, mean, strict=True)}
+    # The markers are those of a body of the same height: they tell nothing more about lengths.
+    asked = replace(session, initial_markers=of_mean, fit_lengths=False)
+    measurements = read_measurements(asked, points)
+    problem = build_problem(model, asked, points, measurements)
+    best = fit(problem, "xyz".index(session.up)).best
+    places = np.zeros((len(drawn), len(points.names), 3))
+    for number, name in enumerate(names):
+        place = points.index(name)
+        if place is not None:
+            places[:, place] = drawn[:, number]
+    starts = unbounded(problem, np.tile(best.pose, (len(drawn), 1)))
+    poses = fit_draws(problem, starts, places)
+    return tell(asked, points, measurements, best.distances, best.pose, {}), poses.astype(float)
+
+
+def _left(names: Sequence[str], markers: Float[np.ndarray, "draw marker 3"]) -> Float[np.ndarray, "draw 3"]:
+    return markers[:, names.index("l_hip")] - markers[:, names.index("r_hip")]
+
+
+def _warnings(found: Found) -> Iterator[str]:
+    if found.turned > MOST_TURNED:
+        yield f"the person may face the other way, with a probability of {found.turned:.2f}; look at the overlay"
+    if found.elsewhere - found.turned > MOST_ELSEWHERE:
+        yield f"other poses have a probability of {found.elsewhere - found.turned:.2f}; look at the overlay"
+    if found.ess < FEWEST_DRAWS:
+        yield f"the search rests on {found.ess:.0f} effective draws; look at the overlay before you trust the track"
+
+
+def _check_silhouettes(model: Model, session: Session) -> None:
+    if read_frame(session, 0).masks is None:
+        _nothing("no first pose, and no silhouettes in which to look for the person", model)
+
+
+def _nobody(detected: Detected, model: Model, session: Session) -> NoReturn:
+    why = f" ({'; '.join(detected.notices)})" if detected.notices else ""
+    later = later_frame(session)
+    but = "" if later is None else f", but one was in frame {session.frame_number(later)}"
+    _nothing(f"no first pose, and no person was detected in frame {session.first_frame}{why}{but}", model)
+
+
+def _nothing(found: str, model: Model) -> NoReturn:
+    found = f"{found}; the body '{model.body.name}' would start at the origin of the world"
+    expected = "a person whose silhouette the cameras show in frame 0, or a first pose"
+    remedy = (
+        "start at a frame in which the person is seen, with --first-frame, or import the recording with --keypoints, or give four keypoints or "
+        "more in each of two cameras under [initial.keypoints_px.CAMERA], or angles_deg and positions_m under [initial]"
+    )
+    raise input_error(PREFIX, found, expected, remedy)

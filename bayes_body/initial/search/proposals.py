@@ -1,0 +1,164 @@
+"""Detections as proposals of message passing: for each part of a loose-limbed body, where to look. They are no factors of the density.
+
+Detected parts and the parts of a body have different frames: a detected part has its axis along z, and x points to where the person faces
+(`detection.detections`). What is between the two frames is read from the body with all angles at 0, where it stands upright. Arms and feet point
+forward or back there, so how they are turned about their axes is arbitrary; no detector tells it. A detected landmark says where a point of a part
+is, and nothing about its rotation (`density.point_and_axis`).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_body.base.config import FAST_COMPILE
+from bayes_body.base.geometry import rigid, rotations
+from bayes_body.base.geometry.namespaces import device_array
+from bayes_body.base.geometry.transforms import Transform
+from bayes_body.base.shapes import Configuration
+from bayes_body.density.graph import Mixture
+from bayes_body.density.point_and_axis import PointAndAxis
+from bayes_body.density.spaces import SE3
+from bayes_body.density.tangent_normal import WIDEST_RAD, TangentNormal, tangent_normal
+from bayes_body.initial.detection.detect import Detected
+from bayes_body.initial.detection.detections import Detections, axis_frames, strongest
+from bayes_body.model.body.placement import PARTS, ByParts, placed_markers, require
+from bayes_body.model.body.solids import Body, part_transforms
+
+# Detections of a part, and of its landmarks, of which a proposal is made: the strongest. A fixed number, so that a frame never retraces.
+MOST = 12
+
+# The parameters of a distribution, and with its weight.
+type Parameters = tuple[np.ndarray, ...]
+type Weighted = tuple[Parameters, float]
+
+
+class Frames(NamedTuple):
+    """For each part of the body by name, the frame of its detections `X_part_detected`; and the body's markers at zero angles, in their parts.
+
+    Attributes:
+        detected: by part.
+        landmarks: by landmark, the part's index and the point in its frame, metres.
+    """
+
+    detected: Mapping[str, Float[np.ndarray, "7"]]
+    landmarks: Mapping[str, tuple[int, Float[np.ndarray, "3"]]]
+
+
+def frames_of(body: Body) -> Frames:
+    """Return how detections are attached to a loose-limbed body.
+
+    Raises:
+        InputError: the body is placed by angles.
+    """
+    placement = by_parts(body)
+    zero, markers, (rotation, base) = jax.tree.map(lambda leaf: np.asarray(leaf, float), _at_rest(body))
+    at = dict(zip(body.markers.names, markers, strict=True))
+    # Left and up of an upright body; forward is across both.
+    forward = np.cross(at["l_hip"] - at["r_hip"], at["thorax"] - at["pelvis"])
+    detected = {}
+    for part, name in enumerate(placement.names):
+        own = body.topology.names.index(name)
+        axis = rotation[own][:, 2]
+        tip = base[own] + float(body.lengths[own]) * axis
+        # The axis of trunk and head points to the crown; that of a limb away from the trunk.
+        towards = axis if "_" in name or axis @ (at["thorax"] - at["pelvis"]) > 0 else -axis
+        frame = rigid.rigid((base[own] + tip) / 2, rotations.from_matrix(axis_frames(towards[None], forward[None])[0]))
+        detected[name] = np.asarray(rigid.relative(zero[part], frame), float)
+    landmarks = {}
+    for name, joint, place in zip(body.markers.names, body.markers.joints, markers, strict=True):
+        part = placement.owners[joint]
+        landmarks[name] = part, np.asarray(rigid.apply(rigid.inverse(zero[part]), place), float)
+    return Frames(detected, landmarks)
+
+
+@jax.jit(compiler_options=FAST_COMPILE)
+def _at_rest(body: Body) -> tuple[Configuration, Float[Array, "marker 3"], Transform]:
+    """Return the parts, the markers and the solids of a body with all angles at 0."""
+    parts = by_parts(body).configuration(body.skeleton, jnp.zeros(len(body.dof_names), body.lengths.dtype))
+    return parts, placed_markers(body, parts), part_transforms(body, parts)
+
+
+def proposals_of(detected: Detected, body: Body, frames: Frames | None = None) -> tuple[Mixture, ...]:
+    """Return mixtures of what was detected of each part: its rigid frame, and its landmarks. A part that was not detected has no proposal in them.
+
+    Args:
+        detected: what was detected in a frame.
+        body: a body that is placed by parts.
+        frames: `frames_of` the body, if it is known already.
+
+    Raises:
+        InputError: the body is placed by angles.
+    """
+    placement, frames = by_parts(body), frames or frames_of(body)
+    of_parts: list[list[Weighted]] = [[] for _ in placement.names]
+    of_landmarks: list[list[Weighted]] = [[] for _ in placement.names]
+    for part, name in enumerate(placement.names):
+        if name in detected.parts:
+            of_parts[part] = _rigid(strongest(detected.parts[name], MOST), frames.detected[name])
+    for name, (part, point) in frames.landmarks.items():
+        if name in detected.landmarks:
+            of_landmarks[part] += _points(strongest(detected.landmarks[name], MOST), point)
+    strongest_points = [sorted(each, key=lambda one: -one[1])[:MOST] for each in of_landmarks]
+    return _mixture(of_parts, (rigid.identity(), np.eye(6)), _normals), _mixture(strongest_points, _point(*np.eye(3)), PointAndAxis)
+
+
+@jax.jit(compiler_options=FAST_COMPILE)
+def _normals(means: Float[Array, "part component 7"], covariances: Float[Array, "part component 6 6"]) -> TangentNormal:
+    """Return the normal distributions of rigid transforms with these moments."""
+    return jax.vmap(jax.vmap(partial(tangent_normal, SE3())))(means, covariances)
+
+
+def by_parts(body: Body) -> ByParts:
+    """Return the placement of a body that is placed by parts.
+
+    Raises:
+        InputError: the body is placed by angles.
+    """
+    require(body, PARTS, "detections of parts", "detections of landmarks")
+    assert isinstance(body.placement, ByParts)
+    return body.placement
+
+
+def _rigid(found: Detections, X_part_detected: Float[np.ndarray, "7"]) -> list[Weighted]:
+    """Return means and covariances of the part's frame, with their weights."""
+    assert found.rotations is not None
+    turn, arm = np.asarray(rotations.to_matrix(X_part_detected[3:]), float), X_part_detected[:3]
+    cross = np.array([[0, -arm[2], arm[1]], [arm[2], 0, -arm[0]], [-arm[1], arm[0], 0]])
+    components = []
+    for place, R_world_detected, sd_m, sd_rad, weight in zip(found.positions, found.rotations, found.sd_m, found.sd_rad, found.weights, strict=True):
+        R_world_part = R_world_detected @ turn.T
+        mean = np.concatenate([place - R_world_part @ arm, rotations.from_matrix(R_world_part)])
+        # A rotation about the middle of the axis also moves the origin of the part's frame.
+        spread = np.zeros((6, 6))
+        spread[:3, :3], spread[:3, 3:], spread[3:, 3:] = R_world_detected, R_world_part @ cross @ turn, turn
+        spread = spread * np.concatenate([sd_m, np.minimum(sd_rad, WIDEST_RAD)])
+        components.append(((mean, spread @ spread.T), float(weight)))
+    return components
+
+
+def _points(found: Detections, point: Float[np.ndarray, "3"]) -> list[Weighted]:
+    """Return the parameters of distributions of the part's frame of which a point is known and nothing else, with their weights."""
+    return [(_point(place, point, sd_m), float(weight)) for place, sd_m, weight in zip(found.positions, found.sd_m, found.weights, strict=True)]
+
+
+def _point(place: np.ndarray, point: np.ndarray, sd_m: np.ndarray) -> Parameters:
+    """Return the parameters of a `PointAndAxis` whose axis points anywhere."""
+    anywhere = np.array([0.0, 0.0, 1.0])
+    return place, point, sd_m, anywhere, anywhere, np.zeros(())
+
+
+def _mixture(by_part: Sequence[Sequence[Weighted]], filling: Parameters, distributions: Callable[..., Any]) -> Mixture:
+    """Return the mixture, with the same number of components for each part; the filling has no weight. `distributions` takes all parameters."""
+    weights = np.full((len(by_part), MOST), -np.inf)
+    for part, own in enumerate(by_part):
+        total = sum(weight for _, weight in own)
+        for number, (_, weight) in enumerate(own):
+            weights[part, number] = np.log(weight / total) if weight > 0 else -np.inf
+    components = [[*(component for component, _ in own), *[filling] * (MOST - len(own))] for own in by_part]
+    stacked = (device_array([[component[k] for component in row] for row in components]) for k in range(len(filling)))
+    return Mixture(distributions(*stacked), device_array(weights))

@@ -1,0 +1,1 @@
+"""The hybrid Monte Carlo filter: chains, their starts, mass matrices and adaptation."""

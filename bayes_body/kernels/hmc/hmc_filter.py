@@ -1,0 +1,262 @@
+r"""The hybrid Monte Carlo filter (Poon & Fleet 2002, 4), through blackjax, on the marginal view.
+
+Given the particles $(w_i, s^i_{t-1})$ of the previous frame, the target is the likelihood times the prediction mixture (14),
+$p(s_t \mid z_{1:t}) \propto L(s_t; z_t) \sum_i w_i\, p(s_t \mid s^i_{t-1})$, in unconstrained coordinates.
+
+A frame begins with M states (`kernels/hmc/starts.py`). They are chosen by sampling importance resampling from `starts` draws of the mixture (M
+draws in the paper). These draws also estimate the evidence, as accurately as a particle filter of that size. Alternatively, the states are M
+particles of an annealed filter. A chain runs from each state, and its first states are burn-in. The remaining states of all chains are the particles.
+They have equal weight and are ordered by chain.
+
+If a likelihood reads the previous frame, like image motion, that sum would cost one evaluation of the images for each ancestor. Then the chains run
+on the *extended* view: each has an ancestor, which a Gibbs step redraws among `candidates` before each trajectory.
+
+`carry` chooses the components of the next frame's mixture. They are either the means of the chains, as in the paper, one component per chain, or the
+draws themselves, each with an ancestor drawn from $p(i \mid s_t)$. Means keep only the spread between chains, not that of the posterior. A filter
+with one chain treats the previous frame as known exactly.
+"""
+
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, Int
+from pydantic import Field, model_validator
+
+from bayes_body.base.registry import register
+from bayes_body.base.shapes import Index, Key
+from bayes_body.base.toml.read import validate
+from bayes_body.base.toml.schema import Count, Positive, Schema, Share
+from bayes_body.density.density import Density, Unconstrained
+from bayes_body.density.factor import Particles, State, Transition
+from bayes_body.density.kernel import FilterInfo, Kernel
+from bayes_body.density.spaces import Flat
+from bayes_body.kernels.batching import axes_of, over_particles
+from bayes_body.kernels.hmc.adaptation import FEWEST
+from bayes_body.kernels.hmc.ancestors import compares_frames, whole_states, with_ancestor
+from bayes_body.kernels.hmc.hamiltonian import Chain, Sampler, Schedule, chain_figures, effective_draws, run_chain
+from bayes_body.kernels.hmc.mass import correlated, inverse_mass
+from bayes_body.kernels.hmc.starts import Initialisation, Start, StartsBy, by_annealing, by_importance, by_tempering
+from bayes_body.kernels.resampling import Scheme, resampler
+from bayes_body.kernels.smc.moves import check_gradients
+
+type Carry = Literal["means", "draws"]
+type Mass = Literal["curvature", "curvature_matrix", "particles", "adapted"]
+# The axis along which chains adapt together.
+CHAINS = "chain"
+
+
+class Options(Schema):
+    """Options of `[kernel] kind = "hmc"`.
+
+    `particles` is the number of draws of all `chains` together: every `thinning`-th state after `burn_in`. `step` is the paper's factor of the step
+    size. `jitter` is the fraction by which a trajectory's number of steps varies. With a `target_acceptance`, burn-in tunes the step. With
+    `mass = "adapted"`, burn-in estimates the mass matrix, beginning with that of the curvature, and all chains adapt together. The starts of the
+    chains are chosen among `starts` draws of the prediction, by weight (`starts_by = "importance"`) or by annealing. If the prior has potentials,
+    like the joints of a loose-limbed body, they are chosen among as many particles of `tempered`. `candidates` is the number of ancestors among which
+    a chain redraws its own, if a likelihood reads the previous frame.
+    """
+
+    particles: Count = 400
+    chains: Count = 4
+    burn_in: Annotated[int, Field(strict=True, ge=0)] = 50
+    thinning: Count = 1
+    leapfrog_steps: Count = 20
+    step: Positive = 0.2
+    jitter: Share = 0.2
+    sampler: Sampler = "hmc"
+    target_acceptance: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.0
+    mass: Mass = "curvature"
+    starts_by: StartsBy = "importance"
+    starts: Annotated[int, Field(strict=True, ge=0)] = 100
+    carry: Carry = "draws"
+    candidates: Count = 8
+    resampling: Scheme = "systematic"
+
+    @model_validator(mode="after")
+    def _check_chains(self) -> "Options":
+        if self.target_acceptance and not self.burn_in:
+            raise ValueError("target_acceptance without burn_in: the step is tuned in burn-in; give a burn_in, such as 50")
+        if self.mass == "adapted" and self.burn_in < FEWEST:
+            raise ValueError(f"burn_in = {self.burn_in} is too short to estimate the mass matrix; give at least {FEWEST}, such as 24")
+        return self
+
+
+def build_sampler(**options: Any) -> Callable[[Key, Density, int], tuple[Particles, FilterInfo]]:
+    """Return a function (key, density, number of draws) -> draws of one frame's posterior, given the previous frame's particles in the density.
+
+    Args:
+        options: as for `build_kernel`; `carry` is not used.
+
+    Raises:
+        InputError: an argument that does not exist or is outside its range.
+    """
+    return _Filter(validate(Options, options, "hmc()")).sample
+
+
+def build_kernel(**options: Any) -> Kernel:
+    """Return a kernel that filters one frame. It returns as many particles as it is given.
+
+    Args:
+        options: those of `Options`, except `particles`.
+
+    Raises:
+        InputError: an argument that does not exist or is outside its range.
+    """
+    return _Filter(validate(Options, options, "hmc()")).frame
+
+
+class _Filter:
+    """The computations of a frame, for one choice of options."""
+
+    def __init__(self, options: Options):
+        self.options = options
+        self.resample = resampler(options.resampling)
+
+    def frame(self, key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
+        count = particles.log_weights.shape[0]
+        if self.options.carry == "draws":
+            return self.sample(key, density.with_previous(particles), count)
+        length = self._length(count)
+        after, info = self.sample(key, density.with_previous(_chain_means(particles, length, density.transition)), count)
+        # The first draw of a chain represents its mean.
+        return after, info._replace(ancestors=info.ancestors * length)
+
+    def _length(self, count: int) -> int:
+        """Return the number of draws per chain: ceil(count / chains). Surplus draws of the last chain are discarded."""
+        return -(-count // min(self.options.chains, count))
+
+    def sample(self, key: Key, density: Density, count: int) -> tuple[Particles, FilterInfo]:
+        """Return `count` draws of a frame's posterior. The previous frame's particles in the density define the prediction mixture."""
+        check_gradients(density, "the kernel 'hmc'")
+        start_key, chain_key, ancestor_key = jax.random.split(key, 3)
+        length = self._length(count)
+        chains = -(-count // length)
+        # Computed once, since its predictions are the same for all chains and draws.
+        target = density.unconstrained()
+        begin = self._initialise(start_key, target, chains)
+        keys = jax.random.split(chain_key, chains)
+        batch = -(-chains // jax.device_count())
+        # If each chain has its own mass matrix, each needs its own step.
+        together = axes_of(chains, batch, CHAINS) if self.options.mass == "adapted" else ()
+        # JAX cannot check which values differ between devices in the loop of NUTS or in a sum over chains.
+        checked = self.options.sampler != "nuts" and not together
+        ran: Chain = over_particles(self._chain(length, together), (keys, begin.starts), target, batch, checked, CHAINS)
+        draws, ancestors = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], (ran.positions, ran.ancestors))
+        states, ancestors = self._states(ancestor_key, draws, target) if ancestors is None else (whole_states(draws, ancestors, target), ancestors)
+        by_dof = effective_draws(_reported(target, ran.positions))
+        ess = jnp.min(by_dof)
+        info = FilterInfo(
+            ancestors=ancestors,
+            ess=ess,
+            survival_rate=(ess / count)[None],
+            inverse_temperatures=jnp.ones((1,), ess.dtype),
+            log_evidence=begin.log_evidence,
+            lost=begin.lost,
+            acceptance_rate=jnp.mean(ran.acceptance)[None],
+            evaluations=begin.evaluations + jnp.sum(ran.gradients),
+            markov=chain_figures(ran) | {"ess": by_dof, "length": jnp.asarray(length, jnp.int32)},
+        )
+        return Particles(states, jnp.full((count,), -jnp.log(count), ess.dtype)), info
+
+    def _initialise(self, key: Key, target: Unconstrained, chains: int) -> Initialisation:
+        initialise = by_annealing if self.options.starts_by == "annealing" else by_importance
+        initialise = by_tempering if target.density.has_potentials else initialise
+        return initialise(key, target, max(self.options.starts, chains), chains, self.resample)
+
+    def _chain(self, length: int, axes: tuple[str, ...]) -> Callable[[tuple[Key, Start], Unconstrained], Chain]:
+        options = self.options
+        schedule = Schedule(
+            draws=length,
+            burn_in=options.burn_in,
+            thinning=options.thinning,
+            leapfrog_steps=options.leapfrog_steps,
+            jitter=options.jitter,
+            sampler=options.sampler,
+            target_acceptance=options.target_acceptance,
+            adapts_mass=options.mass == "adapted",
+        )
+
+        def run(key_and_start: tuple[Key, Start], target: Unconstrained) -> Chain:
+            key, start = key_and_start
+            whole = options.mass in ("curvature_matrix", "adapted")
+            mass = inverse_mass(target, start.position, target.density.ancestor(start.ancestor), whole)
+            if options.mass == "particles":
+                mass = correlated(mass, *_coordinates(target))
+            view = with_ancestor(start, target.density, options.candidates) if compares_frames(target.density) else target
+            return run_chain(key, start.position, view, jnp.asarray(options.step, mass.dtype), mass, schedule, axes)
+
+        return run
+
+    def _states(self, key: Key, draws: State, target: Unconstrained) -> tuple[State, Int[Array, " particle"]]:
+        """Return the whole states of draws, each with an ancestor drawn from p(i | s)."""
+
+        def complete(key_and_position: tuple[Key, State], target: Unconstrained) -> tuple[State, Index]:
+            return target.complete(*key_and_position)
+
+        keys = jax.random.split(key, jax.tree.leaves(draws)[0].shape[0])
+        return over_particles(complete, (keys, draws), target)
+
+
+def _reported(target: Unconstrained, positions: State) -> Float[Array, "chain draw entry"]:
+    """Return what effective draws are reported of: the variables that follow from the sampled ones if there are any, else the coordinates."""
+    transition, (chains, length) = target.density.transition, jax.tree.leaves(dict(positions))[0].shape[:2]
+    flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), dict(positions))
+    derived = jax.vmap(lambda position: transition.derive(target.coordinates.constrain(position)))(flat)
+    values = _on_one_turn(dict(derived) or flat, jnp.full((chains * length,), 1 / (chains * length)), transition)
+    return jax.vmap(lambda draw: ravel_pytree(draw)[0])(values).reshape(chains, length, -1)
+
+
+def _on_one_turn(states: State, weights: Float[Array, " particle"], transition: Transition) -> dict[str, Array]:
+    """Return the states, or their unconstrained coordinates, with their angles on the circle within half a turn of the mean.
+
+    Full turns between draws would count as spread. Angles on the circle are their own unconstrained coordinates.
+    """
+
+    def unwound(name: str, leaf: Array) -> Array:
+        space = transition.space(name, leaf.shape[1:])
+        if not isinstance(space, Flat):
+            return leaf
+        return jnp.asarray(space.coordinates(space.mean(weights, leaf), leaf)).reshape(leaf.shape)
+
+    return {name: unwound(name, leaf) for name, leaf in states.items()}
+
+
+def _chain_means(particles: Particles, length: int, transition: Transition) -> Particles:
+    """Return the mean state of each chain of `length` draws, with equal weights, by the intrinsic mean of each variable's space.
+
+    What follows from sampled variables follows from their means: the mean of derived poses need not be the pose of any state.
+    """
+    count = particles.log_weights.shape[0]
+    chains = -(-count // length)
+    # All chains at once: one after the other, each mean would add to the program. The last chain may be shorter.
+    place = np.arange(chains * length).reshape(chains, length)
+    is_draw = place < count
+    weights = is_draw / is_draw.sum(axis=1, keepdims=True)
+
+    def means(name: str, draws: Array) -> Array:
+        space = transition.space(name, draws.shape[1:])
+        return jax.vmap(lambda shares, values: jnp.asarray(space.mean(shares, values)))(
+            jnp.asarray(weights, draws.dtype), draws[np.minimum(place, count - 1)]
+        )
+
+    states = {name: means(name, leaf) for name, leaf in particles.states.items()}
+    states |= jax.vmap(transition.derive)(states)
+    return Particles(states, jnp.full((chains,), -jnp.log(chains), particles.log_weights.dtype))
+
+
+def _coordinates(target: Unconstrained) -> tuple[Float[Array, "particle dof"], Float[Array, " particle"]]:
+    """Return the particles of the previous frame in unconstrained coordinates, and their weights."""
+    previous = target.density.previous
+    weights = jax.nn.softmax(previous.log_weights)
+    states = _on_one_turn(previous.states, weights, target.density.transition)
+    return jax.vmap(lambda state: ravel_pytree(target.unconstrain(state))[0])(states), weights
+
+
+@register("kernel", "hmc", Options)
+def build(options: Options, **_: Any) -> Kernel:
+    """Build the kernel from a definition's options."""
+    return _Filter(options).frame

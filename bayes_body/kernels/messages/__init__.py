@@ -1,0 +1,1 @@
+"""Particle belief propagation: messages, proposals, schedules and joint draws."""

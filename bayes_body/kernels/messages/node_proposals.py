@@ -1,0 +1,211 @@
+r"""Proposals of particle belief propagation: one normalised mixture for each node.
+
+$$q_i = \gamma_1 \frac{1}{d_i} \sum_{k \to i} m_{ki} + \gamma_2\, \pi_i + \gamma_3\, f_i + \gamma_4\, b_i$$
+
+with the incoming messages $m_{ki}$ from which one can draw, the prior $\pi_i$ of the node, its detections $f_i$, and a distribution $b_i$ near its
+last belief, which the method gives (kernels/messages/methods.py): by default a normal distribution fitted to it. Every part is normalised, so q is an
+exact density (the balance heuristic of Veach & Guibas 1995), and weights need no unknown constants. What a node lacks leaves its share to the rest.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayes_body.base.shapes import Key
+from bayes_body.density.graph import Graph, Term
+from bayes_body.kernels.messages.messages import Beliefs, Directed, NodeValues, ends
+
+# The default floors of a fit: standard deviations below which tracking would lose a limb that moves.
+FLOORS = {"m": 0.01, "rad": math.radians(1.0)}
+
+
+class Shares(NamedTuple):
+    """Shares of a node's proposal, which need not sum to one."""
+
+    messages: float
+    prior: float
+    detections: float
+    fit: float
+
+
+class Proposals(NamedTuple):
+    """The proposal of every node.
+
+    Attributes:
+        points: the particles of the messages' sources.
+        cavities: their weights.
+        near: a distribution near each belief, stacked over the nodes.
+        shares: log-shares of messages, prior, each mixture of detections, and the distribution near the belief.
+        edges: log-probability of each message in its target's share, by term.
+    """
+
+    points: Float[Array, "node sample *entry"]
+    cavities: tuple[Directed, ...]
+    near: Any
+    shares: Float[Array, "node part"]
+    edges: tuple[Directed, ...]
+
+
+def proposals(graph: Graph, beliefs: Beliefs, cavities: tuple[Directed, ...], near: Any, shares: Shares, alone: bool) -> Proposals:
+    """Return the proposal of every node.
+
+    Args:
+        graph: the graph.
+        beliefs: particles and messages.
+        cavities: normalised log-weights for each message.
+        near: a distribution near each belief, stacked over the nodes.
+        shares: the shares of a node that has everything.
+        alone: whether that distribution is the whole proposal of a node that has particles.
+    """
+    degree = jnp.zeros(graph.count, beliefs.points.dtype)
+    for term in graph.pairs:
+        if term.plate.draw is not None:
+            first, second = ends(term)
+            degree = degree.at[second].add(beliefs.ready[first]).at[first].add(beliefs.ready[second])
+
+    def probability(term: Term) -> Directed:
+        first, second = ends(term)
+        able = 1.0 if term.plate.draw is not None else 0.0
+        return Directed(
+            jnp.log(able * beliefs.ready[first] / jnp.maximum(degree[second], 1)),
+            jnp.log(able * beliefs.ready[second] / jnp.maximum(degree[first], 1)),
+        )
+
+    none = jnp.zeros(graph.count, beliefs.points.dtype)
+    mixtures = [none if graph.prior is None else graph.prior.exists, *(mixture.exists for mixture in graph.proposals)]
+    own = [shares.prior, *[shares.detections / max(len(graph.proposals), 1)] * len(graph.proposals)]
+    others = [shares.messages * (degree > 0), *(share * there for share, there in zip(own, mixtures, strict=True))]
+    left = 1 - beliefs.ready if alone else jnp.ones_like(none)
+    parts = [*(left * part for part in others), (1.0 if alone else shares.fit) * beliefs.ready]
+    table = jnp.stack([jnp.asarray(part, none.dtype) for part in parts], axis=1)
+    # Without a share for anything that a node has, its first particles come from prior and detections.
+    begin = jnp.stack([none, *(jnp.asarray(there, none.dtype) for there in mixtures), none], axis=1)
+    table = jnp.where(jnp.sum(table, axis=1, keepdims=True) > 0, table, begin)
+    return Proposals(
+        beliefs.points,
+        cavities,
+        near,
+        jnp.log(table / jnp.maximum(jnp.sum(table, axis=1, keepdims=True), 1e-30)),
+        tuple(map(probability, graph.pairs)),
+    )
+
+
+def draw(key: Key, graph: Graph, own: Proposals, count: int) -> Float[Array, "node draw *entry"]:
+    """Draw `count` values of every node; each part of the mixture has its share of them, up to rounding at random."""
+    part_key, message_key, near_key, *keys = jax.random.split(key, 3 + 1 + len(graph.proposals))
+    levels = (jnp.arange(count) + jax.random.uniform(part_key, (graph.count, 1))) / count
+    part = jnp.sum(levels[..., None] > jnp.cumsum(jnp.exp(own.shares), axis=1)[:, None, :-1], axis=-1)
+    found = [_from_messages(message_key, graph, own, count)]
+    found += [found[0] if graph.prior is None else graph.prior.sample(keys[0], count)]
+    found += [mixture.sample(each, count) for each, mixture in zip(keys[1:], graph.proposals, strict=True)]
+    near_keys = jax.random.split(near_key, (graph.count, count))
+    found += [jax.vmap(lambda one, each: jax.vmap(one.sample)(each))(own.near, near_keys)]
+    shape = (graph.count, count, *[1] * (own.points.ndim - 2))
+    values = found[0]
+    for number, drawn in enumerate(found[1:], 1):
+        values = jnp.where((part == number).reshape(shape), drawn, values)
+    return values
+
+
+def _from_messages(key: Key, graph: Graph, own: Proposals, count: int) -> Float[Array, "node draw *entry"]:
+    """Draw values of every node from the mixture of the messages into it. A node without any gets a copy of its particles, which has no share."""
+    pick_key, draw_key = jax.random.split(key)
+    samples = own.points.shape[1]
+    sources, targets, log_weights, parts = [], [], [], []
+    for term, cavity, edge in zip(graph.pairs, own.cavities, own.edges, strict=True):
+        if term.plate.draw is None:
+            continue
+        first, second = ends(term)
+        for reverse, nodes in ((False, (first, second)), (True, (second, first))):
+            parts.append((term, reverse, sum(map(len, sources))))
+            sources.append(nodes[0])
+            targets.append(nodes[1])
+            log_weights.append(cavity[reverse] + edge[reverse][:, None])
+    if not parts:
+        return jnp.take(own.points, jnp.arange(count) % samples, axis=1)
+    source, target = jnp.concatenate(sources), jnp.concatenate(targets)
+    weights = jnp.exp(jnp.concatenate(log_weights))
+
+    def pick(key: Key, node: Array) -> tuple[Array, Array]:
+        within, order = jax.random.split(key)
+        cumulative = jnp.cumsum((weights * (target == node)[:, None]).ravel())
+        levels = (jnp.arange(count) + jax.random.uniform(within, (count,))) / count * cumulative[-1]
+        index = jnp.minimum(jnp.searchsorted(cumulative, jax.random.permutation(order, levels), side="right"), len(cumulative) - 1)
+        return index // samples, index % samples
+
+    edge, particle = jax.vmap(pick)(jax.random.split(pick_key, graph.count), jnp.arange(graph.count))
+    known = own.points[source[edge], particle]
+    values = jnp.take(own.points, jnp.arange(count) % samples, axis=1)
+    for (term, reverse, start), each in zip(parts, jax.random.split(draw_key, len(parts)), strict=True):
+        rows = len(term.plate.rows)
+        row = jnp.clip(edge - start, 0, rows - 1)
+
+        def one(key: Key, row: Array, known: Array, term: Term = term, reverse: bool = reverse) -> Array:
+            assert term.plate.draw is not None
+            return term.plate.draw(key, jax.tree.map(lambda leaf: leaf[row], term.plate.parameters), known, reverse)
+
+        drawn = jax.vmap(jax.vmap(one))(jax.random.split(each, (graph.count, count)), row, known)
+        mine = ((edge >= start) & (edge < start + rows)).reshape(edge.shape + (1,) * (values.ndim - 2))
+        values = jnp.where(mine, drawn, values)
+    return values
+
+
+def log_density(
+    graph: Graph, own: Proposals, points: Float[Array, "node draw *entry"], messages: tuple[Directed, ...], prior: NodeValues
+) -> NodeValues:
+    """Return the log-density of the proposal of every node.
+
+    Args:
+        graph: the graph.
+        own: the proposals.
+        points: where it is evaluated.
+        messages: log of all messages at these points.
+        prior: log of the prior at these points; anything if the graph has none, since it then has no share.
+    """
+    return jax.nn.logsumexp(log_parts(graph, own, points, messages, prior), axis=-1)
+
+
+def log_parts(
+    graph: Graph, own: Proposals, points: Float[Array, "node draw *entry"], messages: tuple[Directed, ...], prior: NodeValues
+) -> Float[Array, "node draw part"]:
+    """Return the terms of `log_density`: the log of share times density, of messages, prior, each mixture of detections, and near belief."""
+    nothing = jnp.full(points.shape[:2], -jnp.inf, points.dtype)
+    mixed = nothing
+    for number, (term, edge) in enumerate(zip(graph.pairs, own.edges, strict=True)):
+        if term.plate.draw is None:
+            continue
+        first, second = ends(term)
+        values = messages[number] if term.plate.log_draw is None else _drawn_density(term, own, number, points)
+        for node, value, log_share in ((second, values.forward, edge.forward), (first, values.backward, edge.backward)):
+            mixed = _log_added(mixed, node, value + log_share[:, None])
+    mixtures = [prior, *(mixture.log_prob(points) for mixture in graph.proposals)]
+    close = jax.vmap(lambda one, xs: jax.vmap(one.log_prob)(xs))(own.near, points)
+    return jnp.stack([mixed, *mixtures, close], axis=-1) + own.shares[:, None]
+
+
+def _drawn_density(term: Term, own: Proposals, number: int, points: Array) -> Directed:
+    """Return the densities of the draws along each edge, for a factor that is not itself their density."""
+    first, second = ends(term)
+    of = term.plate.log_draw
+    assert of is not None
+
+    def mixture(parameters: Any, known: Array, weights: Array, values: Array, reverse: bool) -> Array:
+        each = jax.vmap(lambda y: jax.vmap(lambda x: of(parameters, x, y, reverse))(known))(values)
+        return jax.nn.logsumexp(each + weights[None], axis=1)
+
+    forward = jax.vmap(lambda p, x, w, y: mixture(p, x, w, y, False))
+    backward = jax.vmap(lambda p, x, w, y: mixture(p, x, w, y, True))
+    return Directed(
+        forward(term.plate.parameters, own.points[first], own.cavities[number].forward, points[second]),
+        backward(term.plate.parameters, own.points[second], own.cavities[number].backward, points[first]),
+    )
+
+
+def _log_added(total: NodeValues, nodes: Array, values: Array) -> NodeValues:
+    """Return the logarithm of the totals plus the sum of the values by node."""
+    peak = total.at[nodes].max(values)
+    safe = jnp.where(jnp.isfinite(peak), peak, 0.0)
+    return safe + jnp.log(jnp.exp(total - safe).at[nodes].add(jnp.exp(values - safe[nodes])))

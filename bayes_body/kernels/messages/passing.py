@@ -1,0 +1,234 @@
+r"""A round of particle belief propagation: nodes are redrawn from their proposals, and the messages into them are evaluated.
+
+Messages may be damped. The particles at which the last message was evaluated are gone, so each message keeps the particles and weights of its source
+from its last update. At the new particles both are evaluated and mixed,
+
+$$\log m_{ij}(x) = (1 - d) \log \hat m_{ij}(x) + d \log \hat m'_{ij}(x),$$
+
+with the message $\hat m_{ij}$ from the source's particles now and $\hat m'_{ij}$ from those before. A message on which both agree stays as it is: the
+fixed points are those without damping. An error that changes its sign from round to round is averaged away.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from bayes_body.base.shapes import Key, Scalar
+from bayes_body.density.graph import Graph, Term
+from bayes_body.density.tangent_normal import fit
+from bayes_body.kernels.messages.joint_particles import Redrawn
+from bayes_body.kernels.messages.message_diagnostics import Summary, belief_sds
+from bayes_body.kernels.messages.messages import (
+    Beliefs,
+    Directed,
+    NodeValues,
+    Sources,
+    cavities,
+    entered,
+    log_beliefs,
+    log_messages,
+    normalised,
+    sources,
+    unary_values,
+)
+from bayes_body.kernels.messages.methods import MethodName, method
+from bayes_body.kernels.messages.node_proposals import FLOORS, Proposals, Shares, draw, log_density, log_parts, proposals
+from bayes_body.kernels.messages.schedules import Round, depths
+from bayes_body.kernels.weights import effective_sample_size
+
+
+class Memory(NamedTuple):
+    """What is kept from round to round besides the beliefs.
+
+    Attributes:
+        method: what the method remembers.
+        last: for each term, what its messages came from at their last update; empty without damping.
+    """
+
+    method: Any
+    last: tuple[Sources, ...]
+
+
+class Settings(NamedTuple):
+    """The settings of message passing.
+
+    Attributes:
+        samples: number of particles of a node.
+        heard: number of those that represent it in messages of factors that only close loops.
+        shares: the shares of a node's proposal.
+        inflation: factor of the covariance of normal distributions in it.
+        method: the method.
+        damping: d, from 0 to below 1.
+    """
+
+    samples: int
+    heard: int
+    shares: Shares
+    inflation: float
+    method: MethodName
+    damping: float
+
+
+class Passing:
+    """The computations of a round on one graph."""
+
+    def __init__(self, graph: Graph, settings: Settings):
+        """Take the graph and the settings."""
+        self.graph, self.settings = graph, settings
+        self.floors = jnp.array([FLOORS.get(unit, 0.0) for unit in graph.space.tangent_units])
+        self.method = method(settings.method, settings.inflation, self.floors)
+        # The particles that each node holds.
+        self.held = settings.samples
+
+    def begin(self, key: Key) -> tuple[Beliefs, Memory]:
+        """Return nodes that are not ready: messages from them say nothing yet, and their first round draws them from prior and proposals."""
+        graph, samples = self.graph, self.held
+        mixtures = [mixture for mixture in (graph.prior, *graph.proposals) if mixture is not None]
+        # Only points of the space, so that nothing computed from them is NaN.
+        points = mixtures[0].sample(key, samples)
+        zero = jnp.zeros((graph.count, samples), points.dtype)
+        edges = [jnp.zeros((len(term.plate.rows), samples), zero.dtype) for term in graph.pairs]
+        messages = tuple(Directed(edge, edge) for edge in edges)
+        last = tuple(sources(term, both, points, zero[:, 0]) for term, both in zip(graph.pairs, messages, strict=True) if self.settings.damping)
+        return Beliefs(points, zero, zero, zero, messages, zero[:, 0]), Memory(self.method.begin(graph, points), last)
+
+    def proposals(self, beliefs: Beliefs, memory: Memory, power: float | Scalar) -> tuple[Proposals, Memory, Summary]:
+        """Return the proposals that follow from beliefs, what the method remembers, and figures of the beliefs. `power` is that of the likelihood."""
+        graph = self.graph
+        weights, cavity = self.weigh(beliefs, power)
+        fits = jax.vmap(lambda points, own: fit(graph.space, jnp.exp(own), points, self.settings.inflation, self.floors))(beliefs.points, weights)
+        near, kept = self.method.near_beliefs(graph, beliefs, weights, fits, memory.method, power)
+        own = proposals(graph, beliefs, cavity, near, self.settings.shares, self.method.alone)
+        of_messages = [jax.vmap(effective_sample_size)(each) for both in cavity for each in both]
+        least = jnp.min(jnp.concatenate(of_messages)) if of_messages else jnp.asarray(float(self.held))
+        sds = belief_sds(graph.space, jnp.exp(weights), beliefs.points, fits.mean)
+        return own, memory._replace(method=kept), Summary(fits.mean, sds, jax.vmap(effective_sample_size)(weights), least)
+
+    def round(self, state: tuple[Beliefs, Memory], key: Key, now: Round) -> tuple[tuple[Beliefs, Memory], Summary]:
+        """Redraw the nodes of a round and evaluate the messages into them."""
+        graph, beliefs = self.graph, state[0]
+        own, memory, summary = self.proposals(*state, now.power)
+        fresh = self.draw(key, beliefs, own)
+        redrawn = jnp.zeros(graph.count, bool).at[now.nodes].set(True, mode="drop")
+        points = jnp.where(redrawn.reshape(-1, *[1] * (fresh.ndim - 1)), fresh, beliefs.points)
+        arrived = self._arrived(beliefs, own, points, now)
+        messages, memory = self._damped(beliefs, own, memory, points, arrived, now) if self.settings.damping else (arrived, memory)
+        likelihood, rest = unary_values(graph, points, now.unary)
+        prior = self._prior(graph.by_ancestor(points))
+        log_q = self.log_q(beliefs, own, points, arrived, prior)
+        ready = jnp.where(redrawn & self.drawn(beliefs, own), 1.0, beliefs.ready)
+        chosen = redrawn[:, None] & (ready[:, None] > 0)
+        after = Beliefs(
+            points,
+            jnp.where(chosen, log_q, beliefs.log_q),
+            jnp.where(chosen, likelihood, beliefs.likelihood),
+            jnp.where(chosen, rest + prior, beliefs.rest),
+            messages,
+            ready,
+        )
+        return (after, memory), summary
+
+    def weigh(self, beliefs: Beliefs, power: float | Scalar) -> tuple[NodeValues, tuple[Directed, ...]]:
+        """Return the normalised log-weights of the beliefs, and those of the sources of all messages."""
+        return normalised(log_beliefs(self.graph, beliefs, power)), cavities(self.graph, beliefs, power)
+
+    def draw(self, key: Key, beliefs: Beliefs, own: Proposals) -> Float[Array, "node sample *entry"]:
+        """Draw new particles of all nodes."""
+        del beliefs
+        return draw(key, self.graph, own, self.held)
+
+    def log_q(
+        self, beliefs: Beliefs, own: Proposals, points: Float[Array, "node sample *entry"], arrived: tuple[Directed, ...], prior: NodeValues
+    ) -> NodeValues:
+        """Return the log-density of `draw`. The draws along the edges come from the messages as they arrived, before damping."""
+        del beliefs
+        return log_density(self.graph, own, points, arrived, prior)
+
+    def drawn(self, beliefs: Beliefs, own: Proposals) -> Bool[Array, " node"]:
+        """Return which nodes can be drawn."""
+        del beliefs
+        return jnp.max(own.shares, axis=1) > -jnp.inf
+
+    def _arrived(self, beliefs: Beliefs, own: Proposals, points: Float[Array, "node sample *entry"], now: Round) -> tuple[Directed, ...]:
+        """Return all messages, those into the nodes of the round evaluated at their new particles."""
+
+        def of(term: Term, closing: bool, cavity: Directed, old: Directed, rows: tuple[Array, Array]) -> Directed:
+            come_from = sources(term, cavity, beliefs.points, beliefs.ready)
+            return entered(old, log_messages(term, come_from, points, rows, self._heard(closing)), rows)
+
+        return tuple(map(of, self.graph.pairs, self.graph.only_closing, own.cavities, beliefs.messages, now.pairs))
+
+    def _heard(self, closing: bool) -> int | None:
+        return self.settings.heard if closing else None
+
+    def _damped(
+        self, beliefs: Beliefs, own: Proposals, memory: Memory, points: Float[Array, "node sample *entry"], arrived: tuple[Directed, ...], now: Round
+    ) -> tuple[tuple[Directed, ...], Memory]:
+        """Return the messages mixed with those from their sources before, and what they came from now."""
+        damping = self.settings.damping
+
+        def of(term: Term, closing: bool, cavity: Directed, new: Directed, last: Sources, rows: tuple[Array, Array]) -> tuple[Directed, Sources]:
+            old = log_messages(term, last, points, rows, self._heard(closing))
+            there = [jnp.minimum(each, len(term.plate.rows) - 1) for each in rows]
+            mixed = [
+                jnp.where(ready[row][:, None] > 0, (1 - damping) * one[row] + damping * other, one[row])
+                for one, other, ready, row in zip(new, old, last.ready, there, strict=True)
+            ]
+            come_from = sources(term, cavity, beliefs.points, beliefs.ready)
+            return entered(new, Directed(*mixed), rows), Sources(
+                *(
+                    entered(before, Directed(*(each[row] for each, row in zip(after, there, strict=True))), rows)
+                    for before, after in zip(last, come_from, strict=True)
+                )
+            )
+
+        found = tuple(map(of, self.graph.pairs, self.graph.only_closing, own.cavities, arrived, memory.last, now.pairs))
+        return tuple(messages for messages, _ in found), memory._replace(last=tuple(last for _, last in found))
+
+    def redraw(self, key: Key, beliefs: Beliefs, own: Proposals) -> tuple[Redrawn, Float[Array, "node sample part"]]:
+        """Return new particles of all nodes from fixed proposals, and the log of each part of their proposal."""
+
+        def rows(term: Term) -> tuple[Array, Array]:
+            every = jnp.arange(len(term.plate.rows))
+            return every, every
+
+        graph = self.graph
+        points = draw(key, graph, own, self.settings.samples)
+        messages = tuple(
+            log_messages(term, sources(term, cavity, beliefs.points, beliefs.ready), points, rows(term))
+            if term.plate.draw is not None and term.plate.log_draw is None
+            else old
+            for term, cavity, old in zip(graph.pairs, own.cavities, beliefs.messages, strict=True)
+        )
+        likelihood, rest = unary_values(graph, points)
+        by_ancestor = graph.by_ancestor(points)
+        parts = log_parts(graph, own, points, messages, self._prior(by_ancestor))
+        closing = self._closing(beliefs, own, points)
+        return Redrawn(points, likelihood + rest, by_ancestor, closing, jax.nn.logsumexp(parts, axis=-1)), parts
+
+    def _closing(self, beliefs: Beliefs, own: Proposals, points: Float[Array, "node sample *entry"]) -> NodeValues:
+        """Return at each point what stands in for the factors that only close loops: their messages from the node that is nearer to the root.
+
+        A message averages the factor over particles of its source. One in `heard` is added to it, so that it never excludes what the factor allows.
+        """
+        graph, depth, heard = self.graph, np.zeros(self.graph.count), self.settings.heard
+        for distance, nodes in enumerate(depths(graph)):
+            depth[nodes] = distance
+        total = jnp.zeros(points.shape[:2], points.dtype)
+        for term, closing, cavity in zip(graph.pairs, graph.only_closing, own.cavities, strict=True):
+            if closing:
+                outwards = depth[term.rows[:, 0]] <= depth[term.rows[:, 1]]
+                rows = np.flatnonzero(outwards), np.flatnonzero(~outwards)
+                come_from = sources(term, cavity, beliefs.points, beliefs.ready)
+                found = log_messages(term, come_from, points, (jnp.asarray(rows[0]), jnp.asarray(rows[1])), heard)
+                for column, row, values in zip((1, 0), rows, found, strict=True):
+                    total = total.at[term.rows[row, column]].add(jnp.logaddexp(values, -math.log(heard)))
+        return total
+
+    def _prior(self, by_ancestor: Float[Array, "node sample ancestor"]) -> NodeValues:
+        """Return the log of every node's own prior, 0 without one. It is both a factor and a part of the proposal."""
+        return jax.nn.logsumexp(by_ancestor + self.graph.log_ancestors, axis=-1)

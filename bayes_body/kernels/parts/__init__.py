@@ -1,1 +1,0 @@
-"""The building blocks of kernels: resampling, weights, moves, mass matrices, batching."""

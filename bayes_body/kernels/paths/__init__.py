@@ -1,0 +1,1 @@
+"""Samplers of paths: backward simulation, and windows of frames by NUTS."""

@@ -1,0 +1,141 @@
+"""Trajectories of a window of frames with error bars from a gradient-based sampler.
+
+Chains of NUTS sample the joint posterior of the window (density/trajectory.py). They start from smoothed paths, and move in coordinates in which
+these are white (kernels/paths/path_whitening.py).
+"""
+
+from functools import partial
+from typing import Annotated, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float, Int
+from pydantic import Field
+
+from bayes_body.base.errors import input_error
+from bayes_body.base.shapes import Key, Scalar
+from bayes_body.base.toml.read import validate
+from bayes_body.base.toml.schema import Count, Schema
+from bayes_body.density.factor import State
+from bayes_body.density.trajectory import Trajectory
+from bayes_body.kernels.batching import over_particles
+from bayes_body.kernels.paths.path_whitening import GaussianPath, Whitening, gaussian_path
+from bayes_body.kernels.paths.window_nuts import Metric, NutsSchedule, chain_diagnostics, run_nuts
+
+
+class Options(Schema):
+    """Options of `sample_window`.
+
+    `warm_up` and `draws` are transitions of each of the `chains`. Warm-up estimates the `metric` in whitened coordinates, and tunes the step to
+    `target_acceptance`.
+    """
+
+    chains: Annotated[int, Field(strict=True, ge=2)] = 4
+    warm_up: Count = 300
+    draws: Count = 500
+    metric: Metric = "diagonal"
+    target_acceptance: Annotated[float, Field(gt=0, lt=1)] = 0.9
+
+
+class WindowDraws(NamedTuple):
+    """Trajectories of a window, and how well the chains agree.
+
+    Attributes:
+        states: whole states (chain, draw, frame, ...).
+        r_hat: rank-normalised split R-hat of each unconstrained coordinate.
+        effective: bulk effective sample size of each, of all chains together.
+        divergent: whether each trajectory after warm-up diverged.
+        leapfrog_steps: number of leapfrog steps of each trajectory.
+        acceptance: acceptance rate of each.
+        log_density: at each draw, up to the evidence.
+        step_size: of each chain after warm-up, in whitened coordinates.
+        warm_up_steps: number of leapfrog steps of all chains in warm-up.
+    """
+
+    states: State
+    r_hat: Float[Array, "frame dof"]
+    effective: Float[Array, "frame dof"]
+    divergent: Bool[Array, "chain draw"]
+    leapfrog_steps: Int[Array, "chain draw"]
+    acceptance: Float[Array, "chain draw"]
+    log_density: Float[Array, "chain draw"]
+    step_size: Float[Array, " chain"]
+    warm_up_steps: Int[Array, ""]
+
+
+def sample_window(key: Key, target: Trajectory, paths: State, whitening: Whitening | None = None, **options: int | float | str) -> WindowDraws:
+    """Draw trajectories by NUTS.
+
+    Args:
+        key: random key.
+        target: the joint density of the window.
+        paths: whole states of smoothed paths through the window (path, frame, ...). Each chain starts from another one.
+        whitening: coordinates for the chains; by default those fitted to the paths.
+        options: those of `Options`.
+
+    Raises:
+        InputError: an option is out of its range, or there are fewer paths than chains.
+    """
+    settings = validate(Options, options, "sample_window()")
+    count = len(jax.tree.leaves(dict(paths))[0])
+    if count < settings.chains:
+        raise input_error("the paths", str(count), f"one for each of the {settings.chains} chains", "give more paths or run fewer chains")
+    start_key, run_key = jax.random.split(key)
+    chosen = jax.random.choice(start_key, count, (settings.chains,), replace=False)
+    if whitening is None:
+        whitening = fitted_path(target, paths).whitening()
+    schedule = NutsSchedule(settings.warm_up, settings.draws, settings.metric, settings.target_acceptance)
+    return _sampled(run_key, target, jax.tree.map(lambda leaf: jnp.asarray(leaf)[chosen], dict(paths)), whitening, schedule)
+
+
+def fitted_path(target: Trajectory, paths: State) -> GaussianPath:
+    """Return the Gaussian process of smoothed paths (path, frame, ...), in the window's unconstrained coordinates."""
+    coordinates = jax.jit(jax.vmap(lambda path: flat(target.position(path))))(dict(paths))
+    memory = target.frames.transition.frames_read
+    return gaussian_path(np.asarray(coordinates), coordinates.shape[1] if memory is None else memory)
+
+
+@partial(jax.jit, static_argnames="schedule")
+def _sampled(key: Key, target: Trajectory, starts: State, whitening: Whitening, schedule: NutsSchedule) -> WindowDraws:
+    run_key, complete_key = jax.random.split(key)
+    positions = jax.vmap(target.position)(starts)
+    form = jax.tree.map(lambda leaf: leaf[0], positions)
+    white = jax.vmap(lambda position: whitened(position, whitening))(positions)
+    chains = run_nuts(run_key, white, _log_density, (target, whitening, form), schedule)
+
+    def complete(item: tuple[Key, Array], shared: tuple[Trajectory, Whitening, State]) -> tuple[State, Array]:
+        position = position_at(item[1], *shared[1:])
+        return shared[0].complete(item[0], position)[0], flat(position)
+
+    every = chains.draws.reshape(-1, chains.draws.shape[-1])
+    keys = jax.random.split(complete_key, len(every))
+    completed = over_particles(complete, (keys, every), (target, whitening, form))
+    states, coordinates = jax.tree.map(lambda leaf: leaf.reshape(*chains.draws.shape[:2], *leaf.shape[1:]), completed)
+    r_hat, effective = chain_diagnostics(coordinates)
+    by_draw = chains.divergent, chains.steps, chains.acceptance, chains.log_density
+    return WindowDraws(states, r_hat, effective, *by_draw, chains.step_size, jnp.sum(chains.warm_up_steps))
+
+
+def _log_density(shared: tuple[Trajectory, Whitening, State], white: Float[Array, " entry"]) -> Scalar:
+    target, whitening, form = shared
+    return target(position_at(white, whitening, form))
+
+
+def flat(position: State) -> Float[Array, "frame dof"]:
+    """Return a position as one vector for each frame."""
+    return jax.vmap(lambda frame: ravel_pytree(frame)[0])(dict(position))
+
+
+def position_at(white: Float[Array, " entry"], whitening: Whitening, form: State) -> dict[str, Array]:
+    """Return the position at whitened coordinates; `form` is any position, for the shapes."""
+    unravel = ravel_pytree(jax.tree.map(lambda leaf: leaf[0], dict(form)))[1]
+    values = whitening.centre + whitening.root @ white
+    return jax.vmap(unravel)(values.reshape(jax.tree.leaves(dict(form))[0].shape[0], -1))
+
+
+def whitened(position: State, whitening: Whitening) -> Float[Array, " entry"]:
+    """Return the whitened coordinates of a position: the inverse of `position_at`."""
+    # The root is upper triangular: the transpose of the inverse of a Cholesky factor.
+    return jax.scipy.linalg.solve_triangular(whitening.root, flat(position).ravel() - whitening.centre, lower=False)

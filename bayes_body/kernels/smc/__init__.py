@@ -1,0 +1,1 @@
+"""Particle filters: sampling importance resampling, annealing, tempered SMC."""

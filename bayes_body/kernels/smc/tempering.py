@@ -1,0 +1,152 @@
+r"""A stage of tempered SMC: its state, the Feynman-Kac step through blackjax, and what the stages at the posterior are kept for.
+
+blackjax declares no types for these functions, so they are cast once, here.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from bayes_body.base.shapes import Flag, Index, Key, Keys, Scalar
+from bayes_body.density.gaussian_view import joined, split
+from bayes_body.density.tempering import LogTerms
+from bayes_body.kernels.resampling import Resample
+from bayes_body.kernels.smc.ladder import Ladder
+from bayes_body.kernels.smc.moment_correction import corrected_moments, with_moments
+from bayes_body.kernels.smc.moves import ExtendedParticle
+from bayes_body.kernels.weights import LogWeights
+
+# The log of a likelihood of zero, as stored for particles. It is finite, so that differences between particles are not NaN.
+LOG_ZERO = -1e30
+# The share of the last proposals behind a wall up to which the moments are corrected. Stein's identity does not hold at a wall.
+MOST_IMPOSSIBLE = 0.01
+
+
+def finite_log(log_likelihood: Array) -> Array:
+    """Return the log-likelihood, but at least `LOG_ZERO`. NaN counts as a likelihood of zero."""
+    return jnp.maximum(jnp.where(jnp.isnan(log_likelihood), LOG_ZERO, log_likelihood), LOG_ZERO)
+
+
+class Finals(NamedTuple):
+    """Positions and slopes, as vectors."""
+
+    positions: Float[Array, "stage particle dof"]
+    slopes: Float[Array, "stage particle dof"]
+
+    def with_stage(self, number: Index, at_top: Flag, particles: ExtendedParticle) -> "Finals":
+        """Return them with those of stage `number` at the posterior, if a stage is one; unchanged if none are kept."""
+        if not self.positions.shape[0]:
+            return self
+        now = Finals(jax.vmap(joined)(particles.position), jax.vmap(joined)(particles.slope))
+        return jax.tree.map(lambda kept, new: jnp.where(at_top, kept.at[number].set(new), kept), self, now)
+
+
+class TemperedState(NamedTuple):
+    """The state passed from stage to stage. Rates have one value per stage, like the ladder.
+
+    `impossible` is the share of the last stage's proposals that had no density, such as those behind a constraint. `finals` are the positions and
+    slopes after each stage at the posterior itself, if they are needed.
+    """
+
+    particles: ExtendedParticle
+    log_weights: LogWeights
+    powers: LogTerms
+    stage: Int[Array, ""]
+    stages_at_top: Int[Array, ""]
+    log_evidence: Scalar
+    log_step_size: Scalar
+    ladder: Ladder
+    survival_rates: Float[Array, " stage"]
+    acceptance_rates: Float[Array, " stage"]
+    impossible: Scalar
+    finals: Finals
+
+
+def init_state(
+    particles: ExtendedParticle,
+    log_weights: LogWeights,
+    stages: int,
+    step_size: Callable[[int], float],
+    potential_power: float,
+    finals: int = 0,
+) -> TemperedState:
+    """Return the state at inverse temperature zero, before any stage.
+
+    Args:
+        particles: particles of the prediction.
+        log_weights: their log-weights, from the constraints.
+        stages: the largest possible number of stages.
+        step_size: the step size of the first moves, as a function of the number of coordinates.
+        potential_power: the power of the prior's potentials: 0 if there are any, else 1.
+        finals: the number of stages at the posterior itself whose positions and slopes are kept.
+    """
+    dtype = log_weights.dtype
+    unknown = jnp.full((stages,), jnp.nan, dtype)
+    roots = {name: jnp.full((stages, x.shape[1], x.shape[1]), jnp.nan, dtype) for name, x in particles.position.items()}
+    log_step_size = jnp.log(jnp.asarray(step_size(sum(x.shape[1] for x in particles.position.values())), dtype))
+    zero, none = jnp.zeros((), dtype), jnp.zeros((), int)
+    powers, ladder = LogTerms(zero, jnp.full((), potential_power, dtype)), Ladder(unknown, unknown, unknown, roots)
+    dofs = sum(x.shape[1] for x in particles.position.values())
+    empty = jnp.zeros((finals, log_weights.shape[0], dofs), dtype)
+    return TemperedState(particles, log_weights, powers, none, none, zero, log_step_size, ladder, unknown, unknown, zero, Finals(empty, empty))
+
+
+def corrected_positions(last: TemperedState) -> dict[str, Array]:
+    """Return the positions of the particles, with moments corrected by the slopes of the final stages if these are kept and no wall is near."""
+    position, stages = last.particles.position, last.finals.positions.shape[0]
+    if not stages:
+        return position
+    positions, slopes = (values.reshape(-1, values.shape[-1]) for values in last.finals)
+    wanted = corrected_moments(positions, jnp.tile(last.log_weights, stages), slopes)
+    moved = with_moments(jax.vmap(joined)(position), last.log_weights, wanted)
+    one = jax.tree.map(lambda leaf: leaf[0], position)
+    split_up = jax.vmap(lambda vector: split(vector, one))(moved)
+    return jax.tree.map(lambda new, old: jnp.where(last.impossible <= MOST_IMPOSSIBLE, new, old), split_up, position)
+
+
+class Reweighted(NamedTuple):
+    """Particles after a step, with normalised log-weights. `log_increment` is the log of the mean weight before normalisation."""
+
+    particles: Any
+    log_weights: LogWeights
+    log_increment: Scalar
+    info: Any
+
+
+def feynman_kac_step(
+    key: Key,
+    particles: Any,
+    log_weights: LogWeights,
+    move: Callable[[Keys, Any], tuple[Any, Any]],
+    log_potential: Callable[[Any], LogWeights],
+    resample: Resample,
+    resampled: int,
+) -> Reweighted:
+    """Resample, move and reweight particles (`blackjax.smc.base.step`).
+
+    Args:
+        key: random key.
+        particles: pytree with a leading particle axis.
+        log_weights: log-weights of the particles, normalised or not.
+        move: (keys, resampled particles) -> as many particles as `particles`, and information.
+        log_potential: computes the new log-weights of all moved particles.
+        resample: a resampling scheme.
+        resampled: number of resampled particles; less than the number of particles if `move` returns several states of each.
+    """
+    from blackjax.smc import base
+
+    weights = jnp.exp(log_weights - jnp.max(log_weights))
+    state = base.SMCState(particles, weights / jnp.sum(weights), {})
+
+    def ancestors(resampling_key: Key, weights: Array, count: int | Array) -> Array:
+        return resample(resampling_key, jnp.log(weights), int(count))
+
+    def update(keys: Keys, parents: Any, _: Any) -> tuple[Any, Any]:
+        return move(keys, parents)
+
+    # blackjax calls the functions with these arguments, although it declares others.
+    after, info = cast(Any, base.step)(key, state, update, log_potential, ancestors, resampled)
+    return Reweighted(after.particles, jnp.log(after.weights), info.log_likelihood_increment, info.update_info)

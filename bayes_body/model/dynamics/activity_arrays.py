@@ -1,0 +1,176 @@
+"""Options of the motion prior `activity_hmm`, and the arrays that follow from them, from an activity and from a body."""
+
+import math
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from pydantic import Field
+
+from bayes_body.base.errors import input_error, nearest
+from bayes_body.base.shapes import Pose, Scalar
+from bayes_body.base.toml.schema import Positive, Schema, Share
+from bayes_body.density.factor import State
+from bayes_body.density.spaces import Space, circle, euclidean
+from bayes_body.model.body.placement import POSE
+from bayes_body.model.body.solids import Body
+from bayes_body.model.body.space import pose_space
+from bayes_body.model.dynamics.activity import NAME, Activity
+from bayes_body.model.dynamics.root import ROOT_DOFS, check_root
+
+FEATURES, BELIEF, RESIDUAL, BEFORE = "features", "belief", "residual", "position_before"
+# The free variables, and where they are in the pose. The rest of the free dofs is the head.
+POSITION, ORIENTATION, HEAD = "position", "orientation", "head"
+# The probability of staying in a state is taken as at least and at most this: (12) divides by its logarithm.
+LEAVES, STAYS = 1e-6, 0.999
+# Standard deviations from the training motions are at least this, metres and radians per frame.
+LEAST_CHANGE = 1e-3
+# The frame rate may be a whole fraction of the activity's, up to this.
+ROUNDING = 1e-3
+
+
+Temperature = Annotated[float, Field(strict=True, ge=0, lt=1)]
+
+
+class Options(Schema):
+    """Options of `[dynamics] kind = "activity_hmm"`. Standard deviations of None are those of the activity's file."""
+
+    activity: str = NAME
+    subject: str | None = None
+    temperature: Temperature = 0.0
+    residual: bool = True
+    residual_s: Positive = 1.0
+    momentum: Share = 0.0
+    position_sd_m: Positive | None = None
+    orientation_sd_deg: Positive | None = None
+    head_sd_deg: Positive | None = None
+    at_fps: Positive = 60.0
+
+
+class ActivityArrays(NamedTuple):
+    """The arrays of the prior.
+
+    `mean`: pose of the learned dofs for f = 0 and r = 0. `transition`, `locations` and `factor` (Cholesky factors of the covariances): the hidden
+    Markov model at the frame rate. `sd`: of the free variables and the residual, per frame. `keep`: what remains of a residual after a frame.
+    `learned`, `head`: where these dofs are in the pose. `steps`: as many entries as the state that stays longest needs transitions at the full
+    temperature.
+    """
+
+    mean: Float[Array, " dof"]
+    basis: Float[Array, "dof feature"]
+    initial: Float[Array, " state"]
+    transition: Float[Array, "state state"]
+    locations: Float[Array, "state feature"]
+    factor: Float[Array, "state feature feature"]
+    low: Pose
+    high: Pose
+    learned: Array
+    head: Array
+    temperature: Scalar
+    momentum: Scalar
+    keep: Scalar
+    steps: Float[Array, " transition"]
+    sd: State
+
+
+def transitions_needed(stays: Array, temperature: Scalar | float) -> Array:
+    """Return K of (12), at least 1."""
+    return jnp.maximum(jnp.ceil(jnp.log1p(-temperature) / jnp.log(jnp.clip(stays, LEAVES, STAYS))), 1)
+
+
+def activity_spaces(activity: Activity, body: Body) -> tuple[tuple[str, Space], ...]:
+    """Return where the variables of the state live."""
+    names, features, states = body.dof_names, activity.basis.shape[1], len(activity.labels)
+    head = tuple(name for name in names[ROOT_DOFS:] if name not in activity.names)
+    return (
+        (POSE, pose_space(body)),
+        (FEATURES, euclidean(tuple(f"feature_{k + 1}" for k in range(features)), ("rad",) * features, "feature")),
+        (POSITION, euclidean(names[:3], ("m",) * 3, "shift")),
+        (ORIENTATION, circle(names[3:ROOT_DOFS], "turn")),
+        (HEAD, euclidean(head, ("rad",) * len(head), "head_dof")),
+        (RESIDUAL, euclidean(tuple(f"residual_{name}" for name in activity.names), ("rad",) * len(activity.names), "joint_dof")),
+        (BELIEF, euclidean(tuple(f"{label}_{k + 1}" for k, label in enumerate(activity.labels)), ("",) * states, "state")),
+        (BEFORE, euclidean(tuple(f"{name}_before" for name in names[:3]), ("m",) * 3, "shift_before")),
+    )
+
+
+def check_activity(activity: Activity, body: Body) -> None:
+    """Check that a body has the dofs of an activity.
+
+    Raises:
+        InputError: its first joint is no root of six dofs, or a learned dof is missing.
+    """
+    check_root(body, "dynamics activity_hmm")
+    missing = [name for name in activity.names if name not in body.dof_names[ROOT_DOFS:]]
+    if missing or len(activity.change) != len(body.dof_names):
+        without = f", without {missing[0]}" if missing else ""
+        found = f"learned on the body '{activity.body}'; the model's body '{body.name}' has other dofs{without}"
+        raise input_error("dynamics.activity", found, "an activity of the model's body", "learn one with `bayes-body learn activity-hmm --body`")
+
+
+def _mean(options: Options, activity: Activity) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean pose, and the standard deviation of what separates the tracked person's from it."""
+    if options.subject is None:
+        return activity.means.mean(axis=0), activity.between
+    if options.subject not in activity.subjects:
+        found = f"'{options.subject}' is not among its people; {nearest(options.subject, activity.subjects)}"
+        raise input_error("dynamics.subject", found, "one of " + ", ".join(activity.subjects), "leave it out for a person who is not among them")
+    return activity.means[activity.subjects.index(options.subject)], np.zeros_like(activity.between)
+
+
+def _frames(activity: Activity, fps: float) -> int:
+    """Return how many frames of the activity a frame of the session takes."""
+    frames = round(activity.fps / fps)
+    if frames < 1 or abs(activity.fps / fps / frames - 1) > ROUNDING:
+        found = f"learned at {activity.fps:g} frames per second, and the session has {fps:g}"
+        remedy = f"learn one with `bayes-body learn activity-hmm --fps {fps:g}`"
+        raise input_error("dynamics.activity", found, "the session's rate, or a multiple", remedy)
+    return frames
+
+
+def activity_arrays(options: Options, activity: Activity, body: Body, fps: float) -> ActivityArrays:
+    """Return the arrays for one body and frame rate.
+
+    Raises:
+        InputError: the activity has not this subject, or its frame rate is no multiple of `fps`.
+    """
+    dtype, frames, names = body.lengths.dtype, _frames(activity, fps), body.dof_names
+    mean, between = _mean(options, activity)
+    learned = np.array([names.index(name) for name in activity.names])
+    head = np.array([k for k in range(ROOT_DOFS, len(names)) if k not in learned], int)
+    transition = np.linalg.matrix_power(activity.transition / activity.transition.sum(axis=1, keepdims=True), frames)
+    # A dof that no marker shows did not move in training.
+    change, given = np.maximum(activity.change, LEAST_CHANGE) * math.sqrt(frames), math.sqrt(options.at_fps / fps)
+    own = {POSITION: options.position_sd_m, ORIENTATION: options.orientation_sd_deg, HEAD: options.head_sd_deg}
+    # The training motions went one way; a person may walk in any direction.
+    change[:2] = change[:2].max()
+    sd = {name: change[at] for name, at in ((POSITION, slice(0, 3)), (ORIENTATION, slice(3, ROOT_DOFS)), (HEAD, head))}
+    sd |= {name: value * given * (1.0 if name == POSITION else math.radians(1.0)) for name, value in own.items() if value is not None}
+    if not head.size:
+        del sd[HEAD]
+    keep = math.exp(-1 / (fps * options.residual_s))
+    if options.residual:
+        sd[RESIDUAL] = np.sqrt((activity.residual**2 + between**2) * (1 - keep**2))
+    most = int(transitions_needed(jnp.asarray(np.diagonal(transition)), options.temperature).max())
+    numbers = {
+        "mean": mean + activity.centre,
+        "basis": activity.basis,
+        "initial": activity.initial,
+        "transition": transition,
+        "locations": activity.locations,
+        "factor": np.linalg.cholesky(activity.covariances),
+        "temperature": options.temperature,
+        "momentum": options.momentum,
+        "keep": keep,
+        "steps": np.zeros(most),
+    }
+    arrays = {name: jnp.asarray(value, dtype) for name, value in numbers.items()}
+    return ActivityArrays(
+        **arrays,
+        low=body.skeleton.low,
+        high=body.skeleton.high,
+        learned=jnp.asarray(learned),
+        head=jnp.asarray(head),
+        sd={name: jnp.asarray(value, dtype) for name, value in sd.items()},
+    )

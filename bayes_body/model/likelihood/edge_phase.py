@@ -1,0 +1,151 @@
+r"""Edges by phase (Poon & Fleet 2002, 3.2): band-pass filters steered to the normals of the parts' occluding boundaries,
+
+$$\log L(s) = \sum_c \sum_j \frac{1}{n_j} \sum_i \log L_{ij}, \qquad
+L_{ij} = \prod_{\text{scales}} p(\phi_{ij} \mid \rho_{ij}, s)\, p(\rho_{ij} \mid s) \ \text{if visible, else}\ p_{occ},$$
+
+with the densities of `edge_density` and the samples of `boundaries`. A partly hidden sample (soft visibility) has the mixture of both. A sample
+outside the image, or in a camera that did not see the frame, counts as hidden.
+
+The factor $1/n_j$ is the paper's (8). It tempers the posterior: n measurements count as one, which "accounts for the lack of a background model" and
+broadens the likelihood; it does not depend on how many of them are independent. Without it (`normalise_by_samples = false`) all count as independent,
+which neighbours along a boundary are not. The constant p_occ is not a density of the image either, so this likelihood cannot be simulated.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from pydantic import Field, model_validator
+
+from bayes_body.base.geometry.camera import Camera
+from bayes_body.base.registry import register
+from bayes_body.base.shapes import Scalar
+from bayes_body.base.toml.schema import Count, Finite, Positive, Schema, Share
+from bayes_body.density.factor import Factor, Variable, Variables
+from bayes_body.model.body.solids import Body
+from bayes_body.model.likelihood.boundaries import Boundaries, Contour, Visibility, boundaries, contour
+from bayes_body.model.likelihood.edge_density import PHASE_SD, EdgeStatistics, log_density
+from bayes_body.model.likelihood.patch_pixels import rig_patches, sample_slopes
+from bayes_body.recording.evidence.edge_phase import PhaseMaps, look_up
+
+AboveOne = Annotated[float, Field(strict=True, gt=1, allow_inf_nan=False)]
+
+
+class Scale(Schema):
+    """A `[[likelihood.scale]]`: a filter's wavelength and the statistics of its responses on boundaries (`bayes-body learn edge-statistics`)."""
+
+    wavelength_px: Annotated[float, Field(strict=True, ge=3, allow_inf_nan=False)]
+    epsilon: tuple[Share, Share]
+    amplitude: tuple[AboveOne, AboveOne]
+    log_amplitude: tuple[Finite, Finite]
+    log_occluded: Finite
+
+    @model_validator(mode="after")
+    def _check_range(self) -> "Scale":
+        low, high = self.log_amplitude
+        if not low < high:
+            raise ValueError(f"log_amplitude = [{low:g}, {high:g}]: the first is not below the second; give the smallest, then the largest")
+        return self
+
+
+class Options(Schema):
+    """Options of `[[likelihood]] kind = "edge_phase"`."""
+
+    scale: Annotated[tuple[Scale, ...], Field(min_length=1)]
+    samples: Count = 10
+    visibility: Visibility = "soft"
+    normalise_by_samples: Annotated[bool, Field(strict=True)] = True
+    precision: Positive = 1.0
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    meta_fields=["visibility"],
+    data_fields=["body", "rig", "contour", "statistics", "weight", "frequencies"],
+)
+@dataclass(frozen=True)
+class EdgePhase:
+    """The log-potential as a pytree.
+
+    Attributes:
+        visibility: hard or soft.
+        body: the body.
+        rig: the cameras.
+        contour: the positions of the samples.
+        statistics: the statistics of the scales.
+        weight: the weight of a sample: 1/n_j or 1, times the precision.
+        frequencies: the filters' frequencies, radians per pixel.
+    """
+
+    visibility: Visibility
+    body: Body
+    rig: Camera
+    contour: Contour
+    statistics: EdgeStatistics
+    weight: Scalar
+    frequencies: Float[Array, " scale"]
+
+    def __call__(self, values: Variables, maps: PhaseMaps) -> Scalar:
+        """log p(z | configuration), up to a constant."""
+        configuration = values[Variable(self.body.variable)]
+        edges = boundaries(self.body, self.rig, self.contour, rig_patches(self.body, self.rig, configuration), self.visibility)
+        total = jnp.sum(self.sample_log_densities(maps, edges))
+        # Clipping coordinates would hide an invalid configuration.
+        return jnp.where(jnp.isfinite(jnp.sum(configuration)), self.weight * total, jnp.nan)
+
+    def sample_log_densities(self, maps: PhaseMaps, edges: Boundaries) -> Float[Array, "camera part sample"]:
+        """log L_ij."""
+        response = look_up(maps, self.rig, edges.pixels, edges.normals)
+        statistics = jax.tree.map(lambda leaf: leaf[..., None, None, None], _by_scale(self.statistics))
+        shown_log = jnp.sum(log_density(response.even, response.odd, statistics), axis=0)
+        hidden_log = jnp.sum(self.statistics.log_occluded)
+        visible = edges.visible * jnp.asarray(maps.seen, edges.visible.dtype)[:, None, None]
+        if self.visibility == "hard":
+            return jnp.where(visible > 0, shown_log, hidden_log)
+        tiny = jnp.finfo(visible.dtype).tiny
+        return jnp.logaddexp(jnp.log(jnp.maximum(visible, tiny)) + shown_log, jnp.log(jnp.maximum(1 - visible, tiny)) + hidden_log)
+
+    def curvature(self, values: Variables, maps: PhaseMaps) -> dict[str, Float[Array, "dof dof"]]:
+        r"""Approximate minus second derivatives by the dofs: only the Gaussian part of the phase, whose gradient is the filter's frequency (22).
+
+        The sum is over all visible samples. The paper uses the middle of each side, and its formula is the diagonal.
+        """
+        pose = values[Variable("pose")]
+        edges = boundaries(self.body, self.rig, self.contour, rig_patches(self.body, self.rig, pose), self.visibility)
+        along_u, along_v = sample_slopes(self.body, self.rig, self.contour.samples, pose)
+        visible = edges.visible * jnp.asarray(maps.seen, pose.dtype)[:, None, None]
+        across = (jnp.sqrt(visible) * (along_u * edges.normals[0] + along_v * edges.normals[1])).reshape(len(pose), -1)
+        phase = jnp.sum(self.frequencies**2) / PHASE_SD**2
+        return {"pose": self.weight * phase * (across @ across.T)}
+
+
+def _curvature(potential: EdgePhase, values: Variables, maps: PhaseMaps) -> dict[str, Float[Array, "dof dof"]]:
+    return potential.curvature(values, maps)
+
+
+def _by_scale(statistics: EdgeStatistics) -> EdgeStatistics:
+    """Move the axis of the pairs to the front, as `log_density` expects."""
+    return EdgeStatistics(statistics.epsilon.T, statistics.amplitude.T, statistics.log_amplitude.T, statistics.log_occluded)
+
+
+@register("likelihood", "edge_phase", Options, note="it reads grey levels; colour images are converted")
+def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
+    """Build the factor for one rig and body."""
+    dtype = body.lengths.dtype
+    scales = options.scale
+    statistics = EdgeStatistics(
+        epsilon=jnp.asarray([scale.epsilon for scale in scales], dtype),
+        amplitude=jnp.asarray([scale.amplitude for scale in scales], dtype),
+        log_amplitude=jnp.asarray([scale.log_amplitude for scale in scales], dtype),
+        log_occluded=jnp.asarray([scale.log_occluded for scale in scales], dtype),
+    )
+    weight = options.precision / (2 * options.samples if options.normalise_by_samples else 1)
+    frequencies = jnp.asarray([2 * math.pi / scale.wavelength_px for scale in scales], dtype)
+    potential = EdgePhase(options.visibility, body, rig, contour(body, options.samples), statistics, jnp.asarray(weight, dtype), frequencies)
+    # By parts, the kernels take differences of gradients instead.
+    curvature = jax.tree_util.Partial(_curvature, potential) if body.variable == "pose" else None
+    return Factor(name=name, side="likelihood", scope=(Variable(body.variable),), log_potential=potential, curvature=curvature)

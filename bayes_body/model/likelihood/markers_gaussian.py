@@ -1,0 +1,166 @@
+r"""Markers seen by cameras, as a distribution over their pixels.
+
+$p(z \mid s) = p(z \mid x(s))$ with the positions x of the body's markers, and the distribution of detections in model/likelihood/detections.py. Which
+markers are present, and their confidence, is given.
+
+The markers of a body that is placed by its parts are a plate over the parts that hold them, which message passing reads part by part.
+
+Errors of keypoint networks are correlated between frames and cameras (a hip is always found outside and above the joint's centre). Here they are
+independent, so on real keypoints the posterior is too narrow, and more so at higher frame rates.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from pydantic import Field
+
+from bayes_body.base.errors import input_error
+from bayes_body.base.geometry import rigid, transforms
+from bayes_body.base.geometry.camera import Camera
+from bayes_body.base.registry import register
+from bayes_body.base.shapes import Configuration, Key, Scalar
+from bayes_body.base.toml.schema import NonNegative, Positive, Schema, Share
+from bayes_body.density.factor import Factor, Variable, Variables
+from bayes_body.density.plate import Plate, plate_factor
+from bayes_body.model.body.placement import PARTS, ByParts, placed_markers
+from bayes_body.model.body.solids import Body
+from bayes_body.model.likelihood.detections import Detections
+from bayes_body.recording.evidence.markers import MARKERS, MarkerEvidence
+
+Rare = Annotated[float, Field(strict=True, ge=0, lt=1)]
+
+
+class Options(Schema):
+    """Options of `[[likelihood]] kind = "markers_gaussian"`."""
+
+    sd_px: Positive = 8.0
+    at_diagonal_px: NonNegative = 0.0
+    noise: Literal["gaussian", "student"] = "gaussian"
+    degrees_of_freedom: Positive = 4.0
+    outliers: Rare = 0.0
+    by_confidence: NonNegative = 0.0
+    least_confidence: Share = 0.3
+    missing: Rare = 0.0
+
+
+@partial(jax.tree_util.register_dataclass, meta_fields=["markers", "places"], data_fields=["body", "detections"])
+@dataclass(frozen=True)
+class MarkersGaussian:
+    """The log-potential of a whole body as a pytree, and the distribution with that density.
+
+    Attributes:
+        markers: indices of the visible markers in the body.
+        places: their indices in `MARKERS`.
+        body: the body.
+        detections: the density of each marker.
+    """
+
+    markers: tuple[int, ...]
+    places: tuple[int, ...]
+    body: Body
+    detections: Detections
+
+    def __call__(self, values: Variables, evidence: MarkerEvidence) -> Scalar:
+        """log p(z | configuration), normalised."""
+        configuration = values[Variable(self.body.variable)]
+        pixels, confidence = (jnp.asarray(each)[:, list(self.places)] for each in evidence)
+        # If a marker is behind a camera, its expected place does not depend on the configuration, which would hide a NaN.
+        return _nan_with(configuration, self.detections.log_density(self._points(configuration), pixels, confidence))
+
+    def _points(self, configuration: Configuration) -> Float[Array, "present 3"]:
+        return placed_markers(self.body, configuration)[list(self.markers), :]
+
+    def draw(self, key: Key, configuration: Configuration) -> Float[Array, "camera present 2"]:
+        """Draw pixels of the body's markers, all with confidence 1."""
+        return self.detections.draw(key, self._points(configuration))
+
+    def by_parts(self) -> Plate:
+        """The same log-potential as a plate over the parts that hold visible markers; for a body that is placed by parts."""
+        placement = self.body.placement
+        assert isinstance(placement, ByParts)
+        markers = np.array(self.markers)
+        joints = np.array(self.body.markers.joints)[markers]
+        owners = np.array(placement.owners)[joints]
+        parts = sorted(set(owners.tolist()))
+        most = int(np.bincount(owners).max())
+        # Shorter lists of markers repeat their first one, which is then not counted.
+        lists = [np.flatnonzero(owners == part) for part in parts]
+        chosen = np.stack([np.concatenate([each, np.repeat(each[:1], most - len(each))]) for each in lists])
+        counted = np.stack([np.arange(most) < len(each) for each in lists])
+        offsets = _offsets(placement, self.body.markers.offsets, joints[chosen].astype(np.int32), markers[chosen].astype(np.int32))
+        parameters = PartMarkers(offsets, jnp.asarray(np.array(self.places)[chosen]), jnp.asarray(counted))
+        return Plate(PARTS, tuple((part,) for part in parts), jax.tree_util.Partial(_of_part, self.detections), parameters)
+
+
+class PartMarkers(NamedTuple):
+    """The markers that a part holds: positions in its frame, metres, indices in `MARKERS`, and whether each counts."""
+
+    offsets: Float[Array, "*part marker 3"]
+    places: Int[Array, "*part marker"]
+    counted: Bool[Array, "*part marker"]
+
+
+@jax.jit
+def _offsets(
+    placement: ByParts, offsets: Float[Array, "marker 3"], joints: Int[Array, "part chosen"], markers: Int[Array, "part chosen"]
+) -> Float[Array, "part chosen 3"]:
+    """The chosen markers, each on its joint, in the frames of the parts that hold them."""
+    return transforms.apply(jax.tree.map(lambda leaf: leaf[joints], placement.held), offsets[markers])
+
+
+def _of_part(detections: Detections, markers: PartMarkers, frame: Float[Array, "7"], *, data: MarkerEvidence) -> Scalar:
+    """The log-potential of one part, placed at `frame`."""
+    points = jnp.asarray(rigid.apply(frame[None], markers.offsets))
+    pixels, confidence = (jnp.asarray(each)[:, markers.places] for each in data)
+    return _nan_with(frame, detections.log_density(points, pixels, jnp.where(markers.counted, confidence, -jnp.inf)))
+
+
+def _nan_with(configuration: Configuration, value: Scalar) -> Scalar:
+    return jnp.where(jnp.isfinite(jnp.sum(configuration)), value, jnp.nan)
+
+
+def simulate(potential: MarkersGaussian, missing: Scalar, key: Key, values: Variables) -> MarkerEvidence:
+    """Draw a frame's markers at a configuration. Each is missing in a camera with the same probability, whatever the configuration."""
+    draws, losses = jax.random.split(key)
+    pixels = potential.draw(draws, values[Variable(potential.body.variable)])
+    present = jax.random.bernoulli(losses, 1 - missing, pixels.shape[:2])
+    everywhere = jnp.zeros((pixels.shape[0], len(MARKERS), 2), pixels.dtype)
+    places = jnp.array(potential.places)
+    return MarkerEvidence(
+        everywhere.at[:, places].set(jnp.where(present[..., None], pixels, 0.0)), everywhere[..., 0].at[:, places].set(present.astype(pixels.dtype))
+    )
+
+
+@register("likelihood", "markers_gaussian", Options)
+def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
+    """Build the factor for one rig and body.
+
+    Raises:
+        InputError: the body has none of the markers.
+    """
+    known = [(number, MARKERS.index(marker)) for number, marker in enumerate(body.markers.names) if marker in MARKERS]
+    if not known:
+        found = f"the body '{body.name}' has the markers {', '.join(body.markers.names) or '(none)'}"
+        raise input_error(name, found, f"some of {', '.join(MARKERS)}", "use these names in the body's [markers]")
+    dtype = body.lengths.dtype
+    diagonal = jnp.sqrt(jnp.sum(rig.size**2, axis=1))
+    sd_px = options.sd_px * (diagonal / options.at_diagonal_px if options.at_diagonal_px else jnp.ones_like(diagonal))
+    detections = Detections(
+        noise=options.noise,
+        outliers=options.outliers,
+        by_confidence=options.by_confidence,
+        rig=rig,
+        sd_px=jnp.asarray(sd_px, dtype),
+        degrees_of_freedom=jnp.asarray(options.degrees_of_freedom, dtype),
+        least_confidence=jnp.asarray(options.least_confidence, dtype),
+    )
+    whole = MarkersGaussian(tuple(number for number, _ in known), tuple(place for _, place in known), body, detections)
+    drawn = jax.tree_util.Partial(simulate, whole, jnp.asarray(options.missing, dtype))
+    if body.variable == PARTS:
+        return plate_factor(name, "likelihood", whole.by_parts(), simulate=drawn)
+    return Factor(name=name, side="likelihood", scope=(Variable(body.variable),), log_potential=whole, simulate=drawn)

@@ -1,0 +1,168 @@
+"""A plugin's terms as the program uses them: each of its functions wrapped (`Own`), and what it returns checked at every call."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bayes_body.base.errors import input_error
+from bayes_body.base.shapes import Key
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Factor, Particles, Transition
+from bayes_body.density.kernel import FilterInfo
+from bayes_body.model.plugins.blame import Origin, Own, first_line
+
+# Functions of a transition that return variables by name.
+BY_NAME = ("conditional", "perturbation", "carry", "begin", "first", "derive", "explore")
+# Dimensions of a kernel's diagnostics: one number for each particle, one, or one for each stage.
+INFO = {
+    "ancestors": "particle",
+    "ess": "",
+    "survival_rate": "stage",
+    "inverse_temperatures": "stage",
+    "log_evidence": "",
+    "lost": "",
+    "acceptance_rate": "stage",
+    "evaluations": "",
+}
+
+
+def owned(origin: Origin, term: Any) -> Any:
+    """Return a term with its plugin's functions wrapped. The term has the type that its room requires."""
+    if isinstance(term, Factor):
+        functions = {"log_potential": _array, "simulate": _arrays, "curvature": _arrays}
+        return replace(term, **{name: _wrapped(origin, getattr(term, name), check) for name, check in functions.items()})
+    if isinstance(term, Transition):
+        checks = dict.fromkeys(BY_NAME, _by_name) | {"chart": None}
+        return replace(term, **{name: _wrapped(origin, getattr(term, name), check) for name, check in checks.items()})
+    return OwnKernel(origin, term) if origin.room == "kernel" else OwnObserver(origin, term)
+
+
+def _wrapped(origin: Origin, function: Any, check: Callable[[str, Any], None] | None) -> Any:
+    """Return a function as a pytree without leaves of other kinds than arrays; wrapped, if the plugin defines it."""
+    if function is None:
+        return None
+    if callable(function) and jax.tree.leaves(function) == [function]:
+        # A bare function would be a leaf of the model. Leaves must be arrays.
+        function = jax.tree_util.Partial(function)
+    if isinstance(function, jax.tree_util.Partial) and first_line(origin.path, function.func):
+        return jax.tree_util.Partial(Own(origin, function.func, check), *function.args, **function.keywords)
+    return function
+
+
+def _by_name(where: str, found: Any) -> None:
+    if not isinstance(found, Mapping):
+        raise input_error(where, f"returns {shown(found)}", "a mapping from names of variables", "return a dict")
+
+
+def _array(where: str, found: Any) -> None:
+    # What an array must be like is said with the first frame's data (model/plugins/check.py).
+    if found is not None:
+        _arrays(where, found)
+
+
+def _arrays(where: str, found: Any) -> None:
+    """Refuse what a compiled program cannot take."""
+    for leaf in jax.tree.leaves(found):
+        kind = np.dtype(leaf.dtype).kind if hasattr(leaf, "dtype") and not jnp.issubdtype(leaf.dtype, jax.dtypes.extended) else "f"
+        if kind not in "biufcV" or not (hasattr(leaf, "shape") or isinstance(leaf, int | float | complex)):
+            raise input_error(where, f"returns {shown(leaf)}", "arrays of numbers", "convert it, or leave it out")
+
+
+@dataclass(frozen=True, eq=False)
+class OwnObserver(Own):
+    """An observation of a plugin: its arrays must have the same names, shapes and types in every frame."""
+
+    known: list[Any] = field(default_factory=list)
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        """Return the arrays of a frame.
+
+        Raises:
+            InputError: the function fails, or its arrays are others than in the first frame.
+        """
+        found, where = super().__call__(*arguments, **named), self.origin.where(self.function)
+        _arrays(where, found)
+        leaves, tree = jax.tree.flatten(found)
+        form = tree, tuple((np.shape(leaf), np.asarray(leaf).dtype) for leaf in leaves)
+        self.known[:] = self.known or [form]
+        if form != self.known[0]:
+            before, now = (", ".join(f"{dtype}{list(shape)}" for shape, dtype in each[1]) or "none" for each in (self.known[0], form))
+            found_there = f"returns arrays of the shapes {now}, and returned {before} before"
+            raise input_error(where, found_there, "the same in every frame", "fill what is missing with zeros or NaN")
+        return found
+
+
+@dataclass(frozen=True)
+class OwnKernel(Own):
+    """A kernel of a plugin: it returns as many particles, in the same form, and all diagnostics."""
+
+    def __call__(self, key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
+        """Filter one frame.
+
+        Raises:
+            InputError: the function fails, or what it returns has another form.
+        """
+        found, where = super().__call__(key, particles, density), self.origin.where(self.function)
+        expected = "a pair (bb.Particles, bb.FilterInfo)"
+        if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[0], Particles) and isinstance(found[1], FilterInfo)):
+            what = f"({', '.join(shown(each) for each in found)})" if type(found) is tuple else shown(found)
+            raise input_error(where, f"returns {what}", expected, "return the particles of this frame, and their diagnostics")
+        _check_particles(where, found[0], particles)
+        _check_info(where, found[1], particles.log_weights.shape[0])
+        return found
+
+    def check_values(self, particles: Particles, frame: int) -> None:
+        """Refuse a frame's particles if a number among them or a log-weight is not one.
+
+        Raises:
+            InputError: it is NaN, or all log-weights are -∞.
+        """
+        where, weights = self.origin.where(self.function), np.asarray(particles.log_weights)
+        broken = [name for name, values in particles.states.items() if np.isnan(np.asarray(values, float)).any()]
+        if np.isnan(weights).any() or not (weights > -np.inf).any():
+            found = f"log-weights of frame {frame} are {'NaN' if np.isnan(weights).any() else 'all minus infinity'}"
+            raise input_error(where, found, "normalised log-weights", "where no particle explains the frame, return equal ones and set `lost`")
+        if broken:
+            raise input_error(where, f"'{broken[0]}' is NaN in some particles of frame {frame}", "numbers", "give such particles no weight")
+
+
+def check_result(kernel: Any, particles: Particles, frame: int) -> None:
+    """Check the particles of a frame that a plugin's kernel computed; other kernels are left alone.
+
+    Raises:
+        InputError: a number is NaN.
+    """
+    if isinstance(kernel, OwnKernel):
+        kernel.check_values(particles, frame)
+
+
+def _check_particles(where: str, found: Particles, before: Particles) -> None:
+    forms = [{"log_weights": each.log_weights, **each.states} if isinstance(each.states, Mapping) else {} for each in (found, before)]
+    if set(forms[0]) != set(forms[1]):
+        names, expected = (", ".join(sorted(form)) or "nothing" for form in forms)
+        raise input_error(where, f"particles with {names}", f"{expected}, as those that it is given", "return every variable of the state")
+    for name, values in forms[0].items():
+        given = forms[1][name]
+        form, expected = (f"{getattr(each, 'dtype', type(each).__name__)}{list(np.shape(each))}" for each in (values, given))
+        if form != expected:
+            raise input_error(where, f"`{name}` of the particles is {form}", f"{expected}, as it is given", "return as many particles, of that type")
+
+
+def _check_info(where: str, info: FilterInfo, count: int) -> None:
+    for name, dims in INFO.items():
+        shape = np.shape(getattr(info, name))
+        right = {"": shape == (), "particle": shape == (count,), "stage": len(shape) == 1}[dims]
+        if not right:
+            expected = {"": "one number, of shape ()", "particle": f"one for each particle, ({count},)", "stage": "one for each stage, (stage,)"}[
+                dims
+            ]
+            raise input_error(where, f"`{name}` of its bb.FilterInfo has the shape {shape}", expected, "see the fields of bb.FilterInfo")
+
+
+def shown(value: Any) -> str:
+    """Return the type of a value in words."""
+    return "nothing" if value is None else type(value).__name__

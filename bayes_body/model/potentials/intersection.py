@@ -1,0 +1,58 @@
+r"""A constraint: parts do not penetrate each other.
+
+Darby, Li & Costen (2008, 6.1) give such poses "a zero weighting". With the sphere approximations of Sigal et al. (2011, (7)), and $d$ the depth of
+the deepest pair of spheres of two parts, minus the depth by which flesh yields,
+
+$$\log C = -\infty \text{ if any } d > 0 \quad (\text{hard}), \qquad
+\log C = -\tfrac12 \sum_{\text{pairs}} \big(\max(d, 0) / \sigma\big)^2 \quad (\text{soft}).$$
+
+As a constraint it has full power at every temperature. It has no normaliser of its own: a kernel's evidence estimate contains the share of the
+prediction that it excludes. The soft form is for kernels that need a gradient.
+"""
+
+from collections.abc import Callable
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+
+from bayes_body.base.geometry.transforms import Transform
+from bayes_body.base.registry import register
+from bayes_body.base.shapes import Configuration, Scalar
+from bayes_body.base.toml.schema import NonNegative, Positive, Schema
+from bayes_body.density.factor import Factor, Variable, Variables
+from bayes_body.model.body.solids import Body, part_transforms, penetration_depths, smooth_penetration_depths, widened
+
+
+class Options(Schema):
+    """Options of `[[constraint]] kind = "intersection"`. The body's `penetration` lists the pairs to test."""
+
+    mode: Literal["hard", "soft"] = "hard"
+    yield_m: NonNegative = 0.03
+    soft_sd_m: Positive = 0.01
+
+
+def _depths(body: Body, yield_m: Scalar, configuration: Configuration, of: Callable[[Body, Transform], jax.Array] = penetration_depths) -> jax.Array:
+    T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, configuration))))
+    return of(widened(body, configuration), T_world_part) - yield_m
+
+
+def _hard(body: Body, yield_m: Scalar, soft_sd: Scalar, values: Variables, data: None) -> Scalar:
+    del soft_sd, data
+    # A step has no gradient, so do not trace one.
+    return jnp.where(jnp.any(_depths(body, yield_m, jax.lax.stop_gradient(values[Variable(body.variable)])) > 0), -jnp.inf, 0.0)
+
+
+def _soft(body: Body, yield_m: Scalar, soft_sd: Scalar, values: Variables, data: None) -> Scalar:
+    del data
+    depths = _depths(body, yield_m, values[Variable(body.variable)], smooth_penetration_depths)
+    return -0.5 * jnp.sum((jnp.maximum(depths, 0.0) / soft_sd) ** 2)
+
+
+@register("potential", "intersection", Options)
+def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
+    """Build the factor for one body."""
+    dtype = body.lengths.dtype
+    arrays = (body, jnp.asarray(options.yield_m, dtype), jnp.asarray(options.soft_sd_m, dtype))
+    potential = jax.tree_util.Partial(_hard if options.mode == "hard" else _soft, *arrays)
+    return Factor(name=name, side="constraint", scope=(Variable(body.variable),), log_potential=potential)

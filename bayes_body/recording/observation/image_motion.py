@@ -1,0 +1,66 @@
+"""The pictures of a frame and of the frame before, for the likelihood `image_motion` (Sidenbladh, Black & Fleet 2000, 4).
+
+A Gaussian smooths the pictures, as in the paper, so that their difference has a gradient over a few pixels. The background of a camera that stands
+still stays where it is; that of a camera that moves is carried by a homography. The points that are compared are a fixed
+grid on each part, so that the density is a function of the state alone. With `random`, they are drawn anew for each frame, as in the paper, the same
+for all particles.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_body.base.registry import register
+from bayes_body.base.toml.schema import Count, Positive, Schema
+from bayes_body.recording.evidence.image_motion import LEVELS, ImageMotion, random_places, stratified
+from bayes_body.recording.evidence.silhouette_edges import pack
+from bayes_body.recording.observation.background_motion import carried_background
+from bayes_body.recording.observation.frames import Frame
+from bayes_body.recording.observation.pictures import Greys
+
+
+class Options(Schema):
+    """Options of `[likelihood.observation]` of `image_motion`."""
+
+    smooth_px: Positive = 1.414
+    # Along a part and across it.
+    samples: tuple[Count, Count] = (8, 4)
+    random: bool = False
+
+
+@register("observation", "image_motion", Options)
+def build(options: Options, **_: Any) -> Callable[[Frame], ImageMotion]:
+    """Pack the pictures of a frame and of the frame before, as NumPy arrays. A frame without `before` has no pair."""
+
+    def packed(image: Greys | None, shape: tuple[int, int]) -> NDArray[np.uint32]:
+        nothing = np.empty((0, 0), np.float32)
+        picture = nothing if image is None else cv2.GaussianBlur(image.astype(np.float32), (0, 0), options.smooth_px) / np.float32(LEVELS)
+        return pack(np.asarray(picture, np.float32), 0.0, shape)
+
+    def observe(frame: Frame) -> ImageMotion:
+        earlier = frame.before
+        before = (None,) * len(frame.images) if earlier is None else earlier.images
+        # Without a frame before, any camera will do.
+        nowhere = [(np.eye(3), np.zeros(3))] * len(before)
+        extrinsics = nowhere if earlier is None else [(camera.rotation, camera.translation_m) for camera in earlier.cameras]
+        rotations, translations = (np.stack(each).astype(np.float32) for each in zip(*extrinsics, strict=True))
+        pairs = list(zip(frame.images, before, strict=True))
+        moves = [False] * len(pairs) if earlier is None else [now != then for now, then in zip(frame.cameras, earlier.cameras, strict=True)]
+        pictures = [(*pair, _background(*pair, moved)) for pair, moved in zip(pairs, moves, strict=True)]
+        places = random_places(*options.samples, frame.index) if options.random else stratified(*options.samples)
+        return ImageMotion(
+            np.stack([np.stack([packed(image, frame.largest) for image in three]) for three in pictures]),
+            rotations,
+            translations,
+            places.astype(np.float32),
+            np.array([now is not None and then is not None for now, then in pairs]),
+        )
+
+    return observe
+
+
+def _background(now: Greys | None, before: Greys | None, moves: bool) -> Greys | None:
+    return carried_background(before, now) if moves and now is not None and before is not None else before

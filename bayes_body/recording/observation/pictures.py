@@ -1,0 +1,76 @@
+"""What one camera saw at one instant: an image from a file or a video, or nothing."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from cv2.typing import MatLike
+from jaxtyping import UInt8
+
+from bayes_body.base.errors import input_error
+from bayes_body.recording.readers.images import NotSeenError, read_grey
+from bayes_body.recording.readers.images import read_colour as read_colour_image
+from bayes_body.recording.readers.video import read_video_frame
+from bayes_body.recording.session.session import Session, View
+
+# An image with a smaller standard deviation of grey values shows nothing: the camera was off, covered or blinded.
+LEAST_CONTRAST = 2.5
+
+type Greys = UInt8[np.ndarray, "row column"]
+type Colours = UInt8[np.ndarray, "row column 3"]
+
+
+def read_colour(session: Session, index: int, view: View) -> Colours | None:
+    """A frame's image in blue, green and red; None if the camera did not see the frame.
+
+    That is the case if its file is missing, truncated or not an image, if its video has ended, or if the image is almost constant.
+
+    Raises:
+        InputError: no such frame, not a video, or an image whose size differs from its camera's.
+    """
+    check_index(session, index)
+    try:
+        image = _read_video(session, index, view)
+        if image is None:
+            image = read_colour_image(_image_path(session, index, view), view.camera.size_px)
+    except NotSeenError:
+        return None
+    return image if _shows_something(cv2.cvtColor(image[::4, ::4], cv2.COLOR_BGR2GRAY)) else None
+
+
+def read_greys(session: Session, index: int, view: View) -> Greys | None:
+    """A frame's grey values; None if the camera did not see the frame. Errors as for `read_colour`."""
+    check_index(session, index)
+    try:
+        image = _read_video(session, index, view)
+        grey = read_grey(_image_path(session, index, view), view.camera.size_px) if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    except NotSeenError:
+        return None
+    return np.asarray(grey, np.uint8) if _shows_something(grey[::4, ::4]) else None
+
+
+def check_index(session: Session, index: int) -> None:
+    """Refuse a frame that the session does not have.
+
+    Raises:
+        InputError: it does not have it.
+    """
+    if not 0 <= index < session.frames:
+        raise input_error(session.title, f"frame {index}", f"0 to {session.frames - 1}", "choose a frame of the session")
+
+
+def _read_video(session: Session, index: int, view: View) -> Colours | None:
+    path = session.video_path(view)
+    return None if path is None else read_video_frame(path, session.number(view, index), view.camera.size_px)
+
+
+def _image_path(session: Session, index: int, view: View) -> Path:
+    path = session.image_path(view, index)
+    if path is None:
+        found = "neither images nor video"
+        raise input_error(f"{session.title}: camera '{view.camera.name}'", found, "one of the two", "give it `images` or `video`")
+    return path
+
+
+def _shows_something(grey: MatLike) -> bool:
+    return float(grey.std()) >= LEAST_CONTRAST

@@ -1,0 +1,127 @@
+"""Error maps of silhouettes and edges (Darby, Li & Costen 2008, 6.1), computed on the host while the device works on the previous frame.
+
+By density, as in the paper: the mask, smoothed; and the gradient's magnitude, thresholded, smoothed by a Gaussian and rescaled to [0, 1], "giving
+each pixel a measure of proximity to an edge". By distance: V = exp(−d²/2h²) of the distance d to the foreground, and to the nearest edge. With
+distances, an arm five pixels wide agrees with its silhouette as fully as a torso does, and a single outline counts as much as a striped shirt
+(docs/decisions). Both maps are stored as (1 − V)², which is what the likelihood averages.
+"""
+
+from collections.abc import Callable
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_body.base.registry import register
+from bayes_body.base.toml.schema import NonNegative, Positive, Schema, Share
+from bayes_body.recording.evidence.silhouette_edges import UNSEEN_SHARE, SilhouetteEdgeMaps, pack
+from bayes_body.recording.observation.frames import Frame, masks_of
+from bayes_body.recording.observation.thickness import spread_points
+
+# Pieces of a figure are at most this share of the image's longer side apart.
+GAP = 0.01
+
+
+class Options(Schema):
+    """Options of `[likelihood.observation]` of `silhouette_edges`.
+
+    `proximity` chooses how the maps are made. By distance, h is `silhouette_smooth_px` and `edge_smooth_px`; edges count only within
+    `edges_within_px` of the silhouette, because the others belong to the room. A sample outside an image counts as the error `unseen_error`, wherever
+    it is; 0.5 is half way between full agreement and none. So does every sample in a camera that did not see the frame, or has no silhouette in it.
+    `area_of` says whose foreground counts in the agreement of areas, (9): all of it, or the largest figure's, for views of more than one person.
+    """
+
+    proximity: Literal["density", "distance"] = "density"
+    silhouette_smooth_px: Positive = 2.0
+    edge_threshold: Positive = 20.0
+    edge_smooth_px: Positive = 3.0
+    edges_within_px: NonNegative = 4.0
+    unseen_error: Share = 0.5
+    area_of: Literal["all", "largest"] = "all"
+
+
+def edge_proximity(grey: NDArray[np.uint8], threshold: float, smooth_px: float) -> NDArray[np.float32]:
+    """Closeness to an edge, in [0, 1]: 1 where edges are densest; zero everywhere in an image without edges.
+
+    Args:
+        grey: image (row, column).
+        threshold: grey levels per pixel that the gradient must exceed.
+        smooth_px: standard deviation of the Gaussian.
+    """
+    proximity = cv2.GaussianBlur(edges(grey, threshold).astype(np.float32), (0, 0), smooth_px)
+    highest = float(proximity.max())
+    return np.asarray(proximity / highest if highest > 0 else proximity, np.float32)
+
+
+def edges(grey: NDArray[np.uint8], threshold: float) -> NDArray[np.bool_]:
+    """Where the gradient of an image (row, column) exceeds `threshold`, grey levels per pixel: (row, column)."""
+    # On a ramp of one level per pixel, Sobel's mask gives 8.
+    magnitude = cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8
+    return magnitude > threshold
+
+
+def smooth_silhouette(mask: NDArray[np.bool_], smooth_px: float) -> NDArray[np.float32]:
+    """The mask (row, column), smoothed by a Gaussian: in [0, 1]."""
+    return np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), smooth_px), np.float32)
+
+
+def distance_to(marked: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Distance from each pixel (row, column) to the nearest marked one, pixels; rows + columns if none is marked."""
+    distance = cv2.distanceTransform((~marked).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.minimum(distance, np.float32(sum(marked.shape)))
+
+
+def closeness(distance: NDArray[np.float32], scale_px: float) -> NDArray[np.float32]:
+    """exp(−d²/2h²) of a distance d and the scale h, both in pixels: in [0, 1], with the distance's shape."""
+    return np.exp(-0.5 * (distance / scale_px) ** 2)
+
+
+def largest_figure(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The largest connected part of a mask (row, column), with the pieces that a narrow gap separates from it."""
+    reach = max(1, round(GAP * max(mask.shape)))
+    joined = cv2.dilate(mask.astype(np.uint8), np.ones((reach, reach), np.uint8))
+    labels = np.asarray(cv2.connectedComponents(joined)[1], np.int32)
+    sizes = np.bincount(labels[mask], minlength=1)
+    return mask & (labels == sizes.argmax())
+
+
+@register("observation", "silhouette_edges", Options)
+def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame], SilhouetteEdgeMaps]:
+    """Compute the likelihood's maps from a frame's images and masks, as NumPy arrays.
+
+    Args:
+        options: options of the maps.
+        likelihood: the options of the likelihood that reads them. If it has the term "cover", its `cover_points` are used.
+    """
+    count = likelihood.cover_points if "cover" in getattr(likelihood, "terms", ()) else 0
+
+    def by_density(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> tuple[NDArray[np.float32], ...]:
+        silhouette = smooth_silhouette(mask, options.silhouette_smooth_px)
+        return silhouette, edge_proximity(image, options.edge_threshold, options.edge_smooth_px)
+
+    def by_distance(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> tuple[NDArray[np.float32], ...]:
+        outside = distance_to(mask)
+        near = edges(image, options.edge_threshold) & (outside <= options.edges_within_px)
+        return closeness(outside, options.silhouette_smooth_px), closeness(distance_to(near), options.edge_smooth_px)
+
+    values_of = by_distance if options.proximity == "distance" else by_density
+
+    def maps_of(image: NDArray[np.uint8], mask: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.uint32]:
+        return np.stack([pack((1 - value) ** 2, options.unseen_error, shape) for value in values_of(image, mask)])
+
+    def observe(frame: Frame) -> SilhouetteEdgeMaps:
+        unseen = pack(np.empty((0, 0), np.float32), options.unseen_error, frame.largest)
+        stacks, shares, points = [], [], []
+        for image, mask in zip(frame.images, masks_of(frame), strict=True):
+            if image is None or mask is None:
+                stacks.append(np.stack([unseen, unseen]))
+                shares.append(UNSEEN_SHARE)
+                points.append(np.zeros((count, 2), np.float32))
+            else:
+                stacks.append(maps_of(image, mask, frame.largest))
+                shares.append((largest_figure(mask) if options.area_of == "largest" else mask).mean())
+                points.append(spread_points(mask, count))
+        return SilhouetteEdgeMaps(np.stack(stacks), np.array(shares, np.float32), np.stack(points))
+
+    return observe

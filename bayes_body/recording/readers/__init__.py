@@ -1,0 +1,1 @@
+"""Read recordings: calibrations, images, videos, keypoints, motion capture and true markers."""

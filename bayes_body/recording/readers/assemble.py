@@ -1,0 +1,179 @@
+"""Build a session from calibrated cameras and a folder with their recordings. All importers share this."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from bayes_body.base.errors import input_error
+from bayes_body.recording.readers.calibration import Calibrated, check_rig
+from bayes_body.recording.readers.excerpt import excerpt
+from bayes_body.recording.readers.faults import Faults
+from bayes_body.recording.readers.images import read_mask
+from bayes_body.recording.readers.numbered import Series, find_series
+from bayes_body.recording.readers.options import Axis, Options, check_fps, check_height
+from bayes_body.recording.readers.sources import Source, find_background, find_source, settled_size
+from bayes_body.recording.readers.timing import SAME_RATE, align, frame_rate
+from bayes_body.recording.readers.truth import read_truth
+from bayes_body.recording.session.read import load_session, save_session
+from bayes_body.recording.session.session import Session, Subject, View
+
+# Recordings are in one of these folders of a project, or in the project's folder itself.
+PLACES = ("videos", "images")
+
+
+class Filmed(NamedTuple):
+    """A calibrated camera, its recording, and a remark about the image size (or None)."""
+
+    camera: Calibrated
+    source: Source
+    remark: str | None
+
+
+class Rig(NamedTuple):
+    """What a laboratory provides: the path of the calibration, its cameras, the folder with the recordings, and the axis that points up."""
+
+    calibration: Path
+    cameras: Sequence[Calibrated]
+    folder: Path
+    up: Axis
+
+
+def assemble(rig: Rig, folder: Path, title: str, options: Options) -> tuple[Session, list[str]]:
+    """Build the session of a rig's recordings. The recordings stay where they are; nothing is written.
+
+    Args:
+        rig: the cameras and the folder with their recordings.
+        folder: the session's folder; paths inside it are written relative to it.
+        title: one line for the reader.
+        options: the user's options.
+
+    Returns:
+        The session and remarks for the user, one sentence each.
+
+    Raises:
+        FaultyFileError: something is missing or wrong; one sentence for each fault.
+    """
+    check_height(options.height_m)
+    check_fps(options.fps)
+    check_rig(rig.calibration, rig.cameras)
+    filmed = _filmed(rig)
+    counts = {each.camera.name: (each.source.first, each.source.count) for each in filmed}
+    timing = align(counts, options.offsets)
+    fps, remarks = frame_rate({each.camera.name: each.source.fps for each in filmed}, options.fps)
+    views = tuple(_view(each, folder, timing.offsets[each.camera.name], fps) for each in filmed)
+    subject = Subject(height_m=options.height_m)
+    whole = Session(folder, title, rig.up, fps, timing.frames, timing.first_frame, views, subject)
+    session = excerpt(whole, options.first_frame, options.frames)
+    remarks = [*(each.remark for each in filmed if each.remark), *timing.remarks, *remarks]
+    return with_options(session, options), [*remarks, *([] if options.masks else [_no_masks(options)])]
+
+
+def _no_masks(options: Options) -> str:
+    scene = f"the empty scene in {options.background}" if options.background else "a background learned from the recording"
+    return f"There are no masks: silhouettes are computed from {scene}; give masks with --masks."
+
+
+def _filmed(rig: Rig) -> list[Filmed]:
+    faults, filmed = Faults(), []
+    places = [rig.folder / place for place in PLACES if (rig.folder / place).is_dir()]
+    for camera in rig.cameras:
+        with faults.collect():
+            source = find_source([*places, rig.folder], camera.name)
+            remark = settled_size(f"camera '{camera.name}'", camera.size_px, source)
+            filmed.append(Filmed(camera, source, remark))
+    faults.raise_any()
+    return filmed
+
+
+def _view(filmed: Filmed, folder: Path, offset: int, fps: float) -> View:
+    camera, source = filmed.camera.spec(filmed.source.size_px), filmed.source
+    if source.series is None:
+        # Only --fps overrides a video's rate. The session keeps both, since another rate would mean another video.
+        stated = source.fps if abs(source.fps - fps) > SAME_RATE * fps and source.fps > 0 else None
+        return View(camera, video=written(source.path, folder), offset=offset, video_fps=stated)
+    return View(camera, images=_pattern(source.series, folder), offset=offset)
+
+
+def written(path: Path, folder: Path) -> str:
+    """The path as a session in `folder` writes it: relative if it is inside the folder, else absolute."""
+    path, folder = path.resolve(), folder.resolve()
+    return str(path.relative_to(folder)) if path.is_relative_to(folder) else str(path)
+
+
+def _pattern(series: Series, folder: Path) -> str:
+    # Escape percent signs in the folder's name: they are not the frame number.
+    parent = written(series.folder, folder).replace("%", "%%")
+    return series.name if parent == "." else f"{parent}/{series.name}"
+
+
+def with_options(session: Session, options: Options) -> Session:
+    """Add the user's masks, empty scene, truth and height to a session.
+
+    Raises:
+        FaultyFileError: one of them is missing or wrong; one sentence for each fault.
+    """
+    faults, views = Faults(), []
+    for view in session.views:
+        with faults.collect():
+            views.append(_with_pictures(session, view, options))
+    truth = session.truth
+    if options.truth is not None:
+        with faults.collect():
+            read_truth(options.truth, session.frames, session.skipped)
+            truth = written(options.truth, session.folder)
+    faults.raise_any()
+    subject = session.subject if options.height_m is None else replace(session.subject, height_m=options.height_m)
+    return replace(session, views=tuple(views), subject=subject, truth=truth)
+
+
+def _with_pictures(session: Session, view: View, options: Options) -> View:
+    name, size = view.camera.name, view.camera.size_px
+    if options.masks is not None:
+        series = find_series(options.masks / name)
+        first = session.number(view, 0)
+        last = first + session.frames - 1
+        if series.first > first or series.first + series.count <= last:
+            found = f"numbers {series.first} to {series.first + series.count - 1}"
+            remedy = "number the masks like the camera's frames; frames of a video count from 0"
+            raise input_error(f"--masks {options.masks / name}", found, f"{first} to {last}, this camera's frames in the session", remedy)
+        read_mask(series.path(first), size)
+        view = replace(view, masks=_pattern(series, session.folder))
+    if options.background is not None:
+        view = replace(view, background=written(find_background(options.background, name, size), session.folder))
+    return view
+
+
+def saved(session: Session) -> Session:
+    """Write the session and read it back, so that the caller works with the rounded values of the file.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    return load_session(save_session(session))
+
+
+def source_folder(source: Path, what: str) -> Path:
+    """Return the folder if it exists.
+
+    Raises:
+        InputError: it does not exist.
+    """
+    if not source.is_dir():
+        raise input_error(source, "no such folder", what, "check the path")
+    return source
+
+
+def only_file(places: Sequence[Path], patterns: Sequence[str], what: str) -> Path:
+    """The single file that matches one of the patterns, in the first place that has a match.
+
+    Raises:
+        InputError: there is none, or there are several.
+    """
+    for place in places:
+        paths = sorted({path for pattern in patterns for path in place.glob(pattern) if path.is_file()})
+        if len(paths) > 1:
+            raise input_error(place, f"{len(paths)} calibrations ({', '.join(path.name for path in paths)})", what, "keep only one of them there")
+        if paths:
+            return paths[0]
+    raise input_error(places[-1], f"no {' or '.join(patterns)} in it", what, "name the folder that holds the calibration and the videos")

@@ -1,0 +1,106 @@
+r"""Calibrations of Qualisys Track Manager: XML, usually named `*.qca.txt`.
+
+Focal lengths and the principal point are in 1/64 pixel. The principal point is counted from the sensor's corner, and `fov_video` gives the recorded
+part of the sensor (left, top, right, bottom, inclusive). `transform` holds r11 ... r33 by rows and the camera's *centre* C in millimetres. The camera
+looks along its negative z, with y up: $X_{camera} = \mathrm{diag}(1, -1, -1)\, R\, (X_{world} - C)$. The world's z is up. `radialDistortion1..3` and
+`tangentalDistortion1..2` (the format's spelling) are k1, k2, k3 and p1, p2, dimensionless.
+"""
+
+import math
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from bayes_body.base.errors import InputError, input_error
+from bayes_body.base.files.text import read_text
+from bayes_body.recording.readers.calibration import Calibrated, calibrated
+from bayes_body.recording.readers.faults import Faults
+from bayes_body.recording.session.schema import MOST_CAMERAS
+
+UP = "z"
+MM = 1e-3
+SUBPIXELS = 64.0
+KIND = "a calibration of Qualisys Track Manager (*.qca.txt)"
+Y_DOWN_Z_FORWARD = np.diag([1.0, -1.0, -1.0])
+
+
+def read_qualisys(path: Path) -> list[Calibrated]:
+    """The video cameras of a file, in its order. Cameras that record only markers are left out.
+
+    Raises:
+        InputError: no file, not XML, or no video camera in it.
+        FaultyFileError: one sentence for each fault.
+    """
+    elements = [camera for camera in _root(path).iter("camera") if _films(camera)]
+    if not elements:
+        raise input_error(path, "no video camera in it", KIND, "name the file that the calibration program wrote")
+    if len(elements) > MOST_CAMERAS:
+        raise input_error(path, f"{len(elements)} cameras", f"{KIND} of at most {MOST_CAMERAS}", "restore the file")
+    faults, cameras = Faults(), []
+    for number, element in enumerate(elements, 1):
+        name = element.get("serial", "")
+        with faults.collect():
+            cameras.append(_camera(f"{path}: camera '{name}'" if name else f"{path}: camera #{number}", name, element))
+    faults.raise_any()
+    return cameras
+
+
+def _root(path: Path) -> ElementTree.Element:
+    text = read_text(path, KIND)
+    # Nested entities can grow without bound, and no calibration has any.
+    if "<!doctype" in text.lower() or "<!entity" in text.lower():
+        raise input_error(path, "a document type or entities", f"{KIND}, which has none", "name the file that the calibration program wrote")
+    try:
+        return ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise input_error(path, f"not XML ({error})", KIND, "restore the file") from None
+
+
+def _films(camera: ElementTree.Element) -> bool:
+    model = camera.get("model", "none").lower()
+    return "video" in model or model == "none"
+
+
+def _camera(where: str, name: str, element: ElementTree.Element) -> Calibrated:
+    turned = _number(where, element, "viewrotation", 0.0)
+    if turned:
+        remedy = "set the view rotation to 0 in Qualisys Track Manager and export calibration and videos again"
+        raise input_error(f"{where}: viewrotation", f"{turned:g} degrees", "0, images in the sensor's orientation", remedy)
+    inner, outer, recorded = (_child(where, element, tag) for tag in ("intrinsic", "transform", "fov_video"))
+    if _number(where, inner, "skew", 0.0):
+        raise input_error(f"{where}: skew", f"{inner.get('skew')}", "0, since the unit of skew is not known", "calibrate again without skew")
+    left, top, right, bottom = (_number(where, recorded, key) for key in ("left", "top", "right", "bottom"))
+    fx, fy, cx, cy = (_number(where, inner, key) / SUBPIXELS for key in ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV"))
+    k1, k2, k3 = (_number(where, inner, f"radialDistortion{i}", 0.0) for i in (1, 2, 3))
+    p1, p2 = (_number(where, inner, f"tangentalDistortion{i}", 0.0) for i in (1, 2))
+    R = Y_DOWN_Z_FORWARD @ np.array([[_number(where, outer, f"r{i}{j}") for j in (1, 2, 3)] for i in (1, 2, 3)])
+    centre_m = MM * np.array([_number(where, outer, axis) for axis in "xyz"])
+    matrix = [[fx, 0.0, cx - left], [0.0, fy, cy - top], [0.0, 0.0, 1.0]]
+    return calibrated(where, name, (right - left + 1, bottom - top + 1), matrix, (k1, k2, p1, p2, k3), R, -R @ centre_m)
+
+
+def _child(where: str, element: ElementTree.Element, tag: str) -> ElementTree.Element:
+    child = element.find(tag)
+    if child is None:
+        raise input_error(where, f"no <{tag}>", "<transform>, <intrinsic> and <fov_video>", "export the calibration again, with the video cameras")
+    return child
+
+
+def _number(where: str, element: ElementTree.Element, key: str, default: float | None = None) -> float:
+    text = element.get(key)
+    if text is None and default is not None:
+        return default
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    # Its squares and products must be finite too.
+    if not abs(value) < 1e12:
+        raise _no_number(where, element, key, text)
+    return value
+
+
+def _no_number(where: str, element: ElementTree.Element, key: str, text: str | None) -> InputError:
+    found = "missing" if text is None else f"'{text[:40]}'"
+    return input_error(f"{where}: {element.tag} {key}", found, "a finite number", "restore the file, or export the calibration again")

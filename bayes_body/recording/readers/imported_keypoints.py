@@ -1,0 +1,172 @@
+"""Import the subject's keypoints from OpenPose's files, one folder per camera: for the first frame, and for all frames."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.base.errors import input_error
+from bayes_body.recording.readers.faults import Faults
+from bayes_body.recording.readers.keypoint_layouts import Layout, choose_layout
+from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
+from bayes_body.recording.readers.keypoint_subject import Places, follow_person
+from bayes_body.recording.readers.keypoints import keypoint_files, read_openpose, read_people
+from bayes_body.recording.readers.options import Options
+from bayes_body.recording.readers.person import People
+from bayes_body.recording.session.session import CameraSpec, Keypoints, Session, View
+
+# How many evenly spaced files of a camera are used to find the order of the keypoints.
+FILES_FOR_LAYOUT = 20
+FOLDER = "keypoints"
+
+
+def keypoint_folders(session: Session, folder: Path) -> dict[str, Path]:
+    """Each camera's folder of files, CAMERA_json or CAMERA. Cameras without one are left out."""
+    places = {view.camera.name: (folder / f"{view.camera.name}_json", folder / view.camera.name) for view in session.views}
+    return {name: path for name, either in places.items() for path in either[::-1] if path.is_dir()}
+
+
+def with_imported_keypoints(session: Session, options: Options, usual: Path | None = None) -> tuple[Session, list[str]]:
+    """Add the keypoints that the user names, or those of the usual folder if it has any. Returns the session and remarks.
+
+    Raises:
+        FaultyFileError: one sentence for each folder or file that is missing or wrong.
+        InputError: the named folder has none, they cannot be read, or the session's folder cannot be written.
+    """
+    folder = options.keypoints or usual
+    folders = keypoint_folders(session, folder) if folder else {}
+    what = "a folder CAMERA_json of OpenPose's files for each camera"
+    if options.keypoints is not None and not folders:
+        raise input_error(f"--keypoints {folder}", "no folder of any camera in it", what, "check the path and the folders' names")
+    if options.layout is not None and not folders:
+        raise input_error(
+            "--layout", f"{options.layout}, but there are no keypoints{f' in {folder}' if folder else ''}", what, "leave the option out"
+        )
+    return with_keypoints(session, folders, options.layout) if folders else (session, [])
+
+
+def with_keypoints(session: Session, folders: Mapping[str, Path], layout: str | None = None) -> tuple[Session, list[str]]:
+    """Add the subject's keypoints: all frames in files beside the session, the first frame as the first pose. Also returns remarks.
+
+    Args:
+        session: its cameras and frames.
+        folders: each camera's files, numbered like its frames; a camera may be missing.
+        layout: the order of the keypoints; None: infer it from the data.
+
+    Raises:
+        FaultyFileError: one sentence for each folder or file that is missing or wrong.
+        InputError: the order of the keypoints cannot be inferred, or the session's folder cannot be written.
+    """
+    views = [view for view in session.views if view.camera.name in folders]
+    people, remarks = _read(session, views, folders)
+    somebody = [each for frame in people for each in frame if len(each)]
+    if not somebody:
+        return session, ["The keypoint files contain no people: the session has no keypoints."]
+    order = choose_layout(_alike(folders, [*somebody, *_sample(views, folders)]), layout)
+    places = follow_person([view.camera for view in views], people)
+    first = {
+        view.camera.name: _named(view.camera, among[place], order)
+        for view, among, place in zip(views, people[0], places[0], strict=True)
+        if place is not None
+    }
+    remarks = [*([order.remark] if order.remark else []), *remarks, *_crowd(session, views, people[0], places), *_seldom(views, places)]
+    files = {view.camera.name: _written(session, view, c, people, places, order) for c, view in enumerate(views)}
+    marked = tuple(replace(view, keypoints=files.get(view.camera.name)) for view in session.views)
+    # A first pose in angles or markers that the source provides takes precedence.
+    known = session.initial or session.initial_markers
+    return replace(session, views=marked, initial_keypoints={} if known else first), remarks
+
+
+def _read(session: Session, views: Sequence[View], folders: Mapping[str, Path]) -> tuple[list[list[People]], list[str]]:
+    """The people of each frame in each camera, and remarks on frames without a file. The first frame must have one."""
+    faults, cameras, remarks = Faults(), [], []
+    for view in views:
+        with faults.collect():
+            folder, first = folders[view.camera.name], session.number(view, 0)
+            there = keypoint_files(folder)
+            numbers = [number for number in range(first, first + session.frames) if number in there or number == first]
+            series = dict(zip(numbers, read_openpose(folder, numbers), strict=True))
+            nobody = np.zeros((0, 0, 3))
+            cameras.append([_people(series.get(first + frame, nobody)) for frame in range(session.frames)])
+            if len(numbers) < session.frames:
+                lost = f"{session.frames - len(numbers)} of {session.frames} frames have no file in {folder}"
+                remarks.append(f"camera '{view.camera.name}': {lost}: its keypoints are missing there.")
+    faults.raise_any()
+    return [list(frame) for frame in zip(*cameras, strict=True)], remarks
+
+
+def _people(found: People) -> People:
+    return found[np.isfinite(found[..., 0]).any(axis=1)]
+
+
+def _sample(views: Sequence[View], folders: Mapping[str, Path]) -> list[People]:
+    files = [list(keypoint_files(folders[view.camera.name]).values()) for view in views]
+    return [each for paths in files for path in paths[:: max(1, len(paths) // FILES_FOR_LAYOUT)] if len(each := read_people(path))]
+
+
+def _alike(folders: Mapping[str, Path], people: Sequence[People]) -> Float[np.ndarray, "person keypoint 3"]:
+    counts = sorted({each.shape[1] for each in people})
+    if len(counts) > 1:
+        where = next(iter(folders.values())).parent
+        raise input_error(where, f"people with {counts[0]} and with {counts[-1]} keypoints", "one order of keypoints", "use one network")
+    return np.concatenate(people)
+
+
+def _named(camera: CameraSpec, person: Float[np.ndarray, "keypoint 3"], layout: Layout) -> Keypoints:
+    """The keypoints that were found inside the image."""
+    inside = _inside(camera, person) & (person[:, 2] > 0)
+    points = zip(layout.keypoints, person.tolist(), inside.tolist(), strict=True)
+    return {name: (column, row, confidence) for name, (column, row, confidence), seen in points if seen}
+
+
+def _inside(camera: CameraSpec, points: Float[np.ndarray, "*_ 3"]) -> np.ndarray:
+    return (points[..., :2] >= 0).all(axis=-1) & (points[..., :2] <= camera.size_px).all(axis=-1)
+
+
+def _written(session: Session, view: View, c: int, people: Sequence[Sequence[People]], places: Sequence[Places], order: Layout) -> str:
+    """Write the camera's file with the subject's keypoints inside the image; returns its name as the session writes it."""
+    points = np.full((session.frames, len(order.keypoints), 3), np.nan)
+    for row, frame, chosen in zip(points, people, places, strict=True):
+        place = chosen[c]
+        if place is not None:
+            row[:] = frame[c][place]
+    points[~_inside(view.camera, points)] = (np.nan, np.nan, 0.0)
+    name = f"{FOLDER}/{view.camera.name}.npz"
+    write_series(session.folder / name, KeypointSeries(points, order.keypoints, session.number(view, 0)))
+    return name
+
+
+def _crowd(session: Session, views: Sequence[View], people: Sequence[People], series: Sequence[Places]) -> list[str]:
+    """A remark if nobody is in the first frame, with the first that shows the subject, or if several people are."""
+    places = series[0]
+    if not any(place is not None for place in places):
+        why = "No two cameras agree on a person's keypoints" if len(views) > 1 and any(map(len, people)) else "The keypoint files contain no people"
+        return [f"{why} in frame {session.first_frame}, the first one: the session has no first keypoints{_later(session, series)}."]
+    choices = [
+        f"{view.camera.name}: {'none' if place is None else f'#{place + 1}'} of {len(among)}"
+        for view, among, place in zip(views, people, places, strict=True)
+        if len(among) > 1 or place is None
+    ]
+    how = "on whom most cameras agree" if len(views) > 1 else "who is largest"
+    return (
+        [f"There are several people in the first frame. The subject is the one {how} ({', '.join(choices)}): check the picture."] if choices else []
+    )
+
+
+def _later(session: Session, series: Sequence[Places]) -> str:
+    """Words on the first frame in which two cameras, or the only one, show the subject."""
+    shown = [sum(place is not None for place in places) for places in series]
+    later = next((frame for frame, count in enumerate(shown) if count >= min(2, len(series[0]))), None)
+    if later is None:
+        return ""
+    number = session.frame_number(later)
+    return f"; they show the subject from frame {number} on: begin there with --first-frame {number}"
+
+
+def _seldom(views: Sequence[View], places: Sequence[Places]) -> list[str]:
+    """A remark on cameras that do not see the subject in every frame."""
+    unseen = [sum(chosen[c] is None for chosen in places) for c in range(len(views))]
+    counts = [f"{view.camera.name}: {count} of {len(places)}" for view, count in zip(views, unseen, strict=True) if count]
+    return [f"Frames in which a camera's keypoints do not show the subject: {', '.join(counts)}."] if counts else []

@@ -1,0 +1,126 @@
+"""Read keypoints in OpenPose's format: one JSON file per frame with `people`, each with `pose_keypoints_2d` = x, y, confidence of each keypoint.
+
+Pose2Sim and the converters of MMPose and AlphaPose write the same. A keypoint that was not found is 0, 0, 0 in the file and NaN, NaN, 0 here.
+"""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.base.errors import input_error
+from bayes_body.base.files.text import parse_json, read_text
+from bayes_body.recording.readers.faults import Faults
+
+KIND = "keypoints as OpenPose writes them, {people: [{pose_keypoints_2d: [x, y, confidence, ...]}]}"
+# The last number of a file name: cam01.0007.json, walk_000000000007_keypoints.json.
+NUMBER = re.compile(r"(\d+)(?:_keypoints)?\.json", re.IGNORECASE)
+MOST_PEOPLE = 200
+MOST_KEYPOINTS = 500
+# Far outside any image; a larger coordinate is damage.
+FARTHEST_PX = 1e6
+
+
+def read_people(path: Path) -> Float[np.ndarray, "person keypoint 3"]:
+    """The people of one file: column, row (pixels; NaN where not found) and confidence, from 0 to 1; (0, 0, 3) without people.
+
+    Some networks give confidences above 1; they are clipped to 1.
+
+    Raises:
+        InputError: no file, not JSON, or no such keypoints.
+    """
+    people = _people(path)
+    if not people:
+        return np.zeros((0, 0, 3))
+    rows = [_row(path, number, person) for number, person in enumerate(people, 1)]
+    counts = sorted({len(row) for row in rows})
+    if len(counts) > 1:
+        raise input_error(path, f"people with {counts[0] // 3} and with {counts[-1] // 3} keypoints", "the same number for each", "restore the file")
+    points = np.array(rows, float).reshape(len(rows), -1, 3)
+    if not (np.isfinite(points).all() and (np.abs(points[..., :2]) <= FARTHEST_PX).all()):
+        raise input_error(path, "a keypoint that is not finite, or far outside any image", "pixels", "restore the file")
+    points[..., 2] = np.clip(points[..., 2], 0.0, 1.0)
+    points[..., :2][points[..., 2] == 0] = np.nan
+    return points
+
+
+def _people(path: Path) -> list[Any]:
+    content = parse_json(read_text(path, KIND), path, KIND)
+    people = content.get("people") if isinstance(content, dict) else None
+    if not isinstance(people, list) or len(people) > MOST_PEOPLE:
+        found = "no list `people`" if not isinstance(people, list) else f"{len(people)} people"
+        raise input_error(path, found, f"{KIND}, at most {MOST_PEOPLE} people", "restore the file")
+    return people
+
+
+def _row(path: Path, number: int, person: Any) -> list[float]:
+    numbers = person.get("pose_keypoints_2d") if isinstance(person, dict) else None
+    if not isinstance(numbers, list) or not numbers or len(numbers) % 3 or len(numbers) > 3 * MOST_KEYPOINTS:
+        found = f"{len(numbers)} numbers" if isinstance(numbers, list) else "none"
+        raise input_error(f"{path}: person {number}: pose_keypoints_2d", found, "x, y, confidence of each keypoint in a row", "restore the file")
+    # This excludes true, false, and numbers too large for a float.
+    if not all(type(value) in (int, float) and abs(value) <= 1e300 for value in numbers):
+        raise input_error(f"{path}: person {number}: pose_keypoints_2d", "an entry that is not a finite number", "numbers", "restore the file")
+    return [float(value) for value in numbers]
+
+
+def keypoint_files(folder: Path) -> dict[int, Path]:
+    """The files of a folder by frame number, sorted.
+
+    Raises:
+        InputError: no such folder, no numbered json files in it, or two files with the same number.
+    """
+    paths = sorted(folder.glob("*.json")) if folder.is_dir() else []
+    numbered = [(int(match[1][:18]), path) for path in paths if (match := NUMBER.search(path.name))]
+    if not numbered:
+        raise input_error(folder, "no numbered json files in it", "one file per frame, such as cam01.0000.json", "name the folder that holds them")
+    files = dict(sorted(numbered))
+    if len(files) < len(numbered):
+        raise input_error(
+            folder, f"{len(numbered)} files with {len(files)} different numbers", "one file per frame", "keep the files of only one recording in it"
+        )
+    return files
+
+
+def read_openpose(folder: Path, frames: Sequence[int]) -> Float[np.ndarray, "frame person keypoint 3"]:
+    """The keypoints of one camera, frame by frame: column, row (pixels) and confidence, from 0 to 1.
+
+    Args:
+        folder: one file per frame, with the frame number at the end of its name.
+        frames: the numbers of the frames to read.
+
+    Returns:
+        The person axis is as long as the fullest frame needs. A missing person, like a keypoint that was not found, is NaN, NaN, 0. People keep the
+        order of their file; the same index need not be the same person.
+
+    Raises:
+        FaultyFileError: one sentence for each file that is missing or cannot be used.
+        InputError: no folder with such files, or frames with different numbers of keypoints.
+    """
+    files = keypoint_files(folder)
+    missing = [number for number in frames if number not in files]
+    if missing:
+        found = f"{len(missing)} of {len(frames)} frames have no file, the first is {missing[0]}"
+        raise input_error(folder, found, f"a file for each frame; there are {min(files)} to {max(files)}", "restore them, or read other frames")
+    faults, people = Faults(), []
+    for number in frames:
+        with faults.collect():
+            people.append(read_people(files[number]))
+    faults.raise_any()
+    counts = sorted({each.shape[1] for each in people if len(each)})
+    if len(counts) > 1:
+        raise input_error(
+            folder,
+            f"frames with {counts[0]} and with {counts[-1]} keypoints per person",
+            "the same number in each",
+            "keep only one series of files in it",
+        )
+    series = np.full((len(people), max(map(len, people), default=0), counts[0] if counts else 0, 3), np.nan)
+    series[..., 2] = 0.0
+    for frame, each in zip(series, people, strict=True):
+        if len(each):
+            frame[: len(each)] = each
+    return series

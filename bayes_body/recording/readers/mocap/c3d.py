@@ -1,0 +1,98 @@
+"""C3D (c3d.org), the binary format of motion laboratories: markers with POINT:UNITS and POINT:RATE. A point with a negative residual is missing.
+
+Files of `bayes-body export` also hold each marker's spread as further points (`_sd`, `_q05`, `_q95`). These are not markers and are left out.
+"""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from bayes_body.base.errors import input_error
+from bayes_body.recording.readers.mocap.c3d_parameters import BLOCK, KIND, RESTORE, Content, open_c3d
+from bayes_body.recording.readers.mocap.capture import Capture, known_unit
+from bayes_body.recording.readers.mocap.text import LARGEST_NUMBER, read_bytes
+
+USUAL_UNIT, USUAL_UP = "mm", "z"
+# Counts above 65535 frames are in a parameter of floats.
+FRAMES, LABELS, UNITS, RATE, Y_SCREEN = "POINT:LONG_FRAMES", "POINT:LABELS", "POINT:UNITS", "POINT:RATE", "POINT:Y_SCREEN"
+SPREAD = re.compile(r"(.+)_(sd|q05|q95)")
+
+type Parameters = Mapping[str, NDArray[np.generic]]
+
+
+def read_c3d(path: Path) -> Capture:
+    """Read the markers. POINT:Y_SCREEN gives the up axis; the default is z.
+
+    Raises:
+        InputError: the file cannot be read, is not C3D, has no points, or is cut off.
+    """
+    content, parameters = open_c3d(path, read_bytes(path, KIND))
+    labels = _labels(parameters)
+    points, rate = _points(content, parameters)
+    if not points.shape[1]:
+        raise input_error(path, "no points in it", KIND, "export it with its markers")
+    if len(labels) < points.shape[1]:
+        raise input_error(f"{path}: {LABELS}", f"{len(labels)} names", f"{points.shape[1]}, one for each point", RESTORE)
+    markers = [k for k, label in enumerate(labels[: points.shape[1]]) if label and not _is_spread(label, labels)]
+    names = tuple(labels[k] for k in markers)
+    if len(set(names)) < len(names) or not names:
+        twice = next((name for name in names if names.count(name) > 1), "no name")
+        raise input_error(f"{path}: {LABELS}", f"'{twice}' {names.count(twice)} times" if names else twice, "unique names", "rename them")
+    unit = (_text(parameters, UNITS) or [USUAL_UNIT])[0] or USUAL_UNIT
+    up = (_text(parameters, Y_SCREEN) or [""])[0].strip().lower().removeprefix("+")
+    metres = known_unit(f"{path}: {UNITS}", unit)
+    return Capture(rate, names, (-1,) * len(names), points[:, markers], metres, up if re.fullmatch("-?[xyz]", up) else USUAL_UP)
+
+
+def _is_spread(label: str, labels: list[str]) -> bool:
+    match = SPREAD.fullmatch(label)
+    return match is not None and match[1] in labels
+
+
+def _text(parameters: Parameters, key: str) -> list[str]:
+    """The strings of a parameter, which are columns of characters."""
+    array = parameters.get(key)
+    if array is None or array.dtype.kind != "S" or not array.size:
+        return []
+    columns = array.reshape(array.shape[0] if array.ndim else 1, -1, order="F").T
+    return [column.tobytes().decode("utf-8", "replace").replace("\0", " ").strip() for column in columns]
+
+
+def _labels(parameters: Parameters) -> list[str]:
+    """The names of all points. A parameter holds at most 255 names; the next ones are in LABELS2 and so on."""
+    labels, number = _text(parameters, LABELS), 2
+    while f"{LABELS}{number}" in parameters:
+        labels += _text(parameters, f"{LABELS}{number}")
+        number += 1
+    # Some laboratories put the subject's name before each marker's.
+    return [label.rpartition(":")[2] for label in labels]
+
+
+def _number(parameters: Parameters, key: str, other: float) -> float:
+    array = parameters.get(key)
+    if array is None or array.dtype.kind == "S" or array.size != 1:
+        return other
+    return float(array.ravel()[0])
+
+
+def _points(content: Content, parameters: Parameters) -> tuple[Float[np.ndarray, "frame point 3"], float]:
+    """Positions in the file's unit, NaN where missing; and frames per second."""
+    header = [int(word) for word in content.values("u2", 0, 12)]
+    count, analog, first, last, start = header[1], header[2], header[3], header[4], header[8]
+    scale, rate = (float(content.values("f4", at, 1)[0]) for at in (12, 20))
+    frames = _number(parameters, FRAMES, last - first + 1)
+    rate = _number(parameters, RATE, rate)
+    if not (np.isfinite(scale) and scale and 1 <= frames < LARGEST_NUMBER and start >= 1):
+        raise input_error(content.path, f"{frames:g} frames from block {start} on, scale {scale:g}", f"one or more frames of {KIND}", RESTORE)
+    width, kind = 4 * count + analog, "f4" if scale < 0 else "i2"
+    values = content.values(kind, (start - 1) * BLOCK, int(frames) * width).reshape(int(frames), width)
+    points = values[:, : 4 * count].reshape(int(frames), count, 4).astype(np.float64)
+    if not (np.abs(np.nan_to_num(points[..., :3], posinf=np.inf)) <= LARGEST_NUMBER).all():
+        raise input_error(content.path, "a position that is too large", f"positions of at most {LARGEST_NUMBER:g}", RESTORE)
+    positions = points[..., :3] * (1.0 if scale < 0 else scale)
+    positions[~(points[..., 3] >= 0)] = np.nan
+    return positions, rate

@@ -1,0 +1,53 @@
+"""Import a folder with OpenCV's calibrations (yml, yaml, xml, json; EasyMocap's pair; or Anipose's toml) and recordings named after the cameras."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from bayes_body.base.errors import input_error
+from bayes_body.recording.readers.assemble import Rig, assemble, saved, source_folder
+from bayes_body.recording.readers.calibration import Calibrated
+from bayes_body.recording.readers.calibration_opencv import SUFFIXES, read_opencv
+from bayes_body.recording.readers.calibration_toml import read_calibration_toml
+from bayes_body.recording.readers.imported_keypoints import with_imported_keypoints
+from bayes_body.recording.readers.options import Options, metres_per_unit, up_axis
+from bayes_body.recording.session.session import Session
+
+WHAT = "a folder with a calibration file (yml, yaml, xml, json, or one toml of Anipose) and a recording of each camera"
+WHY_UNIT = "these files do not say the unit of their translations"
+WHY_UP = "these files do not say which axis of their world points up"
+
+
+def import_opencv(source: Path, folder: Path, options: Options | None = None) -> tuple[Session, list[str]]:
+    """Write the session of cameras calibrated with OpenCV. Their files stay where they are. The options must give the unit and the up axis.
+
+    Args:
+        source: holds the calibration files, directly or in `calibration`, and the recordings, directly or in `videos` or `images`.
+        folder: the folder for `session.toml`; created if needed.
+        options: the user's options.
+
+    Returns:
+        The saved session and remarks for the user, one sentence each.
+
+    Raises:
+        FaultyFileError: something in the source is missing or wrong; one sentence for each fault.
+        InputError: `source` is not a folder, an option is missing or wrong, or `folder` cannot be written.
+    """
+    options = options or Options()
+    source_folder(source, WHAT)
+    unit_m, up = metres_per_unit(options.unit, WHY_UNIT), up_axis(options.up, WHY_UP)
+    path = _calibration([source / "calibration", source])
+    cameras: Sequence[Calibrated] = read_calibration_toml(path, unit_m) if path.suffix == ".toml" else read_opencv(path, unit_m)
+    session, remarks = assemble(Rig(path, cameras, source, up), folder.resolve(), f"recording {source.resolve().name}", options)
+    session, keypoint_remarks = with_imported_keypoints(session, options)
+    return saved(session), [*remarks, *keypoint_remarks]
+
+
+def _calibration(places: Sequence[Path]) -> Path:
+    """The folder of OpenCV's files, or Anipose's toml."""
+    for place in (place for place in places if place.is_dir()):
+        if any(path.suffix.lower() in SUFFIXES for path in place.iterdir()):
+            return place
+        tomls = sorted(place.glob("*.toml"))
+        if len(tomls) == 1:
+            return tomls[0]
+    raise input_error(places[-1], "no calibration in it", WHAT, "name the folder that holds the calibrations and recordings")

@@ -1,0 +1,52 @@
+"""Import a project of Pose2Sim: `calibration/*.toml` or `*.qca.txt`, `videos/NAME.mp4` for each camera, `pose/NAME_json` with its keypoints."""
+
+from pathlib import Path
+
+from bayes_body.base.errors import input_error
+from bayes_body.recording.readers import calibration_qualisys
+from bayes_body.recording.readers.assemble import Rig, assemble, only_file, saved, source_folder
+from bayes_body.recording.readers.calibration_toml import read_calibration_toml
+from bayes_body.recording.readers.imported_keypoints import with_imported_keypoints
+from bayes_body.recording.readers.options import Options, metres_per_unit, up_axis
+from bayes_body.recording.session.session import Session
+
+WHAT = "a project of Pose2Sim (calibration, videos, pose)"
+WHY_UP = "Pose2Sim's toml does not say which axis of its world points up; it depends on how the scene was measured"
+
+
+def import_pose2sim(source: Path, folder: Path, options: Options | None = None) -> tuple[Session, list[str]]:
+    """Write the session of a Pose2Sim project. Its files stay where they are.
+
+    A toml is in metres, as Pose2Sim writes it, unless the options name another unit. The options must name the axis that points up.
+
+    Args:
+        source: the project's folder.
+        folder: the folder for `session.toml`; created if needed.
+        options: the user's options.
+
+    Returns:
+        The saved session and remarks for the user, one sentence each.
+
+    Raises:
+        FaultyFileError: something in the source is missing or wrong; one sentence for each fault.
+        InputError: `source` is not a folder, an option is missing or wrong, or `folder` cannot be written.
+    """
+    options = options or Options()
+    source_folder(source, WHAT)
+    path = only_file([source / "calibration", source], ("*.toml", "*.qca.txt"), f"one calibration, {WHAT}")
+    rig, remarks = _rig(source, path, options)
+    session, more = assemble(rig, folder.resolve(), f"Pose2Sim project {source.resolve().name}", options)
+    session, keypoint_remarks = with_imported_keypoints(session, options, source / "pose")
+    return saved(session), [*remarks, *more, *keypoint_remarks]
+
+
+def _rig(source: Path, path: Path, options: Options) -> tuple[Rig, list[str]]:
+    if path.suffix == ".toml":
+        unit_m = metres_per_unit(options.unit or "m", "")
+        remarks = [] if options.unit else ["The calibration is assumed to be in metres, as Pose2Sim writes it; give --unit if it is not."]
+        up = up_axis(options.up, WHY_UP)
+        return Rig(path, read_calibration_toml(path, unit_m), source, up), remarks
+    if options.unit not in (None, "mm"):
+        raise input_error("--unit", options.unit or "", "mm, the unit of Qualisys's calibrations", "leave the option out")
+    up = up_axis(options.up or calibration_qualisys.UP, "")
+    return Rig(path, calibration_qualisys.read_qualisys(path), source, up), []

@@ -1,0 +1,124 @@
+"""Find a camera's recording: a video or a folder of numbered images named after the camera. The same for its empty scene."""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from bayes_body.base.errors import InputError, input_error, nearest
+from bayes_body.recording.readers.images import read_grey
+from bayes_body.recording.readers.numbered import SUFFIXES, Series, find_series
+from bayes_body.recording.readers.video import probe
+
+VIDEOS = (".mp4", ".avi", ".mov", ".mkv")
+# Codecs work on blocks of 16 pixels: 1080 rows are coded as 1088, and some programs calibrate on the padded image.
+BLOCK = 16
+
+
+@dataclass(frozen=True)
+class Source:
+    """A camera's recording.
+
+    Attributes:
+        path: the video, or the folder of images.
+        series: the images; None for a video.
+        size_px: (width, height).
+        fps: frames per second, or 0 if unknown.
+        first: the number of its first frame; 0 for a video.
+        count: number of frames.
+    """
+
+    path: Path
+    series: Series | None
+    size_px: tuple[int, int]
+    fps: float
+    first: int
+    count: int
+
+
+def find_source(folders: Sequence[Path], name: str) -> Source:
+    """The recording of the camera `name`: NAME.mp4 (avi, mov, mkv), a folder NAME, or the only video whose name ends in _NAME.
+
+    Args:
+        folders: where to look; the first one with a recording is used.
+        name: the camera's name.
+
+    Raises:
+        InputError: none, more than one, or one that cannot be read.
+    """
+    for folder in folders:
+        paths = _named(folder, name)
+        if len(paths) > 1:
+            raise input_error(
+                folder, f"{', '.join(path.name for path in paths)} for camera '{name}'", "one recording of each camera", "keep only one of them"
+            )
+        if paths:
+            return _source(paths[0])
+    stems = [path.stem for folder in folders for path in _recordings(folder)]
+    looked = " or ".join(str(folder) for folder in folders)
+    raise InputError(f"camera '{name}': no video or folder of images with its name in {looked}; {nearest(name, stems)}")
+
+
+def _recordings(folder: Path) -> list[Path]:
+    paths = sorted(folder.iterdir()) if folder.is_dir() else []
+    return [path for path in paths if path.suffix.lower() in VIDEOS or (path.is_dir() and any(_images(path)))]
+
+
+def _images(folder: Path) -> Iterator[Path]:
+    return (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+
+
+def _named(folder: Path, name: str) -> list[Path]:
+    recordings = _recordings(folder)
+    exact = [path for path in recordings if name in (path.stem if path.is_file() else path.name, path.name)]
+    return exact or [path for path in recordings if path.is_file() and re.search(rf"[_ ]{re.escape(name)}$", path.stem)]
+
+
+def _source(path: Path) -> Source:
+    if path.is_dir():
+        series = find_series(path)
+        height, width = read_grey(series.path(series.first)).shape
+        return Source(path, series, (width, height), 0.0, series.first, series.count)
+    info = probe(path)
+    return Source(path, None, info.size_px, info.fps, 0, info.frames)
+
+
+def find_background(folder: Path, name: str, size_px: tuple[int, int]) -> Path:
+    """The image or video of the empty scene for the camera `name`: NAME.png or similar in `folder`.
+
+    Raises:
+        InputError: none, more than one, or not of the camera's image size.
+    """
+    paths = sorted(folder.iterdir()) if folder.is_dir() else []
+    found = [path for path in paths if path.stem == name and path.suffix.lower() in (*VIDEOS, *SUFFIXES)]
+    if len(found) != 1:
+        what = "no image or video" if not found else ", ".join(path.name for path in found)
+        raise input_error(
+            f"--background {folder}", f"{what} for camera '{name}'", f"one of the empty scene, such as {name}.png or {name}.mp4", "add it"
+        )
+    (path,) = found
+    if path.suffix.lower() in SUFFIXES:
+        read_grey(path, size_px)
+    elif probe(path).size_px != size_px:
+        width, height = probe(path).size_px
+        raise input_error(
+            path, f"{width} x {height} pixels", f"{size_px[0]} x {size_px[1]}, like its camera's recording", "film it with the same settings"
+        )
+    return path
+
+
+def settled_size(where: str, calibrated_px: tuple[int, int] | None, source: Source) -> str | None:
+    """Compare the sizes of a recording and its calibration. Returns None if they are equal, or a remark if only a codec's padding is missing.
+
+    Raises:
+        InputError: the sizes differ otherwise.
+    """
+    if calibrated_px in (None, source.size_px):
+        return None
+    (width, height), (w, h) = calibrated_px, source.size_px
+    padded = tuple(-(-side // BLOCK) * BLOCK for side in (w, h))
+    if all(full in (side, whole) for full, side, whole in zip((width, height), (w, h), padded, strict=True)):
+        cut = f"calibrated at {width} x {height}, the recording has {w} x {h}"
+        return f"{where}: {cut}: the last columns or rows are assumed to be padding, since codecs pad to multiples of {BLOCK}."
+    remedy = "name the recording that the camera was calibrated for, or calibrate again"
+    raise input_error(where, f"{source.path.name} has {w} x {h} pixels", f"{width} x {height}, as in its calibration", remedy)

@@ -1,0 +1,125 @@
+r"""Fit of the projected mean body to a frame, measured by the silhouettes, by the keypoints and by the images' frames.
+
+With A the body's projection and B the silhouette, the overlap is $|A \cap B| / |A \cup B|$ (IoU) and the cover is
+$|A \cap B| / \min(|A|, |B|)$. The cover stays near 1 if the body is only a part of the person, such as two legs, or if clothes or a shadow enlarge
+the silhouette. It falls if the two lie apart. The distance to the keypoints is the median over the body's markers, divided by the person's size in
+the image (the larger side of the box around the keypoints). What these figures mean is judged in results/metrics/plausibility.py.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from bayes_body.base.geometry.camera import Camera, project
+from bayes_body.base.progress import Watch, unwatched
+from bayes_body.model.build import Model
+from bayes_body.recording.observation.frames import Frame, read_frame
+from bayes_body.recording.session.session import Keypoints, Session
+from bayes_body.results.metrics.silhouette import intersection_over_union, projected_masks, seen_in
+from bayes_body.results.posterior import markers, mean_pose
+from bayes_body.tracking.draws import Draws
+
+# Keypoints with lower confidence are not used, and neither are cameras with fewer keypoints.
+LEAST_CONFIDENCE, FEWEST_POINTS = 0.3, 4
+# Distances are cut at this value. A marker behind the camera has no distance and gets this value.
+FARTHEST = 10.0
+# A body with these markers is a whole one.
+WHOLE = frozenset({"head", "l_ankle", "r_ankle"})
+
+
+class Fit(NamedTuple):
+    """The fit of a frame; NaN for a camera without silhouette or keypoints.
+
+    Attributes:
+        overlap: IoU of the body and the silhouette.
+        cover: their intersection, divided by the smaller of the two; NaN if the silhouette is empty.
+        distance: median distance of the markers from the keypoints, as a fraction of the person's size in the image.
+        body: share of the image that the body covers.
+        silhouette: share of the image that the silhouette covers.
+        is_whole: whether the body is one from head to feet, so that a right pose covers most of the silhouette.
+        distance_px: median distance of the markers from the keypoints, pixels.
+    """
+
+    overlap: Float[np.ndarray, "run camera"]
+    cover: Float[np.ndarray, "run camera"]
+    distance: Float[np.ndarray, "run camera"]
+    body: Float[np.ndarray, "run camera"]
+    silhouette: Float[np.ndarray, " camera"]
+    is_whole: bool = False
+    distance_px: Float[np.ndarray, "run camera"] = np.zeros((0, 0))
+
+
+def silhouette_overlap(session: Session, draws: Draws, watch: Watch = unwatched) -> Float[np.ndarray, "run frame camera"]:
+    """Return the overlap (IoU) of the projected mean body of each run with the silhouettes; NaN where the session has none."""
+    frames = watch(range(len(draws.frames)))
+    return np.stack([frame_fit(session, draws.model, mean_pose(draws.frames[index], draws.model), index).overlap for index in frames], axis=1)
+
+
+def frame_fit(session: Session, model: Model, poses: Float[np.ndarray, "run *shape"], index: int) -> Fit:
+    """Return the fit of poses (radians and metres) to frame `index`."""
+    frame, model = read_frame(session, index), seen_in(model, session, index)
+    shape = (len(poses), len(session.views))
+    overlap, cover, area = (np.full(shape, np.nan) for _ in range(3))
+    masks = [None] * shape[1] if frame.masks is None else [frame.masks[c] for c in range(shape[1])]
+    for run, pose in enumerate(poses):
+        for c, (body, person) in enumerate(zip(projected_masks(model, pose, session), masks, strict=True)):
+            area[run, c] = body.mean()
+            if person is not None:
+                overlap[run, c], cover[run, c] = intersection_over_union(body, person), cover_of(body, person)
+    distance, distance_px = _distances(model, poses, frame)
+    return Fit(overlap, cover, distance, area, silhouette_shares(frame), set(model.body.markers.names) >= WHOLE, distance_px)
+
+
+def silhouette_shares(frame: Frame) -> Float[np.ndarray, " camera"]:
+    """Return the share of the image that each camera's silhouette covers; NaN for a camera that did not see the frame, and without silhouettes."""
+    shares = np.full(len(frame.images), np.nan)
+    for c, image in enumerate(frame.images):
+        if image is not None and frame.masks is not None:
+            mask = frame.masks[c]
+            # The image could not be compared with the background.
+            shares[c] = 0.0 if mask is None else mask.mean()
+    return shares
+
+
+def cover_of(body: Bool[np.ndarray, "row column"], person: Bool[np.ndarray, "row column"]) -> float:
+    """Return |body ∩ person| / min(|body|, |person|); 0 if the body is outside of the image, NaN if the person is."""
+    areas = np.count_nonzero(body), np.count_nonzero(person)
+    if not areas[1]:
+        return float("nan")
+    return np.count_nonzero(body & person) / min(areas) if areas[0] else 0.0
+
+
+def _distances(
+    model: Model, poses: Float[np.ndarray, "run *shape"], frame: Frame
+) -> tuple[Float[np.ndarray, "run camera"], Float[np.ndarray, "run camera"]]:
+    """Return the median distance of the markers from the keypoints, as a fraction of the person's size in the image, and in pixels."""
+    names = model.body.markers.names
+    relative, pixels = np.full((2, len(poses), len(frame.seen)), np.nan)
+    if frame.keypoints is None or not names:
+        return relative, pixels
+    places_px, visible = (np.asarray(out) for out in _projected(model.rig, jnp.asarray(markers(model, poses))))
+    for c, keypoints in enumerate(frame.keypoints):
+        places = _usable(keypoints, names)
+        if len(places) >= FEWEST_POINTS:
+            points = np.array(list(places.values()))
+            chosen = list(places)
+            size_px = max(float(np.ptp(points, axis=0).max()), 1.0)
+            far = np.linalg.norm(places_px[:, c, chosen] - points, axis=-1) / size_px
+            relative[:, c] = np.median(np.where(visible[:, c, chosen], np.minimum(far, FARTHEST), FARTHEST), axis=-1)
+            pixels[:, c] = size_px * relative[:, c]
+    return relative, pixels
+
+
+def _usable(keypoints: Keypoints | None, names: Sequence[str]) -> dict[int, tuple[float, float]]:
+    """Return the pixels of the usable keypoints, by the index of their marker."""
+    found = {name: point for name, point in (keypoints or {}).items() if name in names and point[2] >= LEAST_CONFIDENCE}
+    return {names.index(name): (point[0], point[1]) for name, point in found.items()}
+
+
+@jax.jit
+def _projected(rig: Camera, places: Float[Array, "run marker 3"]) -> tuple[Float[Array, "run camera marker 2"], Bool[Array, "run camera marker"]]:
+    return jax.vmap(lambda each: jax.vmap(lambda camera: project(camera, each))(rig))(places)

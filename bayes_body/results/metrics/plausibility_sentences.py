@@ -1,0 +1,100 @@
+"""What the judge of plausibility says of a run, as sentences with figures: warnings before the run, in its summary and in its report."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from bayes_body.initial.fitting.outline import LEAST_OVERLAP
+from bayes_body.results.metrics.plausibility import LEAST_COVER, MOST_DISTANCE, SILHOUETTE
+from bayes_body.results.posterior.frame_text import frame_ranges
+
+
+class _Wording(NamedTuple):
+    """One figure: its keys in the summary (`KEY_first`, `KEY_worst`), whether a value is off, and the words for it."""
+
+    key: str
+    is_off: Callable[[float], bool]
+    figure: Callable[[float], str]
+
+
+_KEYPOINTS = _Wording(
+    "fit",
+    lambda value: value > MOST_DISTANCE,
+    lambda value: f"its markers are {value:.2f} of the person's size in the image away from the keypoints (limit {MOST_DISTANCE:g}; 0 is best)",
+)
+_COVER = _Wording(
+    "fit",
+    lambda value: value < LEAST_COVER,
+    lambda value: f"its overlap with the silhouettes, relative to the smaller area, is {value:.2f} (limit {LEAST_COVER:g}; 1 is best)",
+)
+_OVERLAP = _Wording(
+    "overlap",
+    lambda value: value < LEAST_OVERLAP,
+    lambda value: (
+        f"its overlap with the silhouettes (IoU) is {value:.2f} (limit {LEAST_OVERLAP:g}; good poses have 0.6 or more), "
+        "so one is much larger than the other"
+    ),
+)
+_WORDINGS = {"silhouettes": (_COVER, _OVERLAP), "keypoints": (_KEYPOINTS,)}
+
+
+def fit_sentences(figures: Mapping[str, Any]) -> list[str]:
+    """Return warnings about a first pose that does not fit, and about frames in which the body is not on the person or nothing tells.
+
+    Args:
+        figures: the figures from `first_fit` or `fit_figures`, or a whole summary. A summary from an older version gives fewer warnings.
+    """
+    wordings = _WORDINGS.get(figures.get("fit_by") or "", ())
+    found = [_first(wordings, figures), _later(wordings, figures), _outside(figures), _blind(figures)]
+    return [sentence for sentence in found if sentence]
+
+
+def _crossed(wordings: tuple[_Wording, ...], figures: Mapping[str, Any], end: str) -> tuple[_Wording, float] | None:
+    """The first of the wordings whose figure is off, and the figure."""
+    values = ((wording, figures.get(f"{wording.key}_{end}")) for wording in wordings)
+    return next(((wording, value) for wording, value in values if value is not None and wording.is_off(value)), None)
+
+
+def _first(wordings: tuple[_Wording, ...], figures: Mapping[str, Any]) -> str | None:
+    crossed = _crossed(wordings, figures, "first")
+    if crossed is None:
+        return None
+    wording, value = crossed
+    remedy = "check the calibration, the units, the subject's height, the silhouettes and the first pose of the session"
+    return f"frame {figures.get('first_frame', 0)}: the body in its first pose does not fit the image: {wording.figure(value)}; {remedy}."
+
+
+def _later(wordings: tuple[_Wording, ...], figures: Mapping[str, Any]) -> str | None:
+    off, crossed = figures.get("frames_off") or [], _crossed(wordings, figures, "worst")
+    if not off or crossed is None:
+        return None
+    wording, worst = crossed
+    start = figures.get("first_frame", 0)
+    to_the_end = off[-1] == start + figures.get("frames", 0) - 1 and off == list(range(off[0], off[-1] + 1))
+    if off[0] == start and to_the_end:
+        where = "from the first frame to the last the body does not cover the person"
+    elif to_the_end:
+        where = f"from frame {off[0]} the body no longer covers the person"
+    else:
+        where = f"{frame_ranges(off)}: the body does not cover the person"
+    at_worst = f"at worst, at frame {figures[f'{wording.key}_worst_frame']}, {wording.figure(worst)}"
+    again = figures.get("frames_restarted") or []
+    restarted = f"; it was restarted at frame{'s' * (len(again) > 1)} {', '.join(map(str, again))}, where the person was found again" if again else ""
+    remedy = "the poses there do not follow the person: look at the overlay, and raise --particles or correct the first pose"
+    return f"{where}{restarted}: {at_worst}; {remedy}."
+
+
+def _outside(figures: Mapping[str, Any]) -> str | None:
+    outside = figures.get("frames_outside") or []
+    if not outside:
+        return None
+    return f"{frame_ranges(outside)}: the body is outside of the image of every camera: only the motion prior determines its pose there."
+
+
+def _blind(figures: Mapping[str, Any]) -> str | None:
+    blind = figures.get("frames_blind") or []
+    if not blind:
+        return None
+    least, most = (f"{100 * share:g}" for share in SILHOUETTE)
+    what = f"no camera's silhouette can be a person's: each covers less than {least} % or more than {most} % of its image"
+    remedy = "nothing there tells whether the body is on the person: look at the overlay, and correct masks or background"
+    return f"{frame_ranges(blind)}: {what}; {remedy}."

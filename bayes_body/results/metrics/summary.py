@@ -1,0 +1,124 @@
+"""Agreement of the runs, evidence, and the figures of `summary.json`.
+
+Frames are read one at a time, and only a few numbers of each are kept.
+"""
+
+import resource
+import sys
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_body.base.progress import Watch, unwatched
+from bayes_body.model.body.space import configuration_space
+from bayes_body.model.build import Model
+from bayes_body.recording.session.session import Session
+from bayes_body.results.metrics.evidence_read import evidence_read
+from bayes_body.results.metrics.figures import accuracy_figures
+from bayes_body.results.metrics.fit import Fit, frame_fit
+from bayes_body.results.metrics.plausibility import fit_figures
+from bayes_body.results.metrics.truth import draws_against_truth
+from bayes_body.results.posterior import frame_rhat, markers, mean_pose
+from bayes_body.results.posterior.blocks import log_mean_exp
+from bayes_body.tracking.draws import Draws, FrameResult
+
+
+def marker_disagreement(draws: Draws) -> float:
+    """Return the mean distance between the runs' mean markers, over pairs of runs, frames and markers, metres; NaN with a single run."""
+    return float(np.mean([_disagreement(draws.model, frame) for frame in draws.frames]))
+
+
+def _disagreement(model: Model, frame: FrameResult) -> float:
+    positions = markers(model, mean_pose(frame, model))
+    pairs = [np.linalg.norm(a - b, axis=-1).mean() for a, b in combinations(positions, 2)]
+    return float(np.mean(pairs)) if pairs else float("nan")
+
+
+def log_evidence(draws: Draws) -> float:
+    """Return log p(all images), up to the likelihood's constant; NaN for a mode seeker. The runs' estimates are averaged before the logarithm."""
+    return log_mean_exp(sum((np.asarray(frame.info.log_evidence, float) for frame in draws.frames), np.zeros(draws.runs)))
+
+
+class _Figures(NamedTuple):
+    """The figures of one frame for the summary: the fit, arrays (run,), and single numbers."""
+
+    ess: NDArray[Any]
+    layers: NDArray[Any]
+    log_evidence: NDArray[Any]
+    evaluations: int
+    lost: bool
+    rhat: float
+    fit: Fit
+    disagreement: float
+
+
+def _figures(session: Session, model: Model, frame: FrameResult, index: int) -> _Figures:
+    info, fit = frame.info, frame_fit(session, model, mean_pose(frame, model), index)
+    evidence, evaluations = np.asarray(info.log_evidence, float), int(np.sum(info.evaluations))
+    worst = _largest(frame_rhat(frame, index, model.body.variable, configuration_space(model.body)))
+    # A kernel that chooses its number of layers fills the unused layers with NaN.
+    layers = np.isfinite(info.inverse_temperatures).sum(axis=-1)
+    return _Figures(np.asarray(info.ess), layers, evidence, evaluations, frame.lost, worst, fit, _disagreement(model, frame))
+
+
+def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: Watch = unwatched) -> dict[str, Any]:
+    """Return the stable keys of `summary.json`; a figure that does not exist is null. Frames are numbers in the recording.
+
+    Seconds are wall-clock time of all runs together; `seconds_per_frame` and `evaluations_per_second` exclude the compilation. An evaluation is the
+    likelihood of a whole pose over all cameras.
+    """
+    frames, working = len(draws.frames), draws.timing.total - draws.timing.compile
+    found = [_figures(session, draws.model, draws.frames[index], index) for index in watch(range(frames))]
+    mode_seeker = all(np.isnan(each.log_evidence).all() for each in found)
+    ess, fits = np.array([each.ess for each in found]), [each.fit for each in found]
+    overlap, distance_px = (np.array([getattr(fit, name) for fit in fits]) for name in ("overlap", "distance_px"))
+    first = frame_fit(session, draws.model, np.asarray(draws.model.initial[draws.model.body.variable], float)[None], 0)
+    figures = {
+        "frames": frames,
+        "first_frame": draws.first_frame,
+        "frames_lost": sum(each.lost for each in found),
+        "frames_restarted": [draws.first_frame + frame for frame in draws.frames_restarted],
+        "cameras": len(session.views),
+        "dof": configuration_space(draws.model.body).dimension,
+        "particles": draws.particles,
+        "layers": round(float(np.median([each.layers for each in found]))),
+        "runs": draws.runs,
+        "kernel": kernel,
+        "model": draws.model.definition.name,
+        "seed": seed,
+        "seconds_total": draws.timing.total,
+        "seconds_compile": draws.timing.compile,
+        "seconds_per_frame": working / frames,
+        "evaluations_per_second": sum(each.evaluations for each in found) / working,
+        "peak_memory_mb": peak_memory_mb(),
+        "ess_min": float(ess.min()),
+        "ess_median": float(np.median(ess)),
+        "rhat_max": _largest(np.array([each.rhat for each in found])),
+        "log_evidence": log_mean_exp(np.sum([each.log_evidence for each in found], axis=0)),
+        "reads": evidence_read(draws.model),
+        "iou_median": _median(overlap),
+        "reprojection_px_median": _median(distance_px),
+        "marker_disagreement_mm": 1000 * float(np.mean([each.disagreement for each in found])),
+        **fit_figures(first, fits, draws.first_frame),
+        **accuracy_figures(draws_against_truth(session, draws, watch), mode_seeker),
+    }
+    return {key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in figures.items()}
+
+
+def _median(values: NDArray[np.floating]) -> float | None:
+    """Return the median of what is known; None if nothing is."""
+    return float(np.nanmedian(values)) if np.isfinite(values).any() else None
+
+
+def _largest(values: NDArray[np.floating]) -> float:
+    finite = values[np.isfinite(values)]
+    return float(finite.max()) if finite.size else float("nan")
+
+
+def peak_memory_mb() -> float:
+    """Return the peak memory of this process, in 10⁶ bytes."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # Kilobytes on Linux, bytes on macOS.
+    return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6

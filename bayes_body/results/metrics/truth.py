@@ -1,0 +1,231 @@
+r"""Compare a whole run with the truth, frame by frame: directly, and with the offset between the joint centres of the two skeletons fitted.
+
+Two skeletons are never the same: the truth's "hip" is not where the body's hip joint is. An offset that is constant over the frames, in the joint's
+frame, is not a tracking error. For each marker m, on a joint with the orientation $R_t$ in the run's mean pose, the offset
+
+$$\delta_m = \arg\min_\delta \sum_t \| \bar x_{t,m} + R_t \delta - z_{t,m} \|^2 = \mathrm{mean}_t\; R_t^\top (z_{t,m} - \bar x_{t,m})$$
+
+is fitted on every other frame and added to the body's marker in the frames between, and vice versa. So no frame is measured with an offset to which
+it contributed.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from numpy.typing import NDArray
+
+from bayes_body.base.errors import InputError, input_error
+from bayes_body.base.progress import Watch, unwatched
+from bayes_body.base.shapes import Configuration
+from bayes_body.model.body.placement import joint_transforms
+from bayes_body.model.body.skeleton import Markers
+from bayes_body.model.body.solids import Body
+from bayes_body.model.body.space import configuration_space
+from bayes_body.model.build import Model
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.readers.truth import read_truth
+from bayes_body.recording.session.session import Session
+from bayes_body.results.metrics.accuracy import FrameAccuracy, frame_accuracy
+from bayes_body.results.posterior import markers
+from bayes_body.tracking.draws import Draws
+
+# With fewer frames with a known truth, no offset is fitted.
+FEWEST = 10
+
+
+class Cloud(NamedTuple):
+    """The particles of one frame: poses in radians and metres, or values of another variable that places the body, and their log-weights."""
+
+    poses: Float[np.ndarray, "run particle *shape"]
+    log_weights: Float[np.ndarray, "run particle"]
+
+
+type Clouds = Callable[[], Iterable[Cloud]]
+
+
+class Accuracy(NamedTuple):
+    """Some frames compared with the truth, metres; NaN where the truth is unknown. `FrameAccuracy` explains the fields.
+
+    Attributes:
+        names: names of the markers that both the body and the truth have.
+        error: error of each marker.
+        relative: mean error relative to the pelvis.
+        optimistic: mean error of the best particle.
+        expected: quantiles of the expected error at SHARES, mean over the runs.
+        inside: number of frames, runs and axes in which the truth is inside the interval of each of LEVELS.
+        known: number of frames, runs and axes in which the truth is known.
+        residual: vector from the mean marker to the true one, in the frame of the marker's joint, mean over the runs.
+    """
+
+    names: tuple[str, ...]
+    error: Float[np.ndarray, "frame run marker"]
+    relative: Float[np.ndarray, "frame run"]
+    optimistic: Float[np.ndarray, "frame run"]
+    expected: Float[np.ndarray, "frame share"]
+    inside: Int[np.ndarray, "level marker"]
+    known: Int[np.ndarray, " marker"]
+    residual: Float[np.ndarray, "frame marker 3"]
+
+    @property
+    def frame_error(self) -> Float[np.ndarray, "frame run"]:
+        """Mean error of a frame's known markers, metres."""
+        return mean_known(self.error, -1)
+
+    @property
+    def coverage(self) -> Float[np.ndarray, " level"]:
+        """Fraction of frames, runs, markers and axes with the truth inside, for each of LEVELS; NaN if no truth is known."""
+        return shares(self.inside.sum(axis=-1), self.known.sum())
+
+    @property
+    def coverage_by_marker(self) -> Float[np.ndarray, "level marker"]:
+        """Coverage of each marker."""
+        return shares(self.inside, self.known)
+
+
+class AgainstTruth(NamedTuple):
+    """A run compared with the truth.
+
+    Attributes:
+        plain: accuracy of the body's markers without an offset.
+        fitted: accuracy with the offset fitted on the other half of the frames; None with fewer than FEWEST frames with a known truth.
+        offsets: offsets fitted on all frames, in the frame of the marker's joint, metres; NaN for a marker that is never known.
+    """
+
+    plain: Accuracy
+    fitted: Accuracy | None
+    offsets: Float[np.ndarray, "marker 3"]
+
+
+def true_markers(session: Session) -> Float[np.ndarray, "frame 15 3"] | None:
+    """Return the session's true markers, in the order of `evidence.markers.MARKERS`, metres; None if the session names none.
+
+    Raises:
+        InputError: the file that the session names cannot be used.
+    """
+    return None if session.truth_path is None else read_truth(session.truth_path, session.frames, session.skipped)
+
+
+def draws_against_truth(session: Session, draws: Draws, watch: Watch = unwatched) -> AgainstTruth | None:
+    """Compare draws with the session's truth; None if it has no truth, or none for the body's markers.
+
+    Args:
+        session: the recording.
+        draws: draws of the recording's first frames.
+        watch: wraps the frames' numbers to show progress; used twice, the second time with the offsets.
+
+    Raises:
+        InputError: the session's truth cannot be used.
+    """
+    truth = true_markers(session)
+    if truth is None:
+        return None
+    frames = range(len(draws.frames))
+    return against_truth(draws.model, lambda: (_cloud(draws, index) for index in watch(frames)), truth[: len(frames)])
+
+
+def _cloud(draws: Draws, index: int) -> Cloud:
+    frame = draws.frames[index]
+    return Cloud(frame.states[draws.model.body.variable], frame.log_weights)
+
+
+def against_truth(model: Model, clouds: Clouds, truth: Float[np.ndarray, "frame 15 3"]) -> AgainstTruth | None:
+    """Compare particles with the truth, with one frame in memory at a time; None if body and truth share no marker.
+
+    Args:
+        model: the run's model.
+        clouds: returns a new iterator over the particles of each frame at each call.
+        truth: true markers in the same frames, in the order of `evidence.markers.MARKERS`, metres; NaN where unknown.
+    """
+    body = model.body.markers
+    places = [place for place, name in enumerate(body.names) if name in MARKERS]
+    if not places:
+        return None
+    names = tuple(body.names[place] for place in places)
+    common = Markers(names, tuple(body.joints[place] for place in places), body.offsets[jnp.array(places)])
+    true = truth[:, [MARKERS.index(name) for name in names]]
+    folds = _folds(true)
+    plain = _accuracy(model, common, clouds, true, np.zeros((1, len(names), 3)), np.zeros_like(folds))
+    fitted = None
+    if np.isfinite(true).all(axis=-1).any(axis=-1).sum() >= FEWEST:
+        others = np.stack([mean_known(plain.residual[folds != fold], 0) for fold in range(2)])
+        fitted = _accuracy(model, common, clouds, true, others, folds)
+    return AgainstTruth(plain, fitted, mean_known(plain.residual, 0))
+
+
+def _folds(truth: Float[np.ndarray, "frame marker 3"]) -> Int[np.ndarray, " frame"]:
+    """Return the half to which each frame belongs. The halves alternate over the frames whose truth is known, which may be only every other frame."""
+    return np.cumsum(np.isfinite(truth).all(axis=-1).any(axis=-1)) % 2
+
+
+def _accuracy(
+    model: Model,
+    common: Markers,
+    clouds: Clouds,
+    truth: Float[np.ndarray, "frame marker 3"],
+    offsets: Float[np.ndarray, "fold marker 3"],
+    folds: Int[np.ndarray, " frame"],
+) -> Accuracy:
+    """Return the accuracy over all frames, each with its fold's offset added to the markers. The truth of a marker without an offset is unknown."""
+    found, inside = [], np.zeros((), int)
+    moved = [replace(model, body=replace(model.body, markers=_moved(common, offset))) for offset in offsets]
+    known = np.where(np.isfinite(offsets[folds]), truth, np.nan)
+    for cloud, true, fold in zip(clouds(), known, folds, strict=True):
+        runs = [_of_run(moved[fold], *particles, true) for particles in zip(*cloud, strict=True)]
+        inside = inside + np.sum([accuracy.inside for accuracy, _ in runs], axis=(0, -1))
+        found.append(_stacked(runs))
+    error, relative, optimistic, expected, residual = (np.stack(part) for part in zip(*found, strict=True))
+    count = 3 * np.isfinite(error).sum(axis=(0, 1))
+    return Accuracy(common.names, error, relative, optimistic, expected, inside, count, residual)
+
+
+def _moved(common: Markers, offset: Float[np.ndarray, "marker 3"]) -> Markers:
+    return replace(common, offsets=common.offsets + jnp.asarray(np.nan_to_num(offset), common.offsets.dtype))
+
+
+def _of_run(
+    model: Model,
+    poses: Float[np.ndarray, "particle *shape"],
+    log_weights: Float[np.ndarray, " particle"],
+    truth: Float[np.ndarray, "marker 3"],
+) -> tuple[FrameAccuracy, Float[np.ndarray, "marker 3"]]:
+    weights = np.exp(log_weights.astype(float) - log_weights.max())
+    weights /= weights.sum()
+    positions, on = markers(model, poses), model.body.markers
+    mean = configuration_space(model.body).mean(weights, poses)
+    turned = np.asarray(_orientations(model.body, jnp.asarray(mean, model.body.lengths.dtype)), float)
+    found = frame_accuracy(positions, weights, truth, on.names)
+    return found, np.einsum("mki,mk->mi", turned, found.off)
+
+
+def _stacked(runs: Sequence[tuple[FrameAccuracy, NDArray[np.floating]]]) -> tuple[NDArray[np.floating], ...]:
+    """Return the stored figures of a frame: the errors of each run, and the means over the runs of the expected error and of the residual."""
+    of = [accuracy for accuracy, _ in runs]
+    error, relative, optimistic = (np.array([getattr(each, name) for each in of]) for name in ("error", "relative", "optimistic"))
+    return error, relative, optimistic, np.mean([each.expected for each in of], axis=0), np.mean([residual for _, residual in runs], axis=0)
+
+
+@jax.jit
+def _orientations(body: Body, configuration: Configuration) -> Float[Array, "marker 3 3"]:
+    """Return `R_world_joint` of each marker's joint."""
+    return joint_transforms(body, configuration).rotation[np.array(body.markers.joints, int)]
+
+
+def no_truth(session: Session) -> InputError:
+    """Return the error of a session without truth."""
+    return input_error(session.folder, "no truth", "a session with true markers", "make one with `bayes-body simulate`")
+
+
+def mean_known(values: NDArray[np.floating], axis: int | tuple[int, ...]) -> NDArray[np.floating]:
+    """Return the mean of the values that are not NaN; NaN if there are none."""
+    known = np.isfinite(values)
+    return shares(np.where(known, values, 0).sum(axis=axis), known.sum(axis=axis))
+
+
+def shares(part: NDArray[np.number], whole: NDArray[np.integer]) -> NDArray[np.floating]:
+    """Return `part / whole`; NaN where the whole is 0."""
+    return np.divide(part, whole, out=np.full(np.shape(part), np.nan), where=whole > 0)

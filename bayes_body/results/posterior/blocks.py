@@ -1,0 +1,108 @@
+"""Read a posterior a few frames at a time, so that memory is bounded for a recording of any length."""
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from bayes_body.density.spaces import Space
+from bayes_body.results.posterior.stored_spaces import stored_spaces
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+# The most frames of a block, and the most numbers (8 bytes each) of one of its arrays.
+BLOCK, LARGEST = 64, 2**22
+
+
+class Block(NamedTuple):
+    """Some frames of a posterior.
+
+    Attributes:
+        frames: numbers of the frames.
+        poses: values of one variable, such as poses in radians and metres, or coordinates of several; float64.
+        log_weights: log-weights, normalised over the draws of a run and frame.
+    """
+
+    frames: range
+    poses: Float[np.ndarray, "run draw frame *dof"]
+    log_weights: Float[np.ndarray, "run draw frame"]
+
+
+def pose_blocks(
+    tree: "xr.DataTree", frames: range | None = None, block: int = BLOCK, width: int | None = None, variable: str = "pose"
+) -> Iterator[Block]:
+    """Yield poses and weights, block by block.
+
+    Args:
+        tree: a tree made by `to_datatree`, in memory or opened lazily.
+        frames: numbers of the frames to read; all by default.
+        block: largest number of frames at a time; fewer are read if their arrays would be too large.
+        width: how many numbers the caller computes from one draw of one frame; the size of a pose by default.
+        variable: another variable that is read instead of the poses.
+    """
+    pose, log_weight = tree["posterior"][variable], tree["sample_stats"]["log_weight"]
+    frames = range(pose.sizes["frame"]) if frames is None else frames
+    draws = pose.sizes["chain"] * pose.sizes["draw"]
+    size = width or pose.size // (draws * pose.sizes["frame"])
+    for piece in pieces(frames, min(block, LARGEST // (draws * size))):
+        places = _slice(piece)
+        yield Block(piece, np.asarray(pose.isel(frame=places), float), np.asarray(log_weight.isel(frame=places), float))
+
+
+def coordinate_blocks(
+    tree: "xr.DataTree", frames: range | None = None, block: int = BLOCK, spaces: Mapping[str, Space] | None = None
+) -> Iterator[Block]:
+    """Yield coordinates and weights, block by block: those of `Space.coordinates` around the pooled mean of each frame, all variables side by side.
+
+    For a pose they are its entries, with angles on the circle on the turn nearest to their mean.
+
+    Args:
+        tree: a tree made by `to_datatree`.
+        frames: as for `pose_blocks`.
+        block: as for `pose_blocks`.
+        spaces: the variables and their spaces; by default `stored_spaces(tree)`.
+    """
+    spaces = stored_spaces(tree) if spaces is None else spaces
+    width = sum(space.dimension for space in spaces.values())
+    for each in zip(*(pose_blocks(tree, frames, block, width, name) for name in spaces), strict=True):
+        around = [around_mean(space, piece.poses, piece.log_weights) for space, piece in zip(spaces.values(), each, strict=True)]
+        yield Block(each[0].frames, np.concatenate(around, axis=-1), each[0].log_weights)
+
+
+def around_mean(
+    space: Space, points: Float[np.ndarray, "run draw frame *shape"], log_weights: Float[np.ndarray, "run draw frame"]
+) -> Float[np.ndarray, "run draw frame dimension"]:
+    """Return the coordinates of the points around the mean of each frame over all runs, which have the same weight."""
+    weights = pooled(weights_of_runs(log_weights)) / len(points)
+    return np.asarray(space.coordinates(np.asarray(space.mean(weights, pooled(points))), points))
+
+
+def pieces(frames: range, block: int) -> Iterator[range]:
+    """Yield the range in pieces of at most `block` (at least one) frames."""
+    block = max(block, 1)
+    for start in range(0, len(frames), block):
+        yield frames[start : start + block]
+
+
+def _slice(frames: range) -> slice:
+    return slice(frames.start, frames.stop, frames.step)
+
+
+def weights_of_runs(log_weights: Float[np.ndarray, "run draw frame"]) -> Float[np.ndarray, "run draw frame"]:
+    """Return weights that sum to one over the draws of each run and frame."""
+    weights = np.exp(log_weights - log_weights.max(axis=1, keepdims=True))
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+def log_mean_exp(values: Float[np.ndarray, " run"]) -> float:
+    """Return the logarithm of the mean of estimates that are given by their logarithms; NaN if one is NaN."""
+    return float("nan") if np.isnan(values).any() else float(np.logaddexp.reduce(values) - np.log(values.size))
+
+
+def pooled(values: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return an array (run, draw, frame, ...) as (frame, run and draw, ...)."""
+    by_frame = np.moveaxis(values, 2, 0)
+    return by_frame.reshape(by_frame.shape[0], -1, *by_frame.shape[3:])

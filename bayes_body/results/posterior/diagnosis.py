@@ -1,0 +1,146 @@
+"""The diagnostic figures of a run, and the limits beyond which there is a warning."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from bayes_body.results.posterior.message_passing import MessagePassing
+from bayes_body.results.posterior.mixing import Mixing
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+# Numbers of frames over which ancestors are traced back.
+LAGS = (1, 5, 10)
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Limits beyond which a figure gives a warning.
+
+    Attributes:
+        ess_share: smallest number of effective particles of a frame, as a fraction of the particles.
+        ess: smallest number of effective particles of a frame. Below either limit, means and quantiles rest on too few particles. With 50, the
+            standard error of the mean is 1/7 of the posterior's standard deviation.
+        pareto_k: largest k of a frame's weights (Vehtari et al. 2024).
+        ancestors: smallest number of particles of the frame before that have descendants.
+        rhat: largest R-hat. Vehtari et al. (2021) recommend 1.01 for long chains; the runs of a filter are short. The means of two runs are then half
+            a posterior standard deviation apart.
+        rhat_share: smallest share of a frame's dofs that must not exceed it. Of many dofs, a few exceed it by chance.
+        rhat_single: R-hat of a single dof from which there is a warning whatever the others: the means are further apart than one standard deviation.
+        evidence_sd: largest standard deviation over the runs of the log-evidence, nats. At this value, noise hides Bayes factors below e².
+        markov_rhat: largest R-hat over the Markov chains of a frame, which are even shorter.
+        divergent_share: largest fraction of a frame's trajectories that diverge.
+        energy_fraction: smallest E-BFMI of a frame's chains, mean over the chains (Betancourt 2016).
+        acceptance: smallest and largest acceptance rate of a frame's Markov moves, mean over runs and layers.
+        belief_ess_share: smallest number of effective particles of a belief, as a fraction of the particles of a node.
+        message_ess_share: the same for a message.
+        message_change: largest change of a belief's mean in the last iteration, standard deviations of the belief.
+        oscillation: largest jump back of a belief's mean in the last iteration, likewise.
+        joint_ess: smallest number of effective joint draws of message passing.
+    """
+
+    markov_rhat: float = 1.1
+    divergent_share: float = 0.01
+    energy_fraction: float = 0.3
+    ess_share: float = 0.02
+    ess: float = 50.0
+    pareto_k: float = 0.7
+    ancestors: float = 10.0
+    rhat: float = 1.05
+    rhat_share: float = 0.95
+    rhat_single: float = 1.2
+    evidence_sd: float = 2.0
+    acceptance: tuple[float, float] = (0.15, 0.98)
+    belief_ess_share: float = 0.05
+    message_ess_share: float = 0.02
+    message_change: float = 0.5
+    oscillation: float = 1.0
+    joint_ess: float = 10.0
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Figures of a run in every frame. A figure that does not exist is NaN.
+
+    Attributes:
+        kernel: the kernel's name; empty if the tree does not have it.
+        particles: number of particles of a run.
+        dofs: names of the dofs; if there is no pose, those of the coordinates of the state's variables, such as `torso_x` and `torso_rx`.
+        ess: effective sample size of the weights, particles. For Markov chains it is computed from their autocorrelation, as the minimum over dofs.
+        pareto_k: tail shape of the weights; -∞ where the largest weights are all the same.
+        ancestors: for each lag, the number of particles `lag` frames before that have descendants.
+        lags: numbers of frames back.
+        acceptance_rate: fraction of a layer's Markov moves that were accepted.
+        rhat: rank-normalised R-hat over the runs.
+        independent_draws: number of independent draws to which a run is equivalent, from the variance of the runs' means.
+        log_evidence: log-evidence of each frame given the frames before it, nats, up to the likelihood's constant.
+        lost: frames that no particle explained.
+        seen: whether a camera's image was used; None if the run does not record it.
+        cameras: names of the cameras, or numbers if the run has no names.
+        mixing: figures of the Markov chains of each frame; None if the kernel runs none.
+        messages: figures of message passing in each frame; None if the kernel passes no messages.
+        smoothed: whether a draw is a path of a smoother, which took its states from a filter with this kernel.
+        first_frame: number of the first frame in the recording.
+    """
+
+    kernel: str
+    particles: int
+    dofs: tuple[str, ...]
+    ess: Float[np.ndarray, "run frame"]
+    pareto_k: Float[np.ndarray, "run frame"]
+    ancestors: Float[np.ndarray, "lag run frame"]
+    lags: tuple[int, ...]
+    acceptance_rate: Float[np.ndarray, "run frame layer"]
+    rhat: Float[np.ndarray, "frame dof"]
+    independent_draws: Float[np.ndarray, " frame"]
+    log_evidence: Float[np.ndarray, "run frame"]
+    lost: Bool[np.ndarray, "run frame"]
+    seen: Bool[np.ndarray, "frame camera"] | None
+    cameras: tuple[str, ...]
+    mixing: Mixing | None = None
+    messages: MessagePassing | None = None
+    smoothed: bool = False
+    first_frame: int = 0
+
+    @property
+    def mode_seeker(self) -> bool:
+        """Whether the kernel is a mode seeker (`is_mode_seeker`)."""
+        return bool(np.isnan(self.log_evidence).all())
+
+    @property
+    def evidence_by_run(self) -> Float[np.ndarray, " run"]:
+        """The log-evidence of the whole recording, nats; NaN or -∞ if a frame has none."""
+        return self.log_evidence.sum(axis=1)
+
+    @property
+    def evidence_sd(self) -> float:
+        """Standard deviation of `evidence_by_run` over the runs, nats; NaN with a single run, or if a run has no evidence."""
+        return float(_sd(self.evidence_by_run[:, None])[0])
+
+    @property
+    def evidence_sd_frames(self) -> Float[np.ndarray, " frame"]:
+        """Standard deviation of each frame's log-evidence over the runs, nats."""
+        return _sd(self.log_evidence)
+
+
+def is_mode_seeker(tree: "xr.DataTree") -> bool:
+    """Return whether the kernel of a posterior's tree estimates no evidence. Its particles are then not a sample of the posterior."""
+    return bool(np.isnan(np.asarray(tree["filter"]["log_evidence"], float)).all())
+
+
+def first_frame_of(tree: "xr.DataTree") -> int:
+    """Return the number of the first frame of a posterior's tree in the recording."""
+    coordinates = tree["posterior"].coords
+    numbers = np.asarray(coordinates["frame"]) if "frame" in coordinates else np.zeros(0)
+    return int(numbers[0]) if numbers.size and numbers.dtype.kind in "iu" else 0
+
+
+def _sd(values: Float[np.ndarray, "run k"]) -> Float[np.ndarray, " k"]:
+    out = np.full(values.shape[1], np.nan)
+    if values.shape[0] > 1:
+        known = np.isfinite(values).all(axis=0)
+        out[known] = values[:, known].std(axis=0, ddof=1)
+    return out

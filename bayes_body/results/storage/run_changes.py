@@ -1,0 +1,86 @@
+"""What the numbers of a run depend on: its id, and the changes that forbid to continue it."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from bayes_body.base.errors import input_error
+from bayes_body.base.toml.read import parse_toml
+from bayes_body.recording.session.read import FILE_NAME
+from bayes_body.results.storage.kept_plugins import kept_plugins, meaning
+
+# Packages that determine the numbers of a run: another version of one of them may give other numbers. The last three decode images and prepare them.
+COMPUTING = ("bayes-body", "jax", "jaxlib", "numpyro", "blackjax", "opencv-python-headless", "av", "numpy")
+# Number of changes that one sentence names.
+NAMED = 4
+# Before the name of an input.
+RECORDING = "recording: "
+# Digits of a run's id.
+DIGITS = 16
+
+
+def run_id(record: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the id of a run: a digest of everything on which its numbers depend, the first pose included. Its number of frames may change."""
+    # 60 and 60.0 are the same number.
+    known: dict[str, Any] = {key: float(value) if type(value) is int else value for key, value in _comparable(record).items()}
+    known["first_pose"] = record.get("first_pose")
+    return hashlib.sha256(json.dumps(known, sort_keys=True, default=str).encode()).hexdigest()[:DIGITS]
+
+
+def refuse_changes(folder: Path, kept: Mapping[str, Mapping[str, Any]], now: Mapping[str, Mapping[str, Any]]) -> None:
+    """Check that a run can be continued: everything on which its numbers depend must be unchanged. The number of frames may change.
+
+    Raises:
+        InputError: something has changed; the sentence names it with the old and the new value.
+    """
+    before, after = _comparable(kept), _comparable(now)
+    changed = [key for key in dict.fromkeys([*before, *after]) if before.get(key) != after.get(key)]
+    if not changed:
+        return
+    named = [_told(key, before, after) for key in changed[:NAMED]]
+    more = [f"{len(changed) - NAMED} more differ"] if len(changed) > NAMED else []
+    remedy = "change it back, or start a new run in another folder with --out"
+    raise input_error(f"{folder}: cannot be continued", "; ".join([*named, *more]), "the settings with which the run started", remedy)
+
+
+def _comparable(record: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return all values on which the numbers depend, by names that a user knows; comments and layout of the texts do not matter."""
+    run, definition = record["run"], record["definition"]
+    named = {"--model": Path(str(run.get("model"))).stem, "--runs": run.get("runs"), "--seed": run.get("seed"), "--init": run.get("init", "given")}
+    named |= {"--recover": run.get("recover", False)}
+    named |= {"--first-frame": run["first_frame"]} if "first_frame" in run else {}
+    # Runs of all particles have no such setting.
+    named |= {"--keep": f"draws={run['keep']}"} if run.get("keep") else {}
+    named |= {f"kernel.{key}": value for key, value in _leaves(record["kernel"])}
+    named |= {f"smoothing.{key}": value for key, value in _leaves(record.get("smoothing") or {})}
+    named |= {"the precision": record.get("machine", {}).get("precision")}
+    named |= {f"the version of {package}": record["versions"].get(package) for package in COMPUTING}
+    named |= {f"the plugin {name}": meaning(text) for name, text in kept_plugins(record).items()}
+    texts = {"the model's file": definition.get("text", ""), "the body's file": definition.get("body_text", ""), FILE_NAME: record["session"]["text"]}
+    named |= {f"{title}: {key}": value for title, text in texts.items() for key, value in _leaves(parse_toml(text, title))}
+    return named | {f"{RECORDING}{name}": digest for name, digest in record.get("inputs", {}).items()}
+
+
+def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield every number and text of a table, with its path; entries of lists are counted from 1."""
+    if isinstance(value, Mapping):
+        entries = [(str(key), entry) for key, entry in value.items()]
+    elif isinstance(value, list | tuple):
+        entries = [(str(number), entry) for number, entry in enumerate(value, 1)]
+    else:
+        yield path, value
+        return
+    for key, entry in entries:
+        yield from _leaves(entry, f"{path}.{key}" if path else key)
+
+
+def _told(key: str, before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+    if key.startswith(RECORDING):
+        return f"the recording has changed ({key.removeprefix(RECORDING)})"
+    return f"{key} was {_shown(before, key)} and is now {_shown(after, key)}"
+
+
+def _shown(values: Mapping[str, Any], key: str) -> str:
+    return str(values[key]) if key in values else "not set"

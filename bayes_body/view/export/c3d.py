@@ -1,0 +1,116 @@
+r"""C3D, the binary format of motion laboratories (c3d.org), written with ezc3d: millimetres, 32-bit floats.
+
+The points are the markers' means. A point's residual, which usually measures the agreement of the cameras, is the posterior's standard deviation: the
+root of the mean variance of the three axes, $\sqrt{(s_x^2 + s_y^2 + s_z^2)/3}$. A C3D residual has a byte, of which seven bits are used, in steps of
+|POINT:SCALE| mm. On request, the moments of each axis are stored in full precision as further points, with `_sd`, `_q05` and `_q95` after the
+marker's name. The file of a mode seeker's run has the means only, and its residuals are 0. The gait events of a smoothed run are in the group EVENT.
+
+The format's description (C3D user guide, "Notes for programmers, floating-point 3D data") has the residual in the low byte of a point's fourth word,
+and the cameras that saw the point in the high byte. The scale is in the header and in POINT:SCALE. ezc3d 1.7 writes the residual into the high byte,
+and -1 as the header's scale. Both are corrected in the file that it wrote. ezc3d also reads the high byte, and so it reads a residual of 0.
+"""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bayes_body.base.errors import input_error
+from bayes_body.base.files.atomic import replacing
+from bayes_body.results.posterior.moments import Moments
+from bayes_body.view.export.c3d_events import add_events
+from bayes_body.view.export.motion import Motion
+
+MILLIMETRES = 1000.0
+# Largest number of steps (readers may take the byte as signed), and the smallest useful step, mm.
+LARGEST_STEP, FINEST = 127, 0.01
+# Places in the header: the scale, and the number of the first block of data. Size of a block, bytes.
+SCALE, FIRST_BLOCK, BLOCK = slice(12, 16), slice(16, 18), 512
+# The format counts frames in 16 bits.
+MOST_FRAMES = 65535
+MODE_SEEKER_MEANING = "mean of a mode seeker's particles, without uncertainty"
+MEANINGS = {
+    "mean": "posterior mean; residual: posterior sd, root mean square of the axes",
+    "sd": "posterior standard deviation of each axis, not a position",
+    "q05": "5 % quantile of each axis",
+    "q95": "95 % quantile of each axis",
+}
+
+
+def write_c3d(motion: Motion, path: Path, spread: bool = False) -> None:
+    """Write the file.
+
+    Args:
+        motion: the motion of a run.
+        path: the file.
+        spread: whether to write standard deviation and quantiles of each axis as further points.
+
+    Raises:
+        InputError: there are more frames than the format can count, or the file system does not accept the file.
+    """
+    if motion.frames > MOST_FRAMES:
+        raise input_error("--to c3d", f"{motion.frames} frames", f"at most {MOST_FRAMES}, the format's limit", "choose npz, csv or trc")
+    moments = motion.moments if spread else ("mean",)
+    residuals, step = _residuals(motion, len(moments))
+    with replacing(path) as partial:
+        # ezc3d appends its ending to any other.
+        draft = partial.with_name(f"{partial.name}.c3d")
+        try:
+            _document(motion, moments, step).write(str(draft))
+            partial.write_bytes(_with_residuals(draft.read_bytes(), residuals, step))
+        finally:
+            draft.unlink(missing_ok=True)
+
+
+def _document(motion: Motion, moments: Sequence[str], step: float) -> Any:
+    import ezc3d
+
+    c3d = ezc3d.c3d()
+    points = c3d["parameters"]["POINT"]
+    points["UNITS"]["value"] = ["mm"]
+    points["RATE"]["value"] = [motion.fps]
+    points["SCALE"]["value"] = [-step]
+    points["LABELS"]["value"] = [f"{marker}{'' if name == 'mean' else f'_{name}'}" for name in moments for marker in motion.marker_names]
+    points["DESCRIPTIONS"]["value"] = [_meaning(name, motion) for name in moments for _ in motion.marker_names]
+    c3d["data"]["points"] = _points(motion.markers, moments)
+    c3d.add_parameter("POINT", "X_SCREEN", ["+Y" if motion.up == "x" else "+X"])
+    c3d.add_parameter("POINT", "Y_SCREEN", [f"+{motion.up.upper()}"])
+    add_events(c3d, motion.events)
+    return c3d
+
+
+def _meaning(name: str, motion: Motion) -> str:
+    return MEANINGS[name] if motion.has_intervals else MODE_SEEKER_MEANING
+
+
+def _points(markers: Moments, moments: Sequence[str]) -> Float[np.ndarray, "4 point frame"]:
+    sets = np.concatenate([getattr(markers, name) for name in moments], axis=1)
+    points = np.ones((4, sets.shape[1], sets.shape[0]))
+    points[:3] = MILLIMETRES * sets.transpose(2, 1, 0)
+    return points
+
+
+def _residuals(motion: Motion, sets: int) -> tuple[Int[np.ndarray, "frame point"], float]:
+    """Return the residuals in steps, and the smallest possible step, millimetres, to which the format rounds them.
+
+    There are `sets` points for each marker; only the first, the mean, has a residual that is not 0.
+    """
+    sd = MILLIMETRES * np.sqrt((motion.markers.sd**2).mean(axis=-1)) * motion.has_intervals
+    step = max(math.ceil(sd.max() / (LARGEST_STEP - 1) / FINEST) * FINEST, FINEST)
+    steps = np.zeros((len(sd), sets * sd.shape[1]), int)
+    steps[:, : sd.shape[1]] = np.round(sd / step)
+    return steps, step
+
+
+def _with_residuals(content: bytes, residuals: Int[np.ndarray, "frame point"], step: float) -> bytearray:
+    """Return a file of ezc3d with the residuals and the scale where the format has them."""
+    frames, points = residuals.shape
+    corrected = bytearray(content)
+    start = (int.from_bytes(content[FIRST_BLOCK], "little") - 1) * BLOCK
+    words = np.frombuffer(corrected, "<f4", 4 * points * frames, start).reshape(frames, points, 4)
+    words[..., 3] = residuals
+    corrected[SCALE] = np.array(-step, "<f4").tobytes()
+    return corrected

@@ -1,0 +1,56 @@
+"""CSV: one row for each frame; the columns' names end in their units."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.base.files.atomic import replacing
+from bayes_body.base.geometry import rigid
+from bayes_body.view.export.motion import AXES, Motion, Parts
+
+
+def write_csv(motion: Motion, path: Path) -> None:
+    """Write the file: `frame`, `time_s`, `lost` (0 or 1), then moments of markers, dofs or parts, and clinical angles; six decimals.
+
+    A frame has its number in the recording; time begins at the first one.
+
+    A part of a loose-limbed body has its origin, the mean unit quaternion (unit 1), and the spread of the rotation about the part's own axes.
+
+    Raises:
+        InputError: the file system does not accept the file.
+    """
+    names, columns = zip(*_columns(motion), strict=True)
+    values = np.column_stack([motion.first_frame + np.arange(motion.frames), motion.seconds, motion.lost, *columns])
+    with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(",".join(["frame", "time_s", "lost", *names]) + "\n")
+        np.savetxt(file, values, fmt=["%d", "%.6f", "%d", *["%.6f"] * len(names)], delimiter=",")
+
+
+def _columns(motion: Motion) -> Iterator[tuple[str, Float[np.ndarray, " frame"]]]:
+    for m, marker in enumerate(motion.marker_names):
+        for a, axis in enumerate(AXES):
+            for name in motion.moments:
+                yield f"{marker}_{axis}_{name}_m", getattr(motion.markers, name)[:, m, a]
+    for d, (dof, unit) in enumerate(zip(motion.dof_names, motion.dof_units, strict=True)):
+        for name in motion.moments:
+            yield f"{dof}_{name}_{unit}", getattr(motion.dofs, name)[:, d]
+    for k, angle in enumerate(motion.clinical.names):
+        for name in motion.moments:
+            yield f"{angle}_{name}_deg", getattr(motion.clinical.moments, name)[:, k]
+    if motion.parts is not None:
+        yield from _part_columns(motion.parts, motion.moments)
+
+
+def _part_columns(parts: Parts, moments: Sequence[str]) -> Iterator[tuple[str, Float[np.ndarray, " frame"]]]:
+    # The prefix keeps the part `head` apart from the marker `head`.
+    for p, part in enumerate(parts.names):
+        for a, axis in enumerate(AXES):
+            for name in moments:
+                yield f"part_{part}_{axis}_{name}_m", getattr(parts.origins, name)[:, p, a]
+        for k, entry in enumerate(rigid.NAMES[3:]):
+            yield f"part_{part}_{entry}_mean_1", parts.mean[:, p, 3 + k]
+        for a, axis in enumerate(AXES):
+            for name in moments[1:]:
+                yield f"part_{part}_r{axis}_{name}_deg", getattr(parts.turns, name)[:, p, a]

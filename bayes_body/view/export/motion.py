@@ -1,0 +1,232 @@
+"""The exported data of a run: markers, and dofs or parts, in every frame, with standard deviation and 5 % and 95 % quantiles of the posterior.
+
+The particles of a mode seeker are not a sample of the posterior. Of such a run only the means are exported.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from bayes_body.base.errors import InputError
+from bayes_body.base.geometry import rigid, rotations
+from bayes_body.model.body.placement import ByParts
+from bayes_body.model.body.solids import Body
+from bayes_body.results.clinical.gait import POINTS, Event, gait_of
+from bayes_body.results.clinical.moments import Curves, clinical_angles, opensim_coordinates
+from bayes_body.results.clinical.trajectories import marker_paths
+from bayes_body.results.posterior.moments import Moments
+from bayes_body.results.storage.saved_moments import angle_moments, marker_moments, mean_configurations
+from bayes_body.results.storage.saved_run import SavedRun
+
+type Axis = Literal["x", "y", "z"]
+AXES: tuple[Axis, ...] = ("x", "y", "z")
+MODE_SEEKER_MOMENTS = ("mean",)
+# Fields of `RunMoments` with angles, or none.
+type Angles = Literal["clinical", "opensim", "none"]
+
+
+class Parts(NamedTuple):
+    """The parts of a loose-limbed body, each with its own rigid transform.
+
+    Attributes:
+        names: names of the parts.
+        mean: mean transforms (frame, part, 7), metres and unit quaternions; the sign of a quaternion does not jump from frame to frame.
+        origins: (frame, part, 3), metres.
+        turns: rotation vectors from the mean quaternion, about the part's own axes (frame, part, 3), degrees; their mean is 0.
+    """
+
+    names: tuple[str, ...]
+    mean: Float[np.ndarray, "frame part 7"]
+    origins: Moments
+    turns: Moments
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A run's motion; all its independent filters have the same weight.
+
+    Attributes:
+        title: title of the session.
+        fps: frames a second.
+        up: the axis that points up.
+        marker_names: names of the virtual markers.
+        markers: (frame, marker, 3), metres.
+        dof_names: names of the body's dofs; none if the body is placed by its parts.
+        dof_units: unit of each dof, `deg` or `m`.
+        dofs: (frame, dof), degrees and metres.
+        lost: frames that were lost in at least one run: no particle of it explained them, and their values are predictions. Also frames in which a
+            body is off the person (`frames_off` of `summary.json`).
+        body: the run's body, to compute joints from the dofs.
+        order: the session's axes that are x, y and z here.
+        moments: the fields of `Moments` that are written; only the mean for a mode seeker.
+        first_frame: number of the first frame in the recording.
+        parts: the parts of a loose-limbed body, in the axes of this motion; None if the body is placed by joint angles.
+        clinical: clinical angles, degrees; for OpenSim the coordinates of its models, degrees and metres. Empty for formats that store neither.
+        events: gait events of a smoothed run (`RunMoments.events`); empty for formats that store none.
+    """
+
+    title: str
+    fps: float
+    up: Axis
+    marker_names: tuple[str, ...]
+    markers: Moments
+    dof_names: tuple[str, ...]
+    dof_units: tuple[str, ...]
+    dofs: Moments
+    lost: Bool[np.ndarray, " frame"]
+    body: Body
+    order: tuple[int, int, int]
+    moments: tuple[str, ...] = Moments._fields
+    first_frame: int = 0
+    parts: Parts | None = None
+    clinical: Curves = Curves((), Moments(*np.zeros((4, 0, 0))))
+    events: tuple[Event, ...] = ()
+
+    @property
+    def has_intervals(self) -> bool:
+        """Whether standard deviations and quantiles are written."""
+        return self.moments != MODE_SEEKER_MOMENTS
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.lost)
+
+    @property
+    def seconds(self) -> Float[np.ndarray, " frame"]:
+        """The time of each frame; the first is at 0, whatever its number."""
+        return np.arange(self.frames) / self.fps
+
+
+class RunMoments:
+    """What the formats store of a run, in the session's axes. Each quantity is computed once, when a format asks for it."""
+
+    def __init__(self, run: SavedRun):
+        self.run = run
+
+    @cached_property
+    def markers(self) -> Moments:
+        """Positions of the markers (`marker_moments`)."""
+        return marker_moments(self.run)
+
+    @cached_property
+    def variables(self) -> Moments:
+        """Dofs, or coordinates of the parts (`angle_moments`)."""
+        return angle_moments(self.run)
+
+    @cached_property
+    def mean_parts(self) -> Float[np.ndarray, "frame part 7"]:
+        """Mean transforms of the parts of a loose-limbed body."""
+        return mean_configurations(self.run)
+
+    @cached_property
+    def clinical(self) -> Curves:
+        """Clinical angles (`clinical_angles`)."""
+        return clinical_angles(self.run)
+
+    @cached_property
+    def opensim(self) -> Curves:
+        """Coordinates of OpenSim's models (`opensim_coordinates`)."""
+        return opensim_coordinates(self.run)
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """Gait events; none of a filter's run, of a body without the markers, and of a recording that is too short."""
+        if not self.run.smoothed or not set(POINTS) <= set(self.run.model.body.markers.names):
+            return ()
+        try:
+            return gait_of(marker_paths(self.run, POINTS), self.run.fps, AXES.index(self.run.session.up)).events
+        except InputError:
+            return ()
+
+
+def read_motion(
+    run: SavedRun | RunMoments, fps: float | None = None, up: Axis | None = None, angles: Angles = "clinical", events: bool = False
+) -> Motion:
+    """Return the motion of a run.
+
+    Args:
+        run: the run, loaded from its folder; or its moments, so that several formats share them.
+        fps: frames a second, if the session's value is wrong; no frame is added or left out.
+        up: the axis that points up in the result; the session's by default. The axes are permuted cyclically (x, y, z to y, z, x): no reflection.
+        angles: clinical angles, OpenSim's coordinates in their place, or none.
+        events: whether to look for gait events.
+
+    Raises:
+        InputError: a file of the run cannot be used.
+    """
+    known = run if isinstance(run, RunMoments) else RunMoments(run)
+    run = known.run
+    order = _order(run.session.up, up or run.session.up)
+    parts = _parts(known, order)
+    names, units, dofs = _dofs(known) if parts is None else ((), (), Moments(*np.zeros((4, run.frames, 0))))
+    rate = run.fps if fps is None else fps
+    return Motion(
+        title=run.session.title,
+        fps=rate,
+        up=up or run.session.up,
+        marker_names=run.model.body.markers.names,
+        markers=Moments(*(values[..., list(order)] for values in known.markers)),
+        dof_names=names,
+        dof_units=units,
+        dofs=dofs,
+        lost=lost_frames(run),
+        body=run.model.body,
+        order=order,
+        moments=MODE_SEEKER_MOMENTS if run.mode_seeker else Moments._fields,
+        first_frame=run.first_frame,
+        parts=parts,
+        clinical=Curves((), Moments(*np.zeros((4, run.frames, 0)))) if angles == "none" else getattr(known, angles),
+        # Another rate moves the events as it moves the frames.
+        events=tuple(event._replace(times=event.times * (run.fps / rate)) for event in known.events) if events else (),
+    )
+
+
+def lost_frames(run: SavedRun) -> Bool[np.ndarray, " frame"]:
+    """Return which frames are lost in at least one run, or have a body that is off the person (see `Motion`)."""
+    lost = np.asarray(run.tree["filter"]["lost"], bool).any(axis=0)
+    off = np.asarray(run.summary.get("frames_off") or [], int) - run.summary.get("first_frame", 0)
+    lost[off[(off >= 0) & (off < len(lost))]] = True
+    return lost
+
+
+def _dofs(known: RunMoments) -> tuple[tuple[str, ...], tuple[str, ...], Moments]:
+    """Return the names, units and moments of the dofs."""
+    body = known.run.model.body
+    angular = np.array(body.skeleton.topology.angular)
+    units = tuple("deg" if angle else "m" for angle in angular)
+    return body.dof_names, units, Moments(*(np.where(angular, np.degrees(values), values) for values in known.variables))
+
+
+def _parts(known: RunMoments, order: tuple[int, int, int]) -> Parts | None:
+    """Return the parts of a loose-limbed body, in other axes."""
+    placement = known.run.model.body.placement
+    if not isinstance(placement, ByParts):
+        return None
+    coordinates = [values.reshape(known.run.frames, len(placement.names), 6) for values in known.variables]
+    origins = Moments(*(values[..., list(order)] for values in coordinates))
+    # Rotation vectors are about the part's own axes, which do not change with those of the world.
+    turns = Moments(*(np.degrees(values[..., 3:]) for values in coordinates))
+    return Parts(placement.names, _continued(turned(known.mean_parts, order)), origins, turns)
+
+
+def turned(parts: Float[np.ndarray, "*batch 7"], order: tuple[int, int, int]) -> Float[np.ndarray, "*batch 7"]:
+    """Return rigid transforms in a world whose axes x, y and z are these of the given world."""
+    turn = rotations.from_matrix(np.eye(3)[list(order)])
+    return np.asarray(rigid.compose(rigid.rigid(np.zeros(3), turn), parts))
+
+
+def _continued(parts: Float[np.ndarray, "frame part 7"]) -> Float[np.ndarray, "frame part 7"]:
+    """Return the transforms with each quaternion of the sign that is nearer to the frame before."""
+    q = parts[..., 3:]
+    signs = np.where(np.sum(q[1:] * q[:-1], axis=-1) < 0, -1.0, 1.0).cumprod(axis=0)
+    return np.concatenate([parts[..., :3], q * np.concatenate([np.ones_like(q[:1, :, 0]), signs])[..., None]], axis=-1)
+
+
+def _order(given: Axis, wanted: Axis) -> tuple[int, int, int]:
+    """Return the given axes that become x, y and z. It is a cyclic permutation, so standard deviations and quantiles still belong to single axes."""
+    turn = AXES.index(given) - AXES.index(wanted)
+    return turn % 3, (1 + turn) % 3, (2 + turn) % 3

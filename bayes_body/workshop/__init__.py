@@ -1,0 +1,1 @@
+"""Tools that make and test models: the simulator, learning, calibration and the benchmark."""

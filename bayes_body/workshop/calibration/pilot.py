@@ -1,0 +1,51 @@
+"""Find how many particles a kernel needs for nearly independent draws: a few replications with increasing numbers of particles."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from bayes_body.model.plugins.load import where_of
+from bayes_body.workshop.calibration import sbc
+from bayes_body.workshop.calibration.check import SBC, Plan, experiments_of
+from bayes_body.workshop.calibration.probe import check_effective
+from bayes_body.workshop.calibration.problem import check_cases
+from bayes_body.workshop.calibration.replications import run_replications
+
+# Replications of a pilot, and the factor by which its worst effective size must exceed the required one.
+REPLICATIONS, MARGIN = 20, 1.2
+MOST_PARTICLES = 2**16
+# The replications of the check itself use other keys.
+OTHER_SEED = 2**31
+
+
+def enough_particles(plan: Plan, jobs: int, show: Callable[[str], None]) -> Plan:
+    """The plan with the number of particles doubled until they suffice, up to `MOST_PARTICLES`.
+
+    Args:
+        plan: its options give the initial number.
+        jobs: number of processes.
+        show: receives a line for each number that is tried.
+
+    Raises:
+        InputError: nothing can be simulated from the model.
+    """
+    needed = MARGIN * sbc.DRAWS_A_BIN * plan.bins
+    while True:
+        particles = plan.options["particles"]
+        make = partial(experiments_of, replace(plan, seed=(plan.seed + OTHER_SEED) % 2**32))
+        found = run_replications(make, {SBC: REPLICATIONS}, jobs)[SBC]
+        check_cases(found["refused"], found["unbounded"])
+        check_effective(where_of("kernel", plan.kernel), found["ess"])
+        ess = float(found["ess"].min())
+        show(f"pilot: {particles} particles, {ess:.0f} effective at worst ({needed:.0f} wanted).")
+        if ess >= needed or particles >= MOST_PARTICLES:
+            return plan
+        # The effective size grows approximately with the number of particles, except for a mode seeker.
+        plan = more_particles(plan, int(np.clip(np.ceil(np.log2(needed / max(ess, 1.0))), 1, 3)))
+
+
+def more_particles(plan: Plan, doublings: int = 1) -> Plan:
+    """The plan with the number of particles doubled, up to `MOST_PARTICLES`."""
+    return replace(plan, options={**plan.options, "particles": min(plan.options["particles"] * 2**doublings, MOST_PARTICLES)})

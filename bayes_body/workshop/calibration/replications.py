@@ -1,0 +1,145 @@
+"""Run many replications of experiments: in blocks, on several processes, stored as they finish, so that an interrupted check can continue.
+
+A replication's key depends on its experiment and its number, and each process computes on one device. Its figures are therefore bit-identical
+whatever the number of processes, and wherever a check was interrupted.
+"""
+
+import os
+import re
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from functools import cache
+from multiprocessing import get_context
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from bayes_body.base.progress import Watch, unwatched
+from bayes_body.model.plugins.load import plugins_to_blame
+from bayes_body.workshop.calibration.replication_log import ReplicationLog
+
+BLOCK = 10
+
+type Experiment = Callable[..., Any]
+type Figures = dict[str, np.ndarray]
+
+
+class Experiments(NamedTuple):
+    """Experiments by name: functions of a key, and of the problem (a pytree) if there is one, to a NamedTuple of arrays."""
+
+    seed: int
+    by_name: Mapping[str, Experiment]
+    problem: Any = None
+
+
+type Task = tuple[str, int]
+type Compute = Callable[[Sequence[Task]], Iterator[tuple[Task, Figures]]]
+
+
+def run_replications(
+    make: Callable[[], Experiments], counts: Mapping[str, int], jobs: int = 0, kept: ReplicationLog | None = None, watch: Watch = unwatched
+) -> dict[str, Figures]:
+    """Compute the figures of each experiment, with a leading replication axis.
+
+    Args:
+        make: builds the experiments; with `jobs` above 0 it is called in each process, and must be picklable.
+        counts: number of replications of each experiment.
+        jobs: number of processes; 0 computes in this one.
+        kept: existing blocks, to which new ones are added.
+        watch: shows the progress, in blocks.
+    """
+    with computing(make, jobs) as compute:
+        return add_replications(compute, counts, ReplicationLog() if kept is None else kept, watch)
+
+
+def add_replications(compute: Compute, counts: Mapping[str, int], kept: ReplicationLog, watch: Watch = unwatched) -> dict[str, Figures]:
+    """Like `run_replications`, with a function from `computing`: its compiled programs serve several calls with increasing counts."""
+    missing = [(name, block) for name, count in counts.items() for block in range(-(-count // BLOCK)) if (name, block) not in kept]
+    results = compute(missing)
+    for _ in watch(range(len(missing))):
+        task, figures = next(results)
+        kept.add(*task, figures)
+    return {name: _joined([kept[name, block] for block in range(-(-count // BLOCK))], count) for name, count in counts.items()}
+
+
+def _joined(blocks: Sequence[Figures], count: int) -> Figures:
+    return {name: np.concatenate([block[name] for block in blocks])[:count] for name in blocks[0]}
+
+
+class _Runner:
+    """Experiments, each compiled once."""
+
+    def __init__(self, experiments: Experiments):
+        self.experiments, self.compiled = experiments, {}
+        self.shared = () if experiments.problem is None else (experiments.problem,)
+
+    def __call__(self, name: str, block: int) -> Figures:
+        if name not in self.compiled:
+            one = self.experiments.by_name[name]
+            self.compiled[name] = jax.jit(lambda keys, shared: jax.lax.map(lambda key: one(key, *shared), keys))
+        place = sorted(self.experiments.by_name).index(name)
+        base = jax.random.fold_in(jax.random.key(self.experiments.seed), place)
+        keys = jax.vmap(lambda index: jax.random.fold_in(base, index))(np.arange(block * BLOCK, (block + 1) * BLOCK))
+        return {field: np.asarray(value) for field, value in self.compiled[name](keys, self.shared)._asdict().items()}
+
+
+@contextmanager
+def computing(make: Callable[[], Experiments], jobs: int = 0) -> Iterator[Compute]:
+    """Yield a function that computes blocks, given by experiment and number, in any order. Programs are built when first needed, and kept."""
+    if jobs < 1:
+        run = cache(lambda: _Runner(make()))
+        yield lambda tasks: ((task, run()(*task)) for task in tasks)
+        return
+    # A process starts when there is a block for it.
+    pool = ProcessPoolExecutor(jobs, get_context("spawn"), _begin, (make, os.getpid()))
+
+    def compute(tasks: Sequence[Task]) -> Iterator[tuple[Task, Figures]]:
+        futures = {pool.submit(_work, *task): task for task in tasks}
+        return ((futures[future], future.result()) for future in as_completed(futures))
+
+    try:
+        yield compute
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+# -- in a worker process ------------------------------------------------------------------------------------------------------------------
+
+_make: Callable[[], Experiments] | None = None
+_runner: _Runner | None = None
+
+
+def _begin(make: Callable[[], Experiments], parent: int) -> None:
+    global _make
+    # The parent process reports an interruption.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    flags = re.sub(r"--xla_force_host_platform_device_count=\d+", "", os.environ.get("XLA_FLAGS", ""))
+    os.environ["XLA_FLAGS"] = f"{flags} --xla_cpu_multi_thread_eigen=false".strip()
+    from bayes_body.base.config import configure
+
+    configure(devices=1)
+    # An error here would break the pool, and nobody would learn which it was: the experiments are built with the first block.
+    _make = make
+
+
+def _end_with(parent: int) -> None:
+    """Exit when the parent has gone: a killed parent cannot stop its processes."""
+    while os.getppid() == parent:
+        time.sleep(1)
+    os._exit(1)
+
+
+def _work(name: str, block: int) -> Figures:
+    global _runner
+    # The traceback, which names a plugin's line, does not leave the process.
+    with plugins_to_blame():
+        if _runner is None:
+            assert _make is not None
+            _runner = _Runner(_make())
+        return _runner(name, block)

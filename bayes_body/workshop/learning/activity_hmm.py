@@ -1,0 +1,158 @@
+r"""Learn an activity from captured motion: a linear subspace of its joint angles, and a hidden Markov model in it (Darby et al. 2008, 4 and 5).
+
+Each motion is retargeted to a body. Its angles, without the root's and the head's, are brought to the same solutions and turns. Each person's mean
+pose is subtracted. The first principal components are the features. A model with Gaussian emissions says how they change from frame to frame. With
+several activities there is one model for each, and a small probability of changing from one to another.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from sklearn.decomposition import PCA
+
+from bayes_body.base.errors import input_error
+from bayes_body.base.progress import Watch, unwatched
+from bayes_body.model.body.build import build_body
+from bayes_body.model.body.schema import BodySchema
+from bayes_body.model.dynamics.activity import Activity
+from bayes_body.workshop.learning.activity_motions import Captured, frames_of, half_of_largest_change, learned_dofs
+from bayes_body.workshop.learning.hmm_choice import Chosen, Track, choose
+from bayes_body.workshop.learning.hmm_join import joined, shares_of
+from bayes_body.workshop.learning.walking_angles import ROOT, alike
+
+# What the features leave of a dof is taken as at least this, degrees.
+LEAST_DEG = 0.5
+# Motions with less variance than this show no motion, radians².
+STILL = 1e-12
+# A motion that is less likely than the others by more nats per frame is reported.
+FAR = 10.0
+
+
+class LearnOptions(NamedTuple):
+    """What is learned.
+
+    Attributes:
+        components: number of features.
+        states: number of states, of all activities together.
+        fps: frames per second of the motions.
+        restarts: number of starts, of which the best on motion held out is used.
+        seed: of the first start.
+        switch_per_s: probability of another activity, per second.
+        learn_initial: whether to estimate the initial probabilities of the states; otherwise they are equal.
+    """
+
+    components: int = 4
+    states: int = 30
+    fps: float = 60.0
+    restarts: int = 4
+    seed: int = 0
+    switch_per_s: float = 0.2
+    learn_initial: bool = False
+
+
+class LearnedActivity(NamedTuple):
+    """An activity, log-likelihoods in training and of motion held out (nats per frame), and sentences about the data."""
+
+    activity: Activity
+    training: float
+    held_out: float
+    sentences: tuple[str, ...]
+
+
+def learn_activity(
+    motions: Sequence[Captured], body: str, schema: BodySchema, options: LearnOptions = LearnOptions(), watch: Watch = unwatched
+) -> LearnedActivity:
+    """Learn an activity, or several, from motions of one or more people.
+
+    Raises:
+        InputError: too few frames for the states, no motion at all, or more components than dofs.
+    """
+    topology = build_body(body, schema).skeleton.topology
+    frames = frames_of(motions)
+    shares = shares_of(frames, options.states)
+    names, space = _subspace(motions, body, schema, options.components)
+    chosen = _chosen(motions, space.tracks, shares, options, watch)
+    hmm = joined([each.hmm for each in chosen.values()], options.switch_per_s / options.fps)
+    several = len(space.subjects) > 1
+    activity = Activity(
+        body=body,
+        names=names,
+        subjects=space.subjects,
+        labels=tuple(label for label, count in shares.items() for _ in range(count)),
+        means=space.means,
+        between=space.means.std(axis=0, ddof=1) if several else np.zeros(len(names)),
+        centre=space.centre,
+        basis=space.basis,
+        residual=np.maximum(space.residual, np.radians(LEAST_DEG)),
+        **{key: np.asarray(value, float) for key, value in hmm._asdict().items()},
+        change=half_of_largest_change([motion.dofs for motion in motions], topology),
+        low=space.low,
+        high=space.high,
+        kept=space.kept,
+        fps=options.fps,
+    )
+    weights = np.array(list(frames.values())) / sum(frames.values())
+    training, held_out = (float(weights @ [getattr(each, key) for each in chosen.values()]) for key in ("training", "held_out"))
+    return LearnedActivity(activity, training, held_out, tuple(_sentences(motions, space.subjects, chosen)))
+
+
+class _Subspace(NamedTuple):
+    """What is known of the learned angles before their order in time: see `Activity`. Tracks have the features of the motions."""
+
+    tracks: list[Track]
+    subjects: tuple[str, ...]
+    means: Float[np.ndarray, "subject dof"]
+    centre: Float[np.ndarray, " dof"]
+    basis: Float[np.ndarray, "dof feature"]
+    residual: Float[np.ndarray, " dof"]
+    low: Float[np.ndarray, " dof"]
+    high: Float[np.ndarray, " dof"]
+    kept: float
+
+
+def _subspace(motions: Sequence[Captured], body: str, schema: BodySchema, components: int) -> tuple[tuple[str, ...], _Subspace]:
+    """Return the names of the learned dofs, and their subspace."""
+    skeleton = build_body(body, schema).skeleton
+    places = learned_dofs(skeleton.topology)
+    if not 1 <= components <= len(places):
+        raise input_error("components", f"{components}", f"1 to {len(places)}, the number of learned angles of the body", "correct it")
+    limits = (np.asarray(side, float)[ROOT:] for side in (skeleton.low, skeleton.high))
+    poses = [each[:, places - ROOT] for each in alike([motion.dofs[:, ROOT:] for motion in motions], skeleton.topology, *limits)]
+    owners = [motion.subject for motion in motions]
+    subjects = tuple(dict.fromkeys(owners))
+    means = np.stack(
+        [np.concatenate([pose for pose, owner in zip(poses, owners, strict=True) if owner == person]).mean(axis=0) for person in subjects]
+    )
+    away = [pose - means[subjects.index(owner)] for pose, owner in zip(poses, owners, strict=True)]
+    every, stacked = np.concatenate(poses), np.concatenate(away)
+    if stacked.var(axis=0).sum() < STILL:
+        raise input_error("the motions", "all frames alike", "motion", "give others")
+    pca = PCA(components, svd_solver="full").fit(stacked)
+    left = np.sqrt(np.mean((stacked - pca.inverse_transform(pca.transform(stacked))) ** 2, axis=0))
+    tracks = [Track(owner, pca.transform(each)) for owner, each in zip(owners, away, strict=True)]
+    kept, basis = float(pca.explained_variance_ratio_.sum()), np.asarray(pca.components_).T
+    names = tuple(skeleton.topology.dof_names[k] for k in places)
+    return names, _Subspace(tracks, subjects, means, np.asarray(pca.mean_), basis, left, every.min(axis=0), every.max(axis=0), kept)
+
+
+def _chosen(
+    motions: Sequence[Captured], features: Sequence[Track], shares: Mapping[str, int], options: LearnOptions, watch: Watch
+) -> dict[str, Chosen]:
+    seeds = range(options.seed, options.seed + options.restarts)
+    own = {label: [track for track, motion in zip(features, motions, strict=True) if motion.label == label] for label in shares}
+    return {label: choose(own[label], count, seeds, options.learn_initial, watch) for label, count in shares.items()}
+
+
+def _sentences(motions: Sequence[Captured], subjects: Sequence[str], chosen: Mapping[str, Chosen]) -> list[str]:
+    found = []
+    if len(subjects) == 1:
+        found.append(f"only one person ({subjects[0]}): how the mean poses of people differ is not known")
+    for label, each in chosen.items():
+        names = [motion.name for motion in motions if motion.label == label]
+        for k, name in enumerate(names):
+            others = np.delete(each.of_motion, k)
+            if len(others) and (ratio := float(np.median(others) - each.of_motion[k])) > FAR:
+                found.append(f"{name}: {ratio:.1f} nats a frame less likely than the other motions of '{label}': perhaps another activity")
+    return found

@@ -1,0 +1,120 @@
+"""Which of several starts of Baum and Welch's algorithm is used: the one whose models explain best the motion that they were not learned from.
+
+For each person, a model is learned from the motion of the others, and the log-likelihood of this person's motion is taken. With one person, or if the
+others have fewer frames than there are states, the last fifth of each motion is held out instead. The model itself is then learned from all motion,
+from the same seed.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from sklearn.cluster import KMeans
+
+from bayes_body.base.progress import Watch, unwatched
+from bayes_body.workshop.learning.baum_welch import FLOOR, Hmm, Sequences, fit, log_likelihood, padded
+
+# The share of each motion that is held out if all are of one person.
+LAST = 0.2
+
+
+class Track(NamedTuple):
+    """The features of one motion, and the person."""
+
+    subject: str
+    features: Float[np.ndarray, "_ feature"]
+
+
+class Chosen(NamedTuple):
+    """The model, the seed of its start, and log-likelihoods, nats per frame: in training, held out, and held out of each motion."""
+
+    hmm: Hmm
+    seed: int
+    training: float
+    held_out: float
+    of_motion: Float[np.ndarray, " motion"]
+
+
+class _Fold(NamedTuple):
+    learned: list[np.ndarray]
+    held: dict[int, np.ndarray]
+
+
+def choose(tracks: Sequence[Track], states: int, seeds: Sequence[int], learn_initial: bool = False, watch: Watch = unwatched) -> Chosen:
+    """Learn a model from all motions, from the start that is best on motion held out.
+
+    Args:
+        tracks: the motions.
+        states: number of states.
+        seeds: one for each start.
+        learn_initial: whether to estimate the initial probabilities; otherwise they are equal (Darby et al. 2008, 5).
+        watch: shows the progress over the folds and the last fit.
+    """
+    folds, count = _folds(tracks, states), len(tracks)
+    held = np.zeros((len(seeds), count))
+    last: Chosen | None = None
+    for number in watch(range(len(folds) + 1)):
+        learned = folds[number].learned if number < len(folds) else [track.features for track in tracks]
+        data = padded(learned, count)
+        found = fit(starts(np.concatenate(learned), states, seeds), data, learn_initial=learn_initial)
+        models = [Hmm(*(part[k] for part in found.hmm)) for k in range(len(seeds))]
+        if number < len(folds):
+            places, others = list(folds[number].held), padded(list(folds[number].held.values()), count)
+            for row, model in zip(held, models, strict=True):
+                row[places] = log_likelihood(model, others)[: len(places)]
+        else:
+            last = _best(models, np.asarray(found.log_likelihood) / _frames(data), held, _held_frames(folds, count), seeds)
+    assert last is not None
+    return last
+
+
+def _best(models: Sequence[Hmm], training: np.ndarray, held: np.ndarray, frames: np.ndarray, seeds: Sequence[int]) -> Chosen:
+    scores = held.sum(axis=1) / frames.sum()
+    best = int(np.nanargmax(scores))
+    return Chosen(models[best], seeds[best], float(training[best]), float(scores[best]), held[best] / frames)
+
+
+def _folds(tracks: Sequence[Track], states: int) -> list[_Fold]:
+    people = list(dict.fromkeys(track.subject for track in tracks))
+    folds = [
+        _Fold([t.features for t in tracks if t.subject != person], {k: t.features for k, t in enumerate(tracks) if t.subject == person})
+        for person in people
+    ]
+    if all(sum(map(len, fold.learned)) >= states for fold in folds):
+        return folds
+    ends = [len(track.features) - max(round(LAST * len(track.features)), 1) for track in tracks]
+    first = [track.features[:end] for track, end in zip(tracks, ends, strict=True) if end]
+    return [_Fold(first, {k: track.features[end:] for k, (track, end) in enumerate(zip(tracks, ends, strict=True))})]
+
+
+def _held_frames(folds: Sequence[_Fold], count: int) -> Float[np.ndarray, " motion"]:
+    frames = np.zeros(count)
+    for fold in folds:
+        for place, features in fold.held.items():
+            frames[place] = len(features)
+    return frames
+
+
+def _frames(data: Sequences) -> int:
+    return int(np.asarray(data.known).sum())
+
+
+def starts(frames: Float[np.ndarray, "frame feature"], states: int, seeds: Sequence[int]) -> Hmm:
+    """Return a start for each seed: k-means, random transitions, and equal initial probabilities.
+
+    The covariance of a cluster is mixed with the mean one, with the weight of as many frames as a covariance needs: a cluster may have one frame.
+    """
+    return Hmm(*(np.stack(part) for part in zip(*(_start(frames, states, seed) for seed in seeds), strict=True)))
+
+
+def _start(frames: Float[np.ndarray, "frame feature"], states: int, seed: int) -> Hmm:
+    clusters = KMeans(states, random_state=seed).fit(frames)
+    own = np.eye(states)[clusters.labels_]
+    away = frames - clusters.cluster_centers_[clusters.labels_]
+    squares, needed = np.einsum("tn,ti,tj->nij", own, away, away), frames.shape[1] + 1
+    common = squares.sum(axis=0) / len(frames) + FLOOR * frames.var(axis=0).mean() * np.eye(frames.shape[1])
+    covariances = (squares + needed * common) / (own.sum(axis=0) + needed)[:, None, None]
+    transition = np.random.default_rng(seed).uniform(size=(states, states))
+    initial = np.full(states, 1 / states)
+    return Hmm(initial, transition / transition.sum(axis=1, keepdims=True), clusters.cluster_centers_.astype(float), covariances)

@@ -1,0 +1,147 @@
+"""Film a person: for each camera and frame, combine the empty scene, the person's shadow on the floor and the person, and apply the sensor."""
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from bayes_body.base.files.atomic import make_folder
+from bayes_body.recording.session.session import CameraSpec
+from bayes_body.workshop.simulation.background import Background
+from bayes_body.workshop.simulation.mesh import Mesh
+from bayes_body.workshop.simulation.options import Options, Quality
+from bayes_body.workshop.simulation.raster import Light, rasterise
+from bayes_body.workshop.simulation.raster_shadow import shadow_mask
+from bayes_body.workshop.simulation.segmenter import segment
+from bayes_body.workshop.simulation.sensor import Sensor
+from bayes_body.workshop.simulation.video import VideoWriter, write_mask
+
+LIGHT = Light()
+# Fraction of the floor's light that the person blocks, and width of the shadow's soft edge in pixels, for a picture with 640 columns.
+SHADOW, SHADOW_PX, AT_COLUMNS = 0.42, 6.0, 640
+# Frames of the empty scene: one second, filmed just before the recording.
+EMPTY_FRAMES = 30
+
+
+class Picture(NamedTuple):
+    """A camera's picture of one frame.
+
+    Attributes:
+        image: blue, green, red.
+        true_mask: where the person covers more than half of a pixel.
+        mask: a segmenter's silhouette; None if none was asked for.
+    """
+
+    image: UInt8[np.ndarray, "row column 3"]
+    true_mask: Bool[np.ndarray, "row column"]
+    mask: Bool[np.ndarray, "row column"] | None
+
+
+class Camera:
+    """A camera in each frame, its empty scene, and the segmenter of its pictures."""
+
+    def __init__(self, posed: Sequence[CameraSpec], background: Background, sensor: Sensor, quality: Quality | None, key: tuple[int, ...]):
+        self._posed, self._background, self._sensor, self._key = posed, background, sensor, key
+        self._quality: Quality | None = quality
+
+    def take(self, mesh: Mesh, frame: int) -> Picture:
+        """The picture of a frame with the person."""
+        camera, empty = self._posed[frame], self._background.empty(frame)
+        shadow = np.where(empty.floor, shadow_mask(mesh, camera, LIGHT.direction, SHADOW_PX * camera.size_px[0] / AT_COLUMNS), 0)
+        picture, coverage = rasterise(mesh, camera, _darkened(empty.picture, shadow), LIGHT)
+        return Picture(self._sensor.read(picture, frame), coverage > 0.5, self._segment(coverage, shadow, frame))
+
+    def take_empty(self, frame: int) -> UInt8[np.ndarray, "row column 3"]:
+        """The picture without the person. Frames before the recording are negative."""
+        return self._sensor.read(self._background.empty(max(frame, 0)).picture, frame)
+
+    def _segment(
+        self, coverage: Float[np.ndarray, "row column"], shadow: Float[np.ndarray, "row column"], frame: int
+    ) -> Bool[np.ndarray, "row column"] | None:
+        if self._quality is None:
+            return None
+        return segment(np.random.default_rng((*self._key, frame)), self._quality, coverage, shadow)
+
+
+def _darkened(picture: Float[np.ndarray, "row column 3"], shadow: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "row column 3"]:
+    """The picture with the shadow applied."""
+    x, y, width, height = cv2.boundingRect((shadow > 0).astype(np.uint8))
+    here = slice(y, y + height), slice(x, x + width)
+    darkened = picture.copy()
+    darkened[here] *= 1 - SHADOW * shadow[here][..., None]
+    return darkened
+
+
+class Reel:
+    """A camera's output files: its video, and its silhouettes if they are wanted."""
+
+    def __init__(self, stack: ExitStack, folder: Path, camera: CameraSpec, fps: float, masks: Sequence[str]):
+        """Open the files.
+
+        Args:
+            stack: closes the files.
+            folder: the session's folder.
+            camera: the camera.
+            fps: frames per second.
+            masks: the folder names for silhouettes.
+
+        Raises:
+            InputError: the files cannot be written.
+        """
+        self._video = stack.enter_context(VideoWriter(folder / video_name(camera.name), fps, camera.size_px))
+        self._masks = {name: folder / mask_pattern(name, camera.name) for name in masks}
+        for pattern in self._masks.values():
+            make_folder(pattern.parent)
+
+    def add(self, picture: Picture, frame: int) -> None:
+        """Write a frame."""
+        self._video.add(picture.image)
+        for name, pattern in self._masks.items():
+            mask = picture.true_mask if name == TRUE_MASKS else picture.mask
+            if mask is not None:
+                write_mask(pattern, frame, mask)
+
+
+MASKS, TRUE_MASKS = "masks", "true_masks"
+
+
+def mask_pattern(kind: str, name: str) -> str:
+    """The printf pattern of a camera's silhouettes, relative to the session's folder."""
+    # Escape percent signs in a name: they are not the frame number.
+    return f"{kind}/{name.replace('%', '%%')}/%06d.png"
+
+
+def video_name(name: str) -> str:
+    """A camera's video, relative to the session's folder."""
+    return f"videos/{name}.mp4"
+
+
+def empty_name(name: str) -> str:
+    """A camera's video of the empty scene, relative to the session's folder."""
+    return f"background/{name}.mp4"
+
+
+def cameras(
+    posed: Sequence[Sequence[CameraSpec]], grey: Sequence[bool], fps: float, scenes: Sequence[Background], options: Options, quality: Quality | None
+) -> list[Camera]:
+    """The cameras of a rig, each with its own sensor."""
+    filming = []
+    for number, (each, colourless, scene) in enumerate(zip(posed, grey, scenes, strict=True)):
+        sensor = Sensor((options.seed, 11, number), len(each), fps, colourless, options.noise)
+        filming.append(Camera(each, scene, sensor, quality, (options.seed, 13, number)))
+    return filming
+
+
+def film_empty(camera: Camera, path: Path, fps: float, size_px: tuple[int, int]) -> None:
+    """Write the video of the empty scene, as the camera saw it just before the recording.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    with VideoWriter(path, fps, size_px) as video:
+        for frame in range(-EMPTY_FRAMES, 0):
+            video.add(camera.take_empty(frame))

@@ -1,0 +1,89 @@
+"""From a motion's landmarks to the chains of bones that carry a person's tubes."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from bayes_body.workshop.simulation.person_frames import Chain, across, chain, hinge_laterals, middle, steady, trunk_axes, turned
+from bayes_body.workshop.simulation.person_motion import Track, unit
+
+# Height of a head from crown to chin, over stature; between it and the shoulders is the neck.
+HEAD_OVER_STATURE = 0.132
+LARGEST_HEAD = 0.80
+# How far the trunk's tube extends above the shoulders and below the hips, over the trunk's length.
+# Length of a hand from wrist to finger ends, over stature (ANSUR 1988: 0.110). A motion's hand gives only the direction.
+SHORTEST_HAND, LONGEST_HAND = 0.098, 0.115
+ABOVE, BELOW = 0.17, 0.27
+SHALLOWEST_SOLE_M, DEEPEST_SOLE_M = 0.055, 0.10
+
+
+def chains(whole: Mapping[str, Track], height_m: float, fps: float) -> dict[str, Chain]:
+    """Each tube's chain over time.
+
+    Args:
+        whole: complete landmarks.
+        height_m: the person's stature, which gives the sizes of parts without landmarks.
+        fps: frames per second.
+    """
+    up, hips, shoulders = trunk_axes(whole, fps)
+    bones = {"trunk": _trunk(whole, up, hips, shoulders), "head": _head(whole, up, shoulders, height_m)}
+    for side, sign in (("l", 1.0), ("r", -1.0)):
+        bones[f"{side}_arm"], bones[f"{side}_thumb"] = _arm(whole, side, sign, (up, shoulders), height_m, fps)
+        bones[f"{side}_leg"], lateral = _leg(whole, side, up, hips, fps)
+        bones[f"{side}_foot"] = _foot(whole, side, lateral, height_m)
+    return bones
+
+
+def _trunk(whole: Mapping[str, Track], up: Track, hips: Track, shoulders: Track) -> Chain:
+    low, high = middle(whole, "hip"), middle(whole, "shoulder")
+    rise = high - low
+    return chain([high + ABOVE * rise, (low + high) / 2, low - BELOW * rise], [shoulders, hips])
+
+
+def _head(whole: Mapping[str, Track], up: Track, shoulders: Track, height_m: float) -> Chain:
+    crown, neck = whole["head"], whole["neck"]
+    high = middle(whole, "shoulder")
+    axis = unit(unit(crown - neck) + 0.5 * up)
+    length = np.minimum(HEAD_OVER_STATURE * height_m, LARGEST_HEAD * np.linalg.norm(crown - high, axis=1))[:, None]
+    return chain([crown, crown - length * axis, high + 0.02 * up], [shoulders, shoulders])
+
+
+def _arm(whole: Mapping[str, Track], side: str, sign: float, chest: tuple[Track, Track], height_m: float, fps: float) -> tuple[Chain, Chain]:
+    up, left = chest
+    shoulder, elbow, wrist, hand = (whole[f"{side}_{name}"] for name in ("shoulder", "elbow", "wrist", "hand"))
+    # The finger ends are the least reliable points of a capture.
+    along = steady(unit(hand - wrist), fps)
+    size = np.clip(np.linalg.norm(hand - wrist, axis=1, keepdims=True), SHORTEST_HAND * height_m, LONGEST_HAND * height_m)
+    hand = wrist + size * along
+    root = shoulder + 0.72 * (middle(whole, "shoulder") - shoulder) + 0.03 * up
+    upper, lower = hinge_laterals(elbow - shoulder, wrist - elbow, up, left, forwards=True, fps=fps)
+    girdle = turned(-up, unit(shoulder - root), left)
+    arm = chain([root, shoulder, elbow, wrist, hand], [girdle, upper, lower, lower])
+    lateral = arm.laterals[:, 3]
+    ahead = np.cross(along, lateral)
+    base = wrist + size * (0.10 * along + 0.06 * ahead)
+    tip = wrist + size * (0.58 * along + 0.34 * ahead - sign * 0.10 * lateral)
+    return arm, chain([base, tip], [lateral])
+
+
+def _leg(whole: Mapping[str, Track], side: str, up: Track, left: Track, fps: float) -> tuple[Chain, Track]:
+    hip, knee, ankle = (whole[f"{side}_{name}"] for name in ("hip", "knee", "ankle"))
+    upper, lower = hinge_laterals(knee - hip, ankle - knee, up, left, forwards=False, fps=fps)
+    pelvis = across(left, up)
+    return chain([hip + 0.06 * up, hip, knee, ankle], [pelvis, upper, lower]), lower
+
+
+def _foot(whole: Mapping[str, Track], side: str, lateral: Track, height_m: float) -> Chain:
+    """A shoe's sole from behind the heel to beyond the toes. The height of the ankle above it is measured where the foot is flat."""
+    ankle, toe = whole[f"{side}_ankle"], whole[f"{side}_toe"]
+    reach = toe - ankle
+    flat = np.argsort(ankle[:, 2] + toe[:, 2])[: max(1, len(ankle) // 8)]
+    sink = np.arctan2(-np.median(reach[flat, 2]), np.median(np.linalg.norm(reach[flat, :2], axis=1)))
+    lateral = across(lateral, unit(reach))
+    # Rotate about the person's right by the angle of the slope.
+    sole = unit(unit(reach) * np.cos(sink) + np.cross(-lateral, unit(reach)) * np.sin(sink))
+    above = np.cross(sole, lateral)
+    depth = np.clip(np.median(ankle[flat, 2]), SHALLOWEST_SOLE_M, DEEPEST_SOLE_M)
+    heel = ankle - depth * above - 0.035 * height_m * sole
+    length = max(0.152 * height_m, 0.035 * height_m + 0.02 + float(np.median(np.linalg.norm(reach, axis=1)) * np.cos(sink)))
+    return chain([heel, heel + length * sole], [lateral])

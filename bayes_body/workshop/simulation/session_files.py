@@ -1,0 +1,87 @@
+"""Further files of a simulated session: the calibration in Pose2Sim's format, moving cameras' extrinsics, and the truth."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import tomlkit
+from jaxtyping import Float
+from tomlkit.items import Table
+
+from bayes_body.base.files.atomic import make_folder, replacing, write_text
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.session.session import CameraSpec
+
+# Where Pose2Sim expects a project's calibration.
+CALIBRATION, TRUTH = "calibration/Calib.toml", "truth.npz"
+
+
+def camera_name(name: str) -> str:
+    """A moving camera's extrinsics, relative to the session's folder."""
+    return f"cameras/{name}.npz"
+
+
+def write_calibration(path: Path, cameras: Sequence[CameraSpec]) -> None:
+    """Write cameras as a Pose2Sim calibration: metres, `X_camera = R X_world + T`, R as a Rodrigues vector.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    text = tomlkit.document()
+    for camera in cameras:
+        text.add(camera.name, _calibration(camera))
+    metadata = tomlkit.table()
+    metadata.add("adjusted", False)
+    metadata.add("error", 0.0)
+    text.add("metadata", metadata)
+    make_folder(path.parent)
+    write_text(path, tomlkit.dumps(text))
+
+
+def _calibration(camera: CameraSpec) -> Table:
+    focal, centre = camera.focal_px, camera.centre_px
+    matrix = [[focal[0], camera.skew * focal[0], centre[0]], [0.0, focal[1], centre[1]], [0.0, 0.0, 1.0]]
+    # Pose2Sim reads four coefficients; a fifth is written only if it is not zero.
+    distortions = list(camera.distortion if camera.distortion[4] else camera.distortion[:4])
+    table = tomlkit.table()
+    table.add("name", camera.name)
+    table.add("size", [float(side) for side in camera.size_px])
+    table.add("matrix", matrix)
+    table.add("distortions", distortions)
+    table.add("rotation", np.asarray(cv2.Rodrigues(camera.rotation)[0]).ravel().tolist())
+    table.add("translation", np.asarray(camera.translation_m).tolist())
+    table.add("fisheye", False)
+    return table
+
+
+def write_truth(
+    path: Path, markers: Float[np.ndarray, "frame 15 3"], landmarks: Mapping[str, Float[np.ndarray, "frame 3"]], more: Mapping[str, np.ndarray]
+) -> None:
+    """Write the true markers and all landmarks (toes, finger ends) with their names, and further arrays; metres.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    points = np.stack([np.asarray(track, np.float64) for track in landmarks.values()], axis=1)
+    arrays: dict[str, Any] = {
+        "markers": markers,
+        "names": np.array(MARKERS),
+        "landmarks": points,
+        "landmark_names": np.array(list(landmarks)),
+        **more,
+    }
+    with replacing(path) as partial:
+        np.savez(partial, **arrays)
+
+
+def write_extrinsics(path: Path, cameras: Sequence[CameraSpec]) -> None:
+    """Write a moving camera's `rotation` (frame, 3, 3) and `translation_m` (frame, 3), `X_camera = rotation X_world + translation_m`.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    make_folder(path.parent)
+    with replacing(path) as partial:
+        np.savez(partial, rotation=np.stack([each.rotation for each in cameras]), translation_m=np.stack([each.translation_m for each in cameras]))

@@ -1,0 +1,104 @@
+"""A body made of tubes, each made of rings around a bent chain of bones: the centres and axes of the rings, and the triangles between them.
+
+A ring's station is measured in bones: 1.25 is a quarter of the way along the second bone. Near a joint the path is a parabola and the rings turn with
+it, so the skin continues smoothly across bent knees and elbows.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bayes_body.workshop.simulation.person_frames import Chain, across
+from bayes_body.workshop.simulation.person_motion import unit
+
+# Points per ring; the first is towards the person's left, a quarter further is the front.
+ANGLES = 20
+# Largest fraction of a bone that the blend at one joint may use.
+LONGEST_BLEND = 0.45
+_TURN = 2.0 * np.pi * np.arange(ANGLES) / ANGLES
+COSINES, SINES = np.cos(_TURN).round(12), np.sin(_TURN).round(12)
+
+
+class Rings(NamedTuple):
+    """Rings over time.
+
+    Attributes:
+        centres: (frame, ring, 3), metres.
+        along: (frame, ring, 3), unit, towards the next ring.
+        lateral: (frame, ring, 3), unit, the direction of a ring's first point.
+    """
+
+    centres: Float[np.ndarray, "frame ring 3"]
+    along: Float[np.ndarray, "frame ring 3"]
+    lateral: Float[np.ndarray, "frame ring 3"]
+
+
+def sweep(bones: Chain, stations: Float[np.ndarray, " ring"], blend_m: Float[np.ndarray, " joint"]) -> Rings:
+    """Rings along a chain.
+
+    Args:
+        bones: the chain.
+        stations: positions of the rings, in bones; ascending.
+        blend_m: the distance from each joint within which the path bends, limited to `LONGEST_BLEND` of a bone.
+    """
+    steps = np.diff(bones.points, axis=1)
+    lengths, directions = np.linalg.norm(steps, axis=-1), unit(steps)
+    bone = np.clip(stations.astype(int), 0, steps.shape[1] - 1)
+    fraction = stations - bone
+    centres = bones.points[:, bone] + fraction[:, None] * steps[:, bone]
+    along, lateral = directions[:, bone], bones.laterals[:, bone]
+    for joint, reach in enumerate(blend_m):
+        near, far = lengths[:, joint, None], lengths[:, joint + 1, None]
+        radius = np.maximum(np.minimum(reach, LONGEST_BLEND * np.minimum(near, far)), 1e-6)
+        ahead = np.where(bone == joint, (fraction - 1.0) * near, np.where(bone == joint + 1, fraction * far, np.inf))
+        inside = (np.abs(ahead) < radius)[..., None]
+        w, r = np.clip(0.5 + 0.5 * ahead / radius, 0.0, 1.0)[..., None], radius[..., None]
+        before, after = directions[:, None, joint], directions[:, None, joint + 1]
+        bent = bones.points[:, None, joint + 1] - (1.0 - w) ** 2 * r * before + w**2 * r * after
+        centres = np.where(inside, bent, centres)
+        along = np.where(inside, unit((1.0 - w) * before + w * after), along)
+        lateral = np.where(inside, (1.0 - w) * bones.laterals[:, None, joint] + w * bones.laterals[:, None, joint + 1], lateral)
+    return Rings(centres, along, across(lateral, along))
+
+
+def sections(
+    sides: Float[np.ndarray, "ring 4"], roundness: Float[np.ndarray, " ring"]
+) -> tuple[Float[np.ndarray, "ring angle"], Float[np.ndarray, "ring angle"]]:
+    """The points of rings in their own planes, made of quarters of superellipses.
+
+    Args:
+        sides: half widths to the left, to the right, ahead and behind, metres.
+        roundness: the superellipse's exponent; 2 is an ellipse, larger is more rectangular.
+    """
+    power = 2.0 / roundness[:, None]
+    widths = np.where(COSINES >= 0, sides[:, :1], sides[:, 1:2]), np.where(SINES >= 0, sides[:, 2:3], sides[:, 3:4])
+    rounds = (np.sign(wave) * np.abs(wave) ** power for wave in (COSINES, SINES))
+    x, y = (width * circle for width, circle in zip(widths, rounds, strict=True))
+    return x, y
+
+
+def triangles(rings: list[int]) -> tuple[Int[np.ndarray, "face 3"], Int[np.ndarray, "face 2"]]:
+    """The triangles of closed tubes.
+
+    Args:
+        rings: number of rings of each tube.
+
+    Returns:
+        (face, 3) indices of points: first all rings' points in order, then for each tube the centres of its first and last cap; and (face, 2) the
+        ring and the angle that a face belongs to.
+    """
+    faces, places, first, middles = [], [], 0, sum(rings) * ANGLES
+    here = np.arange(ANGLES)
+    there = (here + 1) % ANGLES
+    for tube, count in enumerate(rings):
+        start, end, cap = first * ANGLES, (first + count - 1) * ANGLES, middles + 2 * tube
+        row = (first + np.arange(count - 1))[:, None] * ANGLES
+        a, b, c, d = (np.ravel(index) for index in (row + here, row + there, row + ANGLES + here, row + ANGLES + there))
+        faces += [np.stack([a, b, c], axis=1), np.stack([b, d, c], axis=1)]
+        faces += [np.stack([start + there, start + here, np.full(ANGLES, cap)], axis=1)]
+        faces += [np.stack([end + here, end + there, np.full(ANGLES, cap + 1)], axis=1)]
+        side = np.stack(np.divmod(np.arange((count - 1) * ANGLES) + first * ANGLES, ANGLES), axis=1)
+        places += [side, side, np.stack([np.full(ANGLES, first), here], axis=1), np.stack([np.full(ANGLES, first + count - 1), here], axis=1)]
+        first += count
+    return np.concatenate(faces), np.concatenate(places)
