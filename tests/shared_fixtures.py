@@ -279,6 +279,7 @@ def make_run(textured_session, body_of, tmp_path):
                 "filter": xr.Dataset({"lost": (("chain", "frame"), lost), "log_evidence": (("chain", "frame"), log_evidence)}),
             }
         )
+        tree.attrs.update(arrays.get("attributes", {}))
         folder = tmp_path / name
         folder.mkdir()
         tree.to_netcdf(folder / "posterior.nc", engine="h5netcdf")

@@ -19,6 +19,10 @@ type Place = tuple[Room, str]
 # The remedy if a definition names a user's own term.
 OWN = "If it is a term of your own, name its file with --plugin."
 ROOMS: tuple[Room, ...] = get_args(Room.__value__)
+# What a likelihood may compare the body with. OTHER: a plugin's likelihood that does not say.
+EVIDENCE = ("keypoints", "silhouettes", "edges", "image motion")
+OTHER = "other"
+type Reads = tuple[str, ...] | Callable[[Any], tuple[str, ...]]
 
 
 class Term(NamedTuple):
@@ -28,11 +32,26 @@ class Term(NamedTuple):
         options: the schema of its options, a pydantic model.
         build: makes the term from its options.
         note: what a user must know about it before a run; printed at every run.
+        reads: of a likelihood: the EVIDENCE that it compares the body with, or a function of its options that returns it.
+        samples_posterior: of a kernel: whether its particles are a sample of the posterior. Those of a mode seeker are not. None: it does not
+            say, and is taken for a mode seeker if it estimates no evidence.
+        recovers: of a kernel: whether a lost run looks for the person again unless the user says otherwise.
+        markov_move: of a kernel: a function of its options that returns its Markov move (`kernels.markov_moves`); None if it has none.
+        instead: of a kernel: what a user may do instead where few of its particles carry the weight, such as `use --kernel tempered`.
     """
 
     options: type[BaseModel]
     build: Callable[..., Any]
     note: str = ""
+    reads: Reads = (OTHER,)
+    samples_posterior: bool | None = None
+    recovers: bool = False
+    markov_move: Callable[[Any], Any] | None = None
+    instead: str = ""
+
+    def evidence(self, options: BaseModel) -> tuple[str, ...]:
+        """Return what a likelihood with these options compares the body with."""
+        return self.reads(options) if callable(self.reads) else self.reads
 
 
 _BUILT_IN: dict[Place, str] = {
@@ -68,9 +87,21 @@ _terms: dict[Place, Term] = {}
 
 
 def register(
-    room: Room, name: str, options: type[BaseModel] = Schema, note: str = "", observation: str | None = None
+    room: Room,
+    name: str,
+    options: type[BaseModel] = Schema,
+    note: str = "",
+    observation: str | None = None,
+    *,
+    reads: Reads = (OTHER,),
+    samples_posterior: bool | None = None,
+    recovers: bool = False,
+    markov_move: Callable[[Any], Any] | None = None,
+    instead: str = "",
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Register a build function under a name in a room. Use it as a decorator.
+
+    What a term is stands here, and nowhere else: no other table names terms.
 
     Args:
         room: likelihood, observation, dynamics, potential or kernel.
@@ -78,6 +109,12 @@ def register(
         options: the schema of the term's table, a subclass of `Schema`; by default the term has no options.
         note: what a user must know before trusting its results.
         observation: for a likelihood, the observation that prepares its data, unless one of the same name is registered.
+        reads: for a likelihood, what it compares the body with: `keypoints`, `silhouettes`, `edges`, `image motion`; or a function of its options.
+        samples_posterior: for a kernel, whether its particles are a sample of the posterior. If not, no interval and no evidence is shown. A kernel
+            that does not say is taken for a mode seeker if it estimates no evidence.
+        recovers: for a kernel, whether a lost run looks for the person again by default.
+        markov_move: for a kernel, a function of its options that returns its Markov move, for `bayes-body check`.
+        instead: for a kernel, what a user may do instead where few particles carry the weight.
 
     Raises:
         InputError: there is no such room or observation, the name is taken, or the options are not a schema.
@@ -85,7 +122,7 @@ def register(
 
     def decorate(build: Callable[..., Any]) -> Callable[..., Any]:
         _check(room, name, options, build)
-        terms: dict[Place, Term] = {(room, name): Term(options, build, note)}
+        terms: dict[Place, Term] = {(room, name): Term(options, build, note, reads, samples_posterior, recovers, markov_move, instead)}
         if observation is not None:
             terms["observation", name] = find("observation", observation)
         for place in terms:

@@ -57,6 +57,11 @@ class Model:
     observers: Mapping[str, Callable[[Any], Any]]
 
     @property
+    def reads(self) -> list[str]:
+        """What its likelihoods compare the body with: keypoints, silhouettes, edges, image motion, or `other` for a plugin's that does not say."""
+        return sorted({what for term in self.definition.likelihoods for what in find("likelihood", term.kind).evidence(term.options)})
+
+    @property
     def reads_before(self) -> bool:
         """Whether a factor reads the frame before, so that frames are to be read with it (`read_frame`)."""
         return any(factor.reads_previous for factor in self.factors)

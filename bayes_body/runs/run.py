@@ -57,7 +57,6 @@ from bayes_body.tracking.track import track
 from bayes_body.view.figures_text import warning_line
 
 # Kernels whose runs recover from a loss unless the user says otherwise.
-RECOVERING = ("particle_bp",)
 
 
 def run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None = None) -> dict[str, Any]:
@@ -101,7 +100,7 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
         if not must_fit:
             check_view(session, model)
     true_markers(session)
-    recover = kind in RECOVERING if chosen.recover is None else chosen.recover
+    recover = find("kernel", kind).recovers if chosen.recover is None else chosen.recover
     keep = draws_to_keep(chosen.keep, options.model_dump(), show)
     described = {"runs": chosen.runs, "seed": chosen.seed, "frames": chosen.frames, "init": chosen.init, "recover": recover, "keep": keep}
     described["first_frame"] = number_of_first(session, whole)

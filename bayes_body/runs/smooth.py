@@ -94,7 +94,7 @@ def _smooth(source: SavedRun, settings: SmoothSettings, show: Show, bar: bool) -
     with remark_on_stop(frames, settings.out, show):
         with smoothing_bar(bar and len(frames) < len(filtered), len(frames)) as on_frame:
             paths = smooth(session, model, Smoother(options), filtered, jax.random.key(seed), frames, on_frame)
-        draws = Draws(model, paths, timing_of(paths), tuple(view.camera.name for view in session.views), session.first_frame)
+        draws = Draws(model, paths, timing_of(paths), tuple(view.camera.name for view in session.views), session.first_frame, declared_sample=True)
         figures = {"kernel": str(source.kernel["kind"]), "seed": seed}
         return finish(session, draws, Results(settings.out, frames), figures, [], show, bar, smoothed=True)
 

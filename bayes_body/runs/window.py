@@ -34,7 +34,7 @@ def window_of_run(
         options: those of `kernels.window.Options`: chains, warm_up, draws, metric, target_acceptance.
 
     Raises:
-        InputError: there is no such run, its recording has changed, or the window cannot be sampled (`window_posterior`).
+        InputError: there is no such run, its recording has changed, its kernel seeks modes, or the window cannot be sampled (`window_posterior`).
     """
     with load_run(folder) as given:
         source = given.smoothing["folder"] if given.smoothed else folder
@@ -42,6 +42,8 @@ def window_of_run(
         if run.changed_inputs:
             found = f"{', '.join(sorted(run.changed_inputs))}: changed or gone since the run was made"
             raise input_error(run.folder, found, "the recording of the run", "put it back")
+        if run.mode_seeker:
+            raise input_error("the run", "its kernel seeks modes", "a sample of the posterior", "track again with --kernel tempered, for one")
         filtered = FrameFiles(run.folder / FRAMES_FOLDER, run.id)
         begin = run.frames - frames if first is None else first - run.first_frame
         window = range(begin, begin + frames)

@@ -93,6 +93,7 @@ class Draws:
         kernel: the kernel's name; empty if it has none.
         warnings: what `bayes_body.track` says about the result: the sentences that the command line prints at its end.
         first_frame: number of the first frame in the recording (`Session.frame_number`).
+        declared_sample: whether the kernel declares that its particles are a sample of the posterior; None of a kernel without a name.
     """
 
     model: Model
@@ -102,6 +103,14 @@ class Draws:
     first_frame: int = 0
     kernel: str = ""
     warnings: tuple[str, ...] = ()
+    declared_sample: bool | None = None
+
+    @property
+    def samples_posterior(self) -> bool:
+        """Whether the particles are a sample of the posterior. A kernel that does not say is taken for a mode seeker if it has no evidence."""
+        if self.declared_sample is not None:
+            return self.declared_sample
+        return not all(np.isnan(np.asarray(frame.info.log_evidence, float)).all() for frame in self.frames)
 
     @property
     def runs(self) -> int:

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array
 
 from bayes_body.base.errors import input_error
+from bayes_body.base.registry import find, names
 from bayes_body.base.shapes import Key
 from bayes_body.density.factor import Particles
 from bayes_body.density.kernel import FilterInfo, Kernel
@@ -103,7 +104,9 @@ def track(
             restarts = None if recovery is None else Restarts(recovery, runs, store)
             _follow(store, _filter(model, kernel, key, filters, done, observed, ahead, restarts, session.first_frame), count, on_frame)
     cameras = tuple(view.camera.name for view in session.views)
-    return Draws(model, store, timing_of(store), cameras, session.first_frame, getattr(kernel, "kind", ""))
+    name = getattr(kernel, "kind", "")
+    declared = find("kernel", name).samples_posterior if name in names("kernel") else None
+    return Draws(model, store, timing_of(store), cameras, session.first_frame, name, declared_sample=declared)
 
 
 def _particles_of(kernel: Kernel) -> int:

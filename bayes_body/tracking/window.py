@@ -67,7 +67,7 @@ def window_posterior(
     Args:
         session: the recording.
         model: the model with which it was filtered.
-        filtered: the frames of the filters.
+        filtered: the frames of the filters, of a kernel that samples the posterior.
         frames: the frames, counted from 0.
         key: random key.
         prior: of the first frame. `gaussian`: one Gaussian with the moments of the filter's prediction, as in a filter with
@@ -130,8 +130,6 @@ def _check(model: Model, filtered: Frames, frames: range, first: int) -> None:
         found, expected = f"{first + frames.start} to {first + frames.stop - 1}", f"consecutive frames from {first + 1} to {first + last}"
         raise input_error("the frames of the window", found, expected, f"give others; frame {first} has no frame before it")
     check_gradients(Density(model.transition, model.factors, {}, _before(filtered, frames.start - 1)), "NUTS")
-    if any(np.isnan(filtered[frames.start].info.log_evidence)):
-        raise input_error("the run", "its kernel seeks modes", "a sample of the posterior", "track again with --kernel tempered, for one")
     restarted = [frame for frame in frames if filtered[frame].restarted.any()]
     if restarted:
         found = f"the filter started anew in frame {first + restarted[0]}"

@@ -9,8 +9,9 @@ from calibration import toys
 from bayes_body.base.registry import find, names
 from bayes_body.density.coordinates import Coordinates
 from bayes_body.density.extended import Extended
+from bayes_body.kernels.markov_moves import iterated_sir
 from bayes_body.workshop.calibration import invariance, looks
-from bayes_body.workshop.calibration.markov_moves import iterated_sir, markov_move
+from bayes_body.workshop.calibration.check import markov_move
 
 REPLICATIONS = 1000
 LIMIT = 0.05 / 5

@@ -130,8 +130,7 @@ def _judge(model: Model) -> Model:
     Many likelihoods reward a body inside the silhouette and do not ask what it leaves uncovered, or say nothing about a single frame. With them, arms
     are folded in front of the trunk.
     """
-    of_keypoints = any(term.kind == "markers_gaussian" for term in model.definition.likelihoods)
-    return model if of_keypoints else with_likelihoods(model, JUDGE)
+    return model if "keypoints" in model.reads else with_likelihoods(model, JUDGE)
 
 
 def _is_ahead(found: Found) -> Bool[np.ndarray, " draw"]:

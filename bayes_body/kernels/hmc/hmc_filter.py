@@ -256,7 +256,14 @@ def _coordinates(target: Unconstrained) -> tuple[Float[Array, "particle dof"], F
     return jax.vmap(lambda state: ravel_pytree(target.unconstrain(state))[0])(states), weights
 
 
-@register("kernel", "hmc", Options)
+def _markov_move(options: Options) -> Any:
+    # It is made of this kernel's parts, so it is imported when it is asked for.
+    from bayes_body.kernels.markov_moves import move_of_hmc
+
+    return move_of_hmc(options)
+
+
+@register("kernel", "hmc", Options, samples_posterior=True, markov_move=_markov_move)
 def build(options: Options, **_: Any) -> Kernel:
     """Build the kernel from a definition's options."""
     return _Filter(options).frame

@@ -199,7 +199,7 @@ def build_kernel(**options: Any) -> ParticleBP:
     return ParticleBP(validate(Options, options, "particle_bp()"))
 
 
-@register("kernel", "particle_bp", Options)
+@register("kernel", "particle_bp", Options, samples_posterior=True, recovers=True)
 def build(options: Options, **_: Any) -> Kernel:
     """Build the kernel from a definition's options."""
     return ParticleBP(options)

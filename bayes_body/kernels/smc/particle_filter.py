@@ -61,7 +61,14 @@ def build_kernel(resampling: Scheme = "systematic") -> Kernel:
     return kernel
 
 
-@register("kernel", "sir", Options)
+def _markov_move(options: Options) -> Any:
+    # It is made of this kernel's parts, so it is imported when it is asked for.
+    from bayes_body.kernels.markov_moves import move_of_sir
+
+    return move_of_sir(options)
+
+
+@register("kernel", "sir", Options, samples_posterior=True, markov_move=_markov_move, instead="use --kernel tempered")
 def build(options: Options, **_: Any) -> Kernel:
     """Build the kernel from a definition's options."""
     return build_kernel(options.resampling)

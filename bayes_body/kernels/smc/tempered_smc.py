@@ -284,7 +284,14 @@ def _still(keys: Keys, parents: ExtendedParticle) -> tuple[ExtendedParticle, tup
     return parents, (jnp.full((), jnp.nan, dtype), jnp.zeros((), dtype))
 
 
-@register("kernel", "tempered", Options)
+def _markov_move(options: Options) -> Any:
+    # It is made of this kernel's parts, so it is imported when it is asked for.
+    from bayes_body.kernels.markov_moves import move_of_tempered
+
+    return move_of_tempered(options)
+
+
+@register("kernel", "tempered", Options, samples_posterior=True, markov_move=_markov_move)
 def build(options: Options, **_: Any) -> Kernel:
     """Build the kernel from a definition's options."""
     return build_kernel(**options.model_dump(exclude={"particles"}))

@@ -132,7 +132,7 @@ def _by_scale(statistics: EdgeStatistics) -> EdgeStatistics:
     return EdgeStatistics(statistics.epsilon.T, statistics.amplitude.T, statistics.log_amplitude.T, statistics.log_occluded)
 
 
-@register("likelihood", "edge_phase", Options, note="it reads grey levels; colour images are converted")
+@register("likelihood", "edge_phase", Options, note="it reads grey levels; colour images are converted", reads=("edges",))
 def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
     """Build the factor for one rig and body."""
     dtype = body.lengths.dtype

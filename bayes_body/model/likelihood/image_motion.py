@@ -141,7 +141,7 @@ def _log_normal(value: Array, sd: Array) -> Array:
     return -0.5 * jnp.square(value / sd) - jnp.log(sd) - 0.5 * np.log(2 * np.pi)
 
 
-@register("likelihood", "image_motion", Options)
+@register("likelihood", "image_motion", Options, reads=("image motion",))
 def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
     """Build the factor for one rig and body."""
     noise, share, precision = (jnp.asarray(value, body.lengths.dtype) for value in (options.noise_grey, options.outlier_share, options.precision))

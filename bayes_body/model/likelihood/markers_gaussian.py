@@ -136,7 +136,7 @@ def simulate(potential: MarkersGaussian, missing: Scalar, key: Key, values: Vari
     )
 
 
-@register("likelihood", "markers_gaussian", Options)
+@register("likelihood", "markers_gaussian", Options, reads=("keypoints",))
 def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
     """Build the factor for one rig and body.
 

@@ -79,7 +79,7 @@ class Regions:
         return jnp.where(jnp.isfinite(jnp.sum(frame)), total, jnp.nan)
 
 
-@register("likelihood", "regions", Options)
+@register("likelihood", "regions", Options, reads=("silhouettes",))
 def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
     """Build the plate of a loose-limbed body.
 

@@ -107,7 +107,7 @@ def simulate(potential: SilhouetteBernoulli, key: Key, values: Variables) -> Sil
     return SilhouetteEvidence(foreground, jnp.ones(foreground.shape[0], bool))
 
 
-@register("likelihood", "silhouette_bernoulli", Options)
+@register("likelihood", "silhouette_bernoulli", Options, reads=("silhouettes",))
 def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
     """Build the factor for one rig and body."""
     rates = (jnp.asarray(value, body.lengths.dtype) for value in (options.false_alarm, options.miss, options.soft_px))

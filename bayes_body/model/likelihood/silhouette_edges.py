@@ -134,7 +134,12 @@ class SilhouetteEdges:
         return jnp.where(maps.foreground >= 0, jnp.maximum(agreement**self.gamma, 1e-3), 1.0)
 
 
-@register("likelihood", "silhouette_edges", Options)
+def _reads(options: Options) -> tuple[str, ...]:
+    silhouettes = {"silhouette", "cover"} & set(options.terms)
+    return (*(("silhouettes",) if silhouettes else ()), *(("edges",) if "edges" in options.terms else ()))
+
+
+@register("likelihood", "silhouette_edges", Options, reads=_reads)
 def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
     """Build the factor for one rig and body."""
     surface, outline = surface_samples(body, *options.surface_samples), outline_samples(body, options.outline_samples)

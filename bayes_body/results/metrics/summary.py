@@ -15,7 +15,6 @@ from bayes_body.base.progress import Watch, unwatched
 from bayes_body.model.body.space import configuration_space
 from bayes_body.model.build import Model
 from bayes_body.recording.session.session import Session
-from bayes_body.results.metrics.evidence_read import evidence_read
 from bayes_body.results.metrics.figures import accuracy_figures
 from bayes_body.results.metrics.fit import Fit, frame_fit
 from bayes_body.results.metrics.plausibility import fit_figures
@@ -71,7 +70,7 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
     """
     frames, working = len(draws.frames), draws.timing.total - draws.timing.compile
     found = [_figures(session, draws.model, draws.frames[index], index) for index in watch(range(frames))]
-    mode_seeker = all(np.isnan(each.log_evidence).all() for each in found)
+    mode_seeker = not draws.samples_posterior
     ess, fits = np.array([each.ess for each in found]), [each.fit for each in found]
     overlap, distance_px = (np.array([getattr(fit, name) for fit in fits]) for name in ("overlap", "distance_px"))
     first = frame_fit(session, draws.model, np.asarray(draws.model.initial[draws.model.body.variable], float)[None], 0)
@@ -97,7 +96,7 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
         "ess_median": float(np.median(ess)),
         "rhat_max": _largest(np.array([each.rhat for each in found])),
         "log_evidence": log_mean_exp(np.sum([each.log_evidence for each in found], axis=0)),
-        "reads": evidence_read(draws.model),
+        "reads": draws.model.reads,
         "iou_median": _median(overlap),
         "reprojection_px_median": _median(distance_px),
         "marker_disagreement_mm": 1000 * float(np.mean([each.disagreement for each in found])),

@@ -12,6 +12,8 @@ from bayes_body.results.posterior.mixing import Mixing
 if TYPE_CHECKING:
     import xarray as xr
 
+# Attribute of a tree: whether its kernel declares that its particles are a sample of the posterior.
+SAMPLES_POSTERIOR = "samples_posterior"
 # Numbers of frames over which ancestors are traced back.
 LAGS = (1, 5, 10)
 
@@ -84,6 +86,7 @@ class Diagnosis:
         messages: figures of message passing in each frame; None if the kernel passes no messages.
         smoothed: whether a draw is a path of a smoother, which took its states from a filter with this kernel.
         first_frame: number of the first frame in the recording.
+        declared_sample: whether the kernel declares that its particles are a sample of the posterior; None if it does not say.
     """
 
     kernel: str
@@ -104,11 +107,12 @@ class Diagnosis:
     messages: MessagePassing | None = None
     smoothed: bool = False
     first_frame: int = 0
+    declared_sample: bool | None = None
 
     @property
     def mode_seeker(self) -> bool:
         """Whether the kernel is a mode seeker (`is_mode_seeker`)."""
-        return bool(np.isnan(self.log_evidence).all())
+        return _seeks_modes(self.declared_sample, self.log_evidence)
 
     @property
     def evidence_by_run(self) -> Float[np.ndarray, " run"]:
@@ -127,8 +131,21 @@ class Diagnosis:
 
 
 def is_mode_seeker(tree: "xr.DataTree") -> bool:
-    """Return whether the kernel of a posterior's tree estimates no evidence. Its particles are then not a sample of the posterior."""
-    return bool(np.isnan(np.asarray(tree["filter"]["log_evidence"], float)).all())
+    """Return whether the kernel of a posterior's tree is a mode seeker: its particles are not a sample of the posterior.
+
+    The kernel declares it. One that does not say, as in trees of older versions, is a mode seeker if it estimates no evidence.
+    """
+    return _seeks_modes(declared_sample(tree), np.asarray(tree["filter"]["log_evidence"], float))
+
+
+def declared_sample(tree: "xr.DataTree") -> bool | None:
+    """Return whether the kernel of a posterior's tree declares that its particles are a sample of the posterior; None if it does not say."""
+    declared = tree.attrs.get(SAMPLES_POSTERIOR)
+    return None if declared is None else bool(declared)
+
+
+def _seeks_modes(declared: bool | None, log_evidence: Float[np.ndarray, "run frame"]) -> bool:
+    return bool(np.isnan(log_evidence).all()) if declared is None else not declared
 
 
 def first_frame_of(tree: "xr.DataTree") -> int:

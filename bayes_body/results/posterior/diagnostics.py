@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from bayes_body.results.posterior.agreement import independent_draws, rhat_of_block
 from bayes_body.results.posterior.blocks import BLOCK, coordinate_blocks, weights_of_runs
-from bayes_body.results.posterior.diagnosis import LAGS, Diagnosis, Thresholds, first_frame_of
+from bayes_body.results.posterior.diagnosis import LAGS, Diagnosis, Thresholds, declared_sample, first_frame_of
 from bayes_body.results.posterior.genealogy import unique_ancestors
 from bayes_body.results.posterior.message_passing import message_passing_of, worst_of_messages
 from bayes_body.results.posterior.mixing import mixing_of, thinned_figure
@@ -63,6 +63,7 @@ def diagnose(run: "HasTree | xr.DataTree", block: int = BLOCK) -> Diagnosis:
         messages=message_passing_of(tree),
         smoothed=bool(tree.attrs.get("smoothed", 0)),
         first_frame=first_frame_of(tree),
+        declared_sample=declared_sample(tree),
     )
 
 

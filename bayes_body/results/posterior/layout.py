@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.density.spaces import Axis, Plate, Space, space_to_text
+from bayes_body.results.posterior.diagnosis import SAMPLES_POSTERIOR
 from bayes_body.results.posterior.message_passing import DIMS, NODE, PARTS
 from bayes_body.results.posterior.mixing import PREFIX
 from bayes_body.results.posterior.stored_spaces import SPACE
@@ -224,4 +225,5 @@ def attributes_of(draws: Draws, attributes: Mapping[str, Any] | None) -> dict[st
     thinned = {"thinned_from": draws.particles} if draws.frames[0].figures else {}
     # A path of a smoother and a draw of a Markov chain have equal weights.
     weighted = not named.get("smoothed") and not draws.frames[0].info.markov
-    return named | thinned | ({WEIGHTS: WEIGHTED} if weighted else {})
+    declared = {} if draws.declared_sample is None else {SAMPLES_POSTERIOR: int(draws.declared_sample)}
+    return named | declared | thinned | ({WEIGHTS: WEIGHTED} if weighted else {})

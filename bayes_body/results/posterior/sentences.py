@@ -5,16 +5,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from bayes_body.base.errors import InputError
-from bayes_body.base.registry import find, names
+from bayes_body.base.registry import find
 from bayes_body.results.posterior.diagnosis import Diagnosis, Thresholds
 from bayes_body.results.posterior.frame_text import at_worst, frame_ranges, frames_where, largest
 from bayes_body.results.posterior.message_sentences import message_sentences
 from bayes_body.results.posterior.mixing_sentences import mixing_sentences
 
 __all__ = ["frame_ranges", "sentences"]
-
-# BRIDGE is recommended to users of FROM_PRIOR, whose particles come from the prior alone: it bridges prior and posterior.
-BRIDGE, FROM_PRIOR = "tempered", "sir"
 
 
 def sentences(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -> list[str]:
@@ -42,15 +39,14 @@ def _remedy(diagnosis: Diagnosis, *wanted: str, moves_help: bool = True) -> str:
         moves_help: whether more moves of the smoother help, if the run is smoothed.
     """
     try:
-        known = set(find("kernel", diagnosis.kernel).options.model_fields)
+        kernel = find("kernel", diagnosis.kernel)
+        known, instead = set(kernel.options.model_fields), kernel.instead
     except InputError:
-        known = {"particles"}
+        known, instead = {"particles"}, ""
     raised = " or ".join(f"--{name}" for name in wanted if name in known)
     if diagnosis.smoothed:
         return f"{'smooth with more --moves, or ' if moves_help else ''}smooth a run with more {raised}"
-    if diagnosis.kernel == FROM_PRIOR and BRIDGE in names("kernel"):
-        return f"raise {raised}, or use --kernel {BRIDGE}"
-    return f"raise {raised}"
+    return f"raise {raised}, or {instead}" if instead else f"raise {raised}"
 
 
 def _mode_seeker(diagnosis: Diagnosis) -> str | None:

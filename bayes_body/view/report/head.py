@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayes_body.results.metrics.evidence_read import shows_overlap, shows_reprojection
+from bayes_body.results.metrics.headline import shows_overlap, shows_reprojection
 from bayes_body.results.posterior.blocks import log_mean_exp
 from bayes_body.view.report.markup import Markup, joined, section, table, tag
 

@@ -23,8 +23,6 @@ from bayes_body.recording.observation.silhouette_bernoulli import sample_mask
 from bayes_body.recording.session.session import Session
 from bayes_body.results.metrics.silhouette import Outline, fill, intersection_over_union, outlines
 
-# The likelihoods that read silhouettes.
-KINDS = ("silhouette_bernoulli", "silhouette_edges", "regions")
 # Silhouettes are compared at no more than this width, pixels.
 WIDTH = 320
 ENDS = (5, 95)
@@ -48,7 +46,7 @@ class SilhouetteCheck(NamedTuple):
 
 def reads_silhouettes(model: Model) -> bool:
     """Whether a likelihood of the model compares the body with silhouettes."""
-    return any(term.kind in KINDS and tuple(getattr(term.options, "terms", ())) != ("edges",) for term in model.definition.likelihoods)
+    return "silhouettes" in model.reads
 
 
 def silhouette_likelihood(model: Model) -> SilhouetteBernoulli | None:

@@ -20,15 +20,13 @@ from bayes_body.results.posterior import markers
 from bayes_body.results.posterior.blocks import pooled, pose_blocks, weights_of_runs
 from bayes_body.results.posterior.resampling import RESAMPLING_SEED, systematic_resampling
 from bayes_body.view.report.predicted_keypoints import KeypointCheck, keypoint_check, marker_likelihood
-from bayes_body.view.report.predicted_silhouettes import KINDS, SilhouetteCheck, reads_silhouettes, silhouette_check
+from bayes_body.view.report.predicted_silhouettes import SilhouetteCheck, reads_silhouettes, silhouette_check
 
 if TYPE_CHECKING:
     from bayes_body.results.storage.saved_run import SavedRun
 
 FRAMES, DRAWS = 20, 60
-NOTHING = (
-    f"The model reads neither keypoints (markers_gaussian) nor silhouettes ({', '.join(KINDS)}), so there is nothing to compare with its predictions."
-)
+NOTHING = "The model reads neither keypoints nor silhouettes, so there is nothing to compare with its predictions."
 
 
 class Predicted(NamedTuple):

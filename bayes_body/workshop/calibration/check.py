@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 from bayes_body.base.progress import Watch, unwatched
 from bayes_body.base.registry import find
 from bayes_body.base.toml.read import validate
+from bayes_body.kernels.markov_moves import MarkovMove
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.model.plugins.load import load_plugin
 from bayes_body.recording.session.read import load_session
 from bayes_body.workshop.calibration import invariance, sbc
 from bayes_body.workshop.calibration.looks import REPLICATIONS
-from bayes_body.workshop.calibration.markov_moves import markov_move
 from bayes_body.workshop.calibration.problem import Problem, check_cases, problem_of
 from bayes_body.workshop.calibration.replication_log import ReplicationLog
 from bayes_body.workshop.calibration.replications import Compute, Experiments, Figures, add_replications
@@ -112,6 +112,17 @@ def experiments(problem: Problem, kind: str, options: Any, frames: int = 2, bins
     if move is not None:
         found[INVARIANCE] = invariance.replicate(problem, move)
     return Experiments(seed, found, problem)
+
+
+def markov_move(kind: str, options: Any) -> MarkovMove | None:
+    """Return the Markov move that a kernel declares, or None.
+
+    Args:
+        kind: the kernel's name.
+        options: the kernel's options, in its schema.
+    """
+    declared = find("kernel", kind).markov_move
+    return None if declared is None else declared(options)
 
 
 def has_move(plan: Plan) -> bool:

@@ -4,7 +4,7 @@ $$s \sim p(s),\; z \sim p(z \mid s),\; s' \sim K_z(s, \cdot) \quad\Rightarrow\qu
 p(s' \mid z) = \int K_z(s, s')\, p(s \mid z)\, ds.$$
 
 Each figure of (s', z) is compared with that of independent draws of (s, z) by the two-sample Kolmogorov-Smirnov test. There is no approximation: a
-kernel's Markov move (workshop/calibration/markov_moves.py) is right or wrong, with any number of particles. The state has an ancestor, one of
+kernel's Markov move (kernels/markov_moves.py) is right or wrong, with any number of particles. The state has an ancestor, one of
 `ANCESTORS` weighted particles of the previous frame. These are drawn for each case.
 """
 
@@ -20,7 +20,7 @@ from scipy.stats import ks_2samp
 from bayes_body.base.shapes import Index, Key
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles, State
-from bayes_body.workshop.calibration.markov_moves import MarkovMove
+from bayes_body.kernels.markov_moves import MarkovMove
 from bayes_body.workshop.calibration.problem import Problem, draw_case, draw_data, draw_path
 from bayes_body.workshop.calibration.sbc import LOG_LIKELIHOOD
 

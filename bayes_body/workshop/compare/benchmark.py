@@ -17,7 +17,7 @@ import numpy as np
 from bayes_body.base.errors import InputError
 from bayes_body.base.registry import find, names
 from bayes_body.model.definition import Definition, definition_names, load_definition
-from bayes_body.model.kernel_options import kernel_options
+from bayes_body.model.kernel_options import kernel_of, kernel_options
 from bayes_body.model.plugins.load import plugins_to_blame, providing
 from bayes_body.recording.session.read import FILE_NAME
 from bayes_body.recording.session.session import Session
@@ -141,7 +141,7 @@ def followed(scenes: Scenes, definition: Definition, kernel: str, options: Any, 
     """
     scene = scenes.of(definition)
     frames = min(settings.frames, scene.session.frames)
-    built, key = find("kernel", kernel).build(options=options), jax.random.key(settings.seed)
+    built, key = kernel_of(kernel, options), jax.random.key(settings.seed)
     return scene, track(key, scene.session, scene.model, built, options.particles, settings.runs, frames)
 
 
@@ -151,8 +151,8 @@ def measured(session: Session, draws: Draws) -> dict[str, Any]:
     Effective samples per second count every frame of every run. A mode seeker's particles are not samples of the posterior, so it has none.
     """
     working, evidence = draws.timing.total - draws.timing.compile, log_evidence(draws)
-    mode_seeker = np.isnan([frame.info.log_evidence for frame in draws.frames]).all()
-    accuracy = accuracy_figures(draws_against_truth(session, draws), bool(mode_seeker))
+    mode_seeker = not draws.samples_posterior
+    accuracy = accuracy_figures(draws_against_truth(session, draws), mode_seeker)
     ess = float(sum(np.sum(frame.info.ess) for frame in draws.frames))
     return {
         "seconds_per_frame": working / len(draws.frames),

@@ -26,7 +26,7 @@ from bayes_body.initial import FirstPose, apply_first_pose, first_pose
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import Definition
 from bayes_body.recording.session.session import Session
-from bayes_body.results.metrics import accuracy_figures, draws_against_truth, log_evidence, silhouette_overlap
+from bayes_body.results.metrics import accuracy_figures, draws_against_truth, silhouette_overlap
 from bayes_body.results.metrics.accuracy import LEVELS
 from bayes_body.results.metrics.truth import no_truth
 from bayes_body.tracking.track import track
@@ -133,7 +133,7 @@ def _trial(session: Session, model: Model, scale: float, kernel: Kernel, particl
         raise input_error(
             f"the model '{model.definition.name}'", "none of its markers is in the truth", "a model with such markers", "use another body"
         )
-    if np.isnan(log_evidence(draws)):
+    if not draws.samples_posterior:
         raise input_error("--kernel", "a mode seeker", "a kernel whose particles are draws from the posterior", "use sir or tempered")
     figures = accuracy_figures(found, mode_seeker=False)
     inside, known = int(found.plain.inside[LEVELS.index(LEVEL)].sum()), int(found.plain.known.sum())

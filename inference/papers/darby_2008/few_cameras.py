@@ -217,11 +217,10 @@ def follow(
         InputError: the definition or the first pose cannot be used, or the session has no truth.
     """
     model, options = bb.load_model(definition, session, lambda line: None), definition.kernel.options
-    term, count = find("kernel", definition.kernel.kind), particles or int(options.particles)
-    kernel, mode_seeker = term.build(options=options), bool(term.note)
+    count = particles or int(options.particles)
     accuracies, evaluations, seconds = [], [], []
     for run in watch(range(runs)):
-        draws = bb.track(jax.random.key(seed + run), session, model, kernel, particles=count, frames=frames)
+        draws = bb.track(jax.random.key(seed + run), session, model, particles=count, frames=frames)
         against = draws_against_truth(session, draws)
         if against is None:
             raise no_truth(session)
@@ -232,7 +231,7 @@ def follow(
         absolute_m=_of(accuracies, "frame_error"),
         optimistic_m=_of(accuracies, "optimistic"),
         relative_m=_of(accuracies, "relative"),
-        coverage_90=np.array([np.nan if mode_seeker else coverage_at(accuracy.coverage, 0.9) for accuracy in accuracies]),
+        coverage_90=np.array([coverage_at(accuracy.coverage, 0.9) if draws.samples_posterior else np.nan for accuracy in accuracies]),
         evaluations=float(np.mean(evaluations)),
         seconds=np.array(seconds),
         fps=session.fps,

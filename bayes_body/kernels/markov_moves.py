@@ -14,7 +14,6 @@ test of this needs no tolerance.
 - `annealed` has no such move: no weight corrects its noise, which is a proposal.
 """
 
-from collections.abc import Callable
 from typing import Any, Protocol
 
 import jax
@@ -45,16 +44,6 @@ class MarkovMove(Protocol):
     def __call__(self, key: Key, state: State, ancestor: Index, previous: Particles, density: Density) -> tuple[State, Index]:
         """Apply the move once."""
         ...
-
-
-def markov_move(kind: str, options: Any) -> MarkovMove | None:
-    """Return the move of a kernel, or None if it has none.
-
-    Args:
-        kind: the kernel's name.
-        options: the kernel's options, in its schema.
-    """
-    return _MOVES[kind](options) if kind in _MOVES else None
 
 
 def iterated_sir(particles: int = PARTICLES) -> MarkovMove:
@@ -99,7 +88,7 @@ def tempered_walk(move: Move, moves: int, candidates: int, repeated: int = REPEA
     return moved
 
 
-def hmc_walk(options: Any, transitions: int = REPEATED) -> MarkovMove:
+def move_of_hmc(options: Any, transitions: int = REPEATED) -> MarkovMove:
     """Return the move of `hmc`: `transitions` trajectories on the marginal view, each with its own step size, then an ancestor of the last state."""
     schedule = Schedule(1, 0, 1, options.leapfrog_steps, options.jitter, options.sampler, 0.0)
 
@@ -135,13 +124,12 @@ def _roots(key: Key, view: Extended) -> dict[str, Array]:
     return {name: whitening(position, jnp.zeros(PREDICTED, position.dtype)) for name, position in positions.items()}
 
 
-def _sir(options: Any) -> MarkovMove:
+def move_of_sir(options: Any) -> MarkovMove:
+    """Return the move of `sir` with its options."""
     return iterated_sir(min(PARTICLES, max(options.particles, 2)))
 
 
-def _tempered(options: Any) -> MarkovMove:
+def move_of_tempered(options: Any) -> MarkovMove:
+    """Return the move of `tempered` with its options."""
     move = hmc(options.leapfrog_steps) if options.move == "hmc" else random_walk()
     return tempered_walk(move, options.moves, options.candidates)
-
-
-_MOVES: dict[str, Callable[[Any], MarkovMove]] = {"sir": _sir, "tempered": _tempered, "hmc": hmc_walk}
