@@ -36,7 +36,7 @@ print(f"{len(names)} files, top level bayes_body")
 PY
 
 models=$("$work/env/bin/bayes-body" models)
-for name in deutscher_apf tempered_smc arm; do
+for name in deutscher_2005 silhouettes arm; do
   grep -qw "$name" <<<"$models" || {
     printf 'bayes-body models does not list %s:\n%s\n' "$name" "$models" >&2
     exit 1

@@ -19,9 +19,9 @@ from bayes_body.base.errors import InputError
 
 # By kernel: a model whose posterior it samples well, particles, and options that differ from the model's.
 KERNELS = {
-    "sir": ("deutscher_apf", 4000, {}),
-    "annealed": ("deutscher_apf", 1000, {}),
-    "tempered": ("tempered_smc", 500, {}),
+    "sir": ("deutscher_2005", 4000, {}),
+    "annealed": ("deutscher_2005", 1000, {}),
+    "tempered": ("silhouettes", 500, {}),
     "hmc": ("poon_fleet_2002_legs", 400, {"chains": 8, "starts": 500, "burn_in": 50, "leapfrog_steps": 30}),
 }
 QUICK = {"annealed": {"layers": 2}, "hmc": {"burn_in": 10}}

@@ -58,7 +58,7 @@ FirstFrame = Annotated[
     ),
 ]
 Frames = Annotated[int | None, typer.Option("--frames", help="Number of frames to import from the first on; all by default.", rich_help_panel=TIME)]
-DEFAULT_MODEL = "deutscher_apf"
+DEFAULT_MODEL = "deutscher_2005"
 
 
 @app.command(short_help="A recording of PARSEC's bodytrack.")

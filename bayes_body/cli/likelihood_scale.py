@@ -20,7 +20,7 @@ HEADINGS = f"{'recording':32} {'scale':>7} {'coverage of 90 %':>17} {'error mm':
 def likelihood_scale(
     sessions: list[Path] = typer.Argument(help="Folders of recordings with their truth, such as those made by `bayes-body simulate`."),
     model: str = typer.Option(
-        "tempered_smc", "--model", help="A definition's name or the path of your own; one of its likelihoods has a `precision`."
+        "silhouettes", "--model", help="A definition's name or the path of your own; one of its likelihoods has a `precision`."
     ),
     scales: str = typer.Option(SCALES, "--scales", help="Values of `precision` to try, separated by commas."),
     kernel: str | None = typer.Option(None, "--kernel", help="sir or tempered; the model's own by default."),

@@ -4,6 +4,7 @@ import os
 import sys
 import tempfile
 import traceback
+import warnings
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -63,10 +64,15 @@ def _common(version: bool = typer.Option(False, "--version", help="Print the ver
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its status."""
+    warnings.showwarning = _show_warning
     with guarded() as (output, _), stoppable():
         status = _status(sys.argv[1:] if arguments is None else list(arguments))
         status = _told(output) if output.error and not status else status
     sys.exit(status)
+
+
+def _show_warning(message: Warning | str, *_: Any) -> None:
+    complain(f"note: {message}")
 
 
 def _status(arguments: list[str]) -> int:

@@ -28,18 +28,21 @@ app = typer.Typer(cls=_ListByDefault, help="List the model definitions (the defa
 
 @app.command("list")
 def list_models() -> None:
-    """List the definitions that ship, one line each."""
+    """List the definitions that ship, one line each, by what they read of a recording."""
     from rich.table import Table
 
     from bayes_body.base.files.shipped import definitions_folder
+    from bayes_body.base.registry import EVIDENCE
     from bayes_body.model.body.space import configuration_space
     from bayes_body.model.build import body_of
-    from bayes_body.model.definition import definition_names, load_definition
+    from bayes_body.model.definition import definition_names, evidence_of, load_definition
 
-    table = Table("model", "dofs", "kernel", "what it is", box=None, pad_edge=False)
-    for name in definition_names():
-        definition = load_definition(name)
-        table.add_row(name, str(configuration_space(body_of(definition)).dimension), definition.kernel.kind, definition.title)
+    table = Table("model", "reads", "dofs", "kernel", "what it is", box=None, pad_edge=False)
+    definitions = [load_definition(name) for name in definition_names()]
+    places = {definition.name: [EVIDENCE.index(what) for what in evidence_of(definition) if what in EVIDENCE] for definition in definitions}
+    for definition in sorted(definitions, key=lambda definition: places[definition.name]):
+        dofs = str(configuration_space(body_of(definition)).dimension)
+        table.add_row(definition.name, ", ".join(evidence_of(definition)), dofs, definition.kernel.kind, definition.title)
     show(table, f"The files are in {definitions_folder()}; copy one to make your own.")
 
 

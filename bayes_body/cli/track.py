@@ -25,8 +25,8 @@ def track(
     model: str | None = typer.Option(
         None,
         "--model",
-        help="A definition's name (`bayes-body models`) or the path of your own; by default markers_31 if there are keypoints, hmc_walker "
-        "(legs only) if there is one still camera without, else tempered_smc.",
+        help="A definition's name (`bayes-body models`) or the path of your own; by default keypoints if there are keypoints, walker_from_the_side "
+        "(legs only) if there is one still camera without, else silhouettes.",
     ),
     kernel: str | None = typer.Option(
         None,

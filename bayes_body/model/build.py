@@ -22,7 +22,7 @@ from bayes_body.density.kernel import NamedKernel
 from bayes_body.model.body.build import Shape, build_body
 from bayes_body.model.body.placement import PARTS, loosened, placed_markers
 from bayes_body.model.body.solids import Body
-from bayes_body.model.definition import Definition, load_body, load_definition
+from bayes_body.model.definition import Definition, evidence_of, load_body, load_definition
 from bayes_body.model.first import First, first_of
 from bayes_body.model.kernel_options import check_options, kernel_of, kernel_options
 from bayes_body.recording.session.session import CameraSpec, Session, Subject
@@ -58,8 +58,8 @@ class Model:
 
     @property
     def reads(self) -> list[str]:
-        """What its likelihoods compare the body with: keypoints, silhouettes, edges, image motion, or `other` for a plugin's that does not say."""
-        return sorted({what for term in self.definition.likelihoods for what in find("likelihood", term.kind).evidence(term.options)})
+        """What its likelihoods compare the body with (`definition.evidence_of`)."""
+        return sorted(evidence_of(self.definition))
 
     @property
     def reads_before(self) -> bool:

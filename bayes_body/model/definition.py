@@ -3,6 +3,7 @@
 A definition names terms. The registry provides the schema of each term's table. Nothing here builds arrays.
 """
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +11,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from bayes_body.base.errors import FaultyFileError, InputError, input_error, nearest
+from bayes_body.base.errors import FaultyFileError, InputError, RunWarning, input_error, nearest
 from bayes_body.base.files.shipped import definitions_folder
-from bayes_body.base.registry import Room, find, names
+from bayes_body.base.registry import EVIDENCE, OTHER, Room, find, names
 from bayes_body.base.toml.read import parse_toml, read_toml, validate
 from bayes_body.base.toml.schema import Positive, Schema
 from bayes_body.model.body.schema import BodySchema
@@ -95,6 +96,28 @@ class Definition:
         return body in (None, self.body_name, self.body.measured_as)
 
 
+# Models that were named after samplers: their names before, which still work, by today's.
+FORMER_NAMES = {
+    "deutscher_2005": "deutscher_apf",
+    "keypoints": "markers_31",
+    "legs_by_phase": "hmc_legs",
+    "silhouette_pixels": "silhouette_31",
+    "silhouettes": "tempered_smc",
+    "walker_from_the_side": "hmc_walker",
+}
+
+
+def evidence_of(definition: Definition) -> list[str]:
+    """Return what the definition's likelihoods compare the body with: `registry.EVIDENCE`, or `other` for a plugin's that does not say."""
+    read = {what for term in definition.likelihoods for what in find("likelihood", term.kind).evidence(term.options)}
+    return sorted(read, key=lambda what: (*EVIDENCE, OTHER).index(what))
+
+
+def current_name(name: str) -> str:
+    """Return today's name of a shipped model: of a former name that of its model, else the name itself."""
+    return next((today for today, former in FORMER_NAMES.items() if former == name), name)
+
+
 def definition_names(folder: str = "") -> tuple[str, ...]:
     """Return the names of the shipped models or, with `folder` = "bodies", of the shipped bodies."""
     return tuple(sorted(path.stem for path in (definitions_folder() / folder).glob("*.toml")))
@@ -107,7 +130,10 @@ def load_definition(name: str | Path) -> Definition:
         InputError: there is none of that name, or the file is no TOML.
         FaultyFileError: one sentence for each thing in it that is wrong.
     """
-    path = _locate(str(name), "", "model", Path())
+    today = current_name(str(name))
+    if today != str(name):
+        warnings.warn(f"the model '{name}' is now called '{today}'; the former name will not work in the next release", RunWarning, stacklevel=2)
+    path = _locate(today, "", "model", Path())
     where = path.name if path.parent == definitions_folder() else str(path)
     # `read_toml` comes first: it raises an InputError if there is no such file.
     tables = read_toml(path)

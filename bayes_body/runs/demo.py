@@ -39,7 +39,7 @@ from bayes_body.workshop.simulation.person import build_person
 from bayes_body.workshop.simulation.session import simulate
 from bayes_body.workshop.simulation.staging import centred
 
-RIG, MODEL, RUNS = "room_4", "tempered_smc", 2
+RIG, MODEL, RUNS = "room_4", "silhouettes", 2
 SESSION, RUN = "recording", "run"
 
 

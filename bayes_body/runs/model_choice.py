@@ -7,7 +7,7 @@ from bayes_body.recording.observation.silhouettes import has_silhouettes
 from bayes_body.recording.session.read import FILE_NAME
 from bayes_body.recording.session.session import Session
 
-KEYPOINT_MODEL, SILHOUETTE_MODEL, ONE_CAMERA_MODEL = "markers_31", "tempered_smc", "hmc_walker"
+KEYPOINT_MODEL, SILHOUETTE_MODEL, ONE_CAMERA_MODEL = "keypoints", "silhouettes", "walker_from_the_side"
 ONE_VIEW = "in one view depth is uncertain: expect wide intervals"
 LEGS = "it tracks the legs only, of a person who walks past the camera"
 

@@ -46,8 +46,8 @@ def recording() -> Session:
 
 
 def load(session: Session, lookup: str, particles: int) -> Case:
-    """`deutscher_apf` with that look-up."""
-    definition = load_definition("deutscher_apf")
+    """`deutscher_2005` with that look-up."""
+    definition = load_definition("deutscher_2005")
     (term,) = definition.likelihoods
     term = replace(term, options=term.options.model_copy(update={"lookup": lookup}))
     model = build_model(replace(definition, likelihoods=(term,)), session)

@@ -74,7 +74,7 @@ def main() -> None:
     session, rows = recording(), []
     print(f"{'precision':>9} {'':28} {'s/frame':>8} {'draws':>7} {'least':>6} {'draws/s':>8} {'least ESS':>9} {'sd log Z':>8}")
     for precision in options.precisions:
-        model = bb.load_model(sharpened(load_definition("tempered_smc"), precision), session)
+        model = bb.load_model(sharpened(load_definition("silhouettes"), precision), session)
         for what, kind, given, particles in SAMPLERS:
             term = find("kernel", kind)
             kernel = term.build(options=term.options(**given))

@@ -50,7 +50,7 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         session = load_session(link_looped(recording(), Path(folder) / "session", options.frames))
-        model = build_model("deutscher_apf", session)
+        model = build_model("deutscher_2005", session)
         kind, kernel = kernel_options(model.definition, options.kernel, {"particles": options.particles})
         print(f"{kind}, {options.particles} particles; frames, memory (MB), seconds a frame")
         files = FrameFiles(Path(folder) / "frames")

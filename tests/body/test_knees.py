@@ -36,7 +36,7 @@ def test_captured_people_stay_inside(cmu_mocap):
 
 def test_the_first_pose_of_a_real_recording_is_inside(bodytrack, tmp_path):
     session, _ = import_parsec(bodytrack, tmp_path)
-    body, pose = (model := build_model("deutscher_apf", session)).body, np.asarray(model.initial["pose"])
+    body, pose = (model := build_model("deutscher_2005", session)).body, np.asarray(model.initial["pose"])
     low, high = np.asarray(body.skeleton.low), np.asarray(body.skeleton.high)
     assert ((low <= pose) & (pose <= high)).all()
     assert all(pose[body.dof_names.index(name)] < high[body.dof_names.index(name)] for name in KNEES)

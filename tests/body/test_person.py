@@ -105,10 +105,10 @@ def test_toes_point_to_where_knees_do_not_bend(pair):
 
 def test_a_subject_measured_for_the_body_without_is_taken(textured_session):
     subject = Subject(body="deutscher_31", height_m=HEIGHT, lengths_m={"l_thigh": 0.5}, motion_sd={"root_x": 0.02})
-    model = build_model("tempered_smc", dataclasses.replace(textured_session, subject=subject))
+    model = build_model("silhouettes", dataclasses.replace(textured_session, subject=subject))
     assert model.body.name == "person_31"
     assert np.isclose(model.body.lengths[model.body.topology.names.index("l_thigh")], 0.5)
     assert np.isclose(model.body.lengths[model.body.topology.names.index("l_foot")], 0.112 * HEIGHT)
     # Measures of a body of another chart are not.
-    other = build_model("tempered_smc", dataclasses.replace(textured_session, subject=dataclasses.replace(subject, body="arm_4")))
+    other = build_model("silhouettes", dataclasses.replace(textured_session, subject=dataclasses.replace(subject, body="arm_4")))
     assert np.isclose(other.body.lengths[other.body.topology.names.index("l_thigh")], 0.245 * HEIGHT)

@@ -39,7 +39,7 @@ def test_a_posterior_of_several_ancestors_is_their_mixture():
 
 
 def test_too_many_dofs_are_refused(textured_session):
-    model = build_model("deutscher_apf", textured_session)
+    model = build_model("deutscher_2005", textured_session)
     with pytest.raises(ValueError, match="31 dofs; expected at most 4"):
         integrate(model.density(jax.tree.map(jnp.asarray, {})))
 

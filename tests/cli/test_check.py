@@ -34,7 +34,7 @@ def test_files_without_a_place_are_refused(cli, tmp_path):
 
 def test_a_likelihood_that_is_no_distribution_is_named_and_what_is_checked_instead(cli):
     cli("check", "arm").refuses("the likelihood 'silhouette_edges': it is not a distribution over images", "give a recording with --session")
-    cli("check", "tempered_smc").refuses("'silhouette_edges'", "at most 4 dofs for a quadrature, not 31", "coverage_90", "bayes-body simulate")
+    cli("check", "silhouettes").refuses("'silhouette_edges'", "at most 4 dofs for a quadrature, not 31", "coverage_90", "bayes-body simulate")
 
 
 ARGUMENTS = ["arm_markers", "--kernel", "sir", "--particles", "500", "--replications", "40"]

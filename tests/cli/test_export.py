@@ -14,7 +14,7 @@ from bayes_body.runs.settings import Settings
 def run(walk, tmp_path_factory):
     """The folder of a short run."""
     folder = tmp_path_factory.mktemp("runs") / "run"
-    settings = Settings(walk, folder, "deutscher_apf", "annealed", {"particles": 50, "layers": 2}, frames=2)
+    settings = Settings(walk, folder, "deutscher_2005", "annealed", {"particles": 50, "layers": 2}, frames=2)
     run_session(settings, show=lambda line: None, bar=False)
     return folder
 

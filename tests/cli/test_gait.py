@@ -19,8 +19,8 @@ from bayes_body.view.report.inspection import Inspection
 
 
 def stepping(frames=150):
-    """A person of the model `markers_31` who walks along y: poses (2, 20, frame, dof); the hips swing, the knees are straight."""
-    body = body_of(load_definition("markers_31"))
+    """A person of the model `keypoints` who walks along y: poses (2, 20, frame, dof); the hips swing, the knees are straight."""
+    body = body_of(load_definition("keypoints"))
     rng, t = np.random.default_rng(0), np.arange(frames) / 60
     pose = np.zeros((2, 20, frames, len(body.dof_names)))
     at = {name: place for place, name in enumerate(body.dof_names)}
@@ -33,7 +33,7 @@ def stepping(frames=150):
 
 @pytest.mark.slow
 def test_the_command_prints_a_table_and_writes_all_strides(make_run, cli, monkeypatch):
-    folder = make_run(model="markers_31", draws=20, frames=150, pose=stepping(), log_weight=np.zeros((2, 20, 150)))
+    folder = make_run(model="keypoints", draws=20, frames=150, pose=stepping(), log_weight=np.zeros((2, 20, 150)))
     cli("gait", folder).refuses("a smoothed run", f"smooth it first with `bayes-body smooth {folder}`")
     assert not (folder / "gait.csv").exists()
     monkeypatch.setattr(SavedRun, "smoothed", True, raising=False)

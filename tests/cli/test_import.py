@@ -103,7 +103,7 @@ def damaged(cli, copy, tmp_path):
         path = copy.image(name)
         import_parsec(copy.folder, tmp_path / "walk")
         damage(path)
-        return cli("track", tmp_path / "walk", "--model", "deutscher_apf", "--out", tmp_path / "run", "--particles", 4, "--layers", 1)
+        return cli("track", tmp_path / "walk", "--model", "deutscher_2005", "--out", tmp_path / "run", "--particles", 4, "--layers", 1)
 
     return call
 

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from bayes_body.base.errors import RunWarning
 from bayes_body.base.files import shipped
+from bayes_body.model.definition import FORMER_NAMES, load_definition
 
 MODELS = Path(__file__).parents[2] / "models"
 
@@ -14,17 +16,23 @@ def test_the_list_names_every_definition(cli):
     outcome = cli("models")
     assert outcome.status == 0
     listed = {line.split()[0] for line in outcome.out.splitlines()}
-    assert {"arm", "deutscher_apf"} <= listed
+    assert {"arm", "deutscher_2005"} <= listed
     assert {path.stem for path in MODELS.glob("*.toml")} <= listed
+
+
+@pytest.mark.parametrize(("former", "today"), [(former, today) for today, former in FORMER_NAMES.items()])
+def test_a_former_name_works_with_a_note(former, today):
+    with pytest.warns(RunWarning, match=f"the model '{former}' is now called '{today}'"):
+        assert load_definition(former) == load_definition(today)
 
 
 def test_definitions_inside_the_package_are_found_first(cli, monkeypatch, tmp_path):
     shutil.copytree(MODELS, tmp_path / "bayes_body" / "_models")
-    (tmp_path / "bayes_body" / "_models" / "deutscher_apf.toml").unlink()
-    monkeypatch.setattr(shipped, "__file__", str(tmp_path / "bayes_body" / "files" / "shipped.py"))
+    (tmp_path / "bayes_body" / "_models" / "deutscher_2005.toml").unlink()
+    monkeypatch.setattr(shipped, "__file__", str(tmp_path / "bayes_body" / "base" / "files" / "shipped.py"))
     outcome = cli("models")
     assert str(tmp_path / "bayes_body" / "_models") in outcome.out.replace("\n", "")
-    assert "deutscher_apf" not in outcome.out
+    assert "deutscher_2005" not in outcome.out
     assert cli("models", "check", "arm").status == 0
 
 
@@ -36,7 +44,7 @@ def test_shipped_definitions_are_sound(cli, name):
 
 
 def test_a_model_that_does_not_exist(cli):
-    cli("models", "check", "deutscher_afp").refuses("'deutscher_afp'", "did you mean 'deutscher_apf'?")
+    cli("models", "check", "deutscher_205").refuses("'deutscher_205'", "did you mean 'deutscher_2005'?")
 
 
 def test_a_file_that_does_not_exist(cli, tmp_path):
@@ -158,10 +166,10 @@ def test_a_body_written_out_that_cannot_be_used(cli, own_model, fault):
 
 
 def test_the_axes_of_a_body_are_drawn_and_its_angles_named(cli, tmp_path):
-    outcome = cli("models", "axes", "markers_31", "--out", tmp_path / "axes.png")
+    outcome = cli("models", "axes", "keypoints", "--out", tmp_path / "axes.png")
     assert outcome.status == 0, outcome.err
     assert "30 clinical angles of the body deutscher_31: pelvic_rotation," in outcome.out and (tmp_path / "axes.png").stat().st_size > 20_000
-    cli("models", "axes", "markers_31", "--out", tmp_path / "axes.png").refuses("already exists", "--overwrite")
+    cli("models", "axes", "keypoints", "--out", tmp_path / "axes.png").refuses("already exists", "--overwrite")
 
 
 def test_segments_that_cannot_be_right(cli, tmp_path):

@@ -34,7 +34,7 @@ OPTIONS = {
     "annealed": ("--particles", 40, "--layers", 5),
     "particle_bp": ("--particles", 60, "--set", "samples=60", "--set", "iterations=2"),
 }
-WHOLE = dict.fromkeys(OPTIONS, "tempered_smc") | {"particle_bp": "loose_limbed_15"}
+WHOLE = dict.fromkeys(OPTIONS, "silhouettes") | {"particle_bp": "loose_limbed_15"}
 OFF = ("does not fit the image", "does not cover the person", "no longer covers the person", "outside of the image", "can be a person's")
 
 
@@ -160,7 +160,7 @@ TOLD = {
 
 @pytest.fixture(scope="module")
 def person(tmp_path_factory):
-    return _drawn(tmp_path_factory.mktemp("person") / "session", "tempered_smc", STANDING)
+    return _drawn(tmp_path_factory.mktemp("person") / "session", "silhouettes", STANDING)
 
 
 @pytest.fixture
@@ -257,10 +257,10 @@ def test_without_a_first_pose_the_person_is_found_or_the_run_tells_that_it_is_no
 
 @pytest.mark.long
 def test_keypoints_tell_it_too(cli, tmp_path):
-    session = _drawn(tmp_path / "session", "tempered_smc", STANDING, keypoints=True)
+    session = _drawn(tmp_path / "session", "silhouettes", STANDING, keypoints=True)
     for case, told in ((lambda session: session, False), (_moved(root_x=1.0), True)):
         save_session(case(session))
         out = tmp_path / f"run_{told}"
-        warnings = _said_off(_track(cli, session.folder, out, "tempered", "markers_31"), out)
+        warnings = _said_off(_track(cli, session.folder, out, "tempered", "keypoints"), out)
         assert bool(warnings) == told
         assert all("away from the keypoints" in each for each in warnings)

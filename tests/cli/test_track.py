@@ -42,7 +42,7 @@ def run(walk, tmp_path_factory) -> Path:
     """The folder of one whole run, in a process of its own: its figures of time and memory are that of a user's."""
     out = tmp_path_factory.mktemp("runs") / "run"
     command = ["track", str(walk), "--out", str(out), "--particles", str(PARTICLES), "--layers", str(LAYERS), "--runs", str(RUNS), "--seed", "3"]
-    command += ["--model", "deutscher_apf"]
+    command += ["--model", "deutscher_2005"]
     done = subprocess.run([sys.executable, "-m", "bayes_body.cli.main", *command], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     # Nobody looks at a terminal: standard error is a log of the progress, and nothing else.
@@ -58,7 +58,7 @@ def again(cli, walk, tmp_path):
     """`again("--frames", 2)`: the posterior of the same run, anew, with other options."""
 
     def call(*arguments):
-        options = ["--model", "deutscher_apf", "--particles", PARTICLES, "--layers", LAYERS, "--runs", RUNS, "--seed", 3]
+        options = ["--model", "deutscher_2005", "--particles", PARTICLES, "--layers", LAYERS, "--runs", RUNS, "--seed", 3]
         outcome = cli("track", walk, "--out", tmp_path / "again", *options, *arguments)
         assert outcome.status == 0, outcome.err
         return posterior(tmp_path / "again")
@@ -108,7 +108,7 @@ def test_the_summary(run):
     assert set(summary) >= KEYS
     expected = {"frames": FRAMES, "frames_lost": 0, "cameras": 4, "dof": DOFS, "particles": PARTICLES, "layers": LAYERS, "runs": RUNS, "seed": 3}
     assert {key: summary[key] for key in expected} == expected
-    assert (summary["kernel"], summary["model"]) == ("annealed", "deutscher_apf")
+    assert (summary["kernel"], summary["model"]) == ("annealed", "deutscher_2005")
     assert 0 < summary["seconds_compile"] < summary["seconds_total"]
     working = summary["seconds_total"] - summary["seconds_compile"]
     assert summary["seconds_per_frame"] == pytest.approx(working / FRAMES)
@@ -172,8 +172,8 @@ def test_the_session_chooses_the_model_and_the_command_line_another_kernel(cli, 
     outcome = cli("track", walk, "--out", tmp_path / "run", "--kernel", "sir", "--particles", 50, "--frames", 2)
     assert outcome.status == 0
     assert "mode seeker" not in outcome.out
-    assert "model      tempered_smc, because the session has silhouettes (masks) and no keypoints; --model names another." in outcome.out
-    assert json.loads((tmp_path / "run" / "summary.json").read_text())["model"] == "tempered_smc"
+    assert "model      silhouettes, because the session has silhouettes (masks) and no keypoints; --model names another." in outcome.out
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["model"] == "silhouettes"
     assert np.isfinite(posterior(tmp_path / "run")["filter"]["log_evidence"]).all()
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["rhat_max"] is None
 
@@ -185,7 +185,7 @@ OPTIONS = {
         ["--set step: the kernel 'annealed' has no such option", "expected one of particles", "leave it out"],
     ),
     "no such kernel": (["--kernel", "aneealed"], ["kernel 'aneealed' does not exist", "did you mean 'annealed'?"]),
-    "no such model": (["--model", "deutscher_afp"], ["model 'deutscher_afp' does not exist", "did you mean 'deutscher_apf'?"]),
+    "no such model": (["--model", "deutscher_205"], ["model 'deutscher_205' does not exist", "did you mean 'deutscher_2005'?"]),
     "no such file": (["--model", "nowhere/mine.toml"], ["nowhere/mine.toml", "no such file", "check the path"]),
     "no particles": (["--particles", "0"], ["--particles: 0", "expected a whole number from 1 up", "give another"]),
     "negative particles": (["--particles", "-5"], ["--particles: -5", "expected a whole number from 1 up", "give another"]),
@@ -215,7 +215,7 @@ OPTIONS = {
 @pytest.mark.parametrize("fault", OPTIONS)
 def test_options_that_cannot_be_used(cli, walk, tmp_path, fault):
     options, parts = OPTIONS[fault]
-    model = [] if "--model" in options else ["--model", "deutscher_apf"]
+    model = [] if "--model" in options else ["--model", "deutscher_2005"]
     cli("track", walk, "--out", tmp_path / "run", *model, *options).refuses(*parts)
     # So that the same command, corrected, is not refused for what this one left.
     assert not list((tmp_path / "run").glob("*"))
@@ -272,14 +272,14 @@ def test_a_session_that_cannot_be_used(cli, walk, tmp_path, fault):
     head, sep, initial = text.partition("[initial.angles_deg]") if fault == "outside the limits" else ("", "", text)
     assert old in initial
     (tmp_path / "session.toml").write_text(head + sep + initial.replace(old, new, 1), encoding="utf-8")
-    cli("track", tmp_path, "--out", tmp_path / "run", "--model", "deutscher_apf").refuses("session.toml", *parts)
+    cli("track", tmp_path, "--out", tmp_path / "run", "--model", "deutscher_2005").refuses("session.toml", *parts)
 
 
 def test_a_session_without_masks(cli, walk, tmp_path):
     lines = (walk / "session.toml").read_text(encoding="utf-8").splitlines()
     (tmp_path / "session.toml").write_text("\n".join(line for line in lines if not line.startswith("masks")), encoding="utf-8")
     said = ["no masks", "expected a silhouette", "give each [[camera]] its `masks`"]
-    cli("track", tmp_path, "--out", tmp_path / "run", "--model", "deutscher_apf").refuses("session.toml", *said)
+    cli("track", tmp_path, "--out", tmp_path / "run", "--model", "deutscher_2005").refuses("session.toml", *said)
     # Nothing that a model could be chosen by.
     cli("track", tmp_path, "--out", tmp_path / "run").refuses("session.toml", "neither keypoints nor silhouettes", "--keypoints", "--model")
 

@@ -36,7 +36,7 @@ def _small_first():
         parts = _made_of(name)
         alike = parts in found
         found.append(parts)
-        slow = pytest.mark.slow if name.startswith("arm") or name == "deutscher_apf" else pytest.mark.long
+        slow = pytest.mark.slow if name.startswith("arm") or name == "deutscher_2005" else pytest.mark.long
         yield pytest.param(name, marks=() if name == "arm" else pytest.mark.long if alike else slow)
 
 

@@ -79,7 +79,7 @@ def _check_refusal(error, blind):
 
 
 # With the terms, the motion prior and the kernel of another definition.
-LIKE_ANOTHER = ("darby_2008_monocular", "poon_fleet_2002", "tempered_smc")
+LIKE_ANOTHER = ("darby_2008_monocular", "poon_fleet_2002", "silhouettes")
 
 # Read while tests are collected, for each kernel.
 _kind = cache(lambda model: load_definition(model).kernel.kind)
@@ -116,7 +116,7 @@ def test_every_kernel_is_traced_on_every_definition(frame_densities, pair):
 # A fault of a kernel shows on any model, and a fault of a model with any kernel. How the two fit together is traced above.
 EVERY_KERNEL_ON = "arm_markers"
 # A whole body with the kernel that is the definition's own.
-WITH_ITS_OWN_KERNEL = ("deutscher_apf", "annealed")
+WITH_ITS_OWN_KERNEL = ("deutscher_2005", "annealed")
 
 
 def _marks(pair):

@@ -61,7 +61,7 @@ def body_schema():
 
 @pytest.fixture(scope="session")
 def model(scene):
-    return build_model("deutscher_apf", scene(1))
+    return build_model("deutscher_2005", scene(1))
 
 
 @pytest.fixture(scope="session")

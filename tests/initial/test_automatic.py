@@ -80,16 +80,16 @@ def test_one_likelihood_refines_whatever_tracks(scene):
     """On the body and with the constraints of the model that tracks; a model of keypoints has its own."""
     session = scene(1)
     kinds = {}
-    for name in ("deutscher_apf", "sidenbladh_2000_smooth", "markers_31"):
+    for name in ("deutscher_2005", "sidenbladh_2000_smooth", "keypoints"):
         model = build_model(name, session)
         judge = automatic._judge(model)
         assert judge.body is model.body
         assert [f.name for f in judge.factors if f.side != "likelihood"] == [f.name for f in model.factors if f.side != "likelihood"]
         kinds[name] = [f.name for f in judge.factors if f.side == "likelihood"], set(judge.observers)
     assert kinds == {
-        "deutscher_apf": (["silhouette_edges"], {"silhouette_edges"}),
+        "deutscher_2005": (["silhouette_edges"], {"silhouette_edges"}),
         "sidenbladh_2000_smooth": (["silhouette_edges"], {"silhouette_edges"}),
-        "markers_31": (["markers_gaussian"], {"markers_gaussian"}),
+        "keypoints": (["markers_gaussian"], {"markers_gaussian"}),
     }
-    (of_judge,) = [f for f in automatic._judge(build_model("deutscher_apf", session)).factors if f.side == "likelihood"]
+    (of_judge,) = [f for f in automatic._judge(build_model("deutscher_2005", session)).factors if f.side == "likelihood"]
     assert of_judge.log_potential.covers

@@ -64,10 +64,10 @@ def dressed(scene):
     lengths, hands and feet of its own, and ragged edges."""
     lengths = {f"{side}_{part}": share * HEIGHT_M for side in "lr" for part, share in {"thigh": 0.250, "calf": 0.242, "upper_arm": 0.182}.items()}
     someone = replace(scene(4, initial=STANDING), subject=Subject(height_m=HEIGHT_M, lengths_m=lengths))
-    usual = build_model("deutscher_apf", someone).body
+    usual = build_model("deutscher_2005", someone).body
     radii = dict(zip(usual.topology.names, np.asarray(usual.radii, float).tolist(), strict=True))
     trousers = {f"{side}_calf": tuple(np.multiply(radii[f"{side}_calf"], WIDE).tolist()) for side in "lr"}
-    model = build_model("deutscher_apf", replace(someone, subject=replace(someone.subject, outline_radii_m=trousers)))
+    model = build_model("deutscher_2005", replace(someone, subject=replace(someone.subject, outline_radii_m=trousers)))
     pose = np.asarray(model.initial["pose"])
     limbs, ends = projected_masks(model, pose, someone), hands_and_feet(model, pose)
     return [ragged(limb | end, seed) for seed, (limb, end) in enumerate(zip(limbs, ends, strict=True))]
@@ -109,7 +109,7 @@ def trousers(thick):
 def test_trousers_are_found_where_they_are(scene, recording):
     masks = dressed(scene)
     session = recording(masks)
-    usual = build_model("tempered_smc", session)
+    usual = build_model("silhouettes", session)
     found = fit_outline(usual, session)
     assert found.after > found.before + 0.04
     thick = ratios(found, usual)
@@ -125,7 +125,7 @@ def test_trousers_are_found_where_they_are(scene, recording):
 def test_images_see_the_clothes_and_legs_pass_without_them(scene, recording):
     masks = dressed(scene)
     session = recording(masks)
-    usual = build_model("tempered_smc", session)
+    usual = build_model("silhouettes", session)
     model = with_first_pose(usual, session)
     calf = model.body.topology.names.index("l_calf")
     likelihood, intersection = (factor.log_potential for factor in model.factors)
@@ -143,7 +143,7 @@ def test_a_camera_that_shows_nobody_is_left_out(scene, recording):
     masks = dressed(scene)
     nobody = np.zeros_like(masks[1])
     session = recording([masks[0], nobody, masks[2], None])
-    usual = build_model("tempered_smc", session)
+    usual = build_model("silhouettes", session)
     assert trousers(ratios(fit_outline(usual, session), usual))
     with pytest.raises(InputError, match=r"fit_outline: true, but no camera shows a silhouette in the first frame; expected .*; set it to false"):
         fit_outline(usual, recording([nobody] * 4))
@@ -157,7 +157,7 @@ def test_a_moving_camera_looks_from_where_it_is_in_the_first_frame(scene, record
     np.savez(session.folder / "moving.npz", rotation=np.asarray(true.rotation)[None], translation_m=np.asarray(true.translation_m)[None])
     elsewhere = replace(true, translation_m=np.add(true.translation_m, (1.0, 0.0, 0.0)))
     moving = replace(session, views=(replace(session.views[0], camera=elsewhere, path="moving.npz"), *session.views[1:]))
-    still, moved = (fit_outline(build_model("tempered_smc", each), each) for each in (session, moving))
+    still, moved = (fit_outline(build_model("silhouettes", each), each) for each in (session, moving))
     assert moved.after == pytest.approx(still.after, abs=1e-4)
 
 
@@ -165,14 +165,14 @@ def test_without_silhouettes_it_says_what_to_give(scene, recording):
     session = recording([None] * 4)
     bare = replace(session, views=tuple(replace(view, masks=None) for view in session.views))
     with pytest.raises(InputError, match=r"fit_outline: true, in a session without silhouettes; .*; set it to false, or give each \[\[camera\]\]"):
-        first_pose(build_model("tempered_smc", bare), bare)
+        first_pose(build_model("silhouettes", bare), bare)
 
 
 @pytest.mark.slow
 def test_a_pose_elsewhere_is_said_and_changes_nothing(scene, recording):
     masks = dressed(scene)
     session = replace(recording(masks), initial=STANDING | {"root_x": 0.6}, positions=frozenset({"root_x", "root_z"}))
-    usual = build_model("tempered_smc", session)
+    usual = build_model("silhouettes", session)
     found = first_pose(usual, session)
     assert not found.outline_radii_m
     assert "overlaps the silhouettes with an IoU of 0." in found.remarks[0]
@@ -196,7 +196,7 @@ def test_what_is_kept_comes_back(model):
 def test_another_bodys_outline_is_not_taken(scene):
     session = scene(1)
     strange = replace(session, subject=Subject(body="arm_4", height_m=1.8, outline_radii_m={"upper_arm": (0.3, 0.3)}))
-    model = build_model("tempered_smc", strange)
+    model = build_model("silhouettes", strange)
     found = FirstPose(model.initial["pose"], outline_radii_m={"l_calf": (0.1, 0.07)})
     calf = model.body.topology.names.index("l_calf")
     assert np.asarray(apply_first_pose(model, strange, found).body.outline_radii[calf]) == pytest.approx((0.1, 0.07))
@@ -207,14 +207,14 @@ def test_a_session_says_how_thick_somebody_looks(recording, scene):
     again = load_session(save_session(session))
     assert again.fit_outline
     assert again.subject.outline_radii_m == {"l_calf": (0.09, 0.06)}
-    model = build_model(load_definition("tempered_smc"), again)
+    model = build_model(load_definition("silhouettes"), again)
     calf = model.body.topology.names.index("l_calf")
     assert np.asarray(model.body.outline_radii[calf]) == pytest.approx((0.09, 0.06))
     # Thicker than the body's own: that stays as it is.
     assert model.body.radii[calf, 1] < 0.05
     wrong = replace(again, subject=replace(again.subject, outline_radii_m={"l_cafl": (0.09, 0.06)}))
     with pytest.raises(InputError, match=r"subject.outline_radii_m.l_cafl: no such name; .*l_calf"):
-        build_model(load_definition("tempered_smc"), wrong)
+        build_model(load_definition("silhouettes"), wrong)
     save_session(session)
     path = session.folder / "session.toml"
     path.write_text(path.read_text().replace("[0.09, 0.06]", "[0.09, -0.06]"))

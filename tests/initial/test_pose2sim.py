@@ -48,7 +48,7 @@ def found(pose2sim_beam):
         }
         views = tuple(View(camera, video=f"videos/{camera.name}.mp4") for camera in cameras)
         session = Session(pose2sim_beam, "beam", "z", 60.0, 100, 0, views, Subject(height_m=1.75), initial_keypoints=keypoints)
-        model = build_model("deutscher_apf", session)
+        model = build_model("deutscher_2005", session)
         told = first_pose(model, session)
         result[frame] = dict(zip(model.body.markers.names, np.asarray(model.markers(told.pose)), strict=True)), told
     return result

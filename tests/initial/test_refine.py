@@ -17,7 +17,7 @@ SD_RAD, FOUND, POSE = 0.15, 32, Variable("pose")
 
 @pytest.fixture(scope="module")
 def model(textured_session):
-    return build_model("tempered_smc", textured_session)
+    return build_model("silhouettes", textured_session)
 
 
 def density_of(model, log_potential, *arguments):

@@ -46,7 +46,7 @@ def session(sports2d_walk, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def model(session):
-    return bb.load_model("hmc_walker", session)
+    return bb.load_model("walker_from_the_side", session)
 
 
 def _off(session, model, draws, frame):

@@ -45,7 +45,7 @@ def test_scales_that_do_not_reach_the_level_say_where_to_go():
 
 
 def test_the_scale_is_the_only_change():
-    definition = load_definition("tempered_smc")
+    definition = load_definition("silhouettes")
     changed = with_scale(definition, 3.5)
     (before,), (after,) = definition.likelihoods, changed.likelihoods
     assert after.options.precision == 3.5
@@ -55,12 +55,12 @@ def test_the_scale_is_the_only_change():
 
 def test_a_likelihood_without_a_scale_is_refused():
     with pytest.raises(InputError, match="0 likelihoods with a precision"):
-        with_scale(load_definition("markers_31"), 1.0)
+        with_scale(load_definition("keypoints"), 1.0)
 
 
 def test_a_recording_without_a_truth_is_refused(textured_session):
     with pytest.raises(InputError, match="no truth"):
-        next(trials([textured_session], load_definition("tempered_smc"), [1.0], None, 10))
+        next(trials([textured_session], load_definition("silhouettes"), [1.0], None, 10))
 
 
 def test_trials_that_were_made_are_not_made_again(textured_session, tmp_path, monkeypatch):
@@ -117,6 +117,6 @@ def test_what_the_command_finds_is_what_its_trials_say(recording, tmp_path, caps
 @pytest.mark.usefixtures("optimised")
 def test_a_mode_seeker_is_refused(recording, capsys):
     with pytest.raises(SystemExit) as stopped:
-        main(["learn", "likelihood-scale", str(recording), "--model", "deutscher_apf", "--particles", "50", "--scales", "1,2", "--frames", "1"])
+        main(["learn", "likelihood-scale", str(recording), "--model", "deutscher_2005", "--particles", "50", "--scales", "1,2", "--frames", "1"])
     assert stopped.value.code == 2
     assert "a mode seeker; expected a kernel whose particles are draws from the posterior" in capsys.readouterr().err

@@ -20,7 +20,7 @@ NAME = "silhouette_edges"
 @pytest.fixture(scope="module", params=[pytest.param("nearest", marks=pytest.mark.slow), "bilinear"])
 def case(request, session):
     """(factor, its maps of frame 0, the first pose)."""
-    definition = load_definition("deutscher_apf")
+    definition = load_definition("deutscher_2005")
     (term,) = definition.likelihoods
     term = replace(term, options=term.options.model_copy(update={"lookup": request.param}))
     model = build_model(replace(definition, likelihoods=(term,)), session)

@@ -19,7 +19,7 @@ def arm(textured_session):
 @pytest.fixture(scope="module")
 def whole(textured_session):
     """A body of all fifteen."""
-    return build_model("deutscher_apf", textured_session)
+    return build_model("deutscher_2005", textured_session)
 
 
 @pytest.fixture

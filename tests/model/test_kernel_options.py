@@ -10,12 +10,12 @@ from bayes_body.model.kernel_options import kernel_options
 
 
 def test_the_definition_s_kernel_has_the_definition_s_options():
-    kind, options = kernel_options(load_definition("tempered_smc"))
+    kind, options = kernel_options(load_definition("silhouettes"))
     assert kind == "tempered" and options.particles == 300 and options.prediction == "gaussian"
 
 
 def test_another_kernel_has_its_own_defaults():
-    kind, options = kernel_options(load_definition("tempered_smc"), "sir")
+    kind, options = kernel_options(load_definition("silhouettes"), "sir")
     assert kind == "sir" and options == type(options)()
 
 
@@ -26,7 +26,7 @@ def test_the_defaults_can_be_given(kernel):
 
 
 def test_a_run_that_is_continued_keeps_its_options_and_given_ones_go_first():
-    definition = load_definition("tempered_smc")
+    definition = load_definition("silhouettes")
     stored = {"kind": "tempered", "particles": 77, "moves": 3}
     assert kernel_options(definition, None, {"particles": 78}, stored)[1].particles == 78
     _, options = kernel_options(definition, None, {}, stored)
@@ -41,7 +41,7 @@ def test_an_option_that_does_not_exist_is_named_as_it_was_given(name, said):
 
 
 def test_a_model_s_kernel_has_its_options_but_for_those_that_are_changed(textured_session):
-    model = build_model("tempered_smc", textured_session)
+    model = build_model("silhouettes", textured_session)
     own, changed, other = model.kernel(), model.kernel(moves=3, particles=50), model.kernel("annealed", layers=2)
     assert own.kind == "tempered" and own.options == model.definition.kernel.options
     assert changed.options == own.options.model_copy(update={"moves": 3, "particles": 50}) and changed.options.prediction == "gaussian"
@@ -58,9 +58,9 @@ def test_a_model_s_kernel_has_its_options_but_for_those_that_are_changed(texture
 )
 def test_an_option_that_a_script_cannot_change_is_refused(textured_session, changes, said):
     with pytest.raises(InputError, match=said):
-        build_model("tempered_smc", textured_session).kernel(**changes)
+        build_model("silhouettes", textured_session).kernel(**changes)
 
 
 def test_a_kernel_that_does_not_exist_is_refused(textured_session):
     with pytest.raises(InputError, match="kernel 'temperd' does not exist; did you mean 'tempered'"):
-        build_model("tempered_smc", textured_session).kernel("temperd")
+        build_model("silhouettes", textured_session).kernel("temperd")

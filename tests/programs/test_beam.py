@@ -42,7 +42,8 @@ def triangulated(source, session, names):
 def test_the_man_on_the_beam_is_tracked_to_the_end(pose2sim_beam, tmp_path):
     session, run = str(tmp_path / "beam"), str(tmp_path / "run")
     imported = ["import", "pose2sim", str(pose2sim_beam), session, "--height", "1.75"]
-    for arguments in (imported, ["track", session, "--model", "deutscher_apf", "--out", run, "--particles", "4000", "--layers", "10", "--runs", "2"]):
+    tracked = ["track", session, "--model", "deutscher_2005", "--out", run, "--particles", "4000", "--layers", "10", "--runs", "2"]
+    for arguments in (imported, tracked):
         with pytest.raises(SystemExit) as stopped:
             main(arguments)
         assert stopped.value.code == 0

@@ -13,7 +13,7 @@ from bayes_body.results.storage.saved_moments import marker_moments
 from bayes_body.results.storage.saved_run import load_run
 
 SIZES = ["--particles", "1000", "--runs", "5"]
-KERNELS = {"annealed": ["--layers", "5"], "tempered": ["--model", "tempered_smc"]}
+KERNELS = {"annealed": ["--layers", "5"], "tempered": ["--model", "silhouettes"]}
 
 pytestmark = pytest.mark.usefixtures("optimised")
 

@@ -43,12 +43,12 @@ def test_the_readme_opens_with_three_sentences_and_a_picture():
 
 def test_the_readme_recommends_models_that_ship():
     taken = set(re.findall(r"^\|[^|]*\| `(\w+)` \|", sections(README)["Which model do I take?"], re.MULTILINE))
-    assert {"markers_31", "tempered_smc"} <= taken <= set(definition_names())
+    assert {"keypoints", "silhouettes"} <= taken <= set(definition_names())
 
 
 def test_the_readme_lists_a_few_models_and_the_documentation_every_one():
     few, table = keys(sections(README)["Models"]), sections(page("docs/models.md"))["Models that ship"]
-    assert {"markers_31", "tempered_smc"} <= few <= set(definition_names()) == keys(table) and len(few) <= 7
+    assert {"keypoints", "silhouettes"} <= few <= set(definition_names()) == keys(table) and len(few) <= 7
     for name in definition_names():
         for text in (table, *([sections(README)["Models"]] if name in few else [])):
             (row,) = [line for line in text.splitlines() if line.startswith(f"| `{name}`")]

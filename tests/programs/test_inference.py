@@ -75,7 +75,7 @@ def test_a_graph_without_a_body(run, name, tmp_path):
 WRONG = {
     "no session": (["--session", "nowhere"], "nowhere: no such file"),
     "no particles": (["--session", ".", "--particles", "0"], "--particles: 0; expected a whole number from 1"),
-    "no such model": (["--model", "deutscher_afp"], "did you mean 'deutscher_apf'?"),
+    "no such model": (["--model", "deutscher_205"], "did you mean 'deutscher_2005'?"),
     "an out that is a file": (["--out", __file__], __file__),
 }
 
@@ -114,7 +114,7 @@ def test_a_person_of_other_motion_is_found_in_single_frames(run, stride, tmp_pat
 @pytest.mark.usefixtures("optimised")
 def test_a_track_that_starts_from_the_pictures_comes_back_after_black_frames(run, stride, tmp_path):
     program = PAPERS / "sigal_2011" / "recover.py"
-    own = ("--model", "deutscher_apf", "--kernel", "annealed", "--black", 5, 9, "--particles", 200)
+    own = ("--model", "deutscher_2005", "--kernel", "annealed", "--black", 5, 9, "--particles", 200)
     done = run(program, "--session", stride, "--out", tmp_path, *own)
     assert done.status == 0, done.err
     figures = json.loads((tmp_path / "figures.json").read_text())

@@ -24,7 +24,7 @@ def save(folder, markers, names=MARKERS, **more):
 def test_names_are_those_of_the_bodies():
     from bayes_body.model.definition import load_definition
 
-    assert set(load_definition("deutscher_apf").body.markers) == set(MARKERS)
+    assert set(load_definition("deutscher_2005").body.markers) == set(MARKERS)
 
 
 def test_order_does_not_matter(tmp_path, markers):

@@ -15,7 +15,7 @@ from bayes_body.view.report.clinical import clinical_section
 from bayes_body.view.report.figures import style
 from bayes_body.view.report.inspection import Inspection
 
-MODEL = "markers_31"
+MODEL = "keypoints"
 HEADER = """Coordinates
 version=1
 nRows=5

@@ -64,7 +64,7 @@ def test_without_a_first_pose_nothing_is_compiled(textured_session, tmp_path, mo
         InputError,
         match=r"session\.toml: initial: no first pose, and no person was detected .* origin of the world; expected .* import .* --keypoints",
     ):
-        run(Settings(session.folder, tmp_path / "run", model="deutscher_apf"), print, bar=False)
+        run(Settings(session.folder, tmp_path / "run", model="deutscher_2005"), print, bar=False)
     assert not (tmp_path / "run").exists()
 
 
@@ -110,4 +110,4 @@ def test_of_a_real_recording(bodytrack, tmp_path, metres, warned):
     import_parsec(bodytrack, tmp_path)
     session = load_session(tmp_path)
     moved = dataclasses.replace(session, initial={**session.initial, "root_x": session.initial["root_x"] + metres})
-    assert bool(fit_sentences(first_fit(moved, build_model("tempered_smc", moved)))) == warned
+    assert bool(fit_sentences(first_fit(moved, build_model("silhouettes", moved)))) == warned

@@ -15,8 +15,8 @@ def _views(session, **changes):
 
 def test_keypoints_come_first(keypoint_session):
     choice = choose_model(keypoint_session)
-    assert choice.model == "markers_31"
-    assert choice.sentence == "model      markers_31, because 2 of 2 cameras have keypoints; --model names another."
+    assert choice.model == "keypoints"
+    assert choice.sentence == "model      keypoints, because 2 of 2 cameras have keypoints; --model names another."
 
 
 def test_one_camera_with_keypoints_is_enough(keypoint_session):
@@ -30,9 +30,9 @@ def test_one_camera_with_keypoints_is_enough(keypoint_session):
 @pytest.mark.parametrize(
     ("changes", "model", "limits"),
     [
-        ({}, "hmc_walker", "it tracks the legs only, of a person who walks past the camera, and in one view depth is uncertain"),
-        ({"keypoints": "a.npz"}, "markers_31", "in one view depth is uncertain: expect wide intervals"),
-        ({"path": "path.npz"}, "tempered_smc", "in one view depth is uncertain: expect wide intervals"),
+        ({}, "walker_from_the_side", "it tracks the legs only, of a person who walks past the camera, and in one view depth is uncertain"),
+        ({"keypoints": "a.npz"}, "keypoints", "in one view depth is uncertain: expect wide intervals"),
+        ({"path": "path.npz"}, "silhouettes", "in one view depth is uncertain: expect wide intervals"),
     ],
     ids=["still", "keypoints", "moving"],
 )
@@ -41,9 +41,9 @@ def test_one_camera(textured_session, changes, model, limits):
     session = dataclasses.replace(_views(textured_session, **changes), views=_views(textured_session, **changes).views[:1])
     choice = choose_model(session)
     assert choice.model == model and f"; {limits}" in choice.sentence
-    if model == "hmc_walker":
+    if model == "walker_from_the_side":
         assert choice.sentence.startswith(
-            "model      hmc_walker, because the session has one still camera, with silhouettes (masks) and no keypoints; "
+            "model      walker_from_the_side, because the session has one still camera, with silhouettes (masks) and no keypoints; "
         )
 
 
@@ -59,8 +59,8 @@ def test_one_camera(textured_session, changes, model, limits):
 def test_else_silhouettes(textured_session, changes, frames, source):
     session = dataclasses.replace(_views(textured_session, **changes), frames=frames)
     choice = choose_model(session)
-    assert choice.model == "tempered_smc"
-    assert choice.sentence == f"model      tempered_smc, because the session has silhouettes ({source}) and no keypoints; --model names another."
+    assert choice.model == "silhouettes"
+    assert choice.sentence == f"model      silhouettes, because the session has silhouettes ({source}) and no keypoints; --model names another."
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,7 @@ def test_what_is_left_out_is_named_unless_it_is_meant(model, textured_session):
     assert settings_left_out(model, model.kernel()) == settings_left_out(model, bb.kernels.annealed()) == ""
     assert "particles is 4000, not 60" in settings_left_out(model, bb.kernels.sir(RESAMPLING))
     assert settings_left_out(model, bb.kernels.sir(RESAMPLING), particles=10) == ""
-    smc = build_model("tempered_smc", textured_session)
+    smc = build_model("silhouettes", textured_session)
     sentence = settings_left_out(smc, bb.kernels.tempered(moves=3, particles=10))
     assert "prediction is 'particles', not 'gaussian'" in sentence and "moves is" not in sentence and "particles is" not in sentence
 

@@ -37,7 +37,7 @@ def carried(tmp_path_factory):
 def hits(session, cameras, index) -> float:
     """The share of the true markers of a frame that lie on the person as these cameras stand."""
     truth = jnp.asarray(read_truth(session.truth_path, session.frames)[index])
-    model = build_model("deutscher_apf", replace(session, initial_keypoints={})).at(cameras)
+    model = build_model("deutscher_2005", replace(session, initial_keypoints={})).at(cameras)
     (mask,) = read_frame(session, index).masks
     pixels, _ = project(jax.tree.map(lambda leaf: leaf[0], model.rig), truth)
     columns, rows = np.round(np.asarray(pixels)).astype(int).T
@@ -54,7 +54,7 @@ def test_the_true_markers_lie_on_the_person_where_the_camera_is_and_not_where_it
 
 @pytest.mark.slow
 def test_the_factors_look_from_where_the_camera_is(carried):
-    model = build_model("deutscher_apf", replace(carried, initial_keypoints={}))
+    model = build_model("deutscher_2005", replace(carried, initial_keypoints={}))
     placed = seen_in(model, carried, FRAMES - 1)
     expected = cameras_at(carried, FRAMES - 1)[0].translation_m
     for factor in placed.factors:

@@ -27,7 +27,7 @@ STEP, HEIGHT = 6, 1.78
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("model", "person"), [("tempered_smc", 5), ("tempered_smc", 3), ("deutscher_apf", 5)])
+@pytest.mark.parametrize(("model", "person"), [("silhouettes", 5), ("silhouettes", 3), ("deutscher_2005", 5)])
 def test_a_model_at_the_true_angles_is_not_the_rendered_person(model, person, tmp_path):
     landmarks = {name: points[::STEP] for name, points in centred(walker(60), np.array((0, 0, 0.9))).items()}
     options = Options(seed=person, true_masks=True)

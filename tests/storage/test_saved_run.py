@@ -62,7 +62,7 @@ def test_the_session_is_that_of_the_run_when_its_folder_has_changed_or_gone(make
 
 
 def test_parsed_from_its_text_a_definition_is_the_same():
-    for name in ("arm", "deutscher_apf"):
+    for name in ("arm", "deutscher_2005"):
         loaded = load_definition(name)
         assert parse_definition(name, loaded.text, loaded.body_text) == loaded
 
@@ -215,7 +215,7 @@ def test_moments_are_those_of_all_weighted_draws_each_run_counting_the_same(make
 
 def test_the_model_s_body_must_be_the_posterior_s(make_run):
     folder = make_run()
-    definition = load_definition("deutscher_apf")
+    definition = load_definition("deutscher_2005")
     import tomlkit
 
     document = tomlkit.parse((folder / "run.toml").read_text(encoding="utf-8"))

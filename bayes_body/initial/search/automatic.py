@@ -35,7 +35,7 @@ from bayes_body.recording.observation.frames import read_frame
 from bayes_body.recording.session.session import Session
 
 # The definition whose likelihood compares body and silhouette both ways.
-JUDGE = "tempered_smc"
+JUDGE = "silhouettes"
 # Poses that are drawn.
 DRAWS = 32
 # Warnings: share of the weight that faces the other way, or is elsewhere, and effective draws.

@@ -8,6 +8,7 @@ from typing import Any
 
 from bayes_body.base.errors import input_error
 from bayes_body.base.toml.read import parse_toml
+from bayes_body.model.definition import FORMER_NAMES
 from bayes_body.recording.session.read import FILE_NAME
 from bayes_body.results.storage.kept_plugins import kept_plugins, meaning
 
@@ -48,7 +49,9 @@ def refuse_changes(folder: Path, kept: Mapping[str, Mapping[str, Any]], now: Map
 def _comparable(record: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Return all values on which the numbers depend, by names that a user knows; comments and layout of the texts do not matter."""
     run, definition = record["run"], record["definition"]
-    named = {"--model": Path(str(run.get("model"))).stem, "--runs": run.get("runs"), "--seed": run.get("seed"), "--init": run.get("init", "given")}
+    model = Path(str(run.get("model"))).stem
+    # A run keeps its id when its model gets another name.
+    named = {"--model": FORMER_NAMES.get(model, model), "--runs": run.get("runs"), "--seed": run.get("seed"), "--init": run.get("init", "given")}
     named |= {"--recover": run.get("recover", False)}
     named |= {"--first-frame": run["first_frame"]} if "first_frame" in run else {}
     # Runs of all particles have no such setting.

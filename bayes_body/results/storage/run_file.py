@@ -19,7 +19,7 @@ from bayes_body.base.errors import escaped, input_error
 from bayes_body.base.files.atomic import write_text
 from bayes_body.base.registry import Place, Room
 from bayes_body.base.toml.read import parse_toml, read_toml, validate
-from bayes_body.model.definition import Definition, definition_names
+from bayes_body.model.definition import Definition, current_name, definition_names
 from bayes_body.model.plugins.load import providing
 from bayes_body.recording.session.read import FILE_NAME
 from bayes_body.results.storage.kept_plugins import check_plugins, kept_plugins
@@ -57,7 +57,7 @@ def describe(
         inputs: digests of the recording's files, from `input_digests`.
     """
     # A path is stored as an absolute path, so that the run can be continued from another folder.
-    model = model if model in definition_names() else str(Path(model).resolve())
+    model = current_name(model) if current_name(model) in definition_names() else str(Path(model).resolve())
     file = session.resolve() / FILE_NAME if session.is_dir() else session.resolve()
     settings = {"session": str(file.parent), "model": model, **settings}
     texts = {"title": definition.title, "text": definition.text, "body_text": definition.body_text or None}

@@ -176,7 +176,7 @@ def few_camera_definitions(cameras: int, activity: str | None = None, known: boo
         terms = tuple(replace(term, options=term.options.model_copy(update={"gamma": gamma})) for term in guided.likelihoods)
         guided = replace(guided, likelihoods=terms)
     # The plain filter differs in its motion prior and its number of particles alone.
-    apf = load_definition("deutscher_apf")
+    apf = load_definition("deutscher_2005")
     kernel = replace(apf.kernel, options=apf.kernel.options.model_copy(update={"particles": 200}))
     plain = replace(guided, dynamics=apf.dynamics, kernel=kernel)
     posterior = load_definition("darby_2008_bayes")

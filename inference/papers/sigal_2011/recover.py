@@ -1,6 +1,6 @@
 """Black out some frames of a recording, and see whether the track finds the person again.
 
-    python inference/papers/sigal_2011/recover.py --session SESSION --out RUN --model tempered_smc --kernel tempered
+    python inference/papers/sigal_2011/recover.py --session SESSION --out RUN --model silhouettes --kernel tempered
 
 Writes a copy of the session in which a stretch of frames is black in every camera, tracks it with and without recovery, and prints the error of the
 frames before, in and after the stretch if the session has true markers.
