@@ -40,7 +40,7 @@ def list_models() -> None:
     table = Table("model", "reads", "dofs", "kernel", "what it is", box=None, pad_edge=False)
     definitions = [load_definition(name) for name in definition_names()]
     places = {definition.name: [EVIDENCE.index(what) for what in evidence_of(definition) if what in EVIDENCE] for definition in definitions}
-    for definition in sorted(definitions, key=lambda definition: places[definition.name]):
+    for definition in sorted(definitions, key=lambda definition: (definition.body_name.startswith("arm"), places[definition.name])):
         dofs = str(configuration_space(body_of(definition)).dimension)
         table.add_row(definition.name, ", ".join(evidence_of(definition)), dofs, definition.kernel.kind, definition.title)
     show(table, f"The files are in {definitions_folder()}; copy one to make your own.")
@@ -67,6 +67,17 @@ def _call_terms(definition: "Definition") -> None:
 
     kernel = definition.kernel
     probe(model_in_a_room(definition), find("kernel", kernel.kind).build(options=kernel.options), runs=False)
+
+
+@app.command(short_help="Print the JSON Schema of a definition, for editors.")
+def schema(plugin: Plugins = None) -> None:
+    """Print the JSON Schema of a definition. An editor that has it completes keys, explains them, and marks faults while you type."""
+    import json
+
+    from bayes_body.model.json_schema import definition_schema
+
+    with own_terms(plugin):
+        say(json.dumps(definition_schema(), indent=1))
 
 
 @app.command(short_help="Draw the anatomical axes of a definition's body.")

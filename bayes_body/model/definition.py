@@ -38,7 +38,9 @@ class FirstTable(Schema):
     """The table `[first]`: standard deviations of the first pose, by names of dofs or patterns. Dofs without one are certain."""
 
     sd_deg: Mapping[str, Positive] = {}
+    """[degrees] table: a dof's name or a pattern = its standard deviation, for angles."""
     sd_m: Mapping[str, Positive] = {}
+    """[metres] the same for translations."""
 
 
 class _File(Schema):

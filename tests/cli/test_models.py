@@ -1,8 +1,11 @@
 """`bayes-body models`: the shipped definitions, and a sentence for each thing that is wrong with a user's own."""
 
+import json
 import shutil
+import tomllib
 from pathlib import Path
 
+import jsonschema
 import pytest
 
 from bayes_body.base.errors import RunWarning
@@ -41,6 +44,16 @@ def test_shipped_definitions_are_sound(cli, name):
     outcome = cli("models", "check", name)
     assert (outcome.status, outcome.err) == (0, "")
     assert "valid" in outcome.out
+
+
+def test_the_schema_for_editors_accepts_every_definition_and_refuses_a_wrong_key(cli):
+    outcome = cli("models", "schema")
+    validator = jsonschema.Draft202012Validator(json.loads(outcome.out))
+    for path in MODELS.glob("*.toml"):
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        assert [error.message for error in validator.iter_errors(document)] == []
+        document["kernel"]["partciles"] = 5
+        assert not validator.is_valid(document)
 
 
 def test_a_model_that_does_not_exist(cli):

@@ -1,5 +1,6 @@
 """What every kernel of the registry keeps to: one signature, finite output, one trace for all frames, and a way out of hopeless frames."""
 
+import inspect
 import math
 from dataclasses import dataclass
 from functools import partial
@@ -10,6 +11,7 @@ import numpy as np
 import numpyro.distributions as dist
 import pytest
 
+from bayes_body import kernels
 from bayes_body.base.registry import find, names
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
@@ -113,6 +115,12 @@ def test_signature_and_finite_output(kernel):
     assert 1 <= info.ess <= COUNT + 1e-3
     assert info.survival_rate.shape == info.inverse_temperatures.shape
     assert not info.lost
+
+
+@pytest.mark.parametrize("name", names("kernel"))
+def test_its_options_stand_in_its_signature_and_in_its_help(name):
+    options, build = set(find("kernel", name).options.model_fields) - {"particles"}, getattr(kernels, name)
+    assert options <= set(inspect.signature(build).parameters) and all(f"{option}: " in build.__doc__ for option in options)
 
 
 def test_one_trace_for_all_frames(kernel):

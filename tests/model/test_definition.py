@@ -120,7 +120,7 @@ def wheel(monkeypatch, tmp_path) -> Path:
     """The package's folder as a wheel installs it: definitions inside."""
     package = tmp_path / "site-packages" / "bayes_body"
     shutil.copytree(ROOT / "models", package / "_models")
-    monkeypatch.setattr(shipped, "__file__", str(package / "files" / "shipped.py"))
+    monkeypatch.setattr(shipped, "__file__", str(package / "base" / "files" / "shipped.py"))
     return package
 
 
@@ -135,7 +135,7 @@ def test_definitions_of_a_wheel_are_found(wheel):
 def test_definitions_of_a_checkout_are_found(monkeypatch, tmp_path):
     (tmp_path / "bayes_body").mkdir()
     (tmp_path / "models").mkdir()
-    monkeypatch.setattr(shipped, "__file__", str(tmp_path / "bayes_body" / "files" / "shipped.py"))
+    monkeypatch.setattr(shipped, "__file__", str(tmp_path / "bayes_body" / "base" / "files" / "shipped.py"))
     assert definitions_folder() == tmp_path / "models"
     assert definition_names() == ()
 

@@ -2,19 +2,16 @@
 
 import json
 import re
-import tomllib
+import runpy
 import types
 
 import pytest
 from programs.pages import FIRST_RUN, README, ROOT, blocks, page, sections
-from pydantic import BaseModel
 
-from bayes_body.base.registry import Room, find, names
+from bayes_body.base.toml.options import json_schema, options_of
 from bayes_body.cli.main import main
 from bayes_body.model.body import schema, tables
 from bayes_body.model.definition import definition_names, load_definition
-from bayes_body.model.likelihood.edge_phase import Scale
-from bayes_body.model.potentials.kinematic import Component
 
 # These programs run for longer than they compile.
 pytestmark = pytest.mark.usefixtures("optimised")
@@ -47,7 +44,7 @@ def test_the_readme_recommends_models_that_ship():
 
 
 def test_the_readme_lists_a_few_models_and_the_documentation_every_one():
-    few, table = keys(sections(README)["Models"]), sections(page("docs/models.md"))["Models that ship"]
+    few, table = keys(sections(README)["Models"]), page("docs/models.md")
     assert {"keypoints", "silhouettes"} <= few <= set(definition_names()) == keys(table) and len(few) <= 7
     for name in definition_names():
         for text in (table, *([sections(README)["Models"]] if name in few else [])):
@@ -80,46 +77,22 @@ def test_every_option_of_the_command_line_is_explained(capsys):
     assert keys(sections(FIRST_RUN)["Track"]) == shown
 
 
-TERMS: list[tuple[Room, str, str]] = [
-    ("dynamics", "dynamics", '`[dynamics] kind = "{}"`'),
-    ("likelihood", "likelihood", '`[[likelihood]] kind = "{}"`'),
-    ("observation", "observation", "`[likelihood.observation]` of `{}`"),
-    ("potential", "constraint", '`[[constraint]] kind = "{}"`'),
-    ("kernel", "kernel", '`[kernel] kind = "{}"`'),
-]
-# Terms of the room "potential" may be written under either name; the guide writes those of joints and parts as potentials.
-POTENTIALS = ("kinematic", "penetration")
-DOCUMENTED = [
-    (room, name, (heading.replace("constraint", "potential") if name in POTENTIALS else heading).format(name))
-    for room, _, heading in TERMS
-    for name in names(room)
-]
+TABLES = runpy.run_path(str(ROOT / "docs" / "option_tables.py"))
+SCHEMAS = TABLES["schemas"]()
 
 
-@pytest.mark.parametrize(("room", "name", "heading"), DOCUMENTED, ids=[f"{room}-{name}" for room, name, _ in DOCUMENTED])
-def test_every_option_of_every_term_is_explained_with_its_default(room, name, heading):
-    table = sections(DEFINITIONS)[heading]
-    options = find(room, name).options.model_fields
-    assert keys(table) == set(options)
-    for key, field in options.items():
-        (row,) = [line for line in table.splitlines() if line.startswith(f"| `{key}`")]
-        default = row.split("|")[2].strip().strip("`")
-        if field.is_required():
-            assert default == "required", key
-            continue
-        expected = field.get_default(call_default_factory=True)
-        if isinstance(expected, tuple):
-            # Of a table with defaults only, nothing needs to be written.
-            expected = [each.model_dump(exclude_unset=True) if isinstance(each, BaseModel) else each for each in expected]
-        if expected is None:
-            assert default == "none", key
-            continue
-        written = {"none": {}, "true": True}.get(default)
-        assert (written if written is not None else _value(default)) == expected, key
+def test_the_tables_of_options_are_those_of_the_schemas():
+    assert TABLES["with_tables"](DEFINITIONS) == DEFINITIONS, "run `python docs/option_tables.py`"
 
 
-def _value(text: str) -> object:
-    return tomllib.loads(f"value = {text}")["value"]
+@pytest.mark.parametrize("heading", SCHEMAS)
+def test_every_option_is_explained_and_described_for_editors(heading):
+    schema = SCHEMAS[heading]
+    options = options_of(schema)
+    assert {option.key for option in options} == {field.alias or name for name, field in schema.model_fields.items()}
+    for option in options:
+        assert option.text, f"{schema.__module__}: {option.key}: write what it is below the field"
+        assert json_schema(schema)["properties"][option.key]["description"].startswith(option.text.replace("`", ""))
 
 
 @pytest.mark.parametrize(
@@ -130,8 +103,6 @@ def _value(text: str) -> object:
         ("A dof", tables.Dof),
         ("`[[part]]`", tables.Part),
         ("`[clinical]`", tables.Segment),
-        ("`[[likelihood.scale]]`", Scale),
-        ("`[[potential.component]]`", Component),
     ],
 )
 def test_every_key_of_a_table_is_explained(heading, table):

@@ -61,20 +61,36 @@ class Options(Schema):
     """
 
     particles: Count = 400
+    """[draws] kept per frame, all chains together."""
     chains: Count = 4
+    """each with its own start."""
     burn_in: Annotated[int, Field(strict=True, ge=0)] = 50
+    """first states of a chain, which are discarded."""
     thinning: Count = 1
+    """states of a chain per kept draw."""
     leapfrog_steps: Count = 20
+    """steps of a trajectory; each takes one gradient."""
     step: Positive = 0.2
+    """step size, as a factor of the step that follows from the curvature at the chain's start."""
     jitter: Share = 0.2
+    """fraction by which the number of steps of a trajectory varies."""
     sampler: Sampler = "hmc"
+    """`"hmc"`, or `"nuts"`, which chooses the length of trajectories itself."""
     target_acceptance: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.0
+    """acceptance rate to which burn-in tunes the step; with `"adapted"`, all chains have the same step; with 0 the step is not tuned."""
     mass: Mass = "curvature"
+    """mass matrix, from the curvature at the start: its diagonal (`"curvature"`), the whole matrix (`"curvature_matrix"`), its diagonal with the
+    correlations of the previous frame (`"particles"`), or first the whole matrix and then a matrix learned in burn-in (`"adapted"`)."""
     starts_by: StartsBy = "importance"
+    """how the starts are chosen: by weight (`"importance"`), or by five layers of an annealed filter, which keeps more modes (`"annealing"`)."""
     starts: Annotated[int, Field(strict=True, ge=0)] = 100
+    """[draws] from the prediction; the chains' starts are chosen among them; at least as many as chains."""
     carry: Carry = "draws"
+    """what the next frame starts from: the `"draws"`, or the `"means"` of the chains, as in the paper."""
     candidates: Count = 8
+    """if a likelihood reads the frame before, as `image_motion` does: ancestors among which a chain redraws its own before each trajectory."""
     resampling: Scheme = "systematic"
+    """how ancestors are drawn: `"systematic"`, `"stratified"`, `"multinomial"` or `"residual"`."""
 
     @model_validator(mode="after")
     def _check_chains(self) -> "Options":

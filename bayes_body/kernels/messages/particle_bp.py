@@ -53,16 +53,29 @@ class Options(Schema):
     """
 
     particles: Count = 500
+    """[draws] joint draws of the whole body, per run."""
     samples: Count = 500
+    """[particles] of each part; the cost of messages grows with the square."""
     loop_samples: Count = 32
+    """[particles] of each part in the messages of penetration; the weights of the joint draws evaluate penetration exactly."""
     iterations: Count = 6
+    """the first draws from the motion prior and detections; with each further one a part hears from parts one joint farther away."""
     method: MethodName = "mixture"
+    """where a part's particles come from: one mixture of messages, prior, detections and a normal fit (`"mixture"`), or as in a paper: a kernel
+    estimate of the last belief (`"pbp"`), a normal distribution by expectation propagation (`"epbp"`), or strata of products of messages
+    (`"pampas"`); [Message passing](message_passing.md#published-methods) compares them."""
     schedule: Schedule = "flooding"
+    """`"flooding"`: all parts at once; `"tree"`: from the hands, feet and head to the torso and back, as in the paper."""
     damping: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.0
+    """share of the last message in a new one, from 0 to below 1; more ends oscillations and needs more iterations."""
     annealing: Annotated[float, Field(strict=True, gt=0, le=1)] = 1.0
+    """κ: the likelihood's power in iteration m of M is κ^(M − m)."""
     shares: tuple[NonNegative, NonNegative, NonNegative, NonNegative] = (0.3, 0.05, 0.2, 0.65)
+    """of a part's proposal: messages, motion prior, detections, and a normal distribution fitted to the last belief."""
     fit_inflation: Positive = 1.5
+    """factor of the fit's covariance."""
     ancestors: Annotated[int, Field(strict=True, ge=1)] = 100
+    """[particles] of the previous frame that are kept."""
 
 
 class Passed(NamedTuple):

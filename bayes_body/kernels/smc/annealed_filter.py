@@ -39,10 +39,15 @@ class Options(Schema):
     """Options of `[kernel] kind = "annealed"`."""
 
     particles: Count = 1000
+    """[particles] per run."""
     layers: Count = 5
+    """annealing layers per frame."""
     survival_rate: ProperShare = 0.5
+    """τ, the fraction of particles that a layer keeps, and the factor by which the noise shrinks from layer to layer."""
     crossover_rate: Share = 0.5
+    """from the second layer on, the fraction of particles that take a sequence of consecutive parameters from a second parent."""
     resampling: Scheme = "systematic"
+    """`"systematic"`, `"stratified"`, `"multinomial"` or `"residual"`."""
 
 
 class _Layer(NamedTuple):

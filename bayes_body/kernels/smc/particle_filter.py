@@ -28,7 +28,9 @@ class Options(Schema):
     """Options of `[kernel] kind = "sir"`."""
 
     particles: Count = 4000
+    """[particles] per run."""
     resampling: Scheme = "systematic"
+    """how ancestors are drawn: `"systematic"`, `"stratified"`, `"multinomial"` or `"residual"`."""
 
 
 def build_kernel(resampling: Scheme = "systematic") -> Kernel:

@@ -64,17 +64,31 @@ class Options(Schema):
     """
 
     particles: Count = 1000
+    """[particles] per run."""
     move: MoveName = "hmc"
+    """`"hmc"`, which needs a likelihood with a gradient, or `"random_walk"`."""
     moves: Count = 2
+    """Markov moves per particle and stage; a random walk needs about ten times as many."""
     leapfrog_steps: Count = 5
+    """steps of an HMC move; a move takes one more gradient than it has steps."""
     target_ess: ProperShare = 0.5
+    """fraction of the particles that is effective after each rise in power; a larger value means more stages."""
     final_stages: Annotated[int, Field(strict=True, ge=0)] = 1
+    """stages of moves at the posterior itself."""
     candidates: Count = 8
+    """with `prediction = "particles"`, ancestors from which a move chooses, including the current one; with 1 the ancestor never changes."""
     prediction: Literal["particles", "gaussian"] = "particles"
+    """what the frame before predicts: `"particles"`, the mixture of its particles' transitions, or `"gaussian"`, one Gaussian with the mean and
+    covariance of that mixture, in coordinates without limits."""
     correct_moments: Annotated[bool, Field(strict=True)] = True
+    """with a Gaussian prediction, `move = "hmc"` and no `waste_free`: correct the mean and covariance of the particles by the slopes of the
+    log-density in all final stages."""
     waste_free: Annotated[bool, Field(strict=True)] = False
+    """keep every state of the chains (Dau & Chopin 2022); the number of particles must be a multiple of `moves` + 1."""
     most_stages: Count = 60
+    """largest number of stages; the last of them goes to the posterior, even if few effective particles remain."""
     resampling: Scheme = "systematic"
+    """how ancestors are drawn: `"systematic"`, `"stratified"`, `"multinomial"` or `"residual"`."""
 
 
 type LadderKernel = Callable[[Key, Particles, Density], tuple[Particles, FilterInfo, Ladder]]

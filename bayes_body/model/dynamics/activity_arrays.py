@@ -37,15 +37,26 @@ class Options(Schema):
     """Options of `[dynamics] kind = "activity_hmm"`. Standard deviations of None are those of the activity's file."""
 
     activity: str = NAME
+    """a name in `models/learned/`, or the path of an `.npz` of `bayes-body learn activity-hmm`."""
     subject: str | None = None
+    """a person that the activity was learned from: their mean pose is used. Without it, the average of all, and the residual is as wide as people
+    differ."""
     temperature: Temperature = 0.0
+    """for `annealed`: the least probability of a change of state in the first layer. More is for images that say little: the activity goes on."""
     residual: bool = True
+    """false, as in the paper: the pose is the activity's exactly, and the posterior is too narrow."""
     residual_s: Positive = 1.0
+    """[s] time in which a residual decays to 1/e; its standard deviation is the activity's."""
     momentum: Share = 0.0
+    """share of the last step that the position keeps; 0: a random walk."""
     position_sd_m: Positive | None = None
+    """[metres per frame] noise of the position; none: half the largest change between two frames of the training motions."""
     orientation_sd_deg: Positive | None = None
+    """[degrees per frame] noise of yaw, roll and pitch; none: likewise."""
     head_sd_deg: Positive | None = None
+    """[degrees per frame] noise of the dofs that the activity does not have; none: likewise."""
     at_fps: Positive = 60.0
+    """[1/s] frame rate to which these three values apply; at another frame rate they scale with the square root of the time between frames."""
 
 
 class ActivityArrays(NamedTuple):

@@ -81,13 +81,23 @@ class Options(Schema):
     """
 
     sd_deg: Mapping[str, Positive] = {}
+    """[degrees per frame] table, as for `diffusion`: noise of the angles."""
     sd_m: Mapping[str, Positive] = {}
+    """[metres per frame] the same for translations."""
     velocity_sd_deg: Mapping[str, Positive] = {}
+    """[degrees per second, per frame] table: noise of the angles' velocities."""
     velocity_sd_m: Mapping[str, Positive] = {}
+    """[metres per second, per frame] the same for translations."""
     velocity_lasts_s: Mapping[str, Positive] = {}
+    """[s] table: after this time a velocity has faded to 37 %. The first velocity then has its long-run distribution. Dofs without a value keep their
+    velocity and begin with none."""
     spread_deg: Mapping[str, Positive] = {}
+    """[degrees] table: standard deviation of an angle in the long run, about `rest_deg`. It needs a velocity that fades. Angles without a value are
+    free."""
     rest_deg: Mapping[str, float] = {}
+    """[degrees] table: the angle at rest, 0 for angles without a value."""
     at_fps: Positive = 60.0
+    """[1/s] frame rate to which these values apply."""
 
 
 def _conditional(its: Arguments, previous: State) -> dict[str, Distribution]:

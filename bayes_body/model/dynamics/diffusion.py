@@ -37,9 +37,13 @@ class Options(Schema):
     """
 
     sd_deg: Mapping[str, Positive] = {}
+    """[degrees per frame] table: a dof's name or a pattern (`*`, `?`, `[xy]`) = its standard deviation, for angles."""
     sd_m: Mapping[str, Positive] = {}
+    """[metres per frame] the same for translations."""
     at_fps: Positive = 60.0
+    """[1/s] frame rate to which these values apply; at another frame rate they scale with the square root of the time between frames."""
     use_subject_sd: bool = True
+    """whether the session's own standard deviations, if it has any, replace these."""
 
 
 class TruncatedWalk(InBox):

@@ -38,8 +38,11 @@ class Options(Schema):
     """Options of `[dynamics] kind = "rigid_walk"`: standard deviations per frame at `at_fps`, by names of parts or patterns."""
 
     sd_m: Mapping[str, Positive] = {"*": 0.03}
+    """[metres per frame] table: a part's name or a pattern = the standard deviation of its origin along each axis."""
     sd_deg: Mapping[str, Annotated[float, Field(strict=True, gt=0)]] = {"*": 6.0}
+    """[degrees per frame] the same for its rotation about each of its axes; at most 30 at the recording's frame rate."""
     at_fps: Positive = 60.0
+    """[1/s] frame rate to which these values apply; at another frame rate they scale with the square root of the time between frames."""
 
 
 class RigidWalk(Distribution):

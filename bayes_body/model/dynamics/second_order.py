@@ -44,10 +44,18 @@ class Options(Schema):
     """
 
     alpha_1: Positive = 1.8
+    """weight of the last pose. `alpha_1` − `alpha_2` is the fraction of the position that is kept. Keep this difference at 1: if it is smaller, every
+    dof drifts towards 0."""
     alpha_2: Share = 0.8
+    """fraction of the velocity that is kept from frame to frame."""
     sd_deg: Mapping[str, Positive] = {}
+    """[degrees per frame] table: a dof's name or a pattern = the noise's standard deviation; for a dof with limits, it must be less than their range
+    / √12."""
     sd_m: Mapping[str, Positive] = {}
+    """[metres per frame] the same for translations."""
     at_fps: Positive = 60.0
+    """[1/s] frame rate to which these values apply; at another frame rate they are converted, so that velocities decay equally fast in seconds, and a
+    body without images drifts equally far."""
 
     @model_validator(mode="after")
     def _check_position(self) -> "Options":

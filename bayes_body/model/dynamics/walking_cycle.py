@@ -60,17 +60,30 @@ class Options(Schema):
     """
 
     cycle: str = NAME
+    """the cycle: a name in `models/learned/`, or the path of an `.npz` of `bayes-body learn walking-angles`."""
     drift: bool = True
+    """false, as printed in the paper: the phase has no rate."""
     stationary: bool = True
+    """false, as printed: the coefficients are a random walk, and leave the range of all walkers in time."""
     residual: bool = True
+    """false, as in the paper: the pose is the cycle's exactly. No state equals a new person's pose, and the posterior is too narrow."""
     coefficient_sd: ProperShare = 0.1
+    """[per frame] noise of the coefficients; 1 is their standard deviation between strides and people."""
     phase_sd: Positive = 0.006
+    """[cycles per frame] noise of the phase."""
     position_sd_m: Positive = 0.008
+    """[metres per frame] noise of the position, in each direction."""
     orientation_sd_deg: Positive = 1.2
+    """[degrees per frame] noise of yaw, roll and pitch."""
     heading_sd_deg: Positive | None = None
+    """[degrees per frame] noise of the direction of the walk. With it, the pelvis turns around this direction and upright, and returns to them.
+    Without it, as in the paper, the walk follows the yaw, and yaw, roll and pitch are random walks."""
     upright_s: Positive = 0.5
+    """[s] with `heading_sd_deg`: time in which a turn of the pelvis decays to 1/e."""
     residual_s: Positive = 0.5
+    """[s] time in which a residual decays to 1/e; its standard deviation is the cycle's, at least 1°."""
     at_fps: Positive = 60.0
+    """[1/s] frame rate to which these values apply; at another frame rate they scale with the square root of the time between frames."""
 
 
 class _Walk(NamedTuple):

@@ -39,10 +39,15 @@ class Scale(Schema):
     """A `[[likelihood.scale]]`: a filter's wavelength and the statistics of its responses on boundaries (`bayes-body learn edge-statistics`)."""
 
     wavelength_px: Annotated[float, Field(strict=True, ge=3, allow_inf_nan=False)]
+    """[pixels] wavelength of the filter, at least 3."""
     epsilon: tuple[Share, Share]
+    """fraction of boundary samples with the phase of a step edge, at the smallest and at the largest amplitude."""
     amplitude: tuple[AboveOne, AboveOne]
+    """the two parameters of the Beta distribution of the amplitude's logarithm, each above 1."""
     log_amplitude: tuple[Finite, Finite]
+    """[log of grey levels] the smallest and the largest logarithm of the amplitude."""
     log_occluded: Finite
+    """log-density of a hidden sample."""
 
     @model_validator(mode="after")
     def _check_range(self) -> "Scale":
@@ -56,10 +61,17 @@ class Options(Schema):
     """Options of `[[likelihood]] kind = "edge_phase"`."""
 
     scale: Annotated[tuple[Scale, ...], Field(min_length=1)]
+    """tables `[[likelihood.scale]]`, one per wavelength."""
     samples: Count = 10
+    """[samples] on each side of a part's outline."""
     visibility: Visibility = "soft"
+    """how a sample behind another part is treated. `"hard"`, as in the paper: it is either hidden or visible. `"soft"`: it fades gradually, so that
+    the density does not jump."""
     normalise_by_samples: Annotated[bool, Field(strict=True)] = True
+    """true divides by the number of samples, as in the paper: all samples of a part count as one, which tempers the posterior. With false, each
+    sample counts."""
     precision: Positive = 1.0
+    """power of the likelihood."""
 
 
 @partial(

@@ -66,11 +66,18 @@ class Options(Schema):
     """Options of `[[likelihood]] kind = "image_motion"`."""
 
     noise_grey: Positive = 8.0
+    """[grey levels] standard deviation of the difference of the two pictures on a surface that faces the camera."""
     outlier_share: Unlikely = 0.1
+    """share of points whose grey value is arbitrary."""
     precision: Positive = 1.0
+    """ρ, the power of the likelihood. It is a sum over points, which are not independent."""
     mapping: Mapping = "plane"
+    """where the points of a part are: `"plane"`, on the patch through the axis that faces the camera, as in the paper; `"cylinder"`, on the
+    surface."""
     mixture: Mixing = "pixel"
+    """`"pixel"`: each point may be an outlier, or covered; `"limb"`: the paper's formulas as printed, with one such choice for a whole part."""
     background: bool = True
+    """whether the background's motion must explain a pixel worse than the body's does; false: the body's alone, as in the paper."""
 
 
 @partial(

@@ -39,13 +39,21 @@ class Options(Schema):
     """Options of `[[likelihood]] kind = "markers_gaussian"`."""
 
     sd_px: Positive = 8.0
+    """[pixels] standard deviation of each coordinate, or the scale of Student's t distribution."""
     at_diagonal_px: NonNegative = 0.0
+    """[pixels] image diagonal to which `sd_px` applies; in other images it is scaled in proportion. With 0, `sd_px` applies to every image."""
     noise: Literal["gaussian", "student"] = "gaussian"
+    """`"gaussian"`, or `"student"`, with which a wrong detection affects the pose little."""
     degrees_of_freedom: Positive = 4.0
+    """ν of Student's t distribution: the smaller, the heavier the tails."""
     outliers: Rare = 0.0
+    """fraction of detections that may be anywhere in the image."""
     by_confidence: NonNegative = 0.0
+    """the standard deviation is divided by this power of a keypoint's confidence: 0 ignores the confidence, 0.5 takes its square root."""
     least_confidence: Share = 0.3
+    """a marker with at most this confidence counts as not seen."""
     missing: Rare = 0.0
+    """when frames are drawn: the fraction of markers that a camera misses."""
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=["markers", "places"], data_fields=["body", "detections"])

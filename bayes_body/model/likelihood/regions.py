@@ -48,10 +48,16 @@ class Options(Schema):
     # each, 200 particles, the joints of loose_limbed_10: 90 % intervals contain 91, 92, 87 and 79 % of the true coordinates at 0.001, 0.002, 0.003
     # and 0.01.
     precision: Positive = 0.0024
+    """ρ, the power of the likelihood. It is a sum over pixels, which are not independent. It holds for images of 640 × 480 pixels; pixels of larger
+    images count less, in proportion to the area."""
     edge_share: Share = 0.1
+    """w, the share of the edges, between 0 and 1."""
     band: tuple[NonNegative, Positive] = (0.1, 0.5)
+    """where the band beside a part begins and ends, as shares of the part's width."""
     samples: tuple[Count, Count, Count] = (8, 3, 1)
+    """[samples] per part and camera: along the part and along each side, across the part, across the band on each side."""
     lookup: Lookup = "bilinear"
+    """how maps are interpolated: `"bilinear"`, which has gradients, or `"nearest"`, which has none."""
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=["lookup"], data_fields=["rig", "map_index", "weights"])

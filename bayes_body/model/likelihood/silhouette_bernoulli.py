@@ -35,9 +35,13 @@ class Options(Schema):
     """Options of `[[likelihood]] kind = "silhouette_bernoulli"`."""
 
     grid: tuple[Count, Count] = GRID
+    """[pixels] columns and rows of the grid of pixels used in each image."""
     false_alarm: Unlikely = 0.02
+    """probability of foreground far outside the body."""
     miss: Unlikely = 0.05
+    """probability of background deep inside it."""
     soft_px: Positive = 4.0
+    """[pixels] width of the transition between the two at the outline. Kernels that need a gradient need at least about half a step of the grid."""
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=["grid"], data_fields=["body", "rig", "false_alarm", "miss", "soft_px"])

@@ -48,17 +48,31 @@ class Options(Schema):
     """Options of `[[likelihood]] kind = "silhouette_edges"`."""
 
     precision: Positive = 1.0
+    """ρ, the power of the likelihood. It sets the width of the posterior; an annealing kernel chooses its own powers."""
     gamma: NonNegative = 0.0
+    """weight of the agreement in area, (9); 0 omits it."""
     least_error: NonNegative = 0.0
+    """with `gamma` above 0: error of a pose that agrees, added before the division by W. Without it, a body that is far away and lies within the
+    silhouette agrees best. The paper adds none."""
     body_share: Annotated[float, Field(strict=True, gt=0, le=1)] = 1.0
+    """with `gamma` above 0: share of the silhouette that the body covers at the true pose; it has no clothes."""
     terms: Annotated[tuple[Literal["silhouette", "edges", "cover"], ...], Field(min_length=1)] = ("silhouette", "edges")
+    """the terms to use. `"silhouette"` asks whether the body lies on the silhouette. `"cover"`, which is not in the paper, asks the converse: whether
+    the body covers every part of the silhouette."""
     lookup: Lookup = "bilinear"
+    """how maps are interpolated: `"bilinear"`, which has gradients, or `"nearest"`, which has none."""
     surface_samples: tuple[Count, Count] = (6, 4)
+    """[samples] per part and camera, on the surface: along, across."""
     outline_samples: Count = 12
+    """[samples] on each side of a part's outline."""
     area_grid: tuple[Count, Count] = (80, 60)
+    """[cells] columns and rows of the grid on which the projected area is measured if `gamma` is above 0."""
     cover_points: Count = 32
+    """[points] per silhouette, checked by `"cover"`; a limb gets points in proportion to its length."""
     cover_soft_px: Positive = 3.0
+    """[pixels] standard deviation of the Gaussian with which agreement decreases outside the body's outline."""
     edge_weight: Positive = 1.0
+    """factor of the sum over the edges. With a value below 1, edges inside clothes attract the limbs less."""
 
 
 @partial(

@@ -28,8 +28,11 @@ class Options(Schema):
     """Options of `[[constraint]] kind = "intersection"`. The body's `penetration` lists the pairs to test."""
 
     mode: Literal["hard", "soft"] = "hard"
+    """`"hard"` forbids intersections; `"soft"` is a half-Gaussian in the depth, for kernels that need a gradient."""
     yield_m: NonNegative = 0.03
+    """[metres] allowed depth of an intersection."""
     soft_sd_m: Positive = 0.01
+    """[metres] with `"soft"`: standard deviation of the depth beyond that."""
 
 
 def _depths(body: Body, yield_m: Scalar, configuration: Configuration, of: Callable[[Body, Transform], jax.Array] = penetration_depths) -> jax.Array:

@@ -45,10 +45,16 @@ class Component(Schema):
     """
 
     weight: Positive = 1.0
+    """weight of the component; the weights are scaled to the sum 1."""
     mean_deg: Mapping[str, Finite] = {}
+    """[degrees] table: a dof's name = its angle in the mean pose; 0 if it is not given."""
     relative: Mapping[str, tuple[Finite, Finite, Finite, Finite, Finite, Finite, Finite]] = {}
+    """[metres, quaternion] table: a part's name = its mean pose in its parent's frame, `[x, y, z, qw, qx, qy, qz]`, which replaces that of
+    `mean_deg`."""
     sd_m: Mapping[str, Width] = {"*": 0.02}
+    """[metres] table: a part's name or a pattern = the standard deviation of its displacement, one number or one for each axis."""
     sd_deg: Mapping[str, Width] = {"*": 30.0}
+    """[degrees] the same for its rotation vector."""
 
 
 class Options(Schema):
@@ -58,8 +64,11 @@ class Options(Schema):
     """
 
     component: Annotated[tuple[Component, ...], Field(min_length=1)] = (Component(),)
+    """tables `[[potential.component]]`, one or more."""
     learned: str | None = None
+    """instead of components: the name of a file in `models/learned/`, such as `"kinematic_10"`, or the path of your own `.npz`."""
     component_share: Annotated[float, Field(gt=0, lt=1)] | None = None
+    """with `learned` and components: the weight of the components beside the learned ones, between 0 and 1."""
 
     @model_validator(mode="after")
     def _check_share(self) -> "Options":

@@ -33,9 +33,13 @@ class Options(Schema):
     """Options of `[[potential]] kind = "penetration"`. Without `pairs`, the body's own list of pairs is tested."""
 
     mode: Literal["hard", "soft"] = "soft"
+    """`"hard"` forbids penetration; `"soft"` is a half-Gaussian in the depth, for kernels that need a gradient."""
     yield_m: NonNegative = 0.03
+    """[metres] allowed depth."""
     soft_sd_m: Positive = 0.01
+    """[metres] with `"soft"`: standard deviation of the depth beyond that."""
     pairs: tuple[tuple[str, str], ...] | None = None
+    """pairs of solids, such as `[["l_calf", "r_calf"]]`; without it, those of the body's `penetration`."""
 
 
 def depth(pair: Mapping[str, Array], first: Float[Array, "7"], second: Float[Array, "7"]) -> Scalar:

@@ -29,7 +29,9 @@ class Options(Schema):
     """Options of `[[constraint]] kind = "training_limits"`: a name in `models/learned/` or the path of an .npz, and what may be exceeded."""
 
     activity: str
+    """a name in `models/learned/`, or the path of an `.npz` of `bayes-body learn activity-hmm`."""
     margin_deg: NonNegative = 0.0
+    """[degrees] by how much a range may be exceeded."""
 
 
 def _potential(which: Int[Array, " dof"], low: Float[Array, " dof"], high: Float[Array, " dof"], values: Variables, data: None) -> Scalar:

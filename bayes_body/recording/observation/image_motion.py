@@ -26,9 +26,12 @@ class Options(Schema):
     """Options of `[likelihood.observation]` of `image_motion`."""
 
     smooth_px: Positive = 1.414
+    """[pixels] standard deviation of the Gaussian that smooths the pictures."""
     # Along a part and across it.
     samples: tuple[Count, Count] = (8, 4)
+    """[samples] per part and camera: along the part, across it."""
     random: bool = False
+    """whether points are drawn anew for each frame, as in the paper, instead of standing on a grid; they are the same for all particles."""
 
 
 @register("observation", "image_motion", Options)

@@ -42,14 +42,23 @@ class Options(Schema):
     """Options of `[likelihood.observation]` of `regions`."""
 
     inside: Probability = 0.98
+    """probability that a pixel inside a part is foreground."""
     band: Probability = 0.34
+    """the same for a pixel in the band beside it."""
     elsewhere: Probability = 0.5
+    """the same for any other pixel, because other parts may be anywhere."""
     smooth_px: Positive = 1.5
+    """[pixels] standard deviation of the Gaussian that smooths the mask."""
     edge_threshold: Positive = 20.0
+    """[grey levels per pixel] gradient above which a pixel is an edge."""
     edges_within_px: NonNegative = 4.0
+    """[pixels] edges farther from the silhouette belong to the room and do not count."""
     edge_scale_px: Positive = 4.0
+    """[pixels] unit of the distance to the nearest edge."""
     edge_limit_px: Positive = 12.0
+    """[pixels] largest distance that counts: one missing edge does not decide."""
     edge_elsewhere: NonNegative = 3.15
+    """squared distance, in units of `edge_scale_px`, of a side about which nothing is known."""
 
 
 @register("observation", "regions", Options)

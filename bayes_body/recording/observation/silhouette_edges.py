@@ -33,12 +33,21 @@ class Options(Schema):
     """
 
     proximity: Literal["density", "distance"] = "density"
+    """`"density"`, as in the paper: the mask and the edges, smoothed. `"distance"`: the distances to the silhouette and to the nearest edge."""
     silhouette_smooth_px: Positive = 2.0
+    """[pixels] standard deviation of the Gaussian that smooths the mask or, with `"distance"`, of the Gaussian with which agreement decreases with
+    distance."""
     edge_threshold: Positive = 20.0
+    """[grey levels per pixel] gradient above which a pixel is an edge."""
     edge_smooth_px: Positive = 3.0
+    """[pixels] standard deviation of the Gaussian that smooths the edges or, with `"distance"`, of the Gaussian with which agreement decreases with
+    distance."""
     edges_within_px: NonNegative = 4.0
+    """[pixels] with `"distance"`: edges farther from the silhouette belong to the room and do not count."""
     unseen_error: Share = 0.5
+    """the error of a sample outside the image, between 0 (full agreement) and 1 (none)."""
     area_of: Literal["all", "largest"] = "all"
+    """whose foreground counts in the agreement of areas: `"all"` of it, or that of the `"largest"` figure, where more than one person is in view."""
 
 
 def edge_proximity(grey: NDArray[np.uint8], threshold: float, smooth_px: float) -> NDArray[np.float32]:
