@@ -28,14 +28,14 @@ class FaultyFileError(InputError):
         return type(self), (self.sentences,)
 
 
-def input_error(subject: object, found: str, expected: str, remedy: str) -> InputError:
-    """Return the error `subject: found; expected ...; remedy.`, one line: names in it may hold line breaks and other control characters."""
-    return InputError(escaped(f"{subject}: {found}; expected {expected}; {remedy}."))
+def input_error(subject: object, problem: str, expected: str, remedy: str) -> InputError:
+    """Return the error `subject: problem; expected ...; remedy.`, one line: names in it may hold line breaks and other control characters."""
+    return InputError(escaped(f"{subject}: {problem}; expected {expected}; {remedy}."))
 
 
 def escaped(text: str) -> str:
     """Return a text from a file so that a terminal can show it: control characters as Python writes them."""
-    return "".join(ascii(each)[1:-1] if unicodedata.category(each) in CONTROL else each for each in text)
+    return "".join(ascii(character)[1:-1] if unicodedata.category(character) in CONTROL else character for character in text)
 
 
 def printable(text: str) -> str:

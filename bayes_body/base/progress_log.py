@@ -52,21 +52,21 @@ class ProgressLog:
             figures: further words about the last step.
             step_s: seconds a step; by default those since the beginning, divided by the steps.
         """
-        share, now = done / max(total, 1), self._clock()
+        share, time_s = done / max(total, 1), self._clock()
         self._state = ", ".join([f"{self.unit} {done} of {total} ({100 * share:.0f} %)".strip(), *([figures] if figures else [])])
         if share >= 1:
             if self._lines:
-                self._say(f", {_duration(now - self._begun)} in all")
-        elif share >= self._next and now - self._last >= LEAST_S:
+                self._say(f", {_duration(time_s - self._begun)} in all")
+        elif share >= self._next and time_s - self._last >= LEAST_S:
             self._next = share + STEP - ROUNDING
-            left = (total - done) * ((now - self._begun) / max(done, 1) if step_s is None else step_s)
-            self._say(f", about {_duration(left)} left")
+            remaining_s = (total - done) * ((time_s - self._begun) / max(done, 1) if step_s is None else step_s)
+            self._say(f", about {_duration(remaining_s)} left")
 
     def remind(self) -> None:
         """Say how far the work is if nothing was said for a minute."""
-        now = self._clock()
-        if now - self._last >= MOST_S:
-            self._say(f"{', ' if self._state else ': '}{_duration(now - self._begun)} so far")
+        time_s = self._clock()
+        if time_s - self._last >= MOST_S:
+            self._say(f"{', ' if self._state else ': '}{_duration(time_s - self._begun)} so far")
 
     def _beat(self) -> None:
         while not self._over.wait(LEAST_S):

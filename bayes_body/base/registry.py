@@ -143,8 +143,8 @@ def _check(room: Room, name: str, options: type[BaseModel], build: Callable[...,
         raise input_error(f"register: {room}", f"the name {name!r}", "a string", f'name it, such as register("{room}", "mine")')
     if not (isinstance(options, type) and issubclass(options, BaseModel)):
         shown = options.__name__ if isinstance(options, type) else repr(options)
-        found, remedy = f"{shown} is not a schema", "write `class Options(Schema)`"
-        raise input_error(f"{room} '{name}': options", found, "a class that derives from Schema", remedy)
+        problem, remedy = f"{shown} is not a schema", "write `class Options(Schema)`"
+        raise input_error(f"{room} '{name}': options", problem, "a class that derives from Schema", remedy)
     if not callable(build):
         raise input_error(f"{room} '{name}'", f"{build!r} cannot be called", "a build function", "put @register above a function")
 
@@ -156,17 +156,17 @@ def _home(build: Callable[..., Any]) -> str:
 @contextmanager
 def additions() -> Iterator[list[Place]]:
     """Collect the terms registered in the body of the `with` statement, without built-in terms. If the body fails, they are removed again."""
-    before, found = set(_terms), []
+    before, places = set(_terms), []
 
     def new() -> list[Place]:
         return [place for place in _terms if place not in before and place not in _BUILT_IN]
 
     try:
-        yield found
+        yield places
     except BaseException:
         forget(new())
         raise
-    found += new()
+    places += new()
 
 
 def forget(places: Iterable[Place]) -> None:

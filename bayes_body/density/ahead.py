@@ -33,8 +33,8 @@ class Ahead(NamedTuple):
 
     def pushed(self, sampled: State, known: bool = True) -> "Ahead":
         """Return the frames ahead of the frame before: with these variables first, and without the last frame."""
-        kept = {name: jnp.concatenate([sampled[name][None], later[:-1]]) for name, later in self.sampled.items()}
-        return Ahead(kept, jnp.concatenate([jnp.full((1,), known), self.known[:-1]]))
+        frames = {name: jnp.concatenate([sampled[name][None], later[:-1]]) for name, later in self.sampled.items()}
+        return Ahead(frames, jnp.concatenate([jnp.full((1,), known), self.known[:-1]]))
 
 
 def nothing_ahead(sampled: State, memory: int) -> Ahead:

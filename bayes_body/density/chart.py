@@ -61,10 +61,10 @@ class TreeChart:
     def constrain(self, position: State) -> dict[str, Array]:
         """Return the parts at a position."""
         steps = position[self.name].reshape(-1, 6)
-        own = rigid.compose(self.references, rigid.rigid(steps[:, :3], rotations.exponential(steps[:, 3:])))
+        transforms = rigid.compose(self.references, rigid.rigid(steps[:, :3], rotations.exponential(steps[:, 3:])))
         parts: list[Array] = []
         for part, parent in enumerate(self.parents):
-            parts.append(jnp.asarray(own[part] if parent < 0 else rigid.compose(parts[parent], own[part])))
+            parts.append(jnp.asarray(transforms[part] if parent < 0 else rigid.compose(parts[parent], transforms[part])))
         return {self.name: jnp.stack(parts)}
 
     def unconstrain(self, state: State) -> dict[str, Array]:

@@ -144,8 +144,8 @@ class Density:
         values, total = variables(state, previous), {name: jnp.zeros((value.size, value.size), value.dtype) for name, value in state.items()}
         for factor in self.factors:
             if factor.side == "likelihood" and factor.curvature is not None:
-                found = factor.curvature({v: values[v] for v in factor.scope}, self.data.get(factor.name))
-                total = {name: value + found[name] if name in found else value for name, value in total.items()}
+                curvatures = factor.curvature({v: values[v] for v in factor.scope}, self.data.get(factor.name))
+                total = {name: value + curvatures[name] if name in curvatures else value for name, value in total.items()}
         return total
 
     def log_likelihood_of(self, names: Sequence[str], state: State, previous: State) -> Scalar:
@@ -190,15 +190,15 @@ class Density:
         """Return, for each ancestor, the terms of the log-density that depend on the ancestor."""
         linking = [factor for factor in self.factors if factor.reads_previous]
         distributions = self.predictions() if predictions is None else predictions
-        links = sum((_log_prob_each(each, state[name]) for name, each in distributions.items()), self.previous.log_weights)
+        links = sum((_log_prob_each(distribution, state[name]) for name, distribution in distributions.items()), self.previous.log_weights)
         if not linking:
             return links
         return links + jax.vmap(lambda before: self._tempered_sum(linking, state, before, inverse_temperature))(self.previous.states)
 
     def _tempered_sum(self, factors: Sequence[Factor], state: State, before: State, inverse_temperature: float | Scalar) -> Scalar:
         likelihood = self._sum([f for f in factors if f.side == "likelihood"], state, before)
-        rest = self._sum([f for f in factors if f.side != "likelihood"], state, before)
-        return rest + tempered(inverse_temperature, likelihood)
+        prior = self._sum([f for f in factors if f.side != "likelihood"], state, before)
+        return prior + tempered(inverse_temperature, likelihood)
 
     def coordinates(self) -> Chart:
         """Return unconstrained coordinates for the sampled variables, the same for every ancestor."""
@@ -252,4 +252,4 @@ class Unconstrained(NamedTuple):
 def _log_prob_each(distributions: Distribution, value: Array) -> Float[Array, " particle"]:
     """Return the log-densities of one value under a batch of distributions, by their faster method `log_prob_each` if they have one."""
     shared = getattr(distributions, "log_prob_each", None)
-    return shared(value) if shared else jax.vmap(lambda one: jnp.asarray(one.log_prob(value)))(distributions)
+    return shared(value) if shared else jax.vmap(lambda distribution: jnp.asarray(distribution.log_prob(value)))(distributions)

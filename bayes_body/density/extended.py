@@ -83,7 +83,7 @@ class Extended(NamedTuple):
         levels = self.cumulative_weights[-1] * jax.random.uniform(draw_key, (candidates - 1,), self.cumulative_weights.dtype)
         others = jnp.minimum(jnp.searchsorted(self.cumulative_weights, levels, side="right"), count - 1)
         competing = jnp.concatenate([ancestor[None], others.astype(ancestor.dtype)])
-        log_probs = jax.vmap(lambda one: self._given_ancestor(one, position, inverse_temperature, potential_power))(competing)
+        log_probs = jax.vmap(lambda candidate: self._given_ancestor(candidate, position, inverse_temperature, potential_power))(competing)
         # NaN marks an ancestor from which the state cannot come.
         return competing[jax.random.categorical(choose_key, jnp.where(jnp.isnan(log_probs), -jnp.inf, log_probs))]
 

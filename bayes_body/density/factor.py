@@ -38,8 +38,8 @@ type Variables = Mapping[Variable, Array]
 
 def variables(state: State, previous: State | None = None) -> dict[Variable, Array]:
     """Return the variables of this frame and, if `previous` is given, of the previous frame."""
-    now = {Variable(name): value for name, value in state.items()}
-    return now if previous is None else now | {Variable(name, -1): value for name, value in previous.items()}
+    current = {Variable(name): value for name, value in state.items()}
+    return current if previous is None else current | {Variable(name, -1): value for name, value in previous.items()}
 
 
 @partial(
@@ -159,11 +159,11 @@ class Transition:
     def near(self, sampled: State, centre: State) -> dict[str, Array]:
         """Return sampled variables with their angles on the circle within half a turn of a centre: full turns between states are no distance."""
 
-        def one(name: str, value: Array) -> Array:
+        def unwrap(name: str, value: Array) -> Array:
             space = self.space(name, value.shape)
             return jnp.asarray(space.coordinates(centre[name], value)).reshape(value.shape) if isinstance(space, Flat) else value
 
-        return {name: one(name, value) for name, value in sampled.items()}
+        return {name: unwrap(name, value) for name, value in sampled.items()}
 
     def sample(self, key: Key, previous: State) -> State:
         """Draw a state of the next frame."""

@@ -44,14 +44,14 @@ class Frames:
         """Return what each frame has for itself, with a leading frame axis: for a `scan` or a `vmap`."""
         return (self.factors if self.moving else None), self.data
 
-    def density(self, own: Own, previous: Particles) -> Density:
+    def density(self, inputs: Own, previous: Particles) -> Density:
         """Return the density of one frame, given its part of `own` and the particles of the frame before."""
-        factors, data = own
+        factors, data = inputs
         return Density(self.transition, self.factors if factors is None else factors, data, previous)
 
-    def alone(self, own: Own, state: State) -> Scalar:
+    def alone(self, inputs: Own, state: State) -> Scalar:
         """Return the sum of those factors of one frame that do not read the frame before."""
-        factors, data = own
+        factors, data = inputs
         reading = tuple(factor for factor in (self.factors if factors is None else factors) if not factor.reads_previous)
         return Density(self.transition, reading, data, Particles({}, jnp.zeros(1))).log_weight(state, {})
 
@@ -78,20 +78,20 @@ def stacked(densities: Sequence[Density]) -> Frames:
     if not densities:
         raise input_error("the frames", "none", "one or more", "give the densities of some frames")
     first = densities[0]
-    forms = [[(np.shape(leaf), jnp.result_type(leaf)) for leaf in jax.tree.leaves((each.factors, dict(each.data)))] for each in densities]
-    for number, (each, form) in enumerate(zip(densities, forms, strict=True)):
-        if form != forms[0] or jax.tree.structure(dict(each.data)) != jax.tree.structure(dict(first.data)):
+    forms = [[(np.shape(leaf), jnp.result_type(leaf)) for leaf in jax.tree.leaves((density.factors, dict(density.data)))] for density in densities]
+    for number, (density, form) in enumerate(zip(densities, forms, strict=True)):
+        if form != forms[0] or jax.tree.structure(dict(density.data)) != jax.tree.structure(dict(first.data)):
             raise input_error(
                 f"frame {number} of the window", "data of other shapes than the first frame's", "the same shapes", "choose other frames"
             )
-    moving = not all(_same(first.factors, each.factors) for each in densities[1:])
-    factors = jax.tree.map(_stack, *(each.factors for each in densities)) if moving else first.factors
-    return Frames(first.transition, factors, jax.tree.map(_stack, *(dict(each.data) for each in densities)), moving)
+    moving = not all(_same(first.factors, density.factors) for density in densities[1:])
+    factors = jax.tree.map(_stack, *(density.factors for density in densities)) if moving else first.factors
+    return Frames(first.transition, factors, jax.tree.map(_stack, *(dict(density.data) for density in densities)), moving)
 
 
 def _stack(*leaves: Any) -> jax.Array:
     return jnp.stack([jnp.asarray(leaf) for leaf in leaves])
 
 
-def _same(one: Any, other: Any) -> bool:
-    return all(a is b or np.array_equal(a, b) for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True))
+def _same(first: Any, second: Any) -> bool:
+    return all(a is b or np.array_equal(a, b) for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True))

@@ -150,8 +150,8 @@ def gaussian_view(key: Key, density: Density) -> GaussianView:
     if not unread:
         return view
     gain = covariance[jnp.ix_(last, first)] @ inverse.T
-    left = jnp.linalg.cholesky(covariance[jnp.ix_(last, last)] - gain @ gain.T)
-    return view._replace(unread=Unread(mean[last], gain, left, unread))
+    residual_root = jnp.linalg.cholesky(covariance[jnp.ix_(last, last)] - gain @ gain.T)
+    return view._replace(unread=Unread(mean[last], gain, residual_root, unread))
 
 
 def _unread(density: Density, names: Sequence[str]) -> list[str]:
@@ -206,5 +206,5 @@ def _check(density: Density) -> None:
         name = next(factor.name for factor in density.factors if factor.reads_previous)
         raise input_error('prediction = "gaussian"', f"'{name}' compares a frame with the frame before", "a model whose terms read one frame", remedy)
     if getattr(density.transition.carry, "func", density.transition.carry) is not nothing_carried:
-        found = f"the dynamics '{density.transition.name}' carry more along than the sampled variables of one frame"
-        raise input_error('prediction = "gaussian"', found, "dynamics that depend on the pose of the frame before alone", remedy)
+        problem = f"the dynamics '{density.transition.name}' carry more along than the sampled variables of one frame"
+        raise input_error('prediction = "gaussian"', problem, "dynamics that depend on the pose of the frame before alone", remedy)

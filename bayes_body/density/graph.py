@@ -77,8 +77,8 @@ class Mixture(NamedTuple):
         choice, draw = jax.random.split(key)
         nodes = self.log_weights.shape[0]
         index = jax.random.categorical(choice, self.log_weights[:, None], axis=-1, shape=(nodes, count))
-        chosen = jax.tree.map(lambda leaf: jax.vmap(lambda own, i: own[i])(leaf, index), self.components)
-        return jax.vmap(jax.vmap(lambda key, one: jnp.asarray(one.sample(key))))(jax.random.split(draw, (nodes, count)), chosen)
+        chosen = jax.tree.map(lambda leaf: jax.vmap(lambda row, i: row[i])(leaf, index), self.components)
+        return jax.vmap(jax.vmap(lambda key, component: jnp.asarray(component.sample(key))))(jax.random.split(draw, (nodes, count)), chosen)
 
     def log_components(self, values: Float[Array, "node draw *entry"]) -> Float[Array, "node draw component"]:
         """Return the log-density of each component, without its weight, at the values of every node.
@@ -87,7 +87,7 @@ class Mixture(NamedTuple):
         """
 
         def one_by_one(components: Any, points: Array) -> Array:
-            return jax.vmap(lambda x: jax.vmap(lambda one: jnp.asarray(one.log_prob(x)))(components))(points)
+            return jax.vmap(lambda x: jax.vmap(lambda component: jnp.asarray(component.log_prob(x)))(components))(points)
 
         def of_node(components: Any, points: Array) -> Array:
             return components.log_prob_of_pairs(points) if hasattr(components, "log_prob_of_pairs") else one_by_one(components, points)
@@ -157,7 +157,7 @@ class Graph:
 
     def forest(self) -> tuple[tuple[int, int], ...]:
         """Return edges without a loop, as (term, row) of `pairs`, such that no further edge could be added. Earlier terms come first."""
-        group, found = list(range(self.count)), []
+        group, edges = list(range(self.count)), []
 
         def root(node: int) -> int:
             while group[node] != node:
@@ -169,8 +169,8 @@ class Graph:
                 a, b = root(first), root(second)
                 if a != b:
                     group[a] = b
-                    found.append((number, row))
-        return tuple(found)
+                    edges.append((number, row))
+        return tuple(edges)
 
 
 def check_rows(name: str, rows: Sequence[Sequence[int]], names: Sequence[str]) -> None:
@@ -181,8 +181,8 @@ def check_rows(name: str, rows: Sequence[Sequence[int]], names: Sequence[str]) -
     """
     for row in rows:
         if not 1 <= len(row) <= 2:
-            found, remedy = f"reads {len(row)} nodes at once", "write it as factors of one node or two"
-            raise input_error(f"factor '{name}'", found, "one node or two", remedy)
+            problem, remedy = f"reads {len(row)} nodes at once", "write it as factors of one node or two"
+            raise input_error(f"factor '{name}'", problem, "one node or two", remedy)
         outside = [node for node in row if not 0 <= node < len(names)]
         if outside:
             raise input_error(f"factor '{name}'", f"reads the node {outside[0]}", f"0 to {len(names) - 1}", "correct its rows")

@@ -51,8 +51,8 @@ def node_factor(name: str, factor: Distribution | Callable[..., Any], nodes: Seq
     """
     distribution = _as_maker(factor, parameters)
     if distribution:
-        return Part(name, _each(nodes), Plate("", (), jax.tree_util.Partial(_log_prob), None), distribution)
-    return Part(name, _each(nodes), Plate("", (), _given(factor, parameters), parameters))
+        return Part(name, _singletons(nodes), Plate("", (), jax.tree_util.Partial(_log_prob), None), distribution)
+    return Part(name, _singletons(nodes), Plate("", (), _log_potential(factor, parameters), parameters))
 
 
 def edge_factor(
@@ -79,14 +79,14 @@ def edge_factor(
         plate = Plate("", (), jax.tree_util.Partial(_log_difference), None, jax.tree_util.Partial(_draw_difference))
         return Part(name, edges, plate, distribution)
     offered = draw and jax.tree_util.Partial(draw), log_draw and jax.tree_util.Partial(log_draw)
-    return Part(name, edges, Plate("", (), _given(factor, parameters), parameters, *offered))
+    return Part(name, edges, Plate("", (), _log_potential(factor, parameters), parameters, *offered))
 
 
 def proposal(
     name: str, distribution: Distribution | Callable[..., Distribution], nodes: Sequence[Node] | None = None, parameters: Any = None
 ) -> Part:
     """Return where to look for some nodes: a distribution that is no factor, or `parameters of a node -> distribution`."""
-    return Part(name, _each(nodes), None, _as_maker(distribution, parameters))
+    return Part(name, _singletons(nodes), None, _as_maker(distribution, parameters))
 
 
 def graph(variables: Mapping[str, tuple[int, ...]], *parts: Part, space: Space | None = None) -> Graph:
@@ -107,8 +107,8 @@ def graph(variables: Mapping[str, tuple[int, ...]], *parts: Part, space: Space |
     """
     shapes = {shape[1:] for shape in variables.values()}
     if len(shapes) != 1:
-        found = ", ".join(f"{name} {shape}" for name, shape in variables.items())
-        raise input_error("graph", f"nodes of different shapes: {found}", "one shape for all", "pad the smaller ones, or build two graphs")
+        description = ", ".join(f"{name} {shape}" for name, shape in variables.items())
+        raise input_error("graph", f"nodes of different shapes: {description}", "one shape for all", "pad the smaller ones, or build two graphs")
     names = tuple(f"{name}_{i}" if shape[0] > 1 else name for name, shape in variables.items() for i in range(shape[0]))
     unaries, pairs, proposals = [], [], []
     for part in parts:
@@ -128,11 +128,11 @@ def graph(variables: Mapping[str, tuple[int, ...]], *parts: Part, space: Space |
     return built
 
 
-def _each(nodes: Sequence[Node] | None) -> list[list[Node]] | None:
+def _singletons(nodes: Sequence[Node] | None) -> list[list[Node]] | None:
     return None if nodes is None else [[node] for node in nodes]
 
 
-def _given(factor: Callable[..., Scalar], parameters: Any) -> jax.tree_util.Partial:
+def _log_potential(factor: Callable[..., Scalar], parameters: Any) -> jax.tree_util.Partial:
     return jax.tree_util.Partial(factor) if parameters is not None else jax.tree_util.Partial(_without_parameters, jax.tree_util.Partial(factor))
 
 
@@ -158,8 +158,8 @@ def _as_maker(factor: Any, parameters: Any) -> Callable[[int], Distribution] | N
     """Return a function from the number of rows to the distributions of the rows, stacked; None if the factor is a log-potential."""
     if isinstance(factor, Distribution):
         if factor.batch_shape:
-            found = f"a distribution with batch shape {factor.batch_shape}"
-            raise input_error("graph", found, "one distribution", "use `to_event`; if rows differ, give a function of a row's parameters")
+            problem = f"a distribution with batch shape {factor.batch_shape}"
+            raise input_error("graph", problem, "one distribution", "use `to_event`; if rows differ, give a function of a row's parameters")
         return lambda rows: jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (rows, *jnp.shape(leaf))), factor)
     if parameters is not None and len(inspect.signature(factor).parameters) == 1:
         return lambda rows: jax.vmap(factor)(parameters)
@@ -211,10 +211,12 @@ def _check_values(built: Graph) -> None:
     for term in (*built.unaries, *built.pairs):
         nodes = [values[column] for column in np.asarray(term.rows).T]
         of_row = jax.vmap(term.log_potential, in_axes=(None, *[0] * len(nodes)))
-        found = jax.jit(jax.vmap(of_row))(term.plate.parameters, *nodes)
-        if found.shape != (len(term.plate.rows), TRIALS):
-            raise input_error(f"factor '{term.name}'", f"returns an array of shape {found.shape[2:]}", "one number", "return the sum of its terms")
-        bad = np.flatnonzero(np.isnan(np.asarray(found)).any(axis=1))
+        log_potentials = jax.jit(jax.vmap(of_row))(term.plate.parameters, *nodes)
+        if log_potentials.shape != (len(term.plate.rows), TRIALS):
+            raise input_error(
+                f"factor '{term.name}'", f"returns an array of shape {log_potentials.shape[2:]}", "one number", "return the sum of its terms"
+            )
+        bad = np.flatnonzero(np.isnan(np.asarray(log_potentials)).any(axis=1))
         if len(bad):
             where = " and ".join(f"'{built.names[node]}'" for node in term.plate.rows[bad[0]])
             remedy = "look for 0 / 0, the logarithm of a negative number, or missing data"

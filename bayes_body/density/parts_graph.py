@@ -54,8 +54,8 @@ def parts_graph(density: Density, user: str = "the kernel 'particle_bp'") -> Gra
     if len(spaces) > 1 or not isinstance(space, PlateSpace):
         raise input_error(user, f"the state is {', '.join(conditional)}", "one variable of several entries, such as the parts of a body", remedy)
     if not hasattr(conditional[name], "entries"):
-        found = f"the distribution of '{name}' does not say how each entry moves"
-        raise input_error(f"dynamics '{density.transition.name}'", found, "a method `entries()`", "take rigid_walk")
+        problem = f"the distribution of '{name}' does not say how each entry moves"
+        raise input_error(f"dynamics '{density.transition.name}'", problem, "a method `entries()`", "take rigid_walk")
     unaries, pairs, whole = [], [], []
     for factor in density.factors:
         plate = factor.log_potential
@@ -80,7 +80,7 @@ def parts_graph(density: Density, user: str = "the kernel 'particle_bp'") -> Gra
 
 def _by_node(predictions: object, log_weights: Float[Array, " particle"]) -> Mixture:
     """Return for every node the mixture of its predictions from all ancestors."""
-    entries = jax.vmap(lambda one: one.entries())(predictions)
+    entries = jax.vmap(lambda prediction: prediction.entries())(predictions)
     turned = jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), entries)
     nodes = jax.tree.leaves(turned)[0].shape[0]
     return Mixture(turned, jnp.broadcast_to(log_weights, (nodes, *log_weights.shape)))

@@ -54,7 +54,7 @@ class Plate:
         """Return the log-potential of every row."""
         entries = [value[column] for column in np.array(self.rows, np.int32).T]
         with_data = {} if data is None else {"data": data}
-        return jax.vmap(lambda own, *of_row: self.log_potential(own, *of_row, **with_data))(self.parameters, *entries)
+        return jax.vmap(lambda parameters, *of_row: self.log_potential(parameters, *of_row, **with_data))(self.parameters, *entries)
 
     def __call__(self, values: Variables, data: Any) -> Scalar:
         """Return the sum over the rows."""

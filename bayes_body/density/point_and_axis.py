@@ -58,13 +58,13 @@ class PointAndAxis:
         # Any rotation, followed by the shortest one that brings the axis to its direction: the turn about it stays uniform.
         anyhow = _unit(jax.random.normal(turn_key, (4,), self.place.dtype))
         quaternion = rotations.multiply(_shortest(jnp.asarray(rotations.rotate(anyhow, self.axis)), aim), anyhow)
-        there = self.place + self.sd_m * jax.random.normal(place_key, (3,), self.place.dtype)
-        return jnp.asarray(rigid.rigid(there - rotations.rotate(quaternion, self.point), quaternion))
+        place = self.place + self.sd_m * jax.random.normal(place_key, (3,), self.place.dtype)
+        return jnp.asarray(rigid.rigid(place - rotations.rotate(quaternion, self.point), quaternion))
 
     def log_prob(self, x: Float[Array, "7"]) -> Scalar:
         """Return the log-density with respect to dt dR."""
-        away = (rigid.apply(x, self.point) - self.place) / self.sd_m
-        normal = -0.5 * jnp.sum(away**2) - jnp.sum(jnp.log(self.sd_m)) - 1.5 * math.log(2 * math.pi)
+        offset = (rigid.apply(x, self.point) - self.place) / self.sd_m
+        normal = -0.5 * jnp.sum(offset**2) - jnp.sum(jnp.log(self.sd_m)) - 1.5 * math.log(2 * math.pi)
         kappa = jnp.maximum(self.concentration, LEAST)
         cosine = jnp.dot(self.direction, rotations.rotate(rigid.quaternion(x), self.axis))
         # κ / sinh κ = 2 κ e^-κ / (1 - e^-2κ)

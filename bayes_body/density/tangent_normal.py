@@ -49,8 +49,8 @@ class TangentNormal:
         """Return the log-density at a point, with respect to the space's reference measure."""
         v = jnp.asarray(self.space.images(self.space.local(self.mean, x)))
         normal = -0.5 * jnp.sum((v @ self.inverse.T) ** 2, axis=1) + jnp.sum(jnp.log(jnp.diagonal(self.inverse)))
-        each = normal - jnp.asarray(self.space.log_measure(v)) - 0.5 * v.shape[-1] * math.log(2 * math.pi)
-        return each[0] if each.shape == (1,) else jax.nn.logsumexp(each)
+        log_densities = normal - jnp.asarray(self.space.log_measure(v)) - 0.5 * v.shape[-1] * math.log(2 * math.pi)
+        return log_densities[0] if log_densities.shape == (1,) else jax.nn.logsumexp(log_densities)
 
 
 def tangent_normal(space: Space, mean: Array, covariance: Float[Array, "dimension dimension"]) -> TangentNormal:

@@ -59,8 +59,8 @@ class Trajectory:
     def __call__(self, position: State) -> Scalar:
         """Return the log-density at a position, including the Jacobians, up to the evidence."""
         sampled, log_determinants = self._constrained(position)
-        alone = jax.vmap(lambda own, here: self.frames.alone(own, self.frames.transition.with_derived(here)))(self.frames.own, sampled)
-        return self._first(position, sampled, log_determinants) + self._rest(sampled) + jnp.sum(alone) + jnp.sum(log_determinants)
+        alone = jax.vmap(lambda inputs, current: self.frames.alone(inputs, self.frames.transition.with_derived(current)))(self.frames.own, sampled)
+        return self._first(position, sampled, log_determinants) + self._shared_links(sampled) + jnp.sum(alone) + jnp.sum(log_determinants)
 
     def states(self, position: State, ancestor: int | Index = 0) -> State:
         """Return the whole states of the frames (frame, ...) at a position, which follow a particle of the frame before."""
@@ -92,11 +92,11 @@ class Trajectory:
     def _constrained(self, position: State) -> tuple[dict[str, Array], Float[Array, " frame"]]:
         """Return the sampled variables of all frames, and their log-Jacobians."""
 
-        def one(reference: State, here: State) -> tuple[dict[str, Array], Scalar]:
+        def constrain_frame(reference: State, frame_position: State) -> tuple[dict[str, Array], Scalar]:
             chart = self._chart(reference)
-            return chart.constrain(here), chart.log_determinant(here)
+            return chart.constrain(frame_position), chart.log_determinant(frame_position)
 
-        return jax.vmap(one)(self.references, dict(position))
+        return jax.vmap(constrain_frame)(self.references, dict(position))
 
     def _first(self, position: State, sampled: State, log_determinants: Float[Array, " frame"]) -> Scalar:
         """Return the prior of the first frames: the sum over the particles, or the Gaussian."""
@@ -133,12 +133,12 @@ class Trajectory:
             return by_first
 
         def others(before: State) -> Scalar:
-            here = transition.state(before, first[1])
-            return self._links(here, _cut(self.frames.own, 1, reading), _cut(sampled, 1, reading), ends=reading == count)
+            state = transition.state(before, first[1])
+            return self._links(state, _cut(self.frames.own, 1, reading), _cut(sampled, 1, reading), ends=reading == count)
 
         return by_first + jax.vmap(others)(dict(self.before.states))
 
-    def _rest(self, sampled: State) -> Scalar:
+    def _shared_links(self, sampled: State) -> Scalar:
         """Return the links of the frames that do not read the particle before the window."""
         count = _length(sampled)
         reading = self._reading(count)
@@ -147,12 +147,12 @@ class Trajectory:
         last = jax.tree.map(lambda leaf: leaf[-1], self._states(self._particle(0), _cut(sampled, 0, reading)))
         return self._links(last, _cut(self.frames.own, reading, count), _cut(sampled, reading, count), ends=True)
 
-    def _links(self, before: State, own: Own, sampled: State, ends: bool) -> Scalar:
+    def _links(self, before: State, inputs: Own, sampled: State, ends: bool) -> Scalar:
         """Return the transitions and the factors that read the frame before, of frames after a whole state.
 
         Args:
             before: the state of the frame before.
-            own: what the frames have for themselves.
+            inputs: what the frames have for themselves.
             sampled: their sampled variables.
             ends: whether the window ends with them, so that the frames ahead follow.
         """
@@ -161,10 +161,10 @@ class Trajectory:
             states = self._states(before, sampled)
             befores = jax.tree.map(lambda first, others: jnp.concatenate([first[None], others[:-1]]), dict(before), dict(states))
 
-            def one(own: Own, here: State, earlier: State) -> Scalar:
-                return self.frames.transition.log_density(here, earlier) + self.frames.density(own, self.before).links(here, earlier)
+            def link(inputs: Own, state: State, earlier: State) -> Scalar:
+                return self.frames.transition.log_density(state, earlier) + self.frames.density(inputs, self.before).links(state, earlier)
 
-            total, last = jnp.sum(jax.vmap(one)(own, states, befores)), jax.tree.map(lambda leaf: leaf[-1], states)
+            total, last = jnp.sum(jax.vmap(link)(inputs, states, befores)), jax.tree.map(lambda leaf: leaf[-1], states)
         if ends and self.ahead is not None:
             total += log_ahead(self.frames.transition, last, self.ahead, self.after)
         return total
@@ -172,11 +172,11 @@ class Trajectory:
     def _states(self, before: State, sampled: State) -> State:
         """Return the whole states of frames after a whole state."""
 
-        def one(earlier: State, here: State) -> tuple[State, State]:
-            state = self.frames.transition.state(earlier, here)
+        def advance(earlier: State, current: State) -> tuple[State, State]:
+            state = self.frames.transition.state(earlier, current)
             return state, state
 
-        return jax.lax.scan(one, varying_like(dict(before), sampled), dict(sampled))[1]
+        return jax.lax.scan(advance, varying_like(dict(before), sampled), dict(sampled))[1]
 
 
 def trajectory(
@@ -203,8 +203,8 @@ def trajectory(
 
 def _prior(key: Key, frames: Frames, before: Particles, references: State) -> WindowPrior:
     if frames.linked:
-        found, expected = "a term compares a frame with the frame before", "terms that read one frame"
-        raise input_error("a Gaussian prior of a window", found, expected, 'take the mixture: prior = "particles", or --prior particles')
+        problem, expected = "a term compares a frame with the frame before", "terms that read one frame"
+        raise input_error("a Gaussian prior of a window", problem, expected, 'take the mixture: prior = "particles", or --prior particles')
     memory = frames.transition.frames_read
     return window_prior(key, frames.transition, before, references if memory is None else _cut(references, 0, memory))
 

@@ -53,8 +53,8 @@ def window_prior(key: Key, transition: Transition, before: Particles, references
         InputError: the motion prior remembers all frames before.
     """
     if transition.frames_read is None:
-        found = f"the dynamics '{transition.name}' remember all frames before"
-        raise input_error("a Gaussian prior of a window", found, "dynamics that read a few frames", "choose a model with other dynamics")
+        problem = f"the dynamics '{transition.name}' remember all frames before"
+        raise input_error("a Gaussian prior of a window", problem, "dynamics that read a few frames", "choose a model with other dynamics")
     return _fitted(key, transition, before, references)
 
 
@@ -71,10 +71,10 @@ def _fitted(key: Key, transition: Transition, before: Particles, references: Sta
         frames = jax.tree.leaves(dict(references))[0].shape[0]
         return _steps(jax.lax.scan(step, dict(state), (jax.random.split(key, frames), dict(references)))[1])
 
-    def one(key: Key, state: State) -> Float[Array, "draw entry"]:
+    def draw_paths(key: Key, state: State) -> Float[Array, "draw entry"]:
         return jax.vmap(path, in_axes=(0, None))(jax.random.split(key, TRANSITIONS), state)
 
-    drawn = jax.vmap(one)(jax.random.split(key, weights.shape[0]), dict(before.states))
+    drawn = jax.vmap(draw_paths)(jax.random.split(key, weights.shape[0]), dict(before.states))
     mean, _, inverse_root = fitted_gaussian(weights, drawn)
     return WindowPrior(mean, inverse_root)
 

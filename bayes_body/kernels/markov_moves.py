@@ -58,7 +58,9 @@ def iterated_sir(particles: int = PARTICLES) -> MarkovMove:
         before = density.ancestor(ancestor)
         weights = jnp.concatenate([density.log_weight(state, before)[None], drawn.log_weights])
         chosen = jax.random.categorical(choice_key, jnp.where(jnp.isnan(weights), -jnp.inf, weights))
-        joined = jax.tree.map(lambda one, more: jnp.concatenate([jnp.asarray(one)[None], more])[chosen], dict(state), dict(drawn.states))
+        joined = jax.tree.map(
+            lambda current, predicted: jnp.concatenate([jnp.asarray(current)[None], predicted])[chosen], dict(state), dict(drawn.states)
+        )
         return joined, jnp.concatenate([ancestor[None], rivals])[chosen]
 
     return move

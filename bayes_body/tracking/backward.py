@@ -103,19 +103,19 @@ class Backward:
         """
         laid = self._final(self._lay(key, count))
         if not self.smoother.options.moves or self.memory is None:
-            return (each for each in laid if first is None or each.frame < first)
+            return (path_frame for path_frame in laid if first is None or path_frame.frame < first)
         return self._final(self._move(jax.random.fold_in(key, MOVES), laid, stored, count if first is None else first))
 
     def _final(self, frames: Iterator[PathFrame]) -> Iterator[PathFrame]:
         """Yield each frame as soon as what its states carry follows from the frames before it."""
         later: list[PathFrame] = []
-        for here in frames:
-            later = [here, *later]
+        for current in frames:
+            later = [current, *later]
             whole = later[:1]
-            for each in later[1:]:
-                whole.append(each._replace(states=self.steps.carried(whole[-1].states, each.states)))
-            yield from reversed(whole if here.begins else whole[self.delay :])
-            later = [] if here.begins else later[: self.delay]
+            for path_frame in later[1:]:
+                whole.append(path_frame._replace(states=self.steps.carried(whole[-1].states, path_frame.states)))
+            yield from reversed(whole if current.begins else whole[self.delay :])
+            later = [] if current.begins else later[: self.delay]
 
     # -- the first walk ---------------------------------------------------------------------------------------------------------------------
 
@@ -125,10 +125,10 @@ class Backward:
             after = self._step_back(jax.random.fold_in(key, frame), frame, self.filtered(frame), after)
             yield PathFrame(frame, after.states, after.begins, unknown, unknown, after.prediction)
 
-    def _step_back(self, key: Key, frame: int, here: Filtered, after: _Laid | None) -> _Laid:
+    def _step_back(self, key: Key, frame: int, filtered: Filtered, after: _Laid | None) -> _Laid:
         """Return the paths at a frame, given how they go on."""
         begin_key, step_key = jax.random.split(key)
-        particles, prediction = here.particles, None
+        particles, prediction = filtered.particles, None
         if after is None or after.begins:
             index = self.steps.begin(begin_key, particles)
             states, ahead = self.steps.at(particles, index), None
@@ -144,57 +144,57 @@ class Backward:
                 # Without a frame ahead the link does not count; with one of the same form the program is the same.
                 index = self.steps.choose(step_key, paths, density, linked if after.density is None else after.density)
                 states = self.steps.at(particles, index)
-                return _Laid(frame, states, self.steps.ancestors_at(here.ancestors, index), ahead, linked, here.begins)
+                return _Laid(frame, states, self.steps.ancestors_at(filtered.ancestors, index), ahead, linked, filtered.begins)
             index = self.steps.begin(begin_key, particles)
             predict_key, step_key = jax.random.split(step_key)
             prediction = self.steps.predict(predict_key, particles)
             states = self.steps.regress(step_key, particles, index, ahead, prediction)
         ahead = self.steps.none_ahead(self.steps.sampled(states)) if ahead is None else ahead
-        return _Laid(frame, states, self.steps.ancestors_at(here.ancestors, index), ahead, None, here.begins, prediction)
+        return _Laid(frame, states, self.steps.ancestors_at(filtered.ancestors, index), ahead, None, filtered.begins, prediction)
 
     # -- the second walk --------------------------------------------------------------------------------------------------------------------
 
     def _move(self, key: Key, laid: Iterator[PathFrame], stored: Callable[[int], PathFrame] | None, first: int) -> Iterator[PathFrame]:
         """Yield the moved frames before frame `first`."""
-        here, ahead, after, step_size = next(laid), None, None, self.steps.first_step_size(self.filtered(0).particles)
-        while here is not None:
+        current, ahead, after, step_size = next(laid), None, None, self.steps.first_step_size(self.filtered(0).particles)
+        while current is not None:
             before = next(laid, None)
-            if here.frame >= first and stored is not None:
-                moved = stored(here.frame)._replace(begins=here.begins)
-                after = self._link(here) if here.frame == first else None
+            if current.frame >= first and stored is not None:
+                moved = stored(current.frame)._replace(begins=current.begins)
+                after = self._link(current) if current.frame == first else None
             else:
-                moved, after = self._frame(jax.random.fold_in(key, here.frame), here, before, ahead, after, step_size)
+                moved, after = self._frame(jax.random.fold_in(key, current.frame), current, before, ahead, after, step_size)
                 yield moved
             step_size, sampled = moved.log_step_size, self.steps.sampled(moved.states)
             # After a gap the paths are others.
-            ahead = None if here.begins else self.steps.pushed(self.steps.none_ahead(sampled) if ahead is None else ahead, sampled)
-            after = None if here.begins else after
-            here = before
+            ahead = None if current.begins else self.steps.pushed(self.steps.none_ahead(sampled) if ahead is None else ahead, sampled)
+            after = None if current.begins else after
+            current = before
 
-    def _link(self, here: PathFrame) -> Density | None:
+    def _link(self, path_frame: PathFrame) -> Density | None:
         """Return the density of a frame if it reads the frame before, whose states are to be moved next."""
-        if here.begins or self.filtered(here.frame).fixed:
+        if path_frame.begins or self.filtered(path_frame.frame).fixed:
             return None
-        density = self.density(here.frame, self.filtered(here.frame - 1).particles)
+        density = self.density(path_frame.frame, self.filtered(path_frame.frame - 1).particles)
         return density if density.reads_previous else None
 
     def _frame(
-        self, key: Key, here: PathFrame, before: PathFrame | None, ahead: Ahead | None, after: Density | None, step_size: Scalar
+        self, key: Key, path_frame: PathFrame, before: PathFrame | None, ahead: Ahead | None, after: Density | None, step_size: Scalar
     ) -> tuple[PathFrame, Density | None]:
         """Return one frame with its states moved, and its density if the frame before needs it."""
-        filtered = self.filtered(here.frame)
+        filtered = self.filtered(path_frame.frame)
         # At the beginning of paths, what a state carries comes from a particle, and is not that of the path.
-        early = any(self.filtered(here.frame - k).begins for k in range(1, self.delay + 1) if here.frame >= k)
-        if here.begins or before is None or filtered.fixed or early:
-            return here._replace(log_step_size=step_size), None
-        previous, sampled = self.filtered(here.frame - 1).particles, self.steps.sampled(here.states)
-        density = self.density(here.frame, previous)
+        early = any(self.filtered(path_frame.frame - k).begins for k in range(1, self.delay + 1) if path_frame.frame >= k)
+        if path_frame.begins or before is None or filtered.fixed or early:
+            return path_frame._replace(log_step_size=step_size), None
+        previous, sampled = self.filtered(path_frame.frame - 1).particles, self.steps.sampled(path_frame.states)
+        density = self.density(path_frame.frame, previous)
         # Without a frame ahead the link does not count; with one of the same form the program is the same.
         linked = (density if ahead is None else after) if density.reads_previous else None
         neighbours = (before.states, self.steps.none_ahead(sampled) if ahead is None else ahead)
         predict_key, move_key = jax.random.split(key)
-        prediction = self.steps.predict(predict_key, filtered.particles) if here.prediction is None else here.prediction
+        prediction = self.steps.predict(predict_key, filtered.particles) if path_frame.prediction is None else path_frame.prediction
         moved = self.steps.move(move_key, sampled, *neighbours, density, prediction, step_size, linked)
         states = self.steps.completed(before.states, moved.sampled)
         step_size = self.steps.adapted(step_size, moved.acceptance_rate)
-        return PathFrame(here.frame, states, False, moved.acceptance_rate, step_size), density if density.reads_previous else None
+        return PathFrame(path_frame.frame, states, False, moved.acceptance_rate, step_size), density if density.reads_previous else None

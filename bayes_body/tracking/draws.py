@@ -153,8 +153,8 @@ class Draws:
         """For each camera, the frames that it did not see."""
         unseen: dict[str, list[int]] = {name: [] for name in self.cameras}
         for index, frame in enumerate(self.frames):
-            for name, seen in zip(self.cameras, frame.seen, strict=True):
-                if not seen:
+            for name, is_visible in zip(self.cameras, frame.seen, strict=True):
+                if not is_visible:
                     unseen[name].append(index)
         return unseen
 

@@ -31,14 +31,14 @@ def observations(session: Session, model: Model, frames: range) -> Generator[Obs
     return prefetch(frames, lambda index: _observe(session, model, index))
 
 
-def observations_backwards(session: Session, model: Model, last: int, seen: Callable[[int], Sequence[bool]]) -> Generator[Observed]:
-    """Yield the data of each frame from `last` to the first, as `observations` does. `seen` says which cameras have an image of a frame."""
+def observations_backwards(session: Session, model: Model, last: int, visibility: Callable[[int], Sequence[bool]]) -> Generator[Observed]:
+    """Yield the data of each frame from `last` to the first, as `observations` does. `visibility` says which cameras have an image of a frame."""
     pieces = [range(max(stop - PIECE, 0), stop) for stop in range(last + 1, 0, -PIECE)]
-    for piece in prefetch(pieces, lambda some: [_observe(session, model, index, seen(index)) for index in some]):
+    for piece in prefetch(pieces, lambda some: [_observe(session, model, index, visibility(index)) for index in some]):
         yield from reversed(piece)
 
 
-def _observe(session: Session, model: Model, index: int, seen: Sequence[bool] | None = None) -> Observed:
-    frame = read_frame(session, index, model.reads_before, seen)
+def _observe(session: Session, model: Model, index: int, visibility: Sequence[bool] | None = None) -> Observed:
+    frame = read_frame(session, index, model.reads_before, visibility)
     factors = everywhere(model.at(frame.cameras).factors) if session.moves else None
-    return Observed(np.array(frame.seen if seen is None else seen), everywhere(model.observe(frame)), factors)
+    return Observed(np.array(frame.seen if visibility is None else visibility), everywhere(model.observe(frame)), factors)

@@ -110,7 +110,7 @@ def program_from(ahead: Ahead | None, kernel: Kernel, key: Key, particles: Parti
 def _known(kernel: Kernel, form: Any) -> Program | None:
     """Return the program that this process has already compiled for a kernel and a form."""
     with _LOCK:
-        return next((program for of, program in _COMPILED if of is kernel and program.form == form), None)
+        return next((program for compiled_kernel, program in _COMPILED if compiled_kernel is kernel and program.form == form), None)
 
 
 def _remembered(kernel: Kernel, program: Program) -> Program:

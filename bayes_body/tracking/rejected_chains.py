@@ -28,7 +28,7 @@ def raise_if_all_rejected(info: FilterInfo, frame: int) -> None:
         return
     size = float(np.median(step))
     suggested = min(size / REDUCTION, USUAL_STEP)
-    found = f"at a step factor of {size:.3g} the acceptance is {acceptance.mean():.1g} ({divergences.sum():.0f} trajectories diverged)"
+    problem = f"at a step factor of {size:.3g} the acceptance is {acceptance.mean():.1g} ({divergences.sum():.0f} trajectories diverged)"
     raise input_error(
-        f"frame {frame}: no chain moves", found, "a smaller step", f"try step={suggested:.2g}, or target_acceptance=0.8, which tunes it"
+        f"frame {frame}: no chain moves", problem, "a smaller step", f"try step={suggested:.2g}, or target_acceptance=0.8, which tunes it"
     )

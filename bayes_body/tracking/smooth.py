@@ -128,7 +128,7 @@ class _Recording:
         # Runs that restarted are some frames ahead of the others.
         self._held: OrderedDict[int, Observed] = OrderedDict()
 
-    def at(self, frame: int) -> Observed | None:
+    def read(self, frame: int) -> Observed | None:
         """Return the data of a frame; None if they do not matter."""
         while self.needed and self._next >= frame:
             self._held[self._next] = next(self._data)
@@ -158,8 +158,8 @@ class _Walk:
             self._run(run).follow(jax.random.fold_in(key, run), count, self._stored(run), count - done if done else None) for run in range(self.runs)
         ]
         last = time.perf_counter()
-        for number, each in enumerate(_one_ahead(zip(*follow, strict=True))):
-            paths = jax.device_get(each)
+        for number, path_frames in enumerate(_one_ahead(zip(*follow, strict=True))):
+            paths = jax.device_get(path_frames)
             last, seconds = time.perf_counter(), time.perf_counter() - last
             # The first frame of a process waits for the compiler.
             yield self._result(paths, seconds, 0.0 if number else seconds)
@@ -168,56 +168,56 @@ class _Walk:
         return Backward(self.smoother, self.model.transition, lambda frame: self._placed(run, frame), self._density)
 
     def _filtered(self, run: int, frame: int) -> Filtered:
-        kept = self.filtered[frame]
-        particles = Particles({name: values[run] for name, values in kept.states.items()}, kept.log_weights[run])
-        restarted = bool(kept.restarted.size and kept.restarted[run])
-        fixed = bool(np.asarray(kept.info.lost)[run])
-        return Filtered(*everywhere((particles, kept.info.ancestors[run].astype(np.int32))), frame == 0 or restarted, fixed)
+        filtered = self.filtered[frame]
+        particles = Particles({name: values[run] for name, values in filtered.states.items()}, filtered.log_weights[run])
+        restarted = bool(filtered.restarted.size and filtered.restarted[run])
+        fixed = bool(np.asarray(filtered.info.lost)[run])
+        return Filtered(*everywhere((particles, filtered.info.ancestors[run].astype(np.int32))), frame == 0 or restarted, fixed)
 
     def _density(self, frame: int, previous: Particles) -> Density:
-        observed = self.recording.at(frame)
+        observed = self.recording.read(frame)
         if observed is None:
             return Density(self.model.transition, self.model.factors, {}, previous)
         return Density(self.model.transition, self.model.factors if observed.factors is None else observed.factors, observed.data, previous)
 
     def _stored(self, run: int) -> Callable[[int], PathFrame]:
         def path_frame(frame: int) -> PathFrame:
-            kept = self.stored[len(self.filtered) - 1 - frame]
-            states = {name: values[run] for name, values in kept.states.items()}
-            info = kept.info
+            smoothed = self.stored[len(self.filtered) - 1 - frame]
+            states = {name: values[run] for name, values in smoothed.states.items()}
+            info = smoothed.info
             states, rate, step = everywhere((states, info.acceptance_rate[run, 0], info.markov["log_step"][run, 0]))
             return PathFrame(frame, states, False, rate, step)
 
         return path_frame
 
     def _result(self, paths: tuple[PathFrame, ...], seconds: float, ready: float) -> FrameResult:
-        kept = self.filtered[paths[0].frame]
-        states = {name: np.stack([np.asarray(path.states[name]) for path in paths]) for name in kept.states}
+        filtered = self.filtered[paths[0].frame]
+        states = {name: np.stack([np.asarray(path.states[name]) for path in paths]) for name in filtered.states}
         draws = self.smoother.options.draws
         moves = self.smoother.options.moves * self.smoother.move.evaluations
-        ones = np.ones((self.runs, 1), kept.log_weights.dtype)
+        ones = np.ones((self.runs, 1), filtered.log_weights.dtype)
         info: dict[str, Any] = {
             "ancestors": np.full((self.runs, draws), NO_ANCESTOR, np.int32),
-            "ess": np.array([_distinct(path.states) for path in paths], kept.log_weights.dtype),
+            "ess": np.array([_distinct(path.states) for path in paths], filtered.log_weights.dtype),
             "survival_rate": ones,
             "inverse_temperatures": ones,
-            "log_evidence": np.asarray(kept.info.log_evidence),
-            "lost": np.asarray(kept.info.lost),
-            "acceptance_rate": np.array([[path.acceptance_rate] for path in paths], kept.log_weights.dtype),
+            "log_evidence": np.asarray(filtered.info.log_evidence),
+            "lost": np.asarray(filtered.info.lost),
+            "acceptance_rate": np.array([[path.acceptance_rate] for path in paths], filtered.log_weights.dtype),
             "evaluations": np.array([draws * moves * np.isfinite(path.acceptance_rate) for path in paths], np.int32),
             "markov": {"log_step": np.array([[path.log_step_size] for path in paths])},
         }
-        log_weights = np.full((self.runs, draws), -np.log(draws), kept.log_weights.dtype)
-        return FrameResult(states, log_weights, FilterInfo(**info), kept.seen, seconds - ready, ready, kept.restarted)
+        log_weights = np.full((self.runs, draws), -np.log(draws), filtered.log_weights.dtype)
+        return FrameResult(states, log_weights, FilterInfo(**info), filtered.seen, seconds - ready, ready, filtered.restarted)
 
 
 def _one_ahead[Item](items: Iterable[Item]) -> Iterator[Item]:
     """Yield the items, each after the next one was asked for: the devices compute a frame while the one before it is stored."""
-    held = list[Item]()
+    buffer = list[Item]()
     for item in items:
-        yield from held
-        held = [item]
-    yield from held
+        yield from buffer
+        buffer = [item]
+    yield from buffer
 
 
 def _distinct(states: Any) -> int:

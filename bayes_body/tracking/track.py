@@ -121,9 +121,9 @@ def _first_filters(model: Model, key: Key, particles: int, runs: int) -> list[Pa
 def _filters_after(store: FrameStore, particles: int, runs: int, count: int) -> list[Particles]:
     """Return each run's particles at the last stored frame."""
     last = store.last if isinstance(store, ThinningStore) else store[len(store) - 1]
-    for name, kept, asked in zip(("runs", "particles"), last.log_weights.shape, (runs, particles), strict=True):
-        if kept != asked:
-            raise input_error(name, str(asked), f"the {kept} of the frames that are kept", "give that number, or start again")
+    for name, stored, requested in zip(("runs", "particles"), last.log_weights.shape, (runs, particles), strict=True):
+        if stored != requested:
+            raise input_error(name, str(requested), f"the {stored} of the frames that are kept", "give that number, or start again")
     if len(store) > count:
         raise input_error("frames", str(count), f"at least the {len(store)} that are kept", "give a larger number, or start again")
     return [Particles({name: values[run] for name, values in last.states.items()}, last.log_weights[run]) for run in range(runs)]
@@ -159,7 +159,7 @@ def _filter(
     filters = [everywhere(particles) for particles in filters]
     model = replace(model, **{name: everywhere(getattr(model, name)) for name in ("transition", "after_found", "factors")})
     step = None
-    for frame, (seen, data, factors) in enumerate(observed, first):
+    for frame, (visibility, data, factors) in enumerate(observed, first):
         restarted = np.zeros(0, bool) if restarts is None else restarts.restart(frame, filters, run_keys)
         placed = model if factors is None else replace(model, factors=factors)
         density, ready = placed.density(data, filters[0]), 0.0
@@ -170,26 +170,26 @@ def _filter(
         index = everywhere(np.int32(frame))
         is_found = restarted if restarted.size else np.full(len(filters), frame == 0 and model.first.draws is not None)
         after_found = replace(density, transition=model.after_found)
-        each = zip(run_keys, filters, is_found, strict=True)
-        outcomes = [step(run_key, index, before, after_found if found else density) for run_key, before, found in each]
+        run_inputs = zip(run_keys, filters, is_found, strict=True)
+        outcomes = [step(run_key, index, before, after_found if begins else density) for run_key, before, begins in run_inputs]
         filters = [after for after, _ in outcomes]
         runs = jax.device_get(outcomes)
         for particles, info in runs:
             raise_if_all_rejected(info, number + frame)
             check_result(kernel, particles, number + frame)
         last, seconds = time.perf_counter(), time.perf_counter() - last
-        result = _result(runs, seen, seconds, ready, restarted)
+        result = _result(runs, visibility, seconds, ready, restarted)
         if restarts is not None:
             restarts.watch(result, frame)
         yield result
 
 
-def _result(outcomes: list[tuple[Particles, FilterInfo]], seen: np.ndarray, seconds: float, ready: float, restarted: np.ndarray) -> FrameResult:
+def _result(outcomes: list[tuple[Particles, FilterInfo]], visibility: np.ndarray, seconds: float, ready: float, restarted: np.ndarray) -> FrameResult:
     particles, info = jax.tree.map(lambda *leaves: np.stack(leaves), *outcomes)
-    if not seen.any():
+    if not visibility.any():
         # No camera saw the frame, so the likelihood was the same for all particles. The kernel cannot distinguish that from a frame that it explains.
         info = info._replace(lost=np.ones_like(info.lost))
-    return FrameResult(dict(particles.states), particles.log_weights, info, seen, seconds, ready, restarted)
+    return FrameResult(dict(particles.states), particles.log_weights, info, visibility, seconds, ready, restarted)
 
 
 def _progress(result: FrameResult, frame: int, frames: int, seconds: float) -> Progress:

@@ -85,7 +85,7 @@ def window_posterior(
     smooth_key, prior_key, run_key = jax.random.split(key, 3)
     smoothed = smooth_window(session, model, build_smoother(draws=paths, moves=moves), filtered, smooth_key, frames)
     names = smoothed[0].states
-    by_path = {name: _pooled(np.stack([np.asarray(each.states[name]) for each in smoothed], axis=2)) for name in names}
+    by_path = {name: _pooled(np.stack([np.asarray(smoothed_frame.states[name]) for smoothed_frame in smoothed], axis=2)) for name in names}
     whole = _on_one_turn(model, {name: jnp.asarray(values) for name, values in by_path.items()})
     ready = time.perf_counter()
 
@@ -101,10 +101,10 @@ def window_posterior(
 
 def _before(filtered: Frames, frame: int) -> Particles:
     """Return the particles of a frame, all runs together."""
-    kept = filtered[frame]
-    states = {name: jnp.asarray(_pooled(np.asarray(values))) for name, values in kept.states.items()}
-    log_weights = jnp.asarray(_pooled(kept.log_weights))
-    return everywhere(Particles(states, log_weights - jnp.log(len(kept.log_weights))))
+    frame_result = filtered[frame]
+    states = {name: jnp.asarray(_pooled(np.asarray(values))) for name, values in frame_result.states.items()}
+    log_weights = jnp.asarray(_pooled(frame_result.log_weights))
+    return everywhere(Particles(states, log_weights - jnp.log(len(frame_result.log_weights))))
 
 
 def _pooled(values: np.ndarray) -> np.ndarray:
@@ -116,21 +116,21 @@ def _on_one_turn(model: Model, paths: State) -> dict[str, jax.Array]:
     """Return paths (path, frame, ...) whose angles on the circle are within half a turn of those of the first path."""
     transition = model.transition
 
-    def one(state: State, centre: State) -> State:
+    def unwrap(state: State, centre: State) -> State:
         sampled = transition.near(sampled_of(transition, state), centre)
         return {**state, **transition.with_derived(sampled)}
 
     first = jax.tree.map(lambda leaf: leaf[0], dict(paths))
-    return jax.jit(jax.vmap(jax.vmap(one), in_axes=(0, None)))(dict(paths), first)
+    return jax.jit(jax.vmap(jax.vmap(unwrap), in_axes=(0, None)))(dict(paths), first)
 
 
 def _check(model: Model, filtered: Frames, frames: range, first: int) -> None:
     last = len(filtered) - 1
     if not len(frames) or frames.step != 1 or not 1 <= frames.start <= frames[-1] <= last:
-        found, expected = f"{first + frames.start} to {first + frames.stop - 1}", f"consecutive frames from {first + 1} to {first + last}"
-        raise input_error("the frames of the window", found, expected, f"give others; frame {first} has no frame before it")
+        problem, expected = f"{first + frames.start} to {first + frames.stop - 1}", f"consecutive frames from {first + 1} to {first + last}"
+        raise input_error("the frames of the window", problem, expected, f"give others; frame {first} has no frame before it")
     check_gradients(Density(model.transition, model.factors, {}, _before(filtered, frames.start - 1)), "NUTS")
     restarted = [frame for frame in frames if filtered[frame].restarted.any()]
     if restarted:
-        found = f"the filter started anew in frame {first + restarted[0]}"
-        raise input_error("the frames of the window", found, "frames through which all runs go on", "choose a window before or after it")
+        problem = f"the filter started anew in frame {first + restarted[0]}"
+        raise input_error("the frames of the window", problem, "frames through which all runs go on", "choose a window before or after it")

@@ -34,7 +34,7 @@ def test_a_kernel_estimate_of_rotations_is_normalised_and_does_not_see_signs():
     assert abs(weights.mean() - 1) < 4 * weights.std() / len(weights) ** 0.5
     # Draws have this density: the mean of a test density is the same by draws and by weighted uniform rotations.
     drawn = jax.jit(jax.vmap(one.sample))(jax.random.split(jax.random.key(1), 20_000))
-    tests = [np.exp(np.asarray(jax.vmap(one._around(one.points[3]).log_prob)(each), float)) for each in (drawn, uniform)]
+    tests = [np.exp(np.asarray(jax.vmap(one._component(one.points[3]).log_prob)(each), float)) for each in (drawn, uniform)]
     means, errors = zip(*[(each.mean(), each.std() / len(each) ** 0.5) for each in (tests[0], weights * tests[1])], strict=True)
     assert abs(means[0] - means[1]) < 4 * np.hypot(*errors)
 

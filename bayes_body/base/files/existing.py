@@ -20,13 +20,13 @@ def check_free(file: Path, overwrite: bool) -> None:
         InputError: it exists and may not be replaced, it is a folder, or the file system refuses its name.
     """
     try:
-        folder, there = file.is_dir(), file.exists() or file.is_symlink()
+        folder, exists = file.is_dir(), file.exists() or file.is_symlink()
     # For example, the name is too long.
     except OSError as error:
         raise refused(file, "written", error) from None
     if folder:
         raise input_error(file, "a folder", "the name of a file", "name a file in it with --out")
-    if there and not overwrite:
+    if exists and not overwrite:
         raise input_error(file, "already exists", "a file that does not exist yet", "name another with --out, or replace it with --overwrite")
 
 

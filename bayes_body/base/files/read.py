@@ -41,9 +41,9 @@ def open_regular(path: Path, kind: str, largest: int) -> BinaryIO:
         raise input_error(ascii(str(path)), str(error), kind, "check the path") from None
     file = os.fdopen(handle, "rb") if stat.S_ISREG(os.fstat(handle).st_mode) else None
     if file is None:
-        found = _special(os.fstat(handle).st_mode)
+        problem = _special(os.fstat(handle).st_mode)
         os.close(handle)
-        raise input_error(path, found, kind, "name a regular file")
+        raise input_error(path, problem, kind, "name a regular file")
     if (size := os.fstat(handle).st_size) > largest:
         file.close()
         raise _too_large(path, f"{size} bytes", kind, largest)

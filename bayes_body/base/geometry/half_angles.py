@@ -32,14 +32,14 @@ def away(first: Float[Array, "first 4"], second: Float[Array, "second 4"]) -> Fl
     return 1 - jnp.minimum(jnp.abs(first @ second.T), 1.0)
 
 
-def squared(away: Array) -> Array:
+def squared(versine: Array) -> Array:
     """Return s²."""
-    return _horner(SQUARE, away)
+    return _horner(SQUARE, versine)
 
 
-def log_squared(away: Array) -> Array:
+def log_squared(versine: Array) -> Array:
     """Return 2 log s."""
-    return _horner(LOG, away)
+    return _horner(LOG, versine)
 
 
 def _horner(coefficients: tuple[float, ...], x: Array) -> Array:

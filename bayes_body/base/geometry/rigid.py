@@ -59,8 +59,8 @@ def inverse(X_a_b: Rigid) -> Rigid:
 def relative(X_a_b: Rigid, X_a_c: Rigid) -> Rigid:
     """Return `X_b_c`, the second transform as seen from the first."""
     q_b_a = rotations.conjugate(quaternion(X_a_b))
-    away = translation(X_a_c) - translation(X_a_b)
-    return rigid(rotations.rotate(q_b_a, away), rotations.multiply(q_b_a, quaternion(X_a_c)))
+    offset = translation(X_a_c) - translation(X_a_b)
+    return rigid(rotations.rotate(q_b_a, offset), rotations.multiply(q_b_a, quaternion(X_a_c)))
 
 
 def to_transform(X: Float[Array, "*batch 7"]) -> Transform:

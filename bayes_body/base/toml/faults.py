@@ -73,8 +73,8 @@ def sentences(schema: type[BaseModel], data: Mapping[str, Any], where: str, erro
         # Pydantic reports a separate error for each missing entry of a tuple, and for each member of a union. To the user it is one error.
         path = fault.path[:-1] if _is_short_tuple(fault) else fault.path
         faults.setdefault(path, []).append(fault)
-    found = list(dict.fromkeys(sentence for path, group in faults.items() for sentence in _describe(where, data, path, group)))
-    return [*found, f"{where}: further faults, {len(errors)} in all; correct these first."] if len(errors) > MOST_FAULTS else found
+    lines = list(dict.fromkeys(sentence for path, group in faults.items() for sentence in _describe(where, data, path, group)))
+    return [*lines, f"{where}: further faults, {len(errors)} in all; correct these first."] if len(errors) > MOST_FAULTS else lines
 
 
 def _is_echo(error: ErrorDetails) -> bool:
@@ -92,8 +92,8 @@ def _describe(where: str, data: Mapping[str, Any], path: tuple[str | int, ...], 
     fault, error = group[0], group[0].error
     kind = error["type"]
     if kind in ("value_error", "assertion_error"):
-        for each in group:
-            message = each.error["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
+        for alternative in group:
+            message = alternative.error["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
             yield from (f"{subject}: {line}" for line in message.splitlines())
     elif kind == "extra_forbidden":
         yield f"{subject}: unknown key; {nearest(str(path[-1]), _keys(fault.parent))}"
@@ -114,7 +114,7 @@ def _describe(where: str, data: Mapping[str, Any], path: tuple[str | int, ...], 
     elif kind in ("tuple_type", "list_type") and isinstance(error["input"], Mapping):
         yield str(input_error(subject, "one table", "a list of tables", f"write its header with two brackets on each side, [[{name}]]"))
     else:
-        expected = " or ".join(dict.fromkeys(_expectation(each.error) for each in group))
+        expected = " or ".join(dict.fromkeys(_expectation(alternative.error) for alternative in group))
         yield str(input_error(where, f"{name} = {shown(error['input'])}", expected, PLAIN_WORDS.get(kind, ("", "correct the value"))[1]))
 
 
@@ -190,8 +190,8 @@ def _plain(annotation: Any) -> Any:
             annotation = annotation.__value__
         elif get_origin(annotation) is Annotated:
             annotation = get_args(annotation)[0]
-        elif get_origin(annotation) in (Union, UnionType) and len(rest := [a for a in get_args(annotation) if a is not type(None)]) == 1:
-            annotation = rest[0]
+        elif get_origin(annotation) in (Union, UnionType) and len(members := [a for a in get_args(annotation) if a is not type(None)]) == 1:
+            annotation = members[0]
         else:
             return annotation
 

@@ -64,8 +64,8 @@ def _syntax_error(where: object, text: str, message: str) -> InputError:
     twice = _given_twice(reason, lines[line - 1])
     if twice:
         return input_error(f"{where}: line {line}", *twice)
-    found = f"{reason[:1].lower()}{reason[1:]} in the line `{line_text}`"
-    return input_error(f"{where}: line {line}, column {column}", found, "TOML, such as key = value or [table]", "correct that line")
+    problem = f"{reason[:1].lower()}{reason[1:]} in the line `{line_text}`"
+    return input_error(f"{where}: line {line}, column {column}", problem, "TOML, such as key = value or [table]", "correct that line")
 
 
 def _given_twice(reason: str, line: str) -> tuple[str, str, str] | None:

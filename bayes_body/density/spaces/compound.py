@@ -31,8 +31,8 @@ class Product:
     @property
     def axes(self) -> tuple[Axis, ...]:
         """One axis, the entries of all pieces."""
-        own = [piece.axes[0] for piece in self.pieces]
-        return (Axis(self.axis, _named(self.names, [axis.labels for axis in own]), tuple(unit for axis in own for unit in axis.units)),)
+        piece_axes = [piece.axes[0] for piece in self.pieces]
+        return (Axis(self.axis, _named(self.names, [axis.labels for axis in piece_axes]), tuple(unit for axis in piece_axes for unit in axis.units)),)
 
     @property
     def dimension(self) -> int:
@@ -52,28 +52,28 @@ class Product:
     @property
     def blocks(self) -> tuple[int, ...]:
         """Those of the pieces."""
-        found: list[int] = []
+        blocks: list[int] = []
         for piece in self.pieces:
-            first = max(found, default=-1) + 1
-            found += [first + block for block in piece.blocks]
-        return tuple(found)
+            first = max(blocks, default=-1) + 1
+            blocks += [first + block for block in piece.blocks]
+        return tuple(blocks)
 
     def local(self, x: Points, y: Points) -> Vectors:
         """Return the tangent vectors of the pieces."""
-        return self._each(lambda piece, own: piece.local(x[..., own], y[..., own]))
+        return self._piecewise(lambda piece, entries: piece.local(x[..., entries], y[..., entries]))
 
     def retract(self, x: Points, v: Vectors) -> Points:
         """Return the point to which a tangent vector leads."""
         tangents = iter(_slices([piece.dimension for piece in self.pieces]))
-        return self._each(lambda piece, own: piece.retract(x[..., own], v[..., next(tangents)]))
+        return self._piecewise(lambda piece, entries: piece.retract(x[..., entries], v[..., next(tangents)]))
 
     def coordinates(self, centre: Points, y: Points) -> Vectors:
         """Return the coordinates of the pieces."""
-        return self._each(lambda piece, own: piece.coordinates(centre[..., own], y[..., own]))
+        return self._piecewise(lambda piece, entries: piece.coordinates(centre[..., entries], y[..., entries]))
 
     def mean(self, weights: Weights, points: Points) -> Points:
         """Return the means of the pieces."""
-        return self._each(lambda piece, own: piece.mean(weights, points[..., own]))
+        return self._piecewise(lambda piece, entries: piece.mean(weights, points[..., entries]))
 
     def distance(self, x: Points, y: Points) -> Numbers:
         """Return the root of the sum of the squared distances of the pieces."""
@@ -81,23 +81,23 @@ class Product:
 
     def log_measure(self, v: Vectors) -> Numbers:
         """Return the sum of the pieces'."""
-        return sum((piece.log_measure(v[..., own]) for piece, own in self._tangents()), 0.0 * v[..., 0])
+        return sum((piece.log_measure(v[..., entries]) for piece, entries in self._tangents()), 0.0 * v[..., 0])
 
     def images(self, v: Vectors) -> Vectors:
         """Return v, and the images of one piece at a time."""
-        found = [v[..., None, :]]
-        for piece, own in self._tangents():
-            others = piece.images(v[..., own])[..., 1:, :]
-            before, after = v[..., None, : own.start], v[..., None, own.stop :]
+        vectors = [v[..., None, :]]
+        for piece, entries in self._tangents():
+            others = piece.images(v[..., entries])[..., 1:, :]
+            before, after = v[..., None, : entries.start], v[..., None, entries.stop :]
             same = 0 * others[..., :1]
-            found.append(joined(before + same, others, after + same))
-        return namespace(v).concatenate(found, axis=-2)
+            vectors.append(joined(before + same, others, after + same))
+        return namespace(v).concatenate(vectors, axis=-2)
 
     def _tangents(self) -> Iterator[tuple[Space, slice]]:
         return zip(self.pieces, _slices([piece.dimension for piece in self.pieces]), strict=True)
 
-    def _each(self, of: Callable[[Space, slice], Any]) -> Any:
-        return joined(*(of(piece, own) for piece, own in zip(self.pieces, _slices([p.shape[0] for p in self.pieces]), strict=True)))
+    def _piecewise(self, function: Callable[[Space, slice], Any]) -> Any:
+        return joined(*(function(piece, entries) for piece, entries in zip(self.pieces, _slices([p.shape[0] for p in self.pieces]), strict=True)))
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ class Plate:
 
     def retract(self, x: Points, v: Vectors) -> Points:
         """Return the points to which a tangent vector leads."""
-        return self.space.retract(x, self._each(v))
+        return self.space.retract(x, self._by_point(v))
 
     def coordinates(self, centre: Points, y: Points) -> Vectors:
         """Return the coordinates of all points, one after the other."""
@@ -169,13 +169,13 @@ class Plate:
 
     def log_measure(self, v: Vectors) -> Numbers:
         """Return the sum of the points'."""
-        return self.space.log_measure(self._each(v)).sum(axis=-1)
+        return self.space.log_measure(self._by_point(v)).sum(axis=-1)
 
     def images(self, v: Vectors) -> Vectors:
         """Return v, and the images of one point at a time."""
         return Product(("",) * len(self.names), (self.space,) * len(self.names)).images(v)
 
-    def _each(self, v: Vectors) -> Any:
+    def _by_point(self, v: Vectors) -> Any:
         return v.reshape(*v.shape[:-1], len(self.names), self.space.dimension)
 
 
@@ -184,7 +184,7 @@ def _flat(vectors: Any) -> Any:
 
 
 def _named(names: tuple[str, ...], labels: list[tuple[str, ...]]) -> tuple[str, ...]:
-    return tuple(f"{name}_{label}" if name else label for name, own in zip(names, labels, strict=True) for label in own)
+    return tuple(f"{name}_{label}" if name else label for name, piece_labels in zip(names, labels, strict=True) for label in piece_labels)
 
 
 def _slices(sizes: list[int]) -> Iterator[slice]:

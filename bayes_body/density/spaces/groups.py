@@ -73,8 +73,8 @@ class SO3:
         angle = length(v)[..., None]
         # Close to zero the other way round has a density of almost nothing, and no finite Jacobian.
         turned = angle > SMALLEST_TURN
-        other = xp.where(turned, v * (1 - TURN / xp.where(turned, angle, 1.0)), 1.5 * TURN)
-        return xp.stack([v, other], axis=-2)
+        image = xp.where(turned, v * (1 - TURN / xp.where(turned, angle, 1.0)), 1.5 * TURN)
+        return xp.stack([v, image], axis=-2)
 
 
 @dataclass(frozen=True)

@@ -35,10 +35,10 @@ def with_ancestor(start: Start, density: Density, candidates: int) -> WithAncest
     def redraw(key: Key, ancestor: Index, position: State) -> Index:
         return view.choose_ancestor(key, ancestor, position, 1.0, candidates)
 
-    def given(ancestor: Index) -> Callable[[State], Scalar]:
+    def conditional(ancestor: Index) -> Callable[[State], Scalar]:
         return lambda position: view.log_density(ancestor, position)[0]
 
-    return WithAncestor(start.ancestor, given, redraw, candidates)
+    return WithAncestor(start.ancestor, conditional, redraw, candidates)
 
 
 def whole_states(draws: State, ancestors: Int[Array, " draw"], target: Unconstrained) -> State:

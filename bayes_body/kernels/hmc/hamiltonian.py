@@ -112,7 +112,9 @@ def run_chain(
     plan = adaptation.Plan(schedule.burn_in, schedule.target_acceptance, schedule.adapts_mass, axes)
     extended = log_density if isinstance(log_density, WithAncestor) else None
 
-    def one(carry: tuple[Any, adaptation.AdaptationState, Any], turn: tuple[Array, Key]) -> tuple[tuple[Any, adaptation.AdaptationState, Any], Any]:
+    def advance(
+        carry: tuple[Any, adaptation.AdaptationState, Any], turn: tuple[Array, Key]
+    ) -> tuple[tuple[Any, adaptation.AdaptationState, Any], Any]:
         (state, adapted, ancestor), (index, key) = carry, turn
         target: Any = log_density
         if extended is not None:
@@ -134,10 +136,10 @@ def run_chain(
     numbers = jnp.arange(0 if evaluated or extended is not None else -1, schedule.burn_in + schedule.draws * schedule.thinning)
     ancestor = None if extended is None else extended.start
     start = varying_like((first, adaptation.init(plan, step, inverse_mass, position), ancestor), position)
-    (_, adapted, _), out = jax.lax.scan(one, start, (numbers, jax.random.split(key, numbers.size)))
+    (_, adapted, _), out = jax.lax.scan(advance, start, (numbers, jax.random.split(key, numbers.size)))
     positions, acceptance, divergent, energy, steps, ancestors = out
-    burnt, kept = numbers.size - schedule.draws * schedule.thinning, slice(schedule.thinning - 1, None, schedule.thinning)
-    draws, ancestors = jax.tree.map(lambda each: each[burnt:][kept], (positions, ancestors))
+    burnt, thinning = numbers.size - schedule.draws * schedule.thinning, slice(schedule.thinning - 1, None, schedule.thinning)
+    draws, ancestors = jax.tree.map(lambda leaf: leaf[burnt:][thinning], (positions, ancestors))
     redrawn = 0 if extended is None else numbers.size * (extended.evaluations + 1)
     return Chain(draws, acceptance[burnt:], divergent[burnt:], energy[burnt:], adapted.step, jnp.sum(steps) + evaluated + redrawn, ancestors)
 
@@ -162,8 +164,8 @@ def effective_draws(draws: Float[Array, "chain draw dof"]) -> Float[Array, " dof
     chains, length, dofs = draws.shape
     if length < 4:
         return jnp.full((dofs,), float(chains), draws.dtype)
-    found = jnp.asarray(cast(Any, effective_sample_size)(draws, chain_axis=0, sample_axis=1)).reshape(dofs)
-    return jnp.clip(jnp.where(jnp.isfinite(found), found, 1.0), 1.0, float(chains * length)).astype(draws.dtype)
+    effective = jnp.asarray(cast(Any, effective_sample_size)(draws, chain_axis=0, sample_axis=1)).reshape(dofs)
+    return jnp.clip(jnp.where(jnp.isfinite(effective), effective, 1.0), 1.0, float(chains * length)).astype(draws.dtype)
 
 
 def leapfrog_steps(schedule: Schedule, index: Int[Array, ""]) -> Int[Array, ""]:

@@ -80,15 +80,15 @@ def _of_target(target: Unconstrained, position: State, previous: State, variance
     return unit[:, None] * ((vectors / jnp.maximum(values, LEAST)) @ vectors.T) * unit
 
 
-def _hessian(gradient: Callable[[Array], Array], at: Float[Array, " dof"], reach: Float[Array, " dof"]) -> Float[Array, "dof dof"]:
+def _hessian(gradient: Callable[[Array], Array], position: Float[Array, " dof"], reach: Float[Array, " dof"]) -> Float[Array, "dof dof"]:
     """Return minus the derivatives of a gradient, from its differences on both sides, made symmetric."""
 
     def along(number: Array) -> Array:
-        step = jnp.zeros_like(at).at[number].set(reach[number])
-        ahead, behind = jax.lax.map(gradient, jnp.stack([at + step, at - step]))
+        step = jnp.zeros_like(position).at[number].set(reach[number])
+        ahead, behind = jax.lax.map(gradient, jnp.stack([position + step, position - step]))
         return -(ahead - behind) / (2 * reach[number])
 
-    rows = jax.lax.map(along, jnp.arange(at.shape[0]))
+    rows = jax.lax.map(along, jnp.arange(position.shape[0]))
     return (rows + rows.T) / 2
 
 

@@ -66,8 +66,8 @@ class ExpectationPropagation:
     ) -> tuple[TangentNormal, Sites]:
         """Return the proposals that the updated sites define, stacked over the nodes; the normal fit where no update was accepted yet."""
         del weights
-        own = beliefs.rest + power * beliefs.likelihood
-        factors = jnp.concatenate([own[:, None], _incoming(graph, beliefs)], axis=1)
+        unary = beliefs.rest + power * beliefs.likelihood
+        factors = jnp.concatenate([unary[:, None], _incoming(graph, beliefs)], axis=1)
 
         def of_node(
             sites: Sites, points: Array, log_q: Array, factors: Float[Array, "site sample"], ready: Array, fitted: TangentNormal
@@ -76,10 +76,10 @@ class ExpectationPropagation:
             v = jnp.asarray(graph.space.local(reference[None], points))
             log_drawn = log_q + jnp.asarray(graph.space.log_measure(v))
             updated = _updated(sites._replace(reference=reference), v, factors, log_drawn, least_sds(v, self.floors))
-            found, proper = _proposal(graph.space, updated, self.inflation, self.floors)
-            moved, kept = _moved(graph.space, updated, found.mean), (ready > 0) & proper
-            after = jax.tree.map(lambda new, old: jnp.where(kept, new, old), moved._replace(begun=jnp.ones_like(sites.begun)), sites)
-            return jax.tree.map(lambda one, other: jnp.where(kept, one, other), found, fitted), after
+            proposal, proper = _proposal(graph.space, updated, self.inflation, self.floors)
+            moved, accepted = _moved(graph.space, updated, proposal.mean), (ready > 0) & proper
+            after = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), moved._replace(begun=jnp.ones_like(sites.begun)), sites)
+            return jax.tree.map(lambda proposed, fallback: jnp.where(accepted, proposed, fallback), proposal, fitted), after
 
         return jax.vmap(of_node)(memory, beliefs.points, beliefs.log_q, factors, beliefs.ready, fits)
 
@@ -91,8 +91,8 @@ def _slots(graph: Graph) -> Int[np.ndarray, "node slot"]:
 
 def _incoming(graph: Graph, beliefs: Beliefs) -> Float[Array, "node slot sample"]:
     """Return the log of the messages into each node at its particles; 0 where there is none."""
-    every = [each for both in beliefs.messages for each in both]
-    return jnp.concatenate([*every, jnp.zeros_like(beliefs.log_q[:1])])[_slots(graph)]
+    messages = [message for directed in beliefs.messages for message in directed]
+    return jnp.concatenate([*messages, jnp.zeros_like(beliefs.log_q[:1])])[_slots(graph)]
 
 
 def _updated(
@@ -112,11 +112,11 @@ def _updated(
         least: smallest standard deviations of a tilted distribution.
     """
 
-    def one(natural: tuple[Array, Array], number: Array) -> tuple[tuple[Array, Array], None]:
+    def update_site(natural: tuple[Array, Array], number: Array) -> tuple[tuple[Array, Array], None]:
         precision, shift = natural
         # A sum over the others, since a difference would not be exactly zero.
-        other = (jnp.arange(len(shift)) != number).astype(shift.dtype)
-        cavity, cavity_shift = jnp.einsum("k,kij->ij", other, precision), other @ shift
+        mask = (jnp.arange(len(shift)) != number).astype(shift.dtype)
+        cavity, cavity_shift = jnp.einsum("k,kij->ij", mask, precision), mask @ shift
         log_cavity = v @ cavity_shift - 0.5 * jnp.sum((v @ cavity) * v, axis=1)
         log_weights = normalised(factors[number] + log_cavity - log_drawn)
         weights = jnp.exp(log_weights)
@@ -132,7 +132,7 @@ def _updated(
             shift.at[number].set(jnp.where(good, site_shift, shift[number])),
         ), None
 
-    (precision, shift), _ = jax.lax.scan(one, (sites.precision, sites.shift), jnp.arange(factors.shape[0]))
+    (precision, shift), _ = jax.lax.scan(update_site, (sites.precision, sites.shift), jnp.arange(factors.shape[0]))
     return sites._replace(precision=precision, shift=shift)
 
 

@@ -85,7 +85,7 @@ def joint_particles(key: Key, graph: Graph, redrawn: Redrawn, count: int) -> Joi
     exact = upward.at[forest.roots].add(jnp.where(jnp.isfinite(of_roots), of_ancestors - of_roots, -jnp.inf)[:, None])
     exact, _ = jax.lax.scan(_down, exact, (pairs, messages, forest.parents, forest.children))
     chosen = _chosen(key, forest, pairs, upward, of_ancestors, count)
-    values = jax.vmap(lambda own, index: own[index], out_axes=1)(points, chosen)
+    values = jax.vmap(lambda node_points, index: node_points[index], out_axes=1)(points, chosen)
     left_out = over_particles(lambda value, graph: log_left_out(graph, value), values, graph)
     stood_in = jnp.sum(jnp.take_along_axis(redrawn.closing, chosen, axis=1), axis=0)
     weights = jax.nn.logsumexp(of_ancestors) + left_out - stood_in
@@ -156,8 +156,8 @@ def _pick(key: Key, log_weights: Float[Array, "draw sample"]) -> Int[Array, " dr
     cumulative = jnp.cumsum(weights, axis=1)
     within, order = jax.random.split(key)
     levels = jax.random.permutation(order, (jnp.arange(count) + jax.random.uniform(within, (count,))) / count)
-    found = jax.vmap(lambda sums, level: jnp.searchsorted(sums, level * sums[-1], side="right"))(cumulative, levels)
-    return jnp.minimum(found, log_weights.shape[1] - 1)
+    indices = jax.vmap(lambda sums, level: jnp.searchsorted(sums, level * sums[-1], side="right"))(cumulative, levels)
+    return jnp.minimum(indices, log_weights.shape[1] - 1)
 
 
 class Forest(NamedTuple):
@@ -180,17 +180,17 @@ class Forest(NamedTuple):
 
 def _rooted(graph: Graph) -> Forest:
     nodes_of = {(number, row): graph.pairs[number].plate.rows[row] for number, row in graph.forest()}
-    left, known, roots = dict(nodes_of), set[int](), list[int]()
+    remaining, known, roots = dict(nodes_of), set[int](), list[int]()
     order: list[tuple[tuple[int, int], int, int]] = []
-    while left or len(known) < graph.count:
-        found = next((edge for edge, nodes in left.items() if known & set(nodes)), None)
-        if found is None:
+    while remaining or len(known) < graph.count:
+        next_edge = next((edge for edge, nodes in remaining.items() if known & set(nodes)), None)
+        if next_edge is None:
             roots.append(min((node for node in range(graph.count) if node not in known), key=lambda node: (-_degree(nodes_of, node), node)))
             known.add(roots[-1])
             continue
-        first, second = left.pop(found)
+        first, second = remaining.pop(next_edge)
         parent, child = (first, second) if first in known else (second, first)
-        order.append((found, parent, child))
+        order.append((next_edge, parent, child))
         known.add(child)
     turned = tuple(nodes_of[edge][0] != parent for edge, parent, _ in order)
     parents, children = (jnp.asarray([edge[k] for edge in order], int) for k in (1, 2))
@@ -203,14 +203,14 @@ def _degree(edges: Mapping[tuple[int, int], tuple[int, ...]], node: int) -> int:
 
 def _forest_pairs(graph: Graph, forest: Forest, points: Float[Array, "node sample *entry"]) -> Float[Array, "edge parent child"]:
     """Return the log-potentials of all pairs of points along every edge."""
-    found: dict[tuple[int, int], Array] = {}
+    matrix_of: dict[tuple[int, int], Array] = {}
     for number, term in enumerate(graph.pairs):
-        rows = [row for own, row in forest.edges if own == number]
+        rows = [row for term_number, row in forest.edges if term_number == number]
         if not rows:
             continue
         matrices = over_particles(_of_edge, jnp.asarray(rows), (term, points), ROWS)
-        found |= {(number, row): matrix for row, matrix in zip(rows, matrices, strict=True)}
-    ordered = [found[edge].T if turned else found[edge] for edge, turned in zip(forest.edges, forest.turned, strict=True)]
+        matrix_of |= {(number, row): matrix for row, matrix in zip(rows, matrices, strict=True)}
+    ordered = [matrix_of[edge].T if turned else matrix_of[edge] for edge, turned in zip(forest.edges, forest.turned, strict=True)]
     samples = points.shape[1]
     return jnp.stack(ordered) if ordered else jnp.zeros((0, samples, samples), points.dtype)
 

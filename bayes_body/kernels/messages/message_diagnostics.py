@@ -61,8 +61,8 @@ def message_figures(
         joint_ess: effective sample size of the joint draws.
         proposal_shares: for each node, the share of each part of the proposal in the weight of its particles.
     """
-    each = rounds.means.shape[0] // iterations
-    means, sds = rounds.means[each - 1 :: each], rounds.sds[each - 1 :: each]
+    stride = rounds.means.shape[0] // iterations
+    means, sds = rounds.means[stride - 1 :: stride], rounds.sds[stride - 1 :: stride]
     return {
         "samples": jnp.asarray(samples, jnp.int32),
         "belief_ess": rounds.belief_ess[-1],
@@ -88,8 +88,8 @@ def oscillation(space: Space, means: Float[Array, "iteration node *entry"], sds:
     """Return how far the mean of every belief jumped back in the last iteration, in standard deviations; NaN with fewer than three iterations."""
     if means.shape[0] < 3:
         return jnp.full_like(sds[0, :, 0], jnp.nan)
-    back, on = (jnp.asarray(space.local(means[-2], means[iteration])) / (sds[-2] + TINY) for iteration in (-3, -1))
-    return jnp.sqrt(jnp.maximum(jnp.mean(back * on, axis=-1), 0.0))
+    back, forward = (jnp.asarray(space.local(means[-2], means[iteration])) / (sds[-2] + TINY) for iteration in (-3, -1))
+    return jnp.sqrt(jnp.maximum(jnp.mean(back * forward, axis=-1), 0.0))
 
 
 def shares_of_weight(log_weights: Float[Array, "node sample"], log_parts: Float[Array, "node sample part"]) -> Float[Array, "node 4"]:

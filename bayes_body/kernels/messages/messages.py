@@ -63,7 +63,7 @@ def slots(targets: Int[np.ndarray, " message"], count: int) -> Int[np.ndarray, "
     """Return the numbers of the messages into each of `count` nodes, given the targets of all; the number after the last is padding."""
     into = [np.flatnonzero(targets == node) for node in range(count)]
     widest = max(map(len, into))
-    return np.array([np.concatenate([own, np.full(widest - len(own), len(targets))]) for own in into], int).reshape(count, widest)
+    return np.array([np.concatenate([numbers, np.full(widest - len(numbers), len(targets))]) for numbers in into], int).reshape(count, widest)
 
 
 def normalised(log_weights: Float[Array, "*batch sample"]) -> Float[Array, "*batch sample"]:
@@ -88,12 +88,12 @@ def cavities(graph: Graph, beliefs: Beliefs, power: float | Scalar = 1.0) -> tup
     """Return the normalised log-weights of the source's particles for every message: the belief without what came from the target."""
     total = log_beliefs(graph, beliefs, power)
 
-    def of(term: Term, messages: Directed) -> Directed:
+    def cavity(term: Term, messages: Directed) -> Directed:
         first, second = ends(term)
         # A message of zero was counted in the total as minus infinity.
         return Directed(normalised(_without(total[first], messages.backward)), normalised(_without(total[second], messages.forward)))
 
-    return tuple(of(term, messages) for term, messages in zip(graph.pairs, beliefs.messages, strict=True))
+    return tuple(cavity(term, messages) for term, messages in zip(graph.pairs, beliefs.messages, strict=True))
 
 
 def _without(total: EdgeValues, message: EdgeValues) -> EdgeValues:
@@ -142,19 +142,19 @@ def log_messages(
 
     def message(row: Int[Array, ""], shared: tuple[Array, Array, Array, Array, Term], reverse: bool) -> Array:
         points, weights, ready, targets, term = shared
-        own = jax.tree.map(lambda leaf: leaf[row], term.plate.parameters)
+        parameters = jax.tree.map(lambda leaf: leaf[row], term.plate.parameters)
         some, log_weights = _represented(points[row], weights[row], heard)
         known = targets[(first if reverse else second)[row]]
-        pairs = term.pairwise(own, known, some).T if reverse else term.pairwise(own, some, known)
+        pairs = term.pairwise(parameters, known, some).T if reverse else term.pairwise(parameters, some, known)
         return jnp.where(ready[row] > 0, jax.nn.logsumexp(without_nan(pairs) + log_weights[:, None], axis=0), 0.0)
 
-    def of(reverse: bool) -> Array:
+    def evaluate(reverse: bool) -> Array:
         if not rows[reverse].size:
             return jnp.zeros((0, targets.shape[1]), targets.dtype)
-        shared = (*(each[reverse] for each in come_from), targets, term)
+        shared = (*(directed[reverse] for directed in come_from), targets, term)
         return over_particles(partial(message, reverse=reverse), jnp.minimum(rows[reverse], last), shared, ROWS)
 
-    return Directed(of(False), of(True))
+    return Directed(evaluate(False), evaluate(True))
 
 
 def _represented(
@@ -189,7 +189,7 @@ def unary_values(
         rows: for each term, the rows that are evaluated; beyond the last one is padding. None: all.
     """
     nothing = jnp.zeros(points.shape[:2], points.dtype)
-    likelihood, rest = nothing, nothing
+    likelihood, potential = nothing, nothing
     for number, term in enumerate(graph.unaries):
         nodes = jnp.asarray(term.rows[:, 0])
         some = jnp.arange(len(nodes)) if rows is None else rows[number]
@@ -199,8 +199,8 @@ def unary_values(
         if term.tempered:
             likelihood = likelihood.at[targets].add(values, mode="drop")
         else:
-            rest = rest.at[targets].add(values, mode="drop")
-    return likelihood, rest
+            potential = potential.at[targets].add(values, mode="drop")
+    return likelihood, potential
 
 
 def _of_row(row: tuple[Int[Array, ""], Float[Array, "sample *entry"]], term: Term) -> Float[Array, " sample"]:

@@ -133,7 +133,7 @@ def trunk_draws(key: Key, graph: Graph, tree: Tree, roots: Float[Array, "candida
         for number, edge in enumerate(tree.trunk):
             term = graph.pairs[edge.term]
             parameters = jax.tree.map(lambda leaf, row=edge.row: leaf[row], term.plate.parameters)
-            values[edge.child], weight = _draw(term, noise.at(number), parameters, values[edge.parent], edge.reverse)
+            values[edge.child], weight = _draw(term, noise.select(number), parameters, values[edge.parent], edge.reverse)
             log_weight += weight
         inner = jnp.stack([values[node] for node in tree.inner])
         terms = _unary(graph, _unary_rows(graph, np.array(tree.inner)), inner[:, None])
@@ -176,7 +176,7 @@ class _Noise(NamedTuple):
     normals: Float[Array, "*draw number"]
     keys: Array | None
 
-    def at(self, index: Any) -> "_Noise":
+    def select(self, index: Any) -> "_Noise":
         return jax.tree.map(lambda leaf: leaf[index], self)
 
 
@@ -255,9 +255,9 @@ def _layout(graph: Graph, tree: Tree) -> tuple[list[tuple[int, bool]], _Depth, I
     edges = [[limb[depth] if depth < len(limb) else None for limb in tree.limbs] for depth in range(longest)]
     kinds = sorted({(edge.term, edge.reverse) for limb in tree.limbs for edge in limb})
 
-    def table(of: Callable[[Edge], int], has: Callable[[Edge], bool]) -> tuple[np.ndarray, np.ndarray]:
+    def table(row_of: Callable[[Edge], int], has: Callable[[Edge], bool]) -> tuple[np.ndarray, np.ndarray]:
         mask = np.array([[edge is not None and has(edge) for edge in level] for level in edges])
-        rows = np.array([[of(edge) if edge is not None and has(edge) else 0 for edge in level] for level in edges], np.int32)
+        rows = np.array([[row_of(edge) if edge is not None and has(edge) else 0 for edge in level] for level in edges], np.int32)
         return rows, mask
 
     by_kind = tuple(table(lambda edge: edge.row, lambda edge, kind=kind: (edge.term, edge.reverse) == kind) for kind in kinds)

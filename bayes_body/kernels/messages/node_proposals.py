@@ -76,13 +76,13 @@ def proposals(graph: Graph, beliefs: Beliefs, cavities: tuple[Directed, ...], ne
 
     none = jnp.zeros(graph.count, beliefs.points.dtype)
     mixtures = [none if graph.prior is None else graph.prior.exists, *(mixture.exists for mixture in graph.proposals)]
-    own = [shares.prior, *[shares.detections / max(len(graph.proposals), 1)] * len(graph.proposals)]
-    others = [shares.messages * (degree > 0), *(share * there for share, there in zip(own, mixtures, strict=True))]
-    left = 1 - beliefs.ready if alone else jnp.ones_like(none)
-    parts = [*(left * part for part in others), (1.0 if alone else shares.fit) * beliefs.ready]
+    own_shares = [shares.prior, *[shares.detections / max(len(graph.proposals), 1)] * len(graph.proposals)]
+    others = [shares.messages * (degree > 0), *(share * exists for share, exists in zip(own_shares, mixtures, strict=True))]
+    remainder = 1 - beliefs.ready if alone else jnp.ones_like(none)
+    parts = [*(remainder * part for part in others), (1.0 if alone else shares.fit) * beliefs.ready]
     table = jnp.stack([jnp.asarray(part, none.dtype) for part in parts], axis=1)
     # Without a share for anything that a node has, its first particles come from prior and detections.
-    begin = jnp.stack([none, *(jnp.asarray(there, none.dtype) for there in mixtures), none], axis=1)
+    begin = jnp.stack([none, *(jnp.asarray(exists, none.dtype) for exists in mixtures), none], axis=1)
     table = jnp.where(jnp.sum(table, axis=1, keepdims=True) > 0, table, begin)
     return Proposals(
         beliefs.points,
@@ -93,29 +93,29 @@ def proposals(graph: Graph, beliefs: Beliefs, cavities: tuple[Directed, ...], ne
     )
 
 
-def draw(key: Key, graph: Graph, own: Proposals, count: int) -> Float[Array, "node draw *entry"]:
+def draw(key: Key, graph: Graph, proposal: Proposals, count: int) -> Float[Array, "node draw *entry"]:
     """Draw `count` values of every node; each part of the mixture has its share of them, up to rounding at random."""
     part_key, message_key, near_key, *keys = jax.random.split(key, 3 + 1 + len(graph.proposals))
     levels = (jnp.arange(count) + jax.random.uniform(part_key, (graph.count, 1))) / count
-    part = jnp.sum(levels[..., None] > jnp.cumsum(jnp.exp(own.shares), axis=1)[:, None, :-1], axis=-1)
-    found = [_from_messages(message_key, graph, own, count)]
-    found += [found[0] if graph.prior is None else graph.prior.sample(keys[0], count)]
-    found += [mixture.sample(each, count) for each, mixture in zip(keys[1:], graph.proposals, strict=True)]
+    part = jnp.sum(levels[..., None] > jnp.cumsum(jnp.exp(proposal.shares), axis=1)[:, None, :-1], axis=-1)
+    draws = [_from_messages(message_key, graph, proposal, count)]
+    draws += [draws[0] if graph.prior is None else graph.prior.sample(keys[0], count)]
+    draws += [mixture.sample(mixture_key, count) for mixture_key, mixture in zip(keys[1:], graph.proposals, strict=True)]
     near_keys = jax.random.split(near_key, (graph.count, count))
-    found += [jax.vmap(lambda one, each: jax.vmap(one.sample)(each))(own.near, near_keys)]
-    shape = (graph.count, count, *[1] * (own.points.ndim - 2))
-    values = found[0]
-    for number, drawn in enumerate(found[1:], 1):
+    draws += [jax.vmap(lambda near, node_keys: jax.vmap(near.sample)(node_keys))(proposal.near, near_keys)]
+    shape = (graph.count, count, *[1] * (proposal.points.ndim - 2))
+    values = draws[0]
+    for number, drawn in enumerate(draws[1:], 1):
         values = jnp.where((part == number).reshape(shape), drawn, values)
     return values
 
 
-def _from_messages(key: Key, graph: Graph, own: Proposals, count: int) -> Float[Array, "node draw *entry"]:
+def _from_messages(key: Key, graph: Graph, proposal: Proposals, count: int) -> Float[Array, "node draw *entry"]:
     """Draw values of every node from the mixture of the messages into it. A node without any gets a copy of its particles, which has no share."""
     pick_key, draw_key = jax.random.split(key)
-    samples = own.points.shape[1]
+    samples = proposal.points.shape[1]
     sources, targets, log_weights, parts = [], [], [], []
-    for term, cavity, edge in zip(graph.pairs, own.cavities, own.edges, strict=True):
+    for term, cavity, edge in zip(graph.pairs, proposal.cavities, proposal.edges, strict=True):
         if term.plate.draw is None:
             continue
         first, second = ends(term)
@@ -125,7 +125,7 @@ def _from_messages(key: Key, graph: Graph, own: Proposals, count: int) -> Float[
             targets.append(nodes[1])
             log_weights.append(cavity[reverse] + edge[reverse][:, None])
     if not parts:
-        return jnp.take(own.points, jnp.arange(count) % samples, axis=1)
+        return jnp.take(proposal.points, jnp.arange(count) % samples, axis=1)
     source, target = jnp.concatenate(sources), jnp.concatenate(targets)
     weights = jnp.exp(jnp.concatenate(log_weights))
 
@@ -137,70 +137,70 @@ def _from_messages(key: Key, graph: Graph, own: Proposals, count: int) -> Float[
         return index // samples, index % samples
 
     edge, particle = jax.vmap(pick)(jax.random.split(pick_key, graph.count), jnp.arange(graph.count))
-    known = own.points[source[edge], particle]
-    values = jnp.take(own.points, jnp.arange(count) % samples, axis=1)
-    for (term, reverse, start), each in zip(parts, jax.random.split(draw_key, len(parts)), strict=True):
+    known = proposal.points[source[edge], particle]
+    values = jnp.take(proposal.points, jnp.arange(count) % samples, axis=1)
+    for (term, reverse, start), term_key in zip(parts, jax.random.split(draw_key, len(parts)), strict=True):
         rows = len(term.plate.rows)
         row = jnp.clip(edge - start, 0, rows - 1)
 
-        def one(key: Key, row: Array, known: Array, term: Term = term, reverse: bool = reverse) -> Array:
+        def draw_along(key: Key, row: Array, known: Array, term: Term = term, reverse: bool = reverse) -> Array:
             assert term.plate.draw is not None
             return term.plate.draw(key, jax.tree.map(lambda leaf: leaf[row], term.plate.parameters), known, reverse)
 
-        drawn = jax.vmap(jax.vmap(one))(jax.random.split(each, (graph.count, count)), row, known)
+        drawn = jax.vmap(jax.vmap(draw_along))(jax.random.split(term_key, (graph.count, count)), row, known)
         mine = ((edge >= start) & (edge < start + rows)).reshape(edge.shape + (1,) * (values.ndim - 2))
         values = jnp.where(mine, drawn, values)
     return values
 
 
 def log_density(
-    graph: Graph, own: Proposals, points: Float[Array, "node draw *entry"], messages: tuple[Directed, ...], prior: NodeValues
+    graph: Graph, proposal: Proposals, points: Float[Array, "node draw *entry"], messages: tuple[Directed, ...], prior: NodeValues
 ) -> NodeValues:
     """Return the log-density of the proposal of every node.
 
     Args:
         graph: the graph.
-        own: the proposals.
+        proposal: the proposals.
         points: where it is evaluated.
         messages: log of all messages at these points.
         prior: log of the prior at these points; anything if the graph has none, since it then has no share.
     """
-    return jax.nn.logsumexp(log_parts(graph, own, points, messages, prior), axis=-1)
+    return jax.nn.logsumexp(log_parts(graph, proposal, points, messages, prior), axis=-1)
 
 
 def log_parts(
-    graph: Graph, own: Proposals, points: Float[Array, "node draw *entry"], messages: tuple[Directed, ...], prior: NodeValues
+    graph: Graph, proposal: Proposals, points: Float[Array, "node draw *entry"], messages: tuple[Directed, ...], prior: NodeValues
 ) -> Float[Array, "node draw part"]:
     """Return the terms of `log_density`: the log of share times density, of messages, prior, each mixture of detections, and near belief."""
     nothing = jnp.full(points.shape[:2], -jnp.inf, points.dtype)
     mixed = nothing
-    for number, (term, edge) in enumerate(zip(graph.pairs, own.edges, strict=True)):
+    for number, (term, edge) in enumerate(zip(graph.pairs, proposal.edges, strict=True)):
         if term.plate.draw is None:
             continue
         first, second = ends(term)
-        values = messages[number] if term.plate.log_draw is None else _drawn_density(term, own, number, points)
+        values = messages[number] if term.plate.log_draw is None else _drawn_density(term, proposal, number, points)
         for node, value, log_share in ((second, values.forward, edge.forward), (first, values.backward, edge.backward)):
             mixed = _log_added(mixed, node, value + log_share[:, None])
     mixtures = [prior, *(mixture.log_prob(points) for mixture in graph.proposals)]
-    close = jax.vmap(lambda one, xs: jax.vmap(one.log_prob)(xs))(own.near, points)
-    return jnp.stack([mixed, *mixtures, close], axis=-1) + own.shares[:, None]
+    close = jax.vmap(lambda near, xs: jax.vmap(near.log_prob)(xs))(proposal.near, points)
+    return jnp.stack([mixed, *mixtures, close], axis=-1) + proposal.shares[:, None]
 
 
-def _drawn_density(term: Term, own: Proposals, number: int, points: Array) -> Directed:
+def _drawn_density(term: Term, proposal: Proposals, number: int, points: Array) -> Directed:
     """Return the densities of the draws along each edge, for a factor that is not itself their density."""
     first, second = ends(term)
-    of = term.plate.log_draw
-    assert of is not None
+    log_draw = term.plate.log_draw
+    assert log_draw is not None
 
     def mixture(parameters: Any, known: Array, weights: Array, values: Array, reverse: bool) -> Array:
-        each = jax.vmap(lambda y: jax.vmap(lambda x: of(parameters, x, y, reverse))(known))(values)
-        return jax.nn.logsumexp(each + weights[None], axis=1)
+        log_pairs = jax.vmap(lambda y: jax.vmap(lambda x: log_draw(parameters, x, y, reverse))(known))(values)
+        return jax.nn.logsumexp(log_pairs + weights[None], axis=1)
 
     forward = jax.vmap(lambda p, x, w, y: mixture(p, x, w, y, False))
     backward = jax.vmap(lambda p, x, w, y: mixture(p, x, w, y, True))
     return Directed(
-        forward(term.plate.parameters, own.points[first], own.cavities[number].forward, points[second]),
-        backward(term.plate.parameters, own.points[second], own.cavities[number].backward, points[first]),
+        forward(term.plate.parameters, proposal.points[first], proposal.cavities[number].forward, points[second]),
+        backward(term.plate.parameters, proposal.points[second], proposal.cavities[number].backward, points[first]),
     )
 
 

@@ -52,7 +52,7 @@ class Pampas(Passing):
     def weigh(self, beliefs: Beliefs, power: float | Scalar) -> tuple[NodeValues, tuple[Directed, ...]]:
         """Return log-weights that are normalised within each stratum, those of the beliefs and those of the messages."""
         weights = stratified(log_beliefs(self.graph, beliefs, power), jnp.asarray(self.of_beliefs))
-        found, number = [], 0
+        message_weights, number = [], 0
         for term, raw in zip(self.graph.pairs, cavities(self.graph, beliefs, power), strict=True):
             count = len(term.rows)
             if term.plate.draw is None:
@@ -61,8 +61,8 @@ class Pampas(Passing):
                 # The message back along a row has the number of the other direction: its slot in the source is the one that is left out.
                 shares = [self._of_message(number + count + np.arange(count)), self._of_message(number + np.arange(count))]
                 number += 2 * count
-            found.append(Directed(*(stratified(each, share) for each, share in zip(raw, shares, strict=True))))
-        return weights, tuple(found)
+            message_weights.append(Directed(*(stratified(log_weights, share) for log_weights, share in zip(raw, shares, strict=True))))
+        return weights, tuple(message_weights)
 
     def _of_message(self, answers: np.ndarray) -> Float[Array, "edge stratum"]:
         """Return the shares of the strata in the messages to which these are the answers, by number."""
@@ -73,53 +73,53 @@ class Pampas(Passing):
         places = np.array([np.argwhere(self.slots == number)[0] for number in numbers])
         return places[:, 0], places[:, 1]
 
-    def first(self, beliefs: Beliefs, own: Proposals) -> Proposals:
+    def first(self, beliefs: Beliefs, proposal: Proposals) -> Proposals:
         """Return the proposal of particles that no message gives: prior and detections."""
-        return proposals(self.graph, beliefs._replace(ready=jnp.zeros_like(beliefs.ready)), own.cavities, own.near, FIRST, False)
+        return proposals(self.graph, beliefs._replace(ready=jnp.zeros_like(beliefs.ready)), proposal.cavities, proposal.near, FIRST, False)
 
-    def draw(self, key: Key, beliefs: Beliefs, own: Proposals) -> Float[Array, "node sample *entry"]:
+    def draw(self, key: Key, beliefs: Beliefs, proposal: Proposals) -> Float[Array, "node sample *entry"]:
         """Draw the particles of all strata."""
         first_key, product_key = jax.random.split(key)
-        otherwise = draw(first_key, self.graph, self.first(beliefs, own), self.held)
+        otherwise = draw(first_key, self.graph, self.first(beliefs, proposal), self.held)
         if self.strata == 1:
             return otherwise
-        return draw_products(product_key, self.graph, self._product(beliefs, own), otherwise)
+        return draw_products(product_key, self.graph, self._product(beliefs, proposal), otherwise)
 
     def log_q(
-        self, beliefs: Beliefs, own: Proposals, points: Float[Array, "node sample *entry"], arrived: tuple[Directed, ...], prior: NodeValues
+        self, beliefs: Beliefs, proposal: Proposals, points: Float[Array, "node sample *entry"], arrived: tuple[Directed, ...], prior: NodeValues
     ) -> NodeValues:
         """Return the log of every stratum's importance function; infinite where nothing was drawn."""
-        exact = log_density(self.graph, self.first(beliefs, own), points, arrived, prior)
+        exact = log_density(self.graph, self.first(beliefs, proposal), points, arrived, prior)
         exact = jnp.where(exact > -jnp.inf, exact, jnp.inf)
         if self.strata == 1:
             return exact
         taken = self._taken(beliefs)
         pairs = zip(self.graph.pairs, arrived, strict=True)
-        sent = jnp.concatenate([each for term, both in pairs if term.plate.draw is not None for each in both])
+        sent = jnp.concatenate([message for term, directed in pairs if term.plate.draw is not None for message in directed])
         into = jnp.moveaxis(sent[np.minimum(self.slots, len(sent) - 1)], 1, 2)
         return jnp.where(jnp.max(taken, axis=2) > 0, jnp.sum(jnp.where(taken > 0, into, 0.0), axis=2), exact)
 
-    def drawn(self, beliefs: Beliefs, own: Proposals) -> Bool[Array, " node"]:
+    def drawn(self, beliefs: Beliefs, proposal: Proposals) -> Bool[Array, " node"]:
         """Return which nodes can be drawn: those with a first proposal or a message."""
-        some = jnp.max(self.first(beliefs, own).shares, axis=1) > -jnp.inf
+        some = jnp.max(self.first(beliefs, proposal).shares, axis=1) > -jnp.inf
         return some | (jnp.max(self._taken(beliefs), axis=(1, 2), initial=0.0) > 0)
 
     def _taken(self, beliefs: Beliefs) -> Float[Array, "node sample slot"]:
         """Return the slots that every particle's stratum multiplies, of those with particles at their source."""
         ready = jnp.concatenate([beliefs.ready[way.term.rows[:, 1 if way.reverse else 0]] for way in ways(self.graph)])
-        there = ready[np.minimum(self.slots, len(ready) - 1)]
-        return jnp.repeat(self.taken * there[:, None], self.each, axis=1)
+        slot_ready = ready[np.minimum(self.slots, len(ready) - 1)]
+        return jnp.repeat(self.taken * slot_ready[:, None], self.each, axis=1)
 
-    def _product(self, beliefs: Beliefs, own: Proposals) -> Product:
+    def _product(self, beliefs: Beliefs, proposal: Proposals) -> Product:
         """Return the messages with only those particles that have a share in them, and what each sample multiplies."""
         points, weights, number = [], [], 0
-        cavity_of = dict(zip(map(id, self.graph.pairs), own.cavities, strict=True))
+        cavity_of = dict(zip(map(id, self.graph.pairs), proposal.cavities, strict=True))
         for way in ways(self.graph):
             count = len(way.targets)
             node, slot = self._places(number + (-count if way.reverse else count) + np.arange(count))
             within = np.arange(self.each)
             index = jnp.asarray(np.concatenate([np.tile(within, (count, 1)), (1 + slot)[:, None] * self.each + within], axis=1))
-            points.append(jax.vmap(lambda one, some: one[some])(beliefs.points[node], index))
+            points.append(jax.vmap(lambda node_points, indices: node_points[indices])(beliefs.points[node], index))
             weights.append(jnp.take_along_axis(cavity_of[id(way.term)][way.reverse], index, axis=1))
             number += count
         return Product(jnp.concatenate(points), jnp.concatenate(weights), self.slots, self._taken(beliefs))
@@ -127,8 +127,8 @@ class Pampas(Passing):
 
 def stratified(log_weights: Float[Array, "row sample"], shares: Float[Array, "row stratum"]) -> Float[Array, "row sample"]:
     """Return log-weights whose sum in each stratum is its share. A stratum without any weight leaves its share to the others."""
-    each = jnp.where(jnp.isnan(log_weights), -jnp.inf, log_weights).reshape(*shares.shape, -1)
-    alive = (jnp.max(each, axis=2) > -jnp.inf) & (jnp.max(each, axis=2) < jnp.inf)
+    strata = jnp.where(jnp.isnan(log_weights), -jnp.inf, log_weights).reshape(*shares.shape, -1)
+    alive = (jnp.max(strata, axis=2) > -jnp.inf) & (jnp.max(strata, axis=2) < jnp.inf)
     share = jnp.where(alive, shares, 0.0)
     log_share = jnp.where(share > 0, jnp.log(share), -jnp.inf)[..., None]
-    return normalised(jnp.where(share[..., None] > 0, normalised(each) + log_share, -jnp.inf).reshape(log_weights.shape))
+    return normalised(jnp.where(share[..., None] > 0, normalised(strata) + log_share, -jnp.inf).reshape(log_weights.shape))

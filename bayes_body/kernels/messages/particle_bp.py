@@ -114,10 +114,10 @@ def pass_messages(key: Key, graph: Graph, options: Options, rounds: Round) -> Pa
     passing = _passing(graph, options)
     begin = passing.begin(first_key)
     keys = jax.random.split(round_key, rounds.power.shape[0])
-    (beliefs, memory), before = jax.lax.scan(lambda state, one: passing.round(state, *one), begin, (keys, rounds))
+    (beliefs, memory), before = jax.lax.scan(lambda state, turn: passing.round(state, *turn), begin, (keys, rounds))
     log_beliefs, cavities = passing.weigh(beliefs, 1.0)
-    own, _, last = passing.proposals(beliefs, memory, 1.0)
-    redrawn, log_shares = passing.redraw(redraw_key, beliefs, own)
+    proposal, _, last = passing.proposals(beliefs, memory, 1.0)
+    redrawn, log_shares = passing.redraw(redraw_key, beliefs, proposal)
     joint = joint_particles(joint_key, graph, redrawn, options.particles)
     # A round summarises the beliefs that it begins with.
     summaries = jax.tree.map(lambda early, late: jnp.concatenate([early[1:], late[None]]), before, last)
@@ -155,7 +155,7 @@ class ParticleBP:
         thin_key, pass_key, prior_key, ancestor_key, predict_key = jax.random.split(key, 5)
         count = particles.log_weights.shape[0]
         options = self.options.model_copy(update={"particles": count})
-        kept, density = self._thinned(thin_key, density.with_previous(particles))
+        thinned, density = self._thinned(thin_key, density.with_previous(particles))
         graph = parts_graph(density)
         rounds = schedule(graph, options.schedule, options.iterations, options.annealing)
         passed = pass_messages(pass_key, graph, options, rounds)
@@ -164,7 +164,7 @@ class ParticleBP:
             # The potentials are not normalised given the previous frame: the evidence is the ratio of both normalisers, as in `tempered`.
             prior = parts_graph(replace(density, factors=tuple(factor for factor in density.factors if factor.side != "likelihood")))
             log_evidence -= pass_messages(prior_key, prior, options, schedule(prior, options.schedule, PRIOR_ITERATIONS)).joint.log_evidence
-        found = normalise(passed.joint.log_weights)
+        posterior = normalise(passed.joint.log_weights)
         unconstrained = density.unconstrained()
 
         def complete(key_and_value: tuple[Key, Array], unconstrained: Unconstrained) -> tuple[State, Index]:
@@ -173,31 +173,31 @@ class ParticleBP:
 
         states, ancestors = over_particles(complete, (jax.random.split(ancestor_key, count), passed.joint.values), unconstrained)
         predicted = predict(predict_key, self.resample(predict_key, density.previous.log_weights, count), density).states
-        states = jax.tree.map(lambda own, other: jnp.where(found.lost, other, own), states, predicted)
-        ess = effective_sample_size(found.log_weights)
+        states = jax.tree.map(lambda filtered, prediction: jnp.where(posterior.lost, prediction, filtered), states, predicted)
+        ess = effective_sample_size(posterior.log_weights)
         # Each round evaluates some nodes, the redrawing all of them, and the weights what reads the whole body.
         of_rounds = passed.points.shape[1] * jnp.sum(rounds.nodes < graph.count) // graph.count
         evaluations = of_rounds + options.samples + (0 if graph.rest is None else count)
         info = FilterInfo(
-            ancestors=kept[ancestors],
+            ancestors=thinned[ancestors],
             ess=ess,
             survival_rate=(ess / count)[None],
             inverse_temperatures=jnp.ones((1,), ess.dtype),
-            log_evidence=jnp.where(found.lost, -jnp.inf, log_evidence),
-            lost=found.lost,
+            log_evidence=jnp.where(posterior.lost, -jnp.inf, log_evidence),
+            lost=posterior.lost,
             acceptance_rate=jnp.full((1,), jnp.nan, ess.dtype),
             evaluations=evaluations,
             messages=message_figures(graph.space, passed.rounds, options.iterations, options.samples, ess, passed.proposal_shares),
         )
-        return Particles(states, found.log_weights), info
+        return Particles(states, posterior.log_weights), info
 
     def _thinned(self, key: Key, density: Density) -> tuple[Int[Array, " ancestor"], Density]:
         """Return some of the previous frame's particles with equal weights, and the density given these."""
         before = density.previous
         count = min(self.options.ancestors, before.log_weights.shape[0])
-        kept = self.resample(key, before.log_weights, count)
-        states = jax.tree.map(lambda leaf: leaf[kept], before.states)
-        return kept, density.with_previous(Particles(states, jnp.full((count,), -jnp.log(count), before.log_weights.dtype)))
+        thinned = self.resample(key, before.log_weights, count)
+        states = jax.tree.map(lambda leaf: leaf[thinned], before.states)
+        return thinned, density.with_previous(Particles(states, jnp.full((count,), -jnp.log(count), before.log_weights.dtype)))
 
 
 def build_kernel(**options: Any) -> ParticleBP:

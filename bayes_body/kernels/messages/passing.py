@@ -100,33 +100,35 @@ class Passing:
         """Return the proposals that follow from beliefs, what the method remembers, and figures of the beliefs. `power` is that of the likelihood."""
         graph = self.graph
         weights, cavity = self.weigh(beliefs, power)
-        fits = jax.vmap(lambda points, own: fit(graph.space, jnp.exp(own), points, self.settings.inflation, self.floors))(beliefs.points, weights)
-        near, kept = self.method.near_beliefs(graph, beliefs, weights, fits, memory.method, power)
-        own = proposals(graph, beliefs, cavity, near, self.settings.shares, self.method.alone)
-        of_messages = [jax.vmap(effective_sample_size)(each) for both in cavity for each in both]
+        fits = jax.vmap(lambda points, log_weights: fit(graph.space, jnp.exp(log_weights), points, self.settings.inflation, self.floors))(
+            beliefs.points, weights
+        )
+        near, method_memory = self.method.near_beliefs(graph, beliefs, weights, fits, memory.method, power)
+        proposal = proposals(graph, beliefs, cavity, near, self.settings.shares, self.method.alone)
+        of_messages = [jax.vmap(effective_sample_size)(log_weights) for directed in cavity for log_weights in directed]
         least = jnp.min(jnp.concatenate(of_messages)) if of_messages else jnp.asarray(float(self.held))
         sds = belief_sds(graph.space, jnp.exp(weights), beliefs.points, fits.mean)
-        return own, memory._replace(method=kept), Summary(fits.mean, sds, jax.vmap(effective_sample_size)(weights), least)
+        return proposal, memory._replace(method=method_memory), Summary(fits.mean, sds, jax.vmap(effective_sample_size)(weights), least)
 
-    def round(self, state: tuple[Beliefs, Memory], key: Key, now: Round) -> tuple[tuple[Beliefs, Memory], Summary]:
+    def round(self, state: tuple[Beliefs, Memory], key: Key, turn: Round) -> tuple[tuple[Beliefs, Memory], Summary]:
         """Redraw the nodes of a round and evaluate the messages into them."""
         graph, beliefs = self.graph, state[0]
-        own, memory, summary = self.proposals(*state, now.power)
-        fresh = self.draw(key, beliefs, own)
-        redrawn = jnp.zeros(graph.count, bool).at[now.nodes].set(True, mode="drop")
+        proposal, memory, summary = self.proposals(*state, turn.power)
+        fresh = self.draw(key, beliefs, proposal)
+        redrawn = jnp.zeros(graph.count, bool).at[turn.nodes].set(True, mode="drop")
         points = jnp.where(redrawn.reshape(-1, *[1] * (fresh.ndim - 1)), fresh, beliefs.points)
-        arrived = self._arrived(beliefs, own, points, now)
-        messages, memory = self._damped(beliefs, own, memory, points, arrived, now) if self.settings.damping else (arrived, memory)
-        likelihood, rest = unary_values(graph, points, now.unary)
+        arrived = self._arrived(beliefs, proposal, points, turn)
+        messages, memory = self._damped(beliefs, proposal, memory, points, arrived, turn) if self.settings.damping else (arrived, memory)
+        likelihood, potential = unary_values(graph, points, turn.unary)
         prior = self._prior(graph.by_ancestor(points))
-        log_q = self.log_q(beliefs, own, points, arrived, prior)
-        ready = jnp.where(redrawn & self.drawn(beliefs, own), 1.0, beliefs.ready)
+        log_q = self.log_q(beliefs, proposal, points, arrived, prior)
+        ready = jnp.where(redrawn & self.drawn(beliefs, proposal), 1.0, beliefs.ready)
         chosen = redrawn[:, None] & (ready[:, None] > 0)
         after = Beliefs(
             points,
             jnp.where(chosen, log_q, beliefs.log_q),
             jnp.where(chosen, likelihood, beliefs.likelihood),
-            jnp.where(chosen, rest + prior, beliefs.rest),
+            jnp.where(chosen, potential + prior, beliefs.rest),
             messages,
             ready,
         )
@@ -136,60 +138,66 @@ class Passing:
         """Return the normalised log-weights of the beliefs, and those of the sources of all messages."""
         return normalised(log_beliefs(self.graph, beliefs, power)), cavities(self.graph, beliefs, power)
 
-    def draw(self, key: Key, beliefs: Beliefs, own: Proposals) -> Float[Array, "node sample *entry"]:
+    def draw(self, key: Key, beliefs: Beliefs, proposal: Proposals) -> Float[Array, "node sample *entry"]:
         """Draw new particles of all nodes."""
         del beliefs
-        return draw(key, self.graph, own, self.held)
+        return draw(key, self.graph, proposal, self.held)
 
     def log_q(
-        self, beliefs: Beliefs, own: Proposals, points: Float[Array, "node sample *entry"], arrived: tuple[Directed, ...], prior: NodeValues
+        self, beliefs: Beliefs, proposal: Proposals, points: Float[Array, "node sample *entry"], arrived: tuple[Directed, ...], prior: NodeValues
     ) -> NodeValues:
         """Return the log-density of `draw`. The draws along the edges come from the messages as they arrived, before damping."""
         del beliefs
-        return log_density(self.graph, own, points, arrived, prior)
+        return log_density(self.graph, proposal, points, arrived, prior)
 
-    def drawn(self, beliefs: Beliefs, own: Proposals) -> Bool[Array, " node"]:
+    def drawn(self, beliefs: Beliefs, proposal: Proposals) -> Bool[Array, " node"]:
         """Return which nodes can be drawn."""
         del beliefs
-        return jnp.max(own.shares, axis=1) > -jnp.inf
+        return jnp.max(proposal.shares, axis=1) > -jnp.inf
 
-    def _arrived(self, beliefs: Beliefs, own: Proposals, points: Float[Array, "node sample *entry"], now: Round) -> tuple[Directed, ...]:
+    def _arrived(self, beliefs: Beliefs, proposal: Proposals, points: Float[Array, "node sample *entry"], turn: Round) -> tuple[Directed, ...]:
         """Return all messages, those into the nodes of the round evaluated at their new particles."""
 
-        def of(term: Term, closing: bool, cavity: Directed, old: Directed, rows: tuple[Array, Array]) -> Directed:
+        def evaluate(term: Term, closing: bool, cavity: Directed, old: Directed, rows: tuple[Array, Array]) -> Directed:
             come_from = sources(term, cavity, beliefs.points, beliefs.ready)
             return entered(old, log_messages(term, come_from, points, rows, self._heard(closing)), rows)
 
-        return tuple(map(of, self.graph.pairs, self.graph.only_closing, own.cavities, beliefs.messages, now.pairs))
+        return tuple(map(evaluate, self.graph.pairs, self.graph.only_closing, proposal.cavities, beliefs.messages, turn.pairs))
 
     def _heard(self, closing: bool) -> int | None:
         return self.settings.heard if closing else None
 
     def _damped(
-        self, beliefs: Beliefs, own: Proposals, memory: Memory, points: Float[Array, "node sample *entry"], arrived: tuple[Directed, ...], now: Round
+        self,
+        beliefs: Beliefs,
+        proposal: Proposals,
+        memory: Memory,
+        points: Float[Array, "node sample *entry"],
+        arrived: tuple[Directed, ...],
+        turn: Round,
     ) -> tuple[tuple[Directed, ...], Memory]:
         """Return the messages mixed with those from their sources before, and what they came from now."""
         damping = self.settings.damping
 
-        def of(term: Term, closing: bool, cavity: Directed, new: Directed, last: Sources, rows: tuple[Array, Array]) -> tuple[Directed, Sources]:
+        def damp(term: Term, closing: bool, cavity: Directed, new: Directed, last: Sources, rows: tuple[Array, Array]) -> tuple[Directed, Sources]:
             old = log_messages(term, last, points, rows, self._heard(closing))
-            there = [jnp.minimum(each, len(term.plate.rows) - 1) for each in rows]
+            indices = [jnp.minimum(numbers, len(term.plate.rows) - 1) for numbers in rows]
             mixed = [
-                jnp.where(ready[row][:, None] > 0, (1 - damping) * one[row] + damping * other, one[row])
-                for one, other, ready, row in zip(new, old, last.ready, there, strict=True)
+                jnp.where(ready[row][:, None] > 0, (1 - damping) * message[row] + damping * previous, message[row])
+                for message, previous, ready, row in zip(new, old, last.ready, indices, strict=True)
             ]
             come_from = sources(term, cavity, beliefs.points, beliefs.ready)
             return entered(new, Directed(*mixed), rows), Sources(
                 *(
-                    entered(before, Directed(*(each[row] for each, row in zip(after, there, strict=True))), rows)
+                    entered(before, Directed(*(leaf[row] for leaf, row in zip(after, indices, strict=True))), rows)
                     for before, after in zip(last, come_from, strict=True)
                 )
             )
 
-        found = tuple(map(of, self.graph.pairs, self.graph.only_closing, own.cavities, arrived, memory.last, now.pairs))
-        return tuple(messages for messages, _ in found), memory._replace(last=tuple(last for _, last in found))
+        damped = tuple(map(damp, self.graph.pairs, self.graph.only_closing, proposal.cavities, arrived, memory.last, turn.pairs))
+        return tuple(messages for messages, _ in damped), memory._replace(last=tuple(last for _, last in damped))
 
-    def redraw(self, key: Key, beliefs: Beliefs, own: Proposals) -> tuple[Redrawn, Float[Array, "node sample part"]]:
+    def redraw(self, key: Key, beliefs: Beliefs, proposal: Proposals) -> tuple[Redrawn, Float[Array, "node sample part"]]:
         """Return new particles of all nodes from fixed proposals, and the log of each part of their proposal."""
 
         def rows(term: Term) -> tuple[Array, Array]:
@@ -197,20 +205,20 @@ class Passing:
             return every, every
 
         graph = self.graph
-        points = draw(key, graph, own, self.settings.samples)
+        points = draw(key, graph, proposal, self.settings.samples)
         messages = tuple(
             log_messages(term, sources(term, cavity, beliefs.points, beliefs.ready), points, rows(term))
             if term.plate.draw is not None and term.plate.log_draw is None
             else old
-            for term, cavity, old in zip(graph.pairs, own.cavities, beliefs.messages, strict=True)
+            for term, cavity, old in zip(graph.pairs, proposal.cavities, beliefs.messages, strict=True)
         )
-        likelihood, rest = unary_values(graph, points)
+        likelihood, potential = unary_values(graph, points)
         by_ancestor = graph.by_ancestor(points)
-        parts = log_parts(graph, own, points, messages, self._prior(by_ancestor))
-        closing = self._closing(beliefs, own, points)
-        return Redrawn(points, likelihood + rest, by_ancestor, closing, jax.nn.logsumexp(parts, axis=-1)), parts
+        parts = log_parts(graph, proposal, points, messages, self._prior(by_ancestor))
+        closing = self._closing(beliefs, proposal, points)
+        return Redrawn(points, likelihood + potential, by_ancestor, closing, jax.nn.logsumexp(parts, axis=-1)), parts
 
-    def _closing(self, beliefs: Beliefs, own: Proposals, points: Float[Array, "node sample *entry"]) -> NodeValues:
+    def _closing(self, beliefs: Beliefs, proposal: Proposals, points: Float[Array, "node sample *entry"]) -> NodeValues:
         """Return at each point what stands in for the factors that only close loops: their messages from the node that is nearer to the root.
 
         A message averages the factor over particles of its source. One in `heard` is added to it, so that it never excludes what the factor allows.
@@ -219,13 +227,13 @@ class Passing:
         for distance, nodes in enumerate(depths(graph)):
             depth[nodes] = distance
         total = jnp.zeros(points.shape[:2], points.dtype)
-        for term, closing, cavity in zip(graph.pairs, graph.only_closing, own.cavities, strict=True):
+        for term, closing, cavity in zip(graph.pairs, graph.only_closing, proposal.cavities, strict=True):
             if closing:
                 outwards = depth[term.rows[:, 0]] <= depth[term.rows[:, 1]]
                 rows = np.flatnonzero(outwards), np.flatnonzero(~outwards)
                 come_from = sources(term, cavity, beliefs.points, beliefs.ready)
-                found = log_messages(term, come_from, points, (jnp.asarray(rows[0]), jnp.asarray(rows[1])), heard)
-                for column, row, values in zip((1, 0), rows, found, strict=True):
+                messages = log_messages(term, come_from, points, (jnp.asarray(rows[0]), jnp.asarray(rows[1])), heard)
+                for column, row, values in zip((1, 0), rows, messages, strict=True):
                     total = total.at[term.rows[row, column]].add(jnp.logaddexp(values, -math.log(heard)))
         return total
 

@@ -45,13 +45,13 @@ class KernelEstimate:
         choice, draw = jax.random.split(key)
         cumulative = jnp.cumsum(jnp.exp(self.log_weights))
         index = jnp.searchsorted(cumulative, jax.random.uniform(choice) * cumulative[-1], side="right")
-        return self._around(self.points[jnp.minimum(index, len(cumulative) - 1)]).sample(draw)
+        return self._component(self.points[jnp.minimum(index, len(cumulative) - 1)]).sample(draw)
 
     def log_prob(self, x: Array) -> Scalar:
         """Return the log-density at a point."""
-        return jax.nn.logsumexp(jax.vmap(lambda point: self._around(point).log_prob(x))(self.points) + self.log_weights)
+        return jax.nn.logsumexp(jax.vmap(lambda point: self._component(point).log_prob(x))(self.points) + self.log_weights)
 
-    def _around(self, point: Array) -> TangentNormal:
+    def _component(self, point: Array) -> TangentNormal:
         return TangentNormal(self.kernel.space, point, self.kernel.root, self.kernel.inverse)
 
 

@@ -82,24 +82,27 @@ def draw_products(key: Key, graph: Graph, product: Product, otherwise: Float[Arr
     def sweep(x: Array, key: Key) -> tuple[Array, None]:
         label_key, step_key, accept_key = jax.random.split(key, 3)
         chosen = _labels(label_key, graph, product, x)
-        given = _given(graph.space, product, normals, chosen)
+        proposal = _proposal(graph.space, product, normals, chosen)
         log_ratio = _log_factors(graph, product, chosen, x)
-        proposed = jax.vmap(jax.vmap(lambda key, one: one.sample(key)))(jax.random.split(step_key, x.shape[:2]), given)
-        log_ratio = _log_factors(graph, product, chosen, proposed) - log_ratio + _density(given, x) - _density(given, proposed)
+        proposed = jax.vmap(jax.vmap(lambda key, normal: normal.sample(key)))(jax.random.split(step_key, x.shape[:2]), proposal)
+        log_ratio = _log_factors(graph, product, chosen, proposed) - log_ratio + _density(proposal, x) - _density(proposal, proposed)
         accepted = jnp.log(jax.random.uniform(accept_key, log_ratio.shape)) < log_ratio
         return jnp.where(accepted.reshape(shape.shape) & shape, proposed, x), None
 
     return jax.lax.scan(sweep, jnp.where(shape, start, otherwise), jax.random.split(key, SWEEPS))[0]
 
 
-def _density(given: TangentNormal, x: Array) -> Float[Array, "node sample"]:
-    return jax.vmap(jax.vmap(lambda one, point: one.log_prob(point)))(given, x)
+def _density(proposal: TangentNormal, x: Array) -> Float[Array, "node sample"]:
+    return jax.vmap(jax.vmap(lambda normal, point: normal.log_prob(point)))(proposal, x)
 
 
-def _each(graph: Graph, of: Callable[..., Array], *arrays: Array) -> Array:
-    """Return `of(way, row's parameters, own entries of the arrays, by message)` of all messages, stacked."""
+def _per_message(graph: Graph, function: Callable[..., Array], *arrays: Array) -> Array:
+    """Return `function(way, row's parameters, own entries of the arrays, by message)` of all messages, stacked."""
     return jnp.concatenate(
-        [jax.vmap(lambda *own, way=way: of(way, *own))(way.term.plate.parameters, *[each[own] for each in arrays]) for way, own in _numbered(graph)]
+        [
+            jax.vmap(lambda *entries, way=way: function(way, *entries))(way.term.plate.parameters, *[array[messages] for array in arrays])
+            for way, messages in _numbered(graph)
+        ]
     )
 
 
@@ -122,12 +125,12 @@ def _into(product: Product, values: Float[Array, "message sample *any"]) -> Floa
 def _drawn(key: Key, graph: Graph, product: Product, labels: Int[Array, "message sample"]) -> Float[Array, "message sample *entry"]:
     """Return one draw along the edge from each labelled particle."""
 
-    def of(way: Way, parameters: Any, keys: Array, points: Array, labels: Array) -> Array:
+    def along_edge(way: Way, parameters: Any, keys: Array, points: Array, labels: Array) -> Array:
         draw = way.term.plate.draw
         assert draw is not None
         return jax.vmap(lambda key, known: draw(key, parameters, known, way.reverse))(keys, points[labels])
 
-    return _each(graph, of, jax.random.split(key, labels.shape), product.points, labels)
+    return _per_message(graph, along_edge, jax.random.split(key, labels.shape), product.points, labels)
 
 
 def _normals(key: Key, graph: Graph, product: Product) -> tuple[Float[Array, "message source *entry"], Float[Array, "message dimension dimension"]]:
@@ -141,9 +144,9 @@ def _normals(key: Key, graph: Graph, product: Product) -> tuple[Float[Array, "me
     return jnp.asarray(mean), jnp.linalg.inv(covariance + 1e-10 * jnp.eye(v.shape[-1], dtype=v.dtype))
 
 
-def _given(space: Space, product: Product, normals: tuple[Array, Array], labels: Int[Array, "message sample"]) -> TangentNormal:
+def _proposal(space: Space, product: Product, normals: tuple[Array, Array], labels: Int[Array, "message sample"]) -> TangentNormal:
     """Return, for each sample, the product of the normal distributions that its labels choose."""
-    means = _into(product, jax.vmap(lambda own, chosen: own[chosen])(normals[0], labels))
+    means = _into(product, jax.vmap(lambda message_means, chosen: message_means[chosen])(normals[0], labels))
     precision = normals[1][np.minimum(product.slots, len(labels) - 1)]
     first = jnp.argmax(product.taken, axis=2)
     reference = jnp.take_along_axis(means, first.reshape(*first.shape, 1, *[1] * (means.ndim - 3)), axis=2)[:, :, 0]
@@ -160,7 +163,7 @@ def _given(space: Space, product: Product, normals: tuple[Array, Array], labels:
 def _labels(key: Key, graph: Graph, product: Product, x: Float[Array, "node sample *entry"]) -> Int[Array, "message sample"]:
     """Draw the labels of all messages given the points."""
 
-    def of(way: Way, parameters: Any, key: Key, points: Array, weights: Array, target: Array) -> Array:
+    def draw_labels(way: Way, parameters: Any, key: Key, points: Array, weights: Array, target: Array) -> Array:
         pairs = way.term.pairwise(parameters, target, points).T if way.reverse else way.term.pairwise(parameters, points, target)
         log_weights = without_nan(pairs) + weights[:, None]
         cumulative = jnp.cumsum(jnp.exp(log_weights - jnp.max(log_weights, axis=0)), axis=0)
@@ -168,7 +171,7 @@ def _labels(key: Key, graph: Graph, product: Product, x: Float[Array, "node samp
         return jnp.minimum(jnp.sum(cumulative <= level, axis=0), len(points) - 1)
 
     keys = jax.random.split(key, len(product.weights))
-    return _each(graph, of, keys, product.points, product.weights, x[_targets(graph)])
+    return _per_message(graph, draw_labels, keys, product.points, product.weights, x[_targets(graph)])
 
 
 def _log_factors(
@@ -176,10 +179,14 @@ def _log_factors(
 ) -> Float[Array, "node sample"]:
     """Return the sum of the log-factors that the labels choose, at the points."""
 
-    def of(way: Way, parameters: Any, points: Array, labels: Array, target: Array) -> Array:
-        one = way.term.log_potential
-        turned = (lambda known, other: one(parameters, other, known)) if way.reverse else (lambda known, other: one(parameters, known, other))
+    def log_factors(way: Way, parameters: Any, points: Array, labels: Array, target: Array) -> Array:
+        log_potential = way.term.log_potential
+        turned = (
+            (lambda known, point: log_potential(parameters, point, known))
+            if way.reverse
+            else (lambda known, point: log_potential(parameters, known, point))
+        )
         return jax.vmap(turned)(points[labels], target)
 
-    values = _into(product, _each(graph, of, product.points, labels, x[_targets(graph)]))
+    values = _into(product, _per_message(graph, log_factors, product.points, labels, x[_targets(graph)]))
     return jnp.sum(jnp.where(product.taken > 0, values, 0.0), axis=2)

@@ -46,8 +46,8 @@ def schedule(graph: Graph, kind: Schedule, iterations: int, annealing: float = 1
     rounds = [(group, annealing ** (iterations - 1 - iteration)) for iteration in range(iterations) for group in groups]
 
     def rows(term_rows: np.ndarray, column: int) -> Int[Array, "round some"]:
-        found = [np.flatnonzero(np.isin(term_rows[:, column], group)) for group, _ in rounds]
-        return _padded(found, max(map(len, found)), len(term_rows))
+        row_lists = [np.flatnonzero(np.isin(term_rows[:, column], group)) for group, _ in rounds]
+        return _padded(row_lists, max(map(len, row_lists)), len(term_rows))
 
     return Round(
         nodes=_padded([np.array(group) for group, _ in rounds], widest, graph.count),
@@ -71,10 +71,10 @@ def depths(graph: Graph) -> list[list[int]]:
         while level:
             for node in level:
                 depth[node] = distance
-            level = [other for node in level for other in neighbours[node] if depth[other] < 0]
+            level = [neighbour for node in level for neighbour in neighbours[node] if depth[neighbour] < 0]
             distance += 1
     return [[node for node in range(graph.count) if depth[node] == d] for d in range(max(depth) + 1)]
 
 
 def _padded(lists: list[np.ndarray], length: int, filling: int) -> Int[Array, "round some"]:
-    return jnp.asarray(np.stack([np.concatenate([each, np.full(length - len(each), filling)]) for each in lists]), int)
+    return jnp.asarray(np.stack([np.concatenate([indices, np.full(length - len(indices), filling)]) for indices in lists]), int)

@@ -125,16 +125,16 @@ def linear_prediction(key: Key, particles: Particles, transition: Transition, ch
     own_key, common_key = jax.random.split(key)
     keys = jax.random.split(own_key, (count, repeats)), jax.random.split(common_key, ALIKE * repeats)
     u = jax.vmap(lambda state: flat.vector(sampled_of(transition, state)))(unwound)
-    own, common = over_particles(predictions, (keys[0], unwound), (transition, chart, keys[1]), BATCH)
+    predicted, common = over_particles(predictions, (keys[0], unwound), (transition, chart, keys[1]), BATCH)
     size = u.shape[1]
     u -= weights @ u
     share = (size / (size + 1 / jnp.sum(weights**2))) ** 2
     spread = shrunk((weights[:, None] * u).T @ u, share)
     # The slope beyond that of a random walk, which is known to be one.
-    rest = common - jnp.tile(u, frames)
-    cross = (weights[:, None] * (rest - weights @ rest)).T @ u
+    excess = common - jnp.tile(u, frames)
+    cross = (weights[:, None] * (excess - weights @ excess)).T @ u
     slope = jnp.tile(jnp.eye(size, dtype=u.dtype), (frames, 1)) + jnp.linalg.solve(spread, cross.T).T
-    noise = own - (u @ slope.T)[:, None]
+    noise = predicted - (u @ slope.T)[:, None]
     noise -= jnp.mean(weights @ noise.swapaxes(0, 1), axis=0)
     weighted = (weights[:, None, None] * noise).reshape(count * repeats, -1)
     return LinearPrediction(spread, slope, shrunk(weighted.T @ noise.reshape(count * repeats, -1) / repeats, share))
@@ -178,5 +178,5 @@ def _inverse(covariance: Float[Array, "size size"]) -> Float[Array, "size size"]
 
 def replaced(particles: Particles, indices: Int[Array, " path"], sampled: Mapping[str, Array], transition: Transition) -> dict[str, Array]:
     """Return the particles of the paths as whole states, with other sampled variables and what follows from these."""
-    kept = jax.tree.map(lambda leaf: leaf[indices], dict(particles.states))
-    return {**kept, **jax.vmap(transition.with_derived)(sampled)}
+    states = jax.tree.map(lambda leaf: leaf[indices], dict(particles.states))
+    return {**states, **jax.vmap(transition.with_derived)(sampled)}

@@ -68,11 +68,13 @@ def gaussian_path(values: Float[np.ndarray, "path frame dof"], memory: int) -> G
     return GaussianPath(mean, precision)
 
 
-def _regression(before: Float[np.ndarray, "path predictor"], here: Float[np.ndarray, "path dof"]) -> tuple[Float[np.ndarray, "predictor dof"], int]:
+def _regression(
+    before: Float[np.ndarray, "path predictor"], current: Float[np.ndarray, "path dof"]
+) -> tuple[Float[np.ndarray, "predictor dof"], int]:
     """Return the weights of the predictors, and how many of them were estimated."""
-    (paths, predictors), dofs = before.shape, here.shape[1]
+    (paths, predictors), dofs = before.shape, current.shape[1]
     if paths > PATHS_PER_PREDICTOR * predictors:
-        return np.linalg.lstsq(before, here, rcond=None)[0], predictors
+        return np.linalg.lstsq(before, current, rcond=None)[0], predictors
     return np.concatenate([np.zeros((predictors - dofs, dofs)), np.eye(dofs)]), 0
 
 

@@ -120,11 +120,11 @@ class Smoother:
             after: the density of the next frame, if a factor reads the frame before.
         """
 
-        def one(item: tuple[Key, OnParticles], shared: tuple[Density, Predictions, Density | None]) -> Index:
+        def redraw(item: tuple[Key, OnParticles], shared: tuple[Density, Predictions, Density | None]) -> Index:
             return self._chosen(*item, *shared)
 
         keys = jax.random.split(key, paths.ancestor.shape[0])
-        return over_particles(one, (keys, paths), (density, density.predictions(), after))
+        return over_particles(redraw, (keys, paths), (density, density.predictions(), after))
 
     def _chosen(self, key: Key, path: OnParticles, density: Density, predictions: Predictions, after: Density | None) -> Index:
         """Return an index from its distribution given the path, or by a move that leaves this invariant."""
@@ -155,18 +155,18 @@ class Smoother:
             settings: what all paths share.
         """
 
-        def one(item: tuple[Key, State, State, Ahead], settings: Moves) -> tuple[State, Scalar]:
+        def move_path(item: tuple[Key, State, State, Ahead], settings: Moves) -> tuple[State, Scalar]:
             key, start, before, ahead = item
 
             # A loop, so that the program holds one move, however many there are.
-            def again(here: State, number: Index) -> tuple[State, Scalar]:
-                return self._moved(jax.random.fold_in(key, number), here, before, ahead, settings)
+            def again(current: State, number: Index) -> tuple[State, Scalar]:
+                return self._moved(jax.random.fold_in(key, number), current, before, ahead, settings)
 
-            here, rates = jax.lax.scan(again, start, jnp.arange(self.options.moves))
-            return here, jnp.mean(rates)
+            last, rates = jax.lax.scan(again, start, jnp.arange(self.options.moves))
+            return last, jnp.mean(rates)
 
         keys = jax.random.split(key, self.options.draws)
-        after, rates = over_particles(one, (keys, dict(sampled), dict(before), ahead), settings)
+        after, rates = over_particles(move_path, (keys, dict(sampled), dict(before), ahead), settings)
         return Moved(after, jnp.mean(rates))
 
     def _moved(self, key: Key, sampled: State, before: State, ahead: Ahead, settings: Moves) -> tuple[State, Scalar]:

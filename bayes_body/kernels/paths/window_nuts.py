@@ -82,7 +82,7 @@ def run_nuts(
     """
     from blackjax.mcmc import nuts
 
-    def one(item: tuple[Key, Array], shared: Any) -> tuple[Array, ...]:
+    def sample_chain(item: tuple[Key, Array], shared: Any) -> tuple[Array, ...]:
         def target(position: Array) -> Scalar:
             return log_density(shared, position)
 
@@ -100,7 +100,7 @@ def run_nuts(
     chains = starts.shape[0]
     batch = -(-chains // len(jax.devices()))
     # JAX cannot check which values differ between devices in the loop of NUTS.
-    return NutsChains(*over_particles(one, (jax.random.split(key, chains), starts), shared, batch, checked=False))
+    return NutsChains(*over_particles(sample_chain, (jax.random.split(key, chains), starts), shared, batch, checked=False))
 
 
 def _warmed_up(key: Key, start: Array, target: Callable[[Array], Scalar], schedule: NutsSchedule) -> tuple[Any, dict[str, Any], Int[Array, ""]]:
@@ -120,10 +120,10 @@ def _warmed_up(key: Key, start: Array, target: Callable[[Array], Scalar], schedu
         max_num_doublings=DOUBLINGS,
         **options,
     )
-    (state, parameters), kept = adaptation.run(key, start, schedule.warm_up)
+    (state, parameters), warm_up = adaptation.run(key, start, schedule.warm_up)
     # After a low-rank warm-up blackjax puts every chain on the estimated mean, where chains could not disagree.
-    state = cast(Any, blackjax.nuts.init)(kept.position[-1], target) if low_rank else state
-    return state, parameters, jnp.sum(kept.steps)
+    state = cast(Any, blackjax.nuts.init)(warm_up.position[-1], target) if low_rank else state
+    return state, parameters, jnp.sum(warm_up.steps)
 
 
 @jax.jit

@@ -136,12 +136,12 @@ def _cross_over(key: Key, parents: State, before: _Layer, resample: Resample, ra
     second = jax.random.permutation(shuffle_key, resample(second_key, before.log_weights))
     takes_part = jax.random.uniform(share_key, second.shape) < rate
 
-    def cross(name: str, first: Array, other: Array) -> Array:
+    def cross(name: str, first: Array, partner: Array) -> Array:
         # The interval is one of blocks, so that a rotation is taken as a whole.
         blocks = np.asarray(transition.space(name, first.shape[1:]).blocks)
         ends = jnp.sort(jax.random.randint(keys[name], (first.shape[0], 2), 0, blocks.max() + 2), axis=1)
         swapped = (blocks >= ends[:, :1]) & (blocks < ends[:, 1:]) & takes_part[:, None]
-        return jnp.where(swapped.reshape(first.shape), other, first)
+        return jnp.where(swapped.reshape(first.shape), partner, first)
 
     keys = dict(zip(sorted(parents), jax.random.split(interval_key, len(parents)), strict=True))
     return {name: cross(name, leaf, before.states[name][second]) for name, leaf in parents.items()}

@@ -76,8 +76,8 @@ def moments(draws: Float[Array, "draw dof"], log_weights: LogWeights) -> Moments
 
 def with_moments(draws: Float[Array, "draw dof"], log_weights: LogWeights, wanted: Moments) -> Float[Array, "draw dof"]:
     """Return weighted draws moved and stretched to the moments `wanted`; unchanged if these are not finite."""
-    own = moments(draws, log_weights)
-    moved = wanted.mean + _whitened(draws - own.mean, own.root) @ wanted.root.T
+    current = moments(draws, log_weights)
+    moved = wanted.mean + _whitened(draws - current.mean, current.root) @ wanted.root.T
     return jnp.where(jnp.all(jnp.isfinite(moved)), moved, draws)
 
 
@@ -97,10 +97,10 @@ def noise_beside(key: Key, draws: Float[Array, "draw dof"], log_weights: LogWeig
     if draws.shape[0] < 2 * (draws.shape[1] + size + 1) or not size:
         return noise
     weights = jax.nn.softmax(log_weights)
-    own = moments(draws, log_weights)
-    white, centred = _whitened(draws - own.mean, own.root), noise - weights @ noise
-    left = centred - white @ ((weights[:, None] * white).T @ centred)
-    exact = with_moments(left, log_weights, Moments(jnp.zeros(size, draws.dtype), jnp.eye(size, dtype=draws.dtype)))
+    current = moments(draws, log_weights)
+    white, centred = _whitened(draws - current.mean, current.root), noise - weights @ noise
+    residual = centred - white @ ((weights[:, None] * white).T @ centred)
+    exact = with_moments(residual, log_weights, Moments(jnp.zeros(size, draws.dtype), jnp.eye(size, dtype=draws.dtype)))
     return jnp.where(jnp.all(jnp.isfinite(exact)), exact, noise)
 
 

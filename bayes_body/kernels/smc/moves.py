@@ -32,20 +32,20 @@ type Target = Callable[[Position], tuple[Scalar, LogTerms]]
 JITTER = (0.6, 1.4)
 
 
-def check_gradients(density: Density, what: str, other: str = "") -> None:
+def check_gradients(density: Density, what: str, alternative: str = "") -> None:
     """Raise an error unless every likelihood has a gradient.
 
     Args:
         density: the density of a frame.
         what: what needs the gradient, in the user's terms.
-        other: a further remedy besides a look-up with a gradient.
+        alternative: a further remedy besides a look-up with a gradient.
 
     Raises:
         InputError: a likelihood has no gradient.
     """
     if density.without_gradient:
-        found, remedy = f"'{density.without_gradient[0]}' has no gradient", f'set its lookup = "bilinear"{other}'
-        raise input_error("the likelihood", found, f"a likelihood with a gradient, for {what}", remedy)
+        problem, remedy = f"'{density.without_gradient[0]}' has no gradient", f'set its lookup = "bilinear"{alternative}'
+        raise input_error("the likelihood", problem, f"a likelihood with a gradient, for {what}", remedy)
 
 
 class Moved(NamedTuple):
@@ -98,10 +98,10 @@ def hmc(leapfrog_steps: int) -> Move:
             # Half a kick at each end, and whole kicks in between. The energy is computed after the first half of a kick.
             ends = (k == 0) | (k == leapfrog_steps)
             half = _along(momentum, slope, size / 2)
-            here = _Point(position, log_density - _kinetic(jax.tree.map(lambda p, h: jnp.where(k == 0, p, h), momentum, half)), terms, slope)
+            point = _Point(position, log_density - _kinetic(jax.tree.map(lambda p, h: jnp.where(k == 0, p, h), momentum, half)), terms, slope)
             kicked = jax.tree.map(lambda h, g: jnp.where(ends, h, h + size / 2 * g), half, slope)
             onward = _along(position, kicked, jnp.where(k == leapfrog_steps, 0.0, size))
-            return onward, kicked, jax.tree.map(lambda new, old: jnp.where(k == 0, new, old), here, first), here
+            return onward, kicked, jax.tree.map(lambda new, old: jnp.where(k == 0, new, old), point, first), point
 
         unknown = varying_like(jnp.full_like(_kinetic(position), jnp.nan), position)
         unvisited = _Point(position, unknown, LogTerms(unknown, unknown), dict(position))
@@ -118,7 +118,7 @@ def random_walk() -> Move:
     def step(key: Key, position: Position, target: Target, step_size: Scalar) -> Moved:
         direction, (accept,) = _random(key, position, 1)
         proposed = _along(position, direction, step_size)
-        both = jax.tree.map(lambda here, there: jnp.stack([here, there]), dict(position), proposed)
+        both = jax.tree.map(lambda current, proposal: jnp.stack([current, proposal]), dict(position), proposed)
         log_densities, terms = jax.lax.map(target, both)
         points = _Point(both, log_densities, terms, jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), both))
         first, last = (jax.tree.map(lambda leaf, k=k: leaf[k], points) for k in (0, 1))
@@ -209,11 +209,11 @@ def walk(
         roots = settings.whitening
         return {name: jax.scipy.linalg.solve_triangular(roots[name], x, lower=True, trans=transposed) for name, x in sorted(values.items())}
 
-    def one(whitened: State, move_key: Key) -> tuple[State, tuple[dict[str, Array], LogTerms, dict[str, Array], Scalar]]:
+    def advance(whitened: State, move_key: Key) -> tuple[State, tuple[dict[str, Array], LogTerms, dict[str, Array], Scalar]]:
         after = move.step(move_key, whitened, target, settings.step_size)
         return after.position, (coordinates(after.position), after.terms, solved(after.slope, 1), after.acceptance_rate)
 
-    _, (chain, terms, slopes, rates) = jax.lax.scan(one, solved(particle.position, 0), jnp.stack(move_keys))
+    _, (chain, terms, slopes, rates) = jax.lax.scan(advance, solved(particle.position, 0), jnp.stack(move_keys))
     return ExtendedParticle(jnp.broadcast_to(ancestor, (moves,)), chain, terms, slopes), jnp.mean(rates), jnp.mean(rates == 0)
 
 

@@ -136,8 +136,8 @@ class _Sampler:
         if self.options.move == "hmc":
             check_gradients(density, 'move = "hmc"', ', or move = "random_walk"')
         if self.options.waste_free and count % (self.options.moves + 1):
-            found, expected = f"{count} particles with chains of {self.options.moves} moves", f"a multiple of {self.options.moves + 1} particles"
-            raise input_error("tempered(waste_free=true)", found, expected, "change the particles or the moves")
+            problem, expected = f"{count} particles with chains of {self.options.moves} moves", f"a multiple of {self.options.moves + 1} particles"
+            raise input_error("tempered(waste_free=true)", problem, expected, "change the particles or the moves")
         start, predicted, lost, view = self._begin(start_key, density.with_previous(particles))
         # In the loop, the first step shares the program of the stages. With waste-free moves it has other shapes.
         first = self._step(jax.random.fold_in(stages_key, 0), start, _still, count) if self.options.waste_free else start
@@ -178,7 +178,7 @@ class _Sampler:
             if not self.options.waste_free:
                 return jax.lax.cond(state.stage == 0, _still, lambda keys, parents: self._moved(keys, parents, view, settings), keys, parents)
             chains, (accepted, impossible) = self._moved(keys, parents, view, settings)
-            join = jax.tree.map(lambda first, rest: jnp.concatenate([first, rest.reshape(-1, *first.shape[1:])]), parents, chains)
+            join = jax.tree.map(lambda parent, chain: jnp.concatenate([parent, chain.reshape(-1, *parent.shape[1:])]), parents, chains)
             return join, (accepted, impossible)
 
         return self._step(key, state, move, state.log_weights.shape[0] // states_a_chain)
@@ -255,12 +255,12 @@ class _Sampler:
         """
         options = self.options
 
-        def one(particle: tuple[Key, ExtendedParticle], shared: tuple[View, MoveSettings]) -> tuple[ExtendedParticle, Scalar, Scalar]:
+        def move_particle(particle: tuple[Key, ExtendedParticle], shared: tuple[View, MoveSettings]) -> tuple[ExtendedParticle, Scalar, Scalar]:
             chain, accepted, impossible = walk(*particle, *shared, self.move, options.moves, options.candidates)
             moved = chain if options.waste_free else jax.tree.map(lambda leaf: leaf[-1], chain)
             return moved._replace(terms=jax.tree.map(finite_log, moved.terms)), accepted, impossible
 
-        return over_particles(one, (keys, particles), (view, settings))
+        return over_particles(move_particle, (keys, particles), (view, settings))
 
     # -- results ------------------------------------------------------------------------------------------------------------------------
 
@@ -272,7 +272,7 @@ class _Sampler:
         else:
             states = jax.vmap(view.state)(ancestors, positions)
         posterior = Particles(states, normalise(last.log_weights).log_weights)
-        after = jax.tree.map(lambda prediction, found: jnp.where(lost, prediction, found), predicted, posterior)
+        after = jax.tree.map(lambda prediction, filtered: jnp.where(lost, prediction, filtered), predicted, posterior)
         info = FilterInfo(
             ancestors=ancestors,
             ess=effective_sample_size(after.log_weights),

@@ -40,8 +40,8 @@ class Finals(NamedTuple):
         """Return them with those of stage `number` at the posterior, if a stage is one; unchanged if none are kept."""
         if not self.positions.shape[0]:
             return self
-        now = Finals(jax.vmap(joined)(particles.position), jax.vmap(joined)(particles.slope))
-        return jax.tree.map(lambda kept, new: jnp.where(at_top, kept.at[number].set(new), kept), self, now)
+        final = Finals(jax.vmap(joined)(particles.position), jax.vmap(joined)(particles.slope))
+        return jax.tree.map(lambda stored, new: jnp.where(at_top, stored.at[number].set(new), stored), self, final)
 
 
 class TemperedState(NamedTuple):
@@ -102,8 +102,8 @@ def corrected_positions(last: TemperedState) -> dict[str, Array]:
     positions, slopes = (values.reshape(-1, values.shape[-1]) for values in last.finals)
     wanted = corrected_moments(positions, jnp.tile(last.log_weights, stages), slopes)
     moved = with_moments(jax.vmap(joined)(position), last.log_weights, wanted)
-    one = jax.tree.map(lambda leaf: leaf[0], position)
-    split_up = jax.vmap(lambda vector: split(vector, one))(moved)
+    form = jax.tree.map(lambda leaf: leaf[0], position)
+    split_up = jax.vmap(lambda vector: split(vector, form))(moved)
     return jax.tree.map(lambda new, old: jnp.where(last.impossible <= MOST_IMPOSSIBLE, new, old), split_up, position)
 
 
