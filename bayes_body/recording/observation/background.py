@@ -65,12 +65,12 @@ def learn_background(images: Sequence[Colours], follow_exposure: bool) -> Backgr
     images = _even(images) if follow_exposure else images
     shown = background_frames(np.stack([shrink(image, LONGEST_SMALL) for image in images]))
     size = images[0].shape[1::-1]
-    where = [cv2.resize(each.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)[..., None] > 0 for each in shown.frames]
+    where = [cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)[..., None] > 0 for mask in shown.frames]
     colours = [_channels(image) for image in images]
     first, _ = _moments(colours, where)
     # Small images mix neighbouring pixels: at edges, some pixels that they call background are not.
     near = [
-        here & (((image - first) ** 2).sum(axis=-1, keepdims=True) < (1.5 * SAME_COLOUR) ** 2) for image, here in zip(colours, where, strict=True)
+        mask & (((image - first) ** 2).sum(axis=-1, keepdims=True) < (1.5 * SAME_COLOUR) ** 2) for image, mask in zip(colours, where, strict=True)
     ]
     mean, sd = _moments(colours, near, first)
     doubtful = cv2.resize(shown.doubtful.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
@@ -100,9 +100,9 @@ def _moments(
     """Mean and standard deviation over the images in which a pixel counts. A pixel that never counts gets `otherwise` and an unknown deviation."""
     count = np.zeros((*images[0].shape[:2], 1), np.float32)
     total, squares = np.zeros(images[0].shape, np.float32), np.zeros(images[0].shape, np.float32)
-    for image, here in zip(images, where, strict=True):
-        values = image * here.astype(np.float32)
-        count += here
+    for image, mask in zip(images, where, strict=True):
+        values = image * mask.astype(np.float32)
+        count += mask
         total += values
         squares += values * values
     mean = total / np.maximum(count, 1)

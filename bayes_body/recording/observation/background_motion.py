@@ -13,23 +13,23 @@ CORNERS, FEWEST, QUALITY, APART_PX = 300, 20, 0.01, 8
 WITHIN_PX = 1.0
 
 
-def corner_ways(before: Greys, now: Greys) -> Float[np.ndarray, "2 corner 2"]:
+def corner_ways(before: Greys, picture: Greys) -> Float[np.ndarray, "2 corner 2"]:
     """Return the pixels of corners in the frame before and in this one. There are none if fewer than FEWEST are found again."""
     corners: Any = cv2.goodFeaturesToTrack(before, CORNERS, QUALITY, APART_PX)
     if corners is None or len(corners) < FEWEST:
         return np.empty((2, 0, 2))
     empty: Any = None
-    moved, found, _ = cv2.calcOpticalFlowPyrLK(before, now, corners, empty)
-    ways = np.stack([corners, moved])[:, found.ravel() == 1].reshape(2, -1, 2)
+    moved, status, _ = cv2.calcOpticalFlowPyrLK(before, picture, corners, empty)
+    ways = np.stack([corners, moved])[:, status.ravel() == 1].reshape(2, -1, 2)
     return ways if ways.shape[1] >= FEWEST else np.empty((2, 0, 2))
 
 
-def carried_background(before: Greys, now: Greys) -> Greys:
+def carried_background(before: Greys, picture: Greys) -> Greys:
     """Return the picture of the frame before, carried to this frame as if everything moved with the background.
 
     The motion is a homography: exact for a camera that turns and for a plane, approximate for a room with depth. Where none is found, nothing moves.
     """
-    start, end = corner_ways(before, now)
+    start, end = corner_ways(before, picture)
     homography: Any = cv2.findHomography(start, end, cv2.RANSAC, WITHIN_PX)[0] if len(start) else None
     if homography is None:
         return before

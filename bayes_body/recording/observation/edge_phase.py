@@ -93,5 +93,5 @@ def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame
 def _check_size(shape: tuple[int, ...], wavelength_px: float) -> None:
     least = int(np.ceil(2 * SUPPORT * wavelength_px))
     if min(shape) < least:
-        found = f"images of {shape[1]} x {shape[0]} pixels under a filter of wavelength {wavelength_px:g} px"
-        raise input_error("edge_phase", found, f"at least {least} pixels a side", "use a shorter `wavelength_px`, or larger images")
+        problem = f"images of {shape[1]} x {shape[0]} pixels under a filter of wavelength {wavelength_px:g} px"
+        raise input_error("edge_phase", problem, f"at least {least} pixels a side", "use a shorter `wavelength_px`, or larger images")

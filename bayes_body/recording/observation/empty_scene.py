@@ -90,20 +90,20 @@ def _choose(stack: Stack, colour: NDArray[np.float32], changing: NDArray[np.bool
     chosen, colour = centres[0], colour.copy()
     for _ in range(ROUNDS):
         ratio = np.clip(np.log(scene / person), -STRONGEST, STRONGEST).astype(np.float32)
-        weights = np.exp(np.stack([cv2.blur(ratio[each], (3, 3)) for each in bins])[:, changing])
+        weights = np.exp(np.stack([cv2.blur(ratio[indices], (3, 3)) for indices in bins])[:, changing])
         heaviest = np.argmax(belief * [(weights * (members == mode)).sum(axis=0) for mode in range(MODES)], axis=0)
         chosen = centres[heaviest, np.arange(centres.shape[1])]
-        away = rim & (((samples - chosen) ** 2).sum(axis=-1) >= SAME_COLOUR**2)
-        if not away.any():
+        outliers = rim & (((samples - chosen) ** 2).sum(axis=-1) >= SAME_COLOUR**2)
+        if not outliers.any():
             break
-        person = colour_histogram(bins[:, changing][away], 3)
+        person = colour_histogram(bins[:, changing][outliers], 3)
     colour[changing] = chosen
     return colour, changing & (person > scene)[colour_bins(colour.astype(np.uint8))]
 
 
 def _expected(colour: NDArray[np.float32], changing: NDArray[np.bool_]) -> NDArray[np.float32]:
-    around = cv2.dilate(changing.astype(np.uint8), np.ones((3, 3), np.uint8))
-    return cv2.inpaint(colour.astype(np.uint8), around, 3, cv2.INPAINT_TELEA).astype(np.float32)
+    dilated_mask = cv2.dilate(changing.astype(np.uint8), np.ones((3, 3), np.uint8))
+    return cv2.inpaint(colour.astype(np.uint8), dilated_mask, 3, cv2.INPAINT_TELEA).astype(np.float32)
 
 
 def _modes(samples: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.int8]]:

@@ -65,13 +65,13 @@ def _fit(x: NDArray[np.float32], y: NDArray[np.float32], terms: NDArray[np.float
     if x.size < 10 * terms.shape[1]:
         return unchanged
     columns = np.column_stack([x, terms])
-    rest = y - np.median(y / x) * x
+    residual = y - np.median(y / x) * x
     line = unchanged
     for _ in range(ROUNDS):
-        near = np.abs(rest) <= max(2.5 * 1.4826 * float(np.median(np.abs(rest))), LEAST_SPREAD)
+        near = np.abs(residual) <= max(2.5 * 1.4826 * float(np.median(np.abs(residual))), LEAST_SPREAD)
         used = columns[near]
         # A weak prior (gain 1, offset 0) determines what an image of one colour leaves open.
         normal = used.T @ used + np.eye(used.shape[1], dtype=np.float32)
         line = unchanged + np.linalg.solve(normal, used.T @ (y[near] - x[near])).astype(np.float32)
-        rest = y - columns @ line
+        residual = y - columns @ line
     return line if 1 / STRONGEST_GAIN < line[0] < STRONGEST_GAIN else unchanged

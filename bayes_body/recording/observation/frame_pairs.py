@@ -36,11 +36,13 @@ def pair_sentences(session: Session, frames: int, watch: Callable[[range], Itera
         repeated, moves = _looked_at(session, view, frames)
         owner = f"camera '{view.camera.name}'"
         if repeated:
-            told = f"{named(repeated)} repeat{'s' if len(repeated) == 1 else ''} the picture of the frame before"
-            sentences.append(f"{owner}: {told}: image motion sees none there; drop repeated frames from the video, and correct fps in session.toml.")
+            problem = f"{named(repeated)} repeat{'s' if len(repeated) == 1 else ''} the picture of the frame before"
+            sentences.append(
+                f"{owner}: {problem}: image motion sees none there; drop repeated frames from the video, and correct fps in session.toml."
+            )
         if view.path is None and moves > STILL_PX:
-            told = f"its background moves by {moves:.1f} px per frame, and the session has no path of this camera"
-            sentences.append(f"{owner}: {told}: image motion takes it for motion of the person; give the camera its `path` in session.toml.")
+            problem = f"its background moves by {moves:.1f} px per frame, and the session has no path of this camera"
+            sentences.append(f"{owner}: {problem}: image motion takes it for motion of the person; give the camera its `path` in session.toml.")
     return sentences
 
 
@@ -49,22 +51,22 @@ def _looked_at(session: Session, view: View, frames: int) -> tuple[list[int], fl
     tried = {round(place) for place in np.linspace(1, frames - 1, PAIRS)} if frames > 1 else set()
     repeated, shifts, before = [], [], None
     for frame in range(frames):
-        now = read_greys(session, frame, view)
-        if now is not None and before is not None:
-            if _repeats(now, before):
+        picture = read_greys(session, frame, view)
+        if picture is not None and before is not None:
+            if _repeats(picture, before):
                 repeated.append(session.frame_number(frame))
             elif frame in tried:
-                shifts.append(_shift_px(before, now))
-        before = now
+                shifts.append(_shift_px(before, picture))
+        before = picture
     known = [shift for shift in shifts if np.isfinite(shift)]
     return repeated, float(np.median(known)) if known else 0.0
 
 
-def _repeats(now: Greys, before: Greys) -> bool:
-    return float(np.mean(cv2.absdiff(now, before) > REPEATED_LEVELS)) < REPEATED_SHARE
+def _repeats(picture: Greys, before: Greys) -> bool:
+    return float(np.mean(cv2.absdiff(picture, before) > REPEATED_LEVELS)) < REPEATED_SHARE
 
 
-def _shift_px(before: Greys, now: Greys) -> float:
+def _shift_px(before: Greys, picture: Greys) -> float:
     """Return by how far most corners of the picture moved; the person has fewer of them than the background. NaN: too few corners."""
-    start, end = corner_ways(before, now)
+    start, end = corner_ways(before, picture)
     return float(np.linalg.norm(np.median(end - start, axis=0))) if len(start) else float("nan")

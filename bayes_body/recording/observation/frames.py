@@ -61,8 +61,8 @@ def masks_of(frame: Frame) -> Sequence[NDArray[np.bool_] | None]:
     """
     if frame.masks is None:
         remedy = "give each [[camera]] its `masks`, or an image of the empty scene as `background`"
-        found = "its cameras have no masks, and there are too few frames to learn the background"
-        raise input_error("session.toml", found, "a silhouette for every image", remedy)
+        problem = "its cameras have no masks, and there are too few frames to learn the background"
+        raise input_error("session.toml", problem, "a silhouette for every image", remedy)
     return frame.masks
 
 
@@ -96,32 +96,32 @@ def read_frame(session: Session, index: int, with_before: bool = False, seen: Se
     return Frame(index, images, masks, foreground, sizes, keypoints, cameras_at(session, index), before)
 
 
-def _images(session: Session, index: int, seen: Sequence[bool]) -> Sequence[NDArray[np.uint8] | None]:
+def _images(session: Session, index: int, have_image: Sequence[bool]) -> Sequence[NDArray[np.uint8] | None]:
     """Return the images of the cameras that see the frame, each read on first access."""
 
     def image_of(view: View) -> Callable[[], NDArray[np.uint8] | None]:
         return lru_cache(1)(lambda: read_greys(session, index, view))
 
-    return _OnDemand([image_of(view) if here else lambda: None for view, here in zip(session.views, seen, strict=True)])
+    return _OnDemand([image_of(view) if has_image else lambda: None for view, has_image in zip(session.views, have_image, strict=True)])
 
 
-def _keypoints(session: Session, index: int, seen: Sequence[bool]) -> tuple[Keypoints | None, ...] | None:
+def _keypoints(session: Session, index: int, have_image: Sequence[bool]) -> tuple[Keypoints | None, ...] | None:
     paths = [session.keypoints_path(view) for view in session.views]
     if not any(paths):
         return None
     numbers = [session.number(view, index) for view in session.views]
-    return tuple(read_series(path).frame(k) if path and here else None for path, k, here in zip(paths, numbers, seen, strict=True))
+    return tuple(read_series(path).frame(k) if path and has_image else None for path, k, has_image in zip(paths, numbers, have_image, strict=True))
 
 
 class _Silhouette:
     """The silhouette in a camera's image, computed on first access."""
 
-    def __init__(self, session: Session, index: int, view: View, seen: bool):
-        self._session, self._index, self._view, self._seen = session, index, view, seen
+    def __init__(self, session: Session, index: int, view: View, has_image: bool):
+        self._session, self._index, self._view, self._has_image = session, index, view, has_image
 
     @cached_property
     def mask(self) -> NDArray[np.bool_] | None:
-        if not self._seen:
+        if not self._has_image:
             return None
         path = self._session.mask_path(self._view, self._index)
         if path is None:
@@ -139,7 +139,7 @@ class _Silhouette:
 
     @cached_property
     def _levels(self) -> NDArray[np.uint8] | None:
-        image = read_colour(self._session, self._index, self._view) if self._seen else None
+        image = read_colour(self._session, self._index, self._view) if self._has_image else None
         return None if image is None else silhouette_levels(self._session, self._view, image)
 
 

@@ -49,9 +49,13 @@ def build(options: Options, **_: Any) -> Callable[[Frame], ImageMotion]:
         # Without a frame before, any camera will do.
         nowhere = [(np.eye(3), np.zeros(3))] * len(before)
         extrinsics = nowhere if earlier is None else [(camera.rotation, camera.translation_m) for camera in earlier.cameras]
-        rotations, translations = (np.stack(each).astype(np.float32) for each in zip(*extrinsics, strict=True))
+        rotations, translations = (np.stack(arrays).astype(np.float32) for arrays in zip(*extrinsics, strict=True))
         pairs = list(zip(frame.images, before, strict=True))
-        moves = [False] * len(pairs) if earlier is None else [now != then for now, then in zip(frame.cameras, earlier.cameras, strict=True)]
+        moves = (
+            [False] * len(pairs)
+            if earlier is None
+            else [camera != earlier_camera for camera, earlier_camera in zip(frame.cameras, earlier.cameras, strict=True)]
+        )
         pictures = [(*pair, _background(*pair, moved)) for pair, moved in zip(pairs, moves, strict=True)]
         places = random_places(*options.samples, frame.index) if options.random else stratified(*options.samples)
         return ImageMotion(
@@ -59,11 +63,11 @@ def build(options: Options, **_: Any) -> Callable[[Frame], ImageMotion]:
             rotations,
             translations,
             places.astype(np.float32),
-            np.array([now is not None and then is not None for now, then in pairs]),
+            np.array([image is not None and earlier_image is not None for image, earlier_image in pairs]),
         )
 
     return observe
 
 
-def _background(now: Greys | None, before: Greys | None, moves: bool) -> Greys | None:
-    return carried_background(before, now) if moves and now is not None and before is not None else before
+def _background(picture: Greys | None, before: Greys | None, moves: bool) -> Greys | None:
+    return carried_background(before, picture) if moves and picture is not None and before is not None else before

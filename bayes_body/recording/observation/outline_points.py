@@ -62,5 +62,5 @@ def displaced(points: Points, by_px: float, rng: np.random.Generator) -> Points:
 def sampled(maps: Float[np.ndarray, "map row column"], points: Points) -> Response:
     """The responses in one image at the points, interpolated bilinearly as in the likelihood."""
     where = points.places.T[::-1]
-    values = [map_coordinates(each, where, order=1, mode="nearest") for each in maps]
+    values = [map_coordinates(response_map, where, order=1, mode="nearest") for response_map in maps]
     return steer(values, points.normals[:, 0], points.normals[:, 1])

@@ -67,8 +67,8 @@ def _read_video(session: Session, index: int, view: View) -> Colours | None:
 def _image_path(session: Session, index: int, view: View) -> Path:
     path = session.image_path(view, index)
     if path is None:
-        found = "neither images nor video"
-        raise input_error(f"{session.title}: camera '{view.camera.name}'", found, "one of the two", "give it `images` or `video`")
+        problem = "neither images nor video"
+        raise input_error(f"{session.title}: camera '{view.camera.name}'", problem, "one of the two", "give it `images` or `video`")
     return path
 
 

@@ -84,9 +84,9 @@ def _learn(session: Session, view: View) -> Background:
     source = _recording(session, view) if path is None else _video(path, size, options.learning_frames)
     images = [shrink(image) for image in source]
     if len(images) < (LEAST_FRAMES if path is None else 1):
-        found = f"{len(images)} of its frames can be read, and it has neither masks nor an empty scene"
+        problem = f"{len(images)} of its frames can be read, and it has neither masks nor an empty scene"
         remedy = "give it `background`, an image or a video of the empty scene, or `masks`"
-        raise input_error(f"{session.title}: camera '{view.camera.name}'", found, f"{LEAST_FRAMES} or more to learn the background", remedy)
+        raise input_error(f"{session.title}: camera '{view.camera.name}'", problem, f"{LEAST_FRAMES} or more to learn the background", remedy)
     return learn_background(images, options.follow_exposure)
 
 

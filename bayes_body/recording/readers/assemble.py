@@ -58,14 +58,14 @@ def assemble(rig: Rig, folder: Path, title: str, options: Options) -> tuple[Sess
     check_fps(options.fps)
     check_rig(rig.calibration, rig.cameras)
     filmed = _filmed(rig)
-    counts = {each.camera.name: (each.source.first, each.source.count) for each in filmed}
+    counts = {recording.camera.name: (recording.source.first, recording.source.count) for recording in filmed}
     timing = align(counts, options.offsets)
-    fps, remarks = frame_rate({each.camera.name: each.source.fps for each in filmed}, options.fps)
-    views = tuple(_view(each, folder, timing.offsets[each.camera.name], fps) for each in filmed)
+    fps, remarks = frame_rate({recording.camera.name: recording.source.fps for recording in filmed}, options.fps)
+    views = tuple(_view(recording, folder, timing.offsets[recording.camera.name], fps) for recording in filmed)
     subject = Subject(height_m=options.height_m)
     whole = Session(folder, title, rig.up, fps, timing.frames, timing.first_frame, views, subject)
     session = excerpt(whole, options.first_frame, options.frames)
-    remarks = [*(each.remark for each in filmed if each.remark), *timing.remarks, *remarks]
+    remarks = [*(recording.remark for recording in filmed if recording.remark), *timing.remarks, *remarks]
     return with_options(session, options), [*remarks, *([] if options.masks else [_no_masks(options)])]
 
 
@@ -134,9 +134,9 @@ def _with_pictures(session: Session, view: View, options: Options) -> View:
         first = session.number(view, 0)
         last = first + session.frames - 1
         if series.first > first or series.first + series.count <= last:
-            found = f"numbers {series.first} to {series.first + series.count - 1}"
+            problem = f"numbers {series.first} to {series.first + series.count - 1}"
             remedy = "number the masks like the camera's frames; frames of a video count from 0"
-            raise input_error(f"--masks {options.masks / name}", found, f"{first} to {last}, this camera's frames in the session", remedy)
+            raise input_error(f"--masks {options.masks / name}", problem, f"{first} to {last}, this camera's frames in the session", remedy)
         read_mask(series.path(first), size)
         view = replace(view, masks=_pattern(series, session.folder))
     if options.background is not None:

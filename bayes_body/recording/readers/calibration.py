@@ -109,9 +109,9 @@ def calibrated(
             raise input_error(where, "a camera without a name", "a name", "name it in the calibration")
     faults.raise_any()
     fx, skew, cx, fy, cy = values
-    for field, found, expected in lens_faults(size_px, (fx, fy), (cx, cy), coefficients) if size_px else ():
+    for field, problem, expected in lens_faults(size_px, (fx, fy), (cx, cy), coefficients) if size_px else ():
         with faults.collect():
-            raise input_error(f"{where}: {LENS_FIELDS[field]}", found, expected, AGAIN)
+            raise input_error(f"{where}: {LENS_FIELDS[field]}", problem, expected, AGAIN)
     faults.raise_any()
     return Calibrated(name, size_px, (fx, fy), (cx, cy), skew / fx, coefficients, R, T)
 
@@ -134,9 +134,9 @@ def _distortion(where: str, numbers: NDArray[np.float64]) -> tuple[float, float,
     if numbers.size not in (0, *DISTORTION_LENGTHS) or not np.isfinite(numbers).all():
         raise input_error(subject, _shown(numbers), "4 or 5 finite numbers, k1, k2, p1, p2, k3", AGAIN)
     if numbers[5:].any():
-        found = f"{numbers.size} numbers, not all 0 after the fifth: a rational, thin prism or tilted lens"
+        problem = f"{numbers.size} numbers, not all 0 after the fifth: a rational, thin prism or tilted lens"
         raise input_error(
-            subject, found, "at most k1, k2, p1, p2, k3", "calibrate again with OpenCV's plain model, without flags such as CALIB_RATIONAL_MODEL"
+            subject, problem, "at most k1, k2, p1, p2, k3", "calibrate again with OpenCV's plain model, without flags such as CALIB_RATIONAL_MODEL"
         )
     k1, k2, p1, p2, k3 = np.pad(numbers[:5], (0, 5 - min(numbers.size, 5))).tolist()
     return k1, k2, p1, p2, k3
@@ -154,8 +154,8 @@ def rotation_matrix(where: str, rotation: Numbers) -> NDArray[np.float64]:
     R = numbers.reshape(3, 3) if numbers.size == 9 else np.asarray(cv2.Rodrigues(numbers.reshape(3, 1))[0], np.float64)
     fault = rotation_fault(R)
     if fault:
-        found, expected, remedy = fault.split("; ")
-        raise input_error(subject, found, expected.removeprefix("expected "), remedy)
+        problem, expected, remedy = fault.split("; ")
+        raise input_error(subject, problem, expected.removeprefix("expected "), remedy)
     return R
 
 
@@ -168,8 +168,8 @@ def rotation_given_twice(where: str, matrix: Numbers, vector: Numbers) -> NDArra
     R = rotation_matrix(where, matrix)
     off = float(np.linalg.norm(rotation_matrix(where, vector) - R))
     if off > TWICE_TOLERANCE:
-        found = f"the Rodrigues vector contradicts the rotation matrix by {off:.2g}"
-        raise input_error(where, found, "the same rotation in both", "find out which is right, and compute the other from it")
+        problem = f"the Rodrigues vector contradicts the rotation matrix by {off:.2g}"
+        raise input_error(where, problem, "the same rotation in both", "find out which is right, and compute the other from it")
     return R
 
 
@@ -211,8 +211,8 @@ def _check_distances(where: object, viewpoints: NDArray[np.float64]) -> None:
     farthest = max(extent, float(np.linalg.norm(viewpoints - middle, axis=-1).max()))
     expected = f"a room of {NEAREST_M:g} to {FARTHEST_M:g} m"
     if not farthest <= FARTHEST_M:
-        found = f"cameras {farthest:.4g} m apart or from the world's origin"
-        raise input_error(where, found, expected, "it looks like a factor of 1000, millimetres read as metres")
+        problem = f"cameras {farthest:.4g} m apart or from the world's origin"
+        raise input_error(where, problem, expected, "it looks like a factor of 1000, millimetres read as metres")
     if len(viewpoints) > 1 and extent < NEAREST_M:
         raise input_error(where, f"all cameras within {extent:.2g} m", expected, "it looks like a factor of 1000, metres read as millimetres")
 

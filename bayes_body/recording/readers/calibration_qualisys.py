@@ -102,5 +102,5 @@ def _number(where: str, element: ElementTree.Element, key: str, default: float |
 
 
 def _no_number(where: str, element: ElementTree.Element, key: str, text: str | None) -> InputError:
-    found = "missing" if text is None else f"'{text[:40]}'"
-    return input_error(f"{where}: {element.tag} {key}", found, "a finite number", "restore the file, or export the calibration again")
+    problem = "missing" if text is None else f"'{text[:40]}'"
+    return input_error(f"{where}: {element.tag} {key}", problem, "a finite number", "restore the file, or export the calibration again")

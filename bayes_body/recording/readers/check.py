@@ -77,10 +77,10 @@ def _check_height(session: Session) -> None:
 def _check_places(session: Session) -> None:
     centres = np.array([-view.camera.rotation.T @ view.camera.translation_m for view in session.views])
     if len(centres) > 1 and np.linalg.norm(centres - centres[0], axis=-1).max() < LEAST_APART_M:
-        place = ", ".join(f"{each:.3g}" for each in centres[0] + 0.0)
-        found = f"all {len(centres)} cameras stand in one place, ({place}) m in the world"
+        place = ", ".join(f"{coordinate:.3g}" for coordinate in centres[0] + 0.0)
+        problem = f"all {len(centres)} cameras stand in one place, ({place}) m in the world"
         remedy = "check rotation and translation_m of each [[camera]]: X_camera = rotation X_world + translation; or keep one camera"
-        raise input_error("session.toml: camera", found, f"cameras at least {LEAST_APART_M:g} m apart", remedy)
+        raise input_error("session.toml: camera", problem, f"cameras at least {LEAST_APART_M:g} m apart", remedy)
 
 
 def _check_series(faults: Faults, owner: str, kind: str, files: Iterable[tuple[int, str]], read: Callable[[Path], Any]) -> list[str]:
@@ -126,17 +126,19 @@ def _check_video(session: Session, view: View, owner: str, used: int) -> list[st
     readable = max(0, readable_frames(path, first + session.frames) - first)
     damaged = [number - view.offset for number in damaged_frames(path, range(first, first + min(readable, used)))]
     if readable == 0:
-        found = f"{path} has {readable_frames(path, first + 1)} frames"
-        raise input_error(owner, found, f"more than {first}, the number of the first", "correct first_frame and the camera's offset in session.toml")
+        problem = f"{path} has {readable_frames(path, first + 1)} frames"
+        raise input_error(
+            owner, problem, f"more than {first}, the number of the first", "correct first_frame and the camera's offset in session.toml"
+        )
     if damaged and len(damaged) == min(readable, used):
         raise input_error(owner, f"{path}: every frame is damaged", "a video that can be decoded without errors", "copy the video again")
     if damaged:
-        found = f"{len(damaged)} of {session.frames} frames cannot be decoded without errors ({named(damaged)}), {path} is damaged"
-        remarks.append(f"{owner}: {found}: {BLIND}; copy the video again.")
+        problem = f"{len(damaged)} of {session.frames} frames cannot be decoded without errors ({named(damaged)}), {path} is damaged"
+        remarks.append(f"{owner}: {problem}: {BLIND}; copy the video again.")
     if readable < session.frames:
         missing = range(session.frame_number(readable), session.frame_number(session.frames))
-        found = f"{_share(len(missing), session.frames, 'frames')} ({named(missing)}), {path} ends before them"
-        remarks.append(f"{owner}: {found}: {BLIND}; copy the video again, or correct first_frame and frames in session.toml.")
+        problem = f"{_share(len(missing), session.frames, 'frames')} ({named(missing)}), {path} ends before them"
+        remarks.append(f"{owner}: {problem}: {BLIND}; copy the video again, or correct first_frame and frames in session.toml.")
     return remarks
 
 

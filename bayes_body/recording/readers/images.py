@@ -58,20 +58,20 @@ def is_image(path: Path) -> bool:
     return cv2.haveImageReader(native_path(path))
 
 
-def check_size(path: Path, found: tuple[int, int], size_px: tuple[int, int] | None) -> None:
+def check_size(path: Path, image_size_px: tuple[int, int], size_px: tuple[int, int] | None) -> None:
     """Refuse an image whose size differs from its camera's, (width, height).
 
     Raises:
         InputError: the sizes differ.
     """
-    if size_px is not None and found != tuple(size_px):
+    if size_px is not None and image_size_px != tuple(size_px):
         remedy = "use the images that the camera was calibrated with, or scale focal_px, centre_px and size_px to these images"
-        raise input_error(path, f"{found[0]} x {found[1]} pixels", f"{size_px[0]} x {size_px[1]} as its camera has", remedy)
+        raise input_error(path, f"{image_size_px[0]} x {image_size_px[1]} pixels", f"{size_px[0]} x {size_px[1]} as its camera has", remedy)
 
 
-def not_seen(path: Path, found: str, expected: str, remedy: str) -> NotSeenError:
+def not_seen(path: Path, problem: str, expected: str, remedy: str) -> NotSeenError:
     """The error for a frame without a picture; arguments as for `bayes_body.base.errors.input_error`."""
-    return NotSeenError(str(input_error(path, found, expected, remedy)))
+    return NotSeenError(str(input_error(path, problem, expected, remedy)))
 
 
 def _read(path: Path, size_px: tuple[int, int] | None, flag: int) -> NDArray[np.uint8]:
@@ -81,8 +81,8 @@ def _read(path: Path, size_px: tuple[int, int] | None, flag: int) -> NDArray[np.
         raise not_seen(path, f"cut short, {missing} of {len(content) + missing} bytes are missing", "a whole image", "copy the file again")
     image = _decoded(path, content, flag)
     if image is None:
-        found = f"not an image that OpenCV can read, or cut short ({len(content)} bytes)"
-        raise not_seen(path, found, "a whole bmp, png, jpg or tiff", "copy the file again")
+        problem = f"not an image that OpenCV can read, or cut short ({len(content)} bytes)"
+        raise not_seen(path, problem, "a whole bmp, png, jpg or tiff", "copy the file again")
     check_size(path, (image.shape[1], image.shape[0]), size_px)
     return np.asarray(image, np.uint8)
 
@@ -94,8 +94,8 @@ def _decoded(path: Path, content: bytes, flag: int) -> MatLike | None:
     except cv2.error as error:
         # OpenCV reads the size in the header first, and refuses it before it allocates memory (`bayes_body` sets the limit).
         if "CV_IO_MAX_IMAGE" in str(error):
-            found = "more pixels than any camera has, according to its header"
-            raise input_error(path, found, f"at most {os.environ['OPENCV_IO_MAX_IMAGE_PIXELS']}", "copy the file again") from None
+            problem = "more pixels than any camera has, according to its header"
+            raise input_error(path, problem, f"at most {os.environ['OPENCV_IO_MAX_IMAGE_PIXELS']}", "copy the file again") from None
         return None
 
 

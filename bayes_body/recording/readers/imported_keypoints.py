@@ -61,7 +61,7 @@ def with_keypoints(session: Session, folders: Mapping[str, Path], layout: str | 
     """
     views = [view for view in session.views if view.camera.name in folders]
     people, remarks = _read(session, views, folders)
-    somebody = [each for frame in people for each in frame if len(each)]
+    somebody = [group for frame in people for group in frame if len(group)]
     if not somebody:
         return session, ["The keypoint files contain no people: the session has no keypoints."]
     order = choose_layout(_alike(folders, [*somebody, *_sample(views, folders)]), layout)
@@ -85,8 +85,8 @@ def _read(session: Session, views: Sequence[View], folders: Mapping[str, Path]) 
     for view in views:
         with faults.collect():
             folder, first = folders[view.camera.name], session.number(view, 0)
-            there = keypoint_files(folder)
-            numbers = [number for number in range(first, first + session.frames) if number in there or number == first]
+            files = keypoint_files(folder)
+            numbers = [number for number in range(first, first + session.frames) if number in files or number == first]
             series = dict(zip(numbers, read_openpose(folder, numbers), strict=True))
             nobody = np.zeros((0, 0, 3))
             cameras.append([_people(series.get(first + frame, nobody)) for frame in range(session.frames)])
@@ -97,17 +97,17 @@ def _read(session: Session, views: Sequence[View], folders: Mapping[str, Path]) 
     return [list(frame) for frame in zip(*cameras, strict=True)], remarks
 
 
-def _people(found: People) -> People:
-    return found[np.isfinite(found[..., 0]).any(axis=1)]
+def _people(people: People) -> People:
+    return people[np.isfinite(people[..., 0]).any(axis=1)]
 
 
 def _sample(views: Sequence[View], folders: Mapping[str, Path]) -> list[People]:
     files = [list(keypoint_files(folders[view.camera.name]).values()) for view in views]
-    return [each for paths in files for path in paths[:: max(1, len(paths) // FILES_FOR_LAYOUT)] if len(each := read_people(path))]
+    return [group for paths in files for path in paths[:: max(1, len(paths) // FILES_FOR_LAYOUT)] if len(group := read_people(path))]
 
 
 def _alike(folders: Mapping[str, Path], people: Sequence[People]) -> Float[np.ndarray, "person keypoint 3"]:
-    counts = sorted({each.shape[1] for each in people})
+    counts = sorted({group.shape[1] for group in people})
     if len(counts) > 1:
         where = next(iter(folders.values())).parent
         raise input_error(where, f"people with {counts[0]} and with {counts[-1]} keypoints", "one order of keypoints", "use one network")
@@ -118,7 +118,7 @@ def _named(camera: CameraSpec, person: Float[np.ndarray, "keypoint 3"], layout: 
     """The keypoints that were found inside the image."""
     inside = _inside(camera, person) & (person[:, 2] > 0)
     points = zip(layout.keypoints, person.tolist(), inside.tolist(), strict=True)
-    return {name: (column, row, confidence) for name, (column, row, confidence), seen in points if seen}
+    return {name: (column, row, confidence) for name, (column, row, confidence), is_inside in points if is_inside}
 
 
 def _inside(camera: CameraSpec, points: Float[np.ndarray, "*_ 3"]) -> np.ndarray:

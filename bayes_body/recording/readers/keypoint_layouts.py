@@ -53,7 +53,7 @@ def choose_layout(points: Float[np.ndarray, "person keypoint 3"], name: str | No
         InputError: no order of that name or with this number of keypoints, or the data do not decide.
     """
     count = points.shape[1]
-    fitting = [each for each, keypoints in LAYOUTS.items() if len(keypoints) == count]
+    fitting = [layout for layout, keypoints in LAYOUTS.items() if len(keypoints) == count]
     if name is not None:
         if name not in LAYOUTS:
             raise InputError(f"--layout: '{name}': no such order; {nearest(name, LAYOUTS)}")
@@ -63,7 +63,7 @@ def choose_layout(points: Float[np.ndarray, "person keypoint 3"], name: str | No
             )
         return Layout(name, LAYOUTS[name])
     if not fitting:
-        known = ", ".join(f"{each} ({len(keypoints)})" for each, keypoints in LAYOUTS.items())
+        known = ", ".join(f"{layout} ({len(keypoints)})" for layout, keypoints in LAYOUTS.items())
         raise input_error("keypoints", f"{count} per person", known, "write them in one of these orders")
     if len(fitting) == 1:
         return Layout(fitting[0], LAYOUTS[fitting[0]])
@@ -78,8 +78,8 @@ def _by_proportions(points: Float[np.ndarray, "person keypoint 3"], names: list[
         raise input_error(
             "keypoints", f"{points.shape[1]} per person, which may be {' or '.join(names)}", "people whose limb lengths decide between them", remedy
         )
-    found = f"limb lengths differ from a body's proportions by {spreads[best]:.0%}, and by {spreads[second]:.0%} in the order {second}"
-    return Layout(best, LAYOUTS[best], f"The keypoints are read as {best}: {found}.")
+    reason = f"limb lengths differ from a body's proportions by {spreads[best]:.0%}, and by {spreads[second]:.0%} in the order {second}"
+    return Layout(best, LAYOUTS[best], f"The keypoints are read as {best}: {reason}.")
 
 
 def disproportion(points: Float[np.ndarray, "person keypoint 3"], keypoints: tuple[str, ...]) -> float:

@@ -38,10 +38,10 @@ class KeypointSeries(NamedTuple):
         row = number - self.first
         if not 0 <= row < len(self.keypoints):
             return {}
-        found = self.keypoints[row]
-        valid = np.isfinite(found).all(axis=1) & (found[:, 2] > 0)
-        points = zip(self.names, found.tolist(), valid.tolist(), strict=True)
-        return {MARKERS.get(name, name): (column, line, confidence) for name, (column, line, confidence), here in points if here}
+        keypoints = self.keypoints[row]
+        valid = np.isfinite(keypoints).all(axis=1) & (keypoints[:, 2] > 0)
+        points = zip(self.names, keypoints.tolist(), valid.tolist(), strict=True)
+        return {MARKERS.get(name, name): (column, line, confidence) for name, (column, line, confidence), is_valid in points if is_valid}
 
 
 def write_series(path: Path, series: KeypointSeries) -> None:
@@ -80,13 +80,13 @@ def _read(path: Path, state: tuple[int, int]) -> KeypointSeries:
 
 
 def _names(path: Path, names: NDArray[np.generic]) -> tuple[str, ...]:
-    found = tuple(str(name) for name in names.ravel()) if names.dtype.kind == "U" and names.ndim == 1 else ()
-    mapped = [MARKERS.get(name, name) for name in found]
-    if not 0 < len(found) <= MOST_KEYPOINTS or len(set(mapped)) < len(mapped):
+    keypoint_names = tuple(str(name) for name in names.ravel()) if names.dtype.kind == "U" and names.ndim == 1 else ()
+    mapped = [MARKERS.get(name, name) for name in keypoint_names]
+    if not 0 < len(keypoint_names) <= MOST_KEYPOINTS or len(set(mapped)) < len(mapped):
         twice = next((name for name, count in Counter(mapped).items() if count > 1), None)
         what = f"'{twice[:40]}' twice" if twice is not None else f"{names.dtype} of shape {names.shape}"
         raise input_error(f"{path}: names", what, "unique names of the keypoints", REMEDY)
-    return found
+    return keypoint_names
 
 
 def _points(path: Path, points: NDArray[np.generic], count: int) -> Float[np.ndarray, "frame keypoint 3"]:

@@ -45,9 +45,9 @@ def follow_person(cameras: Sequence[CameraSpec], frames: Iterable[Sequence[Peopl
 def _agreeing(cameras: Sequence[CameraSpec], people: Sequence[People], near: Places, before: Body | None) -> Places | None:
     """The people who are near and agree with the body of this frame; None if too few cameras see it."""
     if len(cameras) > 1 and _count(near) > 1:
-        now = _body(cameras, people, near, before)
+        body = _body(cameras, people, near, before)
         rows = zip(cameras, people, near, strict=True)
-        near = tuple(place if place is not None and _error(camera, now, among[place]) <= SAME else None for camera, among, place in rows)
+        near = tuple(place if place is not None and _error(camera, body, among[place]) <= SAME else None for camera, among, place in rows)
     return near if _count(near) >= min(2, len(cameras)) else None
 
 
@@ -66,12 +66,12 @@ def _body(cameras: Sequence[CameraSpec], people: Sequence[People], places: Place
     visible = [(camera, among[place]) for camera, among, place in zip(cameras, people, places, strict=True) if place is not None]
     if len(visible) < min(2, len(cameras)):
         return before
-    now = (
+    body = (
         visible[0][1][:, :2]
         if len(cameras) == 1
         else triangulate([camera for camera, _ in visible], np.stack([person for _, person in visible])).points_m
     )
-    return now if np.isfinite(now).all(axis=1).sum() >= FEWEST else before
+    return body if np.isfinite(body).all(axis=1).sum() >= FEWEST else before
 
 
 def _error(camera: CameraSpec, body: Body | None, person: Float[np.ndarray, "keypoint 3"]) -> float:

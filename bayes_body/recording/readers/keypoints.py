@@ -51,16 +51,16 @@ def _people(path: Path) -> list[Any]:
     content = parse_json(read_text(path, KIND), path, KIND)
     people = content.get("people") if isinstance(content, dict) else None
     if not isinstance(people, list) or len(people) > MOST_PEOPLE:
-        found = "no list `people`" if not isinstance(people, list) else f"{len(people)} people"
-        raise input_error(path, found, f"{KIND}, at most {MOST_PEOPLE} people", "restore the file")
+        problem = "no list `people`" if not isinstance(people, list) else f"{len(people)} people"
+        raise input_error(path, problem, f"{KIND}, at most {MOST_PEOPLE} people", "restore the file")
     return people
 
 
 def _row(path: Path, number: int, person: Any) -> list[float]:
     numbers = person.get("pose_keypoints_2d") if isinstance(person, dict) else None
     if not isinstance(numbers, list) or not numbers or len(numbers) % 3 or len(numbers) > 3 * MOST_KEYPOINTS:
-        found = f"{len(numbers)} numbers" if isinstance(numbers, list) else "none"
-        raise input_error(f"{path}: person {number}: pose_keypoints_2d", found, "x, y, confidence of each keypoint in a row", "restore the file")
+        problem = f"{len(numbers)} numbers" if isinstance(numbers, list) else "none"
+        raise input_error(f"{path}: person {number}: pose_keypoints_2d", problem, "x, y, confidence of each keypoint in a row", "restore the file")
     # This excludes true, false, and numbers too large for a float.
     if not all(type(value) in (int, float) and abs(value) <= 1e300 for value in numbers):
         raise input_error(f"{path}: person {number}: pose_keypoints_2d", "an entry that is not a finite number", "numbers", "restore the file")
@@ -103,14 +103,14 @@ def read_openpose(folder: Path, frames: Sequence[int]) -> Float[np.ndarray, "fra
     files = keypoint_files(folder)
     missing = [number for number in frames if number not in files]
     if missing:
-        found = f"{len(missing)} of {len(frames)} frames have no file, the first is {missing[0]}"
-        raise input_error(folder, found, f"a file for each frame; there are {min(files)} to {max(files)}", "restore them, or read other frames")
+        problem = f"{len(missing)} of {len(frames)} frames have no file, the first is {missing[0]}"
+        raise input_error(folder, problem, f"a file for each frame; there are {min(files)} to {max(files)}", "restore them, or read other frames")
     faults, people = Faults(), []
     for number in frames:
         with faults.collect():
             people.append(read_people(files[number]))
     faults.raise_any()
-    counts = sorted({each.shape[1] for each in people if len(each)})
+    counts = sorted({group.shape[1] for group in people if len(group)})
     if len(counts) > 1:
         raise input_error(
             folder,
@@ -120,7 +120,7 @@ def read_openpose(folder: Path, frames: Sequence[int]) -> Float[np.ndarray, "fra
         )
     series = np.full((len(people), max(map(len, people), default=0), counts[0] if counts else 0, 3), np.nan)
     series[..., 2] = 0.0
-    for frame, each in zip(series, people, strict=True):
-        if len(each):
-            frame[: len(each)] = each
+    for frame, group in zip(series, people, strict=True):
+        if len(group):
+            frame[: len(group)] = group
     return series

@@ -36,9 +36,9 @@ def find_series(folder: Path) -> Series:
     if not matches:
         raise input_error(folder, "no numbered images in it", "images such as image0000.png", "name the folder that holds them")
     if len(kinds) > 1 or len(matches) < len(names):
-        other = next((name for name in names if not NAME.fullmatch(name)), f"{kinds[-1][0]}...{kinds[-1][1]}")
+        odd_name = next((name for name in names if not NAME.fullmatch(name)), f"{kinds[-1][0]}...{kinds[-1][1]}")
         raise input_error(
-            folder, f"images of more than one kind, {kinds[0][0]}...{kinds[0][1]} and {other}", "one series", "keep only one series in it"
+            folder, f"images of more than one kind, {kinds[0][0]}...{kinds[0][1]} and {odd_name}", "one series", "keep only one series in it"
         )
     return _series(folder, *kinds[0], [match[2] for match in matches])
 
@@ -51,6 +51,6 @@ def _series(folder: Path, prefix: str, suffix: str, digits: list[str]) -> Series
     present = {prefix + text + suffix for text in digits}
     missing = [name for number in range(series.first, series.first + series.count) if (name := series.name % number) not in present]
     if missing:
-        found = f"{len(missing)} of {series.count} numbers from the first on are missing, or written with other digits; the first is {missing[0]}"
-        raise input_error(folder, found, "consecutive numbers with the same number of digits", "restore the images, or renumber them")
+        problem = f"{len(missing)} of {series.count} numbers from the first on are missing, or written with other digits; the first is {missing[0]}"
+        raise input_error(folder, problem, "consecutive numbers with the same number of digits", "restore the images, or renumber them")
     return series

@@ -51,8 +51,8 @@ def _check_rotation(path: Path, rotation: NDArray[np.float64], vector: NDArray[n
         raise input_error(f"{path}: numbers 11 to 19", fault.split("; ")[0], "a rotation, by rows", fault.split("; ")[-1])
     off = float(np.linalg.norm(cv2.Rodrigues(vector)[0] - rotation))
     if off > RODRIGUES_TOLERANCE:
-        found = f"the Rodrigues vector (numbers 23 to 25) contradicts the matrix (numbers 11 to 19) by {off:.2g}"
-        raise input_error(path, found, "the same rotation in both", "find out which is right, and compute the other from it")
+        problem = f"the Rodrigues vector (numbers 23 to 25) contradicts the matrix (numbers 11 to 19) by {off:.2g}"
+        raise input_error(path, problem, "the same rotation in both", "find out which is right, and compute the other from it")
 
 
 def read_numbers(path: Path, count: int, layout: str) -> NDArray[np.float64]:

@@ -88,9 +88,9 @@ def _frames(folders: Sequence[Path]) -> range:
 def _check_complete(folder: Path, frames: range) -> None:
     missing = [number for number in frames if not (folder / (IMAGE % number)).exists()]
     if missing:
-        found = f"{len(missing)} of {len(frames)} images are missing, the first is {IMAGE % missing[0]}"
+        problem = f"{len(missing)} of {len(frames)} images are missing, the first is {IMAGE % missing[0]}"
         remedy = "restore them, or remove the same frames at the start or end of all other folders"
-        raise input_error(folder, found, f"{IMAGE % frames[0]} to {IMAGE % frames[-1]}, as in the other folders", remedy)
+        raise input_error(folder, problem, f"{IMAGE % frames[0]} to {IMAGE % frames[-1]}, as in the other folders", remedy)
 
 
 def _view(camera: _Camera, first_frame: int) -> View | None:

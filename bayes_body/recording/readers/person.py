@@ -50,11 +50,11 @@ def choose_person(cameras: Sequence[CameraSpec], people: Sequence[People]) -> Ch
         return Chosen((int(np.argmax(sizes)),), 0.0) if any(sizes) else None
     candidates = dict.fromkeys(_extended(cameras, people, seed) for seed in _seeds(people))
     chosen = [Chosen(places, _error(cameras, people, places)) for places in candidates if places is not None]
-    return min(chosen, key=lambda each: (each.places.count(None), each.error), default=None)
+    return min(chosen, key=lambda choice: (choice.places.count(None), choice.error), default=None)
 
 
 def _seeds(people: Sequence[People]) -> Iterator[dict[int, int]]:
-    largest = [sorted(range(len(each)), key=lambda i, each=each: -_size(each[i]))[:MOST_PROPOSERS] for each in people]
+    largest = [sorted(range(len(group)), key=lambda i, group=group: -_size(group[i]))[:MOST_PROPOSERS] for group in people]
     for a, b in combinations(range(len(people)), 2):
         yield from ({a: i, b: j} for i in largest[a] for j in largest[b])
 
@@ -89,5 +89,5 @@ def _relative_error(camera: CameraSpec, points_m: Float[np.ndarray, "keypoint 3"
 
 def _size(person: Float[np.ndarray, "keypoint 3"]) -> float:
     """Diagonal of the bounding box of a person, pixels; 0 if no keypoint is known."""
-    seen = person[np.isfinite(person[:, :2]).all(axis=1), :2]
-    return float(np.linalg.norm(np.ptp(seen, axis=0))) if len(seen) else 0.0
+    points = person[np.isfinite(person[:, :2]).all(axis=1), :2]
+    return float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0

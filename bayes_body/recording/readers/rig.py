@@ -51,9 +51,9 @@ class CameraPath:
         """Rotations and translations (metres) at these times. The camera stands still before the first keyframe and after the last."""
         times = np.clip(times_s, self.times_s[0], self.times_s[-1])
         position, look_at, roll = (
-            CubicSpline(self.times_s, each, bc_type="clamped")(times) for each in (self.positions_m, self.look_at_m, self.roll)
+            CubicSpline(self.times_s, knots, bc_type="clamped")(times) for knots in (self.positions_m, self.look_at_m, self.roll)
         )
-        pairs = [_extrinsics(*each) for each in zip(position, look_at, roll, strict=True)]
+        pairs = [_extrinsics(*pose) for pose in zip(position, look_at, roll, strict=True)]
         return np.stack([rotation for rotation, _ in pairs]), np.stack([translation for _, translation in pairs])
 
 
@@ -90,7 +90,7 @@ class Rig:
             if name not in known:
                 raise InputError(f"rig {self.name}: camera '{name}': no such camera; {nearest(name, known)}")
         selected = [c for c, name in enumerate(known) if name in names]
-        cameras, grey, path = (tuple(each[c] for c in selected) for each in (self.cameras, self.grey, self.path))
+        cameras, grey, path = (tuple(column[c] for c in selected) for column in (self.cameras, self.grey, self.path))
         return replace(self, cameras=cameras, grey=grey, path=path)
 
     def posed(self, frames: int) -> list[list[CameraSpec]]:
@@ -129,16 +129,16 @@ def read_rig(path: Path, fps: float | None = None) -> Rig:
 
 
 def _of_rig(path: Path, table: RigFile) -> Rig:
-    cameras = tuple(_camera(each) for each in table.cameras)
-    aims = [point for each in table.cameras for point in _look_at(each)]
+    cameras = tuple(_camera(camera) for camera in table.cameras)
+    aims = [point for camera in table.cameras for point in _look_at(camera)]
     aim = np.mean(aims, axis=0) if aims else _crossing(cameras)
-    paths = tuple(_path(each.path) if each.path else None for each in table.cameras)
-    return Rig(path.stem, table.title, table.fps, cameras, tuple(each.grey for each in table.cameras), paths, aim)
+    paths = tuple(_path(camera.path) if camera.path else None for camera in table.cameras)
+    return Rig(path.stem, table.title, table.fps, cameras, tuple(camera.grey for camera in table.cameras), paths, aim)
 
 
 def _look_at(table: RigCameraTable) -> list[NDArray[np.float64]]:
     if table.path:
-        return [np.mean([each.look_at_m for each in table.path], axis=0)]
+        return [np.mean([keyframe.look_at_m for keyframe in table.path], axis=0)]
     return [] if table.look_at_m is None else [np.array(table.look_at_m)]
 
 
@@ -160,7 +160,7 @@ def _place(table: RigCameraTable) -> tuple[NDArray[np.float64], NDArray[np.float
 
 def _path(keyframes: Sequence[KeyframeTable]) -> CameraPath:
     times, positions, aims, roll = (
-        np.array([getattr(each, key) for each in keyframes], float) for key in ("time_s", "position_m", "look_at_m", "roll_deg")
+        np.array([getattr(keyframe, key) for keyframe in keyframes], float) for key in ("time_s", "position_m", "look_at_m", "roll_deg")
     )
     return CameraPath(times, positions, aims, np.radians(roll))
 

@@ -96,20 +96,20 @@ class RigCameraTable(Schema):
 
     def _place_faults(self) -> Iterator[str]:
         pairs = (("position_m", "look_at_m"), ("rotation", "translation_m"))
-        given = [[name for name in pair if getattr(self, name) is not None] for pair in pairs]
-        for pair, found in zip(pairs, given, strict=True):
-            if len(found) == 1:
-                (missing,) = set(pair) - set(found)
-                yield f"{found[0]} without {missing}; expected both; add {missing}"
-        ways = sum(bool(found) for found in given) + bool(self.path)
+        stated_pairs = [[name for name in pair if getattr(self, name) is not None] for pair in pairs]
+        for pair, names in zip(pairs, stated_pairs, strict=True):
+            if len(names) == 1:
+                (missing,) = set(pair) - set(names)
+                yield f"{names[0]} without {missing}; expected both; add {missing}"
+        ways = sum(bool(names) for names in stated_pairs) + bool(self.path)
         if ways != 1:
-            found = "no place" if ways == 0 else f"{ways} places"
-            yield f"{found}; expected position_m and look_at_m, rotation and translation_m, or [[camera.path]]; give one of the three"
+            problem = "no place" if ways == 0 else f"{ways} places"
+            yield f"{problem}; expected position_m and look_at_m, rotation and translation_m, or [[camera.path]]; give one of the three"
 
     def _lens_faults(self) -> Iterator[str]:
         centre = self.centre_px or (self.size_px[0] / 2, self.size_px[1] / 2)
-        for field, found, expected in lens_faults(self.size_px, self.focal_px, centre, self.distortion):
-            yield f"{field}: {found}; expected {expected}; copy it from the calibration again"
+        for field, problem, expected in lens_faults(self.size_px, self.focal_px, centre, self.distortion):
+            yield f"{field}: {problem}; expected {expected}; copy it from the calibration again"
 
     def _path_faults(self) -> Iterator[str]:
         if len(self.path) == 1:

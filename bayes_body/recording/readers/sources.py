@@ -90,13 +90,13 @@ def find_background(folder: Path, name: str, size_px: tuple[int, int]) -> Path:
         InputError: none, more than one, or not of the camera's image size.
     """
     paths = sorted(folder.iterdir()) if folder.is_dir() else []
-    found = [path for path in paths if path.stem == name and path.suffix.lower() in (*VIDEOS, *SUFFIXES)]
-    if len(found) != 1:
-        what = "no image or video" if not found else ", ".join(path.name for path in found)
+    matches = [path for path in paths if path.stem == name and path.suffix.lower() in (*VIDEOS, *SUFFIXES)]
+    if len(matches) != 1:
+        what = "no image or video" if not matches else ", ".join(path.name for path in matches)
         raise input_error(
             f"--background {folder}", f"{what} for camera '{name}'", f"one of the empty scene, such as {name}.png or {name}.mp4", "add it"
         )
-    (path,) = found
+    (path,) = matches
     if path.suffix.lower() in SUFFIXES:
         read_grey(path, size_px)
     elif probe(path).size_px != size_px:

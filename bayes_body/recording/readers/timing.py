@@ -37,42 +37,42 @@ def align(counts: Mapping[str, tuple[int, int]], offsets: Mapping[str, int]) -> 
     faults.raise_any()
     latest = max(0, -min((offsets.get(name, 0) for name in counts), default=0))
     skipped = {name: latest + offsets.get(name, 0) for name in counts}
-    left = {name: count - skipped[name] for name, (_, count) in counts.items()}
-    frames = min(left.values())
+    remaining = {name: count - skipped[name] for name, (_, count) in counts.items()}
+    frames = min(remaining.values())
     if frames < 1:
-        name = min(left, key=lambda each: left[each])
+        name = min(remaining, key=lambda camera: remaining[camera])
         raise input_error(
             f"camera '{name}'", f"{counts[name][1]} frames, all before the session's first", "frames that all cameras have", "correct --offset"
         )
     starts = {name: first + skipped[name] for name, (first, _) in counts.items()}
     first_frame = min(starts.values())
-    return Timing(frames, first_frame, {name: start - first_frame for name, start in starts.items()}, _remarks(left, frames, latest))
+    return Timing(frames, first_frame, {name: start - first_frame for name, start in starts.items()}, _remarks(remaining, frames, latest))
 
 
-def _remarks(left: Mapping[str, int], frames: int, latest: int) -> list[str]:
+def _remarks(remaining: Mapping[str, int], frames: int, latest: int) -> list[str]:
     remarks = []
     if latest:
         remarks.append(f"The session starts {latest} frames into the recording, where the camera with the smallest offset does.")
-    if max(left.values()) > frames:
-        listed = ", ".join(f"{name} {count}" for name, count in left.items())
+    if max(remaining.values()) > frames:
+        listed = ", ".join(f"{name} {count}" for name, count in remaining.items())
         remarks.append(f"Cameras have different numbers of frames ({listed}): the session has the {frames} that all have.")
     return remarks
 
 
-def frame_rate(rates: Mapping[str, float], given: float | None) -> tuple[float, list[str]]:
+def frame_rate(rates: Mapping[str, float], user_rate: float | None) -> tuple[float, list[str]]:
     """The session's frame rate (frames per second), and remarks.
 
     Args:
         rates: each camera's rate, 0 if its recording does not state it.
-        given: the user's rate; overrides the videos' rates.
+        user_rate: the user's rate; overrides the videos' rates.
 
     Raises:
         InputError: no rate is known, or the cameras differ.
     """
     known = {name: rate for name, rate in rates.items() if rate > 0}
-    if given is not None:
-        others = [f"{name} {rate:g}" for name, rate in known.items() if abs(rate - given) > SAME_RATE * given]
-        return given, [f"--fps {given:g} overrides the videos' rates ({', '.join(others)})."] if others else []
+    if user_rate is not None:
+        others = [f"{name} {rate:g}" for name, rate in known.items() if abs(rate - user_rate) > SAME_RATE * user_rate]
+        return user_rate, [f"--fps {user_rate:g} overrides the videos' rates ({', '.join(others)})."] if others else []
     if not known:
         raise input_error(
             "--fps",

@@ -38,40 +38,40 @@ class Triangulated(NamedTuple):
     used: Bool[np.ndarray, "camera point"]
 
 
-def triangulate(cameras: Sequence[CameraSpec], seen: Float[np.ndarray, "camera point 3"], tolerance_px: float | None = None) -> Triangulated:
+def triangulate(cameras: Sequence[CameraSpec], image_points: Float[np.ndarray, "camera point 3"], tolerance_px: float | None = None) -> Triangulated:
     """Triangulate points from column, row (pixels; NaN where not seen) and confidence, which is used as a weight.
 
     Args:
         cameras: at least two.
-        seen: the points in each camera.
+        image_points: the points in each camera.
         tolerance_px: the largest error of a camera that agrees; None: 2 % of the images' diagonal.
     """
     tolerance = TOLERANCE * float(np.mean([np.hypot(*camera.size_px) for camera in cameras])) if tolerance_px is None else tolerance_px
-    weights = np.where(np.isfinite(seen).all(axis=-1) & (seen[..., 2] > 0), seen[..., 2], 0.0)
-    rays = np.stack([_rays(camera, points) for camera, points in zip(cameras, seen[..., :2], strict=True)])
-    best = np.full(seen.shape[1], np.inf)
+    weights = np.where(np.isfinite(image_points).all(axis=-1) & (image_points[..., 2] > 0), image_points[..., 2], 0.0)
+    rays = np.stack([_rays(camera, points) for camera, points in zip(cameras, image_points[..., :2], strict=True)])
+    best = np.full(image_points.shape[1], np.inf)
     agreeing = np.zeros(weights.shape, bool)
     for pair in combinations(range(len(cameras)), 2):
         chosen = np.zeros_like(weights)
         chosen[list(pair)] = weights[list(pair)]
-        errors = reprojection_errors(cameras, _solve(cameras, rays, chosen), seen)
+        errors = reprojection_errors(cameras, _solve(cameras, rays, chosen), image_points)
         cost = (weights * np.where(weights > 0, np.minimum(errors, tolerance), 0.0) ** 2).sum(axis=0)
         better = cost < best
         best = np.where(better, cost, best)
         agreeing = np.where(better, (weights > 0) & (errors <= tolerance), agreeing)
     agreeing &= agreeing.sum(axis=0) >= 2
-    return _settled(cameras, rays, seen, np.where(agreeing, weights, 0.0))
+    return _settled(cameras, rays, image_points, np.where(agreeing, weights, 0.0))
 
 
 def _settled(
     cameras: Sequence[CameraSpec],
     rays: Float[np.ndarray, "camera point 2"],
-    seen: Float[np.ndarray, "camera point 3"],
+    image_points: Float[np.ndarray, "camera point 3"],
     weights: Float[np.ndarray, "camera point"],
 ) -> Triangulated:
     used = weights > 0
     points = np.where(used.any(axis=0)[:, None], _solve(cameras, rays, weights), np.nan)
-    errors = np.where(used, reprojection_errors(cameras, points, seen), 0.0)
+    errors = np.where(used, reprojection_errors(cameras, points, image_points), 0.0)
     with np.errstate(invalid="ignore"):
         return Triangulated(points, np.sqrt((errors**2).sum(axis=0) / used.sum(axis=0)), used)
 
@@ -94,10 +94,12 @@ def _solve(
 
 
 def reprojection_errors(
-    cameras: Sequence[CameraSpec], points_m: Float[np.ndarray, "point 3"], seen: Float[np.ndarray, "camera point 3"]
+    cameras: Sequence[CameraSpec], points_m: Float[np.ndarray, "point 3"], image_points: Float[np.ndarray, "camera point 3"]
 ) -> Float[np.ndarray, "camera point"]:
     """Distance in the image (pixels) between projected points and what each camera sees; infinite behind a camera, NaN where not seen."""
-    return np.stack([np.linalg.norm(project(camera, points_m) - pixels[:, :2], axis=-1) for camera, pixels in zip(cameras, seen, strict=True)])
+    return np.stack(
+        [np.linalg.norm(project(camera, points_m) - pixels[:, :2], axis=-1) for camera, pixels in zip(cameras, image_points, strict=True)]
+    )
 
 
 def project(camera: CameraSpec, points_m: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 2"]:

@@ -53,12 +53,12 @@ def read_truth(path: Path, frames: int, skipped: int = 0) -> Float[np.ndarray, "
 
 def _order(path: Path, names: NDArray[np.generic]) -> list[int]:
     """The index of each of `MARKERS` in the file."""
-    found = [str(name) for name in names.ravel()] if names.dtype.kind == "U" else []
-    if names.ndim != 1 or sorted(found) != sorted(MARKERS):
-        missing, other = [name for name in MARKERS if name not in found], [name[:40] for name in found[:50] if name not in MARKERS]
-        what = f"missing: {', '.join(missing) or 'none'}; unknown: {', '.join(other) or 'none'}" if found else "not a list of strings"
-        raise input_error(f"{path}: names", f"{what} ({len(found)} names)", f"each of {', '.join(MARKERS)} once", REMEDY)
-    return [found.index(name) for name in MARKERS]
+    file_names = [str(name) for name in names.ravel()] if names.dtype.kind == "U" else []
+    if names.ndim != 1 or sorted(file_names) != sorted(MARKERS):
+        missing, unknown = [name for name in MARKERS if name not in file_names], [name[:40] for name in file_names[:50] if name not in MARKERS]
+        what = f"missing: {', '.join(missing) or 'none'}; unknown: {', '.join(unknown) or 'none'}" if file_names else "not a list of strings"
+        raise input_error(f"{path}: names", f"{what} ({len(file_names)} names)", f"each of {', '.join(MARKERS)} once", REMEDY)
+    return [file_names.index(name) for name in MARKERS]
 
 
 def _array(path: Path, arrays: Mapping[str, NDArray[np.generic]], key: str) -> NDArray[np.generic]:

@@ -190,13 +190,13 @@ class _Reader:
 
     def _decode_the_rest(self) -> None:
         """A frame was dropped: decide whether those after it can be numbered. The video is at its beginning afterwards."""
-        rest = [DROPPED, *(outcome.without_picture() for outcome in self._stream.outcomes)]
-        numbered = len(rest) == 1 or len(self._times) + len(rest) == self.stated_frames
-        if numbered and all(outcome.key or outcome.dropped for outcome in rest):
-            self._damaged += [not outcome.sound for outcome in rest]
-            self._times += [outcome.time for outcome in rest]
+        outcomes = [DROPPED, *(outcome.without_picture() for outcome in self._stream.outcomes)]
+        numbered = len(outcomes) == 1 or len(self._times) + len(outcomes) == self.stated_frames
+        if numbered and all(outcome.key or outcome.dropped for outcome in outcomes):
+            self._damaged += [not outcome.sound for outcome in outcomes]
+            self._times += [outcome.time for outcome in outcomes]
         else:
-            self._unnumbered = len(rest)
+            self._unnumbered = len(outcomes)
         self._ended = True
         self._restart()
 

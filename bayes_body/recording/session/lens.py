@@ -28,10 +28,10 @@ def lens_faults(
         centre_px: the principal point (column, row).
         distortion: (k1, k2, p1, p2, k3).
     """
-    found = list(_pinhole_faults(size_px, focal_px, centre_px))
-    yield from found
+    faults = list(_pinhole_faults(size_px, focal_px, centre_px))
+    yield from faults
     # Without a sound focal length the lens's reach in pixels means nothing.
-    if not found:
+    if not faults:
         yield from _distortion_faults(min(size_px), min(focal_px), distortion)
 
 
@@ -49,11 +49,11 @@ def _distortion_faults(side: int, focal: float, distortion: Sequence[float]) -> 
     k1, k2, p1, p2, k3 = distortion
     least = LEAST_REACH * side
     if (reach := focal * _radial_reach(k1, k2, k3)) < least:
-        found = f"k1, k2, k3 = {k1:g}, {k2:g}, {k3:g}: the lens folds the picture {reach:.2g} pixels from the principal point"
-        yield "distortion", found, f"at least {least:g} pixels"
+        problem = f"k1, k2, k3 = {k1:g}, {k2:g}, {k3:g}: the lens folds the picture {reach:.2g} pixels from the principal point"
+        yield "distortion", problem, f"at least {least:g} pixels"
     if (largest := max(abs(p1), abs(p2))) * 6 * least > focal:
-        found = f"p1, p2 = {p1:g}, {p2:g}: the lens folds the picture {focal / (6 * largest):.2g} pixels from the principal point"
-        yield "distortion", found, f"at least {least:g} pixels"
+        problem = f"p1, p2 = {p1:g}, {p2:g}: the lens folds the picture {focal / (6 * largest):.2g} pixels from the principal point"
+        yield "distortion", problem, f"at least {least:g} pixels"
 
 
 def _radial_reach(k1: float, k2: float, k3: float) -> float:

@@ -104,7 +104,7 @@ class CameraTable(Schema):
     @model_validator(mode="after")
     def _check_lens(self) -> "CameraTable":
         faults = lens_faults(self.size_px, self.focal_px, self.centre_px, self.distortion)
-        if sentences := [f"{field}: {found}; expected {expected}; copy it from the calibration again" for field, found, expected in faults]:
+        if sentences := [f"{field}: {problem}; expected {expected}; copy it from the calibration again" for field, problem, expected in faults]:
             raise ValueError("\n".join(sentences))
         return self
 
@@ -182,18 +182,18 @@ class SessionFile(Schema):
         start, count = self.recorded
         last, end = self.first_frame + self.frames - 1, start + count - 1
         if not start <= self.first_frame <= last <= end:
-            found = f"frames {start} to {end}, and the session has {self.first_frame} to {last}"
-            yield f"recorded: {found}; expected frames of the recording; correct first_frame and frames, or remove recorded."
+            problem = f"frames {start} to {end}, and the session has {self.first_frame} to {last}"
+            yield f"recorded: {problem}; expected frames of the recording; correct first_frame and frames, or remove recorded."
 
     def _sources(self) -> Iterator[str]:
         for camera in self.cameras:
             if (camera.images is None) == (camera.video is None):
-                found = "neither images nor video" if camera.images is None else "both images and video"
-                yield f"camera '{camera.name}': {found}; expected one of the two; give the pattern of its image files or the path of its video."
+                problem = "neither images nor video" if camera.images is None else "both images and video"
+                yield f"camera '{camera.name}': {problem}; expected one of the two; give the pattern of its image files or the path of its video."
             first = min([self.first_frame, *(self.recorded or ())[:1]])
             if first + camera.offset < 0:
-                found = f"{camera.offset}, so its frames would begin at number {first + camera.offset}"
-                yield f"camera '{camera.name}'.offset: {found}; expected 0 or later; raise first_frame, and lower frames by the same amount."
+                problem = f"{camera.offset}, so its frames would begin at number {first + camera.offset}"
+                yield f"camera '{camera.name}'.offset: {problem}; expected 0 or later; raise first_frame, and lower frames by the same amount."
 
     def _unknown_cameras(self) -> Iterator[str]:
         known = [camera.name for camera in self.cameras]

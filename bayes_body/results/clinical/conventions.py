@@ -206,11 +206,11 @@ def angles_of(convention: Convention, side: Side, R: Float[np.ndarray, "*batch 3
         warnings.filterwarnings("ignore", message="Gimbal lock")
         # By quaternions, real part last: SciPy would make each matrix orthogonal by a singular value decomposition, which takes ten times as long.
         quaternions = np.roll(rotations.from_matrix(_mirrored(side, R).reshape(-1, 3, 3)), -1, axis=-1)
-        found = Rotation.from_quat(quaternions).as_euler(convention.sequence)
+        angles = Rotation.from_quat(quaternions).as_euler(convention.sequence)
     if convention.sequence == "YXY":
         # SciPy's second angle is positive, but raising the arm is a negative rotation about x.
-        found = _wrapped(found * (1, -1, 1) + (np.pi, 0, np.pi))
-    return (found * convention.signs).reshape(*R.shape[:-2], 3)
+        angles = _wrapped(angles * (1, -1, 1) + (np.pi, 0, np.pi))
+    return (angles * convention.signs).reshape(*R.shape[:-2], 3)
 
 
 def rotation_of(convention: Convention, side: Side, angles: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:

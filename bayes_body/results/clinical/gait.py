@@ -167,14 +167,14 @@ def _ahead(
 
 def _times(values: Float[np.ndarray, "row frame"], fps: float, least: float) -> list[Float[np.ndarray, " draw"]]:
     """Return the times of the maxima of the last row, the mean path, in each other row, a draw, s; NaN where a draw has none nearby."""
-    found = [_maxima(row, fps, least) for row in values]
-    draws, mean = found[:-1], found[-1]
+    maxima = [_maxima(row, fps, least) for row in values]
+    draws, mean = maxima[:-1], maxima[-1]
     if not len(mean):
         return []
     times = np.full((len(mean), len(draws)), np.nan)
-    for d, own in enumerate(draws):
-        if len(own):
-            nearest = own[np.abs(own - mean[:, None]).argmin(axis=1)]
+    for d, draw_maxima in enumerate(draws):
+        if len(draw_maxima):
+            nearest = draw_maxima[np.abs(draw_maxima - mean[:, None]).argmin(axis=1)]
             times[:, d] = np.where(np.abs(nearest - mean) < NEAR_S, nearest, np.nan)
     return [event for event in times if np.isfinite(event).any()]
 
@@ -182,8 +182,8 @@ def _times(values: Float[np.ndarray, "row frame"], fps: float, least: float) -> 
 def _maxima(row: Float[np.ndarray, " frame"], fps: float, least: float) -> Float[np.ndarray, " event"]:
     """Return the times of the maxima, s, between frames by a parabola."""
     peaks = find_peaks(row, distance=max(int(SHORTEST_S * fps), 1), prominence=least)[0]
-    before, at, after = row[peaks - 1], row[peaks], row[peaks + 1]
-    bend = before - 2 * at + after
+    before, height, after = row[peaks - 1], row[peaks], row[peaks + 1]
+    bend = before - 2 * height + after
     return (peaks + np.where(bend < 0, (before - after) / np.where(bend < 0, 2 * bend, 1), 0.0)) / fps
 
 
@@ -195,17 +195,17 @@ def _strides(
     fps: float,
 ) -> list[Stride]:
     """Return the strides of a foot from its strikes, in order; `floor` is the ankle's horizontal position."""
-    found = []
+    strides = []
     for first, last in pairwise(strikes):
-        length = np.linalg.norm(_at(floor, last * fps) - _at(floor, first * fps), axis=-1)
+        length = np.linalg.norm(_interpolate(floor, last * fps) - _interpolate(floor, first * fps), axis=-1)
         inside = [lift for lift in lifts if np.nanmean(first) < np.nanmean(lift) < np.nanmean(last)]
         stance = (inside[0] - first) / (last - first) if inside else np.full(len(first), np.nan)
         if np.isfinite(length).any():
-            found.append(Stride(side, first, last - first, length, stance))
-    return found
+            strides.append(Stride(side, first, last - first, length, stance))
+    return strides
 
 
-def _at(floor: Float[np.ndarray, "draw frame 2"], frames: Float[np.ndarray, " draw"]) -> Float[np.ndarray, "draw 2"]:
+def _interpolate(floor: Float[np.ndarray, "draw frame 2"], frames: Float[np.ndarray, " draw"]) -> Float[np.ndarray, "draw 2"]:
     """Return the positions at times between frames; NaN where the time is."""
     known: Bool[np.ndarray, " draw"] = np.isfinite(frames)
     before = np.clip(np.floor(np.where(known, frames, 0)).astype(int), 0, floor.shape[1] - 2)

@@ -44,7 +44,7 @@ def walk_rows(gait: Gait) -> list[Row]:
     strides = gait.strides
     if not strides:
         return []
-    found = [
+    rows = [
         _row("cadence", "", 0, "steps/min", cadence(gait)),
         _row("speed", "", 0, "m/s", speed(gait)),
         _row("stride_length", "", 0, "m", known_mean([stride.length for stride in strides])),
@@ -53,19 +53,19 @@ def walk_rows(gait: Gait) -> list[Row]:
     for side in FEET:
         stances = [stride.stance for stride in strides if stride.side == side]
         if stances:
-            found.append(_row("stance", side, 0, "%", PERCENT * known_mean(stances)))
-    return [row for row in found if row.share_of_draws > 0]
+            rows.append(_row("stance", side, 0, "%", PERCENT * known_mean(stances)))
+    return [row for row in rows if row.share_of_draws > 0]
 
 
 def event_rows(gait: Gait) -> list[Row]:
     """Return the events, in the order of time."""
     count: dict[tuple[str, str], int] = {}
-    found = []
+    rows = []
     for event in gait.events:
         key = event.kind, event.side
         count[key] = count.get(key, 0) + 1
-        found.append(_row(event.kind.replace(" ", "_"), event.side, count[key], "s", event.times))
-    return found
+        rows.append(_row(event.kind.replace(" ", "_"), event.side, count[key], "s", event.times))
+    return rows
 
 
 def stride_rows(gait: Gait) -> list[Row]:
@@ -75,12 +75,12 @@ def stride_rows(gait: Gait) -> list[Row]:
 
 def angle_rows(ranges: Sequence[AngleRange]) -> list[Row]:
     """Return the largest and the smallest value and the range of motion of angles."""
-    found = []
-    for each in ranges:
-        side = each.stride_side or each.side
-        for name, draws in (("max", each.largest), ("min", each.smallest), ("range", each.extent)):
-            found.append(_row(f"{each.name}_{name}", side, each.stride, "deg", draws))
-    return [row for row in found if row.share_of_draws > 0]
+    rows = []
+    for angle_range in ranges:
+        side = angle_range.stride_side or angle_range.side
+        for name, draws in (("max", angle_range.largest), ("min", angle_range.smallest), ("range", angle_range.extent)):
+            rows.append(_row(f"{angle_range.name}_{name}", side, angle_range.stride, "deg", draws))
+    return [row for row in rows if row.share_of_draws > 0]
 
 
 def write_gait(gait: Gait, path: Path, ranges: Sequence[AngleRange] = ()) -> None:
@@ -102,7 +102,7 @@ def write_gait(gait: Gait, path: Path, ranges: Sequence[AngleRange] = ()) -> Non
 
 
 def _strides_of(gait: Gait, side: str) -> Iterator[Row]:
-    for number, stride in enumerate((each for each in gait.strides if each.side == side), 1):
+    for number, stride in enumerate((stride for stride in gait.strides if stride.side == side), 1):
         yield _row("stride_length", side, number, "m", stride.length)
         yield _row("stride_time", side, number, "s", stride.duration)
         yield _row("stance", side, number, "%", PERCENT * stride.stance)

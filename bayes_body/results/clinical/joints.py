@@ -74,7 +74,7 @@ def joints_of(
         conventions: the conventions, in order.
     """
     index = body.skeleton.topology.joint_names.index
-    found = []
+    joints = []
     for convention in conventions:
         for side in convention.sides:
             proximal, distal = convention.segments(side)
@@ -84,11 +84,11 @@ def joints_of(
             above = -1
             if proximal != LABORATORY:
                 above, axes = index(segments[proximal].joint), axes_of(segments[proximal])
-            found.append(Joint(convention, side, above, index(below.joint), axes, axes_of(below)))
-    if not found:
+            joints.append(Joint(convention, side, above, index(below.joint), axes, axes_of(below)))
+    if not joints:
         return ()
     rotations = np.asarray(joint_frames(body, _trials(body)).rotation, float)
-    freed = [joint._replace(free=_changing(joint.angles(rotations))) for joint in found]
+    freed = [joint._replace(free=_changing(joint.angles(rotations))) for joint in joints]
     return tuple(joint for joint in freed if joint.free)
 
 

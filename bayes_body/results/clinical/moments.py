@@ -50,8 +50,8 @@ def clinical_angles(run: SavedRun, frames: range | None = None, block: int = BLO
     Raises:
         InputError: the run's model or session cannot be used.
     """
-    names, _, found = _angles(run, CLINICAL, frames, block)
-    return Curves(names, found.moments)
+    names, _, angles = _angles(run, CLINICAL, frames, block)
+    return Curves(names, angles.moments)
 
 
 def opensim_coordinates(run: SavedRun, frames: range | None = None, block: int = BLOCK) -> Curves:
@@ -77,7 +77,9 @@ def opensim_coordinates(run: SavedRun, frames: range | None = None, block: int =
     # OpenSim's order: the rotations of the pelvis, its position, then the joints.
     known = [place for place, name in enumerate(names) if name]
     first = sum(name.startswith("pelvis_") for name in names)
-    columns = MomentsAndMedian(*(np.insert(turned[:, known], [first] * 3, at, axis=1) for at, turned in zip(origin, moments, strict=True)))
+    columns = MomentsAndMedian(
+        *(np.insert(turned[:, known], [first] * 3, position, axis=1) for position, turned in zip(origin, moments, strict=True))
+    )
     coordinates = [names[place] for place in known]
     return Curves((*coordinates[:first], "pelvis_tx", "pelvis_ty", "pelvis_tz", *coordinates[first:]), columns)
 
@@ -98,8 +100,8 @@ def _angles(
         rotations = of_each(poses, lambda chunk: np.asarray(joint_frames(body, chunk).rotation))
         return moments_in(space, np.concatenate([joint.angles(rotations) for joint in joints], axis=-1), weights, moments_and_median)
 
-    found = moments_of(run, frames, block, 9 * len(body.skeleton.topology.joint_names), turns)
-    return names, coordinates, _near(MomentsAndMedian(*map(np.degrees, found)), [name in UNBOUNDED for name in names])
+    moments = moments_of(run, frames, block, 9 * len(body.skeleton.topology.joint_names), turns)
+    return names, coordinates, _near(MomentsAndMedian(*map(np.degrees, moments)), [name in UNBOUNDED for name in names])
 
 
 def _near(moments: MomentsAndMedian, unbounded: Sequence[bool]) -> MomentsAndMedian:

@@ -47,16 +47,16 @@ def ranges_of(paths: AnglePaths) -> list[AngleRange]:
 
 def stride_ranges(paths: AnglePaths, gait: Gait, fps: float) -> list[AngleRange]:
     """Return the ranges in each stride: of the angles of its side and of those in the middle of the body."""
-    found, count = [], {"r": 0, "l": 0}
+    ranges, count = [], {"r": 0, "l": 0}
     for stride in gait.strides:
         count[stride.side] += 1
         columns = [k for k, side in enumerate(paths.sides) if side in (stride.side, "")]
         largest, smallest = _within(paths, columns, stride, fps)
-        found += [
+        ranges += [
             AngleRange(paths.names[k], paths.sides[k], count[stride.side], stride.side, largest[:, place], smallest[:, place])
             for place, k in enumerate(columns)
         ]
-    return found
+    return ranges
 
 
 def _within(
@@ -77,10 +77,11 @@ def _within(
 def range_figures(ranges: list[AngleRange]) -> dict[str, Any]:
     """Return the ranges over a recording for `summary.json`: for each angle the moments of `max_deg`, `min_deg` and `range_deg`."""
     return {
-        f"{each.name}_{each.side}" if each.side else each.name: {
-            name: _moments(values) for name, values in (("max_deg", each.largest), ("min_deg", each.smallest), ("range_deg", each.extent))
+        f"{angle_range.name}_{angle_range.side}" if angle_range.side else angle_range.name: {
+            name: _moments(values)
+            for name, values in (("max_deg", angle_range.largest), ("min_deg", angle_range.smallest), ("range_deg", angle_range.extent))
         }
-        for each in ranges
+        for angle_range in ranges
     }
 
 

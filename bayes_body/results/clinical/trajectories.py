@@ -61,17 +61,17 @@ def marker_paths(run: SavedRun, names: Sequence[str]) -> Float[np.ndarray, "draw
     if not run.smoothed:
         remedy = f"smooth it first with `bayes-body smooth {run.folder}`"
         raise input_error(run.folder, "a run of a filter, whose draws do not reach over frames", "a smoothed run", remedy)
-    own = run.model.body.markers.names
-    missing = [name for name in names if name not in own]
+    marker_names = run.model.body.markers.names
+    missing = [name for name in names if name not in marker_names]
     if missing:
         raise input_error(f"the body '{run.model.body.name}'", f"no marker {', '.join(missing)}", "one", "add it to the body file's [markers]")
-    places = [own.index(name) for name in names]
-    found = []
-    for piece in pose_blocks(run.tree, width=3 * len(own), variable=run.model.body.variable):
+    places = [marker_names.index(name) for name in names]
+    paths = []
+    for piece in pose_blocks(run.tree, width=3 * len(marker_names), variable=run.model.body.variable):
         poses = pooled(piece.poses)
         chosen = poses[:, _evenly(poses.shape[1], MOST_DRAWS)]
-        found.append(of_each(chosen, lambda chunk: markers(run.model, chunk))[:, :, places])
-    return np.swapaxes(np.concatenate(found), 0, 1)
+        paths.append(of_each(chosen, lambda chunk: markers(run.model, chunk))[:, :, places])
+    return np.swapaxes(np.concatenate(paths), 0, 1)
 
 
 def angle_paths(tree: "xr.DataTree", model: Model, up: int, fps: float) -> AnglePaths:
@@ -125,6 +125,6 @@ def _determined(joint: Joint, degrees: Float[np.ndarray, "draw frame free"]) -> 
         return list(range(len(joint.free)))
     middle = joint.free.index(1)
     # The second angle locks at ±90°, or at 0 and 180° if the first axis comes again.
-    away = np.abs(degrees[..., middle].mean(axis=0))
-    away = np.abs(90 - away) if joint.convention.sequence != "YXY" else np.minimum(np.abs(away), np.abs(180 - away))
-    return list(range(len(joint.free))) if (away > LOCK_DEG).all() else [middle]
+    angle = np.abs(degrees[..., middle].mean(axis=0))
+    margin = np.abs(90 - angle) if joint.convention.sequence != "YXY" else np.minimum(np.abs(angle), np.abs(180 - angle))
+    return list(range(len(joint.free))) if (margin > LOCK_DEG).all() else [middle]

@@ -22,16 +22,16 @@ NAMES = (
 ACCEPTED = (0.80, 0.98)
 
 
-def accuracy_figures(found: AgainstTruth | None, mode_seeker: bool) -> dict[str, Any]:
+def accuracy_figures(comparison: AgainstTruth | None, mode_seeker: bool) -> dict[str, Any]:
     """Return the figures NAMES; None for a figure that does not exist, and for all of them without a truth.
 
     Args:
-        found: the run compared with the truth.
+        comparison: the run compared with the truth.
         mode_seeker: whether the kernel is a mode seeker. Its particles are not a sample of the posterior, so it has no intervals and no coverage.
     """
-    if found is None:
+    if comparison is None:
         return dict.fromkeys(NAMES)
-    plain, fitted = found.plain, found.fitted
+    plain, fitted = comparison.plain, comparison.fitted
     return {
         "error_mm_mean": _mm(plain.frame_error),
         "error_mm_std": _known(1000 * sd_over_frames(plain.frame_error)),

@@ -116,10 +116,10 @@ def _distances(
 
 def _usable(keypoints: Keypoints | None, names: Sequence[str]) -> dict[int, tuple[float, float]]:
     """Return the pixels of the usable keypoints, by the index of their marker."""
-    found = {name: point for name, point in (keypoints or {}).items() if name in names and point[2] >= LEAST_CONFIDENCE}
-    return {names.index(name): (point[0], point[1]) for name, point in found.items()}
+    points = {name: point for name, point in (keypoints or {}).items() if name in names and point[2] >= LEAST_CONFIDENCE}
+    return {names.index(name): (point[0], point[1]) for name, point in points.items()}
 
 
 @jax.jit
 def _projected(rig: Camera, places: Float[Array, "run marker 3"]) -> tuple[Float[Array, "run camera marker 2"], Bool[Array, "run camera marker"]]:
-    return jax.vmap(lambda each: jax.vmap(lambda camera: project(camera, each))(rig))(places)
+    return jax.vmap(lambda marker_places: jax.vmap(lambda camera: project(camera, marker_places))(rig))(places)

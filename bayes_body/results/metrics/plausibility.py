@@ -83,10 +83,10 @@ def check_silhouettes(session: Session, model: Model) -> None:
     try:
         model.observe(frame._replace(masks=None, foreground=None))
     except InputError:
-        found = f"in frame {session.first_frame} no camera's silhouette can be a person's: they cover {_listed(100 * shares)} % of the images"
+        problem = f"in frame {session.first_frame} no camera's silhouette can be a person's: they cover {_listed(100 * shares)} % of the images"
         expected = f"{100 * SILHOUETTE[0]:g} to {100 * SILHOUETTE[1]:g} % in one camera or more; a person is white in `masks`, all else black"
         remedy = "correct `masks` (are they inverted?) or `background`, or begin at a frame that shows the person"
-        raise input_error("session.toml", found, expected, remedy) from None
+        raise input_error("session.toml", problem, expected, remedy) from None
 
 
 def check_view(session: Session, model: Model) -> None:
@@ -96,14 +96,14 @@ def check_view(session: Session, model: Model) -> None:
         InputError: the body is behind every camera or outside of its image, or a file of frame 0 cannot be used.
     """
     if judge(_first(session, model)).outside.any():
-        found = "the body in its first pose is behind every camera or outside of its image"
+        problem = "the body in its first pose is behind every camera or outside of its image"
         expected = f"a first pose that a camera sees in frame {session.first_frame}"
         remedy = "check the calibration, the units (metres) and the positions under [initial], or remove [initial] to look for the person"
-        raise input_error("session.toml: initial", found, expected, remedy)
+        raise input_error("session.toml: initial", problem, expected, remedy)
 
 
 def _listed(percent: Float[np.ndarray, " camera"]) -> str:
-    return ", ".join(f"{each:.3g}" for each in percent[np.isfinite(percent)])
+    return ", ".join(f"{share:.3g}" for share in percent[np.isfinite(percent)])
 
 
 def is_off(fit: Fit) -> Bool[np.ndarray, " run"]:
@@ -140,20 +140,20 @@ def fit_figures(first: Fit, frames: Sequence[Fit], first_frame: int = 0) -> dict
         frames: fit of each run's mean pose to each frame.
         first_frame: number of the first frame in the recording.
     """
-    verdicts = [judge(each) for each in frames]
-    by_keypoints = any(np.isfinite(each.distance).any() for each in verdicts)
-    far = np.stack([each.distance if by_keypoints else -each.cover for each in verdicts])
+    verdicts = [judge(fit) for fit in frames]
+    by_keypoints = any(np.isfinite(verdict.distance).any() for verdict in verdicts)
+    far = np.stack([verdict.distance if by_keypoints else -verdict.cover for verdict in verdicts])
     worst, frame = _worst(far)
-    least, least_frame = _worst(np.stack([-each.overlap for each in verdicts])) if not by_keypoints else (None, None)
+    least, least_frame = _worst(np.stack([-verdict.overlap for verdict in verdicts])) if not by_keypoints else (None, None)
     return _first_figures(judge(first), by_keypoints) | {
         "fit_by": ("keypoints" if by_keypoints else "silhouettes") if worst is not None else None,
         "fit_worst": worst if worst is None or by_keypoints else -worst,
         "fit_worst_frame": None if frame is None else first_frame + frame,
         "overlap_worst": None if least is None else -least,
         "overlap_worst_frame": None if least_frame is None else first_frame + least_frame,
-        "frames_off": _lasting([each.off.any() for each in verdicts], first_frame),
-        "frames_outside": _lasting([each.outside.any() for each in verdicts], first_frame),
-        "frames_blind": _lasting([each.blind for each in verdicts], first_frame),
+        "frames_off": _lasting([verdict.off.any() for verdict in verdicts], first_frame),
+        "frames_outside": _lasting([verdict.outside.any() for verdict in verdicts], first_frame),
+        "frames_blind": _lasting([verdict.blind for verdict in verdicts], first_frame),
     }
 
 

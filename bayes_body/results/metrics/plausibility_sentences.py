@@ -44,8 +44,8 @@ def fit_sentences(figures: Mapping[str, Any]) -> list[str]:
         figures: the figures from `first_fit` or `fit_figures`, or a whole summary. A summary from an older version gives fewer warnings.
     """
     wordings = _WORDINGS.get(figures.get("fit_by") or "", ())
-    found = [_first(wordings, figures), _later(wordings, figures), _outside(figures), _blind(figures)]
-    return [sentence for sentence in found if sentence]
+    sentences = [_first(wordings, figures), _later(wordings, figures), _outside(figures), _blind(figures)]
+    return [sentence for sentence in sentences if sentence]
 
 
 def _crossed(wordings: tuple[_Wording, ...], figures: Mapping[str, Any], end: str) -> tuple[_Wording, float] | None:

@@ -34,8 +34,8 @@ def outlines(model: Model, pose: Float[np.ndarray, "*shape"]) -> list[list[Outli
     pixels, visible = (np.asarray(out) for out in _project_rims(model.body, model.rig, jnp.asarray(pose)))
     names = model.body.topology.names
     return [
-        [Outline(name, cv2.convexHull(camera[p].astype(np.float32))[:, 0]) for p, name in enumerate(names) if seen[p].all()]
-        for camera, seen in zip(pixels, visible, strict=True)
+        [Outline(name, cv2.convexHull(camera[p].astype(np.float32))[:, 0]) for p, name in enumerate(names) if in_front[p].all()]
+        for camera, in_front in zip(pixels, visible, strict=True)
     ]
 
 

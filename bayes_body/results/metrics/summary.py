@@ -69,20 +69,20 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
     likelihood of a whole pose over all cameras.
     """
     frames, working = len(draws.frames), draws.timing.total - draws.timing.compile
-    found = [_figures(session, draws.model, draws.frames[index], index) for index in watch(range(frames))]
+    by_frame = [_figures(session, draws.model, draws.frames[index], index) for index in watch(range(frames))]
     mode_seeker = not draws.samples_posterior
-    ess, fits = np.array([each.ess for each in found]), [each.fit for each in found]
+    ess, fits = np.array([frame_figures.ess for frame_figures in by_frame]), [frame_figures.fit for frame_figures in by_frame]
     overlap, distance_px = (np.array([getattr(fit, name) for fit in fits]) for name in ("overlap", "distance_px"))
     first = frame_fit(session, draws.model, np.asarray(draws.model.initial[draws.model.body.variable], float)[None], 0)
     figures = {
         "frames": frames,
         "first_frame": draws.first_frame,
-        "frames_lost": sum(each.lost for each in found),
+        "frames_lost": sum(frame_figures.lost for frame_figures in by_frame),
         "frames_restarted": [draws.first_frame + frame for frame in draws.frames_restarted],
         "cameras": len(session.views),
         "dof": configuration_space(draws.model.body).dimension,
         "particles": draws.particles,
-        "layers": round(float(np.median([each.layers for each in found]))),
+        "layers": round(float(np.median([frame_figures.layers for frame_figures in by_frame]))),
         "runs": draws.runs,
         "kernel": kernel,
         "model": draws.model.definition.name,
@@ -90,16 +90,16 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
         "seconds_total": draws.timing.total,
         "seconds_compile": draws.timing.compile,
         "seconds_per_frame": working / frames,
-        "evaluations_per_second": sum(each.evaluations for each in found) / working,
+        "evaluations_per_second": sum(frame_figures.evaluations for frame_figures in by_frame) / working,
         "peak_memory_mb": peak_memory_mb(),
         "ess_min": float(ess.min()),
         "ess_median": float(np.median(ess)),
-        "rhat_max": _largest(np.array([each.rhat for each in found])),
-        "log_evidence": log_mean_exp(np.sum([each.log_evidence for each in found], axis=0)),
+        "rhat_max": _largest(np.array([frame_figures.rhat for frame_figures in by_frame])),
+        "log_evidence": log_mean_exp(np.sum([frame_figures.log_evidence for frame_figures in by_frame], axis=0)),
         "reads": draws.model.reads,
         "iou_median": _median(overlap),
         "reprojection_px_median": _median(distance_px),
-        "marker_disagreement_mm": 1000 * float(np.mean([each.disagreement for each in found])),
+        "marker_disagreement_mm": 1000 * float(np.mean([frame_figures.disagreement for frame_figures in by_frame])),
         **fit_figures(first, fits, draws.first_frame),
         **accuracy_figures(draws_against_truth(session, draws, watch), mode_seeker),
     }

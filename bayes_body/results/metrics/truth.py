@@ -171,14 +171,14 @@ def _accuracy(
     folds: Int[np.ndarray, " frame"],
 ) -> Accuracy:
     """Return the accuracy over all frames, each with its fold's offset added to the markers. The truth of a marker without an offset is unknown."""
-    found, inside = [], np.zeros((), int)
+    by_frame, inside = [], np.zeros((), int)
     moved = [replace(model, body=replace(model.body, markers=_moved(common, offset))) for offset in offsets]
     known = np.where(np.isfinite(offsets[folds]), truth, np.nan)
     for cloud, true, fold in zip(clouds(), known, folds, strict=True):
         runs = [_of_run(moved[fold], *particles, true) for particles in zip(*cloud, strict=True)]
         inside = inside + np.sum([accuracy.inside for accuracy, _ in runs], axis=(0, -1))
-        found.append(_stacked(runs))
-    error, relative, optimistic, expected, residual = (np.stack(part) for part in zip(*found, strict=True))
+        by_frame.append(_stacked(runs))
+    error, relative, optimistic, expected, residual = (np.stack(part) for part in zip(*by_frame, strict=True))
     count = 3 * np.isfinite(error).sum(axis=(0, 1))
     return Accuracy(common.names, error, relative, optimistic, expected, inside, count, residual)
 
@@ -195,18 +195,18 @@ def _of_run(
 ) -> tuple[FrameAccuracy, Float[np.ndarray, "marker 3"]]:
     weights = np.exp(log_weights.astype(float) - log_weights.max())
     weights /= weights.sum()
-    positions, on = markers(model, poses), model.body.markers
+    positions, marker_set = markers(model, poses), model.body.markers
     mean = configuration_space(model.body).mean(weights, poses)
     turned = np.asarray(_orientations(model.body, jnp.asarray(mean, model.body.lengths.dtype)), float)
-    found = frame_accuracy(positions, weights, truth, on.names)
-    return found, np.einsum("mki,mk->mi", turned, found.off)
+    accuracy = frame_accuracy(positions, weights, truth, marker_set.names)
+    return accuracy, np.einsum("mki,mk->mi", turned, accuracy.off)
 
 
 def _stacked(runs: Sequence[tuple[FrameAccuracy, NDArray[np.floating]]]) -> tuple[NDArray[np.floating], ...]:
     """Return the stored figures of a frame: the errors of each run, and the means over the runs of the expected error and of the residual."""
-    of = [accuracy for accuracy, _ in runs]
-    error, relative, optimistic = (np.array([getattr(each, name) for each in of]) for name in ("error", "relative", "optimistic"))
-    return error, relative, optimistic, np.mean([each.expected for each in of], axis=0), np.mean([residual for _, residual in runs], axis=0)
+    by_run = [accuracy for accuracy, _ in runs]
+    error, relative, optimistic = (np.array([getattr(run, name) for run in by_run]) for name in ("error", "relative", "optimistic"))
+    return error, relative, optimistic, np.mean([run.expected for run in by_run], axis=0), np.mean([residual for _, residual in runs], axis=0)
 
 
 @jax.jit

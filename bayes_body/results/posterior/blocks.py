@@ -67,9 +67,9 @@ def coordinate_blocks(
     """
     spaces = stored_spaces(tree) if spaces is None else spaces
     width = sum(space.dimension for space in spaces.values())
-    for each in zip(*(pose_blocks(tree, frames, block, width, name) for name in spaces), strict=True):
-        around = [around_mean(space, piece.poses, piece.log_weights) for space, piece in zip(spaces.values(), each, strict=True)]
-        yield Block(each[0].frames, np.concatenate(around, axis=-1), each[0].log_weights)
+    for variable_blocks in zip(*(pose_blocks(tree, frames, block, width, name) for name in spaces), strict=True):
+        centred = [around_mean(space, piece.poses, piece.log_weights) for space, piece in zip(spaces.values(), variable_blocks, strict=True)]
+        yield Block(variable_blocks[0].frames, np.concatenate(centred, axis=-1), variable_blocks[0].log_weights)
 
 
 def around_mean(

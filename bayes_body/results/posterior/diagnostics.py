@@ -43,7 +43,7 @@ def diagnose(run: "HasTree | xr.DataTree", block: int = BLOCK) -> Diagnosis:
 
     tree = run if isinstance(run, xr.DataTree) else run.tree
     figures = _of_all(tree) if "thinned_from" in tree.attrs else _of_draws(tree, block)
-    (cameras, seen), mixing = _seen(tree), mixing_of(tree, block)
+    (cameras, has_image), mixing = _image_presence(tree), mixing_of(tree, block)
     return Diagnosis(
         kernel=str(tree.attrs.get("kernel", "")),
         particles=int(tree.attrs.get("thinned_from", tree["posterior"].sizes["draw"])),
@@ -57,7 +57,7 @@ def diagnose(run: "HasTree | xr.DataTree", block: int = BLOCK) -> Diagnosis:
         independent_draws=figures.independent_draws,
         log_evidence=np.asarray(tree["filter"]["log_evidence"], float),
         lost=np.asarray(tree["filter"]["lost"], bool),
-        seen=seen,
+        seen=has_image,
         cameras=cameras,
         mixing=mixing,
         messages=message_passing_of(tree),
@@ -138,10 +138,10 @@ def _acceptance_rate(tree: "xr.DataTree") -> Float[np.ndarray, "run frame layer"
     return np.full((*group["log_evidence"].shape, 1), np.nan)
 
 
-def _seen(tree: "xr.DataTree") -> tuple[tuple[str, ...], Bool[np.ndarray, "frame camera"] | None]:
+def _image_presence(tree: "xr.DataTree") -> tuple[tuple[str, ...], Bool[np.ndarray, "frame camera"] | None]:
     group = tree["filter"]
     if "seen" not in group:
         return (), None
-    seen = group["seen"].transpose("frame", "camera")
-    names = seen["camera"] if "camera" in seen.coords else np.arange(seen.sizes["camera"])
-    return tuple(np.asarray(names).astype(str).tolist()), np.asarray(seen, bool)
+    has_image = group["seen"].transpose("frame", "camera")
+    names = has_image["camera"] if "camera" in has_image.coords else np.arange(has_image.sizes["camera"])
+    return tuple(np.asarray(names).astype(str).tolist()), np.asarray(has_image, bool)

@@ -18,8 +18,8 @@ def frame_ranges(frames: Sequence[int], most: int = MOST_STRETCHES) -> str:
         else:
             stretches.append([frame, frame])
     named = ", ".join(str(first) if first == last else f"{first}-{last}" for first, last in stretches[:most])
-    rest = sum(last - first + 1 for first, last in stretches[most:])
-    return f"frame{'s' if len(frames) > 1 else ''} {named}{f' and {rest} more' if rest else ''}"
+    remainder = sum(last - first + 1 for first, last in stretches[most:])
+    return f"frame{'s' if len(frames) > 1 else ''} {named}{f' and {remainder} more' if remainder else ''}"
 
 
 def frames_where(crossed: Bool[np.ndarray, " frame"], first: int) -> str:

@@ -85,14 +85,14 @@ def variables(draws: Draws) -> list[Variable]:
 
 def place_in_tree(name: str) -> str:
     """Return the group and the name in the tree of an array of a frame (`storage.frame_arrays`), such as `filter/ess`; empty if the tree lacks it."""
-    kind, _, rest = name.partition(".")
+    kind, _, key = name.partition(".")
     places = {
-        "states": f"posterior/{rest}",
+        "states": f"posterior/{key}",
         "log_weights": "sample_stats/log_weight",
-        "info": "sample_stats/ancestor" if rest == "ancestors" else f"filter/{RENAMED.get(rest, rest)}",
-        "markov": f"filter/{PREFIX}{rest}",
-        "messages": f"filter/{rest}" if rest in DIMS else "",
-        "figures": f"filter/{OF_ALL}{rest}",
+        "info": "sample_stats/ancestor" if key == "ancestors" else f"filter/{RENAMED.get(key, key)}",
+        "markov": f"filter/{PREFIX}{key}",
+        "messages": f"filter/{key}" if key in DIMS else "",
+        "figures": f"filter/{OF_ALL}{key}",
         "seen": "filter/seen",
     }
     return places.get(kind, "")
@@ -100,10 +100,10 @@ def place_in_tree(name: str) -> str:
 
 def frame_axis_of(name: str) -> int:
     """Return the axis of the frames in the tree of an array of a frame."""
-    kind, _, rest = name.partition(".")
+    kind, _, key = name.partition(".")
     if kind in ("states", "log_weights") or name == "info.ancestors":
         return 2
-    return 0 if kind == "seen" or (kind == "figures" and not _is_by_run(rest)) else 1
+    return 0 if kind == "seen" or (kind == "figures" and not _is_by_run(key)) else 1
 
 
 def _is_by_run(figure: str) -> bool:
@@ -166,11 +166,11 @@ def _message(name: str) -> Callable[[FrameResult], Any]:
 
 def sizes(draws: Draws) -> dict[str, int]:
     """Return the size of every dimension."""
-    found = {"frame": len(draws.frames)}
+    lengths = {"frame": len(draws.frames)}
     for variable in variables(draws):
         without = [dim for dim in variable.dims if dim != "frame"]
-        found |= dict(zip(without, np.shape(variable.of(draws.frames[0])), strict=True))
-    return found
+        lengths |= dict(zip(without, np.shape(variable.of(draws.frames[0])), strict=True))
+    return lengths
 
 
 def coordinates(draws: Draws, dims: Sequence[str]) -> dict[str, tuple[str, NDArray[Any] | list[str]]]:
@@ -180,8 +180,8 @@ def coordinates(draws: Draws, dims: Sequence[str]) -> dict[str, tuple[str, NDArr
     labels |= {"frame": draws.first_frame + np.arange(lengths["frame"])}
     if "iteration" in lengths:
         labels |= {"iteration": np.arange(1, lengths["iteration"] + 1)}
-    found: dict[str, tuple[str, NDArray[Any] | list[str]]] = {dim: (dim, labels.get(dim, np.arange(lengths[dim]))) for dim in dims}
-    return found | {unit_name(dim): (dim, list(axes[dim].units)) for dim in dims if dim in axes and any(axes[dim].units)}
+    by_name: dict[str, tuple[str, NDArray[Any] | list[str]]] = {dim: (dim, labels.get(dim, np.arange(lengths[dim]))) for dim in dims}
+    return by_name | {unit_name(dim): (dim, list(axes[dim].units)) for dim in dims if dim in axes and any(axes[dim].units)}
 
 
 def unit_name(dim: str) -> str:
@@ -195,23 +195,23 @@ def _axes(draws: Draws) -> dict[str, Axis]:
     Raises:
         ValueError: two variables name the same dimension and label it differently.
     """
-    found: dict[str, Axis] = {}
+    axes: dict[str, Axis] = {}
     for name, space in _spaces(draws).items():
         for dim, axis in zip(space_dims(name, space), space.axes, strict=True):
-            if found.setdefault(dim, axis) != axis:
+            if axes.setdefault(dim, axis) != axis:
                 raise ValueError(f"the axis '{dim}' of the variable '{name}' has other labels than that of another variable")
         if isinstance(space, Plate) and draws.frames[0].info.messages:
-            found["tangent"] = Axis("tangent", space.space.tangent_labels, space.space.tangent_units)
-            found["proposal"] = Axis("proposal", PARTS)
-    return found
+            axes["tangent"] = Axis("tangent", space.space.tangent_labels, space.space.tangent_units)
+            axes["proposal"] = Axis("proposal", PARTS)
+    return axes
 
 
 def groups(draws: Draws) -> dict[str, list[Variable]]:
     """Return the variables by group."""
-    found: dict[str, list[Variable]] = {}
+    by_group: dict[str, list[Variable]] = {}
     for variable in variables(draws):
-        found.setdefault(variable.group, []).append(variable)
-    return found
+        by_group.setdefault(variable.group, []).append(variable)
+    return by_group
 
 
 def dims_of(members: Sequence[Variable]) -> list[str]:

@@ -66,21 +66,21 @@ def message_passing_of(tree: "xr.DataTree") -> MessagePassing | None:
     group: Any = tree["filter"]
     if any(name not in group for name in DIMS):
         return None
-    own = {name: np.asarray(group[name], float) for name in DIMS}
+    figures = {name: np.asarray(group[name], float) for name in DIMS}
     node = group["belief_ess"].dims[-1]
-    nodes = group[node] if node in group.coords else np.arange(own["belief_ess"].shape[-1])
+    nodes = group[node] if node in group.coords else np.arange(figures["belief_ess"].shape[-1])
     units = tuple(np.asarray(group["tangent_unit"]).astype(str).tolist()) if "tangent_unit" in group.coords else ()
     return MessagePassing(
         nodes=tuple(np.asarray(nodes).astype(str).tolist()),
-        units=units or ("",) * own["belief_sd"].shape[-1],
-        samples=int(own["samples"].max()),
-        belief_ess=own["belief_ess"],
-        message_ess=own["message_ess"],
-        change=own["message_change"],
-        sd=own["belief_sd"],
-        oscillation=own["oscillation"],
-        joint_ess=own["joint_ess"],
-        proposal_shares=own["proposal_shares"],
+        units=units or ("",) * figures["belief_sd"].shape[-1],
+        samples=int(figures["samples"].max()),
+        belief_ess=figures["belief_ess"],
+        message_ess=figures["message_ess"],
+        change=figures["message_change"],
+        sd=figures["belief_sd"],
+        oscillation=figures["oscillation"],
+        joint_ess=figures["joint_ess"],
+        proposal_shares=figures["proposal_shares"],
     )
 
 

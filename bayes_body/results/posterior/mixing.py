@@ -68,10 +68,10 @@ def thinned_figure(tree: "xr.DataTree", figure: str) -> Float[np.ndarray, "*shap
 
 def by_chain(poses: Float[np.ndarray, "run draw frame *shape"], length: int) -> Float[np.ndarray, "run chain step frame *shape"]:
     """Return the draws by chain; an incomplete last chain is dropped, unless it is the only one."""
-    runs, draws, *rest = poses.shape
+    runs, draws, *trailing_shape = poses.shape
     chains = max(draws // length, 1)
     steps = min(length, draws)
-    return poses[:, : chains * steps].reshape(runs, chains, steps, *rest)
+    return poses[:, : chains * steps].reshape(runs, chains, steps, *trailing_shape)
 
 
 def chain_rhat(poses: Float[np.ndarray, "run draw frame dof"], length: int) -> Float[np.ndarray, "run frame dof"]:

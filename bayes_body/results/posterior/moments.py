@@ -76,7 +76,7 @@ def moments_in[M: (Moments, MomentsAndMedian)](
     space: Space,
     points: Float[np.ndarray, "frame draw *shape"],
     weights: Float[np.ndarray, "frame draw"],
-    of: Callable[[Float[np.ndarray, "frame draw dimension"], Float[np.ndarray, "frame draw"]], M] = weighted_moments,
+    statistic: Callable[[Float[np.ndarray, "frame draw dimension"], Float[np.ndarray, "frame draw"]], M] = weighted_moments,
 ) -> M:
     """Return the moments of a variable over the draws of each frame, in its space's coordinates around the mean: (frame, dimension).
 
@@ -88,10 +88,10 @@ def moments_in[M: (Moments, MomentsAndMedian)](
         space: where the variable lives.
         points: one point for each draw.
         weights: as for `weighted_moments`.
-        of: `weighted_moments` or `moments_and_median`.
+        statistic: `weighted_moments` or `moments_and_median`.
     """
     mean = np.asarray(space.mean(weights, points))
-    return of(np.asarray(space.coordinates(mean[:, None], points)), weights)
+    return statistic(np.asarray(space.coordinates(mean[:, None], points)), weights)
 
 
 def weighted_quantiles(
@@ -102,7 +102,9 @@ def weighted_quantiles(
     Raises:
         ValueError: the weights of a frame are all zero, or not finite.
     """
-    at = np.subtract(shares, ROUNDING)
+    levels = np.subtract(shares, ROUNDING)
     # Frame by frame: one-dimensional weights apply to all columns, and only one frame is sorted at a time.
-    each = [np.quantile(frame, at, axis=0, weights=own, method="inverted_cdf") for frame, own in zip(values, weights, strict=True)]
-    return np.stack(each, axis=1)
+    quantiles = [
+        np.quantile(frame, levels, axis=0, weights=frame_weights, method="inverted_cdf") for frame, frame_weights in zip(values, weights, strict=True)
+    ]
+    return np.stack(quantiles, axis=1)

@@ -20,13 +20,13 @@ def tree_on_demand(draws: Draws, attributes: Mapping[str, Any] | None = None) ->
     """Return the tree of `to_datatree(draws, attributes)`. Its draws are read, some frames at a time, when they are used."""
     import xarray as xr
 
-    lengths, found = sizes(draws), groups(draws)
-    small: dict[str, list[Any]] = {variable.name: [] for variable in found[SMALL]}
+    lengths, by_group = sizes(draws), groups(draws)
+    small: dict[str, list[Any]] = {variable.name: [] for variable in by_group[SMALL]}
     for frame in draws.frames:
-        for variable in found[SMALL]:
+        for variable in by_group[SMALL]:
             small[variable.name].append(variable.of(frame))
     datasets = {}
-    for group, members in found.items():
+    for group, members in by_group.items():
         arrays = {}
         for variable in members:
             shape = tuple(lengths[dim] for dim in variable.dims)

@@ -35,14 +35,14 @@ def equal_weight(tree: "xr.DataTree", count: int | None = None, seed: int = RESA
     import xarray as xr
 
     _check(tree, count)
-    given = tree[STATS][LOG_WEIGHT]
-    log_weights = given.expand_dims([dim for dim in BY_DRAW if dim not in given.dims]).transpose(*BY_DRAW)
+    stored_weights = tree[STATS][LOG_WEIGHT]
+    log_weights = stored_weights.expand_dims([dim for dim in BY_DRAW if dim not in stored_weights.dims]).transpose(*BY_DRAW)
     frames = np.asarray(log_weights["frame"] if "frame" in log_weights.coords else np.arange(log_weights.sizes["frame"]))
     chosen = _chosen(np.asarray(log_weights, float), frames, count, seed)
     groups = {name: _taken(group.to_dataset(), chosen) if "draw" in group.dims else group.to_dataset() for name, group in tree.children.items()}
-    found = xr.DataTree.from_dict(groups)
-    found.attrs.update({name: value for name, value in tree.attrs.items() if name != WEIGHTS})
-    return found
+    resampled_tree = xr.DataTree.from_dict(groups)
+    resampled_tree.attrs.update({name: value for name, value in tree.attrs.items() if name != WEIGHTS})
+    return resampled_tree
 
 
 def _check(tree: "xr.DataTree", count: int | None) -> None:
@@ -63,9 +63,11 @@ def _chosen(
     for place, frame in enumerate(frames):
         rng = np.random.default_rng((seed, int(frame)))
         for chain in range(chains):
-            own = log_weights[chain, :, place]
-            as_they_are = number == draws and own.max() == own.min()
-            chosen[chain, :, place] = np.arange(draws) if as_they_are else systematic_resampling(rng, np.exp(own - own.max()), number)
+            chain_log_weights = log_weights[chain, :, place]
+            as_they_are = number == draws and chain_log_weights.max() == chain_log_weights.min()
+            chosen[chain, :, place] = (
+                np.arange(draws) if as_they_are else systematic_resampling(rng, np.exp(chain_log_weights - chain_log_weights.max()), number)
+            )
     return chosen
 
 

@@ -21,13 +21,13 @@ def sentences(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -> li
         diagnosis: a diagnosis from `diagnose`.
         thresholds: the limits.
     """
-    found = [_mode_seeker(diagnosis), _lost(diagnosis), _unseen(diagnosis), _rhat(diagnosis, thresholds), *mixing_sentences(diagnosis, thresholds)]
-    found += message_sentences(diagnosis, thresholds)
+    lines = [_mode_seeker(diagnosis), _lost(diagnosis), _unseen(diagnosis), _rhat(diagnosis, thresholds), *mixing_sentences(diagnosis, thresholds)]
+    lines += message_sentences(diagnosis, thresholds)
     if not diagnosis.mode_seeker:
         # A mode seeker chooses its powers for a fixed effective sample size: its weights are not importance weights.
-        found += [_ess(diagnosis, thresholds), _pareto_k(diagnosis, thresholds), _evidence(diagnosis, thresholds)]
-    found += [_ancestors(diagnosis, thresholds), *_acceptance(diagnosis, thresholds), _single(diagnosis)]
-    return [sentence for sentence in found if sentence]
+        lines += [_ess(diagnosis, thresholds), _pareto_k(diagnosis, thresholds), _evidence(diagnosis, thresholds)]
+    lines += [_ancestors(diagnosis, thresholds), *_acceptance(diagnosis, thresholds), _single(diagnosis)]
+    return [sentence for sentence in lines if sentence]
 
 
 def _remedy(diagnosis: Diagnosis, *wanted: str, moves_help: bool = True) -> str:
@@ -72,9 +72,13 @@ def _unseen(diagnosis: Diagnosis) -> str | None:
     first = diagnosis.first_frame
     if diagnosis.seen is None or diagnosis.seen.all():
         return None
-    blind = [f"{name} in {frames_where(~seen, first)}" for name, seen in zip(diagnosis.cameras, diagnosis.seen.T, strict=True) if not seen.all()]
-    there = "there only the other cameras, or the motion prior, determine the pose; look at these images"
-    return f"nothing seen by camera {'; camera '.join(blind)}: {there}."
+    blind = [
+        f"{name} in {frames_where(~has_image, first)}"
+        for name, has_image in zip(diagnosis.cameras, diagnosis.seen.T, strict=True)
+        if not has_image.all()
+    ]
+    remedy = "there only the other cameras, or the motion prior, determine the pose; look at these images"
+    return f"nothing seen by camera {'; camera '.join(blind)}: {remedy}."
 
 
 def _rhat(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:

@@ -34,8 +34,8 @@ def _space(name: str, values: "xr.DataArray") -> Space:
         try:
             return space_from_text(str(values.attrs[SPACE]))
         except ValueError as error:
-            found, expected = str(error), "the space of a variable, as this version writes it"
-            raise input_error(f"the posterior's variable '{name}'", found, expected, "read it with the version that wrote it") from None
+            problem, expected = str(error), "the space of a variable, as this version writes it"
+            raise input_error(f"the posterior's variable '{name}'", problem, expected, "read it with the version that wrote it") from None
     dims = [dim for dim in values.dims if dim not in ("chain", "draw", "frame")]
     if len(dims) != 1 or dims[0] not in values.coords:
         return numbered(name, tuple(values.sizes[dim] for dim in dims))

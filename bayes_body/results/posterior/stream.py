@@ -42,7 +42,7 @@ def stream_posterior(draws: Draws, path: Path, attributes: Mapping[str, Any] | N
     with replacing(path) as partial, ErrorDeferringFile(partial) as steady:
         with h5netcdf.File(steady, "w") as file:
             file.attrs.update(attributes_of(draws, attributes))
-            arrays = [each for name, members in groups(draws).items() for each in _make_group(file, name, members, draws, step)]
+            arrays = [array for name, members in groups(draws).items() for array in _make_group(file, name, members, draws, step)]
             for start in range(0, count, step):
                 if not steady.error:
                     _write_block(arrays, [draws.frames[index] for index in range(start, min(start + step, count))], start)

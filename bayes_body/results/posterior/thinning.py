@@ -52,12 +52,12 @@ def thinned(frame: FrameResult, number: int, draws: int, spaces: Mapping[str, Sp
         of_run = _evenly_in_chains(chains, length, max(draws // chains, 1))
         places = np.broadcast_to(of_run, (runs, len(of_run)))
         kept_length = np.full_like(info.markov["length"], places.shape[1] // chains)
-        info, kept = info._replace(markov={**info.markov, "length": kept_length}), np.take_along_axis(weights, places, axis=1)
+        info, thinned_weights = info._replace(markov={**info.markov, "length": kept_length}), np.take_along_axis(weights, places, axis=1)
     else:
         rng = np.random.default_rng((SEED, number))
-        places, kept = (np.stack(parts) for parts in zip(*(choose(rng, of_run, draws) for of_run in weights), strict=True))
+        places, thinned_weights = (np.stack(parts) for parts in zip(*(choose(rng, of_run, draws) for of_run in weights), strict=True))
     with np.errstate(divide="ignore"):
-        log_weights = np.log(kept / kept.sum(axis=1, keepdims=True)).astype(frame.log_weights.dtype)
+        log_weights = np.log(thinned_weights / thinned_weights.sum(axis=1, keepdims=True)).astype(frame.log_weights.dtype)
     return FrameResult(
         {name: np.stack([values[run, places[run]] for run in range(runs)]) for name, values in frame.states.items()},
         log_weights,
@@ -139,9 +139,9 @@ def figures_of_all(frame: FrameResult, number: int, spaces: Mapping[str, Space])
 
     log_weights = frame.log_weights[:, :, None].astype(float)
     weights = weights_of_runs(log_weights)[..., 0]
-    around = {name: around_mean(space, frame.states[name][:, :, None].astype(float), log_weights) for name, space in spaces.items()}
-    blocks = {name: Block(range(number, number + 1), poses, log_weights) for name, poses in around.items()}
-    whole = Block(range(number, number + 1), np.concatenate(list(around.values()), axis=-1), log_weights)
+    centred = {name: around_mean(space, frame.states[name][:, :, None].astype(float), log_weights) for name, space in spaces.items()}
+    blocks = {name: Block(range(number, number + 1), poses, log_weights) for name, poses in centred.items()}
+    whole = Block(range(number, number + 1), np.concatenate(list(centred.values()), axis=-1), log_weights)
     ancestors = [len(np.unique(of_run)) if of_run[0] != NO_ANCESTOR else np.nan for of_run in frame.info.ancestors]
     figures: dict[str, Any] = {
         "particles": np.full(len(weights), weights.shape[1], np.int32),
@@ -154,7 +154,7 @@ def figures_of_all(frame: FrameResult, number: int, spaces: Mapping[str, Space])
     figures |= {RHAT + name: rhat_of_block(block)[0] for name, block in blocks.items()}
     if "length" in frame.info.markov:
         length = int(np.max(frame.info.markov["length"]))
-        figures |= {MARKOV_RHAT + name: chain_rhat(poses, length)[:, 0] for name, poses in around.items()}
+        figures |= {MARKOV_RHAT + name: chain_rhat(poses, length)[:, 0] for name, poses in centred.items()}
     return {name: np.asarray(values) for name, values in figures.items()}
 
 

@@ -19,7 +19,7 @@ AGREE, EFFECTIVE = 1.01, 100
 APART = 0.1
 
 
-def window_to_datatree(found: WindowPosterior) -> "xr.DataTree":
+def window_to_datatree(posterior: WindowPosterior) -> "xr.DataTree":
     """Return the draws of a window in ArviZ's form.
 
     Groups: `posterior` with the state's variables, such as `pose` (chain, draw, frame, dof), where `frame` is the number in the recording and the
@@ -28,7 +28,7 @@ def window_to_datatree(found: WindowPosterior) -> "xr.DataTree":
     """
     import xarray as xr
 
-    draws, by_draw = found.draws, ("chain", "draw")
+    draws, by_draw = posterior.draws, ("chain", "draw")
     stats: dict[str, Any] = {
         "diverging": (by_draw, np.asarray(draws.divergent)),
         "n_steps": (by_draw, np.asarray(draws.leapfrog_steps)),
@@ -38,22 +38,22 @@ def window_to_datatree(found: WindowPosterior) -> "xr.DataTree":
     }
     tree = xr.DataTree.from_dict(
         {
-            "posterior": _states(found, draws.states, by_draw),
+            "posterior": _states(posterior, draws.states, by_draw),
             "sample_stats": xr.Dataset(stats, {dim: np.arange(size) for dim, size in zip(by_draw, np.shape(draws.divergent), strict=True)}),
-            "smoothed": _states(found, found.paths, ("path",)),
+            "smoothed": _states(posterior, posterior.paths, ("path",)),
         }
     )
-    tree.attrs.update(model=found.model.definition.name, kernel="nuts")
+    tree.attrs.update(model=posterior.model.definition.name, kernel="nuts")
     return tree
 
 
-def _states(found: WindowPosterior, states: Any, leading: tuple[str, ...]) -> "xr.Dataset":
+def _states(posterior: WindowPosterior, states: Any, leading: tuple[str, ...]) -> "xr.Dataset":
     """Return whole states (*leading, frame, ...) by variable."""
     import xarray as xr
 
-    arrays, coordinates = {}, {"frame": ("frame", np.array(found.frames))}
+    arrays, coordinates = {}, {"frame": ("frame", np.array(posterior.frames))}
     for name, values in states.items():
-        space = found.model.transition.space(name, values.shape[len(leading) + 1 :])
+        space = posterior.model.transition.space(name, values.shape[len(leading) + 1 :])
         dims = space_dims(name, space)
         arrays[name] = ((*leading, "frame", *dims), np.asarray(values), {SPACE: space_to_text(space)})
         for dim, axis in zip(dims, space.axes, strict=True):
@@ -65,16 +65,16 @@ def _states(found: WindowPosterior, states: Any, leading: tuple[str, ...]) -> "x
     return xr.Dataset(arrays, coordinates)
 
 
-def window_sentences(found: WindowPosterior) -> list[str]:
+def window_sentences(posterior: WindowPosterior) -> list[str]:
     """Return the figures of the chains, and what they say, as sentences."""
-    draws = found.draws
+    draws = posterior.draws
     (chains, count), r_hat = np.shape(draws.divergent), float(np.max(draws.r_hat))
     agree = "the chains agree" if r_hat <= AGREE else f"the chains do not agree (limit {AGREE}); more draws or a longer warm-up are needed"
     least, middle, wanted = float(np.min(draws.effective)), float(np.median(draws.effective)), EFFECTIVE * chains
     enough = "" if least >= wanted else f"; at least {wanted} are needed, so more draws"
     diverged, steps = int(np.sum(draws.divergent)), float(np.mean(draws.leapfrog_steps))
-    smoother, sampler = found.seconds
-    apart, error, name, frame = _apart(found)
+    smoother, sampler = posterior.seconds
+    apart, error, name, frame = _apart(posterior)
     sentences = [
         f"R-hat: {r_hat:.3f} for the worst coordinate; {agree}.",
         f"effective draws: {least:.0f} for the worst coordinate, {middle:.0f} in the median, of {chains * count}{enough}.",
@@ -88,18 +88,18 @@ def window_sentences(found: WindowPosterior) -> list[str]:
     return sentences
 
 
-def _apart(found: WindowPosterior) -> tuple[float, float, str, int]:
+def _apart(posterior: WindowPosterior) -> tuple[float, float, str, int]:
     """Return the largest distance between the smoother's and the chains' means of the body's variable, its sampling error, and where it is."""
-    variable = found.model.body.variable
-    space = found.model.transition.space(variable, found.paths[variable].shape[2:])
-    chains, paths = np.asarray(found.draws.states[variable], float), np.asarray(found.paths[variable], float)
+    variable = posterior.model.body.variable
+    space = posterior.model.transition.space(variable, posterior.paths[variable].shape[2:])
+    chains, paths = np.asarray(posterior.draws.states[variable], float), np.asarray(posterior.paths[variable], float)
     centre = chains.mean(axis=(0, 1))
     sd, distance = _spread(space, chains.reshape(-1, *chains.shape[2:]), centre), np.abs(_offset(space, paths, centre).mean(axis=0))
     with np.errstate(invalid="ignore", divide="ignore"):
         relative = np.where(sd > 0, distance / sd, 0.0)
     frame, entry = np.unravel_index(np.argmax(relative), relative.shape)
-    error = np.sqrt(1 / len(paths) + 1 / float(np.min(found.draws.effective)))
-    return float(relative.max()), float(error), space.tangent_labels[int(entry)], found.frames[int(frame)]
+    error = np.sqrt(1 / len(paths) + 1 / float(np.min(posterior.draws.effective)))
+    return float(relative.max()), float(error), space.tangent_labels[int(entry)], posterior.frames[int(frame)]
 
 
 def _offset(space: Any, states: Any, centre: Any) -> Float[np.ndarray, "draw frame entry"]:

@@ -95,14 +95,14 @@ class FrameArchive:
         """Return arrays of some frames, with the axis of the frames first."""
         import h5py
 
-        found = {}
+        arrays = {}
         with h5py.File(self.posterior, "r") as file:
             for name in self.names:
                 array, axis = _dataset(file, name), frame_axis_of(name)
                 values = np.asarray(array[(*(slice(None),) * axis, slice(first, first + length))])
                 boolean = array.attrs.get("dtype") == "bool"
-                found[name] = np.moveaxis(values.astype(bool) if boolean else values, axis, 0)
-        return found
+                arrays[name] = np.moveaxis(values.astype(bool) if boolean else values, axis, 0)
+        return arrays
 
     def write(self, folder: Path) -> None:
         """Write the index.

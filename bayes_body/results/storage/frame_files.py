@@ -96,8 +96,8 @@ class FrameFiles:
         whole = load_frame(path) if path.exists() else None
         before = self._read(self._count - 1).place
         if whole is None or whole.place != before:
-            found = "missing" if whole is None else "belongs to another frame or run"
-            raise input_error(path, found, WHOLE, "the run cannot go on: start again in another folder with --out")
+            problem = "missing" if whole is None else "belongs to another frame or run"
+            raise input_error(path, problem, WHOLE, "the run cannot go on: start again in another folder with --out")
         return whole.result
 
     def append(self, result: FrameResult, /) -> None:
@@ -145,8 +145,8 @@ class FrameFiles:
                 return self._end_before(index, str(damage))
             self._check_run(index, stored.place)
             if (stored.place.number, stored.place.before) != (index, before):
-                found = f"was stored as frame {stored.place.number} of this run, or after another frame"
-                return self._end_before(index, str(input_error(self.path(index), found, f"frame {index}", REMEDY)))
+                problem = f"was stored as frame {stored.place.number} of this run, or after another frame"
+                return self._end_before(index, str(input_error(self.path(index), problem, f"frame {index}", REMEDY)))
             before = stored.digest
         return self._damage
 

@@ -47,7 +47,7 @@ def _faults(file: "h5py.File", size: int) -> "Iterator[str]":
     import h5py
 
     groups: list[h5py.Group] = [file]
-    seen, arrays = {file.id.__hash__()}, 0
+    visited, arrays = {file.id.__hash__()}, 0
     while groups:
         group = groups.pop()
         for name in group:
@@ -56,9 +56,9 @@ def _faults(file: "h5py.File", size: int) -> "Iterator[str]":
             entry = group[name]
             list(entry.attrs.items())
             if isinstance(entry, h5py.Group):
-                if entry.id.__hash__() in seen:
+                if entry.id.__hash__() in visited:
                     yield f"the group {name!a} occurs twice"
-                seen.add(entry.id.__hash__())
+                visited.add(entry.id.__hash__())
                 groups.append(entry)
             elif isinstance(entry, h5py.Dataset):
                 arrays += entry.nbytes
@@ -75,7 +75,7 @@ def _of_array(array: "h5py.Dataset", name: str) -> "Iterator[str]":
         yield f"the array {name!a} lies in another file"
     if array.dtype.hasobject and h5py.check_string_dtype(array.dtype) is None:
         yield f"the array {name!a} holds objects"
-    used = {array.compression, *(each for each in ("shuffle", "fletcher32", "scaleoffset") if getattr(array, each))} - {None}
+    used = {array.compression, *(filter_name for filter_name in ("shuffle", "fletcher32", "scaleoffset") if getattr(array, filter_name))} - {None}
     if array.id.get_create_plist().get_nfilters() != len(used):
         yield f"the array {name!a} needs a filter that is not built in"
 

@@ -24,7 +24,7 @@ def input_digests(session: Session) -> dict[str, str]:
     Raises:
         InputError: a file cannot be read.
     """
-    found = {}
+    digests = {}
     for view in session.views:
         sequences = {"images": session.image_path, "masks": session.mask_path}
         files = {
@@ -36,18 +36,18 @@ def input_digests(session: Session) -> dict[str, str]:
         for kind, path_of in sequences.items():
             paths = [path for frame in range(session.frames) if (path := path_of(view, frame)) is not None]
             if paths:
-                found[f"{kind} of {view.camera.name}"] = _digest(_of_sequence(paths))
-        found |= {f"{kind} of {view.camera.name}": _digest(_of_file(path)) for kind, path in files.items() if path is not None}
+                digests[f"{kind} of {view.camera.name}"] = _digest(_of_sequence(paths))
+        digests |= {f"{kind} of {view.camera.name}": _digest(_of_file(path)) for kind, path in files.items() if path is not None}
     if session.truth_path is not None:
-        found["truth"] = _digest(_of_file(session.truth_path))
-    return found
+        digests["truth"] = _digest(_of_file(session.truth_path))
+    return digests
 
 
 def _digest(pieces: Iterator[bytes]) -> str:
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for piece in pieces:
-        found.update(piece)
-    return found.hexdigest()[:DIGITS]
+        digest.update(piece)
+    return digest.hexdigest()[:DIGITS]
 
 
 def _of_sequence(paths: list[Path]) -> Iterator[bytes]:

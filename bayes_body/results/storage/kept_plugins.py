@@ -16,18 +16,18 @@ def kept_plugins(record: Mapping[str, Any]) -> dict[str, str]:
     return dict(record.get("plugins", {}))
 
 
-def check_plugins(folder: Path, kept: Mapping[str, str]) -> None:
+def check_plugins(folder: Path, stored_texts: Mapping[str, str]) -> None:
     """Check that the plugins of a run are loaded; the stored text is never executed.
 
     Raises:
         InputError: a plugin is not loaded, or it has changed since the run was made.
     """
-    now = {plugin.path.name: plugin.text for plugin in loaded()}
+    loaded_texts = {plugin.path.name: plugin.text for plugin in loaded()}
     where = f"{folder / RUN_FILE}: plugins"
-    for name, text in kept.items():
-        if name not in now:
+    for name, text in stored_texts.items():
+        if name not in loaded_texts:
             raise input_error(where, f"the run has terms of {name}, which is not loaded", "the run's plugins", f"give that file with --plugin {name}")
-        if meaning(now[name]) != meaning(text):
+        if meaning(loaded_texts[name]) != meaning(text):
             remedy = f"put it back: its text is in {RUN_FILE}, under [plugins]; or start a new run in another folder"
             raise input_error(where, f"{name} changed since the run was made", "the file that the run was made with", remedy)
 

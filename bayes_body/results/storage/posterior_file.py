@@ -33,8 +33,8 @@ def open_posterior(folder: Path, manifest: Manifest) -> "xr.DataTree":
         tree = xr.open_datatree(path, engine="h5netcdf")
     # A file of another kind can raise any exception in the reader, from OSError to KeyError.
     except Exception as error:
-        found = f"cannot be read ({escaped(str(error).splitlines()[0]) if str(error) else type(error).__name__})"
-        raise input_error(path, found, "a posterior", AGAIN) from None
+        problem = f"cannot be read ({escaped(str(error).splitlines()[0]) if str(error) else type(error).__name__})"
+        raise input_error(path, problem, "a posterior", AGAIN) from None
     missing = [name for name in GROUPS if name not in tree.children]
     if missing:
         tree.close()

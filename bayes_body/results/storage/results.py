@@ -25,7 +25,7 @@ class Results:
     def __init__(self, folder: Path, frames: FrameFiles):
         self.folder, self.files = folder, frames
         self._frames = MadeOf(len(frames), frames.last_digest)
-        self._manifest = _kept(folder, frames.run)
+        self._manifest = _manifest_of(folder, frames.run)
 
     def is_current(self, name: str) -> bool:
         """Return whether a file was made of exactly these frames, and has not changed since."""
@@ -58,17 +58,17 @@ class Results:
         Raises:
             InputError: the file system does not accept the manifest.
         """
-        before, now = self._manifest.stills, [path.relative_to(self.folder).as_posix() for path in stills]
-        self._manifest = self._manifest.model_copy(update={"stills": now})
+        before, still_names = self._manifest.stills, [path.relative_to(self.folder).as_posix() for path in stills]
+        self._manifest = self._manifest.model_copy(update={"stills": still_names})
         self.add(OVERLAY_FILE)
-        for name in set(before) - set(now):
+        for name in set(before) - set(still_names):
             (self.folder / name).unlink(missing_ok=True)
 
 
-def _kept(folder: Path, run: str) -> Manifest:
+def _manifest_of(folder: Path, run: str) -> Manifest:
     """Return the manifest of the folder. If it is damaged or of another run, all results are written again."""
     try:
-        kept = read_manifest(folder)
+        manifest = read_manifest(folder)
     except InputError:
         return Manifest(run=run)
-    return kept if kept.run == run else Manifest(run=run)
+    return manifest if manifest.run == run else Manifest(run=run)

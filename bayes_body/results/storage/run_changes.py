@@ -30,17 +30,17 @@ def run_id(record: Mapping[str, Mapping[str, Any]]) -> str:
     return hashlib.sha256(json.dumps(known, sort_keys=True, default=str).encode()).hexdigest()[:DIGITS]
 
 
-def refuse_changes(folder: Path, kept: Mapping[str, Mapping[str, Any]], now: Mapping[str, Mapping[str, Any]]) -> None:
+def refuse_changes(folder: Path, stored_record: Mapping[str, Mapping[str, Any]], record: Mapping[str, Mapping[str, Any]]) -> None:
     """Check that a run can be continued: everything on which its numbers depend must be unchanged. The number of frames may change.
 
     Raises:
         InputError: something has changed; the sentence names it with the old and the new value.
     """
-    before, after = _comparable(kept), _comparable(now)
+    before, after = _comparable(stored_record), _comparable(record)
     changed = [key for key in dict.fromkeys([*before, *after]) if before.get(key) != after.get(key)]
     if not changed:
         return
-    named = [_told(key, before, after) for key in changed[:NAMED]]
+    named = [_describe_change(key, before, after) for key in changed[:NAMED]]
     more = [f"{len(changed) - NAMED} more differ"] if len(changed) > NAMED else []
     remedy = "change it back, or start a new run in another folder with --out"
     raise input_error(f"{folder}: cannot be continued", "; ".join([*named, *more]), "the settings with which the run started", remedy)
@@ -79,7 +79,7 @@ def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
         yield from _leaves(entry, f"{path}.{key}" if path else key)
 
 
-def _told(key: str, before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+def _describe_change(key: str, before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
     if key.startswith(RECORDING):
         return f"the recording has changed ({key.removeprefix(RECORDING)})"
     return f"{key} was {_shown(before, key)} and is now {_shown(after, key)}"

@@ -143,8 +143,8 @@ def read_record(folder: Path) -> dict[str, dict[str, Any]]:
         raise input_error(path, f"format {escaped(str(version)[:SHOWN])}: written by another version", f"format {FORMAT}", AGAIN)
     validate(RunFile, record, str(path))
     if check["sha256"] != _seal(record):
-        found = "was changed since it was written (its digest is another)"
-        raise input_error(path, found, "the settings that the run wrote", f"restore it, or {AGAIN}")
+        problem = "was changed since it was written (its digest is another)"
+        raise input_error(path, problem, "the settings that the run wrote", f"restore it, or {AGAIN}")
     return record
 
 

@@ -43,8 +43,8 @@ def of_each(
     """Return a compiled function's values of each configuration; it gets CHUNK of them at a time."""
     flat = poses.reshape(-1, *poses.shape[2:])
     # All pieces have the same shape: a shorter last one would need another compilation.
-    found = np.concatenate([function(_padded(flat[start : start + CHUNK])) for start in range(0, len(flat), CHUNK)])[: len(flat)]
-    return found.reshape(*poses.shape[:2], *found.shape[1:]).astype(float)
+    values = np.concatenate([function(_padded(flat[start : start + CHUNK])) for start in range(0, len(flat), CHUNK)])[: len(flat)]
+    return values.reshape(*poses.shape[:2], *values.shape[1:]).astype(float)
 
 
 def angle_moments(run: SavedRun, frames: range | None = None, block: int = BLOCK) -> Moments:
@@ -67,13 +67,13 @@ def mean_configurations(run: SavedRun, frames: range | None = None, block: int =
     return np.concatenate([np.asarray(space.mean(weights, points)) for points, weights in _pieces(run, frames, block, space.dimension)])
 
 
-def moments_of[M: (Moments, MomentsAndMedian)](run: SavedRun, frames: range | None, block: int, width: int, of: Callable[..., M]) -> M:
-    """Return the moments that `of` computes from the configurations and weights (frame, draw, ...) of each piece.
+def moments_of[M: (Moments, MomentsAndMedian)](run: SavedRun, frames: range | None, block: int, width: int, statistic: Callable[..., M]) -> M:
+    """Return the moments that `statistic` computes from the configurations and weights (frame, draw, ...) of each piece.
 
     `width` is how many numbers it computes from one draw of one frame. The other arguments are those of `marker_moments`.
     """
-    found = [of(points, weights) for points, weights in _pieces(run, frames, block, width)]
-    return type(found[0])(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+    moments = [statistic(points, weights) for points, weights in _pieces(run, frames, block, width)]
+    return type(moments[0])(*(np.concatenate(parts) for parts in zip(*moments, strict=True)))
 
 
 def _pieces(

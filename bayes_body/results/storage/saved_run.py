@@ -105,8 +105,8 @@ class SavedRun:
         Raises:
             InputError: the session cannot be used, or a file cannot be read.
         """
-        now = input_digests(self.session)
-        return frozenset(name for name in now if now[name] != self.inputs.get(name))
+        digests = input_digests(self.session)
+        return frozenset(name for name in digests if digests[name] != self.inputs.get(name))
 
     @cached_property
     def model(self) -> Model:
@@ -189,8 +189,8 @@ def load_run(folder: Path | str) -> SavedRun:
         raise _unfinished(folder, record)
     manifest = read_manifest(folder)
     if manifest.run != record["check"]["run"]:
-        found, expected = f"belongs to another run ('{manifest.run}')", f"the results of this run ('{record['check']['run']}')"
-        raise input_error(folder / MANIFEST_FILE, found, expected, MANIFEST_AGAIN)
+        problem, expected = f"belongs to another run ('{manifest.run}')", f"the results of this run ('{record['check']['run']}')"
+        raise input_error(folder / MANIFEST_FILE, problem, expected, MANIFEST_AGAIN)
     summary, tree = _summary(folder, manifest), open_posterior(folder, manifest)
     return SavedRun(
         folder=folder,
@@ -210,8 +210,8 @@ def load_run(folder: Path | str) -> SavedRun:
 
 def _unfinished(folder: Path, record: Mapping[str, Any]) -> Exception:
     if any((folder / FRAMES_FOLDER).glob("*.npz")):
-        verb, given = ("smooth", record["smoothing"]["folder"]) if record.get("smoothing") else ("track", record["run"]["session"])
-        command = shlex.join(["bayes-body", verb, str(given), "--out", str(folder), "--resume"])
+        verb, source = ("smooth", record["smoothing"]["folder"]) if record.get("smoothing") else ("track", record["run"]["session"])
+        command = shlex.join(["bayes-body", verb, str(source), "--out", str(folder), "--resume"])
         return input_error(folder, f"holds frames but no {POSTERIOR_FILE}", "a finished run", f"continue it with `{escaped(command)}`")
     return input_error(folder, f"holds no {POSTERIOR_FILE}", "a finished run", AGAIN)
 

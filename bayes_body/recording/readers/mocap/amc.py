@@ -49,9 +49,9 @@ def find_asf(path: Path) -> Path:
         raise input_error(path.parent, f"cannot be read ({error.strerror})", "the folder of an .asf", "give the skeleton file") from None
     same_number = [file for file in files if file.stem in (path.stem, path.stem.rpartition("_")[0])]
     if len(same_number or files) != 1:
-        found = f"{len(files)} .asf beside it ({', '.join(file.name for file in files[:10])})" if files else "no .asf beside it"
+        problem = f"{len(files)} .asf beside it ({', '.join(file.name for file in files[:10])})" if files else "no .asf beside it"
         named = f"{path.stem.rpartition('_')[0] or path.stem}.asf, or one .asf in the folder"
-        raise input_error(path, found, named, "put the skeleton's file there, or give it as skeleton")
+        raise input_error(path, problem, named, "put the skeleton's file there, or give it as skeleton")
     return (same_number or files)[0]
 
 
@@ -66,12 +66,12 @@ def _placed(skeleton: Skeleton, values: Mapping[str, Float[np.ndarray, "frame do
         parents.append(j)
         offsets.append(bones[j].offset)
         local.append(np.broadcast_to(np.eye(3), (frames, 3, 3)))
-    rest = np.array(offsets)
-    moved = np.repeat(rest[None], frames, axis=0)
+    rest_offsets = np.array(offsets)
+    moved = np.repeat(rest_offsets[None], frames, axis=0)
     shifts = [bones[0].dofs.index(dof) for dof in ("tx", "ty", "tz")]
     moved[:, 0] = skeleton.position + values[ROOT][:, shifts]
     positions, rotations = place(parents, moved, np.stack(local, axis=1))
-    longest = longest_path(parents, rest)
+    longest = longest_path(parents, rest_offsets)
     return {"joints": tuple(names), "parents": tuple(parents), "positions": positions, "rotations": rotations, "longest_path": longest}
 
 
@@ -121,14 +121,14 @@ class _Reading:
 
     def bone(self, line: int, words: Sequence[str]) -> None:
         """Add a bone's values to the frame."""
-        name, found = words[0], len(words) - 1
+        name, count = words[0], len(words) - 1
         if name not in self.wanted:
             raise self._error(line, f"the bone '{name[:40]}'", f"a moving bone of the skeleton: {', '.join(self.wanted)}")
-        if found != self.wanted[name]:
-            raise self._error(line, f"{found} values of the bone '{name}' in frame {self.label}", f"{self.wanted[name]}, its dofs in the skeleton")
+        if count != self.wanted[name]:
+            raise self._error(line, f"{count} values of the bone '{name}' in frame {self.label}", f"{self.wanted[name]}, its dofs in the skeleton")
         if len(self.rows[name]) != self.frames - 1:
-            found = "values before the first frame number" if not self.frames else f"the bone '{name}' twice in frame {self.label}"
-            raise self._error(line, found, KIND)
+            problem = "values before the first frame number" if not self.frames else f"the bone '{name}' twice in frame {self.label}"
+            raise self._error(line, problem, KIND)
         self.rows[name].append(list(words[1:]))
         self.lines[name].append(line)
 
@@ -143,5 +143,5 @@ class _Reading:
         if missing:
             raise input_error(self.path, f"frame {self.label} has no values of {', '.join(missing)}", "every moving bone of the skeleton", RESTORE)
 
-    def _error(self, line: int, found: str, expected: str) -> InputError:
-        return input_error(f"{self.path}: line {line}", found, expected, RESTORE)
+    def _error(self, line: int, problem: str, expected: str) -> InputError:
+        return input_error(f"{self.path}: line {line}", problem, expected, RESTORE)

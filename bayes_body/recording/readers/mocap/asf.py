@@ -94,14 +94,14 @@ def read_asf(path: Path) -> Skeleton:
 def _sections(path: Path) -> dict[str, list[Line]]:
     """The lines below each keyword, without comments."""
     out: dict[str, list[Line]] = {}
-    here: list[Line] = []
+    section: list[Line] = []
     for number, text in enumerate(read_text(path, KIND).splitlines(), 1):
         words = text.split("#")[0].split()
         if words and words[0].startswith(":"):
-            here = out.setdefault(words[0][1:].lower(), [])
+            section = out.setdefault(words[0][1:].lower(), [])
             words = words[1:]
         if words:
-            here.append(Line(number, words))
+            section.append(Line(number, words))
     missing = [f":{name}" for name in SECTIONS if name not in out]
     if missing:
         raise input_error(path, f"no {', '.join(missing)}", KIND, "name another file, or restore this one")
@@ -116,8 +116,8 @@ def _fields(path: Path, lines: Sequence[Line], counts: Mapping[str, int]) -> dic
         if key not in fields:
             raise input_error(where, f"no {key}", f"{key} and {count} values after it", RESTORE)
         if len(fields[key].words) - 1 != count:
-            found = f"{key} with {len(fields[key].words) - 1} values"
-            raise input_error(f"{path}: line {fields[key].number}", found, f"{count}", RESTORE)
+            problem = f"{key} with {len(fields[key].words) - 1} values"
+            raise input_error(f"{path}: line {fields[key].number}", problem, f"{count}", RESTORE)
     return fields
 
 
@@ -176,8 +176,8 @@ def _bone(path: Path, block: list[Line], degrees: float) -> Bone:
     where, name = f"{path}: line {fields['length'].number}", fields["name"].words[1]
     norm = float(np.linalg.norm(direction))
     if not (length[0] >= 0 and (norm > 0 or length[0] == 0)):
-        found = f"bone '{name[:40]}' of length {length[0]:g} along {direction.tolist()}"
-        raise input_error(where, found, "a length of at least 0 along a direction", RESTORE)
+        problem = f"bone '{name[:40]}' of length {length[0]:g} along {direction.tolist()}"
+        raise input_error(where, problem, "a length of at least 0 along a direction", RESTORE)
     angles = numbers(f"{path}: line {fields['axis'].number}", fields["axis"].words[1:4])
     dofs = tuple(word.lower() for word in fields["dof"].words[1:]) if "dof" in fields else ()
     if not set(dofs) <= {"rx", "ry", "rz"} or len(set(dofs)) < len(dofs):
@@ -208,6 +208,6 @@ def _parents(path: Path, children: Mapping[str, list[str]], bones: Mapping[str, 
             raise input_error(f"{path}: :hierarchy", f"the bone '{name}' twice", "each bone once", RESTORE)
         parents[name] = parent
         ahead += [(child, name) for child in reversed(children.get(name, []))]
-    if left := [name for name in bones if name not in parents]:
-        raise input_error(f"{path}: :hierarchy", f"nothing leads from the root to {', '.join(left)[:200]}", "every bone of :bonedata", RESTORE)
+    if orphans := [name for name in bones if name not in parents]:
+        raise input_error(f"{path}: :hierarchy", f"nothing leads from the root to {', '.join(orphans)[:200]}", "every bone of :bonedata", RESTORE)
     return parents

@@ -169,11 +169,11 @@ def _headed(path: Path, line: list[tuple[int, list[str]]], head: str) -> float:
     words = head.split()
     if not line:
         raise input_error(path, f"cut off: no '{head}'", f"{KIND}, with '{head}' and a number", RESTORE)
-    number, found = line[0]
+    number, tokens = line[0]
     # `Frames:30` is one word.
-    text = " ".join(found).replace(":", ": ").split()
+    text = " ".join(tokens).replace(":", ": ").split()
     if [word.lower() for word in text[:-1]] != [word.lower() for word in words]:
-        raise input_error(f"{path}: line {number}", f"'{' '.join(found)[:40]}'", f"'{head}' and a number", RESTORE)
+        raise input_error(f"{path}: line {number}", f"'{' '.join(tokens)[:40]}'", f"'{head}' and a number", RESTORE)
     return float(numbers(f"{path}: line {number}", text[-1:], RESTORE)[0])
 
 

@@ -72,10 +72,10 @@ def _labels(parameters: Parameters) -> list[str]:
     return [label.rpartition(":")[2] for label in labels]
 
 
-def _number(parameters: Parameters, key: str, other: float) -> float:
+def _number(parameters: Parameters, key: str, default: float) -> float:
     array = parameters.get(key)
     if array is None or array.dtype.kind == "S" or array.size != 1:
-        return other
+        return default
     return float(array.ravel()[0])
 
 
@@ -83,7 +83,7 @@ def _points(content: Content, parameters: Parameters) -> tuple[Float[np.ndarray,
     """Positions in the file's unit, NaN where missing; and frames per second."""
     header = [int(word) for word in content.values("u2", 0, 12)]
     count, analog, first, last, start = header[1], header[2], header[3], header[4], header[8]
-    scale, rate = (float(content.values("f4", at, 1)[0]) for at in (12, 20))
+    scale, rate = (float(content.values("f4", offset, 1)[0]) for offset in (12, 20))
     frames = _number(parameters, FRAMES, last - first + 1)
     rate = _number(parameters, RATE, rate)
     if not (np.isfinite(scale) and scale and 1 <= frames < LARGEST_NUMBER and start >= 1):

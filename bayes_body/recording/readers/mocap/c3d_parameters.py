@@ -66,11 +66,11 @@ def open_c3d(path: Path, data: bytes) -> tuple[Content, dict[str, NDArray[np.gen
     content = Content(path, data, processor)
     groups: dict[int, str] = {}
     values: dict[tuple[int, str], NDArray[np.generic]] = {}
-    for owner, name, at in _records(content, start + 4):
+    for owner, name, offset in _records(content, start + 4):
         if owner < 0:
             groups[-owner] = name
         else:
-            values[owner, name] = _array(content, at)
+            values[owner, name] = _array(content, offset)
     return content, {f"{groups[owner]}:{name}": array for (owner, name), array in values.items() if owner in groups}
 
 
@@ -91,12 +91,12 @@ def _records(content: Content, start: int) -> Iterator[tuple[int, str, int]]:
         start = follows + ahead
 
 
-def _array(content: Content, at: int) -> NDArray[np.generic]:
-    code, dimensions = (int(value) for value in content.values("i1", at, 2))
+def _array(content: Content, offset: int) -> NDArray[np.generic]:
+    code, dimensions = (int(value) for value in content.values("i1", offset, 2))
     if code not in TYPES or not 0 <= dimensions <= 7:
         raise input_error(
             content.path, f"a parameter of type {code} with {dimensions} dimensions", f"one of the types {', '.join(map(str, TYPES))}", RESTORE
         )
-    shape = [int(side) for side in content.values("u1", at + 2, dimensions)]
+    shape = [int(side) for side in content.values("u1", offset + 2, dimensions)]
     count = int(np.prod(shape, dtype=object))
-    return content.values(TYPES[code], at + 2 + dimensions, count).reshape(shape, order="F")
+    return content.values(TYPES[code], offset + 2 + dimensions, count).reshape(shape, order="F")

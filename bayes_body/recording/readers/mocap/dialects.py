@@ -111,20 +111,20 @@ def _in_dialect(dialect: Dialect, spelled: Mapping[str, str]) -> Iterator[dict[s
     """One reading for each way to write the sides."""
     middle = {landmark: spelled[name] for landmark, name in _present(dialect.middle, spelled, "{name}", "").items()}
     for form in SIDES:
-        found = dict(middle)
+        reading = dict(middle)
         for side in ("left", "right"):
             for part, name in _present(dialect.sided, spelled, form, side).items():
-                found[f"{side[0]}_{part}"] = spelled[name]
-        yield found
+                reading[f"{side[0]}_{part}"] = spelled[name]
+        yield reading
 
 
 def _present(wanted: Mapping[str, tuple[str, ...]], spelled: Mapping[str, str], form: str, side: str) -> dict[str, str]:
     out = {}
     for landmark, names in wanted.items():
         formed = [form.format(name=_inner(name, form), side=side, initial=side[:1]) + _outer(name, form) for name in names]
-        found = next((name for name in formed if name in spelled), None)
-        if found is not None:
-            out[landmark] = found
+        spelling = next((name for name in formed if name in spelled), None)
+        if spelling is not None:
+            out[landmark] = spelling
     return out
 
 

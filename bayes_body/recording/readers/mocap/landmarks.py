@@ -32,15 +32,15 @@ def landmarks(motion: Motion, names: Mapping[str, str] | None = None) -> Places:
     Raises:
         InputError: `names` has an unknown landmark or a joint that the motion lacks; or some of the fifteen cannot be found.
     """
-    given = dict(names or {})
-    _check_names(motion, given)
+    overrides = dict(names or {})
+    _check_names(motion, overrides)
     reading = best_reading(motion.joints)
-    found = {name: name for name in (*MARKERS, *EXTRA) if name in motion.joints} if known_markers(motion.joints) else reading.joints
-    reading = Reading(reading.dialect, found | given)
+    joints = {name: name for name in (*MARKERS, *EXTRA) if name in motion.joints} if known_markers(motion.joints) else reading.joints
+    reading = Reading(reading.dialect, joints | overrides)
     if reading.missing:
         raise _unknown(motion, reading)
     places = {landmark: motion.positions_m[:, motion.joints.index(joint)] for landmark, joint in reading.joints.items()}
-    if reading.dialect.head_is_low and "head" not in given:
+    if reading.dialect.head_is_low and "head" not in overrides:
         places["head"] = _crown(motion, reading, places)
     for middle, side in (("pelvis", "hip"), ("thorax", "shoulder")):
         places.setdefault(middle, (places[f"l_{side}"] + places[f"r_{side}"]) / 2)
@@ -58,10 +58,10 @@ def _check_names(motion: Motion, names: Mapping[str, str]) -> None:
 
 
 def _unknown(motion: Motion, reading: Reading) -> Exception:
-    found = f"{len(motion.joints)} names ({', '.join(motion.joints[:LISTED])}{', ...' if len(motion.joints) > LISTED else ''})"
+    listing = f"{len(motion.joints)} names ({', '.join(motion.joints[:LISTED])}{', ...' if len(motion.joints) > LISTED else ''})"
     known = "; ".join(dialect.title for dialect in DIALECTS)
     missing = ", ".join(reading.missing)
-    return input_error(motion.name, f"no {missing} among its {found}", f"the names of one of: {known}", f"give the joints for {missing} with names")
+    return input_error(motion.name, f"no {missing} among its {listing}", f"the names of one of: {known}", f"give the joints for {missing} with names")
 
 
 def _crown(motion: Motion, reading: Reading, places: Places) -> Float[np.ndarray, "frame 3"]:

@@ -60,8 +60,8 @@ def _upward(capture: Capture) -> str | None:
     joints = best_reading(capture.joints).joints
     if not {"head", "l_ankle", "r_ankle"} <= joints.keys():
         return None
-    head, left, right = (capture.positions[:, capture.joints.index(joints[name])] for name in ("head", "l_ankle", "r_ankle"))
-    ways = head - (left + right) / 2
+    head, left_ankle, right_ankle = (capture.positions[:, capture.joints.index(joints[name])] for name in ("head", "l_ankle", "r_ankle"))
+    ways = head - (left_ankle + right_ankle) / 2
     ways = ways[~np.isnan(ways).any(axis=-1)]
     if not len(ways):
         return None

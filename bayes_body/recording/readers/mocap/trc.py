@@ -52,8 +52,8 @@ def _names(path: Path, line: str, count: str) -> tuple[str, ...]:
     cells = line.rstrip().split("\t")[FIRST:]
     names = tuple(cell.strip() for cell in cells[::3])
     if len(names) != int(count) or "" in names or any(cell.strip() for k in (1, 2) for cell in cells[k::3]):
-        found = f"{len(names)} names, three columns apart: {', '.join(names)[:120]}"
-        raise input_error(f"{path}: line 4", found, f"{int(count)}, as NumMarkers says", RESTORE)
+        problem = f"{len(names)} names, three columns apart: {', '.join(names)[:120]}"
+        raise input_error(f"{path}: line 4", problem, f"{int(count)}, as NumMarkers says", RESTORE)
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise input_error(f"{path}: line 4", f"'{twice[:40]}' {names.count(twice)} times", "unique names", "rename them")
