@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from bayes_body.results.posterior.agreement import by_chain
 from bayes_body.results.posterior.diagnostics import diagnose, sentences, worst_figures
-from bayes_body.results.posterior.mixing import autocorrelation, by_chain, mixing_of
+from bayes_body.results.posterior.mixing import autocorrelation, mixing_of
 
 RUNS, CHAINS, LENGTH, FRAMES, DOFS = 2, 4, 100, 3, 2
 

@@ -8,22 +8,17 @@ a body and a configuration, the value of this variable. They do not know which o
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from bayes_body.base.errors import input_error
 from bayes_body.base.geometry import rigid, transforms
 from bayes_body.base.geometry.transforms import Transform
 from bayes_body.base.shapes import Configuration, Pose
 from bayes_body.model.body.kinematics import forward_kinematics
 from bayes_body.model.body.skeleton import Skeleton
-
-if TYPE_CHECKING:
-    from bayes_body.model.body.solids import Body
 
 POSE, PARTS = "pose", "parts"
 
@@ -141,39 +136,3 @@ def _held(skeleton: Skeleton, own: tuple[int, ...], owners: tuple[int, ...]) -> 
     part = transforms.pick(at_zero, np.array(own, np.int32)[list(owners)])
     inverse = jnp.swapaxes(part.rotation, -1, -2)
     return Transform(transforms.multiply(inverse, at_zero.rotation), transforms.turn(inverse, at_zero.origin - part.origin))
-
-
-def require(body: "Body", variable: str, what: str, other: str) -> None:
-    """Check that the body is placed by this variable.
-
-    Args:
-        body: the body.
-        variable: `pose` or `parts`.
-        what: what needs it, such as "dynamics 'diffusion'".
-        other: the term that does the same for the other placement.
-
-    Raises:
-        InputError: it is placed by the other one.
-    """
-    if body.variable != variable:
-        placement = {POSE: "angles", PARTS: "parts"}
-        found, expected = f'[body] placement = "{placement[body.variable]}"', f'placement = "{placement[variable]}"'
-        raise input_error(what, found, expected, f"change it, or take {other}")
-
-
-@jax.jit
-def solids_in_parts(body: "Body") -> Transform:
-    """Return `T_part_solid` of every solid of a body that is placed by parts: rotations (solid, 3, 3) and origins (solid, 3), metres."""
-    placement = body.placement
-    assert isinstance(placement, ByParts)
-    return transforms.compose(transforms.pick(placement.held, np.array(body.topology.joints)), Transform(body.presets, body.offsets))
-
-
-def joint_transforms(body: "Body", configuration: Configuration) -> Transform:
-    """`T_world_joint` of every joint, stacked: rotations (joint, 3, 3) and origins (joint, 3), metres."""
-    return body.placement.joints(body.skeleton, configuration)
-
-
-def placed_markers(body: "Body", configuration: Configuration) -> Float[Array, "marker 3"]:
-    """World positions of the virtual markers, metres."""
-    return transforms.apply(transforms.pick(joint_transforms(body, configuration), np.array(body.markers.joints, np.int32)), body.markers.offsets)

@@ -26,7 +26,7 @@ from bayes_body.base.geometry import transforms
 from bayes_body.base.geometry.namespaces import device_array
 from bayes_body.base.geometry.transforms import Transform
 from bayes_body.base.shapes import Configuration, Vector3
-from bayes_body.model.body.placement import ByAngles, Placement, joint_transforms
+from bayes_body.model.body.placement import ByAngles, Placement
 from bayes_body.model.body.skeleton import Markers, Skeleton
 
 
@@ -94,7 +94,7 @@ class Body:
 
 def part_transforms(body: Body, configuration: Configuration) -> Transform:
     """`T_world_part` of every part, stacked: rotations (part, 3, 3) and origins (part, 3), metres."""
-    joints = transforms.pick(joint_transforms(body, configuration), np.array(body.topology.joints, int))
+    joints = transforms.pick(body.placement.joints(body.skeleton, configuration), np.array(body.topology.joints, int))
     return transforms.compose(joints, Transform(body.presets, body.offsets))
 
 

@@ -22,8 +22,9 @@ from bayes_body.base.geometry import rigid, transforms
 from bayes_body.base.geometry.camera import Camera, Pixels
 from bayes_body.base.geometry.namespaces import device_array
 from bayes_body.base.geometry.transforms import Transform
-from bayes_body.model.body.placement import ByParts, solids_in_parts
+from bayes_body.model.body.placement import ByParts
 from bayes_body.model.body.solids import Body, Shapes
+from bayes_body.model.body.world import solids_in_parts
 from bayes_body.model.likelihood.patch_pixels import corner_pixels, solid_patches
 from bayes_body.recording.evidence.regions import BAND, EDGES, INSIDE
 

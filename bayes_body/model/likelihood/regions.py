@@ -31,8 +31,9 @@ from bayes_body.base.shapes import Scalar
 from bayes_body.base.toml.schema import Count, NonNegative, Positive, Schema, Share
 from bayes_body.density.factor import Factor
 from bayes_body.density.plate import Plate, plate_factor
-from bayes_body.model.body.placement import PARTS, require
+from bayes_body.model.body.placement import PARTS
 from bayes_body.model.body.solids import Body
+from bayes_body.model.body.world import require
 from bayes_body.model.likelihood.region_samples import PartSamples, part_samples, projected
 from bayes_body.recording.evidence.regions import EDGES, RegionMaps, log_ratios_at
 from bayes_body.recording.evidence.silhouette_edges import Lookup

@@ -26,8 +26,9 @@ from bayes_body.base.toml.schema import Finite, Positive, Schema
 from bayes_body.density.chart import relative_to_parents
 from bayes_body.density.factor import Factor
 from bayes_body.density.plate import Plate, plate_factor
-from bayes_body.model.body.placement import PARTS, ByParts, require
+from bayes_body.model.body.placement import PARTS, ByParts
 from bayes_body.model.body.solids import Body
+from bayes_body.model.body.world import require
 from bayes_body.model.potentials.joint_file import load_joint_mixtures
 from bayes_body.model.potentials.joint_mixture import log_of_components, mixture, times
 from bayes_body.model.potentials.joint_pairs import log_pairs

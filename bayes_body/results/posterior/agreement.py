@@ -78,3 +78,21 @@ def independent_draws(block: Block) -> Float[np.ndarray, " frame"]:
     share = np.divide(means.var(axis=0, ddof=1), spread, out=np.zeros_like(spread), where=moves).sum(axis=1)
     number = moves.sum(axis=1)
     return np.divide(number, share, out=np.full(frames, np.nan), where=share > 0)
+
+
+def by_chain(poses: Float[np.ndarray, "run draw frame *shape"], length: int) -> Float[np.ndarray, "run chain step frame *shape"]:
+    """Return the draws by chain; an incomplete last chain is dropped, unless it is the only one."""
+    runs, draws, *trailing_shape = poses.shape
+    chains = max(draws // length, 1)
+    steps = min(length, draws)
+    return poses[:, : chains * steps].reshape(runs, chains, steps, *trailing_shape)
+
+
+def chain_rhat(poses: Float[np.ndarray, "run draw frame dof"], length: int) -> Float[np.ndarray, "run frame dof"]:
+    """Return R-hat over the Markov chains of a frame, whose draws are stored one chain after the other."""
+    draws = by_chain(poses, length)
+    runs, chains, steps, frames, dofs = draws.shape
+    if chains < 2 or steps < FEWEST_DRAWS:
+        return np.full((runs, frames, dofs), np.nan)
+    together = draws.transpose(0, 3, 1, 2, 4).reshape(-1, chains, steps, dofs)
+    return split_rhat(together).reshape(runs, frames, dofs)

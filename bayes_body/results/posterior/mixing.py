@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayes_body.results.posterior.agreement import FEWEST_DRAWS, split_rhat
+from bayes_body.results.posterior.agreement import chain_rhat
 from bayes_body.results.posterior.blocks import BLOCK, coordinate_blocks
 from bayes_body.results.posterior.stored_spaces import stored_spaces
 from bayes_body.results.posterior.thinning import MARKOV_RHAT, OF_ALL
@@ -64,27 +64,6 @@ def thinned_figure(tree: "xr.DataTree", figure: str) -> Float[np.ndarray, "*shap
     group = tree["filter"]
     names = [OF_ALL + figure + name for name in stored_spaces(tree)]
     return np.concatenate([np.asarray(group[name], float) for name in names], axis=-1) if all(name in group for name in names) else None
-
-
-def by_chain(poses: Float[np.ndarray, "run draw frame *shape"], length: int) -> Float[np.ndarray, "run chain step frame *shape"]:
-    """Return the draws by chain; an incomplete last chain is dropped, unless it is the only one."""
-    runs, draws, *trailing_shape = poses.shape
-    chains = max(draws // length, 1)
-    steps = min(length, draws)
-    return poses[:, : chains * steps].reshape(runs, chains, steps, *trailing_shape)
-
-
-def chain_rhat(poses: Float[np.ndarray, "run draw frame dof"], length: int) -> Float[np.ndarray, "run frame dof"]:
-    """Return R-hat over the Markov chains of a frame, whose draws are stored one chain after the other."""
-    return _rhat(by_chain(poses, length))
-
-
-def _rhat(draws: Float[np.ndarray, "run chain step frame dof"]) -> Float[np.ndarray, "run frame dof"]:
-    runs, chains, steps, frames, dofs = draws.shape
-    if chains < 2 or steps < FEWEST_DRAWS:
-        return np.full((runs, frames, dofs), np.nan)
-    together = draws.transpose(0, 3, 1, 2, 4).reshape(-1, chains, steps, dofs)
-    return split_rhat(together).reshape(runs, frames, dofs)
 
 
 def autocorrelation(draws: Float[np.ndarray, "chain step"]) -> Float[np.ndarray, " lag"]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from bayes_body.density.factor import Transition
 from bayes_body.density.kernel import NO_ANCESTOR
 from bayes_body.density.spaces import Space
-from bayes_body.results.posterior.agreement import independent_draws, rhat_of_block
+from bayes_body.results.posterior.agreement import chain_rhat, independent_draws, rhat_of_block
 from bayes_body.results.posterior.blocks import Block, around_mean, weights_of_runs
 from bayes_body.results.posterior.pareto import pareto_shape
 from bayes_body.tracking.draws import FrameResult
@@ -135,8 +135,6 @@ def figures_of_all(frame: FrameResult, number: int, spaces: Mapping[str, Space])
     They are `particles`, `ess`, `pareto_k` and `ancestors` (run,), `independent_draws` (), and for each variable `mean_NAME` (run, *shape), the
     weighted mean, and `rhat_NAME` (coordinate,). If there are Markov chains, also `markov_rhat_NAME` (run, coordinate).
     """
-    from bayes_body.results.posterior.mixing import chain_rhat
-
     log_weights = frame.log_weights[:, :, None].astype(float)
     weights = weights_of_runs(log_weights)[..., 0]
     centred = {name: around_mean(space, frame.states[name][:, :, None].astype(float), log_weights) for name, space in spaces.items()}

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.density.spaces import Space
-from bayes_body.model.body.placement import placed_markers
 from bayes_body.model.body.space import configuration_space
+from bayes_body.model.body.world import placed_markers
 from bayes_body.model.build import Model
 from bayes_body.results.posterior.agreement import FEWEST_DRAWS, split_rhat
 from bayes_body.results.posterior.blocks import around_mean

@@ -8,8 +8,9 @@ from jaxtyping import Float
 
 from bayes_body.base.errors import InputError
 from bayes_body.results.metrics.silhouette import outlines, seen_in
+from bayes_body.results.posterior.agreement import by_chain
 from bayes_body.results.posterior.blocks import coordinate_blocks, pose_blocks
-from bayes_body.results.posterior.mixing import Mixing, autocorrelation, by_chain
+from bayes_body.results.posterior.mixing import Mixing, autocorrelation
 from bayes_body.view.backdrop import run_backdrop
 from bayes_body.view.colours import GREY, paper, run_line
 from bayes_body.view.crop import crop_about

@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 
 from bayes_body.base.errors import input_error
 from bayes_body.density.factor import Variable
-from bayes_body.model.body.placement import POSE, require
+from bayes_body.model.body.placement import POSE
+from bayes_body.model.body.world import require
 from bayes_body.model.build import Model
 from bayes_body.model.definition import Definition
 from bayes_body.model.likelihood.image_motion import UNIFORM, ImageMotionPotential
