@@ -56,16 +56,16 @@ def fit_first_pose(model: Model, session: Session, show: Show, seed: int = 0) ->
     """
     begun = time.perf_counter()
     if is_posed(model, session):
-        found = first_pose(model, session)
+        estimate = first_pose(model, session)
     else:
-        found = _with_outline_if_asked(model, session, find_first_pose(model, session, show, seed))
-    misfits = [f"{1000 * found.median_m:.0f} mm off the markers"] if np.isfinite(found.median_m) else []
-    misfits += [f"{found.median_px:.0f} px off the keypoints"] if np.isfinite(found.median_px) else []
+        estimate = _with_outline_if_asked(model, session, find_first_pose(model, session, show, seed))
+    misfits = [f"{1000 * estimate.median_m:.0f} mm off the markers"] if np.isfinite(estimate.median_m) else []
+    misfits += [f"{estimate.median_px:.0f} px off the keypoints"] if np.isfinite(estimate.median_px) else []
     misfit = f", {' and '.join(misfits)} (median)" if misfits else ""
     show(f"first pose: fitted in {time.perf_counter() - begun:.0f} s{misfit}")
-    for remark in found.remarks:
+    for remark in estimate.remarks:
         show(f"first pose: {remark}")
-    return found
+    return estimate
 
 
 def check_first_pose(model: Model, session: Session) -> None:
@@ -103,13 +103,13 @@ def with_first_keypoints(model: Model, session: Session) -> Session:
     """
     if is_posed(model, session):
         return session
-    found: dict[str, Keypoints] = {}
+    keypoints: dict[str, Keypoints] = {}
     for view in session.views:
         path = session.keypoints_path(view)
         points = {} if path is None else read_series(path).frame(session.number(view, 0))
         if points:
-            found[view.camera.name] = points
-    return replace(session, initial_keypoints=found)
+            keypoints[view.camera.name] = points
+    return replace(session, initial_keypoints=keypoints)
 
 
 def is_fitted(session: Session) -> bool:
@@ -126,17 +126,17 @@ def with_first_pose(model: Model, session: Session) -> Model:
     return apply_first_pose(model, session, first_pose(model, session))
 
 
-def apply_first_pose(model: Model, session: Session, found: FirstPose) -> Model:
+def apply_first_pose(model: Model, session: Session, estimate: FirstPose) -> Model:
     """Return the model that starts from that pose, with the fitted lengths and outline."""
-    if found.lengths_m or found.outline_radii_m:
+    if estimate.lengths_m or estimate.outline_radii_m:
         subject = session.subject
         if not model.definition.takes_measures_of(subject.body):
             # As in `build_model`: the measures of another body do not apply here, but a height has the same meaning for every body.
             subject = Subject(height_m=subject.height_m)
-        lengths, radii = found.lengths_m or subject.lengths_m, found.outline_radii_m or subject.outline_radii_m
+        lengths, radii = estimate.lengths_m or subject.lengths_m, estimate.outline_radii_m or subject.outline_radii_m
         subject = replace(subject, body=model.definition.body_name, lengths_m=lengths, outline_radii_m=radii)
         model = build_model(model.definition, replace(session, subject=subject))
-    return model.beginning_at(jnp.asarray(found.pose), found.draws)
+    return model.beginning_at(jnp.asarray(estimate.pose), estimate.draws)
 
 
 def first_pose(model: Model, session: Session) -> FirstPose:
@@ -161,32 +161,32 @@ def _posed(model: Model, session: Session) -> FirstPose:
     measurements = read_measurements(session, points)
     problem = build_problem(model, session, points, measurements)
     best, gain = fit(problem, "xyz".index(session.up))
-    told = tell(session, points, measurements, best.distances, best.pose, _lengths(model, session, problem, best.z))
-    remarks = [*unused_names(session, points), *told.remarks]
+    estimate = tell(session, points, measurements, best.distances, best.pose, _lengths(model, session, problem, best.z))
+    remarks = [*unused_names(session, points), *estimate.remarks]
     if gain > SETTLED:
         remarks.append("the fit did not converge within its steps: check the first pose before you trust it")
-    return told._replace(remarks=tuple(remarks))
+    return estimate._replace(remarks=tuple(remarks))
 
 
-def _with_outline_if_asked(model: Model, session: Session, found: FirstPose) -> FirstPose:
-    return _with_outline(model, session, found) if session.fit_outline else found
+def _with_outline_if_asked(model: Model, session: Session, estimate: FirstPose) -> FirstPose:
+    return _with_outline(model, session, estimate) if session.fit_outline else estimate
 
 
-def _with_outline(model: Model, session: Session, found: FirstPose) -> FirstPose:
-    outline = fit_outline(apply_first_pose(model, session, found), session)
+def _with_outline(model: Model, session: Session, estimate: FirstPose) -> FirstPose:
+    outline = fit_outline(apply_first_pose(model, session, estimate), session)
     if outline.radii_m:
-        return found._replace(outline_radii_m=outline.radii_m)
+        return estimate._replace(outline_radii_m=outline.radii_m)
     overlap = f"the body in its first pose overlaps the silhouettes with an IoU of {outline.before:.2f} (expected at least {LEAST_OVERLAP:g})"
-    return found._replace(remarks=(*found.remarks, f"{overlap}: the outline was not fitted; check the pose before you trust it"))
+    return estimate._replace(remarks=(*estimate.remarks, f"{overlap}: the outline was not fitted; check the pose before you trust it"))
 
 
 def _check_lengths(session: Session) -> None:
     cameras = [name for name, keypoints in session.initial_keypoints.items() if any(point[2] > 0 for point in keypoints.values())]
     if not session.initial_markers and len(cameras) < 2:
-        found = f"true, with keypoints from {len(cameras)} camera{'s' * (len(cameras) != 1)} and no markers"
+        problem = f"true, with keypoints from {len(cameras)} camera{'s' * (len(cameras) != 1)} and no markers"
         expected = "markers, or keypoints from two cameras: one camera cannot distinguish a small person from a distant one"
         remedy = "set it to false and give the subject's height_m, or give markers or more keypoints"
-        raise input_error("session.toml: initial.fit_lengths", found, expected, remedy)
+        raise input_error("session.toml: initial.fit_lengths", problem, expected, remedy)
 
 
 def _lengths(model: Model, session: Session, problem: Problem, z: Float[Array, " group"]) -> Mapping[str, float]:

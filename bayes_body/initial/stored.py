@@ -16,12 +16,17 @@ from bayes_body.model.build import Model
 DIGITS = 5
 
 
-def stored(model: Model, found: FirstPose) -> dict[str, Any]:
+def stored(model: Model, estimate: FirstPose) -> dict[str, Any]:
     """Return the pose by dof (radians and metres), the equally likely ones by draw, and the fitted lengths and outline, as a table."""
-    pose = dict(zip(model.body.dof_names, np.asarray(found.pose, float).tolist(), strict=True))
-    radii = {part: list(ends) for part, ends in found.outline_radii_m.items()}
-    draws = {} if found.draws is None else {"draws": np.asarray(found.draws, float).round(DIGITS).tolist()}
-    return {"pose": pose} | draws | ({"lengths_m": dict(found.lengths_m)} if found.lengths_m else {}) | ({"outline_radii_m": radii} if radii else {})
+    pose = dict(zip(model.body.dof_names, np.asarray(estimate.pose, float).tolist(), strict=True))
+    radii = {part: list(ends) for part, ends in estimate.outline_radii_m.items()}
+    draws = {} if estimate.draws is None else {"draws": np.asarray(estimate.draws, float).round(DIGITS).tolist()}
+    return (
+        {"pose": pose}
+        | draws
+        | ({"lengths_m": dict(estimate.lengths_m)} if estimate.lengths_m else {})
+        | ({"outline_radii_m": radii} if radii else {})
+    )
 
 
 def restored(model: Model, table: Mapping[str, Any], where: str) -> FirstPose:

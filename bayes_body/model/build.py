@@ -176,8 +176,8 @@ def with_likelihoods(model: Model, name: str | Path | Definition) -> Model:
 
 def _transition(definition: Definition, body: Body, session: Session, gap: float) -> Transition:
     """Return the motion prior over a number of frames, which only random walks heed."""
-    own, subject_sd = definition.dynamics, _motion_sd(session.subject, definition)
-    return find("dynamics", own.kind).build(options=own.options, body=body, fps=session.fps, subject_sd=subject_sd, gap=gap)
+    dynamics, subject_sd = definition.dynamics, _motion_sd(session.subject, definition)
+    return find("dynamics", dynamics.kind).build(options=dynamics.options, body=body, fps=session.fps, subject_sd=subject_sd, gap=gap)
 
 
 def body_of(definition: Definition, shape: Shape = Shape()) -> Body:
@@ -201,11 +201,11 @@ def _likelihoods(definition: Definition, body: Body, rig: Camera) -> tuple[list[
 
 def _check_derived(transition: Transition, initial: State) -> None:
     """Check that no variable is both sampled and derived. Only names matter, so nothing is computed."""
-    both: list[str] = []
-    jax.eval_shape(lambda of, state: both.extend(sorted(set(of.conditional(state)) & set(of.derive(state)))), transition, dict(initial))
-    if both:
-        found, expected = f"the variable '{both[0]}' is sampled, and it is derived too", "each variable in one of the two"
-        raise input_error(f"dynamics '{transition.name}'", found, expected, "leave it out of `derive`, or out of `conditional`")
+    overlap: list[str] = []
+    jax.eval_shape(lambda prior, state: overlap.extend(sorted(set(prior.conditional(state)) & set(prior.derive(state)))), transition, dict(initial))
+    if overlap:
+        problem, expected = f"the variable '{overlap[0]}' is sampled, and it is derived too", "each variable in one of the two"
+        raise input_error(f"dynamics '{transition.name}'", problem, expected, "leave it out of `derive`, or out of `conditional`")
 
 
 def _shape(subject: Subject, definition: Definition) -> Shape:
@@ -218,10 +218,12 @@ def _shape(subject: Subject, definition: Definition) -> Shape:
     # A smaller body may lack parts of the other body.
     known = {*definition.body.lengths_of_height, *(part.name for part in definition.body.parts)}
 
-    def own[Value](measures: Mapping[str, Value]) -> dict[str, Value]:
+    def restrict[Value](measures: Mapping[str, Value]) -> dict[str, Value]:
         return {name: value for name, value in measures.items() if name in known}
 
-    return Shape(subject.height_m, own(subject.lengths_m), own(subject.radii_m), own(subject.sections), own(subject.outline_radii_m))
+    return Shape(
+        subject.height_m, restrict(subject.lengths_m), restrict(subject.radii_m), restrict(subject.sections), restrict(subject.outline_radii_m)
+    )
 
 
 def _motion_sd(subject: Subject, definition: Definition) -> Mapping[str, float]:
@@ -245,7 +247,7 @@ def _initial_pose(session: Session, body: Body, definition: Definition) -> Pose:
     """Return the angles of the session's first pose. A missing dof starts at the middle of its limits, or at 0 if it has none."""
     larger = definition.body.measured_as
     known = [definition.body, *([load_body(larger)] if larger else [])]
-    also = {dof.name for each in known for joint in each.joints for dof in joint.dofs}
+    also = {dof.name for schema in known for joint in schema.joints for dof in joint.dofs}
     for name in session.initial:
         # A fixed dof keeps its value. A smaller body may lack dofs of the body whose names the subject uses.
         if name not in body.dof_names and name not in also:
@@ -258,10 +260,10 @@ def _initial_pose(session: Session, body: Body, definition: Definition) -> Pose:
         if not least <= value <= most:
             # In the units of the session's file.
             unit, factor = ("degrees", 180 / np.pi) if name in _angles(body) else ("m", 1.0)
-            found, limits = f"{factor * value:.4g} {unit}", f"{factor * least:.4g} and {factor * most:.4g} {unit}"
+            quantity, limits = f"{factor * value:.4g} {unit}", f"{factor * least:.4g} and {factor * most:.4g} {unit}"
             expected = f"a value between {limits}, the limits of the body '{body.name}'"
             raise input_error(
-                f"session.toml: initial: '{name}'", found, expected, "correct the initial pose, or widen the limits in your own body file"
+                f"session.toml: initial: '{name}'", quantity, expected, "correct the initial pose, or widen the limits in your own body file"
             )
     return jnp.asarray(values, body.lengths.dtype)
 

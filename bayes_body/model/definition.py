@@ -214,12 +214,12 @@ class _Collector:
         """Return how a state places the body, and the body's table without this key."""
         if not isinstance(table, dict) or "placement" not in table:
             return PLACEMENTS[0], table
-        rest = {key: value for key, value in table.items() if key != "placement"}
+        body_table = {key: value for key, value in table.items() if key != "placement"}
         if table["placement"] not in PLACEMENTS:
-            what, expected = f"{self.where}: body.placement", " or ".join(f'"{each}"' for each in PLACEMENTS)
+            what, expected = f"{self.where}: body.placement", " or ".join(f'"{name}"' for name in PLACEMENTS)
             remedy = nearest(str(table["placement"]), PLACEMENTS)
             self.sentences.append(str(input_error(what, repr(table["placement"]), expected, remedy)))
-        return str(table["placement"]), rest
+        return str(table["placement"]), body_table
 
     def body(self, table: Any) -> tuple[str, str, BodySchema | None]:
         """Return the body's name, the text of its file, and the body. A body that is written out in the model has no separate text."""

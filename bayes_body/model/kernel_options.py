@@ -33,14 +33,14 @@ def kernel_options(
     """
     kind, overrides = kind or definition.kernel.kind, overrides or {}
     schema = find("kernel", kind).options
-    given = definition.kernel.options.model_dump() if kind == definition.kernel.kind else {}
+    options = definition.kernel.options.model_dump() if kind == definition.kernel.kind else {}
     if stored and stored.get("kind") == kind:
-        given = {name: value for name, value in stored.items() if name != "kind"}
+        options = {name: value for name, value in stored.items() if name != "kind"}
     for name in overrides:
         if name not in schema.model_fields:
-            found, expected = f"the kernel '{kind}' has no such option", f"one of {', '.join(schema.model_fields)}"
-            raise input_error(f"--{name.replace('_', '-')}" if name in FLAGS else f"--set {name}", found, expected, "leave it out")
-    return kind, validate(schema, given | dict(overrides), f"the options of the kernel '{kind}'")
+            problem, expected = f"the kernel '{kind}' has no such option", f"one of {', '.join(schema.model_fields)}"
+            raise input_error(f"--{name.replace('_', '-')}" if name in FLAGS else f"--set {name}", problem, expected, "leave it out")
+    return kind, validate(schema, options | dict(overrides), f"the options of the kernel '{kind}'")
 
 
 def check_options(kind: str, changes: Mapping[str, Any]) -> None:

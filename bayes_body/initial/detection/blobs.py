@@ -43,10 +43,10 @@ def blobs(picture: Colours, mask: Mask) -> list[Blob]:
     inside = cv2.resize(mask[cut].astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     smooth = cv2.pyrMeanShiftFiltering(small, SPACE_PX, COLOUR, maxLevel=LEVELS)
     segments = _segments(np.asarray(smooth, np.uint8), inside)
-    found = [_blob(smooth, piece) for segment in segments for piece in (segment, *_halves(segment))]
+    candidates = [_blob(smooth, piece) for segment in segments for piece in (segment, *_halves(segment))]
     # Pixels' centres: (u + 1/2) of the small picture is scale (u + 1/2) of the large one.
     offset = np.array([left, top]) - 0.5 + 0.5 / scale
-    return [Blob(b.middle / scale + offset, b.ends / scale + offset, b.radius / scale, b.colour) for b in found if _is_elongated(b)]
+    return [Blob(b.middle / scale + offset, b.ends / scale + offset, b.radius / scale, b.colour) for b in candidates if _is_elongated(b)]
 
 
 def _segments(smooth: Colours, inside: Mask) -> list[Mask]:
@@ -54,8 +54,8 @@ def _segments(smooth: Colours, inside: Mask) -> list[Mask]:
     steps = cv2.morphologyEx(smooth, cv2.MORPH_GRADIENT, np.ones((2, 2), np.uint8)).max(axis=2)
     count, labels, stats, _ = cv2.connectedComponentsWithStats((inside & (steps < EDGE)).astype(np.uint8), connectivity=4)
     areas = stats[:, cv2.CC_STAT_AREA] / max(int(inside.sum()), 1)
-    kept = [k for k in range(1, count) if AREA[0] <= areas[k] <= AREA[1]]
-    return [labels == k for k in sorted(kept, key=lambda k: -areas[k])]
+    segment_labels = [k for k in range(1, count) if AREA[0] <= areas[k] <= AREA[1]]
+    return [labels == k for k in sorted(segment_labels, key=lambda k: -areas[k])]
 
 
 def _halves(segment: Mask) -> list[Mask]:

@@ -66,32 +66,34 @@ def detect(session: Session, frame: Frame | int, detectors: tuple[str, ...] = tu
 
 
 def _detected(scene: Scene, detectors: tuple[str, ...], seconds: float) -> Detected:
-    found, times = dict[str, Found](), {"scene": seconds}
+    findings, times = dict[str, Found](), {"scene": seconds}
     for name in detectors:
         start = perf_counter()
-        found[name] = DETECTORS[name][0](scene) if scene.cameras else Found({}, {})
+        findings[name] = DETECTORS[name][0](scene) if scene.cameras else Found({}, {})
         times[name] = perf_counter() - start
-    shares = {name: DETECTORS[name][1] for name in found}
-    landmarks = {name: merge([(each.landmarks[name], shares[d]) for d, each in found.items() if name in each.landmarks]) for name in LANDMARKS}
-    parts = {name: merge([(each.parts[name], shares[d]) for d, each in found.items() if name in each.parts]) for name in PARTS}
-    people = [found[name].person for name in TRUSTED if name in found and found[name].person is not None]
-    notices = [notice for each in found.values() for notice in each.notices]
+    shares = {name: DETECTORS[name][1] for name in findings}
+    landmarks = {
+        name: merge([(finding.landmarks[name], shares[d]) for d, finding in findings.items() if name in finding.landmarks]) for name in LANDMARKS
+    }
+    parts = {name: merge([(finding.parts[name], shares[d]) for d, finding in findings.items() if name in finding.parts]) for name in PARTS}
+    people = [findings[name].person for name in TRUSTED if name in findings and findings[name].person is not None]
+    notices = [notice for finding in findings.values() for notice in finding.notices]
     if not scene.cameras:
         notices = ["no camera saw this frame"]
     elif scene.masks is None:
         notices.append("the session has no silhouettes: only keypoints and faces are detected")
     return Detected(
-        {name: each for name, each in landmarks.items() if each is not None},
-        {name: each for name, each in parts.items() if each is not None},
-        _facing(found, scene, people[0] if people else None),
+        {name: detections for name, detections in landmarks.items() if detections is not None},
+        {name: detections for name, detections in parts.items() if detections is not None},
+        _facing(findings, scene, people[0] if people else None),
         tuple(notices),
         times,
     )
 
 
-def _facing(found: Mapping[str, Found], scene: Scene, person: Person | None) -> Person | None:
+def _facing(findings: Mapping[str, Found], scene: Scene, person: Person | None) -> Person | None:
     """The person, who looks where the strongest face does if nothing else tells."""
-    heads = found["faces"].parts.get("head") if "faces" in found else None
+    heads = findings["faces"].parts.get("head") if "faces" in findings else None
     if person is None or person.facing_known or heads is None:
         return person
     looks = heads.rotations[heads.weights.argmax(), :, 0] if heads.rotations is not None else None

@@ -96,7 +96,7 @@ def part(
     """Detections of a part; `sd_m` and `sd_rad` broadcast to (detection, 3). Weights are normalised."""
     positions = np.asarray(positions, float).reshape(-1, 3)
     rotations = np.asarray(rotations, float).reshape(-1, 3, 3)
-    sds = [np.broadcast_to(np.asarray(each, float), positions.shape).copy() for each in (sd_m, sd_rad)]
+    sds = [np.broadcast_to(np.asarray(sd, float), positions.shape).copy() for sd in (sd_m, sd_rad)]
     return Detections(positions, rotations, sds[0], sds[1], _normalised(weights), (source,) * len(positions))
 
 
@@ -120,25 +120,25 @@ def segments(
 ) -> Detections:
     """Detections of a part whose two ends are known, but not its twist. Segments without a length are left out."""
     axes = np.asarray(distal - proximal, float).reshape(-1, 3)
-    kept = np.linalg.norm(axes, axis=1) > LEAST_LENGTH_M
-    middles, axes = (proximal + distal).reshape(-1, 3)[kept] / 2, axes[kept]
+    has_length = np.linalg.norm(axes, axis=1) > LEAST_LENGTH_M
+    middles, axes = (proximal + distal).reshape(-1, 3)[has_length] / 2, axes[has_length]
     sds = np.array([SD_TILT_RAD, SD_TILT_RAD, UNKNOWN_RAD])
-    return part(middles, axis_frames(axes, np.zeros_like(axes)), sd_m, sds, np.asarray(weights)[kept], source)
+    return part(middles, axis_frames(axes, np.zeros_like(axes)), sd_m, sds, np.asarray(weights)[has_length], source)
 
 
-def merge(found: Sequence[tuple[Detections, float]]) -> Detections | None:
+def merge(mixtures: Sequence[tuple[Detections, float]]) -> Detections | None:
     """One mixture of several, each with its share of the weight; None if there are no detections."""
-    found = [(each, share) for each, share in found if len(each.weights)]
-    if not found:
+    mixtures = [(mixture, share) for mixture, share in mixtures if len(mixture.weights)]
+    if not mixtures:
         return None
-    rotations = [each.rotations for each, _ in found if each.rotations is not None]
+    rotations = [mixture.rotations for mixture, _ in mixtures if mixture.rotations is not None]
     return Detections(
-        np.concatenate([each.positions for each, _ in found]),
+        np.concatenate([mixture.positions for mixture, _ in mixtures]),
         np.concatenate(rotations) if rotations else None,
-        np.concatenate([each.sd_m for each, _ in found]),
-        np.concatenate([each.sd_rad for each, _ in found]),
-        _normalised(np.concatenate([share * each.weights for each, share in found])),
-        tuple(name for each, _ in found for name in each.source),
+        np.concatenate([mixture.sd_m for mixture, _ in mixtures]),
+        np.concatenate([mixture.sd_rad for mixture, _ in mixtures]),
+        _normalised(np.concatenate([share * mixture.weights for mixture, share in mixtures])),
+        tuple(name for mixture, _ in mixtures for name in mixture.source),
     )
 
 

@@ -94,8 +94,10 @@ def boxes(grey: UInt8[np.ndarray, "row column"], cascade: str, turned: Upright) 
     """(left, top, side) of the faces in a picture; where the picture's scale is known, only of faces of a possible size."""
     sides = [max(20, round(size * turned.pixels_per_m)) for size in SIZES_M] if turned.pixels_per_m else [20, max(grey.shape)]
     with _lock:
-        found = _cascade(cascade).detectMultiScale(np.ascontiguousarray(grey), STEP, NEIGHBOURS, minSize=(sides[0],) * 2, maxSize=(sides[1],) * 2)
-    return [(int(left), int(top), int(side)) for left, top, side, _ in found]
+        rectangles = _cascade(cascade).detectMultiScale(
+            np.ascontiguousarray(grey), STEP, NEIGHBOURS, minSize=(sides[0],) * 2, maxSize=(sides[1],) * 2
+        )
+    return [(int(left), int(top), int(side)) for left, top, side, _ in rectangles]
 
 
 @lru_cache
@@ -137,11 +139,11 @@ def _has_size(scene: Scene, face: Face, place: Float[np.ndarray, "3"]) -> bool:
 
 def _looks(scene: Scene, face: Face, place: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     """The horizontal direction to which a face at a place looks."""
-    away = place - scene.viewpoints[face.view]
-    away = away - (away @ scene.upwards) * scene.upwards
-    away = away / max(float(np.linalg.norm(away)), 1e-6)
+    view_direction = place - scene.viewpoints[face.view]
+    view_direction = view_direction - (view_direction @ scene.upwards) * scene.upwards
+    view_direction = view_direction / max(float(np.linalg.norm(view_direction)), 1e-6)
     angle = face.looks * PROFILE_RAD
-    return -np.cos(angle) * away + np.sin(angle) * np.cross(away, scene.upwards)
+    return -np.cos(angle) * view_direction + np.sin(angle) * np.cross(view_direction, scene.upwards)
 
 
 def _is_foreground(scene: Scene, place: Float[np.ndarray, "3"]) -> bool:

@@ -109,7 +109,7 @@ def _view(camera: CameraSpec, mask: Mask) -> _View:
 
 def _occupied(views: Sequence[_View], centres: Voxels, radius_m: float) -> Bool[np.ndarray, " voxel"]:
     """Which voxels belong to the hull, or with a radius: which may have a part that does. At least half of the views must show a voxel."""
-    seen, evidence = np.zeros(len(centres), int), np.zeros(len(centres))
+    view_counts, evidence = np.zeros(len(centres), int), np.zeros(len(centres))
     for camera, map_, distance, blur in views:
         height, width = map_.shape
         # Far outside an image, pixels may be infinite.
@@ -117,7 +117,7 @@ def _occupied(views: Sequence[_View], centres: Voxels, radius_m: float) -> Bool[
         depth = np.maximum(centres @ camera.rotation[2] + camera.translation_m[2], VOXEL_M)
         reach = max(camera.focal_px) * radius_m / depth
         inside = (columns > -0.5 - reach) & (columns < width - 0.5 + reach) & (rows > -0.5 - reach) & (rows < height - 0.5 + reach)
-        at = np.clip(np.rint(rows), 0, height - 1).astype(int), np.clip(np.rint(columns), 0, width - 1).astype(int)
-        seen += inside
-        evidence += inside * (np.where(distance[at] <= reach + blur, 1.0, -1.0) if radius_m else map_[at])
-    return (seen >= max(2, len(views) / 2)) & (evidence >= LEAST_EVIDENCE * seen)
+        indices = np.clip(np.rint(rows), 0, height - 1).astype(int), np.clip(np.rint(columns), 0, width - 1).astype(int)
+        view_counts += inside
+        evidence += inside * (np.where(distance[indices] <= reach + blur, 1.0, -1.0) if radius_m else map_[indices])
+    return (view_counts >= max(2, len(views) / 2)) & (evidence >= LEAST_EVIDENCE * view_counts)

@@ -52,24 +52,24 @@ def _places(scene: Scene) -> Places:
     """The triangulated keypoints and their standard deviations, metres."""
     views = [keypoints or {} for keypoints in scene.keypoints or ()]
     names = sorted({name for keypoints in views for name in keypoints})
-    seen = np.array([[keypoints.get(name, (np.nan, np.nan, 0.0)) for name in names] for keypoints in views], float)
-    found = triangulate(scene.cameras, seen.reshape(len(views), len(names), 3))
-    sds = _sds(scene, found)
-    places = {name: (found.points_m[k], _sd(name, sds[k])) for k, name in enumerate(names) if np.isfinite(found.points_m[k]).all()}
+    observations = np.array([[keypoints.get(name, (np.nan, np.nan, 0.0)) for name in names] for keypoints in views], float)
+    triangulation = triangulate(scene.cameras, observations.reshape(len(views), len(names), 3))
+    sds = _sds(scene, triangulation)
+    places = {name: (triangulation.points_m[k], _sd(name, sds[k])) for k, name in enumerate(names) if np.isfinite(triangulation.points_m[k]).all()}
     for name, (a, b) in MIDDLES.items():
         if name not in places and a in places and b in places:
             places[name] = (places[a][0] + places[b][0]) / 2, _sd(name, (places[a][1] + places[b][1]) / 2)
     return places
 
 
-def _sds(scene: Scene, found: Triangulated) -> Float[np.ndarray, " point"]:
+def _sds(scene: Scene, triangulation: Triangulated) -> Float[np.ndarray, " point"]:
     """The reprojection errors at the points' distances, metres."""
     metres = [
-        np.linalg.norm(found.points_m - viewpoint, axis=1) / max(camera.focal_px)
+        np.linalg.norm(triangulation.points_m - viewpoint, axis=1) / max(camera.focal_px)
         for viewpoint, camera in zip(scene.viewpoints, scene.cameras, strict=True)
     ]
-    counts = np.maximum(found.used.sum(axis=0), 1)
-    return found.error_px * np.where(found.used, np.stack(metres), 0.0).sum(axis=0) / counts
+    counts = np.maximum(triangulation.used.sum(axis=0), 1)
+    return triangulation.error_px * np.where(triangulation.used, np.stack(metres), 0.0).sum(axis=0) / counts
 
 
 def _sd(name: str, sd: float) -> float:

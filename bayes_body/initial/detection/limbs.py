@@ -64,18 +64,18 @@ def detect_limbs(scene: Scene) -> Found:
     masks = scene.people
     if masks is None or len(scene.cameras) < 2:
         return Found({}, {}, ("limbs need silhouettes in two or more cameras",))
-    seen = [blobs(picture, mask) for picture, mask in zip(scene.pictures, masks, strict=True)]
-    limbs = _all_limbs(scene, seen)
+    blobs_by_view = [blobs(picture, mask) for picture, mask in zip(scene.pictures, masks, strict=True)]
+    limbs = _all_limbs(scene, blobs_by_view)
     if not len(limbs.middles):
         return Found({}, {}, ("no limb was found in any pair of views",))
     stature = scene.stature_m or (STATURE_M if scene.figure is None else scene.figure.height)
     floor = 0.0 if scene.figure is None else scene.figure.floor
     landmarks, parts = {}, {}
     for name in PARTS:
-        found, proximal = _of_part(scene, limbs, name, stature, floor)
-        if len(found.weights):
+        detections, proximal = _of_part(scene, limbs, name, stature, floor)
+        if len(detections.weights):
             for side in ("l_", "r_"):
-                parts[side + name], landmarks[side + PROXIMAL[name]] = found, proximal
+                parts[side + name], landmarks[side + PROXIMAL[name]] = detections, proximal
     return Found(landmarks, parts)
 
 
@@ -85,22 +85,22 @@ def _of_part(scene: Scene, limbs: Limbs, name: str, stature: float, floor: float
     axes = limbs.lower - limbs.upper
     lengths = np.linalg.norm(axes, axis=1)
     tilts = np.arccos(np.clip(-axes[:, scene.up] / lengths, -1.0, 1.0))
-    away = ((limbs.middles[:, scene.up] - floor) / stature - height) / sd, (tilts if hangs else np.pi / 2 - tilts) / SD_POSE_RAD
+    z_scores = ((limbs.middles[:, scene.up] - floor) / stature - height) / sd, (tilts if hangs else np.pi / 2 - tilts) / SD_POSE_RAD
     # A height or a tilt that does not fit, beyond three standard deviations, is no more than improbable: arms may be raised.
-    log_weights = sum(-0.5 * np.minimum(np.abs(each), 3.0) ** 2 for each in away)
+    log_weights = sum(-0.5 * np.minimum(np.abs(z), 3.0) ** 2 for z in z_scores)
     lengths = lengths / (length * stature)
     weights = np.exp(log_weights - 0.5 * (np.log(lengths) / SD_LOG_LENGTH) ** 2) * _support(limbs)
     weights *= (lengths > LENGTHS[0]) & (lengths < LENGTHS[1])
     weights[_suppressed(limbs, weights)] = 0.0
     weights[weights < LEAST_WEIGHT * weights.max(initial=0.0)] = 0.0
-    kept = weights > 0
-    limbs = Limbs(*(each[kept] for each in limbs))
+    has_weight = weights > 0
+    limbs = Limbs(*(array[has_weight] for array in limbs))
     sd_m = np.array([SD_ACROSS_M, SD_ACROSS_M, SD_ALONG_M])
     # A foot is nearly level: either end may be the ankle.
     proximal = limbs.middles if name == "foot" else limbs.upper
     return (
-        strongest(segments(limbs.upper, limbs.lower, sd_m, weights[kept], NAME), MOST),
-        strongest(landmark(proximal, SD_ALONG_M, weights[kept], NAME), MOST),
+        strongest(segments(limbs.upper, limbs.lower, sd_m, weights[has_weight], NAME), MOST),
+        strongest(landmark(proximal, SD_ALONG_M, weights[has_weight], NAME), MOST),
     )
 
 
@@ -130,19 +130,23 @@ def _parallel(limbs: Limbs) -> Bool[np.ndarray, "limb limb"]:
     return np.abs(axes @ axes.T) > PARALLEL
 
 
-def _all_limbs(scene: Scene, seen: Sequence[Sequence[Blob]]) -> Limbs:
-    pairs = [_pair(scene, a, b, seen[a], seen[b]) for a, b in combinations(range(len(seen)), 2) if seen[a] and seen[b]]
-    limbs = Limbs(*(np.concatenate(each) for each in zip(*pairs, strict=True))) if pairs else _no_limbs()
-    return Limbs(*(each[_is_outside(scene, limbs.middles)] for each in limbs))
+def _all_limbs(scene: Scene, blobs_by_view: Sequence[Sequence[Blob]]) -> Limbs:
+    pairs = [
+        _pair(scene, a, b, blobs_by_view[a], blobs_by_view[b])
+        for a, b in combinations(range(len(blobs_by_view)), 2)
+        if blobs_by_view[a] and blobs_by_view[b]
+    ]
+    limbs = Limbs(*(np.concatenate(arrays) for arrays in zip(*pairs, strict=True))) if pairs else _no_limbs()
+    return Limbs(*(array[_is_outside(scene, limbs.middles)] for array in limbs))
 
 
 def _is_outside(scene: Scene, middles: Float[np.ndarray, "limb 3"]) -> Bool[np.ndarray, " limb"]:
     """Whether limbs are foreground, and neither head nor trunk, where the visual hull tells: what lies deep inside is a pattern of the clothes."""
-    kept = scene.foreground(middles) >= FOREGROUND
+    is_foreground = scene.foreground(middles) >= FOREGROUND
     if scene.figure is None:
-        return kept
+        return is_foreground
     depths = scene.depths(middles)
-    return kept & (depths > 0) & (depths < DEEPEST_M) & (np.linalg.norm(middles - scene.figure.crown, axis=1) > HEAD_M)
+    return is_foreground & (depths > 0) & (depths < DEEPEST_M) & (np.linalg.norm(middles - scene.figure.crown, axis=1) > HEAD_M)
 
 
 def _no_limbs() -> Limbs:
@@ -155,24 +159,26 @@ def _pair(scene: Scene, a: int, b: int, first: Sequence[Blob], second: Sequence[
     matches = [(p, q) for p in first for q in second if _same_colour(p.colour, q.colour)]
     if not matches:
         return _no_limbs()
-    left, right = (list(each) for each in zip(*matches, strict=True))
+    left, right = (list(matched) for matched in zip(*matches, strict=True))
     middles, errors = triangulate_pair(cameras, np.array([p.middle for p in left]), np.array([q.middle for q in right]))
     radii_px = np.array([min(p.radius, q.radius) for p, q in matches])
     axes = _axes(cameras, left, right)
-    ends = [_ends(cameras[k], viewpoints[k], each, middles, axes) for k, each in enumerate((left, right))]
+    ends = [_ends(cameras[k], viewpoints[k], view_blobs, middles, axes) for k, view_blobs in enumerate((left, right))]
     lengths = np.abs(np.stack(ends)).mean(axis=0).mean(axis=1, keepdims=True)
     distances = np.linalg.norm(middles - viewpoints[:, None], axis=2)
     radii = np.mean(
         [
-            [blob.radius for blob in each] * distance / max(camera.focal_px)
-            for each, distance, camera in zip((left, right), distances, cameras, strict=True)
+            [blob.radius for blob in view_blobs] * distance / max(camera.focal_px)
+            for view_blobs, distance, camera in zip((left, right), distances, cameras, strict=True)
         ],
         axis=0,
     )
     with np.errstate(invalid="ignore"):
-        kept = (errors < MISS_PX + MISS * radii_px) & (radii > RADII_M[0]) & (radii < RADII_M[1]) & np.isfinite(lengths[:, 0]) & (lengths[:, 0] < 0.5)
+        is_limb = (
+            (errors < MISS_PX + MISS * radii_px) & (radii > RADII_M[0]) & (radii < RADII_M[1]) & np.isfinite(lengths[:, 0]) & (lengths[:, 0] < 0.5)
+        )
     axes = np.where(axes[:, [scene.up]] > 0, axes, -axes)
-    return Limbs(middles[kept], (middles - lengths * axes)[kept], (middles + lengths * axes)[kept], radii[kept])
+    return Limbs(middles[is_limb], (middles - lengths * axes)[is_limb], (middles + lengths * axes)[is_limb], radii[is_limb])
 
 
 def _same_colour(first: Float[np.ndarray, "3"], second: Float[np.ndarray, "3"]) -> bool:
@@ -185,8 +191,8 @@ def _same_colour(first: Float[np.ndarray, "3"], second: Float[np.ndarray, "3"]) 
 def _axes(cameras: Sequence[CameraSpec], left: Sequence[Blob], right: Sequence[Blob]) -> Float[np.ndarray, "limb 3"]:
     """Directions of the lines in which the two planes through camera and blob intersect; NaN where the planes are nearly one."""
     normals = []
-    for camera, each in zip(cameras, (left, right), strict=True):
-        ends = [rays(camera, np.array([blob.ends[k] for blob in each])) for k in (0, 1)]
+    for camera, view_blobs in zip(cameras, (left, right), strict=True):
+        ends = [rays(camera, np.array([blob.ends[k] for blob in view_blobs])) for k in (0, 1)]
         normal = np.cross(ends[0], ends[1])
         normals.append(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9))
     axes = np.cross(normals[0], normals[1])
@@ -197,16 +203,16 @@ def _axes(cameras: Sequence[CameraSpec], left: Sequence[Blob], right: Sequence[B
 def _ends(
     camera: CameraSpec,
     viewpoint: Float[np.ndarray, "3"],
-    each: Sequence[Blob],
+    view_blobs: Sequence[Blob],
     middles: Float[np.ndarray, "limb 3"],
     axes: Float[np.ndarray, "limb 3"],
 ) -> Float[np.ndarray, "limb 2"]:
     """Where the rays through a blob's two ends pass the limb's axis: distances from its middle, metres."""
-    found = []
+    distances = []
     for k in (0, 1):
-        ray = rays(camera, np.array([blob.ends[k] for blob in each]))
+        ray = rays(camera, np.array([blob.ends[k] for blob in view_blobs]))
         offset = viewpoint - middles
         along, both = (offset * axes).sum(axis=1), (ray * axes).sum(axis=1)
         # The point of the axis that is nearest to the ray.
-        found.append((along - both * (offset * ray).sum(axis=1)) / np.maximum(1 - both**2, 1e-3))
-    return np.stack(found, axis=1)
+        distances.append((along - both * (offset * ray).sum(axis=1)) / np.maximum(1 - both**2, 1e-3))
+    return np.stack(distances, axis=1)

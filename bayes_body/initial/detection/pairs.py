@@ -24,6 +24,6 @@ def triangulate_pair(
     cameras: Sequence[CameraSpec], first: Float[np.ndarray, "point 2"], second: Float[np.ndarray, "point 2"]
 ) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, " point"]]:
     """Where the rays of two cameras' pixels meet, metres, and the root mean square distance in the images, pixels; NaN where they do not meet."""
-    seen = np.stack([np.column_stack([pixels, np.ones(len(pixels))]) for pixels in (first, second)])
-    found = triangulate(cameras, seen)
-    return found.points_m, found.error_px
+    observations = np.stack([np.column_stack([pixels, np.ones(len(pixels))]) for pixels in (first, second)])
+    triangulation = triangulate(cameras, observations)
+    return triangulation.points_m, triangulation.error_px

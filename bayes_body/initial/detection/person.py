@@ -41,8 +41,8 @@ def floor_height(centres: Voxels, up: int) -> float:
 
 
 def _others(people: Sequence[Voxels], up: int) -> tuple[str, ...]:
-    first, rest = people[0], people[1:]
-    others = [body for body in rest if len(body) >= SECOND_SHARE * len(first) and np.ptp(body[:, up]) >= SECOND_HEIGHT_M]
+    first, smaller_bodies = people[0], people[1:]
+    others = [body for body in smaller_bodies if len(body) >= SECOND_SHARE * len(first) and np.ptp(body[:, up]) >= SECOND_HEIGHT_M]
     if not others:
         return ()
     count = {1: "two", 2: "three"}.get(len(others), "several")
@@ -64,10 +64,10 @@ def _is_person(body: Voxels, up: int) -> bool:
 
 def _on_floor(centres: Voxels, up: int) -> Voxels:
     """The hull above the floor, without the shadow on it."""
-    found = bodies(centres)
-    if not found:
+    body_voxels = bodies(centres)
+    if not body_voxels:
         return centres
-    above = centres[:, up] - floor_height(found[0], up)
+    above = centres[:, up] - floor_height(body_voxels[0], up)
     level = np.delete(centres, up, axis=1)
     standing = (above > SHADOW_M) & (above < SHIN_M)
     if not standing.any():

@@ -61,7 +61,7 @@ class Scene:
         """The silhouettes without what is far from the person's hull; as they are without a hull; None without silhouettes."""
         if self.masks is None or self.chosen.voxels is None:
             return self.masks
-        return [mask & _around(camera, self.chosen.voxels, mask.shape) for camera, mask in zip(self.cameras, self.masks, strict=True)]
+        return [mask & _dilated_projection(camera, self.chosen.voxels, mask.shape) for camera, mask in zip(self.cameras, self.masks, strict=True)]
 
     def depths(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " point"]:
         """How deep points lie inside the person's hull, metres: 0 outside; NaN without a hull."""
@@ -99,19 +99,19 @@ def read_scene(session: Session, frame: Frame) -> Scene:
     """
     pictures = [read_colour(session, frame.index, view) for view in session.views]
     masks = None if frame.masks is None else list(frame.masks)
-    seen = [c for c, picture in enumerate(pictures) if picture is not None and (masks is None or masks[c] is not None)]
+    camera_indices = [c for c, picture in enumerate(pictures) if picture is not None and (masks is None or masks[c] is not None)]
     cameras = cameras_at(session, frame.index)
     return Scene(
-        [cameras[c] for c in seen],
-        [picture for c in seen if (picture := pictures[c]) is not None],
-        None if masks is None else [clean(mask) for c in seen if (mask := masks[c]) is not None],
-        None if frame.keypoints is None else [frame.keypoints[c] for c in seen],
+        [cameras[c] for c in camera_indices],
+        [picture for c in camera_indices if (picture := pictures[c]) is not None],
+        None if masks is None else [clean(mask) for c in camera_indices if (mask := masks[c]) is not None],
+        None if frame.keypoints is None else [frame.keypoints[c] for c in camera_indices],
         "xyz".index(session.up),
         session.subject.height_m,
     )
 
 
-def _around(camera: CameraSpec, centres: Voxels, shape: tuple[int, ...]) -> Mask:
+def _dilated_projection(camera: CameraSpec, centres: Voxels, shape: tuple[int, ...]) -> Mask:
     """The voxels' projection, wider by two voxels: holes of a mask stay holes, shadows and other people go."""
     pixels = project(camera, centres)
     depth = centres @ camera.rotation[2] + camera.translation_m[2]

@@ -57,33 +57,33 @@ def detect_silhouettes(scene: Scene) -> Found:
 class _Sketch:
     """The landmarks of a figure."""
 
-    def __init__(self, seen: Figure, voxels: Voxels, stature: float, up: int):
-        self.seen, self.voxels, self.stature, self.up = seen, voxels, stature, up
+    def __init__(self, figure: Figure, voxels: Voxels, stature: float, up: int):
+        self.figure, self.voxels, self.stature, self.up = figure, voxels, stature, up
         self.upwards = np.eye(3)[up]
         angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-        ahead = np.cross(seen.across, self.upwards)
+        ahead = np.cross(figure.across, self.upwards)
         # Horizontal directions, the first along the chest's long axis; and their weights.
-        self.circle = np.cos(angles)[:, None] * seen.across + np.sin(angles)[:, None] * ahead
+        self.circle = np.cos(angles)[:, None] * figure.across + np.sin(angles)[:, None] * ahead
         self.circle_weights = np.exp(ALONG * np.cos(2 * angles))
 
     def trunk(self) -> dict[str, Detections]:
         """Crown, pelvis, thorax, shoulders and hips."""
-        seen, one = self.seen, np.ones(1)
+        figure, unit_weight = self.figure, np.ones(1)
         return {
             "head": self._crown(),
-            "pelvis": landmark(seen.pelvis[None], SD_M["trunk"], one, NAME),
-            "thorax": landmark(seen.thorax[None], SD_M["trunk"], one, NAME),
-            **_both("shoulder", landmark(self._around(seen.thorax, HALF_SHOULDERS, 0.0), SD_M["shoulder"], self.circle_weights, NAME)),
-            **_both("hip", landmark(self._around(seen.pelvis, HALF_HIPS, 0.0), SD_M["hip"], self.circle_weights, NAME)),
+            "pelvis": landmark(figure.pelvis[None], SD_M["trunk"], unit_weight, NAME),
+            "thorax": landmark(figure.thorax[None], SD_M["trunk"], unit_weight, NAME),
+            **_both("shoulder", landmark(self._ring(figure.thorax, HALF_SHOULDERS, 0.0), SD_M["shoulder"], self.circle_weights, NAME)),
+            **_both("hip", landmark(self._ring(figure.pelvis, HALF_HIPS, 0.0), SD_M["hip"], self.circle_weights, NAME)),
         }
 
     def _crown(self) -> Detections:
         """The hull's crown; also the place where the stature has it, if the hull ends far below."""
-        seen = self.seen
-        points, weights = seen.crown[None], np.ones(1)
-        if seen.height - (seen.crown[self.up] - seen.floor) > MISSING_M:
-            standing = seen.thorax + (1 - SHOULDER) * seen.height * self.upwards
-            points, weights = np.stack([seen.crown, standing]), np.array([1 - GUESSED, GUESSED])
+        figure = self.figure
+        points, weights = figure.crown[None], np.ones(1)
+        if figure.height - (figure.crown[self.up] - figure.floor) > MISSING_M:
+            standing = figure.thorax + (1 - SHOULDER) * figure.height * self.upwards
+            points, weights = np.stack([figure.crown, standing]), np.array([1 - GUESSED, GUESSED])
         return landmark(points, SD_M["crown"], weights, NAME)
 
     def legs(self) -> dict[str, Detections]:
@@ -104,28 +104,28 @@ class _Sketch:
 
     def limbs(self) -> dict[str, Detections]:
         """Calves, feet, forearms and hands along the paths, where there are any."""
-        found = dict[str, Detections]()
+        mixtures = dict[str, Detections]()
         for inner, outer, joints, sd in (("calf", "foot", self._legs(), SD_M["leg"]), ("forearm", "hand", self._arms(), SD_M["arm"])):
             if joints:
                 first, second, tips = self._on_paths(joints)
-                found |= _both(inner, segments(first, second, sd, np.ones(len(first)), NAME))
-                found |= _both(outer, segments(second, tips, sd, np.ones(len(second)), NAME))
-        return {name: each for name, each in found.items() if len(each.weights)}
+                mixtures |= _both(inner, segments(first, second, sd, np.ones(len(first)), NAME))
+                mixtures |= _both(outer, segments(second, tips, sd, np.ones(len(second)), NAME))
+        return {name: mixture for name, mixture in mixtures.items() if len(mixture.weights)}
 
     def _legs(self) -> list[Joints]:
         """Knee, ankle and tip of each path that ends in a foot, for either place of its ankle."""
-        paths = [path for path in self.seen.paths if self._height(path[:1])[0] < FOOT_TIP]
+        paths = [path for path in self.figure.paths if self._height(path[:1])[0] < FOOT_TIP]
         return [(_beyond(path, ankle, CALF * self.stature), ankle, path[0]) for path in paths for ankle in self._ankles(path)]
 
     def _arms(self) -> list[Joints]:
         """Elbow, wrist and tip of each path that ends neither in a foot nor in the head."""
-        found = list[Joints]()
-        for path in self.seen.paths:
-            is_head = np.linalg.norm(path[0] - self.seen.crown) < HEAD_TIP * self.seen.height
+        arms = list[Joints]()
+        for path in self.figure.paths:
+            is_head = np.linalg.norm(path[0] - self.figure.crown) < HEAD_TIP * self.figure.height
             if self._height(path[:1])[0] > FOOT_TIP + 0.1 and not is_head:
                 wrist = _along(path, HAND * self.stature)
-                found.append((_beyond(path, wrist, FOREARM * self.stature), wrist, path[0]))
-        return found
+                arms.append((_beyond(path, wrist, FOREARM * self.stature), wrist, path[0]))
+        return arms
 
     def _on_paths(self, joints: list[Joints]) -> Float[np.ndarray, "3 limb 3"]:
         """The joints of limbs as arrays: the inner ones, the outer ones, and the tips."""
@@ -133,12 +133,12 @@ class _Sketch:
 
     def parts(self) -> dict[str, Detections]:
         """Pelvis, torso and head, once for each facing; and limbs."""
-        seen, up = self.seen, self.upwards
-        navel = seen.pelvis + PELVIS * self.stature * up
-        skull = seen.crown - HEAD / 2 * self.stature * up
+        figure, up = self.figure, self.upwards
+        navel = figure.pelvis + PELVIS * self.stature * up
+        skull = figure.crown - HEAD / 2 * self.stature * up
         return {
-            "pelvis": self._upright((seen.pelvis + navel) / 2, up, SD_M["trunk"], 0.2),
-            "torso": self._upright((seen.pelvis + seen.thorax) / 2, seen.thorax - seen.pelvis, SD_M["trunk"], 0.2),
+            "pelvis": self._upright((figure.pelvis + navel) / 2, up, SD_M["trunk"], 0.2),
+            "torso": self._upright((figure.pelvis + figure.thorax) / 2, figure.thorax - figure.pelvis, SD_M["trunk"], 0.2),
             "head": self._upright(skull, up, SD_M["crown"], 0.3),
             **self.limbs(),
         }
@@ -148,14 +148,14 @@ class _Sketch:
 
     def _height(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " point"]:
         """Heights above the floor as shares of the person's height."""
-        return (points[:, self.up] - self.seen.floor) / self.seen.height
+        return (points[:, self.up] - self.figure.floor) / self.figure.height
 
-    def _around(self, middle: Float[np.ndarray, "3"], radius: float, below: float) -> Float[np.ndarray, "direction 3"]:
+    def _ring(self, middle: Float[np.ndarray, "3"], radius: float, below: float) -> Float[np.ndarray, "direction 3"]:
         return middle + self.stature * (radius * self.circle - below * self.upwards)
 
     def _hanging(self, places: tuple[tuple[float, float], ...]) -> Float[np.ndarray, "point 3"]:
         """Points around the trunk that lie in the hull, or just outside of it."""
-        points = np.concatenate([self._around(self.seen.thorax, *place) for place in places])
+        points = np.concatenate([self._ring(self.figure.thorax, *place) for place in places])
         return points[KDTree(self.voxels).query(points)[0] < OUTSIDE_M]
 
     def _halves(self, between: tuple[float, float]) -> Float[np.ndarray, "half 3"]:

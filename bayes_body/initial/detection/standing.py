@@ -42,41 +42,41 @@ def detect_standing(scene: Scene) -> Found:
         return Found({}, {}, ("no silhouette in the only camera",))
     low, high = (AGREES[0] * scene.stature_m, AGREES[1] * scene.stature_m) if scene.stature_m else (LEAST_M, MOST_M)
     standing = [_floor_and_height(scene, silhouette) for silhouette in _silhouettes(mask)]
-    if all(found is None for found in standing):
+    if all(stance is None for stance in standing):
         return Found({}, {}, ("the only camera does not show where the person stands: its silhouette does not reach the floor",))
-    people = [found for found in standing if found is not None and low <= found[1] <= high]
+    people = [stance for stance in standing if stance is not None and low <= stance[1] <= high]
     if not people:
-        height = next(found[1] for found in standing if found is not None)
+        height = next(stance[1] for stance in standing if stance is not None)
         return Found({}, {}, (f"the only camera shows a person of {height:.2f} m on the floor; expected {low:.2f} to {high:.2f} m",))
     floor, height = people[0]
     notices = ["one camera: the person's place is uncertain, a shadow at the feet misplaces it; limbs and facing are unknown"]
     if len(standing) > 1:
         notices.append(f"{len(standing)} silhouettes of a person's size: the largest one that stands on the floor was taken")
-    landmarks = {name: _at(floor, share * height, scene) for name, share in (("pelvis", HIP), ("thorax", SHOULDER), ("head", 1.0))}
+    landmarks = {name: _landmark_at(floor, share * height, scene) for name, share in (("pelvis", HIP), ("thorax", SHOULDER), ("head", 1.0))}
     return Found(landmarks, _parts(floor, height, scene), tuple(notices), Person(floor, height, None, False))
 
 
 def _parts(floor: Float[np.ndarray, "3"], height: float, scene: Scene) -> dict[str, Detections]:
     """Pelvis, torso and head that face away from the camera, towards it, and to both sides."""
-    up, away = scene.upwards, _away(floor, scene)
-    across = np.cross(up, away)
+    up, view_direction = scene.upwards, _view_direction(floor, scene)
+    across = np.cross(up, view_direction)
     # In a part's axes: ahead, to the left, and up.
     level = np.array([[SD_DEPTH_M, SD_ACROSS_M], [SD_ACROSS_M, SD_DEPTH_M]])[[0, 0, 1, 1]]
     sd_m = np.concatenate([level, np.full((4, 1), SD_HEIGHT_M)], axis=1)
-    facings = np.stack([away, -away, across, -across])
+    facings = np.stack([view_direction, -view_direction, across, -across])
     return {name: every_facing(floor + share * height * up, up, facings, sd_m, SD_TILT_RAD, np.ones(4), NAME) for name, share in MIDDLES.items()}
 
 
-def _away(floor: Float[np.ndarray, "3"], scene: Scene) -> Float[np.ndarray, "3"]:
+def _view_direction(floor: Float[np.ndarray, "3"], scene: Scene) -> Float[np.ndarray, "3"]:
     """The horizontal direction from the camera to the person."""
-    away = (floor - scene.viewpoints[0]) * (1 - scene.upwards)
-    return away / np.linalg.norm(away)
+    view_direction = (floor - scene.viewpoints[0]) * (1 - scene.upwards)
+    return view_direction / np.linalg.norm(view_direction)
 
 
-def _at(floor: Float[np.ndarray, "3"], height: float, scene: Scene) -> Detections:
+def _landmark_at(floor: Float[np.ndarray, "3"], height: float, scene: Scene) -> Detections:
     # A landmark's standard deviations are along the world's axes.
-    away = _away(floor, scene)
-    sd = np.hypot(SD_DEPTH_M * away, SD_ACROSS_M * np.cross(scene.upwards, away)) + SD_HEIGHT_M * scene.upwards
+    view_direction = _view_direction(floor, scene)
+    sd = np.hypot(SD_DEPTH_M * view_direction, SD_ACROSS_M * np.cross(scene.upwards, view_direction)) + SD_HEIGHT_M * scene.upwards
     return landmark((floor + height * scene.upwards)[None], sd, np.ones(1), NAME)
 
 

@@ -69,16 +69,16 @@ def fit(problem: Problem, up: int) -> Fit:
     keys = jax.random.split(jax.random.key(0), 2 + THROWS)
     start = candidates(problem, up, keys[0])
     # Rows are taken on the host: on the device, each such operation would be a program of its own.
-    found = descend(problem, unbounded(problem, np.asarray(start.poses)[choose(start, STARTS)]), SEARCH, SEARCH_WIDTH)
+    descent = descend(problem, unbounded(problem, np.asarray(start.poses)[choose(start, STARTS)]), SEARCH, SEARCH_WIDTH)
     for key in keys[2:]:
-        found = descend(problem, _thrown(problem, key, np.asarray(found.parameters)[_different(found)]), SEARCH, THROW_WIDTH)
-    before = found.order[0]
-    last = descend(problem, _around(keys[1], np.asarray(found.parameters)[before]), REFINE, 1.0)
+        descent = descend(problem, _thrown(problem, key, np.asarray(descent.parameters)[_different(descent)]), SEARCH, THROW_WIDTH)
+    before = descent.order[0]
+    last = descend(problem, _jittered_starts(keys[1], np.asarray(descent.parameters)[before]), REFINE, 1.0)
     best: Explained = jax.tree.map(lambda leaf: device_array(np.asarray(leaf)[last.order[0]], leaf.dtype), last.explained)
     if not np.isfinite(best.misfit):
         found_no = "session.toml: initial: the fit did not converge; expected finite numbers"
         raise InputError(f"{found_no}; check the calibration, or give the pose in angles.")
-    return Fit(best, float(np.asarray(found.explained.misfit)[before] - best.misfit))
+    return Fit(best, float(np.asarray(descent.explained.misfit)[before] - best.misfit))
 
 
 def rest(problem: Problem) -> Pose:
@@ -117,11 +117,11 @@ def _descend(
     problem: Problem, starts: Float[Array, "start parameter"], rate: Scalar, width: Scalar, markers: Float[Array, "start point 3"]
 ) -> Descent:
     def slope(parameters: Float[Array, "start parameter"], progress: Scalar) -> tuple[Float[Array, "start parameter"], Explained]:
-        now = jnp.maximum(width ** (1 - 2 * progress), 1.0)
-        return jax.vmap(lambda one, places: jax.grad(misfit, has_aux=True)(one, places, now))(parameters, markers)
+        annealed_width = jnp.maximum(width ** (1 - 2 * progress), 1.0)
+        return jax.vmap(lambda start, places: jax.grad(misfit, has_aux=True)(start, places, annealed_width))(parameters, markers)
 
-    def misfit(parameters: Float[Array, " parameter"], places: Float[Array, "point 3"], now: Scalar) -> tuple[Scalar, Explained]:
-        return explain(problem._replace(measurements=problem.measurements._replace(markers=places)), parameters, now)
+    def misfit(parameters: Float[Array, " parameter"], places: Float[Array, "point 3"], annealed_width: Scalar) -> tuple[Scalar, Explained]:
+        return explain(problem._replace(measurements=problem.measurements._replace(markers=places)), parameters, annealed_width)
 
     return Descent(*minimise(slope, starts, rate, STEPS))
 
@@ -148,18 +148,18 @@ def fit_draws(
     return np.concatenate(poses)[: len(starts)]
 
 
-def _different(found: Descent) -> Int[np.ndarray, " kept"]:
+def _different(descent: Descent) -> Int[np.ndarray, " kept"]:
     """Return the best starts, without those that ended at the same place as a better one."""
-    places, kept = np.asarray(found.explained.places), list[int]()
-    for i in found.order:
-        if all(np.linalg.norm(places[i] - places[k], axis=-1).mean() > APART_M for k in kept):
-            kept.append(int(i))
+    places, start_indices = np.asarray(descent.explained.places), list[int]()
+    for i in descent.order:
+        if all(np.linalg.norm(places[i] - places[k], axis=-1).mean() > APART_M for k in start_indices):
+            start_indices.append(int(i))
     # Always the same number, so that nothing is compiled again.
-    return np.resize(kept[:KEPT], KEPT)
+    return np.resize(start_indices[:KEPT], KEPT)
 
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)
-def _around(key: Key, parameters: Float[Array, " parameter"]) -> Float[Array, "start parameter"]:
+def _jittered_starts(key: Key, parameters: Float[Array, " parameter"]) -> Float[Array, "start parameter"]:
     """Return starts around the best parameters, which are the first of them."""
     jitter = 0.01 * jax.random.normal(key, (STARTS, *parameters.shape), parameters.dtype)
     return parameters + jitter.at[0].set(0)

@@ -68,9 +68,9 @@ def scaled(body: Body, change: Scaling, z: Float[Array, " group"]) -> Body:
     if not change.values.shape[0]:
         return body
     growth = factors(change, z) - 1
-    now = jax.tree.map(lambda base, each: base + jnp.tensordot(growth, each, 1), fields(body), change.contributions)
-    skeleton, markers = replace(body.skeleton, offsets=now.joints), replace(body.markers, offsets=now.markers)
-    return replace(body, skeleton=skeleton, markers=markers, offsets=now.parts, lengths=now.lengths)
+    scaled_fields = jax.tree.map(lambda base, contribution: base + jnp.tensordot(growth, contribution, 1), fields(body), change.contributions)
+    skeleton, markers = replace(body.skeleton, offsets=scaled_fields.joints), replace(body.markers, offsets=scaled_fields.markers)
+    return replace(body, skeleton=skeleton, markers=markers, offsets=scaled_fields.parts, lengths=scaled_fields.lengths)
 
 
 def factors(change: Scaling, z: Float[Array, " group"]) -> Float[Array, " length"]:

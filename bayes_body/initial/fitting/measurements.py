@@ -56,13 +56,13 @@ def read_measurements(session: Session, points: Points) -> Measurements:
     pixels, weights = _keypoints(session, points)
     _check_enough(session, points, marker_weights, weights)
     rays = np.stack([_undistorted(view.camera, pixels[c]) for c, view in enumerate(session.views)])
-    return Measurements(*(device_array(each) for each in (markers, marker_weights, pixels, rays, weights)))
+    return Measurements(*(device_array(array) for array in (markers, marker_weights, pixels, rays, weights)))
 
 
 def unused_names(session: Session, points: Points) -> Iterator[str]:
     """Yield remarks on names that do not belong to a point of the body: names that detectors use, and others, which may be misspelt."""
-    given = {*session.initial_markers, *(name for keypoints in session.initial_keypoints.values() for name in keypoints)}
-    names = sorted(name for name in given if points.index(name) is None)
+    measured_names = {*session.initial_markers, *(name for keypoints in session.initial_keypoints.values() for name in keypoints)}
+    names = sorted(name for name in measured_names if points.index(name) is None)
     usual = [name for name in names if name in DETECTED]
     if usual:
         yield f"this body has no points {', '.join(usual)}; the pose was fitted to the other points"
@@ -86,7 +86,7 @@ def _check_enough(session: Session, points: Points, markers: Float[np.ndarray, "
     if (
         session.initial_keypoints
         and not session.initial_markers
-        and not any(p[2] for each in session.initial_keypoints.values() for p in each.values())
+        and not any(p[2] for keypoints in session.initial_keypoints.values() for p in keypoints.values())
     ):
         raise InputError(
             f"{PREFIX}.keypoints_px: every confidence is 0; expected some above 0; give keypoints that were found, or the pose in angles."
@@ -96,9 +96,9 @@ def _check_enough(session: Session, points: Points, markers: Float[np.ndarray, "
     measured = [name for name, is_known in zip(points.names, known, strict=True) if is_known and name in body]
     fewest = min(FEWEST, len(body))
     if len(measured) < fewest:
-        given = f"{len(measured)} points of the body ({', '.join(measured) or 'none'})"
+        problem = f"{len(measured)} points of the body ({', '.join(measured) or 'none'})"
         raise InputError(
-            f"{PREFIX}: {given}; expected at least {fewest} of {', '.join(body)}; give more markers or keypoints, or the pose in angles."
+            f"{PREFIX}: {problem}; expected at least {fewest} of {', '.join(body)}; give more markers or keypoints, or the pose in angles."
         )
 
 
@@ -124,8 +124,8 @@ def _faulty_keypoint(place: str, u: float, v: float, confidence: float, size: tu
     if not (np.isfinite(confidence) and 0 <= confidence <= 1):
         yield f"{place}: confidence {confidence:g}; expected a number between 0 and 1; correct it, or leave the keypoint out."
     elif confidence > 0 and not all(-MARGIN * side <= value <= (1 + MARGIN) * side for value, side in zip((u, v), size, strict=True)):
-        found = f"({u:g}, {v:g}) lies outside its image of {size[0]} x {size[1]} px"
-        yield f"{place}: {found}; expected a column and a row inside the image; correct it, or leave the keypoint out."
+        problem = f"({u:g}, {v:g}) lies outside its image of {size[0]} x {size[1]} px"
+        yield f"{place}: {problem}; expected a column and a row inside the image; correct it, or leave the keypoint out."
 
 
 def _is_singular(camera: CameraSpec) -> bool:

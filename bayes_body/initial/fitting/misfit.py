@@ -93,11 +93,11 @@ def distances(problem: Problem, places: Places) -> Distances:
     """Return the distances of all points, including points that were not measured."""
 
     def in_image(camera: Camera, pixels: Float[Array, "point 2"]) -> tuple[Float[Array, " point"], Float[Array, " point"]]:
-        seen, visible = project(camera, places)
+        projection, visible = project(camera, places)
         depth = jnp.maximum(to_camera(camera, places)[:, 2] + camera.translation[2], NEAR)
         # Without a gradient, since a pose must not fit better just because it is farther away.
         sd = jnp.hypot(DETECTOR_PX, jax.lax.stop_gradient(camera.focal[0] * problem.tolerance / depth))
-        return jnp.where(visible, _norm(seen - pixels), UNSEEN_PX), sd
+        return jnp.where(visible, _norm(projection - pixels), UNSEEN_PX), sd
 
     pixels, pixels_sd = jax.vmap(in_image)(problem.rig, problem.measurements.pixels)
     return Distances(_norm(places - problem.measurements.markers), problem.tolerance, pixels, pixels_sd)

@@ -77,10 +77,10 @@ def fit_outline(model: Model, session: Session) -> Outline:
         InputError: the session has no silhouettes, or no camera shows one in the first frame.
     """
     placed = model.at(cameras_at(session, 0)) if session.moves else model
-    cameras, seen = _silhouettes(session)
+    cameras, silhouettes = _silhouettes(session)
     rig = jax.tree.map(lambda leaf: np.asarray(leaf)[np.array(cameras)], placed.rig)
     groups = np.asarray(_groups(model.body), model.body.lengths.dtype)
-    logs, before, after = _fit(model.body.by_angles, rig, model.first_pose, groups, seen)
+    logs, before, after = _fit(model.body.by_angles, rig, model.first_pose, groups, silhouettes)
     if float(before) < LEAST_OVERLAP:
         return Outline({}, float(before), float(before))
     radii = np.asarray(_thick(model.body, groups, logs).outline_radii, float)
@@ -92,15 +92,15 @@ def _silhouettes(session: Session) -> tuple[list[int], Silhouettes]:
     """Return the numbers of the cameras that show the person in the first frame, and their silhouettes."""
     masks = read_frame(session, 0).masks
     if masks is None:
-        found, remedy = "true, in a session without silhouettes", "set it to false, or give each [[camera]] its `masks` or a `background`"
-        raise input_error(WHERE, found, "silhouettes to fit to", remedy)
-    seen = {c: np.asarray(mask) for c, mask in enumerate(masks) if mask is not None and mask.any()}
-    if not seen:
+        problem, remedy = "true, in a session without silhouettes", "set it to false, or give each [[camera]] its `masks` or a `background`"
+        raise input_error(WHERE, problem, "silhouettes to fit to", remedy)
+    silhouettes = {c: np.asarray(mask) for c, mask in enumerate(masks) if mask is not None and mask.any()}
+    if not silhouettes:
         raise input_error(
             WHERE, "true, but no camera shows a silhouette in the first frame", "one that does", "set it to false, or start at another frame"
         )
-    grids = [_grid(mask) for mask in seen.values()]
-    return list(seen), Silhouettes(*(device_array(np.stack(each)) for each in zip(*grids, strict=True)))
+    grids = [_grid(mask) for mask in silhouettes.values()]
+    return list(silhouettes), Silhouettes(*(device_array(np.stack(arrays)) for arrays in zip(*grids, strict=True)))
 
 
 def _grid(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -132,28 +132,28 @@ def _thick(body: Body, groups: Float[Array, "group part 2"], logs: Float[Array, 
     return replace(body, outline_radii=body.outline_radii * jnp.exp(jnp.tensordot(logs, groups, 1)))
 
 
-def _overlap(body: Body, rig: Camera, pose: Pose, seen: Silhouettes) -> Scalar:
+def _overlap(body: Body, rig: Camera, pose: Pose, silhouettes: Silhouettes) -> Scalar:
     """Return the mean IoU of the silhouettes and the body's projection."""
 
-    def of(forms: Array, columns: Array, rows: Array, inside: Array) -> Scalar:
+    def iou(forms: Array, columns: Array, rows: Array, inside: Array) -> Scalar:
         distance = signed_distance(body.topology, forms, columns, rows)
         covered = jax.nn.sigmoid(distance / (SOFT * (columns[1] - columns[0])))
         both = jnp.sum(inside * covered)
         return both / (jnp.sum(inside) + jnp.sum(covered) - both)
 
-    return jnp.mean(jax.vmap(of)(outline_forms(body, rig, pose), *seen))
+    return jnp.mean(jax.vmap(iou)(outline_forms(body, rig, pose), *silhouettes))
 
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)
 def _fit(
-    body: Body, rig: Camera, pose: Pose, groups: Float[Array, "group part 2"], seen: Silhouettes
+    body: Body, rig: Camera, pose: Pose, groups: Float[Array, "group part 2"], silhouettes: Silhouettes
 ) -> tuple[Float[Array, " group"], Scalar, Scalar]:
     """Return the logarithms of the radii's factors, and the overlap before and after the fit."""
 
     def loss(logs: Float[Array, " group"]) -> tuple[Scalar, Scalar]:
-        overlap = _overlap(_thick(body, groups, logs), rig, pose, seen)
+        overlap = _overlap(_thick(body, groups, logs), rig, pose, silhouettes)
         return 1 - overlap + 0.5 * PULL * jnp.sum(logs**2), overlap
 
     start = jnp.zeros(groups.shape[0], groups.dtype)
     logs, after = minimise(lambda logs, _: jax.grad(loss, has_aux=True)(logs), start, RATE, STEPS)
-    return logs, _overlap(body, rig, pose, seen), after
+    return logs, _overlap(body, rig, pose, silhouettes), after

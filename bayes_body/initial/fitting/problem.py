@@ -36,8 +36,8 @@ def build_problem(model: Model, session: Session, points: Points, measurements: 
         tolerance=device_array(points.tolerance_m, dtype),
         prior=_prior(body, session, points),
     )
-    given = np.array([name in session.initial for name in body.dof_names])
-    mean = np.where(given, problem.prior.mean, rest(problem))
+    has_value = np.array([name in session.initial for name in body.dof_names])
+    mean = np.where(has_value, problem.prior.mean, rest(problem))
     return problem._replace(prior=problem.prior._replace(mean=device_array(mean, dtype)))
 
 
@@ -55,5 +55,5 @@ def _prior(body: Body, session: Session, points: Points) -> Prior:
         k = body.dof_names.index(name)
         mean[k], sd[k] = value, GIVEN_SD[topology.angular[k]]
     up, upright = np.eye(3)["xyz".index(session.up)], floats / (width * TILT_SD) ** 2
-    arrays = (device_array(each, body.lengths.dtype) for each in (mean, sd, up, upright, np.zeros(len(points.names))))
+    arrays = (device_array(array, body.lengths.dtype) for array in (mean, sd, up, upright, np.zeros(len(points.names))))
     return Prior(*arrays)

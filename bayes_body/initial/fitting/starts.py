@@ -66,26 +66,26 @@ def _candidates(problem: Problem, grid: Float[Array, "orientation angle"], up: i
     poses = jnp.concatenate([still, random_poses(skeleton, key, still)])
     poses = inside(skeleton, poses.at[:, jnp.array(_root_angles(problem.body), int)].set(jnp.concatenate([grid, grid])))
 
-    def one(pose: Pose) -> Candidates:
+    def candidate(pose: Pose) -> Candidates:
         moved, places = _moved(problem, pose)
         z = jnp.zeros(problem.scaling.groups.shape[1], pose.dtype)
         score = potential(problem, places, distances(problem, places), moved, z, WIDE)
         upright, heading = _stance(problem.body, pose, up)
         return Candidates(inside(skeleton, moved[None])[0], score, upright, heading)
 
-    return jax.vmap(one)(poses)
+    return jax.vmap(candidate)(poses)
 
 
-def choose(found: Candidates, count: int) -> Int[np.ndarray, " start"]:
+def choose(proposals: Candidates, count: int) -> Int[np.ndarray, " start"]:
     """Return the indices of the candidates to start from: the best upright one of each heading, then the best of all."""
-    order = np.argsort(np.asarray(found.scores))
-    upright, heading = np.asarray(found.upright), np.asarray(found.heading)
+    order = np.argsort(np.asarray(proposals.scores))
+    upright, heading = np.asarray(proposals.upright), np.asarray(proposals.heading)
     first: dict[int, int] = {}
     for i in order[upright[order]]:
         first.setdefault(int(heading[i]), int(i))
     stratified = list(first.values())[:count]
-    rest = [int(i) for i in order if int(i) not in set(stratified)]
-    return np.array((stratified + rest)[:count])
+    unstratified = [int(i) for i in order if int(i) not in set(stratified)]
+    return np.array((stratified + unstratified)[:count])
 
 
 def random_poses(skeleton: Skeleton, key: Key, poses: Float[Array, "start dof"]) -> Float[Array, "start dof"]:

@@ -63,8 +63,8 @@ def decompose(body: Body, motion: Motion, joints: Mapping[str, str], schema: Bod
     """
     placements = list(_placements(body.skeleton, motion, joints))
     change = scaling(body, schema) if schema is not None and placements else None
-    found = (_decomposed(body, placed, change) for placed in placements)
-    return next((exact for exact in found if exact is not None), None)
+    decompositions = (_decomposed(body, placed, change) for placed in placements)
+    return next((exact for exact in decompositions if exact is not None), None)
 
 
 def carried(body: Body, placed: Placed) -> Float[np.ndarray, "frame marker 3"]:
@@ -78,9 +78,11 @@ def with_ends(body: Body, exact: Exact, points: Float[np.ndarray, "frame marker 
     joints, markers = np.asarray(change.contributions.joints, float), np.asarray(change.contributions.markers, float)
     free = ~joints.any(axis=(1, 2))
     known = np.isfinite(points).all(axis=(0, 2))
-    on = np.array(body.markers.joints)[known]
-    own = np.einsum("fmba,fmb->fma", exact.placed.rotations[:, on], points[:, known] - exact.placed.places[:, on]).mean(axis=0)
-    missing = own - np.asarray(body.markers.offsets, float)[known] - np.tensordot(exact.factors - 1, markers[:, known], 1)
+    marker_joints = np.array(body.markers.joints)[known]
+    marker_offsets = np.einsum(
+        "fmba,fmb->fma", exact.placed.rotations[:, marker_joints], points[:, known] - exact.placed.places[:, marker_joints]
+    ).mean(axis=0)
+    missing = marker_offsets - np.asarray(body.markers.offsets, float)[known] - np.tensordot(exact.factors - 1, markers[:, known], 1)
     growth = np.zeros(len(free))
     growth[free] = np.linalg.lstsq(markers[free][:, known].reshape(int(free.sum()), -1).T, missing.ravel(), rcond=None)[0]
     return exact._replace(factors=exact.factors + growth)
@@ -105,9 +107,9 @@ def _placements(skeleton: Skeleton, motion: Motion, joints: Mapping[str, str]) -
     names = [joints.get(name, name) for name in topology.joint_names]
     if R is None or not len(R) or any(name not in motion.joints for name in names):
         return
-    own = [motion.joints.index(name) for name in names]
-    hang = (motion.parents[j] == (-1 if parent < 0 else own[parent]) for j, parent in zip(own, topology.parents, strict=True))
-    rotations, places = R[:, own], motion.positions_m[:, own]
+    joint_indices = [motion.joints.index(name) for name in names]
+    hang = (motion.parents[j] == (-1 if parent < 0 else joint_indices[parent]) for j, parent in zip(joint_indices, topology.parents, strict=True))
+    rotations, places = R[:, joint_indices], motion.positions_m[:, joint_indices]
     if not all(hang) or not (np.isfinite(rotations).all() and np.isfinite(places).all()):
         return
     yield Placed(rotations, places)
@@ -138,11 +140,11 @@ def _offsets(body: Body, frames: Placed, change: Scaling | None) -> tuple[Float[
     offsets = np.asarray(body.skeleton.offsets, float)
     if change is None:
         return np.zeros(0), offsets
-    each = np.asarray(change.contributions.joints, float)
+    contributions = np.asarray(change.contributions.joints, float)
     still = [j for j, dofs in enumerate(body.skeleton.topology.motions) if not any(dof.is_shift for dof in dofs)]
     missing = (frames.places.mean(axis=0) - offsets)[still].ravel()
-    growth = np.linalg.lstsq(each[:, still].reshape(len(each), -1).T, missing, rcond=None)[0]
-    return 1 + growth, offsets + np.tensordot(growth, each, 1)
+    growth = np.linalg.lstsq(contributions[:, still].reshape(len(contributions), -1).T, missing, rcond=None)[0]
+    return 1 + growth, offsets + np.tensordot(growth, contributions, 1)
 
 
 def _taken_apart(
@@ -151,8 +153,8 @@ def _taken_apart(
     """Return the joint's dofs in order; None if they do not reproduce its rotation and shift within the tolerances."""
     turns = [dof for dof in dofs if not dof.is_shift]
     low, high = (np.asarray(side, float)[[dof.dof for dof in turns]] for side in (skeleton.low, skeleton.high))
-    found = angles_of(rotation, [dof.axis for dof in turns], [dof.sign for dof in turns], low, high)
-    if found is None or found.left.max() > ANGLE:
+    angles = angles_of(rotation, [dof.axis for dof in turns], [dof.sign for dof in turns], low, high)
+    if angles is None or angles.left.max() > ANGLE:
         return None
     values, directions = np.zeros((len(rotation), len(dofs))), []
     turned, k = np.broadcast_to(np.eye(3), rotation.shape), 0
@@ -160,7 +162,7 @@ def _taken_apart(
         if dof.is_shift:
             directions.append((i, dof.sign * turned[:, :, dof.axis]))
         else:
-            values[:, i] = found.values[:, k]
+            values[:, i] = angles.values[:, k]
             turned, k = turned @ _turn(dof.axis, dof.sign * values[:, i]), k + 1
     if directions:
         A = np.stack([direction for _, direction in directions], axis=2)

@@ -69,8 +69,8 @@ def fit_motion(problem: Problem, places: Float[np.ndarray, "frame marker 3"], fp
     first = int(known.sum(axis=1).argmax())
     best, _ = search(problem._replace(measurements=landmarks_of_frame(places[first], dtype)), UP)
     started = follow(problem, motion, best.pose, best.z, jnp.asarray(_order(first, len(places))), jnp.asarray(first))
-    found = together(problem, motion, started, best.z)
-    return Fitted(found.poses[:frames], found.z)
+    solution = together(problem, motion, started, best.z)
+    return Fitted(solution.poses[:frames], solution.z)
 
 
 def filled(frames: Float[np.ndarray, "frame *rest"], value: float) -> Float[np.ndarray, "more *rest"]:
@@ -89,7 +89,7 @@ def follow(problem: Problem, motion: Motion, pose: Pose, z: Float[Array, " group
     start, body = parameters_of(problem.body.skeleton, pose), scaled(problem.body, problem.scaling, z)
     usual = _by_unit(problem, SPEEDS)
 
-    def one(before: Pose, frame: Index) -> tuple[Pose, Pose]:
+    def fit_frame(before: Pose, frame: Index) -> tuple[Pose, Pose]:
         # The frame before `first` starts from the first pose, not from the solution of the last frame.
         before = jnp.where(frame == first - 1, start, before)
 
@@ -102,8 +102,8 @@ def follow(problem: Problem, motion: Motion, pose: Pose, z: Float[Array, " group
         x, _ = minimise(lambda x, _: (jax.grad(misfit)(x), ()), before, FOLLOW_RATE, FOLLOW_STEPS)
         return x, x
 
-    _, found = jax.lax.scan(one, start, order)
-    return jnp.zeros_like(found).at[order].set(found)
+    _, solutions = jax.lax.scan(fit_frame, start, order)
+    return jnp.zeros_like(solutions).at[order].set(solutions)
 
 
 class _Parameters(NamedTuple):
@@ -114,14 +114,14 @@ class _Parameters(NamedTuple):
 @jax.jit(compiler_options=FAST_COMPILE)
 def together(problem: Problem, motion: Motion, x: Float[Array, "frame dof"], z: Float[Array, " group"]) -> Fitted:
     """Fit all frames and the lengths together, starting from unconstrained angles `x` and length parameters `z`."""
-    found, _ = minimise(lambda p, _: (jax.grad(_misfit, argnums=2)(problem, motion, p), ()), _Parameters(x, z), RATE, STEPS)
-    return Fitted(pose_of(problem.body.skeleton, found.x), found.z)
+    optimum, _ = minimise(lambda p, _: (jax.grad(_misfit, argnums=2)(problem, motion, p), ()), _Parameters(x, z), RATE, STEPS)
+    return Fitted(pose_of(problem.body.skeleton, optimum.x), optimum.z)
 
 
 def _misfit(problem: Problem, motion: Motion, parameters: _Parameters) -> Scalar:
     poses, body = pose_of(problem.body.skeleton, parameters.x), scaled(problem.body, problem.scaling, parameters.z)
-    each = jax.vmap(_misfit_of_frame, (None, None, 0, 0, 0))(problem, body, poses, motion.places, motion.known)
-    return jnp.sum(each) + 0.5 * jnp.sum(parameters.z**2) + _jerkiness(problem, poses, motion.step_s)
+    misfits = jax.vmap(_misfit_of_frame, (None, None, 0, 0, 0))(problem, body, poses, motion.places, motion.known)
+    return jnp.sum(misfits) + 0.5 * jnp.sum(parameters.z**2) + _jerkiness(problem, poses, motion.step_s)
 
 
 def _misfit_of_frame(problem: Problem, body: Body, pose: Pose, markers: Float[Array, "marker 3"], known: Float[Array, " marker"]) -> Scalar:

@@ -54,10 +54,10 @@ def places_of(body: Body, landmarks: Mapping[str, np.ndarray]) -> Float[np.ndarr
         InputError: a landmark does not have the same number of frames as the first one.
     """
     frames = len(next(iter(landmarks.values()), ()))
-    for name, each in landmarks.items():
-        if each.shape != (frames, 3):
-            found = f"{len(each)} frames" if each.shape[1:] == (3,) else f"an array of shape {each.shape}"
-            raise input_error(f"landmarks: {name}", found, f"({frames}, 3), like the first", "give each in every frame, NaN where unknown")
+    for name, landmark in landmarks.items():
+        if landmark.shape != (frames, 3):
+            problem = f"{len(landmark)} frames" if landmark.shape[1:] == (3,) else f"an array of shape {landmark.shape}"
+            raise input_error(f"landmarks: {name}", problem, f"({frames}, 3), like the first", "give each in every frame, NaN where unknown")
     places = np.full((frames, len(body.markers.names), 3), np.nan)
     for m, name in enumerate(body.markers.names):
         if name in landmarks:
@@ -75,7 +75,7 @@ def _prior(body: Body, dtype: jnp.dtype) -> Prior:
     if floats:
         sd[[motion.dof for motion in root]] = np.inf
     weights = np.zeros(len(body.markers.names))
-    return Prior(*(jnp.asarray(each, dtype) for each in (np.clip(0.0, low, high), sd, UP, floats / TILT_SD**2, weights)))
+    return Prior(*(jnp.asarray(array, dtype) for array in (np.clip(0.0, low, high), sd, UP, floats / TILT_SD**2, weights)))
 
 
 def _no_camera(dtype: jnp.dtype) -> Camera:

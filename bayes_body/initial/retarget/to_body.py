@@ -95,11 +95,11 @@ def _points(motion: Motion) -> Landmarks:
 
 def _with_lengths(body: Body, schema: BodySchema, lengths: Mapping[str, float]) -> Body:
     """Return the body with these lengths; its radii and sections are kept."""
-    now = build_body(body.name, schema, Shape(None, lengths))
+    scaled_body = build_body(body.name, schema, Shape(None, lengths))
     dtype = body.lengths.dtype
-    skeleton = replace(body.skeleton, offsets=now.skeleton.offsets.astype(dtype))
-    markers = replace(body.markers, offsets=now.markers.offsets.astype(dtype))
-    return replace(body, skeleton=skeleton, markers=markers, offsets=now.offsets.astype(dtype), lengths=now.lengths.astype(dtype))
+    skeleton = replace(body.skeleton, offsets=scaled_body.skeleton.offsets.astype(dtype))
+    markers = replace(body.markers, offsets=scaled_body.markers.offsets.astype(dtype))
+    return replace(body, skeleton=skeleton, markers=markers, offsets=scaled_body.offsets.astype(dtype), lengths=scaled_body.lengths.astype(dtype))
 
 
 def _fitted(body: Body, points: Landmarks, fps: float | None, schema: BodySchema | None, name: str) -> Retargeted:
@@ -108,12 +108,12 @@ def _fitted(body: Body, points: Landmarks, fps: float | None, schema: BodySchema
     places = places_of(body, points)
     _check_enough(body, points, places, name)
     problem = build_problem(body, schema)
-    found = fit_motion(problem, places, fps)
+    solution = fit_motion(problem, places, fps)
     lengths = {}
     if schema is not None:
-        values = np.asarray(problem.scaling.values * factors(problem.scaling, found.z), float)
+        values = np.asarray(problem.scaling.values * factors(problem.scaling, solution.z), float)
         lengths = dict(zip(schema.lengths_of_height, values.tolist(), strict=True))
-    return _result(scaled(body, problem.scaling, found.z), np.asarray(found.poses, float), lengths, places, False)
+    return _result(scaled(body, problem.scaling, solution.z), np.asarray(solution.poses, float), lengths, places, False)
 
 
 def _check_enough(body: Body, points: Landmarks, places: Float[np.ndarray, "frame marker 3"], name: str) -> None:
@@ -122,17 +122,17 @@ def _check_enough(body: Body, points: Landmarks, places: Float[np.ndarray, "fram
     if known.size and known.sum(axis=1).max() >= fewest:
         return
     shared = [marker for marker in body.markers.names if marker in points]
-    found = f"{', '.join(shared) or 'none'} of the body's points" if known.size else "no frame"
+    problem = f"{', '.join(shared) or 'none'} of the body's points" if known.size else "no frame"
     expected = f"a frame with at least {fewest} of {', '.join(body.markers.names)}"
-    raise input_error(name, found, expected, "name its points as the body does, or capture more of them")
+    raise input_error(name, problem, expected, "name its points as the body does, or capture more of them")
 
 
 def _result(
     body: Body, angles: Float[np.ndarray, "frame dof"], lengths: Mapping[str, float], places: Float[np.ndarray, "frame marker 3"], exact: bool
 ) -> Retargeted:
-    at = np.asarray(_markers(body, jnp.asarray(filled(angles, 0.0), body.lengths.dtype)), float)[: len(angles)]
+    markers = np.asarray(_markers(body, jnp.asarray(filled(angles, 0.0), body.lengths.dtype)), float)[: len(angles)]
     remarks = (*_outside(body, angles), *_jumps(body, angles))
-    return Retargeted(angles, lengths, np.linalg.norm(at - places, axis=-1), exact, body, at, remarks)
+    return Retargeted(angles, lengths, np.linalg.norm(markers - places, axis=-1), exact, body, markers, remarks)
 
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)

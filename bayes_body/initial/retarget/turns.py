@@ -47,22 +47,22 @@ def angles_of(
         return None
     both = _both(rotations, axes) * np.asarray(signs)
     chains = [_chained(both, _into(both[0, branch], low, high)) for branch in range(2)]
-    left = [_left(rotations, chain, axes, signs) for chain in chains]
-    chosen = min(range(2), key=lambda k: (left[k].max() > left[1 - k].max() + 1e-9, *_cost(chains[k], low, high)))
-    return Angles(chains[chosen], left[chosen])
+    residuals = [_residual(rotations, chain, axes, signs) for chain in chains]
+    chosen = min(range(2), key=lambda k: (residuals[k].max() > residuals[1 - k].max() + 1e-9, *_cost(chains[k], low, high)))
+    return Angles(chains[chosen], residuals[chosen])
 
 
 def _both(rotations: Float[np.ndarray, "frame 3 3"], axes: Sequence[int]) -> Float[np.ndarray, "frame 2 turn"]:
     """Return the two solutions for the angles of every rotation, cut to the number of axes."""
-    rest = [axis for axis in range(3) if axis not in axes]
-    order = [*axes, *rest][:3]
+    unused_axes = [axis for axis in range(3) if axis not in axes]
+    order = [*axes, *unused_axes][:3]
     with warnings.catch_warnings():
         # In gimbal lock only the sum or difference of the outer angles is determined: scipy sets the last one to 0 and warns.
         warnings.simplefilter("ignore", UserWarning)
-        one = Rotation.from_matrix(rotations).as_euler("".join("XYZ"[axis] for axis in order))
-    middle = -one[:, 1] if order[0] == order[2] else np.pi - one[:, 1]
-    other = np.stack([one[:, 0] + np.pi, middle, one[:, 2] + np.pi], axis=1)
-    return np.stack([one, other], axis=1)[..., : len(axes)]
+        first_solution = Rotation.from_matrix(rotations).as_euler("".join("XYZ"[axis] for axis in order))
+    middle = -first_solution[:, 1] if order[0] == order[2] else np.pi - first_solution[:, 1]
+    second_solution = np.stack([first_solution[:, 0] + np.pi, middle, first_solution[:, 2] + np.pi], axis=1)
+    return np.stack([first_solution, second_solution], axis=1)[..., : len(axes)]
 
 
 def _chained(both: Float[np.ndarray, "frame 2 turn"], start: Float[np.ndarray, " turn"]) -> Float[np.ndarray, "frame turn"]:
@@ -87,7 +87,7 @@ def _cost(chain: Float[np.ndarray, "frame turn"], low: Float[np.ndarray, " turn"
     return int(((chain < low - 1e-6) | (chain > high + 1e-6)).sum()), float(np.abs(chain).sum())
 
 
-def _left(
+def _residual(
     rotations: Float[np.ndarray, "frame 3 3"], values: Float[np.ndarray, "frame turn"], axes: Sequence[int], signs: Sequence[int]
 ) -> np.ndarray:
     again = Rotation.from_euler("".join("XYZ"[axis] for axis in axes), values * np.asarray(signs))

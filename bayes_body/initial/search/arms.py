@@ -40,21 +40,24 @@ def other_arms(
     low, high = np.asarray(skeleton.low, float), np.asarray(skeleton.high, float)
     names = skeleton.topology.dof_names
     sides = [[k for k, name in enumerate(names) if re.match(side + ARM, name) and np.isfinite(high[k] - low[k])] for side in "lr"]
-    arms = [np.array(own) for own in sides if own]
+    arms = [np.array(dofs) for dofs in sides if dofs]
     if not arms:
         return []
     drawn = np.tile(best, (len(arms), many // len(arms), 1))
-    for poses, own in zip(drawn, arms, strict=True):
-        poses[:, own] = random.uniform(low[own], high[own], (len(poses), len(own)))
-    found = _evaluated(evaluate, drawn, many)
+    for poses, dofs in zip(drawn, arms, strict=True):
+        poses[:, dofs] = random.uniform(low[dofs], high[dofs], (len(poses), len(dofs)))
+    log_likelihoods = _evaluated(evaluate, drawn, many)
     # Of each arm: the pose itself, and the best of the drawn ones.
-    starts = [np.concatenate([best[None], poses[np.argsort(-own)[:CLIMB]]]) for poses, own in zip(drawn, found, strict=True)]
+    starts = [
+        np.concatenate([best[None], poses[np.argsort(-arm_log_likelihoods)[:CLIMB]]])
+        for poses, arm_log_likelihoods in zip(drawn, log_likelihoods, strict=True)
+    ]
     taken = list[tuple[Dofs, Float[np.ndarray, " own"]]]()
     poses, values = _climb(np.stack(starts), arms, evaluate, many, (low, high), random)
-    for own, tops, heights in zip(arms, poses, values, strict=True):
-        other = 1 + int(heights[1:].argmax())
-        if heights[other] > heights[0] + LEAST_GAIN:
-            taken.append((own, tops[other, own]))
+    for dofs, tops, heights in zip(arms, poses, values, strict=True):
+        rival = 1 + int(heights[1:].argmax())
+        if heights[rival] > heights[0] + LEAST_GAIN:
+            taken.append((dofs, tops[rival, dofs]))
     return taken
 
 
@@ -70,14 +73,14 @@ def _climb(
     tries, heights = many // (poses.shape[0] * poses.shape[1]), np.full(poses.shape[:2], -np.inf)
     for step in STEPS_DEG:
         near = np.repeat(poses[:, None], tries, axis=1)
-        for tried, own in zip(near, arms, strict=True):
+        for tried, dofs in zip(near, arms, strict=True):
             # The first of the tries is the pose itself.
-            tried[1:, :, own] += np.radians(step) * random.normal(size=(tries - 1, poses.shape[1], len(own)))
+            tried[1:, :, dofs] += np.radians(step) * random.normal(size=(tries - 1, poses.shape[1], len(dofs)))
         near = np.clip(near, *limits)
-        found = _evaluated(evaluate, near, many)
-        best = found.argmax(axis=1)[:, None]
+        log_likelihoods = _evaluated(evaluate, near, many)
+        best = log_likelihoods.argmax(axis=1)[:, None]
         poses = np.take_along_axis(near, best[..., None], axis=1)[:, 0]
-        heights = np.take_along_axis(found, best, axis=1)[:, 0]
+        heights = np.take_along_axis(log_likelihoods, best, axis=1)[:, 0]
     return poses, heights
 
 

@@ -61,16 +61,16 @@ def find_first_pose(model: Model, session: Session, show: Callable[[str], None],
     _check_silhouettes(model, session)
     show("first pose: looking for the person in the first frames")
     begun = time.perf_counter()
-    found = PersonSearch(session, seed=seed).window(0)
-    for notice in found.notices:
+    person = PersonSearch(session, seed=seed).window(0)
+    for notice in person.notices:
         show(f"first pose: {notice}")
-    if isinstance(found, Detected):
-        _nobody(found, model, session)
-    show(f"first pose: a person was found in {time.perf_counter() - begun:.0f} s; {found.precision}, by {found.ess:.0f} effective draws")
-    for warning in _warnings(found):
+    if isinstance(person, Detected):
+        _nobody(person, model, session)
+    show(f"first pose: a person was found in {time.perf_counter() - begun:.0f} s; {person.precision}, by {person.ess:.0f} effective draws")
+    for warning in _warnings(person):
         show(f"first pose: warning: {warning}")
     # How far the poses are from the markers of the search is no residual: nobody measured these.
-    return poses_of(model, session, found, seed=seed)._replace(median_m=float("nan"))
+    return poses_of(model, session, person, seed=seed)._replace(median_m=float("nan"))
 
 
 def check_pictures(model: Model, session: Session) -> None:
@@ -91,7 +91,7 @@ def known_markers(model: Model) -> int:
     return sum(points.index(name) is not None for name in MARKERS)
 
 
-def poses_of(model: Model, session: Session, found: Found, frame: int = 0, seed: int = 0) -> FirstPose:
+def poses_of(model: Model, session: Session, person: Found, frame: int = 0, seed: int = 0) -> FirstPose:
     """Return DRAWS equally likely poses of the model's body, and the likeliest of them: fitted to what was found, then refined (refine.py).
 
     A body that is placed by parts is fitted only.
@@ -99,29 +99,29 @@ def poses_of(model: Model, session: Session, found: Found, frame: int = 0, seed:
     Args:
         model: the model whose body is placed.
         session: the recording.
-        found: what was found, markers in metres.
+        person: what was found, markers in metres.
         frame: the frame in which it was found, counted from 0.
         seed: seed of the draws.
 
     Raises:
         InputError: the body has too few markers, the fit did not converge, or a file of the frame cannot be used.
     """
-    told = fit_to(model, session, found, seed)
+    estimate = fit_to(model, session, person, seed)
     if model.body.variable != POSE:
-        return told
-    exchanged = fit_to(model, session, found._replace(names=tuple(map(_other_leg, found.names))), seed)
-    seen, judge = read_frame(session, frame), _judge(model)
-    placed = judge.at(seen.cameras) if session.moves else judge
-    density = everywhere(placed.density(placed.observe(seen), placed.start(1)))
+        return estimate
+    exchanged = fit_to(model, session, person._replace(names=tuple(map(_other_leg, person.names))), seed)
+    measured_frame, judge = read_frame(session, frame), _judge(model)
+    placed = judge.at(measured_frame.cameras) if session.moves else judge
+    density = everywhere(placed.density(placed.observe(measured_frame), placed.start(1)))
     # Each way to face keeps its share: one frame must not decide again what several have decided.
-    ahead = _is_ahead(found)[_taken(found, seed)]
+    ahead = _is_ahead(person)[_taken(person, seed)]
     refined = [
-        refine(model, density, np.concatenate([np.asarray(each.draws, float)[way] for each in (told, exchanged)]), int(way.sum()), seed)
+        refine(model, density, np.concatenate([np.asarray(pose_fit.draws, float)[way] for pose_fit in (estimate, exchanged)]), int(way.sum()), seed)
         for way in (ahead, ~ahead)
         if way.any()
     ]
     draws = jnp.asarray(np.concatenate(refined).round(DIGITS))
-    return told._replace(pose=draws[0], draws=draws)
+    return estimate._replace(pose=draws[0], draws=draws)
 
 
 def _judge(model: Model) -> Model:
@@ -133,14 +133,14 @@ def _judge(model: Model) -> Model:
     return model if "keypoints" in model.reads else with_likelihoods(model, JUDGE)
 
 
-def _is_ahead(found: Found) -> Bool[np.ndarray, " draw"]:
+def _is_ahead(person: Found) -> Bool[np.ndarray, " draw"]:
     """Whether each draw faces as the mean does."""
-    return _left(found.names, found.draws) @ _left(found.names, found.markers[None])[0] >= 0
+    return _hip_axis(person.names, person.draws) @ _hip_axis(person.names, person.markers[None])[0] >= 0
 
 
-def _taken(found: Found, seed: int) -> Int[np.ndarray, " taken"]:
+def _taken(person: Found, seed: int) -> Int[np.ndarray, " taken"]:
     """Return DRAWS draws, each as often as its weight says."""
-    weights = np.where(_is_ahead(found) | (found.turned >= LEAST_TURNED), found.weights, 0.0)
+    weights = np.where(_is_ahead(person) | (person.turned >= LEAST_TURNED), person.weights, 0.0)
     with np.errstate(divide="ignore"):
         return np.asarray(resampled(jax.random.key(seed), np.log(weights), DRAWS))
 
@@ -150,13 +150,13 @@ def _other_leg(name: str) -> str:
     return {"l": "r", "r": "l"}[name[0]] + name[1:] if LEG.match(name) else name
 
 
-def fit_to(model: Model, session: Session, found: Found, seed: int = 0) -> FirstPose:
+def fit_to(model: Model, session: Session, person: Found, seed: int = 0) -> FirstPose:
     """Return the model's pose that fits the main mode's mean markers, and DRAWS poses that fit the markers of as many draws.
 
     Args:
         model: the model whose body is placed.
         session: the recording.
-        found: what was found, markers in metres.
+        person: what was found, markers in metres.
         seed: seed of the choice of draws.
 
     Raises:
@@ -166,13 +166,13 @@ def fit_to(model: Model, session: Session, found: Found, seed: int = 0) -> First
     if known < FEWEST:
         _nothing(f"no first pose, and the model's body has {known} of the markers that are searched for, fewer than {FEWEST}", model)
     points = body_points(model.body.by_angles)
-    taken = _taken(found, seed)
-    drawn, ahead = found.draws[taken], _is_ahead(found)[taken]
-    told, poses = _fit_way(model, session, points, found.names, found.markers, drawn)
+    taken = _taken(person, seed)
+    drawn, ahead = person.draws[taken], _is_ahead(person)[taken]
+    estimate, poses = _fit_way(model, session, points, person.names, person.markers, drawn)
     if not ahead.all():
         # The fit of the main way is no start for bodies that face the other way.
-        poses = np.where(ahead[:, None], poses, _fit_way(model, session, points, found.names, drawn[~ahead].mean(axis=0), drawn)[1])
-    return told._replace(draws=jnp.asarray(poses.round(DIGITS)))
+        poses = np.where(ahead[:, None], poses, _fit_way(model, session, points, person.names, drawn[~ahead].mean(axis=0), drawn)[1])
+    return estimate._replace(draws=jnp.asarray(poses.round(DIGITS)))
 
 
 def _fit_way(
@@ -200,17 +200,17 @@ def _fit_way(
     return tell(asked, points, measurements, best.distances, best.pose, {}), poses.astype(float)
 
 
-def _left(names: Sequence[str], markers: Float[np.ndarray, "draw marker 3"]) -> Float[np.ndarray, "draw 3"]:
+def _hip_axis(names: Sequence[str], markers: Float[np.ndarray, "draw marker 3"]) -> Float[np.ndarray, "draw 3"]:
     return markers[:, names.index("l_hip")] - markers[:, names.index("r_hip")]
 
 
-def _warnings(found: Found) -> Iterator[str]:
-    if found.turned > MOST_TURNED:
-        yield f"the person may face the other way, with a probability of {found.turned:.2f}; look at the overlay"
-    if found.elsewhere - found.turned > MOST_ELSEWHERE:
-        yield f"other poses have a probability of {found.elsewhere - found.turned:.2f}; look at the overlay"
-    if found.ess < FEWEST_DRAWS:
-        yield f"the search rests on {found.ess:.0f} effective draws; look at the overlay before you trust the track"
+def _warnings(person: Found) -> Iterator[str]:
+    if person.turned > MOST_TURNED:
+        yield f"the person may face the other way, with a probability of {person.turned:.2f}; look at the overlay"
+    if person.elsewhere - person.turned > MOST_ELSEWHERE:
+        yield f"other poses have a probability of {person.elsewhere - person.turned:.2f}; look at the overlay"
+    if person.ess < FEWEST_DRAWS:
+        yield f"the search rests on {person.ess:.0f} effective draws; look at the overlay before you trust the track"
 
 
 def _check_silhouettes(model: Model, session: Session) -> None:
@@ -225,11 +225,11 @@ def _nobody(detected: Detected, model: Model, session: Session) -> NoReturn:
     _nothing(f"no first pose, and no person was detected in frame {session.first_frame}{why}{but}", model)
 
 
-def _nothing(found: str, model: Model) -> NoReturn:
-    found = f"{found}; the body '{model.body.name}' would start at the origin of the world"
+def _nothing(problem: str, model: Model) -> NoReturn:
+    problem = f"{problem}; the body '{model.body.name}' would start at the origin of the world"
     expected = "a person whose silhouette the cameras show in frame 0, or a first pose"
     remedy = (
         "start at a frame in which the person is seen, with --first-frame, or import the recording with --keypoints, or give four keypoints or "
         "more in each of two cameras under [initial.keypoints_px.CAMERA], or angles_deg and positions_m under [initial]"
     )
-    raise input_error(PREFIX, found, expected, remedy)
+    raise input_error(PREFIX, problem, expected, remedy)

@@ -48,8 +48,8 @@ class Way(NamedTuple):
 def way_of(names: Sequence[str], markers: np.ndarray, log_weights: np.ndarray, log_evidence: float, ess: float, up: int) -> Way:
     """Return the way that weighted draws of markers face: the mean over the draws of the direction that points left from hip to hip, turned ahead."""
     weights = np.exp(log_weights)
-    left = markers[:, names.index("l_hip")] - markers[:, names.index("r_hip")]
-    ahead = np.cross(left, np.eye(3)[up])
+    hip_axis = markers[:, names.index("l_hip")] - markers[:, names.index("r_hip")]
+    ahead = np.cross(hip_axis, np.eye(3)[up])
     ahead = weights @ (ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9))
     facing = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
     return Way(markers, log_weights, log_evidence, ess, facing, weights @ markers[:, names.index("pelvis")])
@@ -63,23 +63,23 @@ def shares_over_time(frames: Sequence[Sequence[Way]], seconds: Sequence[float], 
         seconds: when each frame was taken.
         up: index of the world's axis that points up.
     """
-    own = [TRUST * np.array([way.log_evidence for way in ways]) for ways in frames]
+    log_potentials = [TRUST * np.array([way.log_evidence for way in ways]) for ways in frames]
     for frame, moved in enumerate(_movements(frames, seconds, up)):
-        own[frame] = own[frame] + np.array([_log_forwards(way.facing, moved) for way in frames[frame]]) / len(frames)
+        log_potentials[frame] = log_potentials[frame] + np.array([_log_forwards(way.facing, moved) for way in frames[frame]]) / len(frames)
     links = [_log_turns(frames[k], frames[k + 1], seconds[k + 1] - seconds[k]) for k in range(len(frames) - 1)]
-    forward, backward = [own[0]], [np.zeros_like(own[-1])]
-    for link, here in zip(links, own[1:], strict=True):
-        forward.append(here + np.logaddexp.reduce(forward[-1][:, None] + link, axis=0))
-    for link, later in zip(links[::-1], own[:0:-1], strict=True):
+    forward, backward = [log_potentials[0]], [np.zeros_like(log_potentials[-1])]
+    for link, log_potential in zip(links, log_potentials[1:], strict=True):
+        forward.append(log_potential + np.logaddexp.reduce(forward[-1][:, None] + link, axis=0))
+    for link, later in zip(links[::-1], log_potentials[:0:-1], strict=True):
         backward.append(np.logaddexp.reduce(link + (later + backward[-1])[None], axis=1))
     both = [before + after for before, after in zip(forward, backward[::-1], strict=True)]
-    return [np.exp(each - np.logaddexp.reduce(each)) for each in both]
+    return [np.exp(log_marginal - np.logaddexp.reduce(log_marginal)) for log_marginal in both]
 
 
 def _log_turns(before: Sequence[Way], after: Sequence[Way], seconds: float) -> Float[np.ndarray, "before after"]:
     """Log-density, but for a constant, of the turns between two frames."""
     concentration = 1 / (FACING_RAD**2 + (TURN_RAD_S * seconds) ** 2)
-    return concentration * np.array([[one.facing @ other.facing for other in after] for one in before])
+    return concentration * np.array([[earlier_way.facing @ later_way.facing for later_way in after] for earlier_way in before])
 
 
 def _movements(frames: Sequence[Sequence[Way]], seconds: Sequence[float], up: int) -> Float[np.ndarray, "frame 3"]:

@@ -139,12 +139,12 @@ class PersonSearch:
 
     def _among(self, index: int, frames: Sequence[int]) -> Found | Detected:
         searched = {frame: self.searched(frame) for frame in frames}
-        own = searched[index]
-        if not own.ways:
-            return own.detected
-        told = [frame for frame in frames if searched[frame].ways]
-        shares = shares_over_time([searched[frame].ways for frame in told], [frame / self.session.fps for frame in told], self.up)
-        return found_of(self.names, own, shares[told.index(index)])
+        frame_search = searched[index]
+        if not frame_search.ways:
+            return frame_search.detected
+        voting_frames = [frame for frame in frames if searched[frame].ways]
+        shares = shares_over_time([searched[frame].ways for frame in voting_frames], [frame / self.session.fps for frame in voting_frames], self.up)
+        return found_of(self.names, frame_search, shares[voting_frames.index(index)])
 
     def searched(self, index: int) -> Searched:
         """Return the draws of a frame by the way they face. A frame is searched once."""
@@ -176,19 +176,19 @@ class PersonSearch:
         return way_of(self.names, markers, np.asarray(drawn.log_weights, float), evidence, float(drawn.ess), self.up)
 
 
-def _by_facing(found: Detections | None, up: int) -> list[tuple[Detections, float]]:
+def _by_facing(detections: Detections | None, up: int) -> list[tuple[Detections, float]]:
     """Return the detections of an upright part in two halves that face opposite ways, each with its share; one half if the other has no weight."""
-    if found is None or not len(found.weights) or found.rotations is None:
+    if detections is None or not len(detections.weights) or detections.rotations is None:
         return []
     level = [k for k in range(3) if k != up]
-    ahead = found.rotations[:, :, 0][:, level]
+    ahead = detections.rotations[:, :, 0][:, level]
     # Twice the angle is the same for both ways.
-    doubled = found.weights @ np.exp(2j * np.arctan2(ahead[:, 1], ahead[:, 0]))
+    doubled = detections.weights @ np.exp(2j * np.arctan2(ahead[:, 1], ahead[:, 0]))
     # All directions alike: any axis will do, the same on every machine.
     axis = np.angle(doubled) / 2 if abs(doubled) > UNDIRECTED else 0.0
     along = ahead @ (np.cos(axis), np.sin(axis)) >= 0
-    shares = {side: float(found.weights[along == side].sum()) for side in (True, False)}
-    return [(chosen(found, np.flatnonzero(along == side)), share) for side, share in shares.items() if share > 0]
+    shares = {side: float(detections.weights[along == side].sum()) for side in (True, False)}
+    return [(chosen(detections, np.flatnonzero(along == side)), share) for side, share in shares.items() if share > 0]
 
 
 def found_of(names: tuple[str, ...], searched: Searched, shares: Float[np.ndarray, " way"]) -> Found:
@@ -199,16 +199,16 @@ def found_of(names: tuple[str, ...], searched: Searched, shares: Float[np.ndarra
     main = ways[int(np.argmax(shares))]
     # The main mode: draws near the one that is nearest to all others of its way by weight.
     of_way = np.exp(main.log_weights)
-    apart = np.stack([np.linalg.norm(main.markers - one, axis=2).mean(1) for one in main.markers])
+    apart = np.stack([np.linalg.norm(main.markers - draw, axis=2).mean(1) for draw in main.markers])
     centre = int(np.argmin(apart @ of_way))
     near = apart[centre] < MODE_M
     if (of_way @ near) ** 2 < FEWEST_OF_MODE * (of_way**2 @ near):
         near[:] = True
-    kept = of_way * near / (of_way @ near)
-    mean = np.einsum("d,dmk->mk", kept, main.markers)
-    sd_m = float(np.sqrt(np.einsum("d,dmk->m", kept, (main.markers - mean) ** 2).mean()))
-    left = markers[:, names.index("l_hip")] - markers[:, names.index("r_hip")]
-    turned = float(weights @ (left @ (mean[names.index("l_hip")] - mean[names.index("r_hip")]) < 0))
+    mode_weights = of_way * near / (of_way @ near)
+    mean = np.einsum("d,dmk->mk", mode_weights, main.markers)
+    sd_m = float(np.sqrt(np.einsum("d,dmk->m", mode_weights, (main.markers - mean) ** 2).mean()))
+    hip_axis = markers[:, names.index("l_hip")] - markers[:, names.index("r_hip")]
+    turned = float(weights @ (hip_axis @ (mean[names.index("l_hip")] - mean[names.index("r_hip")]) < 0))
     elsewhere = 1 - float(np.max(shares)) * float(of_way @ near)
     evidence = float(np.logaddexp.reduce([way.log_evidence for way in ways]))
     return Found(names, mean, sd_m, elsewhere, turned, main.ess, evidence, markers, weights, searched.detected.notices, searched.seconds)

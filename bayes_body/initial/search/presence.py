@@ -33,8 +33,8 @@ def later_frame(session: Session) -> int | None:
 
 def nobody_first(session: Session) -> str | None:
     """Return a sentence if the session's silhouettes show nobody in frame 0; None if they show somebody, or if other data tell or nothing does."""
-    told = session.initial or session.initial_markers or session.initial_keypoints or any(view.keypoints for view in session.views)
-    if told or not has_silhouettes(session):
+    pose_data = session.initial or session.initial_markers or session.initial_keypoints or any(view.keypoints for view in session.views)
+    if pose_data or not has_silhouettes(session):
         return None
     first = session.first_frame
     try:

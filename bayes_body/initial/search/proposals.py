@@ -58,17 +58,17 @@ def frames_of(body: Body) -> Frames:
     """
     placement = by_parts(body)
     zero, markers, (rotation, base) = jax.tree.map(lambda leaf: np.asarray(leaf, float), _at_rest(body))
-    at = dict(zip(body.markers.names, markers, strict=True))
+    marker_places = dict(zip(body.markers.names, markers, strict=True))
     # Left and up of an upright body; forward is across both.
-    forward = np.cross(at["l_hip"] - at["r_hip"], at["thorax"] - at["pelvis"])
+    forward = np.cross(marker_places["l_hip"] - marker_places["r_hip"], marker_places["thorax"] - marker_places["pelvis"])
     detected = {}
     for part, name in enumerate(placement.names):
-        own = body.topology.names.index(name)
-        axis = rotation[own][:, 2]
-        tip = base[own] + float(body.lengths[own]) * axis
+        solid = body.topology.names.index(name)
+        axis = rotation[solid][:, 2]
+        tip = base[solid] + float(body.lengths[solid]) * axis
         # The axis of trunk and head points to the crown; that of a limb away from the trunk.
-        towards = axis if "_" in name or axis @ (at["thorax"] - at["pelvis"]) > 0 else -axis
-        frame = rigid.rigid((base[own] + tip) / 2, rotations.from_matrix(axis_frames(towards[None], forward[None])[0]))
+        towards = axis if "_" in name or axis @ (marker_places["thorax"] - marker_places["pelvis"]) > 0 else -axis
+        frame = rigid.rigid((base[solid] + tip) / 2, rotations.from_matrix(axis_frames(towards[None], forward[None])[0]))
         detected[name] = np.asarray(rigid.relative(zero[part], frame), float)
     landmarks = {}
     for name, joint, place in zip(body.markers.names, body.markers.joints, markers, strict=True):
@@ -104,7 +104,7 @@ def proposals_of(detected: Detected, body: Body, frames: Frames | None = None) -
     for name, (part, point) in frames.landmarks.items():
         if name in detected.landmarks:
             of_landmarks[part] += _points(strongest(detected.landmarks[name], MOST), point)
-    strongest_points = [sorted(each, key=lambda one: -one[1])[:MOST] for each in of_landmarks]
+    strongest_points = [sorted(components, key=lambda component: -component[1])[:MOST] for components in of_landmarks]
     return _mixture(of_parts, (rigid.identity(), np.eye(6)), _normals), _mixture(strongest_points, _point(*np.eye(3)), PointAndAxis)
 
 
@@ -125,13 +125,15 @@ def by_parts(body: Body) -> ByParts:
     return body.placement
 
 
-def _rigid(found: Detections, X_part_detected: Float[np.ndarray, "7"]) -> list[Weighted]:
+def _rigid(detections: Detections, X_part_detected: Float[np.ndarray, "7"]) -> list[Weighted]:
     """Return means and covariances of the part's frame, with their weights."""
-    assert found.rotations is not None
+    assert detections.rotations is not None
     turn, arm = np.asarray(rotations.to_matrix(X_part_detected[3:]), float), X_part_detected[:3]
     cross = np.array([[0, -arm[2], arm[1]], [arm[2], 0, -arm[0]], [-arm[1], arm[0], 0]])
     components = []
-    for place, R_world_detected, sd_m, sd_rad, weight in zip(found.positions, found.rotations, found.sd_m, found.sd_rad, found.weights, strict=True):
+    for place, R_world_detected, sd_m, sd_rad, weight in zip(
+        detections.positions, detections.rotations, detections.sd_m, detections.sd_rad, detections.weights, strict=True
+    ):
         R_world_part = R_world_detected @ turn.T
         mean = np.concatenate([place - R_world_part @ arm, rotations.from_matrix(R_world_part)])
         # A rotation about the middle of the axis also moves the origin of the part's frame.
@@ -142,9 +144,12 @@ def _rigid(found: Detections, X_part_detected: Float[np.ndarray, "7"]) -> list[W
     return components
 
 
-def _points(found: Detections, point: Float[np.ndarray, "3"]) -> list[Weighted]:
+def _points(detections: Detections, point: Float[np.ndarray, "3"]) -> list[Weighted]:
     """Return the parameters of distributions of the part's frame of which a point is known and nothing else, with their weights."""
-    return [(_point(place, point, sd_m), float(weight)) for place, sd_m, weight in zip(found.positions, found.sd_m, found.weights, strict=True)]
+    return [
+        (_point(place, point, sd_m), float(weight))
+        for place, sd_m, weight in zip(detections.positions, detections.sd_m, detections.weights, strict=True)
+    ]
 
 
 def _point(place: np.ndarray, point: np.ndarray, sd_m: np.ndarray) -> Parameters:
@@ -156,10 +161,10 @@ def _point(place: np.ndarray, point: np.ndarray, sd_m: np.ndarray) -> Parameters
 def _mixture(by_part: Sequence[Sequence[Weighted]], filling: Parameters, distributions: Callable[..., Any]) -> Mixture:
     """Return the mixture, with the same number of components for each part; the filling has no weight. `distributions` takes all parameters."""
     weights = np.full((len(by_part), MOST), -np.inf)
-    for part, own in enumerate(by_part):
-        total = sum(weight for _, weight in own)
-        for number, (_, weight) in enumerate(own):
+    for part, part_components in enumerate(by_part):
+        total = sum(weight for _, weight in part_components)
+        for number, (_, weight) in enumerate(part_components):
             weights[part, number] = np.log(weight / total) if weight > 0 else -np.inf
-    components = [[*(component for component, _ in own), *[filling] * (MOST - len(own))] for own in by_part]
+    components = [[*(component for component, _ in part_components), *[filling] * (MOST - len(part_components))] for part_components in by_part]
     stacked = (device_array([[component[k] for component in row] for row in components]) for k in range(len(filling)))
     return Mixture(distributions(*stacked), device_array(weights))

@@ -50,20 +50,20 @@ def refine(model: Model, density: Density, poses: Float[np.ndarray, "pose dof"],
 
     low, high = np.asarray(skeleton.low, float), np.asarray(skeleton.high, float)
     keys = jax.random.split(jax.random.key(seed), len(ROUNDS) + 1)
-    found, weights = poses, np.zeros(len(poses))
+    initial_poses, weights = poses, np.zeros(len(poses))
     for number, (key, (step_deg, step_m)) in enumerate(zip(keys, ROUNDS, strict=False)):
         best = poses[weights.argmax()]
         poses = poses[np.asarray(resampled(key, weights, MANY))]
         if number == ARMS_BEFORE:
             # Half of the particles get the other arm; the likelihood decides.
-            for own, values in other_arms(skeleton, evaluate, best, MANY, random):
-                poses[np.ix_(random.random(MANY) < 0.5, own)] = values
+            for dofs, values in other_arms(skeleton, evaluate, best, MANY, random):
+                poses[np.ix_(random.random(MANY) < 0.5, dofs)] = values
         steps = np.where(skeleton.topology.angular, np.radians(step_deg), step_m) * random.normal(size=(MANY, len(low)))
         poses = np.clip(poses + steps, low, high)
         weights = evaluate(poses)
         allowed = np.isfinite(weights)
         if not allowed.any():
-            return found[:count]
+            return initial_poses[:count]
         # Impossible poses remain among the others, so that shapes do not change and nothing is compiled again.
         weights = np.where(allowed, weights * float(_increment(np.where(allowed, weights, IMPOSSIBLE))), IMPOSSIBLE)
     drawn = np.asarray(resampled(keys[-1], weights, count))
@@ -85,8 +85,8 @@ def _increment(log_weights: Float[Array, " pose"]) -> Scalar:
 def _log_weights(poses: Float[Array, "pose dof"], density: Density) -> Float[Array, " pose"]:
     """Return the sums of all terms but the motion prior."""
 
-    def one(pose: Pose, density: Density) -> Scalar:
+    def log_weight(pose: Pose, density: Density) -> Scalar:
         state = density.transition.begin({POSE: pose})
         return density.log_weight(state, state)
 
-    return over_particles(one, poses, density)
+    return over_particles(log_weight, poses, density)

@@ -34,9 +34,9 @@ def nearest_branch(topology: Topology, pose: Pose, reference: Pose) -> Branch:
         if len(motions) == 3 and not any(motion.is_shift for motion in motions):
             dofs = np.array([motion.dof for motion in motions])
             flip = jnp.array([1.0, -1.0, 1.0]), jnp.array([np.pi, 0.0 if motions[0].axis == motions[2].axis else np.pi, np.pi])
-            here = pose[dofs]
-            other = flip[0] * here + flip[1]
-            far = jnp.sum(_apart(other, reference[dofs]) ** 2) < jnp.sum(_apart(here, reference[dofs]) ** 2)
+            angles = pose[dofs]
+            flipped_angles = flip[0] * angles + flip[1]
+            far = jnp.sum(_apart(flipped_angles, reference[dofs]) ** 2) < jnp.sum(_apart(angles, reference[dofs]) ** 2)
             sign = sign.at[dofs].set(jnp.where(far, flip[0], 1.0))
             offset = offset.at[dofs].set(jnp.where(far, flip[1], 0.0))
     turns = TURN * jnp.round((reference - (sign * pose + offset)) / TURN)
@@ -45,5 +45,5 @@ def nearest_branch(topology: Topology, pose: Pose, reference: Pose) -> Branch:
 
 def _apart(angles: Array, reference: Array) -> Array:
     """Return the differences, at most half a turn."""
-    away = angles - reference
-    return away - TURN * jnp.round(away / TURN)
+    differences = angles - reference
+    return differences - TURN * jnp.round(differences / TURN)

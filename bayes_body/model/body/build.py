@@ -68,13 +68,13 @@ def build_body(name: str, schema: BodySchema, shape: Shape = Shape()) -> Body:
 
 def _check_names(name: str, schema: BodySchema, shape: Shape) -> None:
     parts = [part.name for part in schema.parts]
-    for field, given, known in (
+    for field, measures, known in (
         ("lengths_m", shape.lengths_m, schema.lengths_of_height),
         ("radii_m", shape.radii_m, parts),
         ("outline_radii_m", shape.outline_radii_m, parts),
         ("sections", shape.sections, parts),
     ):
-        for key in given:
+        for key in measures:
             if key not in known:
                 raise input_error(f"subject.{field}.{key}", "no such name", f"a name of the body '{name}'", nearest(key, known))
 

@@ -69,8 +69,8 @@ def _segments(body: BodyTables) -> Iterator[str]:
         if segment.joint not in joints:
             yield f"clinical segment '{name}': joint '{segment.joint}' does not exist; {nearest(segment.joint, joints)}"
         if segment.forward[-1] == segment.up[-1]:
-            found = f"forward = '{segment.forward}' and up = '{segment.up}' are the same axis"
-            yield f"clinical segment '{name}': {found} of joint '{segment.joint}'; give two different axes"
+            problem = f"forward = '{segment.forward}' and up = '{segment.up}' are the same axis"
+            yield f"clinical segment '{name}': {problem} of joint '{segment.joint}'; give two different axes"
 
 
 def _unknown_lengths(body: BodyTables, owner: str, offset: Offset) -> Iterator[str]:

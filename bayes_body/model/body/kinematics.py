@@ -56,12 +56,12 @@ class _Shifts(NamedTuple):
 
 
 class _Turns(NamedTuple):
-    """The k-th rotation of every joint: cos(angle) * cos + sin(angle) * sin + rest. Joints without one have the identity in `rest`."""
+    """The k-th rotation of every joint: cos(angle) * cos + sin(angle) * sin + constant. Joints without one have the identity in `constant`."""
 
     dofs: Int[np.ndarray, " joint"]
     cos: Float[np.ndarray, "joint 3 3"]
     sin: Float[np.ndarray, "joint 3 3"]
-    rest: Float[np.ndarray, "joint 3 3"]
+    constant: Float[np.ndarray, "joint 3 3"]
 
 
 class _Program(NamedTuple):
@@ -105,14 +105,14 @@ def _program(topology: Topology) -> _Program:
     rounds = _rounds(topology.parents)
     for ancestor in rounds:
         moves += np.where(ancestor[:, None] >= 0, moves[ancestor], 0)
-    _, axis, sign, shift = (np.array(each) for each in zip(*sorted(motion for motions in topology.motions for motion in motions), strict=True))
+    _, axis, sign, shift = (np.array(column) for column in zip(*sorted(motion for motions in topology.motions for motion in motions), strict=True))
     return _Program(tuple(map(_shifts, shifts)), tuple(turns), rounds, moves, joint, before, axis.astype(INDEX), sign, shift)
 
 
 def _shifts(signs: Float[np.ndarray, "joint 3 dof"]) -> _Shifts | None:
     most = np.count_nonzero(signs, axis=-1).max()
     dofs = np.argsort(signs == 0, axis=-1, kind="stable")[..., :most].astype(INDEX)
-    return _Shifts(*(np.moveaxis(each, -1, 0) for each in (dofs, np.take_along_axis(signs, dofs, axis=-1)))) if most else None
+    return _Shifts(*(np.moveaxis(array, -1, 0) for array in (dofs, np.take_along_axis(signs, dofs, axis=-1)))) if most else None
 
 
 def _no_turns(joints: int) -> _Turns:
@@ -123,7 +123,7 @@ def _no_turns(joints: int) -> _Turns:
 def _write(turns: _Turns, joint: int, motion: Motion) -> None:
     i, k = (motion.axis + 1) % 3, (motion.axis + 2) % 3
     turns.dofs[joint] = motion.dof
-    turns.rest[joint, i, i] = turns.rest[joint, k, k] = 0
+    turns.constant[joint, i, i] = turns.constant[joint, k, k] = 0
     turns.cos[joint, i, i] = turns.cos[joint, k, k] = 1
     turns.sin[joint, k, i], turns.sin[joint, i, k] = motion.sign, -motion.sign
 
@@ -163,8 +163,8 @@ def _stages(skeleton: Skeleton, program: _Program, pose: Pose) -> list[Transform
         stages.append(T)
         if k < len(program.turns):
             dofs, *parts = program.turns[k]
-            c, s, rest = (part.astype(pose.dtype) for part in parts)
-            turned = cos[dofs][:, None, None] * c + sin[dofs][:, None, None] * s + rest
+            c, s, constant = (part.astype(pose.dtype) for part in parts)
+            turned = cos[dofs][:, None, None] * c + sin[dofs][:, None, None] * s + constant
             T = T._replace(rotation=transforms.multiply(T.rotation, turned))
     return stages
 
@@ -186,7 +186,7 @@ def _change(primals: tuple[Skeleton, Pose], tangents: tuple[Skeleton, Any]) -> t
         change = _by_pose(skeleton.topology, T, stages, jnp.asarray(tangents[1]))
     if not all(_is_zero(leaf) for leaf in jax.tree.leaves(tangents[0], is_leaf=_is_zero)):
         lengths = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype) if _is_zero(leaf) else leaf, tangents[0], is_leaf=_is_zero)
-        by_lengths = jax.jvp(lambda of: _frames(of, pose)[0], (skeleton,), (lengths,))[1]
+        by_lengths = jax.jvp(lambda primal: _frames(primal, pose)[0], (skeleton,), (lengths,))[1]
         change = jax.tree.map(jnp.add, change, by_lengths)
     return T, change
 

@@ -110,29 +110,29 @@ def loosened(body: "Body") -> "Body":
     topology = body.skeleton.topology
     carries = set(body.topology.joints)
     if body.topology.widths:
-        found = f"a dof of the body '{body.name}' widens the part '{body.topology.names[body.topology.widths[0][0]]}'"
-        raise input_error('[body] placement = "parts"', found, "a body whose parts have fixed sizes", "take out the dofs of axis 'width'")
+        problem = f"a dof of the body '{body.name}' widens the part '{body.topology.names[body.topology.widths[0][0]]}'"
+        raise input_error('[body] placement = "parts"', problem, "a body whose parts have fixed sizes", "take out the dofs of axis 'width'")
     if 0 not in carries:
-        found = f"the first joint of the body '{body.name}' carries no part"
-        raise input_error('[body] placement = "parts"', found, "a part on the first joint", 'add one, or take placement = "angles"')
-    own = [j for j, motions in enumerate(topology.motions) if j in carries and (motions or topology.parents[j] < 0)]
-    owners = _owners(topology.parents, own)
-    names = tuple(body.topology.names[body.topology.joints.index(j)] for j in own)
-    parents = tuple(-1 if topology.parents[j] < 0 else owners[topology.parents[j]] for j in own)
-    return replace(body, placement=ByParts(names, parents, owners, tuple(own), _held(body.skeleton, tuple(own), owners)))
+        problem = f"the first joint of the body '{body.name}' carries no part"
+        raise input_error('[body] placement = "parts"', problem, "a part on the first joint", 'add one, or take placement = "angles"')
+    part_joints = [j for j, motions in enumerate(topology.motions) if j in carries and (motions or topology.parents[j] < 0)]
+    owners = _owners(topology.parents, part_joints)
+    names = tuple(body.topology.names[body.topology.joints.index(j)] for j in part_joints)
+    parents = tuple(-1 if topology.parents[j] < 0 else owners[topology.parents[j]] for j in part_joints)
+    return replace(body, placement=ByParts(names, parents, owners, tuple(part_joints), _joints_in_parts(body.skeleton, tuple(part_joints), owners)))
 
 
-def _owners(parents: Sequence[int], own: Sequence[int]) -> tuple[int, ...]:
+def _owners(parents: Sequence[int], part_joints: Sequence[int]) -> tuple[int, ...]:
     owners: list[int] = []
     for j, parent in enumerate(parents):
-        owners.append(own.index(j) if j in own else owners[parent])
+        owners.append(part_joints.index(j) if j in part_joints else owners[parent])
     return tuple(owners)
 
 
-@partial(jax.jit, static_argnames=("own", "owners"))
-def _held(skeleton: Skeleton, own: tuple[int, ...], owners: tuple[int, ...]) -> Transform:
+@partial(jax.jit, static_argnames=("part_joints", "owners"))
+def _joints_in_parts(skeleton: Skeleton, part_joints: tuple[int, ...], owners: tuple[int, ...]) -> Transform:
     """Return every joint in its part's frame, with all angles at 0."""
     at_zero = forward_kinematics(skeleton, jnp.zeros(len(skeleton.topology.dof_names), skeleton.offsets.dtype))
-    part = transforms.pick(at_zero, np.array(own, np.int32)[list(owners)])
+    part = transforms.pick(at_zero, np.array(part_joints, np.int32)[list(owners)])
     inverse = jnp.swapaxes(part.rotation, -1, -2)
     return Transform(transforms.multiply(inverse, at_zero.rotation), transforms.turn(inverse, at_zero.origin - part.origin))

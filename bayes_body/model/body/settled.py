@@ -26,19 +26,19 @@ ITERATIONS = 8
 def settled(body: Body, pose: Pose) -> Pose:
     """Return the pose nearest to rest that places the markers as this one does, radians and metres. The root's dofs have no rest."""
     low, high = body.skeleton.low, body.skeleton.high
-    rest = jnp.clip(jnp.zeros_like(low), low, high)
+    rest_pose = jnp.clip(jnp.zeros_like(low), low, high)
     limited = jnp.isfinite(low) & jnp.isfinite(high)
     free = np.zeros(len(body.dof_names), bool)
     free[[motion.dof for motion in body.skeleton.topology.motions[0]]] = True
     weights = jnp.where(limited & ~free, (TURN / jnp.where(limited, high - low, TURN)) ** 4, 0.0)
     wanted = _places(body, pose)
 
-    def step(now: Pose, _: None) -> tuple[Pose, None]:
-        J = jax.jacfwd(lambda s: _places(body, s))(now)
+    def step(iterate: Pose, _: None) -> tuple[Pose, None]:
+        J = jax.jacfwd(lambda s: _places(body, s))(iterate)
         # The small diagonal is for dofs that neither markers nor rest determine.
         curvature = J.T @ J + jnp.diag(weights + 1e-3)
-        moved = jnp.linalg.solve(curvature, J.T @ (wanted - _places(body, now)) + weights * (rest - now))
-        return jnp.clip(now + moved, low, high), None
+        moved = jnp.linalg.solve(curvature, J.T @ (wanted - _places(body, iterate)) + weights * (rest_pose - iterate))
+        return jnp.clip(iterate + moved, low, high), None
 
     return jax.lax.scan(step, pose, None, length=ITERATIONS)[0]
 

@@ -54,8 +54,8 @@ class Dof(Schema):
 
     @model_validator(mode="after")
     def _check_limits(self) -> "Dof":
-        unit, other = ("m", "deg") if self.is_shift else ("deg", "m")
-        if getattr(self, f"low_{other}") is not None or getattr(self, f"high_{other}") is not None:
+        unit, wrong_unit = ("m", "deg") if self.is_shift else ("deg", "m")
+        if getattr(self, f"low_{wrong_unit}") is not None or getattr(self, f"high_{wrong_unit}") is not None:
             kind = "a shift" if self.is_shift else "an angle"
             raise ValueError(f"dof '{self.name}' is {kind}: give its limits as low_{unit} and high_{unit}")
         low, high = self.limits

@@ -12,22 +12,22 @@ from bayes_body.model.body.placement import PARTS, POSE, ByParts
 from bayes_body.model.body.solids import Body
 
 
-def require(body: Body, variable: str, what: str, other: str) -> None:
+def require(body: Body, variable: str, what: str, alternative: str) -> None:
     """Check that the body is placed by this variable.
 
     Args:
         body: the body.
         variable: `pose` or `parts`.
         what: what needs it, such as "dynamics 'diffusion'".
-        other: the term that does the same for the other placement.
+        alternative: the term that does the same for the other placement.
 
     Raises:
         InputError: it is placed by the other one.
     """
     if body.variable != variable:
         placement = {POSE: "angles", PARTS: "parts"}
-        found, expected = f'[body] placement = "{placement[body.variable]}"', f'placement = "{placement[variable]}"'
-        raise input_error(what, found, expected, f"change it, or take {other}")
+        setting, expected = f'[body] placement = "{placement[body.variable]}"', f'placement = "{placement[variable]}"'
+        raise input_error(what, setting, expected, f"change it, or take {alternative}")
 
 
 @jax.jit

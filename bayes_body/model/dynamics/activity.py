@@ -99,7 +99,7 @@ def load_activity(name: str | Path = NAME) -> Activity:
 
 
 def _checked(arrays: Mapping[str, np.ndarray]) -> Activity:
-    names, subjects, labels = (tuple(str(each) for each in arrays[key]) for key in ("names", "subjects", "labels"))
+    names, subjects, labels = (tuple(str(name) for name in arrays[key]) for key in ("names", "subjects", "labels"))
     numbers = {key: arrays[key].astype(float) for key in NUMBERS}
     dofs, features, states = len(names), numbers["basis"].shape[1], len(labels)
     shapes = {
@@ -119,5 +119,5 @@ def _checked(arrays: Mapping[str, np.ndarray]) -> Activity:
     if wrong or not names or not subjects or not states or (rows < 0).any() or (abs(rows.sum(axis=1) - 1) > ROUNDING).any() or numbers["fps"] <= 0:
         raise ValueError
     np.linalg.cholesky(numbers["covariances"])
-    kept, fps = float(numbers.pop("kept")), float(numbers.pop("fps"))
-    return Activity(str(arrays["body"]), names, subjects, labels, **numbers, kept=kept, fps=fps)
+    kept_variance, fps = float(numbers.pop("kept")), float(numbers.pop("fps"))
+    return Activity(str(arrays["body"]), names, subjects, labels, **numbers, kept=kept_variance, fps=fps)

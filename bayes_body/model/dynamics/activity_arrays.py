@@ -116,8 +116,8 @@ def check_activity(activity: Activity, body: Body) -> None:
     missing = [name for name in activity.names if name not in body.dof_names[ROOT_DOFS:]]
     if missing or len(activity.change) != len(body.dof_names):
         without = f", without {missing[0]}" if missing else ""
-        found = f"learned on the body '{activity.body}'; the model's body '{body.name}' has other dofs{without}"
-        raise input_error("dynamics.activity", found, "an activity of the model's body", "learn one with `bayes-body learn activity-hmm --body`")
+        problem = f"learned on the body '{activity.body}'; the model's body '{body.name}' has other dofs{without}"
+        raise input_error("dynamics.activity", problem, "an activity of the model's body", "learn one with `bayes-body learn activity-hmm --body`")
 
 
 def _mean(options: Options, activity: Activity) -> tuple[np.ndarray, np.ndarray]:
@@ -125,8 +125,8 @@ def _mean(options: Options, activity: Activity) -> tuple[np.ndarray, np.ndarray]
     if options.subject is None:
         return activity.means.mean(axis=0), activity.between
     if options.subject not in activity.subjects:
-        found = f"'{options.subject}' is not among its people; {nearest(options.subject, activity.subjects)}"
-        raise input_error("dynamics.subject", found, "one of " + ", ".join(activity.subjects), "leave it out for a person who is not among them")
+        problem = f"'{options.subject}' is not among its people; {nearest(options.subject, activity.subjects)}"
+        raise input_error("dynamics.subject", problem, "one of " + ", ".join(activity.subjects), "leave it out for a person who is not among them")
     return activity.means[activity.subjects.index(options.subject)], np.zeros_like(activity.between)
 
 
@@ -134,9 +134,9 @@ def _frames(activity: Activity, fps: float) -> int:
     """Return how many frames of the activity a frame of the session takes."""
     frames = round(activity.fps / fps)
     if frames < 1 or abs(activity.fps / fps / frames - 1) > ROUNDING:
-        found = f"learned at {activity.fps:g} frames per second, and the session has {fps:g}"
+        problem = f"learned at {activity.fps:g} frames per second, and the session has {fps:g}"
         remedy = f"learn one with `bayes-body learn activity-hmm --fps {fps:g}`"
-        raise input_error("dynamics.activity", found, "the session's rate, or a multiple", remedy)
+        raise input_error("dynamics.activity", problem, "the session's rate, or a multiple", remedy)
     return frames
 
 
@@ -152,12 +152,12 @@ def activity_arrays(options: Options, activity: Activity, body: Body, fps: float
     head = np.array([k for k in range(ROOT_DOFS, len(names)) if k not in learned], int)
     transition = np.linalg.matrix_power(activity.transition / activity.transition.sum(axis=1, keepdims=True), frames)
     # A dof that no marker shows did not move in training.
-    change, given = np.maximum(activity.change, LEAST_CHANGE) * math.sqrt(frames), math.sqrt(options.at_fps / fps)
-    own = {POSITION: options.position_sd_m, ORIENTATION: options.orientation_sd_deg, HEAD: options.head_sd_deg}
+    change, rate_factor = np.maximum(activity.change, LEAST_CHANGE) * math.sqrt(frames), math.sqrt(options.at_fps / fps)
+    option_sds = {POSITION: options.position_sd_m, ORIENTATION: options.orientation_sd_deg, HEAD: options.head_sd_deg}
     # The training motions went one way; a person may walk in any direction.
     change[:2] = change[:2].max()
-    sd = {name: change[at] for name, at in ((POSITION, slice(0, 3)), (ORIENTATION, slice(3, ROOT_DOFS)), (HEAD, head))}
-    sd |= {name: value * given * (1.0 if name == POSITION else math.radians(1.0)) for name, value in own.items() if value is not None}
+    sd = {name: change[index] for name, index in ((POSITION, slice(0, 3)), (ORIENTATION, slice(3, ROOT_DOFS)), (HEAD, head))}
+    sd |= {name: value * rate_factor * (1.0 if name == POSITION else math.radians(1.0)) for name, value in option_sds.items() if value is not None}
     if not head.size:
         del sd[HEAD]
     keep = math.exp(-1 / (fps * options.residual_s))

@@ -74,16 +74,16 @@ def _conditional(arrays: ActivityArrays, previous: State) -> dict[str, Distribut
     ahead = previous[BELIEF] @ arrays.transition
     emitted = MultivariateNormal(arrays.locations, scale_tril=arrays.factor)
     step = previous[POSITION] - previous.get(BEFORE, previous[POSITION])
-    found: dict[str, Distribution] = {
+    distributions: dict[str, Distribution] = {
         FEATURES: MixtureSameFamily(Categorical(probs=ahead), emitted),
         POSITION: _normal(previous[POSITION] + arrays.momentum * step, arrays.sd[POSITION]),
         ORIENTATION: _normal(previous[ORIENTATION], arrays.sd[ORIENTATION]),
     }
     if HEAD in arrays.sd:
-        found[HEAD] = _normal(previous[HEAD], arrays.sd[HEAD])
+        distributions[HEAD] = _normal(previous[HEAD], arrays.sd[HEAD])
     if RESIDUAL in arrays.sd:
-        found[RESIDUAL] = _normal(arrays.keep * previous[RESIDUAL], arrays.sd[RESIDUAL])
-    return found
+        distributions[RESIDUAL] = _normal(arrays.keep * previous[RESIDUAL], arrays.sd[RESIDUAL])
+    return distributions
 
 
 def _carry(arrays: ActivityArrays, previous: State, known: State) -> dict[str, Array]:
@@ -95,8 +95,8 @@ def _carry(arrays: ActivityArrays, previous: State, known: State) -> dict[str, A
 def _perturbation(arrays: ActivityArrays, state: State, scale: Scalar) -> dict[str, Distribution]:
     """Noise around a state: of the most likely hidden state for the features."""
     active = jnp.argmax(_emissions(arrays, state[FEATURES]))
-    around = MultivariateNormal(state[FEATURES], scale_tril=jnp.sqrt(scale) * arrays.factor[active])
-    return {FEATURES: around, **{name: _normal(state[name], sd * scale) for name, sd in arrays.sd.items()}}
+    feature_noise = MultivariateNormal(state[FEATURES], scale_tril=jnp.sqrt(scale) * arrays.factor[active])
+    return {FEATURES: feature_noise, **{name: _normal(state[name], sd * scale) for name, sd in arrays.sd.items()}}
 
 
 def _explore(arrays: ActivityArrays, key: Key, state: State, previous: State, scale: Scalar) -> dict[str, Array]:
@@ -115,7 +115,7 @@ def _explore(arrays: ActivityArrays, key: Key, state: State, previous: State, sc
     centre = jnp.where((reached == start) & (scale < 1), state[FEATURES], arrays.locations[reached])
     noise = arrays.factor[reached] @ jax.random.normal(emit_key, centre.shape, centre.dtype)
     free = zip(arrays.sd.items(), keys, strict=True)
-    moved = {name: state[name] + scale * sd * jax.random.normal(each, state[name].shape, centre.dtype) for (name, sd), each in free}
+    moved = {name: state[name] + scale * sd * jax.random.normal(noise_key, state[name].shape, centre.dtype) for (name, sd), noise_key in free}
     moved[POSITION] += jnp.where(scale < 1, 0.0, arrays.momentum) * (previous[POSITION] - previous[BEFORE])
     return {FEATURES: centre + jnp.sqrt(scale) * noise, **moved}
 
@@ -124,36 +124,36 @@ def _normal(centre: Array, sd: Array) -> Distribution:
     return Normal(centre, jnp.broadcast_to(sd, centre.shape)).to_event(1)
 
 
-def _features_of(arrays: ActivityArrays, away: Float[Array, " dof"]) -> Float[Array, " feature"]:
+def _features_of(arrays: ActivityArrays, deviation: Float[Array, " dof"]) -> Float[Array, " feature"]:
     """Return the features of a first pose.
 
     Without a residual these are its projection. With one, they are the most probable ones under the state that explains the pose best: a projection
     far from all states would be left in the first frame, and the pose with it, because the residual changes slowly.
     """
     if RESIDUAL not in arrays.sd:
-        return arrays.basis.T @ away
+        return arrays.basis.T @ deviation
     spread = jnp.square(arrays.sd[RESIDUAL]) / (1 - jnp.square(arrays.keep))
-    explained = LowRankMultivariateNormal(arrays.locations @ arrays.basis.T, arrays.basis @ arrays.factor, spread).log_prob(away)
+    explained = LowRankMultivariateNormal(arrays.locations @ arrays.basis.T, arrays.basis @ arrays.factor, spread).log_prob(deviation)
     best = jnp.argmax(jnp.log(arrays.initial) + explained)
     covariance = arrays.factor[best] @ arrays.factor[best].T
     gain = covariance @ arrays.basis.T @ jnp.linalg.inv(arrays.basis @ covariance @ arrays.basis.T + jnp.diag(spread))
-    return arrays.locations[best] + gain @ (away - arrays.basis @ arrays.locations[best])
+    return arrays.locations[best] + gain @ (deviation - arrays.basis @ arrays.locations[best])
 
 
 @jax.jit
 def _begin(arrays: ActivityArrays, body: Body, first: State) -> dict[str, Array]:
     """Return the state of a first pose: its features, what they leave, and the probabilities of the hidden states."""
-    given = jnp.asarray(first[POSE], arrays.mean.dtype)
-    reference = given.at[arrays.learned].set(arrays.mean)
-    pose = settled(body, nearest_branch(body.skeleton.topology, given, reference)(given))
-    away = pose[arrays.learned] - arrays.mean
-    features = _features_of(arrays, away)
+    first_pose = jnp.asarray(first[POSE], arrays.mean.dtype)
+    reference = first_pose.at[arrays.learned].set(arrays.mean)
+    pose = settled(body, nearest_branch(body.skeleton.topology, first_pose, reference)(first_pose))
+    deviation = pose[arrays.learned] - arrays.mean
+    features = _features_of(arrays, deviation)
     state = {FEATURES: features, POSITION: pose[:3], ORIENTATION: pose[3:ROOT_DOFS], BEFORE: pose[:3]}
     state[BELIEF] = jax.nn.softmax(jnp.log(arrays.initial + jnp.finfo(features.dtype).tiny) + _emissions(arrays, features))
     if HEAD in arrays.sd:
         state[HEAD] = pose[arrays.head]
     if RESIDUAL in arrays.sd:
-        state[RESIDUAL] = away - arrays.basis @ features
+        state[RESIDUAL] = deviation - arrays.basis @ features
     return state | _derive(arrays, state)
 
 

@@ -153,10 +153,10 @@ def _arguments(options: Options, body: Body, fps: float) -> tuple[Arguments, Pos
     dofs, angles = topology.dof_names, tuple(name for name, unit in zip(topology.dof_names, topology.dof_units, strict=True) if unit == "rad")
     tables = ((options.sd_deg, options.sd_m, ""), (options.velocity_sd_deg, options.velocity_sd_m, "velocity_"))
     by_name = [standard_deviations(degrees, metres, topology, prefix) for degrees, metres, prefix in tables]
-    sd, velocity_sd = (np.array([each[name] for name in dofs]) for each in by_name)
+    sd, velocity_sd = (np.array([deviations[name] for name in dofs]) for deviations in by_name)
     lasts = by_dof(options.velocity_lasts_s, dofs, "dynamics.velocity_lasts_s")
     spread = by_dof(options.spread_deg, angles, "dynamics.spread_deg")
-    rest = by_dof(options.rest_deg, angles, "dynamics.rest_deg")
+    rest_deg = by_dof(options.rest_deg, angles, "dynamics.rest_deg")
     velocity = _fading(np.array([lasts.get(name, math.inf) for name in dofs]), velocity_sd, options.at_fps, fps)
     pull = [_pull(name, spread.get(name), velocity, index, fps) for index, name in enumerate(dofs)]
 
@@ -167,9 +167,9 @@ def _arguments(options: Options, body: Body, fps: float) -> tuple[Arguments, Pos
         step_s=array(1 / fps),
         sd=array(sd * math.sqrt(options.at_fps / fps)),
         velocity_sd=array(velocity.sd),
-        kept=array(velocity.kept),
+        kept=array(velocity.decay),
         pull=array(pull),
-        rest=array([math.radians(rest.get(name, 0.0)) for name in dofs]),
+        rest=array([math.radians(rest_deg.get(name, 0.0)) for name in dofs]),
         low=body.skeleton.low,
         high=body.skeleton.high,
     )
@@ -180,27 +180,27 @@ class _Fading(NamedTuple):
     """The noise of velocities per frame, the share of each that is kept, and the standard deviation of the first."""
 
     sd: Dofs
-    kept: Dofs
+    decay: Dofs
     first_sd: Dofs
 
 
 def _fading(lasts: Dofs, sd: Dofs, at_fps: float, fps: float) -> _Fading:
     """Return the noise for velocities that last so long. Their stationary distribution is the same at every frame rate."""
-    kept_at, kept = np.exp(-1 / (at_fps * lasts)), np.exp(-1 / (fps * lasts))
+    decay_at, decay = np.exp(-1 / (at_fps * lasts)), np.exp(-1 / (fps * lasts))
     with np.errstate(divide="ignore", invalid="ignore"):
-        stationary = sd / np.sqrt(1 - kept_at**2)
-        noise = np.where(kept == 1, sd * math.sqrt(at_fps / fps), stationary * np.sqrt(1 - kept**2))
-    return _Fading(noise, kept, np.where(np.isfinite(stationary), stationary, CERTAIN * sd))
+        stationary = sd / np.sqrt(1 - decay_at**2)
+        noise = np.where(decay == 1, sd * math.sqrt(at_fps / fps), stationary * np.sqrt(1 - decay**2))
+    return _Fading(noise, decay, np.where(np.isfinite(stationary), stationary, CERTAIN * sd))
 
 
 def _pull(name: str, spread_deg: float | None, velocity: _Fading, index: int, fps: float) -> float:
     """Return the pull of a dof's pose at rest, per frame."""
     if spread_deg is None:
         return 0.0
-    kept, pull = float(velocity.kept[index]), float(velocity.first_sd[index] / math.radians(spread_deg)) ** 2 / fps
+    decay, pull = float(velocity.decay[index]), float(velocity.first_sd[index] / math.radians(spread_deg)) ** 2 / fps
     # Otherwise the oscillation would grow from frame to frame.
-    if not pull / fps < 1 - kept:
-        found = f"{spread_deg:g} degrees for '{name}', whose velocity is kept by {kept:.3g} from frame to frame"
+    if not pull / fps < 1 - decay:
+        problem = f"{spread_deg:g} degrees for '{name}', whose velocity is kept by {decay:.3g} from frame to frame"
         remedy = "give a larger spread, or let the velocity last less long"
-        raise input_error(f"dynamics.spread_deg.{name}", found, "a movement that is damped", remedy)
+        raise input_error(f"dynamics.spread_deg.{name}", problem, "a movement that is damped", remedy)
     return pull

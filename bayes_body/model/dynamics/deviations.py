@@ -15,13 +15,13 @@ def by_part(table: Mapping[str, float], names: tuple[str, ...], field: str) -> l
         InputError: a part has none, or a key matches no part.
     """
     _check_keys(table, names, field, "part")
-    found = []
+    numbers = []
     for name in names:
         key = _key_of(name, table)
         if key is None:
             raise InputError(f"{field}: none for the part '{name}'; expected one for every part; add '{name}' or a pattern.")
-        found.append(table[key])
-    return found
+        numbers.append(table[key])
+    return numbers
 
 
 def by_dof(table: Mapping[str, float], names: tuple[str, ...], field: str) -> dict[str, float]:
@@ -46,12 +46,12 @@ def standard_deviations(sd_deg: Mapping[str, float], sd_m: Mapping[str, float], 
     Raises:
         InputError: a dof has none, or a key matches no dof.
     """
-    found = known_deviations(sd_deg, sd_m, topology, f"dynamics.{prefix}")
+    deviations = known_deviations(sd_deg, sd_m, topology, f"dynamics.{prefix}")
     for name, unit in zip(topology.dof_names, topology.dof_units, strict=True):
-        if name not in found:
+        if name not in deviations:
             field = f"dynamics.{prefix}{'sd_deg' if unit == 'rad' else 'sd_m'}"
             raise InputError(f"{field}: no standard deviation for the dof '{name}'; expected one for every dof; add '{name}' or a pattern.")
-    return found
+    return deviations
 
 
 def known_deviations(sd_deg: Mapping[str, float], sd_m: Mapping[str, float], topology: Topology, place: str) -> dict[str, float]:

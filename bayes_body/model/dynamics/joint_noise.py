@@ -91,14 +91,14 @@ class JointNoise(InBox):
         return _log_probs(value, self, jax.tree.map(lambda leaf: leaf[0], self))
 
 
-def _log_probs(value: Pose, batch: JointNoise, one: JointNoise) -> Float[Array, " *component"]:
-    """The log-density of one distribution, or of a batch; `one` has the limits and scale that all share."""
-    low, width = one._safe
-    limited, inside = one._limited, (value >= one.low) & (value <= one.high)
+def _log_probs(value: Pose, batch: JointNoise, component: JointNoise) -> Float[Array, " *component"]:
+    """The log-density of one distribution, or of a batch; `component` has the limits and scale that all share."""
+    low, width = component._safe
+    limited, inside = component._limited, (value >= component.low) & (value <= component.high)
     share = jnp.clip((value - low) / width, NEAREST, 1 - NEAREST)
     beta = (batch.alpha - 1) @ jnp.where(limited, jnp.log(share), 0.0) + (batch.beta - 1) @ jnp.where(limited, jnp.log1p(-share), 0.0)
     z = jnp.where(limited, 0.0, value - batch.centre)
-    free = jnp.where(one.angular & ~limited, _log_wrapped(z, one.scale), -0.5 * (z / one.scale) ** 2)
+    free = jnp.where(component.angular & ~limited, _log_wrapped(z, component.scale), -0.5 * (z / component.scale) ** 2)
     return jnp.where(jnp.all(inside), beta + jnp.sum(free - batch.log_norm, axis=-1), -jnp.inf)
 
 

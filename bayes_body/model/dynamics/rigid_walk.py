@@ -91,12 +91,12 @@ class RigidWalk(Distribution):
 
     def log_prob_of_pairs(self, values: Float[Array, "value 7"]) -> Float[Array, "value step"]:
         """Return `log_prob` of all values under each of many steps of one part, whose fields are stacked. Its error is below 1e-3 in float32."""
-        away = half_angles.away(values[:, 3:], self.loc[:, 3:])
-        squared_angle = half_angles.squared(away) * away * (2 - away)
+        versine = half_angles.away(values[:, 3:], self.loc[:, 3:])
+        squared_angle = half_angles.squared(versine) * versine * (2 - versine)
         squared_distance = jnp.sum((values[:, None, :3] - self.loc[None, :, :3]) ** 2, axis=-1)
         constants = -3 * jnp.log(2 * math.pi * self.sd_m * self.sd_rad) - 2 * math.log(2)
         normal = -0.5 * (squared_distance / self.sd_m**2 + squared_angle / self.sd_rad**2)
-        return normal + constants + half_angles.log_squared(away)
+        return normal + constants + half_angles.log_squared(versine)
 
 
 def _walk(sd_m: Array, sd_rad: Array, previous: State) -> dict[str, Distribution]:
@@ -125,8 +125,8 @@ def build(options: Options, body: Body, fps: float, **_: Any) -> Transition:
     degrees = [sd * factor for sd in by_part(options.sd_deg, names, "dynamics.sd_deg")]
     if max(degrees) > LARGEST_DEG:
         name = names[degrees.index(max(degrees))]
-        found = f"{max(degrees):.3g} degrees per frame for '{name}' at {fps:g} fps"
-        raise input_error("dynamics.sd_deg", found, f"at most {LARGEST_DEG:g}", "give a smaller value")
+        problem = f"{max(degrees):.3g} degrees per frame for '{name}' at {fps:g} fps"
+        raise input_error("dynamics.sd_deg", problem, f"at most {LARGEST_DEG:g}", "give a smaller value")
     arguments = (sd_m, device_array(np.radians(degrees), dtype))
     return Transition(
         "rigid_walk",

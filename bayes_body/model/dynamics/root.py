@@ -21,5 +21,5 @@ def check_root(body: Body, what: str) -> None:
     topology = body.skeleton.topology
     root = tuple((motion.axis, motion.is_shift) for motion in topology.motions[0] if motion.sign == 1)
     if root != ROOT or [motion.dof for motion in topology.motions[0]] != list(range(ROOT_DOFS)):
-        found = f"the first joint of the body '{body.name}' is {topology.joint_names[0]}, with other dofs"
-        raise input_error(what, found, "a first joint with the dofs tx, ty, tz, z, x, y in this order", "name another body")
+        problem = f"the first joint of the body '{body.name}' is {topology.joint_names[0]}, with other dofs"
+        raise input_error(what, problem, "a first joint with the dofs tx, ty, tz, z, x, y in this order", "name another body")

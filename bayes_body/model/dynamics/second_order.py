@@ -61,8 +61,8 @@ class Options(Schema):
     @model_validator(mode="after")
     def _check_position(self) -> "Options":
         if not 0 < self.alpha_1 - self.alpha_2 <= 1:
-            found = f"alpha_1 = {self.alpha_1:g} and alpha_2 = {self.alpha_2:g} keep {self.alpha_1 - self.alpha_2:g} of the position"
-            raise ValueError(f"{found}; expected a fraction above 0 and up to 1; set alpha_1 = 1 + alpha_2")
+            problem = f"alpha_1 = {self.alpha_1:g} and alpha_2 = {self.alpha_2:g} keep {self.alpha_1 - self.alpha_2:g} of the position"
+            raise ValueError(f"{problem}; expected a fraction above 0 and up to 1; set alpha_1 = 1 + alpha_2")
         return self
 
 
@@ -144,5 +144,5 @@ def _check_sizes(body: Body, sd: np.ndarray) -> None:
         most = (high[index] - low[index]) / math.sqrt(12) if limited else LARGEST_TURN if angular else math.inf
         if not sd[index] < most:
             why = f"the range of {(high[index] - low[index]) * number:.4g} {unit} over √12" if limited else "a quarter turn"
-            found = f"a standard deviation of {sd[index] * number:.4g} {unit} per frame for '{name}'"
-            raise input_error(f"dynamics.sd_{unit}", found, f"less than {most * number:.4g} {unit}, {why}", "give a smaller value, or wider limits")
+            problem = f"a standard deviation of {sd[index] * number:.4g} {unit} per frame for '{name}'"
+            raise input_error(f"dynamics.sd_{unit}", problem, f"less than {most * number:.4g} {unit}, {why}", "give a smaller value, or wider limits")

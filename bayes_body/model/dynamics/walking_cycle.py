@@ -134,8 +134,8 @@ def _conditional(walk: _Walk, previous: State) -> dict[str, Distribution]:
         "orientation": upright + walk.lean * (orientation - upright),
         "heading": heading,
     }
-    kept = {name: share * previous[name] for name, share in walk.keep.items()}
-    return {name: _normal(centre, walk.sd[name]) for name, centre in (moved | kept).items() if name in walk.sd}
+    decayed = {name: share * previous[name] for name, share in walk.keep.items()}
+    return {name: _normal(centre, walk.sd[name]) for name, centre in (moved | decayed).items() if name in walk.sd}
 
 
 def _perturbation(walk: _Walk, state: State, scale: Scalar) -> dict[str, Distribution]:
@@ -149,24 +149,24 @@ def _normal(centre: Array, sd: Array) -> Distribution:
 @jax.jit
 def _begin(walk: _Walk, body: Body, first: State) -> dict[str, Array]:
     """Return the most likely state given a first pose with errors: ridge regression of the coefficients at each of many phases."""
-    given = jnp.asarray(first["pose"], walk.mean.dtype)
-    branch = nearest_branch(body.skeleton.topology, given, jnp.concatenate([given[:ROOT_DOFS], walk.mean[0]]))
-    pose = settled(body, branch(given))
+    first_pose = jnp.asarray(first["pose"], walk.mean.dtype)
+    branch = nearest_branch(body.skeleton.topology, first_pose, jnp.concatenate([first_pose[:ROOT_DOFS], walk.mean[0]]))
+    pose = settled(body, branch(first_pose))
     variance = walk.residual**2 + FIRST_SD**2
 
-    def at(phase: Scalar) -> tuple[Scalar, Array, Array]:
+    def regress(phase: Scalar) -> tuple[Scalar, Array, Array]:
         T = _terms(phase, len(walk.mean))
-        away = pose[ROOT_DOFS:] - T @ walk.mean
+        deviation = pose[ROOT_DOFS:] - T @ walk.mean
         basis = jnp.tensordot(walk.modes, T, ((1,), (0,)))
-        coefficients = jnp.linalg.solve((basis / variance) @ basis.T + jnp.eye(len(basis), dtype=basis.dtype), (basis / variance) @ away)
-        left = away - coefficients @ basis
-        return jnp.sum(left**2 / variance) + jnp.sum(coefficients**2), coefficients, left
+        coefficients = jnp.linalg.solve((basis / variance) @ basis.T + jnp.eye(len(basis), dtype=basis.dtype), (basis / variance) @ deviation)
+        residual = deviation - coefficients @ basis
+        return jnp.sum(residual**2 / variance) + jnp.sum(coefficients**2), coefficients, residual
 
     phases = jnp.arange(PHASES, dtype=walk.mean.dtype) / PHASES
-    costs, coefficients, left = jax.vmap(at)(phases)
+    costs, coefficients, residuals = jax.vmap(regress)(phases)
     best = jnp.argmin(costs)
     state = {"coefficients": coefficients[best], "phase": phases[best][None], "position": pose[:3], "orientation": pose[3:ROOT_DOFS]}
-    optional = {"residual": left[best], "heading": pose[3:4]}
+    optional = {"residual": residuals[best], "heading": pose[3:4]}
     state |= {name: value for name, value in optional.items() if name in walk.sd}
     # The transition to frame 0 walks one step. The first pose is that of frame 0, so the state before it is a step behind.
     ahead = _conditional(walk, state)
@@ -213,8 +213,8 @@ def _spaces(cycle: AngleCycle, body: Body) -> tuple[tuple[str, Space], ...]:
 def _check(cycle: AngleCycle, body: Body) -> None:
     check_root(body, "dynamics walking_cycle")
     if cycle.names != body.dof_names[ROOT_DOFS:]:
-        found = f"the cycle was learned on the body '{cycle.body}', and the model's body '{body.name}' has other dofs"
-        raise input_error("dynamics.cycle", found, "a cycle of the model's body", "learn one with `bayes-body learn walking-angles --body`")
+        problem = f"the cycle was learned on the body '{cycle.body}', and the model's body '{body.name}' has other dofs"
+        raise input_error("dynamics.cycle", problem, "a cycle of the model's body", "learn one with `bayes-body learn walking-angles --body`")
     if not set(LEG) <= set(body.markers.names):
         raise input_error(f"body '{body.name}'", "no markers of the left leg", f"the markers {', '.join(LEG)}", "add them to the body file")
 

@@ -108,7 +108,7 @@ def _shown(body: Body, rig: Camera, in_camera: RigPatches, pixels: Pixels[Grid],
 def _insides(forms: Float[Array, "coefficient 4 part"], columns: Float[Array, " point"], rows: Float[Array, " point"]) -> Float[Array, "part point"]:
     """How far points are inside each part's outline, pixels (model/likelihood/outlines.py). All four forms of a sphere are the same."""
     basis = [jnp.ones_like(columns), columns, rows, columns * columns, columns * rows, rows * rows][: forms.shape[0]]
-    sides = sum(form[:, :, None] * each for form, each in zip(forms, basis, strict=True))
+    sides = sum(form[:, :, None] * monomial for form, monomial in zip(forms, basis, strict=True))
     return jnp.min(sides, axis=0)
 
 

@@ -64,11 +64,11 @@ class Detections:
     def expected(self, points: Float[Array, "point 3"]) -> Float[Array, "camera point 2"]:
         """Return the expected pixels of points in each camera."""
 
-        def of(camera: Camera) -> Float[Array, "point 2"]:
+        def pixels_of(camera: Camera) -> Float[Array, "point 2"]:
             pixels, visible = project(camera, points)
             return jnp.where(visible[:, None], pixels, camera.size / 2 - BEHIND * jnp.sqrt(jnp.sum(camera.size**2)))
 
-        return jax.vmap(of)(self.rig)
+        return jax.vmap(pixels_of)(self.rig)
 
     def _log_densities(
         self, pixels: Float[Array, "camera point 2"], confidence: Float[Array, "camera point"], expected: Float[Array, "camera point 2"]

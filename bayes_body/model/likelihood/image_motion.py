@@ -100,8 +100,8 @@ class ImageMotionPotential:
 
     def __call__(self, values: Variables, data: ImageMotion) -> Scalar:
         """Return the log-likelihood of two configurations."""
-        now, before = (values[Variable(self.body.variable, offset)] for offset in (0, -1))
-        compared = self.compared(now, before, data)
+        configuration, previous = (values[Variable(self.body.variable, offset)] for offset in (0, -1))
+        compared = self.compared(configuration, previous, data)
         mixed = self._by_pixel if self.mixture == "pixel" else self._by_limb
         terms = mixed(compared.difference, compared.cosine, compared.visibility)
         if self.background:
@@ -109,11 +109,11 @@ class ImageMotionPotential:
         # One sum over all axes: with few optimisations, XLA's CPU backend computed a sum over parts of sums over points wrongly (jaxlib 0.12.0).
         total = self.precision * jnp.sum(jnp.where(data.both[:, None], terms, 0.0))
         # A part that no camera sees would hide a NaN.
-        return jnp.where(jnp.isfinite(jnp.sum(now) + jnp.sum(before)), total, jnp.nan)
+        return jnp.where(jnp.isfinite(jnp.sum(configuration) + jnp.sum(previous)), total, jnp.nan)
 
-    def compared(self, now: Configuration, before: Configuration, data: ImageMotion) -> Compared:
+    def compared(self, configuration: Configuration, previous: Configuration, data: ImageMotion) -> Compared:
         """Return what is compared, given the configurations in this frame and in the frame before."""
-        placed = part_transforms(self.body, now), part_transforms(self.body, before)
+        placed = part_transforms(self.body, configuration), part_transforms(self.body, previous)
         rigs = self.rig, replace(self.rig, rotation=jnp.asarray(data.rotation), translation=jnp.asarray(data.translation))
         points = carried_points(self.body, rigs, placed, jnp.asarray(data.places), self.mapping == "cylinder")
         count = points.now.u.shape[-1]
@@ -121,11 +121,11 @@ class ImageMotionPotential:
         def grey(which: int, pixels: Pixels[Array]) -> Array:
             return look_up(data.pictures, jnp.full(count, which, jnp.int32), "bilinear", self.rig, pixels)
 
-        here = grey(NOW, points.now)
-        seen = self._inside(points.now) & self._inside(points.before)
-        still = grey(BACKGROUND, points.now) if self.background else here
-        visibility = jnp.where(seen & ~points.covered, points.cosine, 0.0)
-        return Compared(LEVELS * (here - grey(BEFORE, points.before)), LEVELS * (here - still), points.cosine, visibility)
+        intensity = grey(NOW, points.now)
+        in_view = self._inside(points.now) & self._inside(points.before)
+        still = grey(BACKGROUND, points.now) if self.background else intensity
+        visibility = jnp.where(in_view & ~points.covered, points.cosine, 0.0)
+        return Compared(LEVELS * (intensity - grey(BEFORE, points.before)), LEVELS * (intensity - still), points.cosine, visibility)
 
     def _inside(self, pixels: Pixels[Array]) -> Bool[Array, "camera part sample"]:
         width, height = (self.rig.size[:, axis, None, None] for axis in (0, 1))

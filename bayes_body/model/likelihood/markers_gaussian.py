@@ -77,7 +77,7 @@ class MarkersGaussian:
     def __call__(self, values: Variables, evidence: MarkerEvidence) -> Scalar:
         """log p(z | configuration), normalised."""
         configuration = values[Variable(self.body.variable)]
-        pixels, confidence = (jnp.asarray(each)[:, list(self.places)] for each in evidence)
+        pixels, confidence = (jnp.asarray(array)[:, list(self.places)] for array in evidence)
         # If a marker is behind a camera, its expected place does not depend on the configuration, which would hide a NaN.
         return _nan_with(configuration, self.detections.log_density(self._points(configuration), pixels, confidence))
 
@@ -99,8 +99,8 @@ class MarkersGaussian:
         most = int(np.bincount(owners).max())
         # Shorter lists of markers repeat their first one, which is then not counted.
         lists = [np.flatnonzero(owners == part) for part in parts]
-        chosen = np.stack([np.concatenate([each, np.repeat(each[:1], most - len(each))]) for each in lists])
-        counted = np.stack([np.arange(most) < len(each) for each in lists])
+        chosen = np.stack([np.concatenate([indices, np.repeat(indices[:1], most - len(indices))]) for indices in lists])
+        counted = np.stack([np.arange(most) < len(indices) for indices in lists])
         offsets = _offsets(placement, self.body.markers.offsets, joints[chosen].astype(np.int32), markers[chosen].astype(np.int32))
         parameters = PartMarkers(offsets, jnp.asarray(np.array(self.places)[chosen]), jnp.asarray(counted))
         return Plate(PARTS, tuple((part,) for part in parts), jax.tree_util.Partial(_of_part, self.detections), parameters)
@@ -125,7 +125,7 @@ def _offsets(
 def _of_part(detections: Detections, markers: PartMarkers, frame: Float[Array, "7"], *, data: MarkerEvidence) -> Scalar:
     """The log-potential of one part, placed at `frame`."""
     points = jnp.asarray(rigid.apply(frame[None], markers.offsets))
-    pixels, confidence = (jnp.asarray(each)[:, markers.places] for each in data)
+    pixels, confidence = (jnp.asarray(array)[:, markers.places] for array in data)
     return _nan_with(frame, detections.log_density(points, pixels, jnp.where(markers.counted, confidence, -jnp.inf)))
 
 
@@ -154,8 +154,8 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
     """
     known = [(number, MARKERS.index(marker)) for number, marker in enumerate(body.markers.names) if marker in MARKERS]
     if not known:
-        found = f"the body '{body.name}' has the markers {', '.join(body.markers.names) or '(none)'}"
-        raise input_error(name, found, f"some of {', '.join(MARKERS)}", "use these names in the body's [markers]")
+        problem = f"the body '{body.name}' has the markers {', '.join(body.markers.names) or '(none)'}"
+        raise input_error(name, problem, f"some of {', '.join(MARKERS)}", "use these names in the body's [markers]")
     dtype = body.lengths.dtype
     diagonal = jnp.sqrt(jnp.sum(rig.size**2, axis=1))
     sd_px = options.sd_px * (diagonal / options.at_diagonal_px if options.at_diagonal_px else jnp.ones_like(diagonal))

@@ -44,7 +44,7 @@ def forms_of(topology: PartTopology, rig: Camera, in_camera: Float[Array, "camer
     s = np.where(is_sphere, [[0.0], [0.0], [1.0], [1.0]], [[-1.0], [-1.0], [1.0], [1.0]])
     points = corner_pixels(rig, in_camera, t.astype(in_camera.dtype), s.astype(in_camera.dtype))
     centred = points._replace(u=points.u - rig.size[:, 0, None, None] / 2, v=points.v - rig.size[:, 1, None, None] / 2)
-    return jax.vmap(lambda each: _forms(each, is_sphere))(centred)
+    return jax.vmap(lambda corners: _forms(corners, is_sphere))(centred)
 
 
 def _forms(points: Pixels[Float[Array, "4 part"]], is_sphere: np.ndarray) -> Forms:
@@ -66,7 +66,7 @@ def _sides(u: list[Parts], v: list[Parts]) -> Forms:
         scale = jnp.where(area < 0, -1.0, 1.0) * jax.lax.rsqrt(along_u**2 + along_v**2 + 1e-6)
         nu, nv = -along_v * scale, along_u * scale
         rows.append((-(nu * u[k] + nv * v[k]), nu, nv))
-    return jnp.stack([jnp.stack(each) for each in zip(*rows, strict=True)])
+    return jnp.stack([jnp.stack(coefficients) for coefficients in zip(*rows, strict=True)])
 
 
 def _ellipses(u: list[Parts], v: list[Parts]) -> Forms:
@@ -103,9 +103,9 @@ def _search(is_sphere: tuple[bool, ...], forms: Forms, columns: Array, rows: Arr
         (best, which), (number, sides) = reached, part
         inside, side = jnp.full_like(best, jnp.inf), jnp.zeros_like(which)
         for k in range(4):
-            other = sides[0, k] + sides[1, k] * columns + sides[2, k] * rows
-            side = jnp.where(other < inside, k, side)
-            inside = jnp.minimum(inside, other)
+            distance = sides[0, k] + sides[1, k] * columns + sides[2, k] * rows
+            side = jnp.where(distance < inside, k, side)
+            inside = jnp.minimum(inside, distance)
         return (jnp.maximum(best, inside), jnp.where(inside > best, parts * side + number, which)), None
 
     # A loop, because compiling unrolled code takes ten times as long.
@@ -131,7 +131,7 @@ def _backward(is_sphere: tuple[bool, ...], saved: tuple[Array, ...], cotangent: 
     basis = [jnp.ones_like(columns), columns, rows]
     basis += [columns * columns, columns * rows, rows * rows] if any(is_sphere) else []
     # A scatter: summing form by form, each over all points, is a fifth slower even with fifty points.
-    sums = jnp.stack([jax.ops.segment_sum((cotangent * each).ravel(), which.ravel(), 4 * len(is_sphere)) for each in basis])
+    sums = jnp.stack([jax.ops.segment_sum((cotangent * monomial).ravel(), which.ravel(), 4 * len(is_sphere)) for monomial in basis])
     # The grid's position is not inferred.
     return sums.reshape(forms.shape), jnp.zeros_like(u), jnp.zeros_like(v)
 

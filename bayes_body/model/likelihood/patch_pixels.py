@@ -45,13 +45,13 @@ def sample_slopes(body: Body, rig: Camera, samples: Samples, pose: Pose) -> tupl
     """The derivatives of the samples' columns and rows by each dof, pixels per radian or metre."""
 
     def places(pose: Pose) -> tuple[Array, Array]:
-        def of(camera: Camera, in_camera: CameraPatches) -> Pixels[Array]:
+        def pixels_of(camera: Camera, in_camera: CameraPatches) -> Pixels[Array]:
             t, s = samples
             X, Y, Z = (p.start + t * p.along + s * p.across + t * s * p.taper for p in by_component(in_camera))
             # The hand-written derivative supports reverse mode only.
             return cameras.project_components(camera, X, Y, Z)
 
-        pixels = jax.vmap(of)(rig, rig_patches(body, rig, pose))
+        pixels = jax.vmap(pixels_of)(rig, rig_patches(body, rig, pose))
         return pixels.u, pixels.v
 
     slopes = jax.jacfwd(places)(pose)
@@ -63,12 +63,12 @@ def corner_pixels(
 ) -> Pixels[Float[Array, "camera corner part"]]:
     """The same for a few points per part: parts are last, since a loop over four numbers does not fill a processor's registers."""
 
-    def of(camera: Camera, in_camera: CameraPatches) -> Pixels[Float[Array, "corner part"]]:
+    def pixels_of(camera: Camera, in_camera: CameraPatches) -> Pixels[Float[Array, "corner part"]]:
         patch = Patches(*in_camera)
         X, Y, Z = (patch.start[:, k] + t * patch.along[:, k] + s * patch.across[:, k] + t * s * patch.taper[:, k] for k in range(3))
         return _visible_pixels(camera, X, Y, Z)
 
-    return jax.vmap(of)(rig, in_camera)
+    return jax.vmap(pixels_of)(rig, in_camera)
 
 
 def by_component(in_camera: CameraPatches) -> list[Patches]:

@@ -69,16 +69,16 @@ def part_samples(name: str, body: Body, samples: tuple[int, int, int], band: tup
     if band[0] >= band[1]:
         raise input_error(f"{name}: band", f"from {band[0]:g} to {band[1]:g} of a part's width", "a band that ends after it begins", "swap them")
     holders = np.array([placement.owners[joint] for joint in body.topology.joints])
-    held = [np.flatnonzero(holders == part) for part in range(len(placement.names))]
-    (along, across, deep), (lengths, most) = samples, (np.asarray(body.lengths, float), max(len(solids) for solids in held))
+    solids_by_part = [np.flatnonzero(holders == part) for part in range(len(placement.names))]
+    (along, across, deep), (lengths, most) = samples, (np.asarray(body.lengths, float), max(len(solids) for solids in solids_by_part))
     if along < most:
         remedy = f"give at least {most} points along a part"
         raise input_error(f"{name}: samples", f"{along} points along a part with {most} solids", "at least one for each solid", remedy)
-    rows = [_of_part(solids, _divided(along, lengths[solids]), body.topology.is_sphere, (across, deep), band) for solids in held]
-    t, s, cell, solid = (np.stack(each) for each in zip(*rows, strict=True))
-    chosen = np.stack([np.concatenate([solids, np.repeat(solids[:1], most - len(solids))]) for solids in held])
+    rows = [_of_part(solids, _divided(along, lengths[solids]), body.topology.is_sphere, (across, deep), band) for solids in solids_by_part]
+    t, s, cell, solid = (np.stack(arrays) for arrays in zip(*rows, strict=True))
+    chosen = np.stack([np.concatenate([solids, np.repeat(solids[:1], most - len(solids))]) for solids in solids_by_part])
     dtype = body.lengths.dtype
-    found = PartSamples(
+    points = PartSamples(
         T_part_solid=_rows(solids_in_parts(body), chosen),
         shapes=_rows(body.seen, chosen),
         t=device_array(t, dtype),
@@ -86,7 +86,7 @@ def part_samples(name: str, body: Body, samples: tuple[int, int, int], band: tup
         cell=device_array(cell, dtype),
         solid=device_array(solid, jnp.int32),
     )
-    return found, np.repeat([INSIDE, BAND, EDGES], [along * across, 2 * along * deep, 2 * along])
+    return points, np.repeat([INSIDE, BAND, EDGES], [along * across, 2 * along * deep, 2 * along])
 
 
 def _rows[Tree](tree: Tree, chosen: Int[np.ndarray, "part solid"]) -> Tree:
@@ -118,17 +118,17 @@ def _of_part(
     sides, (across, deep), wide = np.array([-1.0, 1.0]), counts_across, band[1] - band[0]
     inside = chord[:, None] * ((2 * np.arange(across) + 1) / across - 1)
     beside = (chord[:, None, None] + 2 * (band[0] + wide * (np.arange(deep)[:, None] + 0.5) / deep)) * sides
-    on = chord[:, None] * sides
+    on_sides = chord[:, None] * sides
     cell_inside = np.broadcast_to((step * chord)[:, None] * 2 / across, inside.shape)
     # A circle's arc over dt of the diameter is longer than dt by one over the chord.
     cells = cell_inside, np.tile((step * 2 * wide / deep)[:, None], 2 * deep), np.tile((step / chord)[:, None], 2)
 
     def flat(arrays: tuple[np.ndarray, ...]) -> np.ndarray:
-        return np.concatenate([each.ravel() for each in arrays])
+        return np.concatenate([array.ravel() for array in arrays])
 
-    along = tuple(np.broadcast_to(t[:, None], each.shape) for each in cells)
-    slots = tuple(np.broadcast_to(slot[:, None], each.shape) for each in cells)
-    return flat(along), flat((inside, beside, on)), flat(cells), flat(slots)
+    along = tuple(np.broadcast_to(t[:, None], cell.shape) for cell in cells)
+    slots = tuple(np.broadcast_to(slot[:, None], cell.shape) for cell in cells)
+    return flat(along), flat((inside, beside, on_sides)), flat(cells), flat(slots)
 
 
 def projected(part: PartSamples, rig: Camera, frame: Float[Array, "7"], map_index: Int[Array, " sample"]) -> tuple[Pixels[Array], Array]:
@@ -136,13 +136,15 @@ def projected(part: PartSamples, rig: Camera, frame: Float[Array, "7"], map_inde
     slots = part.T_part_solid.origin.shape[0]
     T_world_part = rigid.to_transform(jnp.broadcast_to(frame, (slots, 7)))
     in_camera = solid_patches(part.shapes, rig, transforms.compose(T_world_part, part.T_part_solid))
-    corners = corner_pixels(rig, in_camera, *(np.repeat(each, slots, axis=1).astype(in_camera.dtype) for each in (CORNERS_T, CORNERS_S)))
-    seen = jnp.all(corners.visible, axis=1)
-    u, v = (_quadrilateral(part, jnp.where(seen[:, None], each, 0.0)) for each in (corners.u, corners.v))
+    corners = corner_pixels(
+        rig, in_camera, *(np.repeat(coordinates, slots, axis=1).astype(in_camera.dtype) for coordinates in (CORNERS_T, CORNERS_S))
+    )
+    is_visible = jnp.all(corners.visible, axis=1)
+    u, v = (_quadrilateral(part, jnp.where(is_visible[:, None], coordinates, 0.0)) for coordinates in (corners.u, corners.v))
     # sqrt of a clamped square: a side seen end-on is a point, and must have a finite gradient.
     length = jnp.sqrt(jnp.maximum(u.along**2 + v.along**2, 1e-6))
     area = jnp.abs(u.along * v.across - v.along * u.across)
-    visible = _of_solids(part, seen)
+    visible = _of_solids(part, is_visible)
     pixels = jnp.where(visible, part.cell * jnp.where(map_index == EDGES, length, area), 0.0)
     return Pixels(u.place, v.place, visible), pixels
 
@@ -157,15 +159,17 @@ class _Coordinate(NamedTuple):
 
 def _quadrilateral(part: PartSamples, corners: Float[Array, "camera 4 solid"]) -> _Coordinate:
     middles, halves = (corners[:, 3] + corners[:, 0], corners[:, 2] + corners[:, 1]), (corners[:, 3] - corners[:, 0], corners[:, 2] - corners[:, 1])
-    c0, to_c1, h0, to_h1 = (_of_solids(part, 0.5 * each) for each in (middles[0], middles[1] - middles[0], halves[0], halves[1] - halves[0]))
+    c0, to_c1, h0, to_h1 = (
+        _of_solids(part, 0.5 * coordinates) for coordinates in (middles[0], middles[1] - middles[0], halves[0], halves[1] - halves[0])
+    )
     across = h0 + part.t * to_h1
     return _Coordinate(c0 + part.t * to_c1 + part.s * across, to_c1 + part.s * to_h1, across)
 
 
 def _of_solids(part: PartSamples, values: Array) -> Array:
     """The values (camera, solid) at each point's solid: (camera, sample)."""
-    found = values[:, :1]
+    point_values = values[:, :1]
     # Not a gather, which XLA does not vectorise.
     for slot in range(1, values.shape[1]):
-        found = jnp.where(part.solid == slot, values[:, slot, None], found)
-    return found
+        point_values = jnp.where(part.solid == slot, values[:, slot, None], point_values)
+    return point_values

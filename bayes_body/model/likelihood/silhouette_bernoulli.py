@@ -73,9 +73,9 @@ class SilhouetteBernoulli:
         """
         rows, columns = evidence.foreground.shape[1:]
         if (columns, rows) != self.grid:
-            found = f"silhouettes on a grid of {columns} x {rows}"
+            problem = f"silhouettes on a grid of {columns} x {rows}"
             raise input_error(
-                "silhouette_bernoulli", found, f"{self.grid[0]} x {self.grid[1]}, the likelihood's", "observe the frame with the same grid"
+                "silhouette_bernoulli", problem, f"{self.grid[0]} x {self.grid[1]}, the likelihood's", "observe the frame with the same grid"
             )
         configuration = values[Variable(self.body.variable)]
         p = self.foreground(configuration)
@@ -87,13 +87,13 @@ class SilhouetteBernoulli:
         """The probability of foreground at each grid point."""
         columns, rows = self.grid
 
-        def of(size: Float[Array, "2"], forms: Forms) -> Float[Array, "row column"]:
+        def camera_foreground(size: Float[Array, "2"], forms: Forms) -> Float[Array, "row column"]:
             u, v = (_centres(count, size[axis]) for axis, count in ((0, columns), (1, rows)))
             return jax.nn.sigmoid(signed_distance(self.body.topology, forms, u, v) / self.soft_px)
 
         # `forms` is an argument of the map: as a closure it would be recomputed for every point.
         forms = jax.lax.optimization_barrier(outline_forms(self.body, self.rig, configuration))
-        return self.false_alarm + (1 - self.false_alarm - self.miss) * jax.vmap(of)(self.rig.size, forms)
+        return self.false_alarm + (1 - self.false_alarm - self.miss) * jax.vmap(camera_foreground)(self.rig.size, forms)
 
     def draw(self, key: Key, configuration: Configuration) -> Bool[Array, "camera row column"]:
         """Draw silhouettes at a configuration."""

@@ -143,8 +143,8 @@ class SilhouetteEdges:
     def _area_agreement(self, maps: SilhouetteEdgeMaps, configuration: Configuration) -> Float[Array, " camera"]:
         """W of (9), at least 1e-3, since a body that a camera does not see would divide by zero; 1 if the camera did not see the frame."""
         share = projected_area(self.body, self.rig, configuration, self.area_grid)
-        seen, projected = (jnp.clip(s, 1e-6, 1 - 1e-6) / (1 - jnp.clip(s, 1e-6, 1 - 1e-6)) for s in (self.body_share * maps.foreground, share))
-        agreement = 1 - jnp.abs(seen - projected) / jnp.maximum(seen, projected)
+        foreground, projected = (jnp.clip(s, 1e-6, 1 - 1e-6) / (1 - jnp.clip(s, 1e-6, 1 - 1e-6)) for s in (self.body_share * maps.foreground, share))
+        agreement = 1 - jnp.abs(foreground - projected) / jnp.maximum(foreground, projected)
         return jnp.where(maps.foreground >= 0, jnp.maximum(agreement**self.gamma, 1e-3), 1.0)
 
 
@@ -171,7 +171,7 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
         covers="cover" in options.terms,
         body=body,
         rig=rig,
-        samples=Samples(*(jnp.concatenate(each, axis=1) for each in zip(surface, outline, strict=True))),
+        samples=Samples(*(jnp.concatenate(pair, axis=1) for pair in zip(surface, outline, strict=True))),
         map_index=device_array(np.repeat([SILHOUETTE, EDGES], counts), int),
         weights=device_array(weights, body.lengths.dtype),
         precision=jnp.asarray(options.precision, body.lengths.dtype),

@@ -56,24 +56,28 @@ def carried_points(
         places: t from 0 to 1 and s from -1 to 1, for every part.
         on_surface: whether points lie on the surface, not on the patch through the axis.
     """
-    now, before = placed
+    T_world_part, before = placed
     coefficients = _coefficients(body, places, on_surface)
 
-    def of(camera: Camera, earlier: Camera) -> CarriedPoints:
-        vectors, depth = _vectors(body, now, camera)
+    def camera_points(camera: Camera, earlier: Camera) -> CarriedPoints:
+        vectors, depth = _vectors(body, T_world_part, camera)
         pixels = _pixels(camera, vectors, coefficients)
-        axis = body.lengths[:, None] * now.z
-        middle = now.origin + axis / 2
-        cosine = _surface_cosine(body, now, camera, coefficients, depth) if on_surface else _axis_cosine(body, now.z, middle - camera.viewpoint)
+        axis = body.lengths[:, None] * T_world_part.z
+        middle = T_world_part.origin + axis / 2
+        cosine = (
+            _surface_cosine(body, T_world_part, camera, coefficients, depth)
+            if on_surface
+            else _axis_cosine(body, T_world_part.z, middle - camera.viewpoint)
+        )
         shown = jnp.broadcast_to(cosine if cosine.ndim > 1 else cosine[:, None], pixels.u.shape)
         return CarriedPoints(
             pixels,
-            _pixels(earlier, _carried(vectors, now, before), coefficients),
+            _pixels(earlier, _carried(vectors, T_world_part, before), coefficients),
             jnp.maximum(shown, LEAST_COSINE),
             _covered(body, camera, vectors, pixels, cameras.to_camera(camera, middle)[:, 2]),
         )
 
-    return jax.vmap(of)(*rigs)
+    return jax.vmap(camera_points)(*rigs)
 
 
 def _coefficients(body: Body, places: Float[Array, "sample 2"], on_surface: bool) -> Coefficients:
@@ -101,14 +105,14 @@ def _towards(body: Body, T_world_part: Transform, camera: Camera) -> Float[Array
     return transforms.unit(camera.viewpoint - T_world_part.origin - body.lengths[:, None] / 2 * T_world_part.z)
 
 
-def _carried(vectors: Vectors, now: Transform, before: Transform) -> Vectors:
+def _carried(vectors: Vectors, T_world_part: Transform, before: Transform) -> Vectors:
     """The vectors of the same points in the frame before."""
-    back = jnp.swapaxes(now.rotation, -1, -2)
+    back = jnp.swapaxes(T_world_part.rotation, -1, -2)
 
     def turned(vector: Float[Array, "part 3"]) -> Float[Array, "part 3"]:
         return transforms.turn(before.rotation, transforms.turn(back, vector))
 
-    start = before.origin + turned(vectors[0] - now.origin)
+    start = before.origin + turned(vectors[0] - T_world_part.origin)
     return jnp.stack([start, *(turned(vector) for vector in vectors[1:])])
 
 
@@ -141,7 +145,7 @@ def _covered(
 ) -> Bool[Array, "part sample"]:
     """Whether a point lies in the outline of a part whose middle is nearer to the camera."""
     outline = _pixels(camera, vectors, _corners(body, vectors.dtype))
-    u, v = (jnp.stack([each, jnp.roll(each, 1, axis=1)]) for each in (outline.u, outline.v))
+    u, v = (jnp.stack([corners, jnp.roll(corners, 1, axis=1)]) for corners in (outline.u, outline.v))
     du, dv = u[0] - u[1], v[0] - v[1]
     # A point is inside where it is on the inner side of all four edges: a u + b v + c > 0 for each.
     turn = jnp.sign(jnp.sum(u[1] * v[0] - u[0] * v[1], axis=1, keepdims=True))

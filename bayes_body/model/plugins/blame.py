@@ -50,7 +50,7 @@ class Own:
             InputError: it fails, or returns something else than it must.
         """
         try:
-            found = self.function(*arguments, **named)
+            output = self.function(*arguments, **named)
         except InputError:
             # A fault of the recording, which the function only asked for.
             raise
@@ -60,8 +60,8 @@ class Own:
                 raise
             raise fault from error
         if self.check is not None:
-            self.check(self.origin.where(self.function), found)
-        return found
+            self.check(self.origin.where(self.function), output)
+        return output
 
 
 def blamed(path: Path, text: str, error: BaseException, function: Any = None) -> InputError | None:
@@ -82,8 +82,8 @@ def failure(path: Path, text: str, error: BaseException, line: int | None) -> In
     if isinstance(error, InputError):
         return InputError(f"{path}: {f'line {line}: ' if line else ''}{error}")
     lines = text.splitlines()
-    at = f": line {line}, `{lines[line - 1].strip()}`" if line and line <= len(lines) else ""
-    return input_error(f"{path}{at}", _said(error).rstrip("."), "code that runs", "correct the plugin")
+    location = f": line {line}, `{lines[line - 1].strip()}`" if line and line <= len(lines) else ""
+    return input_error(f"{path}{location}", _said(error).rstrip("."), "code that runs", "correct the plugin")
 
 
 def _said(error: BaseException) -> str:
@@ -99,10 +99,10 @@ def _said(error: BaseException) -> str:
 def line_of(path: Path, error: BaseException) -> int | None:
     """Return the last line of a file through which an error came, by its traceback, those of its causes, or a traceback in its text."""
     texts = []
-    for each in _with_causes(error):
-        if line := _line_in_traceback(path, each):
+    for cause in _with_causes(error):
+        if line := _line_in_traceback(path, cause):
             return line
-        texts.append(str(each))
+        texts.append(str(cause))
     named = [int(number) for text in texts for number in re.findall(rf'File "{re.escape(str(path))}", line (\d+)', text)]
     return named[-1] if named else None
 

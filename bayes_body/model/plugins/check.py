@@ -53,20 +53,20 @@ def _check_named(room: Room, factor: Factor, name: str, where: str) -> None:
         raise input_error(where, f'its factor has the side "{factor.side}"', f'"{sides[0]}"', "correct the factor's side")
 
 
-def check_factors(density: Any, state: State, own: Mapping[str, str]) -> None:
+def check_factors(density: Any, state: State, terms: Mapping[str, str]) -> None:
     """Check that a user's own factors return one number, which at the first pose is finite or minus infinity.
 
     Args:
         density: the density of the first frame (`bayes_body.density.density.Density`).
         state: the first pose.
-        own: the user's own terms: their names, and their names in error messages. A second factor of a kind has a number after its name.
+        terms: the user's own terms: their names, and their names in error messages. A second factor of a kind has a number after its name.
 
     Raises:
         InputError: a factor reads a variable that does not exist, or returns an array, something other than a number, NaN or infinity.
     """
     values = variables(state, density.ancestor(0))
     for factor in density.factors:
-        where = own.get(factor.name) or own.get(re.sub(r"_\d+$", "", factor.name))
+        where = terms.get(factor.name) or terms.get(re.sub(r"_\d+$", "", factor.name))
         if where:
             function = getattr(factor.log_potential, "func", None)
             where = function.origin.where(function) if isinstance(function, Own) else where
@@ -82,19 +82,19 @@ def _check_scope(factor: Factor, values: Variables, where: str) -> None:
 
 
 def _check_value(factor: Factor, values: Variables, data: Data, where: str) -> None:
-    found = jax.eval_shape(factor, values, data)
-    shape, dtype = getattr(found, "shape", None), getattr(found, "dtype", None)
+    output = jax.eval_shape(factor, values, data)
+    shape, dtype = getattr(output, "shape", None), getattr(output, "dtype", None)
     remedy = "return the sum of its terms"
     if shape is None or dtype is None:
-        raise input_error(where, f"returns {shown(found)}", "one number", remedy)
+        raise input_error(where, f"returns {shown(output)}", "one number", remedy)
     if shape != ():
         raise input_error(where, f"returns an array of shape {shape}", "one number, of shape ()", remedy)
     if not (jnp.issubdtype(dtype, jnp.floating) or jnp.issubdtype(dtype, jnp.integer)):
         raise input_error(where, f"returns a number of type {dtype}", "a real number", remedy)
     value = float(jax.jit(factor)(values, data))
     if math.isnan(value) or value == math.inf:
-        found = f"is {'NaN' if math.isnan(value) else 'infinite'} at the first pose, with the data of the first frame"
-        raise input_error(where, found, "a finite number, or minus infinity", "look for 0 / 0, the logarithm of 0, or missing data")
+        problem = f"is {'NaN' if math.isnan(value) else 'infinite'} at the first pose, with the data of the first frame"
+        raise input_error(where, problem, "a finite number, or minus infinity", "look for 0 / 0, the logarithm of 0, or missing data")
 
 
 def check_transition(density: Any, state: State) -> None:
@@ -112,28 +112,28 @@ def check_transition(density: Any, state: State) -> None:
     if not isinstance(function, Own):
         return
     where = function.origin.where(function)
-    given, key = density.ancestor(0), jax.random.key(0)
-    for name, distribution in transition.conditional(given).items():
+    ancestor, key = density.ancestor(0), jax.random.key(0)
+    for name, distribution in transition.conditional(ancestor).items():
         if not (callable(getattr(distribution, "sample", None)) and callable(getattr(distribution, "log_prob", None))):
             raise input_error(where, f"'{name}' is {shown(distribution)}", "a distribution of numpyro for each variable", "return one")
-    drawn = jax.eval_shape(transition.sample, key, given)
-    forms, expected = ({name: tuple(np.shape(value)) for name, value in each.items()} for each in (drawn, state))
+    drawn = jax.eval_shape(transition.sample, key, ancestor)
+    forms, expected = ({name: tuple(np.shape(value)) for name, value in arrays.items()} for arrays in (drawn, state))
     if forms != expected:
         raise input_error(where, f"draws states with {_listed(forms)}", f"{_listed(expected)}, as the first state has", "draw or carry each of them")
-    log_density = jax.eval_shape(transition.log_density, drawn, given)
+    log_density = jax.eval_shape(transition.log_density, drawn, ancestor)
     if log_density.shape != ():
         remedy = "make the last axis an event, with `.to_event(1)`"
         raise input_error(f"{where}: its log-density", f"has the shape {log_density.shape}", "one number, of shape ()", remedy)
-    sample, value = jax.jit(_drawn)(transition, key, given)
-    broken = [name for name, each in sample.items() if not np.isfinite(np.asarray(each, float)).all()]
+    sample, value = jax.jit(_drawn)(transition, key, ancestor)
+    broken = [name for name, array in sample.items() if not np.isfinite(np.asarray(array, float)).all()]
     if broken or not math.isfinite(value):
-        found = f"'{broken[0]}' is not finite in a state that it draws" if broken else f"its log-density of a state that it draws is {float(value)}"
-        raise input_error(where, found, "finite numbers", "look for deviations that are 0, and for limits that the first pose does not keep")
+        problem = f"'{broken[0]}' is not finite in a state that it draws" if broken else f"its log-density of a state that it draws is {float(value)}"
+        raise input_error(where, problem, "finite numbers", "look for deviations that are 0, and for limits that the first pose does not keep")
 
 
-def _drawn(transition: Transition, key: Any, given: State) -> tuple[State, Any]:
-    sample = transition.sample(key, given)
-    return sample, transition.log_density(sample, given)
+def _drawn(transition: Transition, key: Any, ancestor: State) -> tuple[State, Any]:
+    sample = transition.sample(key, ancestor)
+    return sample, transition.log_density(sample, ancestor)
 
 
 def _listed(forms: Mapping[str, tuple[int, ...]]) -> str:

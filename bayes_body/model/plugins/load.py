@@ -52,9 +52,9 @@ def load_plugin(path: Path | str) -> Plugin:
     before = _loaded.get(path)
     if before and before.text == text:
         return before
-    for other in _loaded.values():
-        if other.path.name == path.name and other.path != path:
-            raise input_error(path, f"the plugin {other.path} has the same file name", "a file name of its own", "rename one of them")
+    for namesake in _loaded.values():
+        if namesake.path.name == path.name and namesake.path != path:
+            raise input_error(path, f"the plugin {namesake.path} has the same file name", "a file name of its own", "rename one of them")
     if before:
         unload(before)
     with registry.additions() as places:
@@ -99,9 +99,9 @@ def check_own_factors(density: Any, state: State) -> None:
         InputError: as in `plugins.check.check_factors` and `check_transition`.
     """
     rooms: tuple[Room, ...] = ("likelihood", "potential")
-    own = {name: where_of(room, name) for room in rooms for name in registry.own_names(room)}
-    if own:
-        check_factors(density, state, own)
+    terms = {name: where_of(room, name) for room in rooms for name in registry.own_names(room)}
+    if terms:
+        check_factors(density, state, terms)
     if registry.own_names("dynamics"):
         check_transition(density, state)
 
@@ -152,8 +152,8 @@ def _execute(path: Path, text: str) -> None:
     try:
         code = compile(text, str(path), "exec", dont_inherit=True)
     except SyntaxError as error:
-        found = f"{error.msg} in the line `{(error.text or '').strip()}`"
-        raise input_error(f"{path}: line {error.lineno}", found, "Python", "correct that line") from None
+        problem = f"{error.msg} in the line `{(error.text or '').strip()}`"
+        raise input_error(f"{path}: line {error.lineno}", problem, "Python", "correct that line") from None
     except (ValueError, RecursionError, MemoryError) as error:
         raise input_error(path, str(error), "Python", "check the path") from None
     module = ModuleType(_module_name(path))

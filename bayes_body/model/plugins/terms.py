@@ -53,20 +53,20 @@ def _wrapped(origin: Origin, function: Any, check: Callable[[str, Any], None] | 
     return function
 
 
-def _by_name(where: str, found: Any) -> None:
-    if not isinstance(found, Mapping):
-        raise input_error(where, f"returns {shown(found)}", "a mapping from names of variables", "return a dict")
+def _by_name(where: str, output: Any) -> None:
+    if not isinstance(output, Mapping):
+        raise input_error(where, f"returns {shown(output)}", "a mapping from names of variables", "return a dict")
 
 
-def _array(where: str, found: Any) -> None:
+def _array(where: str, output: Any) -> None:
     # What an array must be like is said with the first frame's data (model/plugins/check.py).
-    if found is not None:
-        _arrays(where, found)
+    if output is not None:
+        _arrays(where, output)
 
 
-def _arrays(where: str, found: Any) -> None:
+def _arrays(where: str, output: Any) -> None:
     """Refuse what a compiled program cannot take."""
-    for leaf in jax.tree.leaves(found):
+    for leaf in jax.tree.leaves(output):
         kind = np.dtype(leaf.dtype).kind if hasattr(leaf, "dtype") and not jnp.issubdtype(leaf.dtype, jax.dtypes.extended) else "f"
         if kind not in "biufcV" or not (hasattr(leaf, "shape") or isinstance(leaf, int | float | complex)):
             raise input_error(where, f"returns {shown(leaf)}", "arrays of numbers", "convert it, or leave it out")
@@ -84,16 +84,16 @@ class OwnObserver(Own):
         Raises:
             InputError: the function fails, or its arrays are others than in the first frame.
         """
-        found, where = super().__call__(*arguments, **named), self.origin.where(self.function)
-        _arrays(where, found)
-        leaves, tree = jax.tree.flatten(found)
+        output, where = super().__call__(*arguments, **named), self.origin.where(self.function)
+        _arrays(where, output)
+        leaves, tree = jax.tree.flatten(output)
         form = tree, tuple((np.shape(leaf), np.asarray(leaf).dtype) for leaf in leaves)
         self.known[:] = self.known or [form]
         if form != self.known[0]:
-            before, now = (", ".join(f"{dtype}{list(shape)}" for shape, dtype in each[1]) or "none" for each in (self.known[0], form))
-            found_there = f"returns arrays of the shapes {now}, and returned {before} before"
-            raise input_error(where, found_there, "the same in every frame", "fill what is missing with zeros or NaN")
-        return found
+            first_shapes, shapes = (", ".join(f"{dtype}{list(shape)}" for shape, dtype in layout[1]) or "none" for layout in (self.known[0], form))
+            problem = f"returns arrays of the shapes {shapes}, and returned {first_shapes} before"
+            raise input_error(where, problem, "the same in every frame", "fill what is missing with zeros or NaN")
+        return output
 
 
 @dataclass(frozen=True)
@@ -106,14 +106,14 @@ class OwnKernel(Own):
         Raises:
             InputError: the function fails, or what it returns has another form.
         """
-        found, where = super().__call__(key, particles, density), self.origin.where(self.function)
+        output, where = super().__call__(key, particles, density), self.origin.where(self.function)
         expected = "a pair (bb.Particles, bb.FilterInfo)"
-        if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[0], Particles) and isinstance(found[1], FilterInfo)):
-            what = f"({', '.join(shown(each) for each in found)})" if type(found) is tuple else shown(found)
+        if not (isinstance(output, tuple) and len(output) == 2 and isinstance(output[0], Particles) and isinstance(output[1], FilterInfo)):
+            what = f"({', '.join(shown(element) for element in output)})" if type(output) is tuple else shown(output)
             raise input_error(where, f"returns {what}", expected, "return the particles of this frame, and their diagnostics")
-        _check_particles(where, found[0], particles)
-        _check_info(where, found[1], particles.log_weights.shape[0])
-        return found
+        _check_particles(where, output[0], particles)
+        _check_info(where, output[1], particles.log_weights.shape[0])
+        return output
 
     def check_values(self, particles: Particles, frame: int) -> None:
         """Refuse a frame's particles if a number among them or a log-weight is not one.
@@ -124,8 +124,8 @@ class OwnKernel(Own):
         where, weights = self.origin.where(self.function), np.asarray(particles.log_weights)
         broken = [name for name, values in particles.states.items() if np.isnan(np.asarray(values, float)).any()]
         if np.isnan(weights).any() or not (weights > -np.inf).any():
-            found = f"log-weights of frame {frame} are {'NaN' if np.isnan(weights).any() else 'all minus infinity'}"
-            raise input_error(where, found, "normalised log-weights", "where no particle explains the frame, return equal ones and set `lost`")
+            problem = f"log-weights of frame {frame} are {'NaN' if np.isnan(weights).any() else 'all minus infinity'}"
+            raise input_error(where, problem, "normalised log-weights", "where no particle explains the frame, return equal ones and set `lost`")
         if broken:
             raise input_error(where, f"'{broken[0]}' is NaN in some particles of frame {frame}", "numbers", "give such particles no weight")
 
@@ -140,14 +140,17 @@ def check_result(kernel: Any, particles: Particles, frame: int) -> None:
         kernel.check_values(particles, frame)
 
 
-def _check_particles(where: str, found: Particles, before: Particles) -> None:
-    forms = [{"log_weights": each.log_weights, **each.states} if isinstance(each.states, Mapping) else {} for each in (found, before)]
+def _check_particles(where: str, particles: Particles, before: Particles) -> None:
+    forms = [
+        {"log_weights": population.log_weights, **population.states} if isinstance(population.states, Mapping) else {}
+        for population in (particles, before)
+    ]
     if set(forms[0]) != set(forms[1]):
         names, expected = (", ".join(sorted(form)) or "nothing" for form in forms)
         raise input_error(where, f"particles with {names}", f"{expected}, as those that it is given", "return every variable of the state")
     for name, values in forms[0].items():
-        given = forms[1][name]
-        form, expected = (f"{getattr(each, 'dtype', type(each).__name__)}{list(np.shape(each))}" for each in (values, given))
+        ancestor_values = forms[1][name]
+        form, expected = (f"{getattr(array, 'dtype', type(array).__name__)}{list(np.shape(array))}" for array in (values, ancestor_values))
         if form != expected:
             raise input_error(where, f"`{name}` of the particles is {form}", f"{expected}, as it is given", "return as many particles, of that type")
 

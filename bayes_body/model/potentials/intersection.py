@@ -35,9 +35,11 @@ class Options(Schema):
     """[metres] with `"soft"`: standard deviation of the depth beyond that."""
 
 
-def _depths(body: Body, yield_m: Scalar, configuration: Configuration, of: Callable[[Body, Transform], jax.Array] = penetration_depths) -> jax.Array:
+def _depths(
+    body: Body, yield_m: Scalar, configuration: Configuration, depth_function: Callable[[Body, Transform], jax.Array] = penetration_depths
+) -> jax.Array:
     T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, configuration))))
-    return of(widened(body, configuration), T_world_part) - yield_m
+    return depth_function(widened(body, configuration), T_world_part) - yield_m
 
 
 def _hard(body: Body, yield_m: Scalar, soft_sd: Scalar, values: Variables, data: None) -> Scalar:

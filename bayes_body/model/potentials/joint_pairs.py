@@ -37,13 +37,13 @@ def log_pairs(edge: Mapping[str, Array], parents: Float[Array, "parent 7"], chil
 
     def of_component(mean: Array, root: Array, log_weight: Array) -> Array:
         a, g, turned = _of_parents(mean, root, parents, origin)
-        away = half_angles.away(turned, q)
-        quadratic = a @ f.T + half_angles.squared(away) * (g @ h.T)
+        versine = half_angles.away(turned, q)
+        quadratic = a @ f.T + half_angles.squared(versine) * (g @ h.T)
         # The Jacobian of the exponential map is (2 / s)².
-        return log_weight - 2 * np.log(2) - 0.5 * quadratic + half_angles.log_squared(away)
+        return log_weight - 2 * np.log(2) - 0.5 * quadratic + half_angles.log_squared(versine)
 
-    each = jax.vmap(of_component)(edge["mean"], edge["inverse_root"], edge["log_weight"])
-    return each[0] if len(each) == 1 else jax.nn.logsumexp(each, axis=0)
+    log_components = jax.vmap(of_component)(edge["mean"], edge["inverse_root"], edge["log_weight"])
+    return log_components[0] if len(log_components) == 1 else jax.nn.logsumexp(log_components, axis=0)
 
 
 def _of_parents(

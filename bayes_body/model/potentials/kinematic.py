@@ -89,8 +89,8 @@ def log_density(edge: Mapping[str, Array], parent: Float[Array, "7"], child: Flo
         parent: the pose of the parent.
         child: the pose of the child.
     """
-    each = jnp.asarray(log_of_components(edge, rigid.relative(parent, child)))
-    return each[0] if each.shape == (1,) else jax.nn.logsumexp(each)
+    log_components = jnp.asarray(log_of_components(edge, rigid.relative(parent, child)))
+    return log_components[0] if log_components.shape == (1,) else jax.nn.logsumexp(log_components)
 
 
 def draw(key: Key, edge: Mapping[str, Array], known: Float[Array, "7"], reverse: bool = False) -> Float[Array, "7"]:
@@ -150,8 +150,8 @@ def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
     assert isinstance(placement, ByParts)
     rows = tuple((parent, child) for child, parent in enumerate(placement.parents) if parent >= 0)
     children = [child for _, child in rows]
-    found = _components(name, options, body, children)
-    parameters = {key: device_array(value, body.lengths.dtype) for key, value in mixture(*found).items()}
+    components = _components(name, options, body, children)
+    parameters = {key: device_array(value, body.lengths.dtype) for key, value in mixture(*components).items()}
     functions = {
         name: jax.tree_util.Partial(function) for name, function in (("draw", draw), ("weighted_draw", weighted_draw), ("pairwise", log_pairs))
     }
@@ -170,17 +170,19 @@ class _Joints(NamedTuple):
 def _components(name: str, options: Options, body: Body, children: list[int]) -> _Joints:
     """Return the components of the children's joints."""
     if options.learned is None:
-        return _given(name, options.component, body, children)
+        return _defined(name, options.component, body, children)
     learned, share = _learned(name, options.learned, body, children), options.component_share
     if share is None:
         return learned
-    given = _given(name, options.component, body, children)
-    weights = [of * each.weight / each.weight.sum(axis=-1, keepdims=True) for of, each in ((1 - share, learned), (share, given))]
-    mean, covariance = (np.concatenate(both, axis=1) for both in zip(learned[:2], given[:2], strict=True))
+    defined = _defined(name, options.component, body, children)
+    weights = [
+        proportion * joints.weight / joints.weight.sum(axis=-1, keepdims=True) for proportion, joints in ((1 - share, learned), (share, defined))
+    ]
+    mean, covariance = (np.concatenate(both, axis=1) for both in zip(learned[:2], defined[:2], strict=True))
     return _Joints(mean, covariance, np.concatenate(weights, axis=1))
 
 
-def _given(name: str, components: Sequence[Component], body: Body, children: list[int]) -> _Joints:
+def _defined(name: str, components: Sequence[Component], body: Body, children: list[int]) -> _Joints:
     """Return the components that the definition gives."""
     placement = body.placement
     assert isinstance(placement, ByParts)
@@ -197,14 +199,14 @@ def _learned(name: str, file: str, body: Body, children: list[int]) -> _Joints:
     placement = body.placement
     assert isinstance(placement, ByParts)
     joints = load_joint_mixtures(file)
-    own = [(placement.names[child], placement.names[placement.parents[child]]) for child in children]
+    body_joints = [(placement.names[child], placement.names[placement.parents[child]]) for child in children]
     learned = list(zip(joints.parts, joints.parents, strict=True))
-    for part, parent in (*sorted(set(learned) - set(own)), *sorted(set(own) - set(learned))):
+    for part, parent in (*sorted(set(learned) - set(body_joints)), *sorted(set(body_joints) - set(learned))):
         without = f"the body '{body.name}' has" if (part, parent) in learned else "the file has"
-        found = f"learned on the body '{joints.body}', and {without} no joint of '{part}' with '{parent}'"
+        problem = f"learned on the body '{joints.body}', and {without} no joint of '{part}' with '{parent}'"
         remedy = "learn one with `bayes-body learn kinematic-potentials --body`"
-        raise input_error(f"{name}: learned: {file}", found, f"the joints of the body '{body.name}'", remedy)
-    order = [learned.index(joint) for joint in own]
+        raise input_error(f"{name}: learned: {file}", problem, f"the joints of the body '{body.name}'", remedy)
+    order = [learned.index(joint) for joint in body_joints]
     means = joints.mean[order]
     means[..., :3] += _means(name, Component(), body)[children, None, :3]
     means[..., 3:] = rotations.normalised(means[..., 3:])
@@ -221,12 +223,12 @@ def _means(name: str, component: Component, body: Body) -> Float[np.ndarray, "pa
     pose = np.array([math.radians(component.mean_deg.get(dof, 0.0)) for dof in body.dof_names])
     parts = placement.configuration(body.skeleton, device_array(pose, body.lengths.dtype))
     relative = relative_to_parents(np.asarray(parts, float), placement.parents)
-    for part, given in component.relative.items():
+    for part, relative_pose in component.relative.items():
         if part not in placement.names:
             raise InputError(f"{name}: relative.{part}: no part of the body '{body.name}'; {nearest(part, placement.names)}")
-        length = math.sqrt(sum(each * each for each in given[3:]))
+        length = math.sqrt(sum(entry * entry for entry in relative_pose[3:]))
         if abs(length - 1) > 1e-3:
-            found, remedy = f"a quaternion of length {length:.4g}", "give w, x, y, z of a rotation, such as 1, 0, 0, 0"
-            raise input_error(f"{name}: relative.{part}", found, "length 1, or it is no rotation", remedy)
-        relative[placement.names.index(part)] = (*given[:3], *(each / length for each in given[3:]))
+            problem, remedy = f"a quaternion of length {length:.4g}", "give w, x, y, z of a rotation, such as 1, 0, 0, 0"
+            raise input_error(f"{name}: relative.{part}", problem, "length 1, or it is no rotation", remedy)
+        relative[placement.names.index(part)] = (*relative_pose[:3], *(entry / length for entry in relative_pose[3:]))
     return relative

@@ -109,11 +109,11 @@ def _spheres(body: Body) -> tuple[Float[np.ndarray, "part sphere 3"], Float[np.n
     """Return the spheres of all solids that each part holds, in its frame. Parts with fewer repeat their first one."""
     placement = body.placement
     assert isinstance(placement, ByParts)
-    found = _in_parts(body)
+    solid_spheres = _in_parts(body)
     holders = np.array([placement.owners[joint] for joint in body.topology.joints])
-    each = [np.flatnonzero(holders == part) for part in range(len(placement.names))]
-    centres, radii = ([np.concatenate(np.asarray(values, float)[solids]) for solids in each] for values in found)
-    most = max(len(each) for each in radii)
+    solids_by_part = [np.flatnonzero(holders == part) for part in range(len(placement.names))]
+    centres, radii = ([np.concatenate(np.asarray(values, float)[solids]) for solids in solids_by_part] for values in solid_spheres)
+    most = max(len(part_radii) for part_radii in radii)
 
     def filled(values: np.ndarray) -> np.ndarray:
         return np.concatenate([values, np.repeat(values[:1], most - len(values), axis=0)])

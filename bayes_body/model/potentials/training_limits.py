@@ -52,12 +52,12 @@ def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
     require(body, POSE, "constraint 'training_limits'", "another constraint")
     path = learned_file(options.activity)
     arrays = read_arrays(path, ("names", "low", "high"), "ranges of joint angles", REMEDY)
-    names = tuple(str(each) for each in arrays.get("names", ()))
-    missing = [each for each in names if each not in body.dof_names]
+    names = tuple(str(dof) for dof in arrays.get("names", ()))
+    missing = [dof for dof in names if dof not in body.dof_names]
     if missing or not names or not len(names) == len(arrays.get("low", ())) == len(arrays.get("high", ())):
-        found = f"ranges of {len(names)} dofs" + (f", one of them {missing[0]}" if missing else "")
-        raise input_error(path, found, f"ranges of dofs of the body '{body.name}'", REMEDY)
-    which = np.array([body.dof_names.index(each) for each in names])
+        problem = f"ranges of {len(names)} dofs" + (f", one of them {missing[0]}" if missing else "")
+        raise input_error(path, problem, f"ranges of dofs of the body '{body.name}'", REMEDY)
+    which = np.array([body.dof_names.index(dof) for dof in names])
     margin, dtype = np.radians(options.margin_deg), body.lengths.dtype
     low, high = (jnp.asarray(arrays[side] + sign * margin, dtype) for side, sign in (("low", -1), ("high", 1)))
     return Factor(

@@ -17,17 +17,17 @@ def widths_by_part(name: str, parts: tuple[str, ...], sd_m: Mapping[str, Width],
     Raises:
         InputError: a part has none, or a key matches no part.
     """
-    return np.concatenate([_of(name, "sd_m", parts, sd_m), np.radians(_of(name, "sd_deg", parts, sd_deg))], axis=1)
+    return np.concatenate([_axis_widths(name, "sd_m", parts, sd_m), np.radians(_axis_widths(name, "sd_deg", parts, sd_deg))], axis=1)
 
 
-def _of(name: str, field: str, parts: tuple[str, ...], table: Mapping[str, Width]) -> Float[np.ndarray, "part 3"]:
+def _axis_widths(name: str, field: str, parts: tuple[str, ...], table: Mapping[str, Width]) -> Float[np.ndarray, "part 3"]:
     for key in table:
         if not any(fnmatchcase(part, key) for part in parts):
             raise InputError(f"{name}: {field}.{key}: matches no part of the body; {nearest(key, parts)}")
-    found = np.empty((len(parts), 3))
-    for row, part in zip(found, parts, strict=True):
+    widths = np.empty((len(parts), 3))
+    for row, part in zip(widths, parts, strict=True):
         key = part if part in table else next((pattern for pattern in table if fnmatchcase(part, pattern)), None)
         if key is None:
             raise InputError(f"{name}: {field}: none for the part '{part}'; expected one for every part; add '{part}' or a pattern.")
         row[:] = table[key]
-    return found
+    return widths
