@@ -36,16 +36,16 @@ def height_px(angle):
     return FOCAL_PX * THIGH_M * jnp.cos(angle) / (AWAY_M - THIGH_M * jnp.sin(angle))
 
 
-def log_seen(seen, state):
-    return dist.StudentT(4.0, height_px(state[0]), PIXEL_SD).log_prob(seen)
+def log_seen(pixel, state):
+    return dist.StudentT(4.0, height_px(state[0]), PIXEL_SD).log_prob(pixel)
 
 
-def swing(seen):
+def swing(pixels):
     return bb.graph(
-        {"frame": (len(seen), 2)},
+        {"frame": (len(pixels), 2)},
         bb.node_factor("first", dist.Normal(0.0, jnp.array([0.8, 4.0])).to_event(1), ["frame_0"]),
-        bb.node_factor("camera", log_seen, parameters=jnp.asarray(seen)),
-        bb.edge_factor("step", log_step, [(i, i + 1) for i in range(len(seen) - 1)], draw=draw_step),
+        bb.node_factor("camera", log_seen, parameters=jnp.asarray(pixels)),
+        bb.edge_factor("step", log_step, [(i, i + 1) for i in range(len(pixels) - 1)], draw=draw_step),
     )
 
 
@@ -63,12 +63,14 @@ def main() -> None:
     parser.add_argument("--seed", type=bb.whole_number(0), default=0, help="random seed (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="one iteration: a trial")
     arguments = parser.parse_args()
-    angles, seen = recording(arguments.seed)
+    angles, pixels = recording(arguments.seed)
     sampler = bb.kernels.particle_bp(samples=arguments.samples, iterations=1 if arguments.quick else 3, schedule="tree")
-    found = jax.jit(sampler.on)(jax.random.key(arguments.seed), swing(seen))
-    paths, true = np.degrees(found.joint.values[..., 0]), np.degrees(angles)
+    beliefs = jax.jit(sampler.on)(jax.random.key(arguments.seed), swing(pixels))
+    paths, true = np.degrees(beliefs.joint.values[..., 0]), np.degrees(angles)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    print(f"log-evidence of {FRAMES} images: {found.joint.log_evidence:.1f}; draws within 12 degrees: {100 * np.mean(abs(paths - true) < 12):.0f} %")
+    print(
+        f"log-evidence of {FRAMES} images: {beliefs.joint.log_evidence:.1f}; draws within 12 degrees: {100 * np.mean(abs(paths - true) < 12):.0f} %"
+    )
     figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
     axis.plot(paths[:200].T, color="#1f77b4", alpha=0.06, lw=1)
     axis.legend(axis.plot(true, "k--"), ["true angle"])

@@ -29,8 +29,8 @@ def draw_on_ring(key, distance, known, reverse):
     return known + jnp.abs(distance + SD * noise) * jnp.array([jnp.cos(angle), jnp.sin(angle)])
 
 
-def log_on_ring(distance, known, other, reverse):
-    radius = jnp.sqrt(jnp.sum((other - known) ** 2) + 1e-12)
+def log_on_ring(distance, known, place, reverse):
+    radius = jnp.sqrt(jnp.sum((place - known) ** 2) + 1e-12)
     return dist.Normal(distance, SD).log_prob(radius) - jnp.log(2 * jnp.pi * radius)
 
 
@@ -58,16 +58,16 @@ def main() -> None:
         bb.edge_factor("distance", log_range, edges, jnp.asarray(distances), draw_on_ring, log_on_ring),
     )
     sampler = bb.kernels.particle_bp(samples=arguments.samples, iterations=2 if arguments.quick else 10, shares=(0.7, 0.1, 0.1, 0.2))
-    found = jax.jit(sampler.on)(jax.random.key(arguments.seed), graph)
-    weights = jnp.exp(found.log_beliefs)[..., None]
-    mean = jnp.sum(weights * found.points, axis=1)
-    sd = jnp.sqrt(jnp.sum(weights * (found.points - mean[:, None]) ** 2, axis=(1, 2)))
+    beliefs = jax.jit(sampler.on)(jax.random.key(arguments.seed), graph)
+    weights = jnp.exp(beliefs.log_beliefs)[..., None]
+    mean = jnp.sum(weights * beliefs.points, axis=1)
+    sd = jnp.sqrt(jnp.sum(weights * (beliefs.points - mean[:, None]) ** 2, axis=(1, 2)))
     figure, axis = plt.subplots(figsize=(7, 7), layout="constrained")
     print("sensor     error      sd  (of a field of side 1)")
     for node in range(ANCHORS, SENSORS):
         print(f"{node:6}{float(np.linalg.norm(mean[node] - places[node])):10.3f}{float(sd[node]):8.3f}")
-        shown = jax.random.categorical(jax.random.key(node), found.log_beliefs[node], shape=(200,))
-        axis.scatter(*found.points[node, shown].T, s=4, alpha=0.3, color=f"C{node % 10}", lw=0)
+        shown = jax.random.categorical(jax.random.key(node), beliefs.log_beliefs[node], shape=(200,))
+        axis.scatter(*beliefs.points[node, shown].T, s=4, alpha=0.3, color=f"C{node % 10}", lw=0)
     axis.scatter(*places[ANCHORS:].T, marker="x", color="black", label="true place")
     axis.scatter(*places[:ANCHORS].T, marker="s", color="black", label="known place")
     axis.set(aspect="equal", xlim=(-0.1, 1.1), ylim=(-0.1, 1.1), title="200 draws of each sensor's belief, in its colour")

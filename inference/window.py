@@ -37,23 +37,25 @@ def parse() -> argparse.Namespace:
 def main() -> None:
     arguments = parse()
     bb.configure()
-    own = {name: getattr(arguments, name) for name in ("chains", "warm_up", "draws", "paths", "target_acceptance")}
-    options = {"chains": 2, "warm_up": 100, "draws": 100, "paths": 40} if arguments.quick else own
+    chosen_options = {name: getattr(arguments, name) for name in ("chains", "warm_up", "draws", "paths", "target_acceptance")}
+    options = {"chains": 2, "warm_up": 100, "draws": 100, "paths": 40} if arguments.quick else chosen_options
     frames = 2 if arguments.quick else arguments.frames
     arguments.out.mkdir(parents=True, exist_ok=True)
 
-    found = bb.window_of_run(arguments.run, frames, arguments.first, arguments.seed, arguments.prior, **options)
-    posterior = bb.window_to_datatree(found)
+    window = bb.window_of_run(arguments.run, frames, arguments.first, arguments.seed, arguments.prior, **options)
+    posterior = bb.window_to_datatree(window)
     bb.save_posterior(posterior, arguments.out / "posterior.nc")
 
     middle = frames // 2
     pose, smoothed = (posterior[group]["pose"].isel(frame=middle) for group in ("posterior", "smoothed"))
-    print(f"{'dof':<16}{'mean':>10} ± sd           smoother's      in frame {found.frames[middle]}")
+    print(f"{'dof':<16}{'mean':>10} ± sd           smoother's      in frame {window.frames[middle]}")
     for dof in pose.dof.values:
         scale, unit = (1000, "mm") if pose.sel(dof=dof).unit == "m" else (np.degrees(1), "deg")
-        columns = [f"{float(one.mean()) * scale:10.1f} ± {float(one.std()) * scale:<7.1f}" for one in (pose.sel(dof=dof), smoothed.sel(dof=dof))]
+        columns = [
+            f"{float(draws.mean()) * scale:10.1f} ± {float(draws.std()) * scale:<7.1f}" for draws in (pose.sel(dof=dof), smoothed.sel(dof=dof))
+        ]
         print(f"{dof:<16}{''.join(columns)} {unit}")
-    for sentence in bb.window_sentences(found):
+    for sentence in bb.window_sentences(window):
         print(sentence)
     print(f"{arguments.out / 'posterior.nc'}: `arviz.from_netcdf` reads it")
 

@@ -52,7 +52,7 @@ def activity_hmm(
 
     table = out.with_suffix(".toml")
     check_out(out, table, overwrite)
-    given = [labelled(word) for word in mocap]
+    labelled_paths = [labelled(word) for word in mocap]
     configure()
     from bayes_body.base.files.atomic import write_text
     from bayes_body.base.progress import watched
@@ -63,23 +63,23 @@ def activity_hmm(
     from bayes_body.workshop.learning.activity_motions import captured, check_rate
 
     schema, options = load_body(body), LearnOptions(components, states, fps, restarts, seed, switch_per_s, learn_initial)
-    files = [(one.label, file) for one in given for file in motion_files(one.path)]
+    files = [(labelled_path.label, file) for labelled_path in labelled_paths for file in motion_files(labelled_path.path)]
     motions = [(label, file, read_motion(file)) for label, file in files]
     for _, file, motion in motions:
         check_rate(str(file), motion.fps, fps)
     usable = _usable(motions)
-    each = (usable[k] for k in watched("retargeting")(range(len(usable))))
-    tracks = [captured(file.stem, file.resolve().parent.name, label or WALK, motion, body, schema, fps) for label, file, motion in each]
-    found = learn_activity(tracks, body, schema, options, watched("learning"))
-    save_activity(found.activity, out)
-    words = [*(one.told() for one in given), *_options(body, options), "--out", portable(out)]
-    write_text(table, _told(found, tracks, options, source, words))
-    for sentence in found.sentences:
+    recordings = (usable[k] for k in watched("retargeting")(range(len(usable))))
+    tracks = [captured(file.stem, file.resolve().parent.name, label or WALK, motion, body, schema, fps) for label, file, motion in recordings]
+    learned = learn_activity(tracks, body, schema, options, watched("learning"))
+    save_activity(learned.activity, out)
+    words = [*(labelled_path.told() for labelled_path in labelled_paths), *_options(body, options), "--out", portable(out)]
+    write_text(table, _source_text(learned, tracks, options, source, words))
+    for sentence in learned.sentences:
         say(sentence)
     say(
-        f"{out}: {len(found.activity.labels)} states from {sum(len(track.dofs) for track in tracks)} frames of {len(tracks)} motions of "
-        f"{len(found.activity.subjects)} people; {components} features keep {100 * found.activity.kept:.0f} % of the variance; "
-        f"log-likelihood {found.held_out:.2f} nats a frame held out, {found.training:.2f} in training."
+        f"{out}: {len(learned.activity.labels)} states from {sum(len(track.dofs) for track in tracks)} frames of {len(tracks)} motions of "
+        f"{len(learned.activity.subjects)} people; {components} features keep {100 * learned.activity.kept:.0f} % of the variance; "
+        f"log-likelihood {learned.held_out:.2f} nats a frame held out, {learned.training:.2f} in training."
     )
 
 
@@ -111,11 +111,11 @@ def _options(body: str, options: "LearnOptions") -> list[str]:
     return words
 
 
-def _told(found: "LearnedActivity", tracks: "Sequence[Captured]", options: "LearnOptions", source: str, words: list[str]) -> str:
+def _source_text(learned: "LearnedActivity", tracks: "Sequence[Captured]", options: "LearnOptions", source: str, words: list[str]) -> str:
     """Return the text of the file beside the arrays, with their source and the command that makes them."""
     import tomlkit
 
-    activity = found.activity
+    activity = learned.activity
     document = tomlkit.document()
     document.add(tomlkit.comment("Arrays: see `bayes_body.model.dynamics.activity.Activity`. Log-likelihoods are in nats per frame."))
     document["title"] = f"Joint angles of an activity ({', '.join(dict.fromkeys(activity.labels))}) as a hidden Markov model"
@@ -130,6 +130,6 @@ def _told(found: "LearnedActivity", tracks: "Sequence[Captured]", options: "Lear
     document["states"] = [activity.labels.count(label) for label in activities]
     document["components"] = options.components
     document["kept"] = round(activity.kept, 3)
-    document["log_likelihood_held_out"] = round(found.held_out, 2)
-    document["log_likelihood_training"] = round(found.training, 2)
+    document["log_likelihood_held_out"] = round(learned.held_out, 2)
+    document["log_likelihood_training"] = round(learned.training, 2)
     return tomlkit.dumps(document)

@@ -65,13 +65,13 @@ def _made(asked: "tuple[Pair, ...]", settings: "Settings", out: Path | None) -> 
     from bayes_body.base.progress import steps_bar
     from bayes_body.workshop.compare import benchmark_rows
 
-    kept = _kept(out)
+    rows_by_pair = _stored_rows(out)
     rows: list[Row] = []
     with tempfile.TemporaryDirectory(prefix="bayes-body-benchmark-") as folder, steps_bar(len(asked), _named(asked[0])) as progress:
-        for number, row in enumerate(benchmark_rows(asked, settings, Path(folder), list(kept.values())), 1):
+        for number, row in enumerate(benchmark_rows(asked, settings, Path(folder), list(rows_by_pair.values())), 1):
             rows.append(row)
-            kept[row["model"], row["kernel"]] = row
-            _write(out, list(kept.values()))
+            rows_by_pair[row["model"], row["kernel"]] = row
+            _write(out, list(rows_by_pair.values()))
             progress(number, _named(asked[min(number, len(asked) - 1)]))
     return rows
 
@@ -80,7 +80,7 @@ def _named(pair: "Pair") -> str:
     return f"{Path(pair.model).stem} × {pair.kernel}"
 
 
-def _kept(out: Path | None) -> "dict[tuple[Any, Any], Row]":
+def _stored_rows(out: Path | None) -> "dict[tuple[Any, Any], Row]":
     """Return the rows that are already in the file, by model and kernel."""
     if out is None or not out.exists():
         return {}

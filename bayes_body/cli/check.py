@@ -63,12 +63,12 @@ def check(
     _check_files(json_file, plot)
     if session is not None and rig is not None:
         raise input_error("--rig", f"given together with --session {session}", "one of the two", "leave one out")
-    given = {name: value for name, value in (counts | {"move": move}).items() if value is not None}
+    overrides = {name: value for name, value in (counts | {"move": move}).items() if value is not None}
     folder, cameras = (None if path is None else str(path) for path in (session, rig))
     with own_terms(plugin):
-        kind, options = kernel_options(checked_definition(model), kernel, given)
-        own = tuple(str(path) for path in plugin or ())
-        plan = Plan(model, kind, options.model_dump(), folder, cameras, frames, bins, seed=seed, plugins=own)
+        kind, options = kernel_options(checked_definition(model), kernel, overrides)
+        plugins = tuple(str(path) for path in plugin or ())
+        plan = Plan(model, kind, options.model_dump(), folder, cameras, frames, bins, seed=seed, plugins=plugins)
         passed = _run(plan, particles is None, replications, jobs or os.cpu_count() or 1, json_file, plot)
     if not passed:
         raise typer.Exit(FAILED)
@@ -88,7 +88,7 @@ def _check_files(json_file: Path | None, plot: Path | None) -> None:
     ranks = None if json_file is None else ranks_file(json_file)
     for option, path in (("--json", json_file), ("--json", ranks), ("--plot", plot)):
         if path is not None and (path.is_dir() or not path.parent.is_dir()):
-            found = "a folder" if path.is_dir() else f"there is no folder {path.parent}"
-            raise input_error(f"{option} {path}", found, "a file in a folder that exists", "make the folder, or name another file")
+            problem = "a folder" if path.is_dir() else f"there is no folder {path.parent}"
+            raise input_error(f"{option} {path}", problem, "a file in a folder that exists", "make the folder, or name another file")
     if plot is not None and plot.suffix not in (".png", ".pdf", ".svg"):
         raise input_error(f"--plot {plot}", f"the ending '{plot.suffix}'", ".png, .pdf or .svg", "name another file")

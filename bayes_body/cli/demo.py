@@ -51,17 +51,17 @@ def demo(
     size = QUICK if quick else LONG if long else SHORT
     folder, lines = free_folder(Path(FOLDER)) if out is None else out, list[str]()
     try:
-        found = demonstrate(folder, seed, size, say, lines.append, bar=True)
+        outputs = demonstrate(folder, seed, size, say, lines.append, bar=True)
         # The result is printed first, then the lines of the run.
-        say(f"result     {result_of(found.summary)}\n")
-        _table(found.summary)
+        say(f"result     {result_of(outputs.summary)}\n")
+        _table(outputs.summary)
         say()
     finally:
         for line in lines:
             say(line)
-    _where(found)
+    _where(outputs)
     if has_display() if open_report is None else open_report:
-        typer.launch(found.report.resolve().as_uri())
+        typer.launch(outputs.report.resolve().as_uri())
 
 
 def has_display() -> bool:
@@ -79,8 +79,8 @@ def _table(summary: dict[str, Any]) -> None:
     show(table)
 
 
-def _where(found: "Demo") -> None:
+def _where(outputs: "Demo") -> None:
     say()
-    for what, path in (("overlay", found.overlay), ("report", found.report), ("posterior", found.posterior), ("recording", found.recording)):
+    for what, path in (("overlay", outputs.overlay), ("report", outputs.report), ("posterior", outputs.posterior), ("recording", outputs.recording)):
         say(f"{what:<11}{path}")
-    say(f'open the report in a browser; in Python: xarray.open_datatree("{found.posterior}")')
+    say(f'open the report in a browser; in Python: xarray.open_datatree("{outputs.posterior}")')

@@ -42,9 +42,9 @@ def edge_statistics(
     asked, learned, compared = (*DISPLACED_PX, None), [], []
     for wavelength in tried:
         with waiting(f"wavelength {wavelength:g} px"):
-            found = images.at(wavelength, asked)
-            learned.append((wavelength, fit(found[0], found[-1]), found[0]))
-            compared.append([mean_log_density(each, learned[-1][1]) for each in (others.at(wavelength, asked) if others else found)])
+            responses = images.at(wavelength, asked)
+            learned.append((wavelength, fit(responses[0], responses[-1]), responses[0]))
+            compared.append([mean_log_density(response, learned[-1][1]) for response in (others.at(wavelength, asked) if others else responses)])
     say("\n".join(_table(wavelength, statistics) for wavelength, statistics, _ in learned))
     whose = "held-out recordings" if others else "training recordings"
     say(f"# mean log-density per sample, nats, on the {whose}: on boundaries displaced by ... px, and elsewhere")
@@ -82,21 +82,21 @@ def _images(sessions: list[Path], frames: int) -> "Images":
     pairs = []
     for path in sessions:
         session = load_session(path)
-        found = known_pairs(session, frames, lambda name: mask_pattern(TRUE_MASKS, name))
-        if not found:
+        recording_pairs = known_pairs(session, frames, lambda name: mask_pattern(TRUE_MASKS, name))
+        if not recording_pairs:
             raise input_error(
                 path, "no known silhouettes", f"a folder {TRUE_MASKS}, or masks", "simulate with --masks, or give cameras their `masks`"
             )
-        pairs += found
+        pairs += recording_pairs
     return Images(pairs)
 
 
 def _numbers(text: str) -> list[float]:
     """Return the wavelengths, ascending."""
     try:
-        found = sorted({float(word) for word in text.split(",")})
+        wavelengths = sorted({float(word) for word in text.split(",")})
     except ValueError:
-        found = []
-    if not found or not all(3 <= value < float("inf") for value in found):
+        wavelengths = []
+    if not wavelengths or not all(3 <= value < float("inf") for value in wavelengths):
         raise input_error("--wavelengths", repr(text), "numbers from 3 up, separated by commas", f"give for example {WAVELENGTHS}")
-    return found
+    return wavelengths

@@ -65,8 +65,8 @@ def export(
 def _report(motions: "Mapping[str, Motion]", kernel: str, smoothed: bool) -> Iterator[str]:
     motion = next(iter(motions.values()))
     by_axis: dict[str, list[str]] = {}
-    for name, each in motions.items():
-        by_axis.setdefault(each.up, []).append(name)
+    for name, named_motion in motions.items():
+        by_axis.setdefault(named_motion.up, []).append(name)
     up = ", ".join(f"{axis} up{f' ({", ".join(names)})' if len(by_axis) > 1 else ''}" for axis, names in by_axis.items())
     yield f"{len(motion.marker_names)} markers, {motion.frames} frames at {motion.fps:g} a second, {up}"
     if not motion.has_intervals:

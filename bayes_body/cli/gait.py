@@ -48,20 +48,20 @@ def gait(
     check_free(path, overwrite)
     with own_terms(plugin), load_run(run) as saved:
         up = "xyz".index(saved.session.up)
-        found = gait_of(marker_paths(saved, POINTS), saved.fps, up)
+        walk = gait_of(marker_paths(saved, POINTS), saved.fps, up)
         angles = angle_paths(saved.tree, saved.model, up, saved.fps)
-        ranges = [*ranges_of(angles), *stride_ranges(angles, found, saved.fps)]
+        ranges = [*ranges_of(angles), *stride_ranges(angles, walk, saved.fps)]
     make_folder(path.parent)
-    write_gait(found, path, ranges)
-    if not found.events:
+    write_gait(walk, path, ranges)
+    if not walk.events:
         say("No steps were found.")
-    for title, rows in (("The walk", walk_rows(found)), ("Events, s from the first frame", event_rows(found))):
+    for title, rows in (("The walk", walk_rows(walk)), ("Events, s from the first frame", event_rows(walk))):
         if rows:
             show(_table(title, rows))
-    legs = [each for each in ranges if not each.stride and each.name.startswith(LEGS)]
+    legs = [angle_range for angle_range in ranges if not angle_range.stride and angle_range.name.startswith(LEGS)]
     if legs:
         show(_angle_table("Angles of the legs over the recording, degrees, with 90 % intervals", legs))
-    say(f"{path}: {len(found.events)} events, {len(found.strides)} strides, {len(angles.names)} angles.")
+    say(f"{path}: {len(walk.events)} events, {len(walk.strides)} strides, {len(angles.names)} angles.")
 
 
 def _table(title: str, rows: "Sequence[Row]") -> "Table":
@@ -90,8 +90,8 @@ def _angle_table(title: str, ranges: "Sequence[AngleRange]") -> "Table":
         table.add_column(name)
     for name in ("largest", "smallest", "range"):
         table.add_column(name, justify="right")
-    for each in ranges:
+    for angle_range in ranges:
         # Adding 0 turns -0 into 0.
-        figures = (f"{round(row.mean, 1) + 0:.1f} ({round(row.q05, 1) + 0:.1f} to {round(row.q95, 1) + 0:.1f})" for row in angle_rows([each]))
-        table.add_row(each.name.replace("_", " "), SIDES[each.side], *figures)
+        figures = (f"{round(row.mean, 1) + 0:.1f} ({round(row.q05, 1) + 0:.1f} to {round(row.q95, 1) + 0:.1f})" for row in angle_rows([angle_range]))
+        table.add_row(angle_range.name.replace("_", " "), SIDES[angle_range.side], *figures)
     return table

@@ -25,9 +25,9 @@ def image_motion(
     definition, everything = checked_definition(model), []
     for path in sessions:
         pairs = list(motion_pairs(load_session(path), definition, frames))
-        found = motion_noise(pairs)
+        noise = motion_noise(pairs)
         everything += pairs
-        told = f"noise_grey {found.noise_grey:.2f}, outlier_share {found.outlier_share:.3f}, precision {found.precision:.3f}"
-        say(f"# {path.name}: {told}, {sum(pair.difference.size for pair in pairs):,} points")
-    found = motion_noise(everything)
-    say(f"noise_grey = {found.noise_grey:.2f}\noutlier_share = {found.outlier_share:.3f}\nprecision = {found.precision:.3f}")
+        figures = f"noise_grey {noise.noise_grey:.2f}, outlier_share {noise.outlier_share:.3f}, precision {noise.precision:.3f}"
+        say(f"# {path.name}: {figures}, {sum(pair.difference.size for pair in pairs):,} points")
+    noise = motion_noise(everything)
+    say(f"noise_grey = {noise.noise_grey:.2f}\noutlier_share = {noise.outlier_share:.3f}\nprecision = {noise.precision:.3f}")

@@ -252,8 +252,8 @@ def draw_first_frame(session: "Session", name: str, path: Path) -> Path:
     if session.initial_markers or session.initial_keypoints:
         from bayes_body.initial import apply_first_pose, first_pose
 
-        found = first_pose(model, session)
-        for remark in found.remarks:
+        fitted_pose = first_pose(model, session)
+        for remark in fitted_pose.remarks:
             say(f"note: first pose: {remark}")
-        model = apply_first_pose(model, session, found)
+        model = apply_first_pose(model, session, fitted_pose)
     return draw_check(session, model, path)

@@ -54,9 +54,11 @@ def kinematic_potentials(
     compared = _poses(test, body, schema, frames) if test else train
     results = held_out(joints, compared), held_out(single, compared)
     options = {"--body": (body, "person_31"), "--components": (components, 4), "--floor-mm": (floor_mm, 10.0), "--floor-deg": (floor_deg, 2.0)}
-    own = [word for option, (value, default) in (options | {"--frames": (frames, 60)}).items() if value != default for word in (option, f"{value}")]
-    words = [*map(portable, motions), *own, *(word for path in test for word in ("--held-out", portable(path))), "--out", portable(out)]
-    write_text(table, _told(joints, source, words, train, compared if test else [], results))
+    option_words = [
+        word for option, (value, default) in (options | {"--frames": (frames, 60)}).items() if value != default for word in (option, f"{value}")
+    ]
+    words = [*map(portable, motions), *option_words, *(word for path in test for word in ("--held-out", portable(path))), "--out", portable(out)]
+    write_text(table, _source_text(joints, source, words, train, compared if test else [], results))
     _show(joints, f"{len(compared)} motions" + (" held out" if test else ", the same that were learned from"), *results)
     say(f"{out}: {len(joints.parts)} joints, {components} components each, from {len(train)} motions of {_people(train)} people.")
 
@@ -68,8 +70,8 @@ def _poses(paths: Sequence[Path], body: str, schema: "BodySchema", frames: int) 
 
     files = [file for path in paths for file in motion_files(path)]
     motions = [read_motion(file) for file in files]
-    each = watched("retargeting")(range(len(files)))
-    return [joint_poses(files[k].stem, files[k].resolve().parent.name, motions[k], body, schema, frames) for k in each]
+    indices = watched("retargeting")(range(len(files)))
+    return [joint_poses(files[k].stem, files[k].resolve().parent.name, motions[k], body, schema, frames) for k in indices]
 
 
 def _people(motions: "Sequence[JointPoses]") -> int:
@@ -83,13 +85,13 @@ def _show(joints: "JointMixtures", what: str, mixture: "HeldOut", single: "HeldO
     for column in table.columns[1:]:
         column.justify = "right"
     rows = [(part, mixture.values[:, j], single.values[:, j]) for j, part in enumerate(joints.parts)]
-    for part, ours, other in [*rows, ("all", mixture.values.sum(axis=1), single.values.sum(axis=1))]:
-        gain = ours - other
-        table.add_row(part, f"{ours.mean():.2f}", f"{other.mean():.2f}", f"{gain.mean():.2f}", f"{gain.min():.2f} to {gain.max():.2f}")
+    for part, ours, theirs in [*rows, ("all", mixture.values.sum(axis=1), single.values.sum(axis=1))]:
+        gain = ours - theirs
+        table.add_row(part, f"{ours.mean():.2f}", f"{theirs.mean():.2f}", f"{gain.mean():.2f}", f"{gain.min():.2f} to {gain.max():.2f}")
     show(f"log-density of {what}, nats a frame, mean of {len(mixture.subjects)} people", table)
 
 
-def _told(
+def _source_text(
     joints: "JointMixtures",
     source: str,
     words: list[str],

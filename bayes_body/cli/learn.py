@@ -48,31 +48,31 @@ def walking_cycle(
     check_out(out, table, overwrite)
     files = [file for path in walks for file in motion_files(path)]
     motions = [(file.stem, read_motion(file)) for file in files]
-    found = learn([(name, landmarks(motion), motion.fps) for name, motion in motions])
-    for sentence in found.left_out:
+    model = learn([(name, landmarks(motion), motion.fps) for name, motion in motions])
+    for sentence in model.left_out:
         say(sentence)
-    save_cycle(found.cycle, out)
-    used = [file.stem for file in files if not any(sentence.startswith(f"{file.stem}:") for sentence in found.left_out)]
-    write_text(table, _told(found, source, used, [*map(portable, walks), "--out", portable(out)]))
-    say(f"{out}: {found.strides} strides of {', '.join(used)}, {len(found.cycle.modes)} modes explain {100 * found.explained:.0f} % of the variance.")
+    save_cycle(model.cycle, out)
+    used = [file.stem for file in files if not any(sentence.startswith(f"{file.stem}:") for sentence in model.left_out)]
+    write_text(table, _source_text(model, source, used, [*map(portable, walks), "--out", portable(out)]))
+    say(f"{out}: {model.strides} strides of {', '.join(used)}, {len(model.cycle.modes)} modes explain {100 * model.explained:.0f} % of the variance.")
 
 
-def _told(found: "Learned", source: str, used: list[str], words: list[str]) -> str:
+def _source_text(model: "Learned", source: str, used: list[str], words: list[str]) -> str:
     """Return the text of the file beside the arrays, with their source and the command that makes them."""
     import math
 
     import tomlkit
 
-    cycle, (duration, length) = found.cycle, found.cycle.pace
+    cycle, (duration, length) = model.cycle, model.cycle.pace
     document = tomlkit.document()
     document.add(tomlkit.comment("Arrays: mean and modes (Fourier coefficients of landmarks relative to the pelvis, in heights), pace and segments."))
     document["title"] = "Mean stride of one walker, and the main modes of variation between strides"
     document["source"] = source
     document["motions"] = used
     document["command"] = " ".join(["bayes-body learn walking-cycle", *words])
-    document["strides"] = found.strides
+    document["strides"] = model.strides
     document["modes"] = len(cycle.modes)
-    document["explained"] = round(found.explained, 3)
+    document["explained"] = round(model.explained, 3)
     document["height_m"] = round(cycle.height_m, 3)
     document["stride_s"] = round(math.exp(duration), 3)
     document["stride_m"] = round(math.exp(length) * cycle.height_m, 3)

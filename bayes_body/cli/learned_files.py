@@ -29,10 +29,10 @@ def motion_files(path: Path) -> list[Path]:
     """
     if not path.is_dir():
         return [path]
-    found = sorted(file for file in path.iterdir() if file.suffix.lower() in ENDINGS)
-    if not found:
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in ENDINGS)
+    if not files:
         raise input_error(path, "no captured motion in it", f"files that end in {', '.join(ENDINGS)}", "name another folder")
-    return found
+    return files
 
 
 def portable(path: Path) -> str:

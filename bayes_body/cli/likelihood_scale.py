@@ -47,13 +47,13 @@ def likelihood_scale(
     # A trial is identified by the recording's number: the same recordings in the same order give the same trials.
     settings = {"recordings": [path.name for path in sessions], "model": definition.text, "body": definition.body_text, "scales": tried}
     settings |= {"kernel": kind, "options": options.model_dump(), "frames": frames, "seed": seed}
-    found = _tried(sessions, definition, tried, kind, options, settings, json_file)
-    of, coverage = pooled(found)
-    for scale, share in zip(of, coverage, strict=True):
+    outcomes = _tried(sessions, definition, tried, kind, options, settings, json_file)
+    ascending_scales, coverage = pooled(outcomes)
+    for scale, share in zip(ascending_scales, coverage, strict=True):
         say(f"{'all':32} {scale:7g} {share:17.3f}")
-    chosen = choose_scale(of, coverage)
+    chosen = choose_scale(ascending_scales, coverage)
     if json_file is not None:
-        _write(json_file, settings | {"trials": [trial._asdict() for trial in found], "coverage_90": coverage.tolist(), "precision": chosen})
+        _write(json_file, settings | {"trials": [trial._asdict() for trial in outcomes], "coverage_90": coverage.tolist(), "precision": chosen})
     if coverage.max() < LEVEL:
         say(f"no scale reaches {LEVEL:.0%}: small ones are limited by the motion prior, large ones by the misfit; the largest of the best is used")
     say(f"precision = {chosen:.3g}")
@@ -69,26 +69,26 @@ def _tried(
     from bayes_body.workshop.calibration.replication_log import SUFFIX, ReplicationLog
     from bayes_body.workshop.learning.likelihood_scale import trials
 
-    kernel, found = find("kernel", kind).build(options=options), []
+    kernel, outcomes = find("kernel", kind).build(options=options), []
     loaded = [load_session(path) for path in sessions]
-    kept = ReplicationLog(None if out is None else out.with_name(out.name + SUFFIX), settings)
+    log = ReplicationLog(None if out is None else out.with_name(out.name + SUFFIX), settings)
     say(HEADINGS)
     watch = watched("recordings × scales")
-    for trial in trials(loaded, definition, scales, kernel, options.particles, settings["seed"], settings["frames"], kept, watch):
+    for trial in trials(loaded, definition, scales, kernel, options.particles, settings["seed"], settings["frames"], log, watch):
         say(f"{trial.recording[:32]:32} {trial.scale:7g} {trial.coverage:17.3f} {trial.error_mm:9.1f} {trial.iou:8.3f} {trial.ess:6.0f}")
-        found.append(trial)
-    return found
+        outcomes.append(trial)
+    return outcomes
 
 
 def _numbers(text: str) -> list[float]:
     """Return the scales, ascending."""
     try:
-        found = sorted({float(word) for word in text.split(",")})
+        scales = sorted({float(word) for word in text.split(",")})
     except ValueError:
-        found = []
-    if len(found) < 2 or not all(0 < value < float("inf") for value in found):
+        scales = []
+    if len(scales) < 2 or not all(0 < value < float("inf") for value in scales):
         raise input_error("--scales", repr(text), "two or more numbers above 0, separated by commas", f"give for example {SCALES}")
-    return found
+    return scales
 
 
 def _write(path: Path, figures: dict[str, Any]) -> None:

@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     warnings.showwarning = _show_warning
     with guarded() as (output, _), stoppable():
         status = _status(sys.argv[1:] if arguments is None else list(arguments))
-        status = _told(output) if output.error and not status else status
+        status = _report_lost_output(output) if output.error and not status else status
     sys.exit(status)
 
 
@@ -112,7 +112,7 @@ def _check_given(arguments: list[str]) -> None:
             raise input_error(where, "empty", "a name, a path or a number", "give it, or leave it out")
 
 
-def _told(output: Guarded) -> int:
+def _report_lost_output(output: Guarded) -> int:
     """Say that standard output was lost, and return the status; a stream that was closed on purpose is no fault."""
     reason = output.error and output.error.strerror
     if not reason:

@@ -43,10 +43,10 @@ def mocap(
     motion = read_motion(file, skeleton=skeleton, unit=unit, up=up)
     motion = motion if fps is None else resample(motion, fps)
     with waiting(f"fitting {len(motion.positions_m)} frames"):
-        found = retarget(build_body(body, schema, Shape(height)), motion, fit_lengths=not keep_lengths, schema=schema)
-    _write(out, found, landmarks(motion), motion.fps)
-    _tell(found, motion.fps)
-    say(f"{out}: {len(found.angles)} frames.")
+        fit = retarget(build_body(body, schema, Shape(height)), motion, fit_lengths=not keep_lengths, schema=schema)
+    _write(out, fit, landmarks(motion), motion.fps)
+    _tell(fit, motion.fps)
+    say(f"{out}: {len(fit.angles)} frames.")
 
 
 def _check(out: Path, height: float | None, overwrite: bool) -> None:
@@ -58,7 +58,7 @@ def _check(out: Path, height: float | None, overwrite: bool) -> None:
         raise input_error("--height", f"{height:g}", "metres between 0.5 and 2.8", "correct it")
 
 
-def _write(out: Path, found: "Retargeted", points: "dict[str, np.ndarray]", fps: float) -> None:
+def _write(out: Path, fit: "Retargeted", points: "dict[str, np.ndarray]", fps: float) -> None:
     """Write the motion in the form that `recording.truth.read_truth` reads, and the joint angles, lengths and residuals."""
     import numpy as np
 
@@ -70,31 +70,31 @@ def _write(out: Path, found: "Retargeted", points: "dict[str, np.ndarray]", fps:
             file,
             markers=np.stack([points[name] for name in MARKERS], axis=1),
             names=np.array(MARKERS),
-            angles=found.angles,
-            dof_names=np.array(found.body.dof_names),
-            lengths_m=np.array(list(found.lengths_m.values())),
-            length_names=np.array(list(found.lengths_m), dtype=str),
-            residual_m=found.residual_m,
-            residual_names=np.array(found.marker_names),
-            body=found.body.name,
-            exact=found.exact,
+            angles=fit.angles,
+            dof_names=np.array(fit.body.dof_names),
+            lengths_m=np.array(list(fit.lengths_m.values())),
+            length_names=np.array(list(fit.lengths_m), dtype=str),
+            residual_m=fit.residual_m,
+            residual_names=np.array(fit.marker_names),
+            body=fit.body.name,
+            exact=fit.exact,
             fps=fps,
         )
 
 
-def _tell(found: "Retargeted", fps: float) -> None:
+def _tell(fit: "Retargeted", fps: float) -> None:
     from rich.table import Table
 
-    way = "the motion's own angles: its skeleton is the body's" if found.exact else "fitted to the motion's points"
-    say(f"{len(found.body.dof_names)} dofs of {found.body.name}, {len(found.angles)} frames at {fps:g} a second, {way}")
+    way = "the motion's own angles: its skeleton is the body's" if fit.exact else "fitted to the motion's points"
+    say(f"{len(fit.body.dof_names)} dofs of {fit.body.name}, {len(fit.angles)} frames at {fps:g} a second, {way}")
     table = Table("marker", "mean mm", "95 % mm", "max mm", box=None, pad_edge=False)
     for column in table.columns[1:]:
         column.justify = "right"
-    for name in (*found.marker_names, None):
-        residual = found.residual(name)
+    for name in (*fit.marker_names, None):
+        residual = fit.residual(name)
         table.add_row("all" if name is None else name, *(f"{value:.1f}" for value in residual))
     show(table)
-    if found.lengths_m:
-        say("lengths: " + ", ".join(f"{name} {length:.3f}" for name, length in found.lengths_m.items()) + " m")
-    for remark in found.remarks:
+    if fit.lengths_m:
+        say("lengths: " + ", ".join(f"{name} {length:.3f}" for name, length in fit.lengths_m.items()) + " m")
+    for remark in fit.remarks:
         say(remark)

@@ -25,8 +25,8 @@ def regions(
     definition, everything = checked_definition(model), []
     for path in sessions:
         sums = list(region_sums(load_session(path), definition, frames))
-        found = region_statistics(sums)
+        stats = region_statistics(sums)
         everything += sums
-        say(f"# {path.name}: inside {found.inside:.3f}, band {found.band:.3f}, E² on sides {found.on_sides:.2f}, nearby {found.nearby:.2f}")
-    found = region_statistics(everything)
-    say(f"[likelihood.observation]\ninside = {found.inside:.2f}\nband = {found.band:.2f}\nedge_elsewhere = {found.edge_elsewhere:.2f}")
+        say(f"# {path.name}: inside {stats.inside:.3f}, band {stats.band:.3f}, E² on sides {stats.on_sides:.2f}, nearby {stats.nearby:.2f}")
+    stats = region_statistics(everything)
+    say(f"[likelihood.observation]\ninside = {stats.inside:.2f}\nband = {stats.band:.2f}\nedge_elsewhere = {stats.edge_elsewhere:.2f}")

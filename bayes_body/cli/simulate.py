@@ -134,7 +134,7 @@ def _rig(name: str, cameras: str | None) -> "Rig":
     if not path.exists():
         raise InputError(f"--rig: '{name}' is neither a rig that ships nor a file; {nearest(name, shipped)}")
     rig = read_rig(path)
-    return rig if cameras is None else rig.select([each.strip() for each in cameras.split(",")])
+    return rig if cameras is None else rig.select([camera.strip() for camera in cameras.split(",")])
 
 
 def _captured(path: Path, fps: float, skeleton: Path | None, unit: str | None, up: str | None) -> "Landmarks":
@@ -171,15 +171,15 @@ def _angles(name: str, landmarks: "Landmarks", fps: float) -> dict[str, "np.ndar
     schema = load_body(name)
     configure()
     with waiting(f"fitting {name} to the motion"):
-        found = retarget(build_body(name, schema), landmarks, fps, schema=schema)
-    residual = found.residual()
+        fit = retarget(build_body(name, schema), landmarks, fps, schema=schema)
+    residual = fit.residual()
     say(f"{name} follows the motion to within {residual.mean_mm:.0f} mm on average, {residual.most_mm:.0f} mm for 95 % of its markers.")
-    for remark in found.remarks:
+    for remark in fit.remarks:
         say(f"note: {remark}.")
-    lengths = list(found.lengths_m.items())
+    lengths = list(fit.lengths_m.items())
     return {
-        "angles": found.angles,
-        "dof_names": np.array(found.body.dof_names),
+        "angles": fit.angles,
+        "dof_names": np.array(fit.body.dof_names),
         "body": np.array(name),
         "length_names": np.array([key for key, _ in lengths]),
         "lengths_m": np.array([value for _, value in lengths]),

@@ -26,9 +26,9 @@ def smooth_motion(
     schema = load_body(body)
     files = [file for path in motions for file in motion_files(path)]
     tracks = [track_of(files[k].resolve().parent.name, read_motion(files[k]), body, schema) for k in watched("retargeting")(range(len(files)))]
-    found = smooth_noise(tracks, body, schema)
+    noise = smooth_noise(tracks, body, schema)
     say(f"at_fps = {FPS:g}")
-    for name, values in (("sd", found.pose), ("velocity_sd", found.velocity)):
+    for name, values in (("sd", noise.pose), ("velocity_sd", noise.velocity)):
         for unit, ending, factor in (("m", "m", 1.0), ("rad", "deg", math.degrees(1.0))):
-            rows = [f'"{pattern}" = {factor * value:.2g}' for pattern, value in values.items() if found.units[pattern] == unit]
+            rows = [f'"{pattern}" = {factor * value:.2g}' for pattern, value in values.items() if noise.units[pattern] == unit]
             say("\n".join(["", f"[dynamics.{name}_{ending}]", *rows]))

@@ -24,8 +24,8 @@ def fault_of_surroundings(error: Exception) -> InputError | None:
     if isinstance(error, OSError):
         return _of_files(error)
     if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
-        found = f"not enough for this command ({str(error).splitlines()[0] if str(error) else 'out of memory'})"
-        return input_error("memory", found, "a command that fits", "give fewer particles, runs or frames, or use a machine with more memory")
+        problem = f"not enough for this command ({str(error).splitlines()[0] if str(error) else 'out of memory'})"
+        return input_error("memory", problem, "a command that fits", "give fewer particles, runs or frames, or use a machine with more memory")
     return _of_platform()
 
 
@@ -33,8 +33,8 @@ def _of_files(error: OSError) -> InputError | None:
     if error.filename is None or not error.errno:
         return None
     path = os.fsdecode(error.filename) if isinstance(error.filename, bytes) else error.filename
-    found = f"cannot be used ({os.strerror(error.errno)})"
-    return input_error(path, found, "a file or folder that can be used", "check the path, its permissions and the free space")
+    problem = f"cannot be used ({os.strerror(error.errno)})"
+    return input_error(path, problem, "a file or folder that can be used", "check the path, its permissions and the free space")
 
 
 def _of_platform() -> InputError | None:

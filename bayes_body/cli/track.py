@@ -129,16 +129,16 @@ def _with_settings(overrides: dict[str, Any], texts: list[str]) -> dict[str, Any
     Raises:
         InputError: a text has another form, or an option is given twice.
     """
-    given = dict(overrides)
+    options = dict(overrides)
     for text in texts:
         try:
             name, value = setting(text)
         except ArgumentTypeError as error:
             raise InputError(f"--set: {error}") from None
-        if name in given:
-            raise input_error(f"--set {text}", f"{name} is given already, {given[name]}", "one value for each option", "leave one of them out")
-        given[name] = value
-    return given
+        if name in options:
+            raise input_error(f"--set {text}", f"{name} is given already, {options[name]}", "one value for each option", "leave one of them out")
+        options[name] = value
+    return options
 
 
 def _frames_of(folder: Path, first_frame: int | None, wanted: int | None) -> int:
@@ -149,8 +149,8 @@ def _frames_of(folder: Path, first_frame: int | None, wanted: int | None) -> int
     from bayes_body.recording.session.read import FILE_NAME, load_session
 
     if not folder.exists() or (folder.is_dir() and not (folder / FILE_NAME).exists()):
-        found = f"no {FILE_NAME} in it" if folder.exists() else "no such folder"
-        raise input_error(folder, found, "the folder of a session", "check the path, or make a session with `bayes-body import`")
+        problem = f"no {FILE_NAME} in it" if folder.exists() else "no such folder"
+        raise input_error(folder, problem, "the folder of a session", "check the path, or make a session with `bayes-body import`")
     session = excerpt(load_session(folder), first_frame)
     # All videos are decoded once, to find damage.
     with waiting("looking at the recording's files"):

@@ -41,36 +41,36 @@ def walking_angles(
     for sentence in filter(None, faults.values()):
         say(sentence)
     usable = [(file, motion) for file, motion in motions if not faults[file]]
-    each = watched("retargeting")(range(len(usable)))
-    found = learn_angles(
-        [angles_of_walk(file.stem, file.resolve().parent.name, motion, body, schema) for file, motion in (usable[k] for k in each)], body, schema
+    indices = watched("retargeting")(range(len(usable)))
+    learned = learn_angles(
+        [angles_of_walk(file.stem, file.resolve().parent.name, motion, body, schema) for file, motion in (usable[k] for k in indices)], body, schema
     )
-    save_angle_cycle(found.cycle, out)
-    own = [] if body == "person_31" else ["--body", body]
-    write_text(table, _told(found, source, [*map(portable, walks), *own, "--out", portable(out)]))
+    save_angle_cycle(learned.cycle, out)
+    body_words = [] if body == "person_31" else ["--body", body]
+    write_text(table, _source_text(learned, source, [*map(portable, walks), *body_words, "--out", portable(out)]))
     people = len({file.resolve().parent for file, _ in usable})
-    share = 100 * found.cycle.explained
+    share = 100 * learned.cycle.explained
     say(
-        f"{out}: {found.strides} strides of {people} people in {len(usable)} walks, "
-        f"{len(found.cycle.modes)} modes explain {share:.0f} % of the variance."
+        f"{out}: {learned.strides} strides of {people} people in {len(usable)} walks, "
+        f"{len(learned.cycle.modes)} modes explain {share:.0f} % of the variance."
     )
 
 
-def _told(found: "LearnedAngles", source: str, words: list[str]) -> str:
+def _source_text(learned: "LearnedAngles", source: str, words: list[str]) -> str:
     """Return the text of the file beside the arrays, with their source and the command that makes them."""
     import math
 
     import tomlkit
 
-    cycle, (duration, length) = found.cycle, found.cycle.pace
+    cycle, (duration, length) = learned.cycle, learned.cycle.pace
     document = tomlkit.document()
     document.add(tomlkit.comment("Arrays: mean and modes (Fourier coefficients of joint angles), pace, residual (its standard deviations)."))
     document["title"] = "Mean stride of several walkers in joint angles, and the main modes of variation between strides and people"
     document["source"] = source
     document["body"] = cycle.body
-    document["motions"] = list(found.walks)
+    document["motions"] = list(learned.walks)
     document["command"] = " ".join(["bayes-body learn walking-angles", *words])
-    document["strides"] = found.strides
+    document["strides"] = learned.strides
     document["modes"] = len(cycle.modes)
     document["explained"] = round(cycle.explained, 3)
     document["residual_deg"] = round(math.degrees(math.sqrt(sum(sd**2 for sd in cycle.residual) / len(cycle.residual))), 2)

@@ -113,8 +113,8 @@ def result_of(summary: Mapping[str, Any]) -> str:
     lost = summary["frames_lost"]
     tracked = f"{summary['frames']} frames tracked, {lost or 'none'} lost"
     truth = f"the mean markers are {summary['error_mm_mean']:.0f} mm from the truth"
-    held = f"{100 * summary['coverage_90']:.0f} % of it is inside the 90 % intervals ({width(summary['coverage_90'])})"
-    return f"{tracked}; {truth}, and {held}; the means of the two runs are {summary['marker_disagreement_mm']:.0f} mm apart."
+    coverage = f"{100 * summary['coverage_90']:.0f} % of it is inside the 90 % intervals ({width(summary['coverage_90'])})"
+    return f"{tracked}; {truth}, and {coverage}; the means of the two runs are {summary['marker_disagreement_mm']:.0f} mm apart."
 
 
 def film(folder: Path, seed: int, frames: int, bar: bool) -> Session:

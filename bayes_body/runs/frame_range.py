@@ -18,8 +18,8 @@ def frames_from(session: Session, first_frame: int | None, show: Show) -> Sessio
     """
     part = excerpt(session, first_frame)
     # Keypoints of all frames have those of the new first one too.
-    given = session.initial or session.initial_markers or (session.initial_keypoints and not any(view.keypoints for view in session.views))
-    if given and part.first_frame != session.first_frame:
+    has_first_pose = session.initial or session.initial_markers or (session.initial_keypoints and not any(view.keypoints for view in session.views))
+    if has_first_pose and part.first_frame != session.first_frame:
         show(f"note: the first pose in session.toml belongs to frame {session.first_frame}, and is not used for frame {part.first_frame}.")
     return part
 

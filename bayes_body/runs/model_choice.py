@@ -45,9 +45,9 @@ def choose_model(session: Session) -> ModelChoice:
         )
     if source:
         return ModelChoice(SILHOUETTE_MODEL, f"the session has silhouettes ({source}) and no keypoints", ONE_VIEW if cameras == 1 else "")
-    found, expected = "neither keypoints nor silhouettes", "one of the two in every frame"
+    problem, expected = "neither keypoints nor silhouettes", "one of the two in every frame"
     remedy = "import the recording with --keypoints or --masks, give each [[camera]] the `background` of an empty scene, or name a --model"
-    raise input_error(session.folder / FILE_NAME, found, expected, remedy)
+    raise input_error(session.folder / FILE_NAME, problem, expected, remedy)
 
 
 def _silhouette_source(session: Session) -> str:

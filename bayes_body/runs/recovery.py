@@ -62,14 +62,14 @@ class PersonRecovery:
             return None
         if self._search is None:
             self._search = PersonSearch(self.session, seed=self.seed)
-        found = self._search.window(frame)
-        if isinstance(found, Detected):
+        detection = self._search.window(frame)
+        if isinstance(detection, Detected):
             return None
-        placed = apply_first_pose(self.model, self.session, poses_of(self.model, self.session, found, frame, self.seed))
+        placed = apply_first_pose(self.model, self.session, poses_of(self.model, self.session, detection, frame, self.seed))
         pose = np.asarray(placed.initial[placed.body.variable], float)
         if is_off(frame_fit(self.session, placed, pose[None], frame)).any():
             return None
-        self.show(f"frame {self.session.frame_number(frame)}: the person was lost, and is found again; {found.precision}")
+        self.show(f"frame {self.session.frame_number(frame)}: the person was lost, and is found again; {detection.precision}")
         return placed
 
     def _obstacle(self, frame: int) -> str | None:

@@ -117,7 +117,7 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
     frames = _begin(settings.out, before, record, wanted, first, show, thinning_of(model.transition, keep))
     for line in disk_lines(settings.out, model, options.model_dump(), chosen.runs, wanted, len(frames), keep):
         show(line)
-    for note in notes([("kernel", kind), *(("likelihood", each.kind) for each in definition.likelihoods)]):
+    for note in notes([("kernel", kind), *(("likelihood", term.kind) for term in definition.likelihoods)]):
         show(note)
     with remark_on_stop(frames, settings.out, show):
         with progress_bar(bar and len(frames) < (chosen.frames or session.frames), len(frames)) as on_frame:
@@ -139,12 +139,12 @@ def _with_first_pose(
 ) -> tuple[Model, Record]:
     """Return the model with its first pose, and the record, with the pose if it was fitted or found. A continued run starts from its stored pose."""
     if before and "first_pose" in before:
-        found = restored(model, before["first_pose"], f"{out / RUN_FILE}: first_pose")
+        pose = restored(model, before["first_pose"], f"{out / RUN_FILE}: first_pose")
     elif is_fitted(session) or not is_posed(model, session):
-        found = fit_first_pose(model, session, show, seed)
+        pose = fit_first_pose(model, session, show, seed)
     else:
         return model, record
-    return apply_first_pose(model, session, found), {**record, "first_pose": stored(model, found)}
+    return apply_first_pose(model, session, pose), {**record, "first_pose": stored(model, pose)}
 
 
 def _show_first_fit(session: Session, model: Model, show: Show) -> None:

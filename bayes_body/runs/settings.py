@@ -104,9 +104,9 @@ def refuse_occupied(out: Path) -> None:
     refuse_links(out)
     frames = len(FrameFiles(out / FRAMES_FOLDER))
     if frames and (out / RUN_FILE).exists():
-        found = f"holds a run that has {frames} frames"
+        problem = f"holds a run that has {frames} frames"
         remedy = "continue it with --resume, or name another folder with --out"
-        raise input_error(out, found, "a folder without a run", remedy)
+        raise input_error(out, problem, "a folder without a run", remedy)
     # A run that stopped before its first frame may be started anew. Everything else may be somebody's work.
     taken = [name for name in RESULTS if (out / name).exists()]
     if taken:

@@ -36,11 +36,11 @@ def check_size(model: Model, options: Mapping[str, Any], runs: int) -> None:
     for name, value in options.items():
         if isinstance(value, int) and name != "particles" and value > MOST:
             raise input_error(f"the kernel's {name}", str(value), f"at most {MOST}", "give a smaller number")
-    needed, there = least_bytes(configuration_space(model.body).dimension, options["particles"], runs), memory_bytes()
-    if there is not None and needed > there:
+    needed, available = least_bytes(configuration_space(model.body).dimension, options["particles"], runs), memory_bytes()
+    if available is not None and needed > available:
         many = f"{options['particles']} particles" + (f" in each of {runs} runs" if runs > 1 else "")
-        found = f"at least {_gigabytes(needed)} of memory for {many}"
-        raise input_error("--particles, --runs", found, f"at most the {_gigabytes(there)} that there are", "give fewer particles or runs")
+        problem = f"at least {_gigabytes(needed)} of memory for {many}"
+        raise input_error("--particles, --runs", problem, f"at most the {_gigabytes(available)} that there are", "give fewer particles or runs")
     if runs > MOST:
         raise input_error("--runs", str(runs), f"at most {MOST}", "give a smaller number")
 
@@ -55,12 +55,12 @@ def memory_bytes() -> int | None:
     of_device = jax.local_devices()[0].memory_stats()
     if of_device and "bytes_limit" in of_device:
         return int(of_device["bytes_limit"])
-    found = []
+    limits = []
     with suppress(OSError, ValueError, AttributeError):
-        found.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+        limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     with suppress(OSError, ValueError):
-        found.append(int(CONTAINER_LIMIT.read_text(encoding="utf-8")))
-    return min(found, default=None)
+        limits.append(int(CONTAINER_LIMIT.read_text(encoding="utf-8")))
+    return min(limits, default=None)
 
 
 def _gigabytes(count: int) -> str:

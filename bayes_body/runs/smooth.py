@@ -71,15 +71,15 @@ def smooth_run(settings: SmoothSettings, show: Show, bar: bool) -> dict[str, Any
 
 def _smooth(source: SavedRun, settings: SmoothSettings, show: Show, bar: bool) -> dict[str, Any]:
     before = _continued(settings)
-    kept = (before or {}).get("smoothing", {})
-    given = {name: settings.options.get(name, kept.get(name, field.default)) for name, field in Options.model_fields.items()}
-    options = Options.model_validate(given)
-    seed = kept.get("seed", 0) if settings.seed is None else settings.seed
+    smoothing = (before or {}).get("smoothing", {})
+    option_values = {name: settings.options.get(name, smoothing.get(name, field.default)) for name, field in Options.model_fields.items()}
+    options = Options.model_validate(option_values)
+    seed = smoothing.get("seed", 0) if settings.seed is None else settings.seed
     model, session = source.model, source.session
     if (options.moves or model.reads_before) and source.changed_inputs:
-        found = f"{', '.join(sorted(source.changed_inputs))}: changed or gone since the run was made"
-        other = "" if model.reads_before else ", or give --moves 0, which reads no images"
-        raise input_error(source.folder, found, "the recording of the run", f"put it back{other}")
+        problem = f"{', '.join(sorted(source.changed_inputs))}: changed or gone since the run was made"
+        alternative = "" if model.reads_before else ", or give --moves 0, which reads no images"
+        raise input_error(source.folder, problem, "the recording of the run", f"put it back{alternative}")
     filtered = FrameFiles(source.folder / FRAMES_FOLDER, source.id)
     if len(filtered) < source.frames:
         raise input_error(filtered.folder, f"{len(filtered)} frames", f"the {source.frames} frames of the run", _again(source))
@@ -108,8 +108,8 @@ def _check_source(run: SavedRun) -> None:
     if run.smoothed:
         raise input_error(run.folder, "smoothed paths", FILTER, f"smooth {run.smoothing['folder']}, from which it was made, again")
     if run.mode_seeker:
-        found = f"the kernel '{run.kernel['kind']}' seeks modes: its particles are not a sample of the posterior"
-        raise input_error(run.folder, found, "the run of a kernel that samples the posterior", "track again with --kernel tempered, for one")
+        problem = f"the kernel '{run.kernel['kind']}' seeks modes: its particles are not a sample of the posterior"
+        raise input_error(run.folder, problem, "the run of a kernel that samples the posterior", "track again with --kernel tempered, for one")
 
 
 def _of_few(source: SavedRun, options: Options) -> str:
@@ -118,11 +118,11 @@ def _of_few(source: SavedRun, options: Options) -> str:
     Raises:
         InputError: the paths would follow ancestors, which are unknown.
     """
-    found = f"only {source.kept} of {source.kernel['particles']} particles of a frame are stored"
+    problem = f"only {source.kept} of {source.kernel['particles']} particles of a frame are stored"
     if source.model.transition.frames_read is None or options.start == "particles":
         remedy = "smooth with --start ensemble" if options.start == "particles" else "track again without --keep"
-        raise input_error(source.folder, found, f"all of them: the paths follow the filter's ancestors; or {remedy}", remedy)
-    return f"note: {found}; the paths are laid from these."
+        raise input_error(source.folder, problem, f"all of them: the paths follow the filter's ancestors; or {remedy}", remedy)
+    return f"note: {problem}; the paths are laid from these."
 
 
 def _continued(settings: SmoothSettings) -> Record | None:
@@ -156,20 +156,20 @@ def _begin(out: Path, before: Record | None, record: Record, show: Show) -> Fram
 
 def _notes(source: SavedRun) -> list[str]:
     """Return what a user should know about this smoothing."""
-    found = []
+    notes = []
     if source.model.transition.frames_read is None:
-        found.append(
+        notes.append(
             f"note: '{source.model.transition.name}' carries what it learned from all frames before. Its paths follow the filter's ancestors, "
             "and early frames have few distinct ones."
         )
     lost, restarted = source.summary.get("frames_lost"), source.summary.get("frames_restarted")
     if lost:
-        found.append(f"note: {lost} frames were lost. There the paths follow from the frames around them, not from the images.")
+        notes.append(f"note: {lost} frames were lost. There the paths follow from the frames around them, not from the images.")
     if restarted:
-        found.append(
+        notes.append(
             f"note: the filter started anew in {frame_ranges(restarted)}. No path leads across: the parts before and after do not belong together."
         )
-    return found
+    return notes
 
 
 def _again(source: SavedRun) -> str:

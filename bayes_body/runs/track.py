@@ -88,8 +88,8 @@ def _check_order(key: object, session: object, model: object, kernel: object) ->
     expected = {"key": (key, jax.Array), "session": (session, Session), "model": (model, Model)}
     for name, (value, kind) in expected.items():
         if not isinstance(value, kind):
-            found, remedy = f"a {type(value).__name__}", f"write {ORDER}, with a key such as jax.random.key(0)"
-            raise input_error(f"track: {name}", found, {"key": "a random key"}.get(name, f"a {kind.__name__}"), remedy)
+            problem, remedy = f"a {type(value).__name__}", f"write {ORDER}, with a key such as jax.random.key(0)"
+            raise input_error(f"track: {name}", problem, {"key": "a random key"}.get(name, f"a {kind.__name__}"), remedy)
     if kernel is not None and not callable(kernel):
         raise input_error("track: kernel", repr(kernel), "a kernel", 'write model.kernel(), model.kernel("sir") or bayes_body.kernels.sir()')
 
@@ -102,11 +102,11 @@ def settings_left_out(model: Model, kernel: Kernel, particles: int | None = None
         kernel: such as `bayes_body.kernels.tempered()`. Options that were given for it count as meant.
         particles: a number of particles that is given besides.
     """
-    kind, options, own = getattr(kernel, "kind", None), getattr(kernel, "options", None), model.definition.kernel
-    if kind != own.kind or not isinstance(options, BaseModel):
+    kind, options, model_kernel = getattr(kernel, "kind", None), getattr(kernel, "options", None), model.definition.kernel
+    if kind != model_kernel.kind or not isinstance(options, BaseModel):
         return ""
     meant = options.model_fields_set | ({"particles"} if particles is not None else set())
-    values = {name: (getattr(options, name), getattr(own.options, name)) for name in type(options).model_fields if name not in meant}
+    values = {name: (getattr(options, name), getattr(model_kernel.options, name)) for name in type(options).model_fields if name not in meant}
     changed = [f"{name} is {value!r}, not {wanted!r}" for name, (value, wanted) in values.items() if value != wanted]
     if not changed:
         return ""

@@ -36,12 +36,12 @@ def window_of_run(
     Raises:
         InputError: there is no such run, its recording has changed, its kernel seeks modes, or the window cannot be sampled (`window_posterior`).
     """
-    with load_run(folder) as given:
-        source = given.smoothing["folder"] if given.smoothed else folder
+    with load_run(folder) as chosen_run:
+        source = chosen_run.smoothing["folder"] if chosen_run.smoothed else folder
     with load_run(source) as run:
         if run.changed_inputs:
-            found = f"{', '.join(sorted(run.changed_inputs))}: changed or gone since the run was made"
-            raise input_error(run.folder, found, "the recording of the run", "put it back")
+            problem = f"{', '.join(sorted(run.changed_inputs))}: changed or gone since the run was made"
+            raise input_error(run.folder, problem, "the recording of the run", "put it back")
         if run.mode_seeker:
             raise input_error("the run", "its kernel seeks modes", "a sample of the posterior", "track again with --kernel tempered, for one")
         filtered = FrameFiles(run.folder / FRAMES_FOLDER, run.id)

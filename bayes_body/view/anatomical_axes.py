@@ -102,15 +102,15 @@ def draw_axes(body: Body, segments: Mapping[str, Segment], path: Path) -> tuple[
 def stance_of(body: Body, segments: Mapping[str, Segment]) -> Stance:
     """Return the stance: a joint that carries a segment has its anatomical axes, any other is where its parent holds it with angles of zero."""
     skeleton, topology = body.skeleton, body.skeleton.topology
-    own = {segment.joint: axes_of(segment).T for segment in segments.values()}
+    segment_axes = {segment.joint: axes_of(segment).T for segment in segments.values()}
     presets, offsets = np.asarray(skeleton.presets, float), np.asarray(skeleton.offsets, float)
     rotations, origins = np.zeros_like(presets), np.zeros_like(offsets)
     # A root without anatomical axes: the world's z points up and its x forward.
     world = np.column_stack([X, -Z, Y])
     for j, (name, parent) in enumerate(zip(topology.joint_names, topology.parents, strict=True)):
-        above, at = (rotations[parent], origins[parent]) if parent >= 0 else (world, np.zeros(3))
-        rotations[j] = own.get(name, above @ presets[j])
-        origins[j] = at + above @ offsets[j]
+        above, origin = (rotations[parent], origins[parent]) if parent >= 0 else (world, np.zeros(3))
+        rotations[j] = segment_axes.get(name, above @ presets[j])
+        origins[j] = origin + above @ offsets[j]
     return Stance(rotations, origins)
 
 

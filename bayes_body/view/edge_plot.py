@@ -26,7 +26,7 @@ def draw_edge_statistics(path: Path, scales: Sequence[tuple[float, EdgeStatistic
 
     figure = Figure(figsize=(9, 3 * len(scales)), layout="constrained")
     for (left, right), (wavelength, statistics, response) in zip(figure.subplots(len(scales), 2, squeeze=False), scales, strict=True):
-        phase, rho = (np.asarray(each) for each in phase_and_log_amplitude(jnp.asarray(response.even), jnp.asarray(response.odd)))
+        phase, rho = (np.asarray(feature) for feature in phase_and_log_amplitude(jnp.asarray(response.even), jnp.asarray(response.odd)))
         low, high = np.asarray(statistics.log_amplitude)
         grid = np.linspace(low, high, 200)
         left.hist(rho, bins=np.linspace(low, high, 40), density=True, color=GREY, alpha=0.4, label="data")
@@ -34,8 +34,8 @@ def draw_edge_statistics(path: Path, scales: Sequence[tuple[float, EdgeStatistic
         left.set(xlabel="log amplitude, log of grey levels", ylabel="density", title=f"wavelength {wavelength:g} px")
         left.legend()
         share, turns = (rho - low) / (high - low), np.linspace(-math.pi / 2, math.pi / 2, 200)
-        for name, of, about, line in (("weak", share < 0.5, WEAK, "--"), ("strong", share > 0.7, STRONG, "-")):
-            right.hist((phase[of] + math.pi / 2) / math.pi, bins=40, density=True, histtype="step", color=GREY, linestyle=line, alpha=0.6)
+        for name, mask, about, line in (("weak", share < 0.5, WEAK, "--"), ("strong", share > 0.7, STRONG, "-")):
+            right.hist((phase[mask] + math.pi / 2) / math.pi, bins=40, density=True, histtype="step", color=GREY, linestyle=line, alpha=0.6)
             epsilon = statistics.epsilon[0] + (statistics.epsilon[1] - statistics.epsilon[0]) * about
             density = epsilon * np.asarray(wrapped_normal(jnp.asarray(turns))) + (1 - epsilon) / math.pi
             right.plot((turns + math.pi / 2) / math.pi, density * math.pi, color=INK, linestyle=line, label=f"{name} responses")

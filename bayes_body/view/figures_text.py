@@ -38,19 +38,21 @@ def warning_line(sentence: str) -> str:
 
 def _accuracy(summary: Mapping[str, Any]) -> list[str]:
     """Return the line about the truth. A summary from an older version does not have these keys."""
-    found = {key: value for key, value in summary.items() if key.startswith(("error_", "coverage_")) and value is not None}
-    if "error_mm_mean" not in found:
+    figures = {key: value for key, value in summary.items() if key.startswith(("error_", "coverage_")) and value is not None}
+    if "error_mm_mean" not in figures:
         return []
     errors = [
-        f"{what} {found[key]:.0f} mm"
+        f"{what} {figures[key]:.0f} mm"
         for key, what in (
             ("error_mm_std", "sd over the frames"),
             ("error_mm_optimistic", "best particle"),
             ("error_mm_relative", "relative to the pelvis"),
             ("error_mm_mean_fitted_offset", "with the skeletons' offset fitted"),
         )
-        if key in found
+        if key in figures
     ]
-    covered = [f"{100 * found[key]:.0f} % of the truth inside the {level} % intervals" for level in (50, 90) if (key := f"coverage_{level}") in found]
-    parts = [", ".join([f"{found['error_mm_mean']:.0f} mm from the truth", *errors]), *([", ".join(covered)] if covered else [])]
+    covered = [
+        f"{100 * figures[key]:.0f} % of the truth inside the {level} % intervals" for level in (50, 90) if (key := f"coverage_{level}") in figures
+    ]
+    parts = [", ".join([f"{figures['error_mm_mean']:.0f} mm from the truth", *errors]), *([", ".join(covered)] if covered else [])]
     return [f"accuracy    {'; '.join(parts)}"]

@@ -194,8 +194,8 @@ def write_png(path: Path, picture: MatLike) -> None:
     with drawable(path):
         done, content = cv2.imencode(".png", picture)
     if not done:
-        found = f"{picture.shape[1]} x {picture.shape[0]} pixels cannot be written as a picture"
-        raise input_error(path, found, "at most a million pixels in width and height", CAMERAS)
+        problem = f"{picture.shape[1]} x {picture.shape[0]} pixels cannot be written as a picture"
+        raise input_error(path, problem, "at most a million pixels in width and height", CAMERAS)
     with replacing(path) as partial:
         partial.write_bytes(content.tobytes())
 
@@ -206,5 +206,5 @@ def drawable(path: Path) -> Iterator[None]:
     try:
         yield
     except cv2.error as error:
-        found = f"cannot be drawn ({error.err or 'OpenCV refuses it'})"
-        raise input_error(path, found, "cameras whose pictures OpenCV can draw", CAMERAS) from None
+        problem = f"cannot be drawn ({error.err or 'OpenCV refuses it'})"
+        raise input_error(path, problem, "cameras whose pictures OpenCV can draw", CAMERAS) from None

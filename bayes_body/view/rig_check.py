@@ -94,8 +94,8 @@ def _draw_axes(picture: MatLike, crop: Crop, camera: Camera, up: str) -> bool:
     if not _inside(picture, points, visible)[0]:
         return False
     ends = np.round(points).astype(int)
-    for end, seen, colour, name in zip(ends[1:], visible[1:], WORLD_AXES, "xyz", strict=True):
-        if seen:
+    for end, is_visible, colour, name in zip(ends[1:], visible[1:], WORLD_AXES, "xyz", strict=True):
+        if is_visible:
             cv2.arrowedLine(picture, tuple(ends[0]), tuple(end), bgr(colour), 4, cv2.LINE_AA, tipLength=0.1)
             text = f"{name} (up)" if name == up else name
             cv2.putText(picture, text, tuple(end + 6), cv2.FONT_HERSHEY_SIMPLEX, 1.0, bgr(colour), 3, cv2.LINE_AA)
@@ -110,8 +110,8 @@ def _draw_floor(picture: MatLike, crop: Crop, camera: Camera, up: int) -> MatLik
     shown = _inside(picture, points, visible).reshape(lines.shape[:2])
     pixels = np.round(np.where(np.isfinite(points), points, 0)).astype(int).reshape(*lines.shape[:2], 2)
     drawn = picture.copy()
-    for line, seen in zip(pixels, shown, strict=True):
-        for k in np.flatnonzero(seen[:-1] & seen[1:]):
+    for line, visibility in zip(pixels, shown, strict=True):
+        for k in np.flatnonzero(visibility[:-1] & visibility[1:]):
             cv2.line(drawn, tuple(line[k]), tuple(line[k + 1]), FLOOR_LINES, 2, cv2.LINE_AA)
     return cv2.addWeighted(drawn, 0.6, picture, 0.4, 0)
 

@@ -44,11 +44,11 @@ def h264_video(path: Path, fps: float, size_px: tuple[int, int]) -> Iterator[Cal
             container.mux(stream.encode())
     except ExternalError:
         # The encoder's own error, not one of the file system.
-        found = f"the encoder refuses {size_px[0]} x {size_px[1]} pixels"
-        raise input_error(path, found, "a picture of at most 16384 pixels in width and height", "use fewer cameras, or read posterior.nc") from None
+        problem = f"the encoder refuses {size_px[0]} x {size_px[1]} pixels"
+        raise input_error(path, problem, "a picture of at most 16384 pixels in width and height", "use fewer cameras, or read posterior.nc") from None
     except FFmpegError as error:
-        found = f"cannot be written as a video ({error.strerror})"
-        raise input_error(path, found, "a folder that can be written, with enough free space", "check its permissions and free space") from None
+        problem = f"cannot be written as a video ({error.strerror})"
+        raise input_error(path, problem, "a folder that can be written, with enough free space", "check its permissions and free space") from None
 
 
 def _stream(container: OutputContainer, fps: float, size_px: tuple[int, int]) -> VideoStream:

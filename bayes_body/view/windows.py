@@ -81,9 +81,9 @@ def person_windows(session: Session, model: Model, poses: Float[np.ndarray, "fra
     """
     boxes = np.stack([_boxes(session, seen_in(model, session, index), pose) for index, pose in enumerate(poses)])
     sizes = [np.array(view.camera.size_px, float) for view in session.views]
-    found = [_followed(boxes[:, c], size, session.fps) for c, size in enumerate(sizes)]
-    shape = float(np.clip(np.median([width / height for _, (width, height) in found]), *SHAPES))
-    return [_window(centres, needed, size, shape) for (centres, needed), size in zip(found, sizes, strict=True)]
+    paths = [_followed(boxes[:, c], size, session.fps) for c, size in enumerate(sizes)]
+    shape = float(np.clip(np.median([width / height for _, (width, height) in paths]), *SHAPES))
+    return [_window(centres, needed, size, shape) for (centres, needed), size in zip(paths, sizes, strict=True)]
 
 
 def _boxes(session: Session, model: Model, pose: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "camera 2 2"]:
@@ -102,14 +102,14 @@ def _followed(
     boxes: Float[np.ndarray, "frame 2 2"], image: Float[np.ndarray, " 2"], fps: float
 ) -> tuple[Float[np.ndarray, "frame 2"], Float[np.ndarray, " 2"]]:
     """Return smooth centres, and the (width, height) around them that contains all boxes and the margin; the whole image if there is no box."""
-    seen = np.flatnonzero(np.isfinite(boxes).all(axis=(1, 2)))
-    if not seen.size:
+    known = np.flatnonzero(np.isfinite(boxes).all(axis=(1, 2)))
+    if not known.size:
         return np.tile(image / 2, (len(boxes), 1)), image
-    middles = boxes[seen].mean(axis=1)
+    middles = boxes[known].mean(axis=1)
     frames = np.arange(len(boxes))
-    followed = np.stack([np.interp(frames, seen, middles[:, axis]) for axis in range(2)], axis=1)
+    followed = np.stack([np.interp(frames, known, middles[:, axis]) for axis in range(2)], axis=1)
     centres = gaussian_filter1d(followed, min(SMOOTHING_S * fps, MOST_SMOOTHING), axis=0, mode="nearest")
-    reach = np.maximum(boxes[seen, 1] - centres[seen], centres[seen] - boxes[seen, 0]).max(axis=0)
+    reach = np.maximum(boxes[known, 1] - centres[known], centres[known] - boxes[known, 0]).max(axis=0)
     return centres, np.minimum(2 * (reach + MARGIN * 2 * reach.max()), image)
 
 

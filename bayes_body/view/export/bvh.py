@@ -85,16 +85,16 @@ def joints_of(motion: Motion) -> Joints:
     names, above = tuple(topology.joint_names[j] for j in order), [topology.parents[j] for j in order]
     parents = tuple(order.index(parent) if parent >= 0 else -1 for parent in above)
     rotations, places = _placed(motion)
-    R, origins, R_rest, rest = rotations[:-1, order], places[:-1, order], rotations[-1, order], places[-1, order]
+    R, origins, R_rest, rest_places = rotations[:-1, order], places[:-1, order], rotations[-1, order], places[-1, order]
     shifting = {j for j, motions in enumerate(topology.motions) if any(dof.is_shift for dof in motions)}
     free = placement.joints_of_parts if isinstance(placement, ByParts) else shifting
     moving = tuple(parent < 0 or j in free for j, parent in zip(order, parents, strict=True))
     W = R @ np.swapaxes(R_rest, -1, -2)
-    local, positions, offsets = W.copy(), origins.copy(), np.zeros_like(rest)
+    local, positions, offsets = W.copy(), origins.copy(), np.zeros_like(rest_places)
     for j, parent in enumerate(parents):
         if parent >= 0:
             back = np.swapaxes(W[:, parent], -1, -2)
-            local[:, j], offsets[j] = back @ W[:, j], rest[j] - rest[parent]
+            local[:, j], offsets[j] = back @ W[:, j], rest_places[j] - rest_places[parent]
             positions[:, j] = (back @ (origins[:, j] - origins[:, parent])[..., None])[..., 0]
     return Joints(names, parents, moving, offsets, _ends(body, order, R_rest), positions, _euler(local))
 
@@ -116,8 +116,8 @@ def _placed(motion: Motion) -> tuple[Float[np.ndarray, "pose joint 3 3"], Float[
     """Return the rotations and origins of the joints in the file's axes: in every frame, and last in the zero pose."""
     body, zero = motion.body, np.zeros(len(motion.body.dof_names))
     if motion.parts is not None:
-        rest = np.asarray(body.placement.configuration(body.skeleton, jnp.asarray(zero)))
-        rotations, origins = _transforms(body, jnp.asarray(np.concatenate([motion.parts.mean, turned(rest, motion.order)[None]])))
+        rest_pose = np.asarray(body.placement.configuration(body.skeleton, jnp.asarray(zero)))
+        rotations, origins = _transforms(body, jnp.asarray(np.concatenate([motion.parts.mean, turned(rest_pose, motion.order)[None]])))
         return np.asarray(rotations, float), np.asarray(origins, float)
     units, turn = np.where(np.array(motion.dof_units) == "deg", np.pi / 180, 1.0), np.eye(3)[list(motion.order)]
     rotations, origins = _transforms(body, jnp.asarray(np.vstack([motion.dofs.mean * units, zero])))
@@ -135,8 +135,8 @@ def _ends(body: Body, order: list[int], R_rest: Float[np.ndarray, "joint 3 3"]) 
     offsets, joints = np.asarray(body.markers.offsets, float).reshape(-1, 3), np.array(body.markers.joints, int)
     for row, j in enumerate(order):
         if j not in body.skeleton.topology.parents:
-            own = offsets[joints == j]
-            far = max(own, key=np.linalg.norm, default=np.zeros(3))
+            joint_offsets = offsets[joints == j]
+            far = max(joint_offsets, key=np.linalg.norm, default=np.zeros(3))
             ends[row] = R_rest[row] @ (far if np.linalg.norm(far) > 0 else np.array([0.0, 0.0, STUB_M]))
     return ends
 

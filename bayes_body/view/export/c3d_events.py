@@ -29,13 +29,13 @@ def written_events(events: Sequence[Event]) -> list[Event]:
 
 def add_events(c3d: Any, events: Sequence[Event]) -> None:
     """Add the groups to a document of ezc3d; nothing without events."""
-    found = written_events(events)
-    if not found:
+    entries = written_events(events)
+    if not entries:
         return
-    _add_integers(c3d, "EVENT", "USED", [len(found)])
-    for first in range(0, len(found), MOST_ENTRIES):
+    _add_integers(c3d, "EVENT", "USED", [len(entries)])
+    for first in range(0, len(entries), MOST_ENTRIES):
         number = first // MOST_ENTRIES + 1
-        _add_piece(c3d, found[first : first + MOST_ENTRIES], "" if number == 1 else str(number))
+        _add_piece(c3d, entries[first : first + MOST_ENTRIES], "" if number == 1 else str(number))
     _add_integers(c3d, "EVENT_CONTEXT", "USED", [len(CONTEXTS)])
     _add_integers(c3d, "EVENT_CONTEXT", "ICON_IDS", list(range(1, len(CONTEXTS) + 1)))
     c3d.add_parameter("EVENT_CONTEXT", "LABELS", list(CONTEXTS.values()))

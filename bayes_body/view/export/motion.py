@@ -226,7 +226,7 @@ def _continued(parts: Float[np.ndarray, "frame part 7"]) -> Float[np.ndarray, "f
     return np.concatenate([parts[..., :3], q * np.concatenate([np.ones_like(q[:1, :, 0]), signs])[..., None]], axis=-1)
 
 
-def _order(given: Axis, wanted: Axis) -> tuple[int, int, int]:
+def _order(axis: Axis, wanted: Axis) -> tuple[int, int, int]:
     """Return the given axes that become x, y and z. It is a cyclic permutation, so standard deviations and quantiles still belong to single axes."""
-    turn = AXES.index(given) - AXES.index(wanted)
+    turn = AXES.index(axis) - AXES.index(wanted)
     return turn % 3, (1 + turn) % 3, (2 + turn) % 3

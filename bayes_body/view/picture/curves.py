@@ -56,9 +56,9 @@ def write_curves(run: "SavedRun", path: Path, names: Sequence[str], size_px: int
         raise input_error("--curves", "no name", f"names among {', '.join(known)}", "name one or more, with commas between them")
     panels: dict[str, list[str]] = {}
     for name in names:
-        for found in _sides(name, known):
-            members = panels.setdefault(base(found), [])
-            members += [found] if found not in members else []
+        for curve_name in _sides(name, known):
+            members = panels.setdefault(base(curve_name), [])
+            members += [curve_name] if curve_name not in members else []
     with paper_style():
         from matplotlib.figure import Figure
 
@@ -83,11 +83,11 @@ def curves_of(run: "SavedRun") -> Mapping[str, Curve]:
     frames = range(run.frames)
     labels = [label for space in run.spaces.values() for label in space.tangent_labels]
     angles = clinical_curves(run, frames)
-    found = {}
+    curves = {}
     for names, units, moments in ((labels, units_of(run), dof_curves(run, frames)), (angles.names, ["°"] * len(angles.names), angles.moments)):
         for k, (name, unit) in enumerate(zip(names, units, strict=True)):
-            found.setdefault(name, Curve(unit, moments.mean[:, k], moments.q05[:, k], moments.q95[:, k]))
-    return found
+            curves.setdefault(name, Curve(unit, moments.mean[:, k], moments.q05[:, k], moments.q95[:, k]))
+    return curves
 
 
 def base(name: str) -> str:
@@ -102,10 +102,10 @@ def _sides(name: str, known: Mapping[str, Curve]) -> list[str]:
     Raises:
         InputError: there is none.
     """
-    found = [name] if name in known else [each for each in known if name == base(each)]
-    if not found:
+    matches = [name] if name in known else [candidate for candidate in known if name == base(candidate)]
+    if not matches:
         raise input_error("--curves", f"no curve '{name}'", f"names among {', '.join(known)}", nearest(name, known))
-    return found
+    return matches
 
 
 def _draw(axes: "Axes", run: "SavedRun", curves: Mapping[str, Curve]) -> None:

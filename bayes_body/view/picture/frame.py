@@ -85,10 +85,10 @@ def write_picture(
     crop = _crop(strong, thin, (image.shape[1], image.shape[0]), whole)
     scale = _scale(run, model, central, frame, c)
     when = f"camera {names[c]}, frame {first + frame} ({frame / run.fps:.2f} s){note.replace(chr(10), ', ')}"
-    at = "" if scale is None else f" Scale at the person's distance, {scale.depth_m:.2f} m from the camera."
+    scale_note = "" if scale is None else f" Scale at the person's distance, {scale.depth_m:.2f} m from the camera."
     with paper_style():
         figure = _draw(
-            image, crop, strong, thin, scale, _legend(run, central, strong, len(fan)), f"{made_of(run)}; {when}.{at}", path.suffix == ".png"
+            image, crop, strong, thin, scale, _legend(run, central, strong, len(fan)), f"{made_of(run)}; {when}.{scale_note}", path.suffix == ".png"
         )
         save(figure, path, size_px / max(figure.get_size_inches()))
 

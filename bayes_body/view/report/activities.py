@@ -26,9 +26,9 @@ def activity_details(it: Inspection) -> Markup | None:
         return None
     frames = np.arange(0, it.run.frames, frames_a_point(it.run.frames))
     weights = weights_of_runs(stats["log_weight"].isel(frame=frames).values)
-    found = activity_probabilities(belief.isel(frame=frames).values, weights, labels)
+    probabilities = activity_probabilities(belief.isel(frame=frames).values, weights, labels)
     panels = []
-    for label, values in found.items():
+    for label, values in probabilities.items():
         figure, axes = new_panel(label, time_label(it.fps), "probability")
         draw_runs(axes, frames, values)
         time_axis(axes, it.run.frames, it.fps)
@@ -48,4 +48,4 @@ def activity_probabilities(
         labels: the activity of each state.
     """
     states = np.einsum("rdf,rdfs->rfs", weights, belief)
-    return {label: states[..., [each == label for each in labels]].sum(axis=-1) for label in dict.fromkeys(labels)}
+    return {label: states[..., [state_label == label for state_label in labels]].sum(axis=-1) for label in dict.fromkeys(labels)}

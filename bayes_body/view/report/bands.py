@@ -38,7 +38,7 @@ def band_section(it: Inspection) -> Markup:
     parts: list[str] = [tag("p", f"{legend}{SIDES}{_remarks(it)}")]
     for limb, places in by_limb(it.dofs).items():
         parts.append(details(limb, figures(_panel(it, place) for place in places), shown=True))
-    parts += [found for found in (density_details(it), activity_details(it)) if found is not None]
+    parts += [panel for panel in (density_details(it), activity_details(it)) if panel is not None]
     return section("angles", "Angles and positions", *parts)
 
 

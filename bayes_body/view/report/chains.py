@@ -65,12 +65,12 @@ def _draws(it: Inspection, mixing: Mixing, frame: int) -> Float[np.ndarray, "cha
 
 def _panels(it: Inspection, mixing: Mixing) -> Iterator[Picture]:
     chains = mixing.acceptance.shape[-1]
-    each = f"mean of {chains} chains" if chains > 1 else "of the chain"
-    yield _panel(it, mixing.acceptance.mean(axis=-1), "Acceptance", f"probability, {each}", it.limits.acceptance, (-0.03, 1.03))
+    average = f"mean of {chains} chains" if chains > 1 else "of the chain"
+    yield _panel(it, mixing.acceptance.mean(axis=-1), "Acceptance", f"probability, {average}", it.limits.acceptance, (-0.03, 1.03))
     yield _panel(it, mixing.divergences.sum(axis=-1).astype(float), "Divergences", "trajectories per frame", (), (0.0, None))
     yield _panel(it, mixing.ess.min(axis=-1), "Effective draws", f"of {it.diagnosis.particles:,}, minimum over dofs", (), (0.0, None))
-    yield _panel(it, mixing.energy_fraction.mean(axis=-1), "Energy", f"E-BFMI, {each}", (it.limits.energy_fraction,), (0.0, None))
-    yield _panel(it, mixing.step.mean(axis=-1), "Step", f"factor, {each}", (), (0.0, None))
+    yield _panel(it, mixing.energy_fraction.mean(axis=-1), "Energy", f"E-BFMI, {average}", (it.limits.energy_fraction,), (0.0, None))
+    yield _panel(it, mixing.step.mean(axis=-1), "Step", f"factor, {average}", (), (0.0, None))
 
 
 def _panel(
@@ -138,5 +138,5 @@ def _path(it: Inspection, mixing: Mixing, frame: int) -> Picture:
 
 
 def _camera(it: Inspection, frame: int) -> int:
-    seen = it.diagnosis.seen
-    return int(seen[frame].argmax()) if seen is not None and seen[frame].any() else 0
+    visibility = it.diagnosis.seen
+    return int(visibility[frame].argmax()) if visibility is not None and visibility[frame].any() else 0

@@ -46,13 +46,13 @@ def _panel(it: Inspection, convention: Convention, angle: Angle, place: int) -> 
     sides = {side: names.index(convention.names(side)[place]) for side in convention.sides if convention.names(side)[place] in names}
     if not sides:
         return None
-    found = {side: Moments(*(values[:, column] for values in moments)) for side, column in sides.items()}
+    curves = {side: Moments(*(values[:, column] for values in moments)) for side, column in sides.items()}
     title = angle.name.replace("_", " ").capitalize()
     figure, axes = new_panel(title, "time, s", "degrees", (3.6, 2.1))
     seconds, bands = np.asarray(it.frames) / it.run.fps, not it.diagnosis.mode_seeker
     shade_lost(axes, it.lost, 1 / it.run.fps)
     shown: list[np.ndarray] = []
-    for side, curve in found.items():
+    for side, curve in curves.items():
         if it.filtered and names == it.filtered.clinical.names:
             draw_filter(axes, seconds, it.filtered.clinical.moments, sides[side], bands)
             shown += drawn_filter(it.filtered.clinical.moments, sides[side], bands)
@@ -61,8 +61,8 @@ def _panel(it: Inspection, convention: Convention, angle: Angle, place: int) -> 
     if len(seconds) > 1:
         axes.set_xlim(seconds[0], seconds[-1])
     axes.set_ylim(*limits(np.concatenate(shown), LEAST_SPAN["°"]))
-    told = [f"{SIDES[side]} mean {value_range(curve.mean)} °{_widest(curve) if bands else ''}".strip() for side, curve in found.items()]
-    return encoded(figure, f"{title} over time: {'; '.join(told)}.", f"+ {angle.positive}; − {angle.negative}")
+    descriptions = [f"{SIDES[side]} mean {value_range(curve.mean)} °{_widest(curve) if bands else ''}".strip() for side, curve in curves.items()]
+    return encoded(figure, f"{title} over time: {'; '.join(descriptions)}.", f"+ {angle.positive}; − {angle.negative}")
 
 
 def _widest(curve: Moments) -> str:

@@ -47,11 +47,11 @@ def dof_scale(units: tuple[str, ...]) -> Float[np.ndarray, " dof"]:
 
 def dof_curves(run: "SavedRun", frames: range) -> Moments:
     """Return the moments of the dofs, (frame, dof), degrees and metres; all runs have the same weight."""
-    found = []
+    moments = []
     for piece in coordinate_blocks(run.tree, frames, spaces=run.spaces):
-        found.append(weighted_moments(pooled(piece.poses), pooled(weights_of_runs(piece.log_weights)) / piece.poses.shape[0]))
+        moments.append(weighted_moments(pooled(piece.poses), pooled(weights_of_runs(piece.log_weights)) / piece.poses.shape[0]))
     scale = dof_scale(units_of(run))
-    return Moments(*(np.concatenate(parts) * scale for parts in zip(*found, strict=True)))
+    return Moments(*(np.concatenate(parts) * scale for parts in zip(*moments, strict=True)))
 
 
 def clinical_curves(run: "SavedRun", frames: range) -> Curves:

@@ -55,8 +55,8 @@ def log_density(angles: Float[np.ndarray, "frame draw"], weights: Float[np.ndarr
         return LogDensity(np.log(mass) - np.log(mass.max(axis=0)), low, high)
 
 
-def _panel(it: Inspection, name: str, frames: range, found: LogDensity, label: str) -> Picture:
-    values, low, high = found
+def _panel(it: Inspection, name: str, frames: range, density: LogDensity, label: str) -> Picture:
+    values, low, high = density
     figure, axes = new_panel(spoken(name), label, "angle, degrees", (3.6, 2.3))
     set_margins(figure, 0.66, 0.42)
     axes.grid(visible=False)

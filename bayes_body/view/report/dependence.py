@@ -43,14 +43,16 @@ class Dependence(NamedTuple):
 def dependence(it: Inspection) -> Dependence:
     """Return the strongest dependence of a run's posterior; without pairs if there is none."""
     blocks = coordinate_blocks(it.run.tree, it.frames, spaces=it.run.spaces)
-    found = np.concatenate([correlations(block.poses, weights_of_runs(block.log_weights)) for block in blocks])
+    matrices = np.concatenate([correlations(block.poses, weights_of_runs(block.log_weights)) for block in blocks])
     effective = it.diagnosis.ess[:, list(it.frames)].sum(axis=0)
-    upper = np.triu_indices(found.shape[1], 1)
-    squares = np.nan_to_num(adjusted(found[:, *upper], effective[:, None]), nan=-np.inf)
+    upper = np.triu_indices(matrices.shape[1], 1)
+    squares = np.nan_to_num(adjusted(matrices[:, *upper], effective[:, None]), nan=-np.inf)
     place = chosen_place(squares, effective)
     order = np.argsort(-squares[place], kind="stable")
-    strong = [(int(upper[0][k]), int(upper[1][k])) for k in order if squares[place, k] > 0 and abs(found[place, upper[0][k], upper[1][k]]) >= LEAST]
-    return Dependence(it.frames[place], strong[:PAIRS], chosen_dofs(strong), found, place)
+    strong = [
+        (int(upper[0][k]), int(upper[1][k])) for k in order if squares[place, k] > 0 and abs(matrices[place, upper[0][k], upper[1][k]]) >= LEAST
+    ]
+    return Dependence(it.frames[place], strong[:PAIRS], chosen_dofs(strong), matrices, place)
 
 
 def correlations(poses: Float[np.ndarray, "run draw frame dof"], weights: Float[np.ndarray, "run draw frame"]) -> Float[np.ndarray, "frame dof dof"]:

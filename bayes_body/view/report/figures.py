@@ -138,10 +138,10 @@ def draw_runs(axes: "Axes", frames: NDArray[np.integer], values: Float[np.ndarra
         if len(binned) == len(frames):
             axes.plot(frames, line, **style, **_mark(len(frames)))
             continue
-        low, middle, high = (np.array([_of(piece, line[part]) for part in binned]) for piece in (np.min, np.median, np.max))
-        at = frames[[part.start for part in binned]]
-        axes.fill_between(at, low, high, color=INK, alpha=0.2, linewidth=0)
-        axes.plot(at, middle, **style)
+        low, middle, high = (np.array([_statistic(piece, line[part]) for part in binned]) for piece in (np.min, np.median, np.max))
+        starts = frames[[part.start for part in binned]]
+        axes.fill_between(starts, low, high, color=INK, alpha=0.2, linewidth=0)
+        axes.plot(starts, middle, **style)
 
 
 def run_label(run: int, runs: int) -> str | None:
@@ -156,7 +156,7 @@ def draw_limit(axes: "Axes", value: float, name: str = "limit") -> None:
     axes.annotate(name, (0.995, value), xytext=(0, 1), color=WARNING, fontsize=8, **place)
 
 
-def _of(piece: Callable[..., np.floating], values: NDArray[np.floating]) -> float:
+def _statistic(piece: Callable[..., np.floating], values: NDArray[np.floating]) -> float:
     finite = values[np.isfinite(values)]
     return float(piece(finite)) if finite.size else float("nan")
 

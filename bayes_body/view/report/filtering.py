@@ -167,9 +167,9 @@ def _cameras(it: Inspection) -> Iterator[Picture]:
     yield encoded(figure, f"Fraction of frames in which each camera was used: {alone}.")
 
 
-def _stretches(seen: Bool[np.ndarray, " frame"]) -> list[tuple[float, float]]:
+def _stretches(flags: Bool[np.ndarray, " frame"]) -> list[tuple[float, float]]:
     """Return (start, width) of each stretch of frames."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], seen.astype(int), [0]]))).reshape(-1, 2)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]]))).reshape(-1, 2)
     return [(start - 0.5, float(stop - start)) for start, stop in edges.tolist()]
 
 

@@ -76,13 +76,13 @@ def _result(summary: Mapping[str, Any]) -> list[str]:
     if summary.get("frames") is None:
         return []
     figures = (*((key, form) for key, form, _, _ in _fitted(summary)), ("error_mm_mean", "mean markers {:.0f} mm from the truth"))
-    found = [form.format(summary[key]) for key, form in figures if summary.get(key) is not None]
+    phrases = [form.format(summary[key]) for key, form in figures if summary.get(key) is not None]
     if summary.get("coverage_90") is not None:
-        found.append(f"{100 * summary['coverage_90']:.0f}\u00a0% of the truth inside the 90\u00a0% intervals")
+        phrases.append(f"{100 * summary['coverage_90']:.0f}\u00a0% of the truth inside the 90\u00a0% intervals")
     again = summary.get("frames_restarted") or []
     frames = f"{summary['frames']:,} frame{'s' * (summary['frames'] != 1)} tracked, {summary.get('frames_lost') or 'none'} lost"
     frames += f", restarted at frame{'s' * (len(again) > 1)} {', '.join(map(str, again))}" if again else ""
-    return ["; ".join([frames, *found]) + "."]
+    return ["; ".join([frames, *phrases]) + "."]
 
 
 def _fitted(summary: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
@@ -142,4 +142,4 @@ def findings(warnings: Sequence[str]) -> Markup:
     """Return the section of warnings, each with its remedy."""
     if not warnings:
         return section("warnings", "Warnings", tag("p", "No limit is crossed."))
-    return section("warnings", "Warnings", tag("ol", *(tag("li", sentence(each)) for each in warnings)))
+    return section("warnings", "Warnings", tag("ol", *(tag("li", sentence(warning)) for warning in warnings)))

@@ -28,8 +28,8 @@ def by_limb(dofs: Sequence[str]) -> Mapping[str, list[int]]:
 def limb(dof: str) -> str:
     """Return the limb of a dof, such as `Left leg`."""
     side, joint = _side(dof)
-    found = next((name for name, words in LIMBS.items() if any(word in joint for word in words)), OTHER)
-    return f"{side} {found}".strip().capitalize() if found in ("leg", "arm") else found
+    part = next((name for name, words in LIMBS.items() if any(word in joint for word in words)), OTHER)
+    return f"{side} {part}".strip().capitalize() if part in ("leg", "arm") else part
 
 
 def spoken(dof: str) -> str:
@@ -39,5 +39,5 @@ def spoken(dof: str) -> str:
 
 
 def _side(dof: str) -> tuple[str, str]:
-    found = re.match(r"([lr])_(.+)", dof)
-    return (SIDES[found[1]], found[2]) if found else ("", dof)
+    match = re.match(r"([lr])_(.+)", dof)
+    return (SIDES[match[1]], match[2]) if match else ("", dof)

@@ -93,7 +93,7 @@ def sections_of(it: Inspection) -> Sequence[tuple[str, str, Callable[[Inspection
         "chains": it.diagnosis.mixing is None,
         "messages": it.diagnosis.messages is None,
     }
-    return [each for each in SECTIONS if not missing.get(each[0], False)]
+    return [entry for entry in SECTIONS if not missing.get(entry[0], False)]
 
 
 def fitted(it: Inspection, sections: Sequence[Markup], largest: int) -> str:
@@ -110,8 +110,8 @@ def fitted(it: Inspection, sections: Sequence[Markup], largest: int) -> str:
         text = _filled(it, [*sections[:PICTURES], pictures, *sections[PICTURES + 1 :]])
     if len(text.encode()) < largest:
         return text
-    found, remedy = f"{len(text.encode()) / 1e6:.1f} MB without pictures", "this run has too many dofs for a report: read posterior.nc instead"
-    raise input_error("the report", found, f"less than {largest / 1e6:g} MB", remedy)
+    problem, remedy = f"{len(text.encode()) / 1e6:.1f} MB without pictures", "this run has too many dofs for a report: read posterior.nc instead"
+    raise input_error("the report", problem, f"less than {largest / 1e6:g} MB", remedy)
 
 
 def _filled(it: Inspection, sections: Sequence[Markup]) -> str:

@@ -42,24 +42,28 @@ def pair_section(it: Inspection) -> Markup:
     """Return the section; a sentence if the draws measure no uncertainty, or if no dofs depend on each other."""
     if it.diagnosis.mode_seeker:
         return section("pairs", TITLE, tag("p", SEEKER))
-    found = dependence(it)
-    if not found.pairs:
+    dependency = dependence(it)
+    if not dependency.pairs:
         return section("pairs", TITLE, tag("p", NONE.format(least=LEAST)))
-    time = f" (at {found.frame / it.fps:.2f} s)" if it.fps else ""
-    parts = [tag("p", ABOUT), tag("p", FRAME.format(frame=it.number(found.frame), time=time)), _pair_table(it, found)]
-    return section("pairs", TITLE, *parts, figures([_matrix(it, found)], "matrix"))
+    time = f" (at {dependency.frame / it.fps:.2f} s)" if it.fps else ""
+    parts = [tag("p", ABOUT), tag("p", FRAME.format(frame=it.number(dependency.frame), time=time)), _pair_table(it, dependency)]
+    return section("pairs", TITLE, *parts, figures([_matrix(it, dependency)], "matrix"))
 
 
-def _pair_table(it: Inspection, found: Dependence) -> Markup:
+def _pair_table(it: Inspection, dependency: Dependence) -> Markup:
     """Return the strongest pairs with their correlation in the shown frame and over all frames."""
     rows = []
-    for first, second in found.pairs:
-        values = found.correlations[:, first, second]
+    for first, second in dependency.pairs:
+        values = dependency.correlations[:, first, second]
         low, middle, high = np.nanpercentile(values, (5, 50, 95))
         name = f"{spoken(it.dofs[first])} and {spoken(it.dofs[second])}"
         over = [f"{_signed(middle)} ({_signed(low)} to {_signed(high)})"] if len(values) > 1 else []
-        rows.append([name, _signed(float(values[found.place])), *over])
-    head = ["pair", f"r in frame {it.number(found.frame)}", *(["r over the frames: median (5 to 95 %)"] if len(found.correlations) > 1 else [])]
+        rows.append([name, _signed(float(values[dependency.place])), *over])
+    head = [
+        "pair",
+        f"r in frame {it.number(dependency.frame)}",
+        *(["r over the frames: median (5 to 95 %)"] if len(dependency.correlations) > 1 else []),
+    ]
     return table(head, rows)
 
 
@@ -68,46 +72,48 @@ def _signed(r: float) -> str:
     return f"{r:+.2f}".replace("-", "−")
 
 
-def _matrix(it: Inspection, found: Dependence) -> Picture:
+def _matrix(it: Inspection, dependency: Dependence) -> Picture:
     """Return the scatter matrix."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    count, (left, right, bottom, top) = len(found.dofs), EDGES
+    count, (left, right, bottom, top) = len(dependency.dofs), EDGES
     width, height = left + count * SIDE + right, bottom + count * SIDE + top
     figure = Figure(figsize=(width, height))
     FigureCanvasAgg(figure)
     figure.subplots_adjust(left / width, bottom / height, 1 - right / width, 1 - top / height, GAP, GAP)
-    values, labels = _values(it, found)
+    values, labels = _values(it, dependency)
     grid = figure.subplots(count, count, squeeze=False)
     for row in range(count):
         for column in range(count):
-            axes, r = grid[row, column], found.correlations[found.place, found.dofs[row], found.dofs[column]]
+            axes, r = grid[row, column], dependency.correlations[dependency.place, dependency.dofs[row], dependency.dofs[column]]
             if row == column:
-                _distribution(axes, values[..., row], paper(it.dofs[found.dofs[row]]))
+                _distribution(axes, values[..., row], paper(it.dofs[dependency.dofs[row]]))
             elif row > column:
                 _cloud(axes, values[..., column], values[..., row])
             else:
                 _coefficient(axes, float(r))
             _ticks(axes, labels, row, column, count)
     _legend(figure, it.runs)
-    pairs = "; ".join(f"{spoken(it.dofs[j])} and {spoken(it.dofs[k])} {_signed(found.correlations[found.place, j, k])}" for j, k in found.pairs)
+    pairs = "; ".join(
+        f"{spoken(it.dofs[j])} and {spoken(it.dofs[k])} {_signed(dependency.correlations[dependency.place, j, k])}" for j, k in dependency.pairs
+    )
     caption = POINTS.format(count=values.shape[1]) + (METRES if any(label.endswith("mm") for label in labels) else "")
-    return encoded(figure, f"Scatter matrix of {count} dofs at frame {it.number(found.frame)}. Correlations: {pairs}.", caption)
+    return encoded(figure, f"Scatter matrix of {count} dofs at frame {it.number(dependency.frame)}. Correlations: {pairs}.", caption)
 
 
-def _values(it: Inspection, found: Dependence) -> tuple[Float[np.ndarray, "run draw dof"], list[str]]:
+def _values(it: Inspection, dependency: Dependence) -> tuple[Float[np.ndarray, "run draw dof"], list[str]]:
     """Return draws of equal weight, degrees and millimetres from the mean, and the labels of their axes."""
-    poses = equal_weight_sample(it, found.frame).poses[..., list(found.dofs)]
-    long = np.array([it.units[dof] == "m" for dof in found.dofs])
+    poses = equal_weight_sample(it, dependency.frame).poses[..., list(dependency.dofs)]
+    long = np.array([it.units[dof] == "m" for dof in dependency.dofs])
     values = np.where(long, 1000 * (poses - poses.mean(axis=(0, 1))), poses)
-    return values, [f"{spoken(it.dofs[dof])},\n{'mm' if metres else 'degrees'}" for dof, metres in zip(found.dofs, long, strict=True)]
+    return values, [f"{spoken(it.dofs[dof])},\n{'mm' if metres else 'degrees'}" for dof, metres in zip(dependency.dofs, long, strict=True)]
 
 
 def _distribution(axes: "Axes", values: Float[np.ndarray, "run draw"], colour: str) -> None:
     edges = np.linspace(values.min(), values.max(), BINS + 1)
-    for run, each in enumerate(values):
-        axes.hist(each, edges, histtype="step", color=colour, linestyle=run_line(run), linewidth=1.3)
+    for run, draws in enumerate(values):
+        axes.hist(draws, edges, histtype="step", color=colour, linestyle=run_line(run), linewidth=1.3)
     axes.margins(x=0.06)
 
 

@@ -57,25 +57,25 @@ def noise_in_words(detections: Detections) -> str:
 
 
 def keypoint_check(
-    detections: Detections, points: Float[np.ndarray, "draw marker 3"], seen: Float[np.ndarray, "camera marker 3"], key: Key
+    detections: Detections, points: Float[np.ndarray, "draw marker 3"], keypoints: Float[np.ndarray, "camera marker 3"], key: Key
 ) -> KeypointCheck:
     """Compare a frame's keypoints with their predictive distribution.
 
     Args:
         detections: the distribution of the keypoints in the likelihood.
         points: the markers of each draw of the pose, metres.
-        seen: column, row and confidence of the keypoints.
+        keypoints: column, row and confidence of the keypoints.
         key: random key of the noise.
     """
-    present = seen[..., 2] > float(detections.least_confidence)
+    present = keypoints[..., 2] > float(detections.least_confidence)
     middle = expected_pixels(detections, points).mean(axis=0)
-    drawn = predicted_pixels(detections, points, np.where(present, seen[..., 2], 1.0), key)
+    drawn = predicted_pixels(detections, points, np.where(present, keypoints[..., 2], 1.0), key)
     # With this definition of the quantile, a new draw from the same distribution is inside with probability 0.9, however few draws there are.
     low, high = np.quantile(drawn, ENDS, axis=0, method="weibull")
-    inside = ((low <= seen[..., :2]) & (seen[..., :2] <= high)).mean(axis=-1)
+    inside = ((low <= keypoints[..., :2]) & (keypoints[..., :2] <= high)).mean(axis=-1)
     far = np.linalg.norm(drawn - middle, axis=-1)
-    expected = np.array([np.percentile(far[:, c, here], SHOWN) if here.any() else (np.nan, np.nan) for c, here in enumerate(present)])
-    error = np.linalg.norm(seen[..., :2] - middle, axis=-1)
+    expected = np.array([np.percentile(far[:, c, mask], SHOWN) if mask.any() else (np.nan, np.nan) for c, mask in enumerate(present)])
+    error = np.linalg.norm(keypoints[..., :2] - middle, axis=-1)
     return KeypointCheck(np.where(present, error, np.nan), expected, np.where(present, inside, np.nan))
 
 

@@ -74,15 +74,15 @@ def silhouette_check(model: Model, session: Session, frame: Frame, poses: Float[
     likelihood, masks = silhouette_likelihood(model) if len(poses) > 1 else None, body_masks(model, session, poses)
     drawn = None if likelihood is None else np.asarray(_drawn(likelihood, jax.random.split(key, len(poses)), poses.astype(np.float32)))
     for c, bodies in enumerate(masks):
-        seen = seen_mask(frame, c)
-        if seen is None:
+        silhouette = seen_mask(frame, c)
+        if silhouette is None:
             continue
         if likelihood is None or drawn is None:
-            overlap[c], area[c] = _figures(bodies, [smaller(seen)] * len(bodies))
+            overlap[c], area[c] = _figures(bodies, [smaller(silhouette)] * len(bodies))
             continue
         # The same comparison for the seen silhouette and for drawn ones: on the likelihood's grid.
         on_grid = [sample_mask(body, *likelihood.grid) for body in bodies]
-        overlap[c], area[c] = _figures(on_grid, [sample_mask(seen, *likelihood.grid)] * len(bodies))
+        overlap[c], area[c] = _figures(on_grid, [sample_mask(silhouette, *likelihood.grid)] * len(bodies))
         expected_overlap[c], expected_area[c] = (np.nanpercentile(values, ENDS) for values in _figures(on_grid, list(drawn[:, c])))
     return SilhouetteCheck(overlap, area, expected_overlap, expected_area)
 
@@ -90,13 +90,13 @@ def silhouette_check(model: Model, session: Session, frame: Frame, poses: Float[
 def body_masks(model: Model, session: Session, poses: Float[np.ndarray, "draw *shape"]) -> list[list[Bool[np.ndarray, "row column"]]]:
     """Return for each camera the silhouettes of the posed bodies, at no more than WIDTH pixels."""
     by_pose = [outlines(model, pose) for pose in poses]
-    found = []
+    masks = []
     for c, view in enumerate(session.views):
         size = _small(view.camera.size_px)
         scale = np.array(size) / view.camera.size_px
         # Integers are the centres of pixels, at every size.
-        found.append([fill([Outline(part, (polygon + 0.5) * scale - 0.5) for part, polygon in each[c]], size) for each in by_pose])
-    return found
+        masks.append([fill([Outline(part, (polygon + 0.5) * scale - 0.5) for part, polygon in pose_outlines[c]], size) for pose_outlines in by_pose])
+    return masks
 
 
 def seen_mask(frame: Frame, camera: int) -> NDArray[np.bool_] | None:
@@ -117,11 +117,11 @@ def _small(size_px: tuple[int, int]) -> tuple[int, int]:
 
 
 def _figures(
-    bodies: list[Bool[np.ndarray, "row column"]], seen: list[Bool[np.ndarray, "row column"]]
+    bodies: list[Bool[np.ndarray, "row column"]], silhouettes: list[Bool[np.ndarray, "row column"]]
 ) -> tuple[Float[np.ndarray, " draw"], Float[np.ndarray, " draw"]]:
     """Return the overlap of each pair and the difference of their areas."""
-    overlap = [intersection_over_union(body, mask) for body, mask in zip(bodies, seen, strict=True)]
-    areas = [(np.count_nonzero(body), np.count_nonzero(mask)) for body, mask in zip(bodies, seen, strict=True)]
+    overlap = [intersection_over_union(body, mask) for body, mask in zip(bodies, silhouettes, strict=True)]
+    areas = [(np.count_nonzero(body), np.count_nonzero(mask)) for body, mask in zip(bodies, silhouettes, strict=True)]
     return np.array(overlap), np.array([(body - mask) / mask if mask else np.nan for body, mask in areas])
 
 

@@ -50,70 +50,70 @@ COVER = "Green is the share of the draws whose body covers a pixel (strongest: a
 
 def prediction_section(it: Inspection) -> Markup:
     """Return the section: a table by camera, curves over time and a picture of each camera; a sentence if nothing can be compared."""
-    found = it.prediction
-    if isinstance(found, str):
-        return section("prediction", TITLE, tag("p", found))
+    prediction = it.prediction
+    if isinstance(prediction, str):
+        return section("prediction", TITLE, tag("p", prediction))
     seeker = it.diagnosis.mode_seeker
-    frames = "the only frame" if it.run.frames == 1 else f"{len(found.frames)} evenly spaced frames"
-    parts = [tag("p", (SEEKER if seeker else ABOUT).format(frames=frames, draws=f"{found.draws} draws of the pose"))]
-    if found.keypoints is not None:
-        parts += _keypoint_parts(it, found.frames, found.keypoints)
-    if found.silhouettes is not None:
-        parts += _silhouette_parts(it, found.frames, found.silhouettes)
+    frames = "the only frame" if it.run.frames == 1 else f"{len(prediction.frames)} evenly spaced frames"
+    parts = [tag("p", (SEEKER if seeker else ABOUT).format(frames=frames, draws=f"{prediction.draws} draws of the pose"))]
+    if prediction.keypoints is not None:
+        parts += _keypoint_parts(it, prediction.frames, prediction.keypoints)
+    if prediction.silhouettes is not None:
+        parts += _silhouette_parts(it, prediction.frames, prediction.silhouettes)
     return section("prediction", TITLE, *parts)
 
 
-def _keypoint_parts(it: Inspection, frames: Int[np.ndarray, " frame"], found: KeypointCheck) -> Iterator[Markup]:
+def _keypoint_parts(it: Inspection, frames: Int[np.ndarray, " frame"], check: KeypointCheck) -> Iterator[Markup]:
     likelihood, seeker = marker_likelihood(it.run.model), it.diagnosis.mode_seeker
     assert likelihood is not None
     yield tag("h3", "Keypoints")
-    if not np.isfinite(found.error).any():
+    if not np.isfinite(check.error).any():
         yield tag("p", "No camera sees a keypoint in the compared frames.")
         return
     yield tag("p", ERROR if seeker else f"{KEYPOINTS.format(noise=noise_in_words(likelihood[1].detections))} {SHARE}")
-    yield _keypoint_table(cameras(it), found, seeker)
-    yield figures(error_panels(it, frames, found))
-    worst = _worst(frames, np.array([median(errors) for errors in found.error]))
+    yield _keypoint_table(cameras(it), check, seeker)
+    yield figures(error_panels(it, frames, check))
+    worst = _worst(frames, np.array([median(errors) for errors in check.error]))
     yield tag("p", f"Of the compared frames, frame {it.number(worst)} has the largest errors. {MARKS}{'' if seeker else f' {CLOUD}'}")
     yield figures(keypoint_pictures(it.run, worst))
 
 
-def _keypoint_table(names: list[str], found: KeypointCheck, seeker: bool) -> Markup:
+def _keypoint_table(names: list[str], check: KeypointCheck, seeker: bool) -> Markup:
     """Return a row for each camera and one for all of them."""
     head = ["camera", "seen keypoints", "error, median, px", "error, 90 % quantile, px"]
     head += [] if seeker else ["predicted, median, px", "predicted, 90 % quantile, px", "coordinates inside 90 %"]
     rows = []
     for name, chosen in [*((name, [c]) for c, name in enumerate(names)), *([("all cameras", [*range(len(names))])] if len(names) > 1 else [])]:
-        errors, expected, inside = (values[:, chosen] for values in found)
+        errors, expected, inside = (values[:, chosen] for values in check)
         cells = [f"{np.isfinite(errors).sum():,}", _px(percentile(errors, 50)), _px(percentile(errors, 90))]
         cells += [] if seeker else [_px(median(expected[..., k])) for k in (0, 1)] + [_percent(inside)]
         rows.append([name, *cells])
     return table(head, rows)
 
 
-def _silhouette_parts(it: Inspection, frames: Int[np.ndarray, " frame"], found: SilhouetteCheck) -> Iterator[Markup]:
+def _silhouette_parts(it: Inspection, frames: Int[np.ndarray, " frame"], check: SilhouetteCheck) -> Iterator[Markup]:
     yield tag("h3", "Silhouettes")
-    if not np.isfinite(found.overlap).any():
+    if not np.isfinite(check.overlap).any():
         yield tag("p", "No camera sees a silhouette in the compared frames.")
         return
     spread = "" if it.diagnosis.mode_seeker else SPREAD + (BARE if silhouette_likelihood(it.run.model) is None else DRAWN)
     yield tag("p", f"{SILHOUETTES}{spread}")
-    yield _silhouette_table(cameras(it), found)
-    yield figures(silhouette_panels(it, frames, "overlap", "overlap (IoU)", found.overlap, found.expected_overlap))
-    yield figures(silhouette_panels(it, frames, "area", "difference, % of the seen", 100 * found.area, 100 * found.expected_area))
-    worst = _worst(frames, -np.array([median(overlaps) for overlaps in found.overlap]))
+    yield _silhouette_table(cameras(it), check)
+    yield figures(silhouette_panels(it, frames, "overlap", "overlap (IoU)", check.overlap, check.expected_overlap))
+    yield figures(silhouette_panels(it, frames, "area", "difference, % of the seen", 100 * check.area, 100 * check.expected_area))
+    worst = _worst(frames, -np.array([median(overlaps) for overlaps in check.overlap]))
     yield tag("p", f"Of the compared frames, frame {it.number(worst)} has the smallest overlap. {COVER}")
     yield figures(silhouette_pictures(it.run, worst))
 
 
-def _silhouette_table(names: list[str], found: SilhouetteCheck) -> Markup:
-    expects = bool(np.isfinite(found.expected_overlap).any())
+def _silhouette_table(names: list[str], check: SilhouetteCheck) -> Markup:
+    expects = bool(np.isfinite(check.expected_overlap).any())
     rows = []
     for c, name in enumerate(names):
-        overlap, area = found.overlap[:, c], found.area[:, c]
+        overlap, area = check.overlap[:, c], check.area[:, c]
         cells = [f"{np.isfinite(overlap).any(axis=-1).sum():,}", _figure(median(overlap)), _figure(percentile(overlap, 5)), _signed(median(area))]
         if expects:
-            low, high = found.expected_overlap[:, c].T
+            low, high = check.expected_overlap[:, c].T
             middle = percentiles(overlap, 50)
             known = np.isfinite(middle) & np.isfinite(low)
             cells += [_figure(median((low + high) / 2)), _percent(np.where(known, (low <= middle) & (middle <= high), np.nan))]

@@ -20,23 +20,23 @@ SIZE = (3.6, 2.3)
 LINE = {"marker": "o", "markersize": 3}
 
 
-def error_panels(it: Inspection, frames: Int[np.ndarray, " frame"], found: KeypointCheck) -> Iterator[Picture]:
+def error_panels(it: Inspection, frames: Int[np.ndarray, " frame"], check: KeypointCheck) -> Iterator[Picture]:
     """Yield for each camera the errors of the keypoints, over a band of the errors that are predicted."""
     seeker = it.diagnosis.mode_seeker
-    middle, high = (percentiles(found.error, share) for share in (50, 90))
-    top = 1.08 * max(float(np.nanmax(high)), 1.0, 0.0 if seeker else float(np.nanmax(found.expected[..., 1])))
+    middle, high = (percentiles(check.error, share) for share in (50, 90))
+    top = 1.08 * max(float(np.nanmax(high)), 1.0, 0.0 if seeker else float(np.nanmax(check.expected[..., 1])))
     for c, name in enumerate(cameras(it)):
-        if not np.isfinite(found.error[:, c]).any():
+        if not np.isfinite(check.error[:, c]).any():
             continue
         figure, axes = new_panel(f"Camera {escaped(name)}", time_label(it.fps), "reprojection error, px", SIZE)
         shade_lost(axes, it.lost)
         if not seeker:
-            _band(axes, frames, np.zeros(len(frames)), found.expected[:, c, 1])
+            _band(axes, frames, np.zeros(len(frames)), check.expected[:, c, 1])
         axes.plot(frames, middle[:, c], color=INK, label="median", **LINE)
         axes.plot(frames, high[:, c], color=INK, linestyle=run_line(2), label="90 % quantile", **LINE)
         axes.set_ylim(0, top)
         _finish(it, axes)
-        yield encoded(figure, f"Reprojection error in camera {name} over time: median {median(found.error[:, c]):.1f} px.")
+        yield encoded(figure, f"Reprojection error in camera {name} over time: median {median(check.error[:, c]):.1f} px.")
 
 
 def silhouette_panels(

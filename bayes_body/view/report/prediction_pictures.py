@@ -30,28 +30,28 @@ BITS = 4
 
 def keypoint_pictures(run: "SavedRun", index: int) -> Iterator[Picture]:
     """Yield for each camera that sees keypoints in a frame a picture of them and of the predicted ones; the model reads keypoints."""
-    it, found = moment(run, index), marker_likelihood(run.model)
-    assert found is not None
-    seen, points = seen_keypoints(it)
+    it, run_likelihood = moment(run, index), marker_likelihood(run.model)
+    assert run_likelihood is not None
+    keypoints, points = seen_keypoints(it)
     likelihood = marker_likelihood(it.model)
     assert likelihood is not None
     detections, marker_names = likelihood[1].detections, [it.model.body.markers.names[place] for place in likelihood[1].markers]
-    present = seen[..., 2] > float(detections.least_confidence)
+    present = keypoints[..., 2] > float(detections.least_confidence)
     middle = expected_pixels(detections, points).mean(axis=0)
     # The first noise of each draw.
-    drawn = predicted_pixels(detections, points, np.where(present, seen[..., 2], 1.0), it.key)[: len(points)]
+    drawn = predicted_pixels(detections, points, np.where(present, keypoints[..., 2], 1.0), it.key)[: len(points)]
     for c, view in enumerate(run.session.views):
-        here = present[c]
-        if not here.any():
+        mask = present[c]
+        if not mask.any():
             continue
         image = backdrop(run.session, index, view)[0]
-        crop = crop_about(np.concatenate([seen[c, here, :2], middle[c, here]]), view.camera.size_px, WIDEST)
+        crop = crop_about(np.concatenate([keypoints[c, mask, :2], middle[c, mask]]), view.camera.size_px, WIDEST)
         picture = _faded(crop.cut(image))
         if not run.mode_seeker:
-            picture = _dots(picture, crop.place(drawn[:, c, here]), [marker_names[place] for place in np.flatnonzero(here)])
-        for at, mean in zip(crop.place(seen[c, here, :2]), crop.place(middle[c, here]), strict=True):
-            _residual(picture, at, mean)
-        alt = f"Seen and predicted keypoints in frame {run.first_frame + index} of camera {view.camera.name}: {here.sum()} are seen."
+            picture = _dots(picture, crop.place(drawn[:, c, mask]), [marker_names[place] for place in np.flatnonzero(mask)])
+        for pixel, mean in zip(crop.place(keypoints[c, mask, :2]), crop.place(middle[c, mask]), strict=True):
+            _residual(picture, pixel, mean)
+        alt = f"Seen and predicted keypoints in frame {run.first_frame + index} of camera {view.camera.name}: {mask.sum()} are seen."
         yield _picture(label(picture, f"{view.camera.name}  frame {run.first_frame + index}"), alt)
 
 
@@ -59,15 +59,15 @@ def silhouette_pictures(run: "SavedRun", index: int) -> Iterator[Picture]:
     """Yield for each camera that sees a silhouette in a frame a picture of its outline over the predicted ones."""
     it = moment(run, index)
     for c, (view, bodies) in enumerate(zip(run.session.views, body_masks(it.model, run.session, it.poses), strict=True)):
-        seen, size = seen_mask(it.frame, c), view.camera.size_px
-        if seen is None:
+        silhouette, size = seen_mask(it.frame, c), view.camera.size_px
+        if silhouette is None:
             continue
         image = backdrop(run.session, index, view)[0]
         share = cv2.resize(np.mean(bodies, axis=0, dtype=np.float32), size, interpolation=cv2.INTER_LINEAR)
-        rows, columns = np.nonzero((share > 0) | seen)
+        rows, columns = np.nonzero((share > 0) | silhouette)
         crop = crop_about(np.stack([columns, rows], axis=1).astype(float), size, WIDEST)
         picture = _covered(_faded(crop.cut(image)), crop.cut(share))
-        lines, _ = cv2.findContours(seen.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        lines, _ = cv2.findContours(silhouette.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         outline = [_fixed(crop, line[:, 0].astype(float)) for line in lines]
         for thickness, ink in ((4, WHITE), (2, BLACK)):
             cv2.polylines(picture, outline, True, ink, thickness, cv2.LINE_AA, shift=BITS)
@@ -90,9 +90,9 @@ def _dots(picture: MatLike, points: Float[np.ndarray, "draw marker 2"], names: S
     return cv2.addWeighted(layer, 0.6, picture, 0.4, 0)
 
 
-def _residual(picture: MatLike, seen: Float[np.ndarray, "2"], mean: Float[np.ndarray, "2"]) -> None:
+def _residual(picture: MatLike, keypoint: Float[np.ndarray, "2"], mean: Float[np.ndarray, "2"]) -> None:
     """Draw a seen keypoint as a circle, and the line to where it is expected."""
-    ends = _shifted(np.stack([seen, np.clip(mean, -1e4, 1e4)])).tolist()
+    ends = _shifted(np.stack([keypoint, np.clip(mean, -1e4, 1e4)])).tolist()
     for thickness, ink in ((5, WHITE), (2, BLACK)):
         cv2.line(picture, ends[0], ends[1], ink, thickness, cv2.LINE_AA, shift=BITS)
         cv2.circle(picture, ends[0], 8 << BITS, ink, thickness, cv2.LINE_AA, shift=BITS)

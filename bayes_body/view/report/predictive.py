@@ -121,16 +121,16 @@ def moment(run: "SavedRun", index: int) -> Moment:
 
 def seen_keypoints(it: Moment) -> tuple[Float[np.ndarray, "camera marker 3"], Float[np.ndarray, "draw marker 3"]]:
     """Return column, row and confidence of the keypoints, and the markers that the draws place, metres; for a model that reads keypoints."""
-    found = marker_likelihood(it.model)
-    assert found is not None
-    name, likelihood = found
+    named_likelihood = marker_likelihood(it.model)
+    assert named_likelihood is not None
+    name, likelihood = named_likelihood
     evidence = it.model.observers[name](it.frame)
-    seen = np.concatenate([evidence.pixels, evidence.confidence[..., None]], axis=-1)[:, list(likelihood.places)]
-    return seen.astype(float), markers(it.model, it.poses.astype(np.float32))[:, list(likelihood.markers)]
+    keypoints = np.concatenate([evidence.pixels, evidence.confidence[..., None]], axis=-1)[:, list(likelihood.places)]
+    return keypoints.astype(float), markers(it.model, it.poses.astype(np.float32))[:, list(likelihood.markers)]
 
 
 def _keypoints(it: Moment) -> KeypointCheck:
-    found = marker_likelihood(it.model)
-    assert found is not None
-    seen, points = seen_keypoints(it)
-    return keypoint_check(found[1].detections, points, seen, it.key)
+    named_likelihood = marker_likelihood(it.model)
+    assert named_likelihood is not None
+    keypoints, points = seen_keypoints(it)
+    return keypoint_check(named_likelihood[1].detections, points, keypoints, it.key)

@@ -42,19 +42,19 @@ def truth_section(it: Inspection) -> Markup:
     """Return the section: sentences, the error over the frames, coverage, and a table of markers; a sentence if the truth can no longer be read."""
     title = "Comparison with the truth"
     try:
-        found = measured(it.run)
+        comparison = measured(it.run)
     except InputError as error:
         return section("truth", title, tag("p", f"The run can no longer be compared with the truth: {error}."))
-    if found is None or not found.plain.known.any():
+    if comparison is None or not comparison.plain.known.any():
         return section("truth", title, tag("p", "None of the body's markers has a true position in the frames of this run."))
     seeker, step = it.diagnosis.mode_seeker, frames_a_point(it.run.frames)
-    pictures = [_error(it, found), *([] if seeker else [_calibration(found)])]
+    pictures = [_error(it, comparison), *([] if seeker else [_calibration(comparison)])]
     parts = [
-        *(tag("p", sentence) for sentence in told(found, seeker)),
+        *(tag("p", sentence) for sentence in told(comparison, seeker)),
         figures(pictures),
         tag("h3", "Error of each marker"),
-        *([tag("p", OFFSET)] if found.fitted else []),
-        _by_marker(found, seeker),
+        *([tag("p", OFFSET)] if comparison.fitted else []),
+        _by_marker(comparison, seeker),
         *([tag("p", f"Measured in {sparse_frames(step)} frame of {it.run.frames:,}; summary.json has all.", class_="note")] if step > 1 else []),
     ]
     return section("truth", title, *parts)
@@ -83,14 +83,14 @@ def _clouds(run: "SavedRun", frames: range) -> Clouds:
     return call
 
 
-def told(found: AgainstTruth, mode_seeker: bool) -> list[str]:
+def told(comparison: AgainstTruth, mode_seeker: bool) -> list[str]:
     """Return the figures in sentences: the error, the coverage, and the error with the skeletons' offset fitted.
 
     Args:
-        found: the run compared with the truth; at least some of the truth is known.
+        comparison: the run compared with the truth; at least some of the truth is known.
         mode_seeker: whether the kernel is a mode seeker.
     """
-    it = accuracy_figures(found, mode_seeker)
+    it = accuracy_figures(comparison, mode_seeker)
     details = [f"{what} {it[key]:.0f} mm" for key, what in DETAILS if it[key] is not None]
     spread = "" if it["error_mm_std"] is None else f" (standard deviation over the frames {it['error_mm_std']:.0f} mm)"
     sentences = [f"The mean markers are {it['error_mm_mean']:.0f} mm from the true ones{spread}; {', '.join(details)}."]
@@ -100,20 +100,20 @@ def told(found: AgainstTruth, mode_seeker: bool) -> list[str]:
         most = it["coverage_90"]
         sentences.append(f"The 90 % intervals contain the truth in {percent(most)} of cases: {width(most)}.")
     if it["error_mm_mean_fitted_offset"] is not None:
-        held = "" if mode_seeker else f", and the 90 % intervals contain the truth in {percent(it['coverage_90_fitted_offset'])} of cases"
-        sentences.append(f"With the offset between the two skeletons fitted, the error is {it['error_mm_mean_fitted_offset']:.0f} mm{held}.")
+        coverage = "" if mode_seeker else f", and the 90 % intervals contain the truth in {percent(it['coverage_90_fitted_offset'])} of cases"
+        sentences.append(f"With the offset between the two skeletons fitted, the error is {it['error_mm_mean_fitted_offset']:.0f} mm{coverage}.")
     return sentences
 
 
-def _error(it: Inspection, found: AgainstTruth) -> Picture:
+def _error(it: Inspection, comparison: AgainstTruth) -> Picture:
     """Return the plot of the error: one line for each run, over a band of the error that the runs expect."""
     step = frames_a_point(it.run.frames)
     figure, axes = new_panel("Error", time_label(it.fps, f"{sparse_frames(step)} frame" if step > 1 else ""), "mean over the markers, mm")
-    frames, error = np.arange(0, it.run.frames, step), 1000 * found.plain.frame_error.T
+    frames, error = np.arange(0, it.run.frames, step), 1000 * comparison.plain.frame_error.T
     mark = {"marker": "o", "markersize": 3.5} if len(frames) <= 12 else {}
     shade_lost(axes, it.lost)
     if not it.diagnosis.mode_seeker:
-        low, *_, high = 1000 * found.plain.expected.T
+        low, *_, high = 1000 * comparison.plain.expected.T
         axes.fill_between(frames, low, high, color=GREY, alpha=0.25, linewidth=0)
     for run, line in enumerate(error):
         axes.plot(frames, line, color=INK, linestyle=run_line(run), label=run_label(run, len(error)), **mark)
@@ -123,26 +123,26 @@ def _error(it: Inspection, found: AgainstTruth) -> Picture:
     return encoded(figure, alt, ERROR if it.diagnosis.mode_seeker else f"{ERROR} {EXPECTED}")
 
 
-def _calibration(found: AgainstTruth) -> Picture:
+def _calibration(comparison: AgainstTruth) -> Picture:
     """Return the plot of the measured coverage over the nominal coverage."""
     figure, axes = new_panel("Coverage", "nominal, %", "measured, %")
     axes.plot([0, 100], [0, 100], color=GREY, linewidth=0.9)
     nominal = 100 * np.array(LEVELS)
-    axes.plot(nominal, 100 * found.plain.coverage, color=INK, marker="o", markersize=3.5, label="as it is" if found.fitted else None)
-    if found.fitted:
-        axes.plot(nominal, 100 * found.fitted.coverage, color=INK, linestyle=run_line(1), marker="s", markersize=3.5, label="offset fitted")
+    axes.plot(nominal, 100 * comparison.plain.coverage, color=INK, marker="o", markersize=3.5, label="as it is" if comparison.fitted else None)
+    if comparison.fitted:
+        axes.plot(nominal, 100 * comparison.fitted.coverage, color=INK, linestyle=run_line(1), marker="s", markersize=3.5, label="offset fitted")
     axes.set(xlim=(0, 100), ylim=(0, 102))
-    pairs = ", ".join(f"{percent(level)}: {percent(share)}" for level, share in zip(LEVELS, found.plain.coverage, strict=True))
+    pairs = ", ".join(f"{percent(level)}: {percent(share)}" for level, share in zip(LEVELS, comparison.plain.coverage, strict=True))
     return encoded(figure, f"Fraction of the truth inside the intervals of each level: {pairs}.", CALIBRATION)
 
 
-def _by_marker(found: AgainstTruth, mode_seeker: bool) -> Markup:
+def _by_marker(comparison: AgainstTruth, mode_seeker: bool) -> Markup:
     """Return the table of markers, largest error first; figures that do not exist have no column."""
-    plain, fitted = found.plain, found.fitted
+    plain, fitted = comparison.plain, comparison.fitted
     columns = [("error, mm", _mm(mean_known(plain.error, (0, 1))))]
     if fitted:
         columns.append(("offset fitted, mm", _mm(mean_known(fitted.error, (0, 1)))))
-        columns.append(("length of the offset, mm", _mm(np.linalg.norm(found.offsets, axis=-1))))
+        columns.append(("length of the offset, mm", _mm(np.linalg.norm(comparison.offsets, axis=-1))))
     if not mode_seeker:
         columns.append(("inside 90 %", [percent(share) for share in plain.coverage_by_marker[LEVELS.index(0.9)]]))
     order = np.argsort(-np.nan_to_num(mean_known(plain.error, (0, 1)), nan=-1.0), kind="stable")

@@ -33,5 +33,5 @@ class Budget(NamedTuple):
 
     def side(self, frames: int) -> int:
         """Return the longer side of the images, pixels, if so many frames are shown."""
-        each = IMAGES / max(frames * self.cameras, 1)
-        return int(min(max(math.sqrt(each / (PIXEL * SHAPE)), SIDES[0]), SIDES[1]))
+        image_bytes = IMAGES / max(frames * self.cameras, 1)
+        return int(min(max(math.sqrt(image_bytes / (PIXEL * SHAPE)), SIDES[0]), SIDES[1]))

@@ -56,12 +56,12 @@ def read_poses(run: "SavedRun", frames: range, draws: int) -> Iterator[Pose]:
     offset = np.random.default_rng(RESAMPLING_SEED).random()
     blocks = pose_blocks(run.tree, frames, variable=body.variable)
     points: Iterator[tuple[np.ndarray, np.ndarray]] = (
-        each for block in blocks for each in zip(pooled(block.poses), pooled(weights_of_runs(block.log_weights)), strict=True)
+        sample for block in blocks for sample in zip(pooled(block.poses), pooled(weights_of_runs(block.log_weights)), strict=True)
     )
     for cloud, weights in points:
         weights = weights / weights.sum()
         central = central_pose(body, cloud, weights)
-        rotation, origins, radii = (np.asarray(each, float) for each in _solids(body, jnp.asarray(central.pose, body.lengths.dtype)))
+        rotation, origins, radii = (np.asarray(solid, float) for solid in _solids(body, jnp.asarray(central.pose, body.lengths.dtype)))
         chosen = jnp.asarray(cloud[_resampled(weights, draws, offset)], body.lengths.dtype)
         ends = np.asarray(_axes(body, chosen)) if draws else np.zeros((0, len(origins), 2, 3))
         yield Pose(origins, np.asarray(rotations.from_matrix(rotation)), radii, central.is_mean, ends)

@@ -105,16 +105,16 @@ def _page(run: "SavedRun", recording: Recording, frames: range, draws: int, side
         record = server.get_scene_serializer()
         has_truth = has_keypoints = False
         for place in watch(range(len(frames))):
-            seen = recording.frame(frames[place], side)
-            has_truth, has_keypoints = has_truth or bool(len(seen.truth)), has_keypoints or bool(len(seen.keypoints))
+            evidence = recording.frame(frames[place], side)
+            has_truth, has_keypoints = has_truth or bool(len(evidence.truth)), has_keypoints or bool(len(evidence.keypoints))
             which = "" if poses[place].is_mean else ", medoid"
-            scene.show(poses[place], seen, f"frame {run.first_frame + frames[place]}, {frames[place] / fps:.2f} s{which}")
+            scene.show(poses[place], evidence, f"frame {run.first_frame + frames[place]}, {frames[place] / fps:.2f} s{which}")
             if len(frames) > 1:
                 record.insert_sleep(frames.step / fps)
         html = record.as_html()
     medoids = sum(not pose.is_mean for pose in poses)
-    told = [MEDOID.format(count=medoids, frames=len(poses))] if medoids else []
-    return _filled(html, run, _text(run, draws, has_truth, has_keypoints, [*told, *remarks]))
+    sentences = [MEDOID.format(count=medoids, frames=len(poses))] if medoids else []
+    return _filled(html, run, _text(run, draws, has_truth, has_keypoints, [*sentences, *remarks]))
 
 
 def _text(run: "SavedRun", draws: int, has_truth: bool, has_keypoints: bool, remarks: Sequence[str]) -> Markup:
@@ -146,8 +146,8 @@ def _filled(html: str, run: "SavedRun", text: Markup) -> str:
     template = Template(files(__package__).joinpath("page.html").read_text(encoding="utf-8"))
     beside = template.substitute(title=joined([title]), text=text)
     for old, new in (("<head>", head), ("<title>Viser</title>", tag("title", title)), ("</body>", f"{beside}</body>")):
-        before, found, after = html.partition(old) if old != "</body>" else html.rpartition(old)
-        if not found:
+        before, separator, after = html.partition(old) if old != "</body>" else html.rpartition(old)
+        if not separator:
             raise input_error(UNREADABLE, f"no {old}", "a page of viser 1.1", "install the version of viser that bayes-body asks for")
         html = f"{before}{new}{after}"
     return html

@@ -74,16 +74,18 @@ class Recording(NamedTuple):
         return Seen(cameras, images, truth[np.isfinite(truth).all(axis=-1)], self._keypoints(index, cameras))
 
     def _keypoints(self, index: int, cameras: Sequence[CameraSpec]) -> Float[np.ndarray, "keypoint 3"]:
-        found = [
+        detections = [
             (camera, series.frame(self.session.number(view, index)))
             for camera, view, series in zip(cameras, self.session.views, self.series, strict=True)
             if series is not None
         ]
-        names = sorted({name for _, points in found for name in points})
-        if len(found) < 2 or not names:
+        names = sorted({name for _, points in detections for name in points})
+        if len(detections) < 2 or not names:
             return np.zeros((0, 3))
         nowhere = (np.nan, np.nan, 0.0)
-        points = triangulate([camera for camera, _ in found], np.array([[seen.get(name, nowhere) for name in names] for _, seen in found])).points_m
+        points = triangulate(
+            [camera for camera, _ in detections], np.array([[detection.get(name, nowhere) for name in names] for _, detection in detections])
+        ).points_m
         return points[np.isfinite(points).all(axis=-1)]
 
 
@@ -130,7 +132,7 @@ def flat(image: MatLike, camera: CameraSpec, width: int) -> MatLike:
     # Both maps hold for the centres of pixels, which are at whole coordinates.
     fx, fy = (focal * scale for focal in camera.focal_px)
     cx, cy = ((centre + 0.5) * scale - 0.5 for centre in camera.centre_px)
-    given = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+    camera_matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
     middle = np.array([[fx, 0, (size[0] - 1) / 2], [0, fy, (size[1] - 1) / 2], [0, 0, 1.0]])
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    return cv2.undistort(small, given, np.array(camera.distortion), None, middle)
+    return cv2.undistort(small, camera_matrix, np.array(camera.distortion), None, middle)

@@ -94,16 +94,16 @@ class Scene:
         axes = self.scene.world_axes
         axes.axes_length, axes.axes_radius, axes.visible = AXES, 0.008, True
 
-    def show(self, pose: Pose, seen: Seen, time: str) -> None:
+    def show(self, pose: Pose, evidence: Seen, time: str) -> None:
         """Show a frame; `time` is its label."""
         for part in range(len(self.parts)):
             self._part(part, pose)
         if len(pose.draws):
             self._draws(pose.draws)
-        for number, (camera, image) in enumerate(zip(seen.cameras, seen.images, strict=True), 1):
+        for number, (camera, image) in enumerate(zip(evidence.cameras, evidence.images, strict=True), 1):
             self._camera(f"{number} {_named(camera.name)}", camera, image)
-        self._points("/True markers", seen.truth, TRUTH)
-        self._points("/Triangulated keypoints", seen.keypoints, KEYPOINTS)
+        self._points("/True markers", evidence.truth, TRUTH)
+        self._points("/Triangulated keypoints", evidence.keypoints, KEYPOINTS)
         self._label("/Time", time, self.before)
 
     def _part(self, part: int, pose: Pose) -> None:

@@ -29,7 +29,7 @@ def p_values(counts: Int[np.ndarray, "quantity bin"]) -> Float[np.ndarray, " qua
     total, bins = int(counts[0].sum()), counts.shape[1]
     least = _smaller_tails(total, bins)[np.cumsum(counts, axis=1)[:, :-1], np.arange(bins - 1)].min(axis=1)
     different, places = np.unique(least, return_inverse=True)
-    return np.array([_p_value(one, total, bins) for one in different])[places]
+    return np.array([_p_value(tail, total, bins) for tail in different])[places]
 
 
 def _p_value(least: float, total: int, bins: int) -> float:

@@ -108,10 +108,10 @@ def experiments(problem: Problem, kind: str, options: Any, frames: int = 2, bins
         seed: the seed of everything random.
     """
     kernel, move = find("kernel", kind).build(options=options), markov_move(kind, options)
-    found: dict[str, Any] = {SBC: sbc.replicate(problem, kernel, options.particles, frames, bins)}
+    by_name: dict[str, Any] = {SBC: sbc.replicate(problem, kernel, options.particles, frames, bins)}
     if move is not None:
-        found[INVARIANCE] = invariance.replicate(problem, move)
-    return Experiments(seed, found, problem)
+        by_name[INVARIANCE] = invariance.replicate(problem, move)
+    return Experiments(seed, by_name, problem)
 
 
 def markov_move(kind: str, options: Any) -> MarkovMove | None:
@@ -131,9 +131,9 @@ def has_move(plan: Plan) -> bool:
 
 
 def findings(
-    problem: Problem, compute: Compute, looks: Mapping[str, int], replications: int, bins: int, kept: ReplicationLog, watch: Watch = unwatched
+    problem: Problem, compute: Compute, looks: Mapping[str, int], replications: int, bins: int, log: ReplicationLog, watch: Watch = unwatched
 ) -> Findings:
-    """The replications that the tests need at their looks. Those in `kept` are not computed again.
+    """The replications that the tests need at their looks. Those in `log` are not computed again.
 
     Args:
         problem: the problem of the experiments.
@@ -141,14 +141,14 @@ def findings(
         looks: number of the look of each test, from 0.
         replications: number of replications of the ranks at the first look.
         bins: number of bins of the ranks.
-        kept: existing replications, to which new ones are added.
+        log: existing replications, to which new ones are added.
         watch: shows the progress.
 
     Raises:
         InputError: nothing can be simulated from the model.
     """
-    found = add_replications(compute, {name: replications * EACH[name] * REPLICATIONS[look] for name, look in looks.items()}, kept, watch)
-    for figures in found.values():
+    by_test = add_replications(compute, {name: replications * EACH[name] * REPLICATIONS[look] for name, look in looks.items()}, log, watch)
+    for figures in by_test.values():
         check_cases(figures["refused"], figures["unbounded"])
     names = (*problem.quantities.names, sbc.LOG_LIKELIHOOD)
-    return Findings(names, found[SBC], bins, invariance.figure_names(problem), found.get(INVARIANCE), dict(looks))
+    return Findings(names, by_test[SBC], bins, invariance.figure_names(problem), by_test.get(INVARIANCE), dict(looks))

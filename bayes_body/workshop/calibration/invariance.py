@@ -56,9 +56,9 @@ def figure_names(problem: Problem) -> tuple[str, ...]:
 def replicate(problem: Problem, move: MarkovMove, applications: int = 1) -> Callable[..., Moved]:
     """Return one replication as a function of its key and of the problem, as in `sbc.replicate`. The move is applied `applications` times."""
 
-    def one(key: Key, problem: Problem = problem) -> Moved:
+    def replication(key: Key, problem: Problem = problem) -> Moved:
         true_key, other_key, move_key = jax.random.split(key, 3)
-        true, other = _joint(true_key, problem), _joint(other_key, problem)
+        true, independent = _joint(true_key, problem), _joint(other_key, problem)
 
         def again(pair: tuple[State, Index], turn_key: Key) -> tuple[tuple[State, Index], None]:
             after, chosen = move(turn_key, *pair, true.density.previous, true.density)
@@ -68,19 +68,19 @@ def replicate(problem: Problem, move: MarkovMove, applications: int = 1) -> Call
         moved = jnp.any(jnp.stack([jnp.any(after[name] != value) for name, value in true.state.items()]))
         return Moved(
             after=_figures(problem, after, chosen, true.density),
-            other=_figures(problem, other.state, other.ancestor, other.density),
+            other=_figures(problem, independent.state, independent.ancestor, independent.density),
             moved=moved,
-            refused=true.refused | other.refused,
-            unbounded=true.unbounded | other.unbounded,
+            refused=true.refused | independent.refused,
+            unbounded=true.unbounded | independent.unbounded,
         )
 
-    return one
+    return replication
 
 
-def p_values(after: Float[np.ndarray, "replication figure"], other: Float[np.ndarray, "replication figure"]) -> Float[np.ndarray, " figure"]:
+def p_values(after: Float[np.ndarray, "replication figure"], independent: Float[np.ndarray, "replication figure"]) -> Float[np.ndarray, " figure"]:
     """Return for each figure the p-value of a test that moved and independent cases have the same distribution."""
     # The test's result is declared as a plain tuple.
-    return np.array([cast(Any, ks_2samp(*pair)).pvalue for pair in zip(after.T, other.T, strict=True)])
+    return np.array([cast(Any, ks_2samp(*pair)).pvalue for pair in zip(after.T, independent.T, strict=True)])
 
 
 def _joint(key: Key, problem: Problem) -> _Joint:

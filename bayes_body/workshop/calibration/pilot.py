@@ -35,10 +35,10 @@ def enough_particles(plan: Plan, jobs: int, show: Callable[[str], None]) -> Plan
     while True:
         particles = plan.options["particles"]
         make = partial(experiments_of, replace(plan, seed=(plan.seed + OTHER_SEED) % 2**32))
-        found = run_replications(make, {SBC: REPLICATIONS}, jobs)[SBC]
-        check_cases(found["refused"], found["unbounded"])
-        check_effective(where_of("kernel", plan.kernel), found["ess"])
-        ess = float(found["ess"].min())
+        figures = run_replications(make, {SBC: REPLICATIONS}, jobs)[SBC]
+        check_cases(figures["refused"], figures["unbounded"])
+        check_effective(where_of("kernel", plan.kernel), figures["ess"])
+        ess = float(figures["ess"].min())
         show(f"pilot: {particles} particles, {ess:.0f} effective at worst ({needed:.0f} wanted).")
         if ess >= needed or particles >= MOST_PARTICLES:
             return plan

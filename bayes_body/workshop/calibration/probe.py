@@ -40,8 +40,8 @@ def probe(model: Model, kernel: Kernel, runs: bool = True) -> None:
         return
     key = jax.random.key(0)
     if runs and len(density.factors) == len(model.factors):
-        found, _ = jax.device_get(jax.jit(kernel)(key, particles, density))
-        check_result(kernel, found, 0)
+        next_particles, _ = jax.device_get(jax.jit(kernel)(key, particles, density))
+        check_result(kernel, next_particles, 0)
     else:
         jax.eval_shape(kernel, key, particles, density)
 
@@ -53,8 +53,8 @@ def check_effective(where: str, figures: np.ndarray) -> None:
         InputError: one is NaN, as after log-weights that are NaN.
     """
     if np.isnan(figures).any():
-        found = f"in {np.isnan(figures).any(axis=-1).mean():.0%} of the repetitions its log-weights are NaN"
-        raise input_error(where, found, "normalised log-weights", "where no particle explains the data, return equal ones and set `lost`")
+        problem = f"in {np.isnan(figures).any(axis=-1).mean():.0%} of the repetitions its log-weights are NaN"
+        raise input_error(where, problem, "normalised log-weights", "where no particle explains the data, return equal ones and set `lost`")
 
 
 def _prior(model: Model, particles: Particles) -> Density:

@@ -84,8 +84,8 @@ def problem_of(model: Model, wandering: int = 10) -> Problem:
     """
     require(model.body, POSE, "a calibration of joint angles", "a model of a body that is placed by angles")
     names = (*model.body.dof_names, *(f"{marker} {axis}" for marker in model.body.markers.names for axis in AXES))
-    of = jax.tree_util.Partial(_pose_and_markers, model.body)
-    return Problem(model.transition, model.factors, model.initial, Quantities(names, of), wandering)
+    quantities = jax.tree_util.Partial(_pose_and_markers, model.body)
+    return Problem(model.transition, model.factors, model.initial, Quantities(names, quantities), wandering)
 
 
 def _pose_and_markers(body: Body, state: State) -> Float[Array, " quantity"]:
@@ -116,7 +116,7 @@ def draw_case(key: Key, problem: Problem, frames: int) -> Case:
     first = problem.first if wandered is None else jax.tree.map(lambda leaf: leaf[-1], wandered.states)
     path = draw_path(path_key, problem, point_mass(first), frames)
     data = draw_data(data_key, problem, path)
-    flags = [(each.refused, each.unbounded) for each in (path, wandered) if each is not None]
+    flags = [(trajectory.refused, trajectory.unbounded) for trajectory in (path, wandered) if trajectory is not None]
     refused, unbounded = (jnp.any(jnp.stack(column)) for column in zip(*flags, strict=True))
     return Case(first, path.states, data, refused, unbounded)
 
@@ -124,10 +124,10 @@ def draw_case(key: Key, problem: Problem, frames: int) -> Case:
 def draw_data(key: Key, problem: Problem, path: Path) -> Any:
     """Simulate the data of each state of a path."""
 
-    def one(frame_key: Key, state: State, previous: State) -> Any:
+    def simulate(frame_key: Key, state: State, previous: State) -> Any:
         return problem.density({}, point_mass(previous)).simulate(frame_key, state, previous)
 
-    return jax.vmap(one)(jax.random.split(key, jax.tree.leaves(path.states)[0].shape[0]), path.states, path.before)
+    return jax.vmap(simulate)(jax.random.split(key, jax.tree.leaves(path.states)[0].shape[0]), path.states, path.before)
 
 
 def draw_path(key: Key, problem: Problem, previous: Particles, frames: int) -> Path:
@@ -166,8 +166,8 @@ def check_cases(refused: Any, unbounded: Any) -> None:
         InputError: a log-constraint above 0, or constraints that reject nearly every path.
     """
     if np.any(unbounded):
-        found, expected = "a constraint's log-potential is above 0", "constraints of at most 0, so that a path is accepted with their exponential"
-        raise input_error("the model", found, expected, "subtract its maximum, or check the model without it")
+        problem, expected = "a constraint's log-potential is above 0", "constraints of at most 0, so that a path is accepted with their exponential"
+        raise input_error("the model", problem, expected, "subtract its maximum, or check the model without it")
     if np.any(refused):
-        found = f"{MOST_PATHS} paths of the motion prior were all rejected by the constraints"
-        raise input_error("the model", found, "constraints that accept some of them", "start from another first pose, or check fewer frames")
+        problem = f"{MOST_PATHS} paths of the motion prior were all rejected by the constraints"
+        raise input_error("the model", problem, "constraints that accept some of them", "start from another first pose, or check fewer frames")

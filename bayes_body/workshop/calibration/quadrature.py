@@ -63,14 +63,14 @@ def integrate(density: Density, name: str = "pose") -> Quadrature:
         low, high = inner
         if shrunk > 0.8:
             break
-    found = _moments(evaluate, low, high, FINE[0])
+    moments = _moments(evaluate, low, high, FINE[0])
     error = np.full(len(low), np.inf)
     for cells in FINE[1:]:
-        if (error < TOLERANCE * found[1]).all():
+        if (error < TOLERANCE * moments[1]).all():
             break
-        before, found, count = found, _moments(evaluate, low, high, cells), count + found[3]
-        error = np.maximum(*(np.abs(now - then) for now, then in zip(found[:2], before[:2], strict=True)))
-    mean, sd, log_evidence, used = found
+        before, moments, count = moments, _moments(evaluate, low, high, cells), count + moments[3]
+        error = np.maximum(*(np.abs(estimate - then) for estimate, then in zip(moments[:2], before[:2], strict=True)))
+    mean, sd, log_evidence, used = moments
     return Quadrature(mean, sd, error, log_evidence, count + used)
 
 
@@ -94,7 +94,7 @@ def _reachable(density: Density, name: str) -> tuple[np.ndarray, np.ndarray]:
 @partial(jax.jit, static_argnames="name")
 def _log_densities(points: Float[Array, "batch point dof"], density: Density, name: str) -> Float[Array, "batch point"]:
     """The log-density at values of one variable; the others are those of the first particle."""
-    carried = {other: leaf for other, leaf in density.ancestor(0).items() if other != name}
+    carried = {variable: leaf for variable, leaf in density.ancestor(0).items() if variable != name}
     return jax.lax.map(jax.vmap(lambda point: density({**carried, name: point})), points)
 
 
@@ -121,16 +121,16 @@ def _grid(evaluate: Evaluate, low: np.ndarray, high: np.ndarray, cells: int) -> 
 
 
 def _marginals(mass: np.ndarray) -> list[np.ndarray]:
-    return [mass.sum(axis=tuple(other for other in range(mass.ndim) if other != axis)) for axis in range(mass.ndim)]
+    return [mass.sum(axis=tuple(dimension for dimension in range(mass.ndim) if dimension != axis)) for axis in range(mass.ndim)]
 
 
 def _shrunk(evaluate: Evaluate, low: np.ndarray, high: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], int]:
     axes, mass, _ = _grid(evaluate, low, high, COARSE)
     width, ends = (high - low) / COARSE, []
     for axis, marginal, step, least, most in zip(axes, _marginals(mass), width, low, high, strict=True):
-        held = np.flatnonzero(marginal > NEGLIGIBLE)
+        cells = np.flatnonzero(marginal > NEGLIGIBLE)
         # Keep one more cell on each side, because the mass between midpoints is unknown.
-        ends.append((max(axis[held[0]] - 1.5 * step, least), min(axis[held[-1]] + 1.5 * step, most)))
+        ends.append((max(axis[cells[0]] - 1.5 * step, least), min(axis[cells[-1]] + 1.5 * step, most)))
     inner = np.array(ends).T
     return (inner[0], inner[1]), mass.size
 

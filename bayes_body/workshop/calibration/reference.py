@@ -62,19 +62,19 @@ def compare(density: Density, kernel: Kernel, previous: Particles, key: Key, run
     exact = integrate(density) if exact is None else exact
     centre = jnp.asarray(exact.mean, density.previous.log_weights.dtype)
 
-    def one(run_key: Key, density: Density) -> tuple[jax.Array, jax.Array]:
+    def moments(run_key: Key, density: Density) -> tuple[jax.Array, jax.Array]:
         after, _ = kernel(run_key, previous, density.with_previous(previous))
         weights, pose = jax.nn.softmax(after.log_weights), after.states["pose"]
         return weights @ pose, weights @ (pose - centre) ** 2
 
-    every = jax.jit(lambda keys, density: jax.lax.map(lambda run_key: one(run_key, density), keys))
-    means, variances = (np.asarray(each, float) for each in every(jax.random.split(key, runs), density))
+    every = jax.jit(lambda keys, density: jax.lax.map(lambda run_key: moments(run_key, density), keys))
+    means, variances = (np.asarray(estimates, float) for estimates in every(jax.random.split(key, runs), density))
     return Comparison(means, variances, _off(means, exact.mean), _off(variances, exact.sd**2), exact)
 
 
-def _off(found: Float[np.ndarray, "run dof"], exact: Float[np.ndarray, " dof"]) -> Float[np.ndarray, " dof"]:
+def _off(estimates: Float[np.ndarray, "run dof"], exact: Float[np.ndarray, " dof"]) -> Float[np.ndarray, " dof"]:
     """Distance of the runs' mean from the exact value, in standard errors of that mean."""
-    return np.abs(found.mean(axis=0) - exact) / (found.std(axis=0, ddof=1) / np.sqrt(len(found)))
+    return np.abs(estimates.mean(axis=0) - exact) / (estimates.std(axis=0, ddof=1) / np.sqrt(len(estimates)))
 
 
 def check_reference(plan: Any, model: Model, names: Sequence[str], show: Callable[[str], None]) -> Verdict:
@@ -91,17 +91,17 @@ def check_reference(plan: Any, model: Model, names: Sequence[str], show: Callabl
     """
     require(model.body, POSE, "a quadrature over joint angles", "a model of a body that is placed by angles")
     subject = f"the likelihood '{names[0]}'"
-    found = "it is not a distribution over images, so nothing can be simulated from it and there are no ranks"
+    problem = "it is not a distribution over images, so nothing can be simulated from it and there are no ranks"
     dofs = len(model.body.dof_names)
     if dofs > MOST_DOFS:
         expected = f"generative likelihoods (markers_gaussian, silhouette_bernoulli), or a body of at most {MOST_DOFS} dofs for a quadrature"
         raise input_error(
-            subject, found, f"{expected}, not {dofs}", "use coverage_50 and coverage_90 on a simulated recording: bayes-body simulate, then track"
+            subject, problem, f"{expected}, not {dofs}", "use coverage_50 and coverage_90 on a simulated recording: bayes-body simulate, then track"
         )
     if plan.session is None:
         expected = "an image on which the kernel's means are compared with a quadrature"
-        raise input_error(subject, found, expected, "give a recording with --session; its first frame is used")
-    show(f"{names[0]}: {found}; instead means and variances of {RUNS} runs on the session's first frame are compared with a grid quadrature.")
+        raise input_error(subject, problem, expected, "give a recording with --session; its first frame is used")
+    show(f"{names[0]}: {problem}; instead means and variances of {RUNS} runs on the session's first frame are compared with a grid quadrature.")
     session, term = load_session(Path(plan.session)), find("kernel", plan.kernel)
     options: Any = validate(term.options, plan.options, plan.kernel)
     density = model.density(jax.tree.map(jnp.asarray, model.observe(read_frame(session, 0))))
@@ -111,23 +111,23 @@ def check_reference(plan: Any, model: Model, names: Sequence[str], show: Callabl
     return _verdict(model.body.dof_names, found_out)
 
 
-def _verdict(dofs: Sequence[str], found: Comparison) -> Verdict:
-    exact, quantities = found.exact, {}
-    deviations = np.sqrt(found.variances.mean(axis=0))
+def _verdict(dofs: Sequence[str], comparison: Comparison) -> Verdict:
+    exact, quantities = comparison.exact, {}
+    deviations = np.sqrt(comparison.variances.mean(axis=0))
     for number, name in enumerate(dofs):
         true = {"quadrature": exact.mean[number], "quadrature_sd": exact.sd[number], "quadrature_error": exact.error[number]}
         runs = {
-            "mean": found.means[:, number].mean(),
+            "mean": comparison.means[:, number].mean(),
             "sd": deviations[number],
-            "mcse_off": found.off[number],
-            "sd_mcse_off": found.variance_off[number],
+            "mcse_off": comparison.off[number],
+            "sd_mcse_off": comparison.variance_off[number],
         }
         quantities[name] = {key: float(value) for key, value in (true | runs).items()}
     farthest = []
-    for what, off in (("mean", found.off), ("variance", found.variance_off)):
+    for what, off in (("mean", comparison.off), ("variance", comparison.variance_off)):
         worst = int(np.argmax(off))
         farthest.append(f"the {what} of '{dofs[worst]}' is {off[worst]:.1f} Monte Carlo standard errors from that of a grid")
     sentence = f"quadrature ({exact.evaluations:,} evaluations): {', '.join(farthest)}, the largest of {len(dofs)} dofs; the limit is {LIMIT:.0f}."
-    passed = bool(max(found.off.max(), found.variance_off.max()) < LIMIT)
-    figures = {"reference": {"runs": len(found.means), "limit": LIMIT, "quantities": quantities}}
+    passed = bool(max(comparison.off.max(), comparison.variance_off.max()) < LIMIT)
+    figures = {"reference": {"runs": len(comparison.means), "limit": LIMIT, "quantities": quantities}}
     return Verdict(passed, (sentence, "PASS." if passed else "FAIL."), figures)

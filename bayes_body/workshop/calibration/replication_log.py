@@ -33,8 +33,8 @@ class ReplicationLog:
         head, blocks, size = _read(path)
         if head is not None and head != (wanted := json.loads(json.dumps(settings))):
             name = next(key for key in {**head, **wanted} if head.get(key) != wanted.get(key))
-            found, expected = f"replications with {name} = {head.get(name)!r}", f"{name} = {wanted.get(name)!r}"
-            raise input_error(path, found, expected, "use its settings, remove it, or name another file with --json")
+            problem, expected = f"replications with {name} = {head.get(name)!r}", f"{name} = {wanted.get(name)!r}"
+            raise input_error(path, problem, expected, "use its settings, remove it, or name another file with --json")
         self._blocks = blocks
         if head is None:
             self._write(json.dumps({"settings": settings}), 0)

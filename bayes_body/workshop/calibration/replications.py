@@ -57,14 +57,14 @@ def run_replications(
         return add_replications(compute, counts, ReplicationLog() if kept is None else kept, watch)
 
 
-def add_replications(compute: Compute, counts: Mapping[str, int], kept: ReplicationLog, watch: Watch = unwatched) -> dict[str, Figures]:
+def add_replications(compute: Compute, counts: Mapping[str, int], log: ReplicationLog, watch: Watch = unwatched) -> dict[str, Figures]:
     """Like `run_replications`, with a function from `computing`: its compiled programs serve several calls with increasing counts."""
-    missing = [(name, block) for name, count in counts.items() for block in range(-(-count // BLOCK)) if (name, block) not in kept]
+    missing = [(name, block) for name, count in counts.items() for block in range(-(-count // BLOCK)) if (name, block) not in log]
     results = compute(missing)
     for _ in watch(range(len(missing))):
         task, figures = next(results)
-        kept.add(*task, figures)
-    return {name: _joined([kept[name, block] for block in range(-(-count // BLOCK))], count) for name, count in counts.items()}
+        log.add(*task, figures)
+    return {name: _joined([log[name, block] for block in range(-(-count // BLOCK))], count) for name, count in counts.items()}
 
 
 def _joined(blocks: Sequence[Figures], count: int) -> Figures:
@@ -80,8 +80,8 @@ class _Runner:
 
     def __call__(self, name: str, block: int) -> Figures:
         if name not in self.compiled:
-            one = self.experiments.by_name[name]
-            self.compiled[name] = jax.jit(lambda keys, shared: jax.lax.map(lambda key: one(key, *shared), keys))
+            replication = self.experiments.by_name[name]
+            self.compiled[name] = jax.jit(lambda keys, shared: jax.lax.map(lambda key: replication(key, *shared), keys))
         place = sorted(self.experiments.by_name).index(name)
         base = jax.random.fold_in(jax.random.key(self.experiments.seed), place)
         keys = jax.vmap(lambda index: jax.random.fold_in(base, index))(np.arange(block * BLOCK, (block + 1) * BLOCK))

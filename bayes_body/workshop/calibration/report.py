@@ -53,11 +53,11 @@ def run_and_report(plan: Plan, pilot: bool, replications: int, jobs: int, json_f
     else:
         partial_file = None if json_file is None else json_file.with_name(json_file.name + SUFFIX)
         plan = _with_particles(plan, partial_file, jobs, show) if pilot else plan
-        plan, found, result = _checked(plan, pilot, replications, jobs, partial_file, show, bar)
+        plan, findings, result = _checked(plan, pilot, replications, jobs, partial_file, show, bar)
         if plot is not None:
-            _draw(found, plan, plot, result)
+            _draw(findings, plan, plot, result)
         if json_file is not None:
-            save_ranks(found, ranks_file(json_file))
+            save_ranks(findings, ranks_file(json_file))
         extra = {"replications": replications}
     for sentence in result.sentences:
         show(sentence)
@@ -80,10 +80,10 @@ def _checked(
         blocks = ReplicationLog(partial_file, _settings(plan))
         if len(blocks):
             show(f"{partial_file}: continuing with {len(blocks)} blocks of replications")
-        found, result = run_check(plan, replications, jobs, blocks, watched("blocks of replications", bar), show)
+        findings, result = run_check(plan, replications, jobs, blocks, watched("blocks of replications", bar), show)
         more = more_particles(plan)
         if result.enough or not pilot or more == plan:
-            return plan, found, result
+            return plan, findings, result
         short, particles = result.figures["effective"]["short_share"], plan.options["particles"]
         show(f"particles: {particles} are too few for {short:.1%} of the replications: once more with {more.options['particles']}.")
         blocks.remove()
@@ -108,6 +108,6 @@ def _with_particles(plan: Plan, partial_file: Path | None, jobs: int, show: Show
     return enough_particles(plan, jobs, show)
 
 
-def _draw(found: Findings, plan: Plan, plot: Path, result: Verdict) -> None:
+def _draw(findings: Findings, plan: Plan, plot: Path, result: Verdict) -> None:
     outcome = "passed" if result.passed else "not passed"
-    draw_ranks(found, plot, f"{plan.kernel} on {Path(plan.model).stem}: {outcome}")
+    draw_ranks(findings, plot, f"{plan.kernel} on {Path(plan.model).stem}: {outcome}")

@@ -60,7 +60,7 @@ def replicate(problem: Problem, kernel: Kernel, particles: int, frames: int = 2,
         bins: number of possible ranks, one more than draws.
     """
 
-    def one(key: Key, problem: Problem = problem) -> Replication:
+    def replication(key: Key, problem: Problem = problem) -> Replication:
         case_key, filter_key, draw_key, tie_key = jax.random.split(key, 4)
         case = draw_case(case_key, problem, frames)
         before, after, info, lost = _filtered(filter_key, problem, kernel, case, particles)
@@ -75,7 +75,7 @@ def replicate(problem: Problem, kernel: Kernel, particles: int, frames: int = 2,
         ess = jnp.stack([_ess(weights), _merged(weights, after.states), _by_ancestor(weights, before, info, frames)])
         return Replication(ranks, levels, truth, ess, lost, case.refused, case.unbounded)
 
-    return one
+    return replication
 
 
 def _filtered(key: Key, problem: Problem, kernel: Kernel, case: Case, count: int) -> tuple[Particles, Particles, FilterInfo, Array]:
@@ -93,9 +93,9 @@ def _filtered(key: Key, problem: Problem, kernel: Kernel, case: Case, count: int
     return last[0], after, last[1], jnp.any(info.lost)
 
 
-def _like(tree: Any, other: Any) -> Any:
-    """The particles with the dtypes of `other`, as a scan's carry needs them."""
-    return jax.tree.map(lambda leaf, wanted: jnp.asarray(leaf, wanted.dtype), Particles(dict(tree.states), tree.log_weights), other)
+def _like(tree: Any, template: Any) -> Any:
+    """The particles with the dtypes of `template`, as a scan's carry needs them."""
+    return jax.tree.map(lambda leaf, wanted: jnp.asarray(leaf, wanted.dtype), Particles(dict(tree.states), tree.log_weights), template)
 
 
 def _figures(
@@ -113,7 +113,7 @@ def _figures(
     draws = jax.tree.map(lambda leaf: leaf[chosen], after.states)
     parents = jax.tree.map(lambda leaf: leaf[info.ancestors[chosen]], before.states)
     # One program for all of them: compiled separately, a draw equal to the truth might differ in the last bit.
-    joined = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), (dict(true), dict(before_true)), (dict(draws), dict(parents)))
+    joined = jax.tree.map(lambda leaf, more: jnp.concatenate([leaf[None], more]), (dict(true), dict(before_true)), (dict(draws), dict(parents)))
     both = jax.lax.map(lambda pair: with_likelihood(*pair), joined)
     return both[0], both[1:], jax.vmap(problem.quantities.of)(after.states)
 

@@ -33,14 +33,14 @@ def model_in_a_room(definition: Definition, rig: Path | None = None) -> Model:
     Raises:
         InputError: the rig cannot be read.
     """
-    found = read_rig(definitions_folder() / "rigs" / f"{RIG}.toml" if rig is None else rig)
-    there = build_model(definition, _session(found.fps, found.cameras))
+    room_rig = read_rig(definitions_folder() / "rigs" / f"{RIG}.toml" if rig is None else rig)
+    model = build_model(definition, _session(room_rig.fps, room_rig.cameras))
     if rig is not None:
-        return there
-    markers = np.asarray(there.markers(there.initial[there.body.variable]), float)
+        return model
+    markers = np.asarray(model.markers(model.initial[model.body.variable]), float)
     centre = (markers.min(axis=0) + markers.max(axis=0)) / 2
     reach = REACH * float(np.linalg.norm(markers - centre, axis=1).max())
-    return build_model(definition, _session(found.fps, tuple(_moved(camera, centre, reach) for camera in found.cameras)))
+    return build_model(definition, _session(room_rig.fps, tuple(_moved(camera, centre, reach) for camera in room_rig.cameras)))
 
 
 def _moved(camera: CameraSpec, centre: np.ndarray, reach: float) -> CameraSpec:

@@ -14,7 +14,7 @@ type Show = Callable[[str], None]
 
 
 def run_check(
-    plan: Plan, replications: int, jobs: int = 0, kept: ReplicationLog | None = None, watch: Watch = unwatched, show: Show = lambda line: None
+    plan: Plan, replications: int, jobs: int = 0, log: ReplicationLog | None = None, watch: Watch = unwatched, show: Show = lambda line: None
 ) -> tuple[Findings, Verdict]:
     """All replications of a plan, and its verdict.
 
@@ -22,7 +22,7 @@ def run_check(
         plan: what is checked.
         replications: number of replications of the ranks at the first look.
         jobs: number of processes; 0 computes in this one.
-        kept: existing replications, to which new ones are added.
+        log: existing replications, to which new ones are added.
         watch: shows the progress.
         show: receives a line before each further look.
 
@@ -30,7 +30,7 @@ def run_check(
         InputError: nothing can be simulated from the model.
     """
     problem = problem_of(model_of(plan), plan.wandering)
-    return decide(problem, partial(experiments_of, plan), has_move(plan), replications, plan.bins, jobs, kept, watch, show)
+    return decide(problem, partial(experiments_of, plan), has_move(plan), replications, plan.bins, jobs, log, watch, show)
 
 
 def decide(
@@ -49,10 +49,10 @@ def decide(
     kept = ReplicationLog() if kept is None else kept
     with computing(make, jobs) as compute:
         while True:
-            found = findings(problem, compute, looks, replications, bins, kept, watch)
-            told = verdict(found)
-            if not told.close:
-                return found, told
-            for test, sentence in told.close.items():
+            look_findings = findings(problem, compute, looks, replications, bins, kept, watch)
+            decision = verdict(look_findings)
+            if not decision.close:
+                return look_findings, decision
+            for test, sentence in decision.close.items():
                 show(sentence)
                 looks[test] += 1

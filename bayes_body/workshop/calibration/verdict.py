@@ -147,9 +147,9 @@ def _effective(findings: Findings) -> tuple[bool, str, dict[str, Any]]:
 
 def _moves(findings: Findings) -> tuple[_Test, str, dict[str, Any]]:
     assert findings.moves is not None
-    after, other = (np.asarray(findings.moves[name], float) for name in ("after", "other"))
-    places = np.flatnonzero(np.ptp(other, axis=0) > 0)
-    p, moved = invariance.p_values(after[:, places], other[:, places]), float(np.mean(findings.moves["moved"]))
+    after, independent = (np.asarray(findings.moves[name], float) for name in ("after", "other"))
+    places = np.flatnonzero(np.ptp(independent, axis=0) > 0)
+    p, moved = invariance.p_values(after[:, places], independent[:, places]), float(np.mean(findings.moves["moved"]))
     names, look = tuple(findings.move_names[place] for place in places), findings.looks[INVARIANCE]
     test = _Test(names, p, limits(look, 2, len(p)), look, len(after))
     said = "it does not leave the posterior invariant" if test.fails else "it leaves the posterior invariant"

@@ -111,8 +111,8 @@ class Scenes:
         model = model_in_a_room(definition)
         lacking = not_generative(model)
         if lacking:
-            found = f"its likelihood '{lacking[0]}' is not a distribution over data, and no recording shows the body '{definition.body_name}' alone"
-            raise input_error(definition.name, found, "data to follow", "give a recording of it with --session")
+            problem = f"its likelihood '{lacking[0]}' is not a distribution over data, and no recording shows the body '{definition.body_name}' alone"
+            raise input_error(definition.name, problem, "data to follow", "give a recording of it with --session")
         return drawn(model, self.folder / definition.name, self.frames, jax.random.fold_in(jax.random.key(self.seed), 1))
 
 
@@ -165,8 +165,8 @@ def _write_truth(path: Path, model: Model, poses: Float[np.ndarray, "frame dof"]
     names = model.body.markers.names
     positions = np.full((len(poses), len(MARKERS), 3), np.nan)
     for frame, pose in enumerate(poses):
-        found = dict(zip(names, np.asarray(model.markers(jnp.asarray(pose)), float), strict=True))
-        positions[frame] = [found.get(name, [np.nan] * 3) for name in MARKERS]
+        by_name = dict(zip(names, np.asarray(model.markers(jnp.asarray(pose)), float), strict=True))
+        positions[frame] = [by_name.get(name, [np.nan] * 3) for name in MARKERS]
     with replacing(path) as partial:
         np.savez(partial, markers=positions, names=np.array(MARKERS))
 
@@ -174,12 +174,14 @@ def _write_truth(path: Path, model: Model, poses: Float[np.ndarray, "frame dof"]
 def _cameras(rig: Camera) -> list[CameraSpec]:
     """The cameras of a rig as plain numbers."""
     columns = [rig.size, rig.focal, rig.centre, rig.skew, rig.distortion, rig.rotation, rig.translation]
-    found = []
-    for index, each in enumerate(zip(*(np.asarray(column, float) for column in columns), strict=True)):
-        size, focal, centre, skew, distortion, rotation, translation = each
+    cameras = []
+    for index, camera in enumerate(zip(*(np.asarray(column, float) for column in columns), strict=True)):
+        size, focal, centre, skew, distortion, rotation, translation = camera
         width, height = (round(extent) for extent in size)
-        found.append(CameraSpec(f"C{index + 1}", (width, height), tuple(focal), tuple(centre), float(skew), tuple(distortion), rotation, translation))
-    return found
+        cameras.append(
+            CameraSpec(f"C{index + 1}", (width, height), tuple(focal), tuple(centre), float(skew), tuple(distortion), rotation, translation)
+        )
+    return cameras
 
 
 def _blank(folder: Path, camera: CameraSpec) -> str:

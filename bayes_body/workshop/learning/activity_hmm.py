@@ -74,7 +74,7 @@ def learn_activity(
     shares = shares_of(frames, options.states)
     names, space = _subspace(motions, body, schema, options.components)
     chosen = _chosen(motions, space.tracks, shares, options, watch)
-    hmm = joined([each.hmm for each in chosen.values()], options.switch_per_s / options.fps)
+    hmm = joined([choice.hmm for choice in chosen.values()], options.switch_per_s / options.fps)
     several = len(space.subjects) > 1
     activity = Activity(
         body=body,
@@ -90,11 +90,11 @@ def learn_activity(
         change=half_of_largest_change([motion.dofs for motion in motions], topology),
         low=space.low,
         high=space.high,
-        kept=space.kept,
+        kept=space.explained,
         fps=options.fps,
     )
     weights = np.array(list(frames.values())) / sum(frames.values())
-    training, held_out = (float(weights @ [getattr(each, key) for each in chosen.values()]) for key in ("training", "held_out"))
+    training, held_out = (float(weights @ [getattr(choice, key) for choice in chosen.values()]) for key in ("training", "held_out"))
     return LearnedActivity(activity, training, held_out, tuple(_sentences(motions, space.subjects, chosen)))
 
 
@@ -109,7 +109,7 @@ class _Subspace(NamedTuple):
     residual: Float[np.ndarray, " dof"]
     low: Float[np.ndarray, " dof"]
     high: Float[np.ndarray, " dof"]
-    kept: float
+    explained: float
 
 
 def _subspace(motions: Sequence[Captured], body: str, schema: BodySchema, components: int) -> tuple[tuple[str, ...], _Subspace]:
@@ -119,40 +119,40 @@ def _subspace(motions: Sequence[Captured], body: str, schema: BodySchema, compon
     if not 1 <= components <= len(places):
         raise input_error("components", f"{components}", f"1 to {len(places)}, the number of learned angles of the body", "correct it")
     limits = (np.asarray(side, float)[ROOT:] for side in (skeleton.low, skeleton.high))
-    poses = [each[:, places - ROOT] for each in alike([motion.dofs[:, ROOT:] for motion in motions], skeleton.topology, *limits)]
+    poses = [pose[:, places - ROOT] for pose in alike([motion.dofs[:, ROOT:] for motion in motions], skeleton.topology, *limits)]
     owners = [motion.subject for motion in motions]
     subjects = tuple(dict.fromkeys(owners))
     means = np.stack(
         [np.concatenate([pose for pose, owner in zip(poses, owners, strict=True) if owner == person]).mean(axis=0) for person in subjects]
     )
-    away = [pose - means[subjects.index(owner)] for pose, owner in zip(poses, owners, strict=True)]
-    every, stacked = np.concatenate(poses), np.concatenate(away)
+    deviations = [pose - means[subjects.index(owner)] for pose, owner in zip(poses, owners, strict=True)]
+    every, stacked = np.concatenate(poses), np.concatenate(deviations)
     if stacked.var(axis=0).sum() < STILL:
         raise input_error("the motions", "all frames alike", "motion", "give others")
     pca = PCA(components, svd_solver="full").fit(stacked)
-    left = np.sqrt(np.mean((stacked - pca.inverse_transform(pca.transform(stacked))) ** 2, axis=0))
-    tracks = [Track(owner, pca.transform(each)) for owner, each in zip(owners, away, strict=True)]
-    kept, basis = float(pca.explained_variance_ratio_.sum()), np.asarray(pca.components_).T
+    residual = np.sqrt(np.mean((stacked - pca.inverse_transform(pca.transform(stacked))) ** 2, axis=0))
+    tracks = [Track(owner, pca.transform(deviation)) for owner, deviation in zip(owners, deviations, strict=True)]
+    explained, basis = float(pca.explained_variance_ratio_.sum()), np.asarray(pca.components_).T
     names = tuple(skeleton.topology.dof_names[k] for k in places)
-    return names, _Subspace(tracks, subjects, means, np.asarray(pca.mean_), basis, left, every.min(axis=0), every.max(axis=0), kept)
+    return names, _Subspace(tracks, subjects, means, np.asarray(pca.mean_), basis, residual, every.min(axis=0), every.max(axis=0), explained)
 
 
 def _chosen(
     motions: Sequence[Captured], features: Sequence[Track], shares: Mapping[str, int], options: LearnOptions, watch: Watch
 ) -> dict[str, Chosen]:
     seeds = range(options.seed, options.seed + options.restarts)
-    own = {label: [track for track, motion in zip(features, motions, strict=True) if motion.label == label] for label in shares}
-    return {label: choose(own[label], count, seeds, options.learn_initial, watch) for label, count in shares.items()}
+    tracks = {label: [track for track, motion in zip(features, motions, strict=True) if motion.label == label] for label in shares}
+    return {label: choose(tracks[label], count, seeds, options.learn_initial, watch) for label, count in shares.items()}
 
 
 def _sentences(motions: Sequence[Captured], subjects: Sequence[str], chosen: Mapping[str, Chosen]) -> list[str]:
-    found = []
+    sentences = []
     if len(subjects) == 1:
-        found.append(f"only one person ({subjects[0]}): how the mean poses of people differ is not known")
-    for label, each in chosen.items():
+        sentences.append(f"only one person ({subjects[0]}): how the mean poses of people differ is not known")
+    for label, choice in chosen.items():
         names = [motion.name for motion in motions if motion.label == label]
         for k, name in enumerate(names):
-            others = np.delete(each.of_motion, k)
-            if len(others) and (ratio := float(np.median(others) - each.of_motion[k])) > FAR:
-                found.append(f"{name}: {ratio:.1f} nats a frame less likely than the other motions of '{label}': perhaps another activity")
-    return found
+            others = np.delete(choice.of_motion, k)
+            if len(others) and (ratio := float(np.median(others) - choice.of_motion[k])) > FAR:
+                sentences.append(f"{name}: {ratio:.1f} nats a frame less likely than the other motions of '{label}': perhaps another activity")
+    return sentences

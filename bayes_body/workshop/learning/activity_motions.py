@@ -47,14 +47,14 @@ def captured(name: str, subject: str, label: str, motion: Motion, body: str, sch
     return Captured(name, subject, label, retargeted(resample(motion, fps), body, schema))
 
 
-def check_rate(name: str, given: float, fps: float) -> None:
+def check_rate(name: str, rate: float, fps: float) -> None:
     """Check that a motion has at least `fps` frames per second: frames in between would be invented.
 
     Raises:
         InputError: it has fewer.
     """
-    if given < fps * (1 - 1e-6):
-        raise input_error(name, f"{given:g} frames a second", f"{fps:g} or more", f"leave it out, or learn at {given:g}")
+    if rate < fps * (1 - 1e-6):
+        raise input_error(name, f"{rate:g} frames a second", f"{fps:g} or more", f"leave it out, or learn at {rate:g}")
 
 
 def learned_dofs(topology: Topology) -> Int[np.ndarray, " learned"]:

@@ -38,8 +38,8 @@ def log_likelihood_ratio(activity: Activity, angles: Float[np.ndarray, "frame do
     drawn = [np.asarray(_drawn(*_arrays(activity), jax.random.key(draw), DRAWN), float) for draw in range(DRAWS)]
     features = (angles - angles.mean(axis=0)) @ activity.basis
     model = Hmm(activity.initial, activity.transition, activity.locations, activity.covariances)
-    own = log_likelihood(model, padded(drawn)).sum() / (DRAWN * DRAWS)
-    return float(log_likelihood(model, padded([features]))[0] / len(angles) - own)
+    baseline = log_likelihood(model, padded(drawn)).sum() / (DRAWN * DRAWS)
+    return float(log_likelihood(model, padded([features]))[0] / len(angles) - baseline)
 
 
 def emitted(activity: Activity, frames: int, key: Key) -> Float[np.ndarray, "frame dof"]:
@@ -61,8 +61,8 @@ def _drawn(initial: Array, transition: Array, locations: Array, roots: Array, ke
     first, later, noise = jax.random.split(key, 3)
     begun = jax.random.categorical(first, initial)
 
-    def on(state: Array, key: Key) -> tuple[Array, Array]:
+    def step(state: Array, key: Key) -> tuple[Array, Array]:
         return jax.random.categorical(key, transition[state]), state
 
-    _, states = jax.lax.scan(on, begun, jax.random.split(later, frames))
+    _, states = jax.lax.scan(step, begun, jax.random.split(later, frames))
     return locations[states] + jnp.einsum("tij,tj->ti", roots[states], jax.random.normal(noise, (frames, locations.shape[1])))

@@ -112,8 +112,8 @@ def fit(begin: Hmm, sequences: Sequences, rounds: int = ROUNDS, enough: float = 
     data = np.asarray(sequences.values, float)[known]
     floor = FLOOR * max(float(data.var(axis=0).mean()), 1e-12)
     with jax.enable_x64(True):
-        found = _fit(*_double(begin, sequences), data.mean(axis=0), floor, float(enough), rounds=rounds, learn_initial=learn_initial)
-        return jax.tree.map(np.asarray, found)
+        fits = _fit(*_double(begin, sequences), data.mean(axis=0), floor, float(enough), rounds=rounds, learn_initial=learn_initial)
+        return jax.tree.map(np.asarray, fits)
 
 
 def step(hmm: Hmm, sequences: Sequences, learn_initial: bool = False) -> Hmm:
@@ -135,10 +135,10 @@ def _fit(begin: Hmm, data: Sequences, middle: Float[Array, " feature"], floor: S
 
     def once(state: tuple[Hmm, Array, Index, Flag]) -> tuple[Hmm, Array, Index, Flag]:
         hmm, history, number, _ = state
-        found = _expected(hmm, data, middle)
-        gain = found.log_likelihood - jnp.where(number > 0, history[number - 1], -jnp.inf)
-        history = history.at[number].set(found.log_likelihood)
-        return _maximised(hmm, found, middle, floor, learn_initial), history, number + 1, gain < enough * frames
+        statistics = _expected(hmm, data, middle)
+        gain = statistics.log_likelihood - jnp.where(number > 0, history[number - 1], -jnp.inf)
+        history = history.at[number].set(statistics.log_likelihood)
+        return _maximised(hmm, statistics, middle, floor, learn_initial), history, number + 1, gain < enough * frames
 
     def climb(start: Hmm) -> Fitted:
         begun = (start, jnp.full(rounds, jnp.nan), jnp.asarray(0), jnp.asarray(False))
@@ -158,20 +158,20 @@ def _forward(hmm: Hmm, values: Float[Array, "frame feature"], known: Bool[Array,
     emitted = jnp.where(known[:, None], _log_emissions(hmm, values), 0.0)
     moves = jnp.log(hmm.transition)
 
-    def on(alpha: Array, frame: tuple[Array, Flag]) -> tuple[Array, Array]:
+    def forward(alpha: Array, frame: tuple[Array, Flag]) -> tuple[Array, Array]:
         density, exists = frame
         alpha = jnp.where(exists, jax.nn.logsumexp(alpha[:, None] + moves, axis=0) + density, alpha)
         return alpha, alpha
 
     first = jnp.log(hmm.initial) + emitted[0]
-    last, later = jax.lax.scan(on, first, (emitted[1:], known[1:]))
+    last, later = jax.lax.scan(forward, first, (emitted[1:], known[1:]))
     return jnp.concatenate([first[None], later]), jax.nn.logsumexp(last), emitted
 
 
 def _log_emissions(hmm: Hmm, values: Float[Array, "frame feature"]) -> Float[Array, "frame state"]:
     root = jnp.linalg.cholesky(hmm.covariances)
     features = values.shape[1]
-    inverse = jax.vmap(lambda one: jax.scipy.linalg.solve_triangular(one, jnp.eye(features), lower=True))(root)
+    inverse = jax.vmap(lambda factor: jax.scipy.linalg.solve_triangular(factor, jnp.eye(features), lower=True))(root)
     white = jnp.einsum("nij,tnj->tni", inverse, values[:, None] - hmm.locations)
     size = jnp.log(jnp.diagonal(root, axis1=1, axis2=2)).sum(axis=1) + 0.5 * features * jnp.log(2 * jnp.pi)
     return -0.5 * jnp.sum(white**2, axis=2) - size
@@ -179,8 +179,8 @@ def _log_emissions(hmm: Hmm, values: Float[Array, "frame feature"]) -> Float[Arr
 
 def _expected(hmm: Hmm, data: Sequences, middle: Float[Array, " feature"]) -> _Statistics:
     """Return the expected statistics, summed over the sequences."""
-    each = jax.vmap(lambda values, known: _of_sequence(hmm, values, known, middle))(*data)
-    return jax.tree.map(lambda part: part.sum(axis=0), each)
+    statistics = jax.vmap(lambda values, known: _of_sequence(hmm, values, known, middle))(*data)
+    return jax.tree.map(lambda part: part.sum(axis=0), statistics)
 
 
 def _of_sequence(hmm: Hmm, values: Float[Array, "frame feature"], known: Bool[Array, " frame"], middle: Float[Array, " feature"]) -> _Statistics:
@@ -189,31 +189,31 @@ def _of_sequence(hmm: Hmm, values: Float[Array, "frame feature"], known: Bool[Ar
 
     def back(state: tuple[Array, Array], frame: tuple[Array, Array, Flag]) -> tuple[tuple[Array, Array], Array]:
         beta, counted = state
-        here, density, exists = frame
+        forward, density, exists = frame
         ways = moves + density + beta
         before = jax.nn.logsumexp(ways, axis=1)
         # The probability of a state, times that of its next state given all that follows.
-        pairs = jnp.exp(here + before - total)[:, None] * jnp.exp(ways - before[:, None])
+        pairs = jnp.exp(forward + before - total)[:, None] * jnp.exp(ways - before[:, None])
         return (jnp.where(exists, before, beta), counted + jnp.where(exists, pairs, 0.0)), jnp.where(exists, before, beta)
 
     ended = jnp.zeros_like(alpha[0])
     (_, counted), earlier = jax.lax.scan(back, (ended, jnp.zeros_like(moves)), (alpha[:-1], emitted[1:], known[1:]), reverse=True)
     gamma = jnp.exp(alpha + jnp.concatenate([earlier, ended[None]]) - total) * known[:, None]
-    away = values - middle
-    squares = jnp.einsum("tn,ti,tj->nij", gamma, away, away)
-    return _Statistics(gamma[0], counted, gamma.sum(axis=0), gamma.T @ away, squares, total)
+    deviations = values - middle
+    squares = jnp.einsum("tn,ti,tj->nij", gamma, deviations, deviations)
+    return _Statistics(gamma[0], counted, gamma.sum(axis=0), gamma.T @ deviations, squares, total)
 
 
-def _maximised(hmm: Hmm, found: _Statistics, middle: Float[Array, " feature"], floor: Scalar, learn_initial: bool) -> Hmm:
-    used, left = found.occupied > EMPTY, found.moves.sum(axis=1) > EMPTY
-    count = jnp.where(used, found.occupied, 1.0)
-    away = found.total / count[:, None]
-    covariances = _floored(found.squares / count[:, None, None] - away[:, :, None] * away[:, None, :], floor)
-    rows = found.moves / jnp.where(left, found.moves.sum(axis=1), 1.0)[:, None]
+def _maximised(hmm: Hmm, statistics: _Statistics, middle: Float[Array, " feature"], floor: Scalar, learn_initial: bool) -> Hmm:
+    used, has_moves = statistics.occupied > EMPTY, statistics.moves.sum(axis=1) > EMPTY
+    count = jnp.where(used, statistics.occupied, 1.0)
+    deviations = statistics.total / count[:, None]
+    covariances = _floored(statistics.squares / count[:, None, None] - deviations[:, :, None] * deviations[:, None, :], floor)
+    rows = statistics.moves / jnp.where(has_moves, statistics.moves.sum(axis=1), 1.0)[:, None]
     return Hmm(
-        found.initial / found.initial.sum() if learn_initial else hmm.initial,
-        jnp.where(left[:, None], rows, hmm.transition),
-        jnp.where(used[:, None], middle + away, hmm.locations),
+        statistics.initial / statistics.initial.sum() if learn_initial else hmm.initial,
+        jnp.where(has_moves[:, None], rows, hmm.transition),
+        jnp.where(used[:, None], middle + deviations, hmm.locations),
         jnp.where(used[:, None, None], covariances, hmm.covariances),
     )
 

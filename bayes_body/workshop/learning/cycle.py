@@ -71,22 +71,22 @@ def learn(walks: Sequence[Walk]) -> Learned:
     used: list[Points] = []
     left_out: list[str] = []
     shared = [points_of(landmarks) for _, landmarks, _ in walks]
-    names = tuple(name for name in max(shared, key=len, default=()) if all(name in each for each in shared))
+    names = tuple(name for name in max(shared, key=len, default=()) if all(name in points for points in shared))
     for name, landmarks, fps in walks:
         if not set(NEEDED) <= set(names):
             left_out.append(f"{name}: points unknown in some frames: left out")
         elif is_run(landmarks, fps):
             left_out.append(f"{name}: {speed(landmarks, fps):.1f} m/s is a run: left out")
-        elif not (here := strides(landmarks, names, fps, height(landmarks, names))):
+        elif not (walk_strides := strides(landmarks, names, fps, height(landmarks, names))):
             left_out.append(f"{name}: no whole stride: left out")
         else:
-            all_strides += here
+            all_strides += walk_strides
             used.append(landmarks)
     if len(all_strides) < 2:
-        found = f"{len(all_strides)} strides ({'; '.join(left_out) or 'no walk'})"
-        raise input_error("the walks", found, "at least 2 whole strides", "give straight walks of at least two steps each")
-    tall = float(np.mean([height(each, names) for each in used]))
-    bones = np.mean([segments(each, names) for each in used], axis=0) / tall
+        problem = f"{len(all_strides)} strides ({'; '.join(left_out) or 'no walk'})"
+        raise input_error("the walks", problem, "at least 2 whole strides", "give straight walks of at least two steps each")
+    tall = float(np.mean([height(points, names) for points in used]))
+    bones = np.mean([segments(points, names) for points in used], axis=0) / tall
     return _of_strides(all_strides, names, bones, tall, tuple(left_out))
 
 

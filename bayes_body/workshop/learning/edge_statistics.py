@@ -38,9 +38,9 @@ def fit(boundary: Response, elsewhere: Response) -> EdgeStatistics:
         InputError: there are too few points.
     """
     if len(boundary.even) < LEAST_POINTS or len(elsewhere.even) < LEAST_POINTS:
-        found = f"{len(boundary.even)} points on boundaries, {len(elsewhere.even)} elsewhere"
-        raise input_error("edge statistics", found, f"at least {LEAST_POINTS} of each", "give more frames")
-    phase, rho = (np.asarray(each, float) for each in phase_and_log_amplitude(jnp.asarray(boundary.even), jnp.asarray(boundary.odd)))
+        problem = f"{len(boundary.even)} points on boundaries, {len(elsewhere.even)} elsewhere"
+        raise input_error("edge statistics", problem, f"at least {LEAST_POINTS} of each", "give more frames")
+    phase, rho = (np.asarray(feature, float) for feature in phase_and_log_amplitude(jnp.asarray(boundary.even), jnp.asarray(boundary.odd)))
     low, high = np.quantile(rho, [TAIL, 1 - TAIL])
     share = np.asarray(clipped(jnp.asarray((rho - low) / (high - low))), float)
     without = EdgeStatistics(_epsilon(phase, share), _amplitude(share), np.array([low, high]), np.array(0.0))
@@ -68,8 +68,8 @@ def _amplitude(share: NDArray[np.floating]) -> NDArray[np.floating]:
     with jax.enable_x64(True):
         sloped = jax.jit(jax.value_and_grad(loss))
         # Below 1 the density would rise towards an end.
-        found = minimize(lambda ab: [np.asarray(part, float) for part in sloped(ab)], [2.0, 2.0], jac=True, bounds=[(1.001, 100.0)] * 2)
-    return found.x
+        optimum = minimize(lambda ab: [np.asarray(part, float) for part in sloped(ab)], [2.0, 2.0], jac=True, bounds=[(1.001, 100.0)] * 2)
+    return optimum.x
 
 
 class Images(NamedTuple):
@@ -80,13 +80,13 @@ class Images(NamedTuple):
     def at(self, wavelength_px: float, displacements: Sequence[float | None], seed: int = 0) -> list[Response]:
         """Responses for each displacement from all outlines: displaced by that number of pixels, or elsewhere if it is None."""
         rng = np.random.default_rng(seed)
-        found: list[list[Response]] = [[] for _ in displacements]
+        groups: list[list[Response]] = [[] for _ in displacements]
         for grey, mask in self.pairs:
             maps, outline = responses(grey, wavelength_px), outline_points(mask)
-            for place, by_px in zip(found, displacements, strict=True):
+            for place, by_px in zip(groups, displacements, strict=True):
                 points = elsewhere_points(mask, len(outline.places), rng) if by_px is None else displaced(outline, by_px, rng)
                 place.append(sampled(maps, points))
-        return [Response(*(np.concatenate(part) for part in zip(*each, strict=True))) for each in found]
+        return [Response(*(np.concatenate(part) for part in zip(*group, strict=True))) for group in groups]
 
 
 def known_pairs(session: Session, frames: int, true_masks: Callable[[str], str]) -> list[tuple[NDArray[np.uint8], NDArray[np.bool_]]]:
@@ -98,20 +98,20 @@ def known_pairs(session: Session, frames: int, true_masks: Callable[[str], str])
         true_masks: maps a camera's name to the printf pattern of the simulator's silhouettes, relative to the session's folder. If there are none,
             the session's masks are used.
     """
-    found = []
+    pairs = []
     for index in sorted({round(place) for place in np.linspace(0, session.frames - 1, frames)}):
         frame = read_frame(session, index)
         for view, image in zip(session.views, frame.images, strict=True):
             path = session.folder / (true_masks(view.camera.name) % index)
             if not path.is_file():
-                given = session.mask_path(view, index)
-                if given is None:
+                mask_path = session.mask_path(view, index)
+                if mask_path is None:
                     continue
-                path = given
+                path = mask_path
             mask = read_mask(path, view.camera.size_px)
             if image is not None and mask.any():
-                found.append((image, mask))
-    return found
+                pairs.append((image, mask))
+    return pairs
 
 
 def mean_log_density(response: Response, statistics: EdgeStatistics) -> float:

@@ -54,7 +54,7 @@ class Stride(NamedTuple):
 
 def points_of(landmarks: Points) -> tuple[str, ...]:
     """The points of a stride: those that have a parent and are known in every frame, in the order of `TREE`."""
-    known = {name for name, each in landmarks.items() if np.isfinite(each).all()}
+    known = {name for name, track in landmarks.items() if np.isfinite(track).all()}
 
     def has_parent(name: str) -> bool:
         return name in known and (name not in TREE or has_parent(TREE[name]))
@@ -65,7 +65,7 @@ def points_of(landmarks: Points) -> tuple[str, ...]:
 def segments(landmarks: Points, names: tuple[str, ...]) -> Float[np.ndarray, " point"]:
     """The mean distance of each point from its parent, metres; equal for left and right."""
     lengths = {name: float(np.linalg.norm(landmarks[name] - landmarks[TREE[name]], axis=1).mean()) for name in names}
-    return np.array([np.mean([lengths[each] for each in (name, _mirrored(name)) if each in lengths]) for name in names])
+    return np.array([np.mean([lengths[point] for point in (name, _mirrored(name)) if point in lengths]) for name in names])
 
 
 def height(landmarks: Points, names: tuple[str, ...]) -> float:
@@ -102,7 +102,7 @@ def heel_strikes(landmarks: Points, fps: float, height_m: float, side: str = "l"
 def strides(landmarks: Points, names: tuple[str, ...], fps: float, height_m: float) -> list[Stride]:
     """The strides of a straight walk: those of the left foot unchanged, those of the right foot mirrored."""
     ahead = _ahead(landmarks)
-    mirrored = {_mirrored(name): each * (1, -1, 1) for name, each in ahead.items()}
+    mirrored = {_mirrored(name): track * (1, -1, 1) for name, track in ahead.items()}
     return [stride for side in (ahead, mirrored) for stride in _of_left(side, names, fps, height_m)]
 
 
@@ -125,7 +125,7 @@ def _ahead(landmarks: Points) -> dict[str, Float[np.ndarray, "frame 3"]]:
     way = landmarks["pelvis"][-1, :2] - landmarks["pelvis"][0, :2]
     c, s = way / max(np.linalg.norm(way), 1e-9)
     R = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
-    return {name: each @ R.T for name, each in landmarks.items()}
+    return {name: track @ R.T for name, track in landmarks.items()}
 
 
 def _of_left(ahead: Points, names: tuple[str, ...], fps: float, height_m: float) -> list[Stride]:

@@ -38,7 +38,7 @@ class Chosen(NamedTuple):
 
 class _Fold(NamedTuple):
     learned: list[np.ndarray]
-    held: dict[int, np.ndarray]
+    validation: dict[int, np.ndarray]
 
 
 def choose(tracks: Sequence[Track], states: int, seeds: Sequence[int], learn_initial: bool = False, watch: Watch = unwatched) -> Chosen:
@@ -52,27 +52,27 @@ def choose(tracks: Sequence[Track], states: int, seeds: Sequence[int], learn_ini
         watch: shows the progress over the folds and the last fit.
     """
     folds, count = _folds(tracks, states), len(tracks)
-    held = np.zeros((len(seeds), count))
+    log_likelihoods = np.zeros((len(seeds), count))
     last: Chosen | None = None
     for number in watch(range(len(folds) + 1)):
         learned = folds[number].learned if number < len(folds) else [track.features for track in tracks]
         data = padded(learned, count)
-        found = fit(starts(np.concatenate(learned), states, seeds), data, learn_initial=learn_initial)
-        models = [Hmm(*(part[k] for part in found.hmm)) for k in range(len(seeds))]
+        fits = fit(starts(np.concatenate(learned), states, seeds), data, learn_initial=learn_initial)
+        models = [Hmm(*(part[k] for part in fits.hmm)) for k in range(len(seeds))]
         if number < len(folds):
-            places, others = list(folds[number].held), padded(list(folds[number].held.values()), count)
-            for row, model in zip(held, models, strict=True):
+            places, others = list(folds[number].validation), padded(list(folds[number].validation.values()), count)
+            for row, model in zip(log_likelihoods, models, strict=True):
                 row[places] = log_likelihood(model, others)[: len(places)]
         else:
-            last = _best(models, np.asarray(found.log_likelihood) / _frames(data), held, _held_frames(folds, count), seeds)
+            last = _best(models, np.asarray(fits.log_likelihood) / _frames(data), log_likelihoods, _held_frames(folds, count), seeds)
     assert last is not None
     return last
 
 
-def _best(models: Sequence[Hmm], training: np.ndarray, held: np.ndarray, frames: np.ndarray, seeds: Sequence[int]) -> Chosen:
-    scores = held.sum(axis=1) / frames.sum()
+def _best(models: Sequence[Hmm], training: np.ndarray, log_likelihoods: np.ndarray, frames: np.ndarray, seeds: Sequence[int]) -> Chosen:
+    scores = log_likelihoods.sum(axis=1) / frames.sum()
     best = int(np.nanargmax(scores))
-    return Chosen(models[best], seeds[best], float(training[best]), float(scores[best]), held[best] / frames)
+    return Chosen(models[best], seeds[best], float(training[best]), float(scores[best]), log_likelihoods[best] / frames)
 
 
 def _folds(tracks: Sequence[Track], states: int) -> list[_Fold]:
@@ -91,7 +91,7 @@ def _folds(tracks: Sequence[Track], states: int) -> list[_Fold]:
 def _held_frames(folds: Sequence[_Fold], count: int) -> Float[np.ndarray, " motion"]:
     frames = np.zeros(count)
     for fold in folds:
-        for place, features in fold.held.items():
+        for place, features in fold.validation.items():
             frames[place] = len(features)
     return frames
 
@@ -110,11 +110,11 @@ def starts(frames: Float[np.ndarray, "frame feature"], states: int, seeds: Seque
 
 def _start(frames: Float[np.ndarray, "frame feature"], states: int, seed: int) -> Hmm:
     clusters = KMeans(states, random_state=seed).fit(frames)
-    own = np.eye(states)[clusters.labels_]
-    away = frames - clusters.cluster_centers_[clusters.labels_]
-    squares, needed = np.einsum("tn,ti,tj->nij", own, away, away), frames.shape[1] + 1
+    memberships = np.eye(states)[clusters.labels_]
+    deviations = frames - clusters.cluster_centers_[clusters.labels_]
+    squares, needed = np.einsum("tn,ti,tj->nij", memberships, deviations, deviations), frames.shape[1] + 1
     common = squares.sum(axis=0) / len(frames) + FLOOR * frames.var(axis=0).mean() * np.eye(frames.shape[1])
-    covariances = (squares + needed * common) / (own.sum(axis=0) + needed)[:, None, None]
+    covariances = (squares + needed * common) / (memberships.sum(axis=0) + needed)[:, None, None]
     transition = np.random.default_rng(seed).uniform(size=(states, states))
     initial = np.full(states, 1 / states)
     return Hmm(initial, transition / transition.sum(axis=1, keepdims=True), clusters.cluster_centers_.astype(float), covariances)

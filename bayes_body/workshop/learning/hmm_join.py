@@ -21,15 +21,15 @@ def shares_of(frames: Mapping[str, int], states: int) -> dict[str, int]:
     shares = _in_proportion(frames, states) if len(frames) > 1 else dict.fromkeys(frames, states)
     for label, count in shares.items():
         if frames[label] < FRAMES * count:
-            found = f"{frames[label]} frames for {count} states"
-            raise input_error(f"activity '{label}'", found, f"at least {FRAMES} frames a state", "learn fewer states, or give more motion")
+            problem = f"{frames[label]} frames for {count} states"
+            raise input_error(f"activity '{label}'", problem, f"at least {FRAMES} frames a state", "learn fewer states, or give more motion")
     return shares
 
 
 def _in_proportion(frames: Mapping[str, int], states: int) -> dict[str, int]:
     if states < STATES * len(frames):
-        found = f"{states} for {len(frames)} activities"
-        raise input_error("states", found, f"at least {STATES} for each activity", "learn more states, or fewer activities")
+        problem = f"{states} for {len(frames)} activities"
+        raise input_error("states", problem, f"at least {STATES} for each activity", "learn more states, or fewer activities")
     shares = dict.fromkeys(frames, STATES)
     for _ in range(states - sum(shares.values())):
         # The next state goes to the activity that has most frames for each state.
@@ -48,9 +48,9 @@ def joined(models: Sequence[Hmm], switch: float) -> Hmm:
     switch = switch if len(models) > 1 else 0.0
     transition = np.zeros((ends[-1], ends[-1]))
     for row, model in zip(blocks, models, strict=True):
-        for column, other in zip(blocks, models, strict=True):
-            away = switch / max(len(models) - 1, 1) * stationary(np.asarray(other.transition))
-            transition[row, column] = (1 - switch) * np.asarray(model.transition) if row == column else away
+        for column, target in zip(blocks, models, strict=True):
+            switches = switch / max(len(models) - 1, 1) * stationary(np.asarray(target.transition))
+            transition[row, column] = (1 - switch) * np.asarray(model.transition) if row == column else switches
     initial = np.concatenate([size / ends[-1] * np.asarray(model.initial) for size, model in zip(sizes, models, strict=True)])
     return Hmm(initial, transition, *(np.concatenate([np.asarray(model[k]) for model in models]) for k in (2, 3)))
 

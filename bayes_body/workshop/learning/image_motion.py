@@ -79,8 +79,8 @@ def motion_pairs(session: Session, definition: Definition, frames: int) -> Itera
         InputError: the recording has no truth or only one frame, or the model has no such likelihood.
     """
     if all(term.kind != KIND for term in definition.likelihoods):
-        found = f"its likelihoods are {', '.join(each.kind for each in definition.likelihoods)}"
-        raise input_error(f"the model '{definition.name}'", found, f"one of the kind {KIND}", "add it")
+        problem = f"its likelihoods are {', '.join(term.kind for term in definition.likelihoods)}"
+        raise input_error(f"the model '{definition.name}'", problem, f"one of the kind {KIND}", "add it")
     if session.frames < 2:
         raise input_error(session.folder, "one frame", "two or more: image motion compares a frame with the one before", "give a longer recording")
     model, angles = fitted_to_truth(session, definition)
@@ -101,25 +101,25 @@ def motion_noise(pairs: Sequence[Pair]) -> MotionNoise:
     noise, share = _mixture(difference, cosine)
     curvature, slope = np.sum([_curvature_and_slope(pair, noise, share, seed) for seed, pair in enumerate(pairs)], axis=0)
     if curvature <= 0:
-        found, remedy = "the likelihood is no larger at the truth than beside it", "give recordings with more texture, or with a better body"
-        raise input_error("image motion", found, "a peak at the truth", remedy)
+        problem, remedy = "the likelihood is no larger at the truth than beside it", "give recordings with more texture, or with a better body"
+        raise input_error("image motion", problem, "a peak at the truth", remedy)
     return MotionNoise(noise, share, float(curvature / slope))
 
 
 def _pair(model: Model, session: Session, index: int, angles: Float[np.ndarray, "frame dof"]) -> Pair:
     frame = read_frame(session, index, with_before=True)
-    factor = next(each for each in model.at(frame.cameras).factors if isinstance(each.log_potential, ImageMotionPotential))
+    factor = next(candidate for candidate in model.at(frame.cameras).factors if isinstance(candidate.log_potential, ImageMotionPotential))
     potential = cast(ImageMotionPotential, factor.log_potential)
     data = jax.tree.map(jnp.asarray, model.observe(frame)[factor.name])
-    now, before = (jnp.asarray(angles[each], model.body.lengths.dtype) for each in (index, index - 1))
-    compared = _compared(potential, now, before, data)
+    pose, before = (jnp.asarray(angles[number], model.body.lengths.dtype) for number in (index, index - 1))
+    compared = _compared(potential, pose, before, data)
     shown = np.asarray(compared.visibility) * np.asarray(data.both)[:, None, None] > 0
-    return Pair(np.asarray(compared.difference)[shown], np.asarray(compared.cosine)[shown], potential, data, (now, before))
+    return Pair(np.asarray(compared.difference)[shown], np.asarray(compared.cosine)[shown], potential, data, (pose, before))
 
 
 @jax.jit
-def _compared(potential: ImageMotionPotential, now: Array, before: Array, data: Any) -> Any:
-    return potential.compared(now, before, data)
+def _compared(potential: ImageMotionPotential, pose: Array, before: Array, data: Any) -> Any:
+    return potential.compared(pose, before, data)
 
 
 def _mixture(difference: NDArray[np.floating], cosine: NDArray[np.floating]) -> tuple[float, float]:
@@ -135,21 +135,21 @@ def _mixture(difference: NDArray[np.floating], cosine: NDArray[np.floating]) -> 
 
 def _curvature_and_slope(pair: Pair, noise: float, share: float, seed: int) -> tuple[float, float]:
     """Return the sums over changes of the curvature and of the squared slope of one pair's log-likelihood."""
-    body, now = pair.potential.body, pair.poses[0]
+    body, pose = pair.potential.body, pair.poses[0]
     sizes = np.where(np.array(body.skeleton.topology.dof_units) == "m", CHANGE_M, CHANGE_RAD)
-    changes = jnp.asarray(np.random.default_rng(seed).normal(size=(CHANGES, now.size)) * sizes, now.dtype)
-    noise_grey, outlier_share, one = (jnp.asarray(value, now.dtype) for value in (noise, share, 1.0))
-    potential = replace(pair.potential, noise_grey=noise_grey, outlier_share=outlier_share, precision=one)
-    here, ahead, behind = _around(potential, *pair.poses, changes, pair.data)
-    return float(np.sum(2 * here - ahead - behind)), float(np.sum((ahead - behind) ** 2)) / 4
+    changes = jnp.asarray(np.random.default_rng(seed).normal(size=(CHANGES, pose.size)) * sizes, pose.dtype)
+    noise_grey, outlier_share, precision = (jnp.asarray(value, pose.dtype) for value in (noise, share, 1.0))
+    potential = replace(pair.potential, noise_grey=noise_grey, outlier_share=outlier_share, precision=precision)
+    middle, ahead, behind = _log_likelihoods(potential, *pair.poses, changes, pair.data)
+    return float(np.sum(2 * middle - ahead - behind)), float(np.sum((ahead - behind) ** 2)) / 4
 
 
 @jax.jit
-def _around(potential: ImageMotionPotential, now: Array, before: Array, changes: Array, data: Any) -> tuple[Array, Array, Array]:
+def _log_likelihoods(potential: ImageMotionPotential, centre: Array, before: Array, changes: Array, data: Any) -> tuple[Array, Array, Array]:
     """Return the log-likelihood at the pose, and at both sides of it for each change."""
 
-    def at(pose: Array) -> Array:
+    def log_likelihood(pose: Array) -> Array:
         return potential({Variable(POSE): pose, Variable(POSE, -1): before}, data)
 
-    ahead, behind = (jax.lax.map(lambda change, sign=sign: at(now + sign * change), changes) for sign in (1, -1))
-    return at(now), ahead, behind
+    ahead, behind = (jax.lax.map(lambda change, sign=sign: log_likelihood(centre + sign * change), changes) for sign in (1, -1))
+    return log_likelihood(centre), ahead, behind

@@ -59,7 +59,7 @@ def fit_mixture(poses: Float[np.ndarray, "draw 7"], weights: Float[np.ndarray, "
     clusters = min(components, len(np.unique(flat, axis=0)))
     starts = STARTS if clusters > 1 else 1
     labels = [KMeans(clusters, random_state=seed).fit(flat, sample_weight=weights).labels_ for seed in range(starts)]
-    fits = [_climb(poses, weights, (1 - COMMON) * np.eye(components)[each] + COMMON / components, floors) for each in labels]
+    fits = [_climb(poses, weights, (1 - COMMON) * np.eye(components)[clustering] + COMMON / components, floors) for clustering in labels]
     return max(fits, key=lambda fit: fit.log_likelihood)
 
 
@@ -72,27 +72,27 @@ def _climb(poses: np.ndarray, weights: np.ndarray, shares: Float[np.ndarray, "dr
     best, before = None, -np.inf
     for _ in range(ITERATIONS):
         mean, covariance, weight = _maximised(poses, weights, shares, floors)
-        each = log_of_components(mixture(mean, covariance, weight), poses)
-        total = logsumexp(each, axis=1, keepdims=True)
-        now = float(weights @ total[:, 0])
-        if best is None or now > best.log_likelihood:
-            best = Fitted(mean, covariance, weight, now)
-        if now - before < ENOUGH:
+        log_densities = log_of_components(mixture(mean, covariance, weight), poses)
+        total = logsumexp(log_densities, axis=1, keepdims=True)
+        log_likelihood = float(weights @ total[:, 0])
+        if best is None or log_likelihood > best.log_likelihood:
+            best = Fitted(mean, covariance, weight, log_likelihood)
+        if log_likelihood - before < ENOUGH:
             break
-        before, shares = now, np.exp(each - total)
+        before, shares = log_likelihood, np.exp(log_densities - total)
     assert best is not None
     return best
 
 
 def _maximised(poses: np.ndarray, weights: np.ndarray, shares: np.ndarray, floors: Floors) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    own = weights[:, None] * shares
+    responsibilities = weights[:, None] * shares
     # A component that loses all its draws keeps a weight above 0, whose logarithm is finite.
-    weight = np.maximum(own.sum(axis=0), 1e-12)
-    own = (own / own.sum(axis=0)).T
-    mean = np.asarray(rigid.rigid(own @ poses[:, :3], rotations.canonical(SO3().mean(own, poses[:, 3:]))))
+    weight = np.maximum(responsibilities.sum(axis=0), 1e-12)
+    responsibilities = (responsibilities / responsibilities.sum(axis=0)).T
+    mean = np.asarray(rigid.rigid(responsibilities @ poses[:, :3], rotations.canonical(SO3().mean(responsibilities, poses[:, 3:]))))
     steps = rigid.relative(mean[:, None], poses[None])
     xi = np.stack([steps[..., :3], rotations.logarithm(steps[..., 3:])], axis=1)
-    covariance = np.einsum("mn,mbni,mbnj->mbij", own, xi, xi)
+    covariance = np.einsum("mn,mbni,mbnj->mbij", responsibilities, xi, xi)
     return mean, _floored(covariance, floors), weight / weight.sum()
 
 

@@ -51,10 +51,10 @@ def joints_of(body: str, schema: BodySchema) -> tuple[tuple[str, ...], tuple[str
     """
     placement = loosened(build_body(body, schema)).placement
     assert isinstance(placement, ByParts)
-    found = [(name, placement.names[parent]) for name, parent in zip(placement.names, placement.parents, strict=True) if parent >= 0]
-    if not found:
+    joints = [(name, placement.names[parent]) for name, parent in zip(placement.names, placement.parents, strict=True) if parent >= 0]
+    if not joints:
         raise input_error(f"body '{body}'", "one part", "at least two parts, with a joint between them", "name another body")
-    return tuple(part for part, _ in found), tuple(parent for _, parent in found)
+    return tuple(part for part, _ in joints), tuple(parent for _, parent in joints)
 
 
 def joint_poses(name: str, subject: str, motion: Motion, body: str, schema: BodySchema, frames: int) -> JointPoses:
@@ -64,10 +64,10 @@ def joint_poses(name: str, subject: str, motion: Motion, body: str, schema: Body
         InputError: the motion lacks points of the body.
     """
     motion = resample(motion, FPS)
-    found = retarget(build_body(body, schema), motion, schema=schema)
-    chosen = np.linspace(0, len(found.angles) - 1, frames).round().astype(int)
-    angles = settled_frames(found.body, found.angles[chosen])
-    return JointPoses(name, subject, relative_poses(found.body, angles))
+    fit = retarget(build_body(body, schema), motion, schema=schema)
+    chosen = np.linspace(0, len(fit.angles) - 1, frames).round().astype(int)
+    angles = settled_frames(fit.body, fit.angles[chosen])
+    return JointPoses(name, subject, relative_poses(fit.body, angles))
 
 
 def relative_poses(body: Body, angles: Float[np.ndarray, "frame dof"]) -> Float[np.ndarray, "frame joint 7"]:
@@ -102,10 +102,10 @@ def learn_joints(motions: Sequence[JointPoses], body: str, schema: BodySchema, c
 def held_out(joints: JointMixtures, motions: Sequence[JointPoses]) -> HeldOut:
     """Return the mean log-density of the frames of motions, with all motions of a person counted alike."""
     fits = [Fitted(*values, 0.0) for values in zip(joints.mean, joints.covariance, joints.weight, strict=True)]
-    each = np.array([[log_density(fit, motion.poses[:, joint]).mean() for joint, fit in enumerate(fits)] for motion in motions])
+    log_densities = np.array([[log_density(fit, motion.poses[:, joint]).mean() for joint, fit in enumerate(fits)] for motion in motions])
     subjects = np.array([motion.subject for motion in motions])
     people = tuple(dict.fromkeys(subjects.tolist()))
-    return HeldOut(people, np.stack([each[subjects == person].mean(axis=0) for person in people]))
+    return HeldOut(people, np.stack([log_densities[subjects == person].mean(axis=0) for person in people]))
 
 
 def _weights(motions: Sequence[JointPoses]) -> Float[np.ndarray, " draw"]:

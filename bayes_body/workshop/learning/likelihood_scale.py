@@ -74,8 +74,8 @@ def with_scale(definition: Definition, scale: float) -> Definition:
     """
     scaled = [index for index, term in enumerate(definition.likelihoods) if hasattr(term.options, OPTION)]
     if len(scaled) != 1:
-        found = f"it has {len(scaled)} likelihoods with a {OPTION}"
-        raise input_error(f"the model '{definition.name}'", found, "one", "a distribution over images needs no scale; scale several one at a time")
+        problem = f"it has {len(scaled)} likelihoods with a {OPTION}"
+        raise input_error(f"the model '{definition.name}'", problem, "one", "a distribution over images needs no scale; scale several one at a time")
     terms = list(definition.likelihoods)
     terms[scaled[0]] = replace(terms[scaled[0]], options=terms[scaled[0]].options.model_copy(update={OPTION: scale}))
     return replace(definition, likelihoods=tuple(terms))
@@ -89,7 +89,7 @@ def trials(
     particles: int,
     seed: int = 0,
     frames: int | None = None,
-    kept: ReplicationLog | None = None,
+    log: ReplicationLog | None = None,
     watch: Watch = unwatched,
 ) -> Iterator[Trial]:
     """Track each recording with each scale, all from the same first pose.
@@ -102,7 +102,7 @@ def trials(
         particles: number of particles of a run.
         seed: the seed of everything random.
         frames: use only this many frames, from the first.
-        kept: existing trials, to which new ones are added.
+        log: existing trials, to which new ones are added.
         watch: wraps the iteration over trials, to show progress.
 
     Raises:
@@ -111,41 +111,41 @@ def trials(
     for session in sessions:
         if session.truth_path is None:
             raise no_truth(session)
-    kept = ReplicationLog() if kept is None else kept
+    log = ReplicationLog() if log is None else log
     starts: dict[int, FirstPose] = {}
     for number in watch(range(len(sessions) * len(scales))):
         place, scale = number // len(scales), scales[number % len(scales)]
-        if (KEPT, number) not in kept:
+        if (KEPT, number) not in log:
             model = build_model(with_scale(definition, scale), sessions[place])
             if place not in starts:
                 # The fit of the first pose does not use the images, so it is the same for each scale.
                 starts[place] = first_pose(model, sessions[place])
             trial = _trial(sessions[place], apply_first_pose(model, sessions[place], starts[place]), scale, kernel, particles, seed, frames)
             # Only numbers: the log does not store text.
-            kept.add(KEPT, number, {name: np.asarray(value) for name, value in trial._asdict().items() if name != "recording"})
-        yield Trial(sessions[place].title, **{name: value.item() for name, value in kept[KEPT, number].items()})
+            log.add(KEPT, number, {name: np.asarray(value) for name, value in trial._asdict().items() if name != "recording"})
+        yield Trial(sessions[place].title, **{name: value.item() for name, value in log[KEPT, number].items()})
 
 
 def _trial(session: Session, model: Model, scale: float, kernel: Kernel, particles: int, seed: int, frames: int | None) -> Trial:
     draws = track(jax.random.key(seed), session, model, kernel, particles, frames=min(frames or session.frames, session.frames))
-    found = draws_against_truth(session, draws)
-    if found is None:
+    comparison = draws_against_truth(session, draws)
+    if comparison is None:
         raise input_error(
             f"the model '{model.definition.name}'", "none of its markers is in the truth", "a model with such markers", "use another body"
         )
     if not draws.samples_posterior:
         raise input_error("--kernel", "a mode seeker", "a kernel whose particles are draws from the posterior", "use sir or tempered")
-    figures = accuracy_figures(found, mode_seeker=False)
-    inside, known = int(found.plain.inside[LEVELS.index(LEVEL)].sum()), int(found.plain.known.sum())
+    figures = accuracy_figures(comparison, mode_seeker=False)
+    inside, known = int(comparison.plain.inside[LEVELS.index(LEVEL)].sum()), int(comparison.plain.known.sum())
     iou = float(np.nanmedian(silhouette_overlap(session, draws)))
     return Trial(session.title, scale, inside, known, figures["error_mm_mean"], iou, float(np.median(draws.info.ess)))
 
 
-def pooled(found: Sequence[Trial]) -> tuple[Float[np.ndarray, " scale"], Float[np.ndarray, " scale"]]:
+def pooled(runs: Sequence[Trial]) -> tuple[Float[np.ndarray, " scale"], Float[np.ndarray, " scale"]]:
     """The scales, ascending, and the coverage of all recordings together."""
-    scales = sorted({trial.scale for trial in found})
-    of = [[trial for trial in found if trial.scale == scale] for scale in scales]
-    return np.array(scales), np.array([sum(t.inside for t in group) / sum(t.known for t in group) for group in of])
+    scales = sorted({trial.scale for trial in runs})
+    groups = [[trial for trial in runs if trial.scale == scale] for scale in scales]
+    return np.array(scales), np.array([sum(t.inside for t in group) / sum(t.known for t in group) for group in groups])
 
 
 def choose_scale(scales: Float[np.ndarray, " scale"], coverage: Float[np.ndarray, " scale"], level: float = LEVEL) -> float:
@@ -159,9 +159,9 @@ def choose_scale(scales: Float[np.ndarray, " scale"], coverage: Float[np.ndarray
         return float(scales[near])
     crossing = [k for k in range(len(scales) - 1) if coverage[k] >= level > coverage[k + 1]]
     if not crossing:
-        found = f"coverage from {coverage.min():.2f} to {coverage.max():.2f} for scales from {scales[0]:g} to {scales[-1]:g}"
+        problem = f"coverage from {coverage.min():.2f} to {coverage.max():.2f} for scales from {scales[0]:g} to {scales[-1]:g}"
         remedy = "try smaller ones" if coverage.max() < level else "try larger ones"
-        raise input_error("--scales", found, f"a coverage that crosses {level:g}", remedy)
+        raise input_error("--scales", problem, f"a coverage that crosses {level:g}", remedy)
     k = crossing[-1]
     share = (coverage[k] - level) / (coverage[k] - coverage[k + 1])
     return float(np.exp((1 - share) * np.log(scales[k]) + share * np.log(scales[k + 1])))

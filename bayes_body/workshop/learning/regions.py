@@ -72,7 +72,7 @@ def region_statistics(sums: Sequence[Sums]) -> RegionStatistics:
     Raises:
         InputError: no part is in any image.
     """
-    totals, pixels = np.array([each.totals for each in sums]).sum(axis=0), np.array([each.pixels for each in sums]).sum(axis=0)
+    totals, pixels = np.array([image.totals for image in sums]).sum(axis=0), np.array([image.pixels for image in sums]).sum(axis=0)
     if not np.all(pixels) or not sums:
         raise input_error("regions", "no part of the body in any image", "a person in the images", "give other recordings or frames")
     inside, band, on_sides, nearby = (totals / pixels).tolist()
@@ -90,10 +90,10 @@ def region_sums(session: Session, definition: Definition, frames: int) -> Iterat
     Raises:
         InputError: the recording has no truth, or the model has no such likelihood.
     """
-    term = next((each for each in definition.likelihoods if each.kind == KIND), None)
+    term = next((likelihood for likelihood in definition.likelihoods if likelihood.kind == KIND), None)
     if term is None:
-        found = f"its likelihoods are {', '.join(each.kind for each in definition.likelihoods)}"
-        raise input_error(f"the model '{definition.name}'", found, f"one of the kind {KIND}", "add it")
+        problem = f"its likelihoods are {', '.join(likelihood.kind for likelihood in definition.likelihoods)}"
+        raise input_error(f"the model '{definition.name}'", problem, f"one of the kind {KIND}", "add it")
     model, angles = fitted_to_truth(session, definition)
     for index in sorted({round(place) for place in np.linspace(0, session.frames - 1, frames)}):
         pose = jnp.asarray(angles[index], model.body.lengths.dtype)
@@ -122,12 +122,12 @@ def _of_frame(model: Model, pose: Any, session: Session, index: int, options: An
     for camera, (image, mask) in enumerate(zip(frame.images, masks_of(frame), strict=True)):
         if image is None or mask is None or not mask.any():
             continue
-        u, v = (np.rint(np.asarray(each)[:, camera]) for each in (places.u, places.v))
+        u, v = (np.rint(np.asarray(coordinates)[:, camera]) for coordinates in (places.u, places.v))
         inside = (u >= 0) & (u < mask.shape[1]) & (v >= 0) & (v < mask.shape[0])
         weights = np.where(inside, np.asarray(pixels)[:, camera], 0.0)
-        at = np.where(inside, v, 0).astype(int), np.where(inside, u, 0).astype(int)
+        indices = np.where(inside, v, 0).astype(int), np.where(inside, u, 0).astype(int)
         squares = squared_edge_distance(image, mask, options)
-        values = np.where(kinds == EDGES, squares[at], mask[at])
+        values = np.where(kinds == EDGES, squares[indices], mask[indices])
         totals = [float(np.sum((weights * values)[:, kinds == kind])) for kind in (INSIDE, BAND, EDGES)]
         rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
         box = squares[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
@@ -137,4 +137,4 @@ def _of_frame(model: Model, pose: Any, session: Session, index: int, options: An
 
 @jax.jit
 def _projected(samples: PartSamples, rig: Camera, parts: Any, map_index: Any) -> Any:
-    return jax.vmap(lambda own, frame: projected(own, rig, frame, map_index))(samples, parts)
+    return jax.vmap(lambda part_samples, frame: projected(part_samples, rig, frame, map_index))(samples, parts)

@@ -46,10 +46,10 @@ def track_of(subject: str, motion: Motion, body: str, schema: BodySchema) -> Tra
         InputError: the motion lacks points of the body, or is too short.
     """
     start = build_body(body, schema)
-    found = retarget(start, resample(motion, FPS), schema=schema)
-    if len(found.angles) < FEWEST:
-        raise input_error(f"a motion of {subject}", f"{len(found.angles)} frames at {FPS:g} fps", f"{FEWEST} or more", "leave it out")
-    return Track(subject, settled_frames(found.body, found.angles))
+    fit = retarget(start, resample(motion, FPS), schema=schema)
+    if len(fit.angles) < FEWEST:
+        raise input_error(f"a motion of {subject}", f"{len(fit.angles)} frames at {FPS:g} fps", f"{FEWEST} or more", "leave it out")
+    return Track(subject, settled_frames(fit.body, fit.angles))
 
 
 def smooth_noise(tracks: Sequence[Track], body: str, schema: BodySchema) -> SmoothNoise:
@@ -60,9 +60,9 @@ def smooth_noise(tracks: Sequence[Track], body: str, schema: BodySchema) -> Smoo
     patterns = [f"?_{name[2:]}" if name[:2] in ("l_", "r_") else name for name in topology.dof_names]
     units = dict(zip(patterns, topology.dof_units, strict=True))
 
-    def pooled(of: Float[np.ndarray, " dof"]) -> dict[str, float]:
-        own = np.array(patterns)
-        return {pattern: float(np.sqrt(of[own == pattern].mean())) for pattern in units}
+    def pooled(mean_squares: Float[np.ndarray, " dof"]) -> dict[str, float]:
+        dof_patterns = np.array(patterns)
+        return {pattern: float(np.sqrt(mean_squares[dof_patterns == pattern].mean())) for pattern in units}
 
     return SmoothNoise(pooled(squares[0]), pooled(squares[1]), units)
 
@@ -70,5 +70,5 @@ def smooth_noise(tracks: Sequence[Track], body: str, schema: BodySchema) -> Smoo
 def _squares(dofs: Float[np.ndarray, "frame dof"]) -> Float[np.ndarray, "2 dof"]:
     """Return the mean squares of the pose's noise and of the velocity's."""
     velocity = (dofs[2:] - dofs[:-2]) * FPS / 2
-    left = dofs[2:-1] - dofs[1:-2] - velocity[:-1] / FPS
-    return np.stack([np.mean(left**2, axis=0), np.mean(np.diff(velocity, axis=0) ** 2, axis=0)])
+    residual = dofs[2:-1] - dofs[1:-2] - velocity[:-1] / FPS
+    return np.stack([np.mean(residual**2, axis=0), np.mean(np.diff(velocity, axis=0) ** 2, axis=0)])

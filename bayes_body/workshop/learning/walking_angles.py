@@ -94,10 +94,10 @@ def retargeted(motion: Motion, body: str, schema: BodySchema) -> Float[np.ndarra
     """
     start = build_body(body, schema)
     if len(start.skeleton.topology.motions[0]) != ROOT:
-        found = f"{len(start.skeleton.topology.motions[0])} dofs of its first joint"
-        raise input_error(f"body '{body}'", found, "6: position and orientation in the world", "name another body")
-    found = retarget(start, motion, schema=schema)
-    return settled_frames(found.body, found.angles)
+        problem = f"{len(start.skeleton.topology.motions[0])} dofs of its first joint"
+        raise input_error(f"body '{body}'", problem, "6: position and orientation in the world", "name another body")
+    fit = retarget(start, motion, schema=schema)
+    return settled_frames(fit.body, fit.angles)
 
 
 def settled_frames(body: Body, angles: Float[np.ndarray, "frame dof"]) -> Float[np.ndarray, "frame dof"]:
@@ -121,7 +121,7 @@ def learn_angles(walks: Sequence[AngleWalk], body: str, schema: BodySchema) -> L
     skeleton = build_body(body, schema).skeleton
     limits = tuple(np.asarray(side, float)[ROOT:] for side in (skeleton.low, skeleton.high))
     near = alike([walk.angles for walk in walks], skeleton.topology, *limits)
-    walks = [walk._replace(angles=each) for walk, each in zip(walks, near, strict=True)]
+    walks = [walk._replace(angles=angles) for walk, angles in zip(walks, near, strict=True)]
     strides = [AngleStride(walk.subject, row) for walk in walks for row in _rows(walk)]
     if len(strides) < 2:
         raise input_error("the walks", f"{len(strides)} strides", "at least 2 whole strides", "give straight walks of at least two steps each")
@@ -157,10 +157,10 @@ def alike(walks: Sequence[Float[np.ndarray, "_ dof"]], topology: Topology, low: 
     The common turns bring all of them to the middle of the limits `low` and `high`.
     """
     near = [near_reference(topology, walk, walks[0].mean(axis=0)) for walk in walks]
-    extremes = np.min([each.min(axis=0) for each in near], axis=0) + np.max([each.max(axis=0) for each in near], axis=0)
+    extremes = np.min([angles.min(axis=0) for angles in near], axis=0) + np.max([angles.max(axis=0) for angles in near], axis=0)
     middle = np.where(np.isfinite(low + high), (low + high) / 2, 0.0)
     turns = TURN * np.round((extremes / 2 - middle) / TURN)
-    return [each - turns for each in near]
+    return [angles - turns for angles in near]
 
 
 def strikes_of(points: Mapping[str, np.ndarray], fps: float, side: str = "l") -> Int[np.ndarray, " strike"]:
@@ -201,13 +201,13 @@ def _left_for_others(strides: Sequence[AngleStride], count: int, shape: tuple[in
     people = sorted({stride.subject for stride in strides})
     squares = []
     for person in people:
-        own = [stride for stride in strides if stride.subject == person]
-        others = [stride for stride in strides if stride.subject != person] or own
+        person_strides = [stride for stride in strides if stride.subject == person]
+        others = [stride for stride in strides if stride.subject != person] or person_strides
         mean, modes, _ = _components(np.stack([s.row for s in others]), _weights([s.subject for s in others]))
         T = terms(np.linspace(0, 1, 100, endpoint=False))
         basis = np.stack([(T @ mode[:-2].reshape(shape)).ravel() for mode in modes[:count]], axis=1)
-        rest = np.stack([(T @ (stride.row - mean)[:-2].reshape(shape)).ravel() for stride in own], axis=1)
+        deviations = np.stack([(T @ (stride.row - mean)[:-2].reshape(shape)).ravel() for stride in person_strides], axis=1)
         # A coefficient of an unlikely size is no explanation: ridge regression with the variance that a typical residual has.
-        left = rest - basis @ np.linalg.solve(basis.T @ basis + np.eye(len(basis.T)) * rest.var(), basis.T @ rest)
-        squares.append((left.reshape(len(T), shape[1], -1) ** 2).mean(axis=(0, 2)))
+        residual = deviations - basis @ np.linalg.solve(basis.T @ basis + np.eye(len(basis.T)) * deviations.var(), basis.T @ deviations)
+        squares.append((residual.reshape(len(T), shape[1], -1) ** 2).mean(axis=(0, 2)))
     return np.sqrt(np.mean(squares, axis=0))

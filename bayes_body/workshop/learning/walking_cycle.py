@@ -77,7 +77,7 @@ def walk(
     pelvis = _travelled(cycle, gait, bodies)
     c, s = np.cos(heading), np.sin(heading)
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    places = {name: height_m * (pelvis + each) @ R.T + (*start, 0.0) for name, each in bodies.items()}
+    places = {name: height_m * (pelvis + track) @ R.T + (*start, 0.0) for name, track in bodies.items()}
     return {"pelvis": height_m * pelvis @ R.T + (*start, 0.0)} | places
 
 
@@ -94,37 +94,37 @@ def _check(numbers: Mapping[str, float], coefficients: Sequence[float], modes: i
 def _gait(
     cycle: WalkingCycle, frames: int, fps: float, speed: float, coefficients: Sequence[float], seed: int | None, height_m: float, phase: float
 ) -> _Gait:
-    given = np.zeros(len(cycle.modes))
-    given[: len(coefficients)] = coefficients
+    base_coefficients = np.zeros(len(cycle.modes))
+    base_coefficients[: len(coefficients)] = coefficients
     # For dynamically similar people, step times are proportional to the square root of height (Alexander 1989).
     tempo = speed / np.sqrt(height_m / cycle.height_m) / fps
-    quickest = np.exp(-cycle.pace[0] + FARTHEST * np.abs(cycle.pace_modes[:, 0]).sum() + np.abs(given @ cycle.pace_modes[:, 0]))
-    course = _course(given, seed, frames * tempo * quickest)
+    quickest = np.exp(-cycle.pace[0] + FARTHEST * np.abs(cycle.pace_modes[:, 0]).sum() + np.abs(base_coefficients @ cycle.pace_modes[:, 0]))
+    course = _course(base_coefficients, seed, frames * tempo * quickest)
     phases = [phase]
     for _ in range(frames - 1):
         phases.append(phases[-1] + tempo * np.exp(-cycle.pace[0] - course(phases[-1] - phase) @ cycle.pace_modes[:, 0]))
-    each = course(np.array(phases) - phase)
+    mode_coefficients = course(np.array(phases) - phase)
     series = terms(np.array(phases))
-    columns = series @ cycle.mean + np.einsum("fm,ft,mtc->fc", each, series, cycle.modes)
+    columns = series @ cycle.mean + np.einsum("fm,ft,mtc->fc", mode_coefficients, series, cycle.modes)
     return _Gait(np.array(phases), columns)
 
 
-def _course(given: Float[np.ndarray, " mode"], seed: int | None, strides: float) -> CubicSpline:
+def _course(coefficients: Float[np.ndarray, " mode"], seed: int | None, strides: float) -> CubicSpline:
     """The coefficients over the strides: a smooth curve, with different values in every stride."""
     count = int(strides) + 3
-    drawn = np.zeros((count, given.size))
+    drawn = np.zeros((count, coefficients.size))
     if seed is not None:
         rng = np.random.default_rng(seed)
-        walker = np.clip(BETWEEN * rng.standard_normal(given.size), -FARTHEST, FARTHEST)
+        walker = np.clip(BETWEEN * rng.standard_normal(coefficients.size), -FARTHEST, FARTHEST)
         drawn = np.clip(walker + WITHIN * rng.standard_normal(drawn.shape), -FARTHEST, FARTHEST)
-    return CubicSpline(np.arange(count), given + drawn)
+    return CubicSpline(np.arange(count), coefficients + drawn)
 
 
 def _upright(cycle: WalkingCycle, columns: Float[np.ndarray, "frame column"]) -> dict[str, Float[np.ndarray, "frame 3"]]:
     """Positions relative to the pelvis, heights, with segments of constant length."""
     raw = {"pelvis": np.zeros((len(columns), 3))} | {name: columns[:, 3 * i : 3 * i + 3] for i, name in enumerate(cycle.names)}
     places = {"pelvis": raw["pelvis"]}
-    for name, length in sorted(zip(cycle.names, cycle.segments, strict=True), key=lambda each: _depth(each[0])):
+    for name, length in sorted(zip(cycle.names, cycle.segments, strict=True), key=lambda bone: _depth(bone[0])):
         segment = raw[name] - raw[TREE[name]]
         places[name] = places[TREE[name]] + length * segment / np.linalg.norm(segment, axis=1, keepdims=True)
     return {name: places[name] for name in cycle.names}

@@ -52,15 +52,15 @@ def backgrounds(rig: Rig, landmarks: Mapping[str, Float[np.ndarray, "frame 3"]],
 
 def _clearance(posed: Sequence[Sequence[CameraSpec]], landmarks: Mapping[str, Float[np.ndarray, "frame 3"]]) -> Clearance:
     frames = _evenly(len(posed[0]), LOOKED_AT)
-    cameras = np.array([-camera.rotation.T @ camera.translation_m for each in posed for camera in {id(each[k]): each[k] for k in frames}.values()])
+    cameras = np.array([-camera.rotation.T @ camera.translation_m for path in posed for camera in {id(path[k]): path[k] for k in frames}.values()])
     points = np.concatenate([track[frames] for track in landmarks.values()])
     return Clearance(cameras, points[np.isfinite(points).all(axis=1)])
 
 
 def _from_picture(folder: Path, camera: CameraSpec, moves: bool) -> EmptyScene:
     if moves:
-        found = f"camera '{camera.name}' moves"
-        raise input_error(f"--background {folder}", found, "cameras that do not move", "leave out the option, or the camera (--cameras)")
+        problem = f"camera '{camera.name}' moves"
+        raise input_error(f"--background {folder}", problem, "cameras that do not move", "leave out the option, or the camera (--cameras)")
     path = find_background(folder, camera.name, camera.size_px)
     if is_image(path):
         picture = read_colour(path, camera.size_px).astype(np.float32)

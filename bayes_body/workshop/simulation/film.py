@@ -70,9 +70,9 @@ class Camera:
 def _darkened(picture: Float[np.ndarray, "row column 3"], shadow: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "row column 3"]:
     """The picture with the shadow applied."""
     x, y, width, height = cv2.boundingRect((shadow > 0).astype(np.uint8))
-    here = slice(y, y + height), slice(x, x + width)
+    region = slice(y, y + height), slice(x, x + width)
     darkened = picture.copy()
-    darkened[here] *= 1 - SHADOW * shadow[here][..., None]
+    darkened[region] *= 1 - SHADOW * shadow[region][..., None]
     return darkened
 
 
@@ -130,9 +130,9 @@ def cameras(
 ) -> list[Camera]:
     """The cameras of a rig, each with its own sensor."""
     filming = []
-    for number, (each, colourless, scene) in enumerate(zip(posed, grey, scenes, strict=True)):
-        sensor = Sensor((options.seed, 11, number), len(each), fps, colourless, options.noise)
-        filming.append(Camera(each, scene, sensor, quality, (options.seed, 13, number)))
+    for number, (path, colourless, scene) in enumerate(zip(posed, grey, scenes, strict=True)):
+        sensor = Sensor((options.seed, 11, number), len(path), fps, colourless, options.noise)
+        filming.append(Camera(path, scene, sensor, quality, (options.seed, 13, number)))
     return filming
 
 

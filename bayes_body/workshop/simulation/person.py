@@ -164,23 +164,23 @@ def _outline(tube: Tube, build: Build, long_hair: bool) -> Float[np.ndarray, "2 
         hair = (0.024 if long_hair else 0.013) * build.scale * np.minimum(faces, np.roll(faces, 1, axis=1))
         x, y = x + hair * COSINES, y + hair * SINES
     elif tube.name == "trunk":
-        around = np.arange(ANGLES)
-        bumps = sum(np.exp(-(((around - FRONT - side) / 1.3) ** 2)) for side in (-1.8, 1.8))
+        indices = np.arange(ANGLES)
+        bumps = sum(np.exp(-(((indices - FRONT - side) / 1.3) ** 2)) for side in (-1.8, 1.8))
         y = y + build.bust_m * build.scale * np.exp(-(((tube.stations - 0.66) / 0.16) ** 2))[:, None] * bumps
     return np.stack([x, y])
 
 
 def _folds(parts: list[Tube], outfit: Outfit, random: np.random.Generator) -> Folds:
     phase, fixed, growing, swelling = [], [], [], []
-    around = 2.0 * np.pi * np.arange(ANGLES) / ANGLES
+    angles = 2.0 * np.pi * np.arange(ANGLES) / ANGLES
     for tube in parts:
         cloth = np.isin(tube.garment, (SHIRT, TROUSERS))[:, None]
         loose = cloth * np.clip(tube.room_m / 0.008, 0.3, 1.0)[:, None]
         along = tube.distance_m[:, None]
         turns = random.uniform(0.0, 2.0 * np.pi, 5)
-        wander = 1.2 * np.sin(around + turns[0]) + 0.8 * np.sin(2.0 * around + turns[1] + 5.0 * along)
+        wander = 1.2 * np.sin(angles + turns[0]) + 0.8 * np.sin(2.0 * angles + turns[1] + 5.0 * along)
         phase.append(2.0 * np.pi * along / 0.085 + wander)
-        lengthwise = np.sin(4.0 * around + turns[2] + 3.0 * np.sin(6.0 * along + turns[3]))
+        lengthwise = np.sin(4.0 * angles + turns[2] + 3.0 * np.sin(6.0 * along + turns[3]))
         fixed.append(outfit.folds_m * loose * (0.4 * lengthwise + 0.4 * np.sin(2.0 * np.pi * along / 0.12 + wander + turns[4])))
         growing.append(outfit.folds_m * loose)
         swelling.append(_swelling(tube))

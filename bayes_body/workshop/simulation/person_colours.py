@@ -89,8 +89,8 @@ def _garments(tubes: list[Tube], chosen: Palette) -> Float[np.ndarray, "ring ang
 
 def _woven(tube: Tube, chosen: Palette, random: np.random.Generator) -> Float[np.ndarray, "ring angle 3"]:
     """Factors that change the top's first colour into its pattern."""
-    along, around = tube.distance_m[:, None], 2.0 * np.pi * np.arange(ANGLES) / ANGLES
-    bands, posts = np.sin(2.0 * np.pi * along / 0.11) > 0.1, np.sin(5.0 * around) > 0.2
+    along, angles = tube.distance_m[:, None], 2.0 * np.pi * np.arange(ANGLES) / ANGLES
+    bands, posts = np.sin(2.0 * np.pi * along / 0.11) > 0.1, np.sin(5.0 * angles) > 0.2
     amount = {
         "plain": np.zeros((len(along), ANGLES)),
         "stripes": np.broadcast_to(bands, (len(along), ANGLES)).astype(float),

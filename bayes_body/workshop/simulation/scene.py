@@ -48,8 +48,8 @@ class Scene:
         depth = np.full(rays.shape[:2], np.inf, np.float32)
         picture, floor = np.full(rays.shape, NOTHING, np.float32), np.zeros(rays.shape[:2], bool)
         for surface in self.room.surfaces:
-            here = _window(surface, lens, camera)
-            _draw(picture[here], depth[here], floor[here], surface, rays[here], viewpoint, camera.focal_px[0])
+            window = _window(surface, lens, camera)
+            _draw(picture[window], depth[window], floor[window], surface, rays[window], viewpoint, camera.focal_px[0])
         return EmptyScene(picture * self._lit(viewpoint, depth, rays, floor)[..., None], floor)
 
     def _lit(
@@ -58,9 +58,9 @@ class Scene:
         """Light from the lamp in the room's middle, and the shade of furniture on the floor."""
         x, y = (viewpoint[axis] + np.where(np.isfinite(depth), depth, 0) * rays[..., axis] for axis in (0, 1))
         middle = (self.room.low + self.room.high) / 2
-        away = ((x - middle[0]) ** 2 + (y - middle[1]) ** 2) / (2 * LAMP_M**2)
-        light = FAR_LIGHT + (NEAR_LIGHT - FAR_LIGHT) * np.exp(-away)
-        columns, rows = ((each - low) / CELL_M for each, low in zip((x, y), self.room.low, strict=False))
+        exponent = ((x - middle[0]) ** 2 + (y - middle[1]) ** 2) / (2 * LAMP_M**2)
+        light = FAR_LIGHT + (NEAR_LIGHT - FAR_LIGHT) * np.exp(-exponent)
+        columns, rows = ((positions - low) / CELL_M for positions, low in zip((x, y), self.room.low, strict=False))
         shade = cv2.remap(self._light, columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return (light * np.where(floor, shade, 1.0)).astype(np.float32)
 
@@ -118,14 +118,14 @@ def _draw(
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         t = -start[0] / along[..., 0]
         u, v = (start[k] + t * along[..., k] for k in (1, 2))
-        here = (t > 1e-4) & (t < depth) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
-    if not here.any():
+        mask = (t > 1e-4) & (t < depth) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
+    if not mask.any():
         return
-    depth[here] = t[here]
-    floor[here] = surface.floor
+    depth[mask] = t[mask]
+    floor[mask] = surface.floor
     texel = np.sqrt(lengths.max()) / (max(surface.repeats) * surface.texture.shape[0])
-    worn = _shrunk(surface.texture, float(np.median(t[here])) / focal_px / texel)
-    picture[here] = surface.light * _worn(worn, surface.repeats, u[here], v[here])
+    worn = _shrunk(surface.texture, float(np.median(t[mask])) / focal_px / texel)
+    picture[mask] = surface.light * _worn(worn, surface.repeats, u[mask], v[mask])
 
 
 def _shrunk(texture: Texture, texels: float) -> UInt8[np.ndarray, "side side 3"]:
@@ -142,7 +142,7 @@ def _worn(
     # Split into lines of this many pixels: OpenCV's images are at most 32767 pixels wide.
     width = 1024
     padded = -(-u.size // width) * width
-    columns, rows = (np.resize(each * repeat * side, padded).reshape(-1, width) for each, repeat in zip((u, v), repeats, strict=True))
+    columns, rows = (np.resize(coordinates * repeat * side, padded).reshape(-1, width) for coordinates, repeat in zip((u, v), repeats, strict=True))
     colours = cv2.remap(texture, columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
     return colours.reshape(-1, 3)[: u.size].astype(np.float32)
 
@@ -153,6 +153,6 @@ def _floor_light(room: Room) -> Float[np.ndarray, "row column"]:
     x, y = np.meshgrid(*(room.low[axis] + CELL_M * np.arange(size[axis]) for axis in (0, 1)))
     light = np.ones(x.shape, np.float32)
     for low, high in room.boxes:
-        outside = np.hypot(*(np.maximum(np.maximum(low[axis] - each, each - high[axis]), 0) for axis, each in ((0, x), (1, y))))
+        outside = np.hypot(*(np.maximum(np.maximum(low[axis] - coordinates, coordinates - high[axis]), 0) for axis, coordinates in ((0, x), (1, y))))
         light = np.minimum(light, 1 - CONTACT * np.exp(-outside / SHADE_M))
     return light.astype(np.float32)

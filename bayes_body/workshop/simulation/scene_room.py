@@ -75,10 +75,10 @@ def build_room(rng: np.random.Generator, clearance: Clearance, clutter: float) -
 
 
 def _extent(clearance: Clearance) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    around = np.array([AROUND_M, AROUND_M, 0])
+    margin = np.array([AROUND_M, AROUND_M, 0])
     behind = np.array([BEHIND_M, BEHIND_M, ABOVE_M])
-    low = np.minimum(clearance.cameras.min(axis=0) - behind, clearance.points.min(axis=0) - around)
-    high = np.maximum(clearance.cameras.max(axis=0) + behind, clearance.points.max(axis=0) + around)
+    low = np.minimum(clearance.cameras.min(axis=0) - behind, clearance.points.min(axis=0) - margin)
+    high = np.maximum(clearance.cameras.max(axis=0) + behind, clearance.points.max(axis=0) + margin)
     low[2], high[2] = 0.0, max(high[2], LEAST_HEIGHT_M)
     return low, high
 
@@ -160,7 +160,7 @@ def _is_free(box: Float[np.ndarray, "2 3"], boxes: Sequence[Float[np.ndarray, "2
     way = np.stack([clearance.points.min(axis=0), clearance.points.max(axis=0)])[:, :2] + [[-FREE_M], [FREE_M]]
     if (low[:2] < way[1]).all() and (high[:2] > way[0]).all():
         return False
-    if any((low < other[1] + 0.05).all() and (high > other[0] - 0.05).all() for other in boxes):
+    if any((low < obstacle[1] + 0.05).all() and (high > obstacle[0] - 0.05).all() for obstacle in boxes):
         return False
     if ((clearance.cameras > low - CAMERA_FREE_M) & (clearance.cameras < high + CAMERA_FREE_M)).all(axis=1).any():
         return False

@@ -146,10 +146,10 @@ def _keypoints(rig: Rig, markers: Float[np.ndarray, "15 3"], options: Options) -
     """A detector's keypoints in the first frame, in the cameras that do not move, or in all cameras if all of them move."""
     points = dict(zip(MARKERS, markers, strict=True))
     still = [c for c, path in enumerate(rig.path) if path is None] or range(len(rig.cameras))
-    found = {}
+    by_camera = {}
     for c in still:
         rng = np.random.default_rng((options.seed, 17, c))
         keypoints = detected(rng, rig.cameras[c], points, options.keypoint_sd_px)
         if keypoints:
-            found[rig.cameras[c].name] = keypoints
-    return found
+            by_camera[rig.cameras[c].name] = keypoints
+    return by_camera

@@ -84,4 +84,6 @@ def write_extrinsics(path: Path, cameras: Sequence[CameraSpec]) -> None:
     """
     make_folder(path.parent)
     with replacing(path) as partial:
-        np.savez(partial, rotation=np.stack([each.rotation for each in cameras]), translation_m=np.stack([each.translation_m for each in cameras]))
+        np.savez(
+            partial, rotation=np.stack([camera.rotation for camera in cameras]), translation_m=np.stack([camera.translation_m for camera in cameras])
+        )

@@ -58,9 +58,11 @@ def cut(landmarks: Landmarks, first: int, frames: int | None) -> dict[str, Float
     Raises:
         InputError: the motion has no such frames.
     """
-    there = len(next(iter(landmarks.values())))
-    if not 0 <= first < there:
-        raise input_error("--first-frame", f"{first}", f"0 to {there - 1}, the motion has {there} frames at the rig's rate", "name an earlier frame")
-    if frames is not None and not 1 <= frames <= there - first:
-        raise input_error("--frames", f"{frames}", f"1 to {there - first}, the motion has no more at the rig's rate", "lower it, or leave it out")
+    length = len(next(iter(landmarks.values())))
+    if not 0 <= first < length:
+        raise input_error(
+            "--first-frame", f"{first}", f"0 to {length - 1}, the motion has {length} frames at the rig's rate", "name an earlier frame"
+        )
+    if frames is not None and not 1 <= frames <= length - first:
+        raise input_error("--frames", f"{frames}", f"1 to {length - first}, the motion has no more at the rig's rate", "lower it, or leave it out")
     return {name: track[first : None if frames is None else first + frames] for name, track in landmarks.items()}

@@ -89,16 +89,16 @@ def triangles(rings: list[int]) -> tuple[Int[np.ndarray, "face 3"], Int[np.ndarr
         ring and the angle that a face belongs to.
     """
     faces, places, first, middles = [], [], 0, sum(rings) * ANGLES
-    here = np.arange(ANGLES)
-    there = (here + 1) % ANGLES
+    angles = np.arange(ANGLES)
+    next_angles = (angles + 1) % ANGLES
     for tube, count in enumerate(rings):
         start, end, cap = first * ANGLES, (first + count - 1) * ANGLES, middles + 2 * tube
         row = (first + np.arange(count - 1))[:, None] * ANGLES
-        a, b, c, d = (np.ravel(index) for index in (row + here, row + there, row + ANGLES + here, row + ANGLES + there))
+        a, b, c, d = (np.ravel(index) for index in (row + angles, row + next_angles, row + ANGLES + angles, row + ANGLES + next_angles))
         faces += [np.stack([a, b, c], axis=1), np.stack([b, d, c], axis=1)]
-        faces += [np.stack([start + there, start + here, np.full(ANGLES, cap)], axis=1)]
-        faces += [np.stack([end + here, end + there, np.full(ANGLES, cap + 1)], axis=1)]
+        faces += [np.stack([start + next_angles, start + angles, np.full(ANGLES, cap)], axis=1)]
+        faces += [np.stack([end + angles, end + next_angles, np.full(ANGLES, cap + 1)], axis=1)]
         side = np.stack(np.divmod(np.arange((count - 1) * ANGLES) + first * ANGLES, ANGLES), axis=1)
-        places += [side, side, np.stack([np.full(ANGLES, first), here], axis=1), np.stack([np.full(ANGLES, first + count - 1), here], axis=1)]
+        places += [side, side, np.stack([np.full(ANGLES, first), angles], axis=1), np.stack([np.full(ANGLES, first + count - 1), angles], axis=1)]
         first += count
     return np.concatenate(faces), np.concatenate(places)

@@ -66,5 +66,5 @@ def write_mask(pattern: Path, number: int, mask: Bool[np.ndarray, "row column"])
         raise _refused(path, "cannot be written")
 
 
-def _refused(path: Path, found: str) -> InputError:
-    return input_error(path, found, "a writable folder with free space", "name another folder, or free some space")
+def _refused(path: Path, problem: str) -> InputError:
+    return input_error(path, problem, "a writable folder with free space", "name another folder, or free some space")

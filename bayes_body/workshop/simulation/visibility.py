@@ -24,13 +24,13 @@ def pixels(camera: CameraSpec, points: Float[np.ndarray, "point 3"]) -> tuple[Fl
     points = np.asarray(points, np.float64)
     K = np.array([[camera.focal_px[0], 0, camera.centre_px[0]], [0, camera.focal_px[1], camera.centre_px[1]], [0, 0, 1]])
     turned = cv2.Rodrigues(camera.rotation)[0]
-    found = cv2.projectPoints(points.reshape(-1, 1, 3), turned, camera.translation_m, K, np.array(camera.distortion))[0].reshape(-1, 2)
+    uv_px = cv2.projectPoints(points.reshape(-1, 1, 3), turned, camera.translation_m, K, np.array(camera.distortion))[0].reshape(-1, 2)
     # OpenCV's camera matrix would ignore the skew.
-    found[:, 0] += camera.skew * camera.focal_px[0] / camera.focal_px[1] * (found[:, 1] - camera.centre_px[1])
+    uv_px[:, 0] += camera.skew * camera.focal_px[0] / camera.focal_px[1] * (uv_px[:, 1] - camera.centre_px[1])
     inside = points @ camera.rotation.T + camera.translation_m
     # A lens model can map points far outside the field of view back into the image.
     straight = np.abs(inside[:, :2]).max(axis=1) < 1.5 * inside[:, 2] * max(np.divide(camera.size_px, camera.focal_px))
-    return found, (inside[:, 2] > NEAR_M) & straight & (found > -0.5).all(axis=1) & (found < np.array(camera.size_px) - 0.5).all(axis=1)
+    return uv_px, (inside[:, 2] > NEAR_M) & straight & (uv_px > -0.5).all(axis=1) & (uv_px < np.array(camera.size_px) - 0.5).all(axis=1)
 
 
 def frames_seen(cameras: Sequence[CameraSpec], markers: Float[np.ndarray, "frame marker 3"]) -> Bool[np.ndarray, " frame"]:
@@ -51,13 +51,13 @@ def check_visibility(rig: Rig, markers: Float[np.ndarray, "frame marker 3"]) -> 
     middle = np.nanmean(markers, axis=(0, 1))
     for camera, posed in zip(rig.cameras, rig.posed(len(markers)), strict=True):
         count = int(frames_seen(posed, markers).sum())
-        found = f"sees the person in {count} of {len(markers)} frames"
+        problem = f"sees the person in {count} of {len(markers)} frames"
         if count < LEAST_SHARE * len(markers):
             expected = f"a camera that sees the person, who is around ({', '.join(f'{value:.1f}' for value in middle)}) m"
             remedy = "turn it there, move it back or widen its lens (a smaller focal_px), or exclude it with --cameras"
-            faults.append(str(input_error(f"rig {rig.name}: camera '{camera.name}'", found, expected, remedy)))
+            faults.append(str(input_error(f"rig {rig.name}: camera '{camera.name}'", problem, expected, remedy)))
         elif count < len(markers):
-            remarks.append(f"camera '{camera.name}' {found}; fewer frames (--frames) or a rig that covers a larger area would show all of them.")
+            remarks.append(f"camera '{camera.name}' {problem}; fewer frames (--frames) or a rig that covers a larger area would show all of them.")
     if faults:
         raise FaultyFileError(faults)
     return remarks
@@ -68,10 +68,10 @@ def detected(
 ) -> dict[str, tuple[float, float, float]]:
     """Keypoints of a detector in one frame: column, row, confidence, for those of the 15 markers that are in the image."""
     names = [name for name in MARKERS if np.isfinite(markers[name]).all()]
-    found, seen = pixels(camera, np.stack([markers[name] for name in names]))
-    error = rng.normal(0, 1, found.shape)
+    image_points, visibility = pixels(camera, np.stack([markers[name] for name in names]))
+    error = rng.normal(0, 1, image_points.shape)
     wobble = rng.normal(0, CONFIDENCE_SD, len(names))
     confidence = np.clip(CONFIDENCE - LOST_A_SD * np.linalg.norm(error, axis=1) + wobble, LEAST_CONFIDENCE, 1)
-    columns, rows = np.clip(found + sd_px * error, 0, np.array(camera.size_px) - 1.0).T
-    values = zip(names, columns, rows, confidence, seen, strict=True)
-    return {name: (round(float(u), 2), round(float(v), 2), round(float(c), 3)) for name, u, v, c, here in values if here}
+    columns, rows = np.clip(image_points + sd_px * error, 0, np.array(camera.size_px) - 1.0).T
+    values = zip(names, columns, rows, confidence, visibility, strict=True)
+    return {name: (round(float(u), 2), round(float(v), 2), round(float(c), 3)) for name, u, v, c, is_visible in values if is_visible}

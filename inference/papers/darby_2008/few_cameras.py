@@ -73,7 +73,7 @@ class Followed(NamedTuple):
         errors = {"absolute_mm": self.absolute_m, "optimistic_mm": self.optimistic_m, "relative_mm": self.relative_m}
         known = np.isfinite(self.coverage_90).all()
         return {
-            **{name: _over_runs(1000 * each.mean(axis=1)) for name, each in errors.items()},
+            **{name: _over_runs(1000 * error_m.mean(axis=1)) for name, error_m in errors.items()},
             "lost_runs": self.lost,
             "coverage_90": float(self.coverage_90.mean()) if known else None,
             "evaluations_per_frame": self.evaluations,
@@ -181,7 +181,7 @@ def few_camera_definitions(cameras: int, activity: str | None = None, known: boo
     plain = replace(guided, dynamics=apf.dynamics, kernel=kernel)
     posterior = load_definition("darby_2008_bayes")
     if activity is not None:
-        guided, posterior = (_by_activity(each, activity, known) for each in (guided, posterior))
+        guided, posterior = (_by_activity(definition, activity, known) for definition in (guided, posterior))
     return {GUIDED: guided, PLAIN: plain, POSTERIOR: posterior}
 
 
@@ -228,9 +228,9 @@ def follow(
         evaluations.append(np.mean([np.asarray(frame.info.evaluations) for frame in draws.frames]))
         seconds.append((draws.timing.total - draws.timing.compile) / len(draws.frames))
     return Followed(
-        absolute_m=_of(accuracies, "frame_error"),
-        optimistic_m=_of(accuracies, "optimistic"),
-        relative_m=_of(accuracies, "relative"),
+        absolute_m=_per_run(accuracies, "frame_error"),
+        optimistic_m=_per_run(accuracies, "optimistic"),
+        relative_m=_per_run(accuracies, "relative"),
         coverage_90=np.array([coverage_at(accuracy.coverage, 0.9) if draws.samples_posterior else np.nan for accuracy in accuracies]),
         evaluations=float(np.mean(evaluations)),
         seconds=np.array(seconds),
@@ -238,7 +238,7 @@ def follow(
     )
 
 
-def _of(accuracies: list[Accuracy], name: str) -> Float[np.ndarray, "run frame"]:
+def _per_run(accuracies: list[Accuracy], name: str) -> Float[np.ndarray, "run frame"]:
     return np.stack([getattr(each, name)[:, 0] for accuracy in accuracies])
 
 

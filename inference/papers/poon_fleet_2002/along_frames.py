@@ -80,14 +80,14 @@ def follow(key: Key, densities: Sequence[Density], first: Particles, kernel: Ker
 
     begin = _replicated(first, particles)
     jax.block_until_ready(step(key, begin, densities[0]))
-    found, start = [], time.perf_counter()
+    estimates, start = [], time.perf_counter()
     for run in watch(range(runs)):
-        own, before = jax.random.fold_in(key, run), begin
+        run_key, before = jax.random.fold_in(key, run), begin
         for number, density in enumerate(densities):
-            before, estimate = step(jax.random.fold_in(own, number), before, density)
-            found.append(jax.device_get(estimate))
-    seconds = (time.perf_counter() - start) / len(found)
-    means, variances, evaluations = (np.array(each, float) for each in zip(*found, strict=True))
+            before, estimate = step(jax.random.fold_in(run_key, number), before, density)
+            estimates.append(jax.device_get(estimate))
+    seconds = (time.perf_counter() - start) / len(estimates)
+    means, variances, evaluations = (np.array(column, float) for column in zip(*estimates, strict=True))
     shape = runs, len(densities), -1
     return Paths(means.reshape(shape), variances.reshape(shape), float(evaluations.mean()), seconds)
 
@@ -97,8 +97,8 @@ def true_path(
 ) -> TruePath:
     """Estimate the truth by two long runs of chains that carry on all their draws; `draws` is the total of each."""
     kernel = hmc_kernel(**OPTIONS, chains=CHAINS, burn_in=BURN_IN, thinning=THINNING, starts=starts, carry="draws")
-    found = follow(key, densities, first, kernel, draws, 2, watch)
-    return TruePath(found.means.mean(axis=0), found.variances.mean(axis=0), (found.means[0] - found.means[1]) ** 2)
+    paths = follow(key, densities, first, kernel, draws, 2, watch)
+    return TruePath(paths.means.mean(axis=0), paths.variances.mean(axis=0), (paths.means[0] - paths.means[1]) ** 2)
 
 
 def errors(paths: Paths, truth: TruePath) -> Errors:
@@ -134,11 +134,11 @@ def along(
     """
     truth_key, own_key = jax.random.split(key)
     truth = true_path(truth_key, densities, first, draws, watch=watched("long runs along the frames", bar))
-    found = {}
+    by_filter = {}
     for number, (name, (kernel, particles)) in enumerate(filters.items()):
         watch = watched(f"runs of {name} along the frames", bar)
-        found[name] = path_figures(follow(jax.random.fold_in(own_key, number), densities, first, kernel, particles, runs, watch), truth)
-    return found | {"truth_difference": _median(truth.error / truth.variance)}
+        by_filter[name] = path_figures(follow(jax.random.fold_in(own_key, number), densities, first, kernel, particles, runs, watch), truth)
+    return by_filter | {"truth_difference": _median(truth.error / truth.variance)}
 
 
 def path_figures(paths: Paths, truth: TruePath, seed: int = 0) -> dict[str, Any]:
@@ -155,15 +155,17 @@ def path_figures(paths: Paths, truth: TruePath, seed: int = 0) -> dict[str, Any]
 def along_summary(figures: Mapping[str, Any]) -> str:
     """The figures of `along` in sentences, as means over the frames."""
     lines = []
-    for name, of in figures.items():
+    for name, frame_figures in figures.items():
         if name == "truth_difference":
-            lines.append(f"the two runs of that truth differ by {np.mean(of):.4f}")
-            lines += _unreliable(np.array(of), np.min([row["error"] for other, row in figures.items() if other != name], axis=0))
+            lines.append(f"the two runs of that truth differ by {np.mean(frame_figures):.4f}")
+            lines += _unreliable(
+                np.array(frame_figures), np.min([row["error"] for filter_name, row in figures.items() if filter_name != name], axis=0)
+            )
             continue
-        error, bias, variance = (np.mean(of[each]) for each in ("error", "bias", "variance"))
-        frames = f"{len(of['error'])} frame{'' if len(of['error']) == 1 else 's'}"
+        error, bias, variance = (np.mean(frame_figures[key]) for key in ("error", "bias", "variance"))
+        frames = f"{len(frame_figures['error'])} frame{'' if len(frame_figures['error']) == 1 else 's'}"
         parts = f"error² {error:.4f} of the posterior's variance, bias² {bias:.4f}, variance {variance:.4f}"
-        lines.append(f"along {frames}, {name}: {parts} (medians over dofs), {of['seconds']:.2f} s per frame")
+        lines.append(f"along {frames}, {name}: {parts} (medians over dofs), {frame_figures['seconds']:.2f} s per frame")
     return "\n".join(lines)
 
 

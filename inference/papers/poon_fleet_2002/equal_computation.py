@@ -74,8 +74,8 @@ def run_many(key: Key, density: Density, sampler: Sampler, runs: int, watch: Wat
 
     @jax.jit
     def once(key: Key, density: Density) -> tuple[Array, Array]:
-        found, info = sampler(key, density)
-        return jnp.exp(found.log_weights) @ found.states["pose"], info.evaluations
+        particles, info = sampler(key, density)
+        return jnp.exp(particles.log_weights) @ particles.states["pose"], info.evaluations
 
     jax.block_until_ready(once(jax.random.fold_in(key, runs), density))
     means, evaluations, start = [], [], time.perf_counter()
@@ -104,9 +104,9 @@ def at_equal_computation(key: Key, density: Density, options: Mapping[str, Any],
 
     hmc = run_many(keys[0], density, lambda key, density: sampler(key, density, draws), runs, watched("runs of hmc", bar))
     particles = {"evaluations": round(hmc.evaluations * cost)}
-    found = {"evaluations": sir(keys[1], particles["evaluations"])}
-    particles["seconds"] = max(round(particles["evaluations"] * hmc.seconds / found["evaluations"].seconds), 1)
-    return Equal(hmc, found | {"seconds": sir(keys[2], particles["seconds"])}, particles, cost)
+    sir_runs = {"evaluations": sir(keys[1], particles["evaluations"])}
+    particles["seconds"] = max(round(particles["evaluations"] * hmc.seconds / sir_runs["evaluations"].seconds), 1)
+    return Equal(hmc, sir_runs | {"seconds": sir(keys[2], particles["seconds"])}, particles, cost)
 
 
 def gradient_cost(density: Density, batch: int = 512) -> float:
@@ -138,7 +138,7 @@ def ratios(over: Runs, under: Runs, truth: Truth, seed: int = 0) -> Ratios:
     def ratio(first: np.ndarray, second: np.ndarray) -> np.ndarray:
         return errors[0][first].mean(axis=0) / errors[1][second].mean(axis=0)
 
-    first, second = (len(each) for each in errors)
+    first, second = (len(squared_errors) for squared_errors in errors)
     whole = ratio(np.arange(first), np.arange(second))
     drawn = np.array([ratio(rng.integers(0, first, first), rng.integers(0, second, second)) for _ in range(BOOTSTRAPS)])
     low, high = np.quantile(drawn, [0.025, 0.975], axis=0)
@@ -149,7 +149,7 @@ def ratios(over: Runs, under: Runs, truth: Truth, seed: int = 0) -> Ratios:
 
 def figures_of(names: Sequence[str], equal: Equal, truth: Truth) -> dict[str, Any]:
     """Ratios and costs at equal evaluations, the same for `equal_seconds`, and the `settings` that they depend on, as plain numbers."""
-    by_evaluations, by_seconds = (_row(names, equal.sir[at], equal.hmc, truth) for at in ("evaluations", "seconds"))
+    by_evaluations, by_seconds = (_row(names, equal.sir[cost], equal.hmc, truth) for cost in ("evaluations", "seconds"))
     doubt = float(np.max(truth.error / np.mean((equal.hmc.means - truth.mean) ** 2, axis=0)))
     known = {"truth_by": truth.by, "truth_rhat": truth.rhat, "truth_effective": truth.effective, "truth_difference": doubt}
     known["truth_converged"] = truth.converged
@@ -161,20 +161,20 @@ def figures_of(names: Sequence[str], equal: Equal, truth: Truth) -> dict[str, An
 
 
 def _row(names: Sequence[str], over: Runs, under: Runs, truth: Truth) -> dict[str, Any]:
-    found = ratios(over, under, truth)
-    per_dof = dict(zip(names, np.round(found.per_dof, 4).tolist(), strict=True))
+    error_ratios = ratios(over, under, truth)
+    per_dof = dict(zip(names, np.round(error_ratios.per_dof, 4).tolist(), strict=True))
     costs = {"seconds_hmc": under.seconds, "seconds_sir": over.seconds, "evaluations_hmc": under.evaluations, "evaluations_sir": over.evaluations}
-    return {"ratio_median": found.median, "ratio_interval": found.interval, "per_dof": per_dof, **costs}
+    return {"ratio_median": error_ratios.median, "ratio_interval": error_ratios.interval, "per_dof": per_dof, **costs}
 
 
 def summary(figures: Mapping[str, Any]) -> str:
     """The headline of `figures_of` in sentences."""
     settings, lines = figures["settings"], []
-    for at, row in {"evaluations": figures, "seconds": figures["equal_seconds"]}.items():
+    for key, row in {"evaluations": figures, "seconds": figures["equal_seconds"]}.items():
         low, high = row["ratio_interval"]
         median = f"{row['ratio_median']:.2f}, 95 % from {low:.2f} to {high:.2f}"
         lines.append(
-            f"at equal {at}: error² of sir ({settings['particles_sir'][at]} particles) over hmc {median}; {row['seconds_hmc']:.2f} s per run of hmc"
+            f"at equal {key}: error² of sir ({settings['particles_sir'][key]} particles) over hmc {median}; {row['seconds_hmc']:.2f} s per run of hmc"
         )
     rhat = f"R-hat of long chains {settings['truth_rhat']:.3f}"
     lines.append(f"the truth was estimated by {settings['truth_by']}, with {settings['truth_effective']:.0f} effective draws, {rhat}")

@@ -47,14 +47,14 @@ def _ratios_by_dof(axes: Any, ratios: Mapping[str, Mapping[str, Sequence[float]]
 
 def _errors_by_frame(axes: Any, along: Mapping[str, Any]) -> None:
     """Draw error² of each filter with its whiskers, and its bias² as a grey line of the same style."""
-    for number, (name, of) in enumerate(along.items()):
+    for number, (name, figures) in enumerate(along.items()):
         if name == "truth_difference":
-            axes.plot(np.arange(1, len(of) + 1), of, color=GREY, linestyle=run_line(2), label="difference² of the truth's two runs")
+            axes.plot(np.arange(1, len(figures) + 1), figures, color=GREY, linestyle=run_line(2), label="difference² of the truth's two runs")
             continue
-        error, frames = np.array(of["error"]), np.arange(1, len(of["error"]) + 1) + 0.08 * number
-        low, high = np.array(of["error_interval"]).T
+        error, frames = np.array(figures["error"]), np.arange(1, len(figures["error"]) + 1) + 0.08 * number
+        low, high = np.array(figures["error_interval"]).T
         whiskers = np.stack([np.maximum(error - low, 0), np.maximum(high - error, 0)])
         axes.errorbar(frames, error, yerr=whiskers, fmt=run_mark(number), color=INK, linestyle=run_line(number), capsize=2, label=f"{name}: error²")
-        axes.plot(frames, of["bias"], color=GREY, linestyle=run_line(number), label=f"{name}: bias²")
+        axes.plot(frames, figures["bias"], color=GREY, linestyle=run_line(number), label=f"{name}: bias²")
     axes.set(yscale="log", xlabel="frames filtered", ylabel="in units of the posterior's variance, median over dofs")
     axes.legend(fontsize="small")

@@ -81,23 +81,23 @@ def true_mean(key: Key, density: Density, particles: int, watch: Watch = unwatch
 
     @jax.jit
     def chunk(key: Key, density: Density) -> tuple[Array, Array, Array, Array]:
-        found, info = sample(key, density)
-        weights = jnp.exp(found.log_weights)
-        pose = found.states["pose"]
+        draws, info = sample(key, density)
+        weights = jnp.exp(draws.log_weights)
+        pose = draws.states["pose"]
         return info.log_evidence, weights @ pose, weights @ pose**2, info.ess
 
     chunks = max(-(-particles // CHUNK), 1)
     halves: list[list[Any]] = [[], []]
     for number in watch(range(2 * chunks)):
-        own = jax.random.fold_in(jax.random.fold_in(key, number % 2), number // 2)
-        halves[number % 2].append(jax.device_get(chunk(own, density)))
+        chunk_key = jax.random.fold_in(jax.random.fold_in(key, number % 2), number // 2)
+        halves[number % 2].append(jax.device_get(chunk(chunk_key, density)))
     means, squares, effective = zip(*(_pooled(half) for half in halves), strict=True)
     mean = np.mean(means, axis=0)
     return Truth(mean, np.sqrt(np.mean(squares, axis=0) - mean**2), (means[0] - means[1]) ** 2, float(min(effective)))
 
 
 def _pooled(chunks: list[tuple[Any, ...]]) -> tuple[np.ndarray, np.ndarray, float]:
-    evidence, means, squares, effective = (np.array(each, float) for each in zip(*chunks, strict=True))
+    evidence, means, squares, effective = (np.array(column, float) for column in zip(*chunks, strict=True))
     # A chunk is weighted by its evidence.
     share = np.exp(evidence - evidence.max())
     share /= share.sum()
@@ -117,9 +117,9 @@ def true_mean_by_chains(key: Key, density: Density, draws: int, chains: int = 32
     """
     sample = build_sampler(chains=chains, starts=starts, burn_in=min(max(draws // 2, FEWEST), LONGEST_BURN_IN), **OPTIONS)
     run = jax.jit(lambda key, density: sample(key, density, chains * draws)[0].states["pose"])
-    found = [np.asarray(run(jax.random.fold_in(key, half), density), float).reshape(chains, draws, -1) for half in watch(range(2))]
-    means, together = [half.mean(axis=(0, 1)) for half in found], np.concatenate(found)
-    effective = min(float(np.min(effective_draws(jnp.asarray(half)))) for half in found)
+    halves = [np.asarray(run(jax.random.fold_in(key, half), density), float).reshape(chains, draws, -1) for half in watch(range(2))]
+    means, together = [half.mean(axis=(0, 1)) for half in halves], np.concatenate(halves)
+    effective = min(float(np.min(effective_draws(jnp.asarray(half)))) for half in halves)
     rhat = float(np.nanmax(split_rhat(together[None])))
     return Truth(together.mean(axis=(0, 1)), together.std(axis=(0, 1)), (means[0] - means[1]) ** 2, effective, "hmc", rhat)
 

@@ -47,7 +47,7 @@ class SingleFrames(NamedTuple):
 
     def figures(self) -> dict[str, Any]:
         """Return `error_figures`, those of the facing and of the time; `shares` are of the time, `found` counts frames with a person."""
-        times = {name: float(np.nansum(each)) for name, each in self.seconds.items()}
+        times = {name: float(np.nansum(durations)) for name, durations in self.seconds.items()}
         total = sum(times.values())
         known = np.isfinite(self.error_m)
         return {
@@ -82,16 +82,16 @@ def single_frames(search: PersonSearch, frames: Sequence[int], watch: Watch = un
         rows.append([*_compared(together, true), *_compared(alone, true), together.sd_m if isinstance(together, Found) else np.nan])
         seconds.append(together.seconds)
     error, turned, error_alone, turned_alone, sd = np.array(rows, float).T
-    names = list(dict.fromkeys(name for each in seconds for name in each))
-    by_name = {name: np.array([each.get(name, np.nan) for each in seconds]) for name in names}
+    names = list(dict.fromkeys(name for durations in seconds for name in durations))
+    by_name = {name: np.array([durations.get(name, np.nan) for durations in seconds]) for name in names}
     return SingleFrames(tuple(frames), error, error_alone, turned > 0, turned_alone > 0, sd, by_name)
 
 
-def _compared(found: Found | Detected, true: Float[np.ndarray, "15 3"] | None) -> tuple[float, bool]:
+def _compared(detection: Found | Detected, true: Float[np.ndarray, "15 3"] | None) -> tuple[float, bool]:
     """Return the mean distance of the found markers from the true ones, and whether the person is turned round."""
-    if true is None or isinstance(found, Detected):
+    if true is None or isinstance(detection, Detected):
         return float("nan"), False
-    places = found.markers[[found.names.index(name) for name in MARKERS]]
+    places = detection.markers[[detection.names.index(name) for name in MARKERS]]
     return float(np.nanmean(np.linalg.norm(places - true, axis=1))), bool(_is_turned(places, true))
 
 
