@@ -239,7 +239,7 @@ def follow(
 
 
 def _per_run(accuracies: list[Accuracy], name: str) -> Float[np.ndarray, "run frame"]:
-    return np.stack([getattr(each, name)[:, 0] for accuracy in accuracies])
+    return np.stack([getattr(accuracy, name)[:, 0] for accuracy in accuracies])
 
 
 if __name__ == "__main__":
