@@ -1,15 +1,105 @@
-"""Progress on standard error: a bar on a terminal or in a notebook; elsewhere lines, for a log (base/progress_log.py)."""
+"""Progress on standard error: a bar on a terminal or in a notebook; elsewhere lines, for a log (base/progress.py).
+
+Progress for a log file: lines on standard error, where a terminal would show a bar.
+
+Work says a line when it begins, if it may take long before anything can be counted; then one after every 5 %, but no two within ten seconds. After a
+minute without a line comes one all the same, so that a log tells slow work from work that hangs.
+"""
 
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
 from rich.progress import track as follow
 
-from bayes_body.base.progress_log import ProgressLog, logged
+from bayes_body.base.errors import printable
+
+STEP, LEAST_S, MOST_S = 0.05, 10.0, 60.0
+ROUNDING = 1e-9
+
+
+class ProgressLog:
+    """The lines about one piece of work, from entering to leaving it.
+
+    Args:
+        what: the work.
+        unit: what a step is.
+        clock: seconds that never go back.
+    """
+
+    def __init__(self, what: str, unit: str = "", clock: Callable[[], float] = time.monotonic):
+        self.what, self.unit, self._clock = what, unit, clock
+        self._lock, self._over = threading.Lock(), threading.Event()
+        self._state, self._lines, self._next = "", 0, STEP
+        self._begun = self._last = clock()
+
+    def __enter__(self) -> Self:
+        threading.Thread(target=self._beat, name="progress", daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+
+    def begin(self, doing: str = "") -> None:
+        """Say that the work begins, and what it is doing until its first step is done."""
+        self._state = doing
+        self._say("" if doing else " ...")
+
+    def move(self, done: int, total: int, figures: str = "", step_s: float | None = None) -> None:
+        """Note that so many steps are done, and say so if that is due.
+
+        Args:
+            done: number of steps.
+            total: of all steps.
+            figures: further words about the last step.
+            step_s: seconds a step; by default those since the beginning, divided by the steps.
+        """
+        share, time_s = done / max(total, 1), self._clock()
+        self._state = ", ".join([f"{self.unit} {done} of {total} ({100 * share:.0f} %)".strip(), *([figures] if figures else [])])
+        if share >= 1:
+            if self._lines:
+                self._say(f", {_duration(time_s - self._begun)} in all")
+        elif share >= self._next and time_s - self._last >= LEAST_S:
+            self._next = share + STEP - ROUNDING
+            remaining_s = (total - done) * ((time_s - self._begun) / max(done, 1) if step_s is None else step_s)
+            self._say(f", about {_duration(remaining_s)} left")
+
+    def remind(self) -> None:
+        """Say how far the work is if nothing was said for a minute."""
+        time_s = self._clock()
+        if time_s - self._last >= MOST_S:
+            self._say(f"{', ' if self._state else ': '}{_duration(time_s - self._begun)} so far")
+
+    def _beat(self) -> None:
+        while not self._over.wait(LEAST_S):
+            self.remind()
+
+    def _say(self, end: str) -> None:
+        with self._lock:
+            self._last, self._lines = self._clock(), self._lines + 1
+            text = f"{self.what}{self._state and ': '}{self._state}{end}"
+            print(printable(f"[{time.strftime('%H:%M:%S')}] {text}"), file=sys.stderr, flush=True)
+
+
+def logged(what: str, items: Sequence[int]) -> Iterator[int]:
+    """Yield the items, and log how many are done."""
+    with ProgressLog(what) as log:
+        for done, item in enumerate(items, 1):
+            yield item
+            log.move(done, len(items))
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
 
 type Watch = Callable[[Sequence[int]], Iterable[int]]
 

@@ -83,7 +83,7 @@ def _run(plan: "Plan", pilot: bool, replications: int, jobs: int, json_file: Pat
 
 def _check_files(json_file: Path | None, plot: Path | None) -> None:
     """Check that the output files can be written, before minutes of computation."""
-    from bayes_body.workshop.calibration.rank_tree import ranks_file
+    from bayes_body.workshop.calibration.picture import ranks_file
 
     ranks = None if json_file is None else ranks_file(json_file)
     for option, path in (("--json", json_file), ("--json", ranks), ("--plot", plot)):

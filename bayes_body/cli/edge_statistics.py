@@ -10,7 +10,7 @@ from bayes_body.cli.terminal import say
 from bayes_body.cli.track import check_range
 
 if TYPE_CHECKING:
-    from bayes_body.model.likelihood.edge_density import EdgeStatistics
+    from bayes_body.model.likelihood.edge_phase import EdgeStatistics
     from bayes_body.workshop.learning.edge_statistics import Images
 
 WAVELENGTHS = "8,16"

@@ -77,7 +77,7 @@ def _report(motions: "Mapping[str, Motion]", kernel: str, smoothed: bool) -> Ite
         lost = (motion.first_frame + motion.lost.nonzero()[0]).tolist()
         yield f"{frame_ranges(lost)}: lost, or the body is off the person; do not use the values there."
     if "c3d" in motions:
-        from bayes_body.view.export.c3d_events import written_events
+        from bayes_body.view.export.c3d import written_events
 
         count = len(written_events(motions["c3d"].events))
         why = "" if smoothed else ": a filter's draws do not reach over frames; export the run that `bayes-body smooth` makes of this one"

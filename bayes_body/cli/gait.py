@@ -36,8 +36,7 @@ def gait(
     from bayes_body.base.config import configure
 
     configure()
-    from bayes_body.base.files.atomic import make_folder
-    from bayes_body.base.files.existing import check_free
+    from bayes_body.base.files.atomic import check_free, make_folder
     from bayes_body.results.clinical.gait import POINTS, gait_of
     from bayes_body.results.clinical.gait_table import event_rows, walk_rows, write_gait
     from bayes_body.results.clinical.ranges import ranges_of, stride_ranges

@@ -224,7 +224,7 @@ def _warn_of_nobody(session: "Session") -> None:
 
     configure()
     from bayes_body.base.progress import waiting
-    from bayes_body.initial.search.presence import nobody_first
+    from bayes_body.initial.search.automatic import nobody_first
     from bayes_body.view.figures_text import warning_line
 
     with waiting("looking for the person in the first frame", sys.stderr.isatty()):

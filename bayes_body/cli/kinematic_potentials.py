@@ -11,7 +11,7 @@ from bayes_body.cli.terminal import say, show
 
 if TYPE_CHECKING:
     from bayes_body.model.body.schema import BodySchema
-    from bayes_body.model.potentials.joint_file import JointMixtures
+    from bayes_body.model.potentials.joint_mixture import JointMixtures
     from bayes_body.workshop.learning.kinematic_potentials import HeldOut, JointPoses
 
 
@@ -41,9 +41,8 @@ def kinematic_potentials(
     configure()
     from bayes_body.base.files.atomic import write_text
     from bayes_body.model.definition import load_body
-    from bayes_body.model.potentials.joint_file import save_joint_mixtures
-    from bayes_body.workshop.learning.joint_mixtures import Floors
-    from bayes_body.workshop.learning.kinematic_potentials import held_out, joints_of, learn_joints
+    from bayes_body.model.potentials.joint_mixture import save_joint_mixtures
+    from bayes_body.workshop.learning.kinematic_potentials import Floors, held_out, joints_of, learn_joints
 
     schema = load_body(body)
     joints_of(body, schema)

@@ -17,7 +17,7 @@ from bayes_body.cli.terminal import say
 from bayes_body.cli.walking_angles import walking_angles
 
 if TYPE_CHECKING:
-    from bayes_body.workshop.learning.cycle import Learned
+    from bayes_body.workshop.learning.gait import Learned
 
 app = typer.Typer(help="Learn from captured motion, or from recordings with their truth.", no_args_is_help=True)
 app.command("likelihood-scale", short_help="The precision at which 90 % intervals hold.")(likelihood_scale)
@@ -42,7 +42,7 @@ def walking_cycle(
     """Learn a walker's mean stride and the main variations between strides; simulated people walk with them."""
     from bayes_body.base.files.atomic import write_text
     from bayes_body.recording.readers.mocap import landmarks, read_motion
-    from bayes_body.workshop.learning.cycle import learn, save_cycle
+    from bayes_body.workshop.learning.gait import learn, save_cycle
 
     table = out.with_suffix(".toml")
     check_out(out, table, overwrite)

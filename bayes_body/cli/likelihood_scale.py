@@ -66,7 +66,7 @@ def _tried(
     from bayes_body.base.progress import watched
     from bayes_body.base.registry import find
     from bayes_body.recording.session.read import load_session
-    from bayes_body.workshop.calibration.replication_log import SUFFIX, ReplicationLog
+    from bayes_body.workshop.calibration.replications import SUFFIX, ReplicationLog
     from bayes_body.workshop.learning.likelihood_scale import trials
 
     kernel, outcomes = find("kernel", kind).build(options=options), []
@@ -93,7 +93,7 @@ def _numbers(text: str) -> list[float]:
 
 def _write(path: Path, figures: dict[str, Any]) -> None:
     from bayes_body.base.files.atomic import write_text
-    from bayes_body.workshop.calibration.replication_log import SUFFIX
+    from bayes_body.workshop.calibration.replications import SUFFIX
 
     write_text(path, json.dumps(figures, indent=2) + "\n")
     path.with_name(path.name + SUFFIX).unlink(missing_ok=True)

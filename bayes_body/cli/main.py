@@ -16,8 +16,7 @@ import bayes_body
 from bayes_body.base.errors import FaultyFileError, InputError, input_error
 from bayes_body.base.files.read import check_native
 from bayes_body.cli import benchmark, check, demo, export, gait, import_, learn, mocap, models, picture, report, simulate, smooth, track, view
-from bayes_body.cli.stopping import STOPPED, stoppable
-from bayes_body.cli.surroundings import check_current_folder, fault_of_surroundings
+from bayes_body.cli.surroundings import STOPPED, check_current_folder, fault_of_surroundings, stoppable
 from bayes_body.cli.terminal import Guarded, complain, guarded, say
 
 WRONG_INPUT, OUR_FAULT, OUTPUT_LOST = 2, 1, 1

@@ -33,7 +33,7 @@ def list_models() -> None:
 
     from bayes_body.base.files.shipped import definitions_folder
     from bayes_body.base.registry import EVIDENCE
-    from bayes_body.model.body.space import configuration_space
+    from bayes_body.model.body.solids import configuration_space
     from bayes_body.model.build import body_of
     from bayes_body.model.definition import definition_names, evidence_of, load_definition
 
@@ -62,8 +62,7 @@ def _call_terms(definition: "Definition") -> None:
 
     configure()
     from bayes_body.base.registry import find
-    from bayes_body.workshop.calibration.probe import probe
-    from bayes_body.workshop.calibration.scene import model_in_a_room
+    from bayes_body.workshop.calibration.scene import model_in_a_room, probe
 
     kernel = definition.kernel
     probe(model_in_a_room(definition), find("kernel", kernel.kind).build(options=kernel.options), runs=False)
@@ -88,8 +87,7 @@ def axes(
     plugin: Plugins = None,
 ) -> None:
     """Draw the anatomical axes of a definition's body and the positive directions of its clinical angles, and list the angles."""
-    from bayes_body.base.files.atomic import make_folder
-    from bayes_body.base.files.existing import check_free
+    from bayes_body.base.files.atomic import check_free, make_folder
     from bayes_body.model.build import body_of
     from bayes_body.model.definition import load_definition
     from bayes_body.view.anatomical_axes import draw_axes

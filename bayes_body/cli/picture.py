@@ -29,11 +29,11 @@ def picture(
     from bayes_body.base.config import configure
 
     configure()
-    from bayes_body.base.files.existing import check_free
+    from bayes_body.base.files.atomic import check_free
     from bayes_body.results.storage.run_file import check_plugins
     from bayes_body.results.storage.saved_run import load_run
     from bayes_body.view.picture import write_curves, write_picture
-    from bayes_body.view.picture.paper import check_format
+    from bayes_body.view.picture.frame import check_format
 
     if not SIZES[0] <= size <= SIZES[1]:
         raise input_error("--size", f"{size}", f"{SIZES[0]} to {SIZES[1]} pixels", "give another number")

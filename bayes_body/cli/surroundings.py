@@ -1,8 +1,16 @@
-"""Errors that come from the surroundings of the program, not from a fault in it: the current folder, files, the memory, the platform of JAX."""
+"""Errors that come from the surroundings of the program, not from a fault in it: the current folder, files, the memory, the platform of JAX.
+
+A command that is stopped by Ctrl-C or by SIGTERM ends in order: temporary files are removed, and `track` says how to continue.
+"""
 
 import os
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 
 from bayes_body.base.errors import InputError, input_error
 
@@ -48,3 +56,26 @@ def _of_platform() -> InputError | None:
         reason = str(error).splitlines()[0] if str(error) else "no such device"
         return input_error(f"the environment variable JAX_PLATFORMS={name}", reason, "a platform of this machine, such as cpu", "correct or unset it")
     return None
+
+
+# Exit statuses: 128 and the number of the signal.
+INTERRUPTED, TERMINATED = 130, 143
+STOPPED = {INTERRUPTED: "interrupted", TERMINATED: "terminated"}
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """Within it, the first SIGTERM raises SystemExit, and a second one ends the process at once. A signal that is ignored or handled stays so."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, _stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    raise SystemExit(TERMINATED)

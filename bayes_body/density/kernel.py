@@ -29,7 +29,7 @@ class FilterInfo(NamedTuple):
         evaluations: number of likelihoods of a whole pose computed for the frame; a likelihood with its gradient counts as one.
         markov: figures of each chain from a kernel that runs Markov chains, (chain,): `acceptance`, `divergences`, `energy_fraction`, `step`; also
             `ess` of each entry of a state, and `length`, the number of draws of a chain. Empty from other kernels.
-        messages: figures of a kernel that passes messages on a graph (formulas: kernels/messages/message_diagnostics.py). Empty from other kernels.
+        messages: figures of a kernel that passes messages on a graph (formulas: kernels/messages/messages.py). Empty from other kernels.
             `samples`: number of particles of a node.
             `belief_ess` (node,): effective sample size, 1 / sum of w², of every belief after the last iteration.
             `message_ess`: the smallest of all messages then.

@@ -11,11 +11,10 @@ from jaxtyping import Array, Float
 
 from bayes_body.base.errors import input_error
 from bayes_body.initial.fitting.fit import SETTLED, fit
-from bayes_body.initial.fitting.lengths import factors
 from bayes_body.initial.fitting.measurements import read_measurements, unused_names
 from bayes_body.initial.fitting.misfit import Problem
 from bayes_body.initial.fitting.outline import LEAST_OVERLAP, fit_outline
-from bayes_body.initial.fitting.points import body_points
+from bayes_body.initial.fitting.points import body_points, factors
 from bayes_body.initial.fitting.problem import build_problem
 from bayes_body.initial.fitting.report import FirstPose, tell
 from bayes_body.initial.search.automatic import check_pictures, find_first_pose

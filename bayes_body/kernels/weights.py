@@ -1,9 +1,12 @@
 r"""Log-weights, and weighted draws from the prediction.
 
 ESS $= 1 / \sum_i \pi_i^2$ for normalised $\pi$; survival rate = ESS / N (Deutscher & Reid 2005).
+
+Resampling schemes, from blackjax. Each draws ancestors of particles by weight. All are unbiased; they differ in variance.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Literal, NamedTuple, Protocol, cast
 
 import jax
 import jax.numpy as jnp
@@ -113,3 +116,30 @@ def predict_by_gaussian(key: Key, indices: Int[Array, " particle"], density: Den
 
     noise = jax.lax.optimization_barrier(jax.random.normal(draw_key, (indices.shape[0], view.unread_size + view.mean.shape[0]), view.mean.dtype))
     return view, over_particles(weighed, (noise, indices), view)
+
+
+type Scheme = Literal["systematic", "stratified", "multinomial", "residual"]
+
+
+class Resample(Protocol):
+    """A function from log-weights (normalised or not) to ancestors: as many as there are weights, or `count`."""
+
+    def __call__(self, key: Key, log_weights: Float[Array, " particle"], count: int | None = None) -> Int[Array, " drawn"]: ...  # noqa: D102
+
+
+def resampler(scheme: Scheme) -> Resample:
+    """Return a scheme by name.
+
+    Args:
+        scheme: `systematic` and `stratified` spread the draws evenly, `residual` keeps the integer parts of N w, `multinomial` draws independently.
+    """
+    import blackjax.smc.resampling as schemes
+
+    # blackjax declares no types for its resampling functions, so they are cast once, here.
+    function = cast(Callable[[Key, Array, int], Array], getattr(schemes, scheme))
+
+    def resample(key: Key, log_weights: Float[Array, " particle"], count: int | None = None) -> Int[Array, " drawn"]:
+        weights = jnp.exp(log_weights - jnp.max(log_weights))
+        return function(key, weights / jnp.sum(weights), log_weights.shape[0] if count is None else count)
+
+    return resample

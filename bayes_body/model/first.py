@@ -20,8 +20,7 @@ from bayes_body.base.shapes import Key, Keys, Pose
 from bayes_body.density.factor import State, Transition, draw
 from bayes_body.model.body.solids import Body
 from bayes_body.model.definition import FirstTable
-from bayes_body.model.dynamics.deviations import known_deviations
-from bayes_body.model.dynamics.diffusion import TruncatedWalk
+from bayes_body.model.dynamics.diffusion import TruncatedWalk, known_deviations
 
 
 class First(NamedTuple):

@@ -7,8 +7,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
-from bayes_body.base.progress import draws_bars
-from bayes_body.base.progress_log import ProgressLog
+from bayes_body.base.progress import ProgressLog, draws_bars
 from bayes_body.tracking.smooth import SmoothProgress
 from bayes_body.tracking.track import Progress
 

@@ -8,9 +8,8 @@ from jaxtyping import Bool
 from bayes_body.initial import apply_first_pose
 from bayes_body.initial.detection.detect import Detected
 from bayes_body.initial.fitting.measurements import FEWEST
-from bayes_body.initial.search.automatic import known_markers, poses_of
+from bayes_body.initial.search.automatic import known_markers, poses_of, shows_somebody
 from bayes_body.initial.search.person_search import PersonSearch
-from bayes_body.initial.search.presence import shows_somebody
 from bayes_body.model.build import Model
 from bayes_body.recording.observation.frames import read_frame
 from bayes_body.recording.session.session import Session

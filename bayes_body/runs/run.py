@@ -38,20 +38,16 @@ from bayes_body.results.metrics.plausibility_sentences import fit_sentences
 from bayes_body.results.posterior.thinning import thinning_of
 from bayes_body.results.storage import FrameFiles
 from bayes_body.results.storage.frame_files import Thinning
-from bayes_body.results.storage.inputs import input_digests
+from bayes_body.results.storage.manifest import input_digests
 from bayes_body.results.storage.names import RUN_FILE
 from bayes_body.results.storage.results import Results
 from bayes_body.results.storage.run_changes import refuse_changes
 from bayes_body.results.storage.run_file import describe, write_run_file
-from bayes_body.runs.disk import disk_lines, draws_to_keep
-from bayes_body.runs.finish import finish, kept_frames, remark_on_stop
-from bayes_body.runs.frame_pairs import check_pairs
-from bayes_body.runs.frame_range import frames_from, number_of_first
-from bayes_body.runs.model_choice import choose_model
+from bayes_body.runs.finish import check_pairs, finish, kept_frames, remark_on_stop
 from bayes_body.runs.progress import progress_bar
 from bayes_body.runs.recovery import PersonRecovery
-from bayes_body.runs.settings import AUTO, GIVEN, Record, Settings, choose, stored_record
-from bayes_body.runs.size import check_size
+from bayes_body.runs.settings import AUTO, GIVEN, Record, Settings, choose, choose_model, frames_from, number_of_first, stored_record
+from bayes_body.runs.size import check_size, disk_lines, draws_to_keep
 from bayes_body.tracking.program import Ahead, compiled_ahead
 from bayes_body.tracking.track import track
 from bayes_body.view.figures_text import warning_line

@@ -21,8 +21,8 @@ from bayes_body.results.metrics.plausibility import fit_figures
 from bayes_body.results.metrics.plausibility_sentences import fit_sentences
 from bayes_body.results.posterior import mean_pose
 from bayes_body.results.posterior.diagnostics import diagnose, sentences
-from bayes_body.results.posterior.on_demand import tree_on_demand
-from bayes_body.runs.frame_pairs import pair_remarks
+from bayes_body.results.posterior.stream import tree_on_demand
+from bayes_body.runs.finish import pair_remarks
 from bayes_body.runs.progress import progress_bar
 from bayes_body.tracking import track as tracking
 from bayes_body.tracking.draws import Draws, FrameStore

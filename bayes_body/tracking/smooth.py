@@ -26,8 +26,8 @@ from bayes_body.kernels.paths.smoother import Smoother
 from bayes_body.model.build import Model
 from bayes_body.recording.session.session import Session
 from bayes_body.tracking.backward import Backward, Filtered, PathFrame
+from bayes_body.tracking.backward_steps import HELD, Begun, Near
 from bayes_body.tracking.draws import FrameResult, Frames, FrameStore
-from bayes_body.tracking.near_frames import HELD, Begun, Near
 from bayes_body.tracking.observations import Observed, observations_backwards
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayes_body.base.files.atomic import replacing
-from bayes_body.model.likelihood.edge_density import EdgeStatistics, amplitude_log_density, phase_and_log_amplitude, share_of, wrapped_normal
+from bayes_body.model.likelihood.edge_phase import EdgeStatistics, amplitude_log_density, phase_and_log_amplitude, share_of, wrapped_normal
 from bayes_body.recording.evidence.edge_phase import Response
 from bayes_body.view.colours import GREY, INK
 

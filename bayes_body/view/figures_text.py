@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from bayes_body.results.metrics.headline import shows_overlap, shows_reprojection
+from bayes_body.results.metrics.summary import shows_overlap, shows_reprojection
 
 
 def figures_text(summary: Mapping[str, Any]) -> str:

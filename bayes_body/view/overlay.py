@@ -2,12 +2,15 @@
 
 The posterior mean is a translucent body with an outline (left side blue, right side orange, middle green); where the mean lies among no draws, it is
 their medoid (results/posterior/central.py), and the picture says so. Draws are thin light outlines over it; they spread where the posterior is wide.
+
+The image of a run's recording behind a picture. A stranger's run may name any file of this machine: only the run's own images are shown.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -21,12 +24,15 @@ from bayes_body.model.body.solids import Body
 from bayes_body.model.build import Model
 from bayes_body.recording.observation.pictures import read_colour
 from bayes_body.recording.session.session import Session, View
-from bayes_body.results.metrics.silhouette import Outline, outlines, seen_in
+from bayes_body.results.metrics.fit import Outline, outlines, seen_in
 from bayes_body.results.posterior import CentralPose, central_pose, equal_weight_poses
 from bayes_body.tracking.draws import Draws, FrameResult
 from bayes_body.view.colours import bgr, over_image
 from bayes_body.view.video import h264_video
 from bayes_body.view.windows import EMPTY, STILL_HEIGHT, TILE_HEIGHT, Window, grid, person_windows
+
+if TYPE_CHECKING:
+    from bayes_body.results.storage.saved_run import SavedRun
 
 # Opacity of the mean's inside, of its outline, and of each draw; and the fraction by which the draws' colours move towards white.
 INSIDE, MEAN, DRAW, LIGHTER = 0.15, 0.75, 0.3, 0.55
@@ -208,3 +214,12 @@ def drawable(path: Path) -> Iterator[None]:
     except cv2.error as error:
         problem = f"cannot be drawn ({error.err or 'OpenCV refuses it'})"
         raise input_error(path, problem, "cameras whose pictures OpenCV can draw", CAMERAS) from None
+
+
+def run_backdrop(run: "SavedRun", frame: int, camera: int) -> tuple[MatLike, str]:
+    """Return a camera's image of a frame and an empty note; a dark one with a note if there is none, or if it is not that of the time of the run."""
+    view = run.session.views[camera]
+    if not run.changed_inputs & {f"images of {view.camera.name}", f"video of {view.camera.name}"}:
+        return backdrop(run.session, frame, view)
+    width, height = view.camera.size_px
+    return np.full((height, width, 3), EMPTY, np.uint8), "\nno image: its file is not the one of the time of the run"

@@ -17,7 +17,7 @@ from bayes_body.base.geometry.camera import Camera, project
 from bayes_body.model.build import Model
 from bayes_body.recording.observation.frames import read_frame
 from bayes_body.recording.session.session import Session
-from bayes_body.results.metrics.silhouette import Outline, intersection_over_union, outlines, projected_masks
+from bayes_body.results.metrics.fit import Outline, intersection_over_union, outlines, projected_masks
 from bayes_body.view.colours import FLOOR_LINES, WORLD_AXES, bgr
 from bayes_body.view.crop import Crop, crop_about
 from bayes_body.view.overlay import backdrop, label, paint, write_png

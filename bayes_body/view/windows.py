@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from bayes_body.model.build import Model
 from bayes_body.recording.session.session import Session
-from bayes_body.results.metrics.silhouette import outlines, seen_in
+from bayes_body.results.metrics.fit import outlines, seen_in
 
 TILE_HEIGHT = 480
 # Of a still, on which one centimetre of a person can be judged: a person who fills it has four pixels a centimetre.

@@ -18,7 +18,7 @@ from case import Case, Timing, load, measure, recording, spread  # noqa: E402
 
 from bayes_body.base.geometry.camera import to_camera  # noqa: E402
 from bayes_body.kernels.batching import everywhere  # noqa: E402
-from bayes_body.kernels.resampling import resampler  # noqa: E402
+from bayes_body.kernels.weights import resampler  # noqa: E402
 from bayes_body.model.body.solids import part_transforms, patches  # noqa: E402
 from bayes_body.model.likelihood.patch_pixels import rig_pixels  # noqa: E402
 from bayes_body.model.likelihood.silhouette_edges import SilhouetteEdges  # noqa: E402

@@ -4,10 +4,9 @@ import jax
 import numpy as np
 import pytest
 
-from bayes_body.model.body.branches import nearest_branch
+from bayes_body.model.body.branches import nearest_branch, settled
 from bayes_body.model.body.build import build_body
 from bayes_body.model.body.kinematics import forward_kinematics, marker_positions
-from bayes_body.model.body.settled import settled
 from bayes_body.model.definition import load_body
 
 positions, frames = jax.jit(marker_positions), jax.jit(forward_kinematics)

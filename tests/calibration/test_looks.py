@@ -10,8 +10,7 @@ from scipy.stats import binom, norm
 
 from bayes_body.workshop.calibration import bands, looks, report
 from bayes_body.workshop.calibration.check import SBC, Findings, Plan
-from bayes_body.workshop.calibration.replication_log import ReplicationLog, settings_of
-from bayes_body.workshop.calibration.replications import Experiments
+from bayes_body.workshop.calibration.replications import Experiments, ReplicationLog, settings_of
 from bayes_body.workshop.calibration.sbc import Replication
 from bayes_body.workshop.calibration.sequential import decide
 from bayes_body.workshop.calibration.verdict import Verdict

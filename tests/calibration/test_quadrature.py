@@ -14,8 +14,7 @@ from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.recording.observation.frames import Frame
 from bayes_body.recording.session.session import CameraSpec, Session, View
-from bayes_body.workshop.calibration.quadrature import integrate
-from bayes_body.workshop.calibration.reference import LIMIT, compare
+from bayes_body.workshop.calibration.reference import LIMIT, compare, integrate
 
 
 @pytest.mark.parametrize("make", [conjugate, skewed])

@@ -8,8 +8,7 @@ import jax
 import numpy as np
 import pytest
 
-from bayes_body.workshop.calibration.replication_log import ReplicationLog, settings_of
-from bayes_body.workshop.calibration.replications import BLOCK, Experiments, run_replications
+from bayes_body.workshop.calibration.replications import BLOCK, Experiments, ReplicationLog, run_replications, settings_of
 
 
 class Drawn(NamedTuple):

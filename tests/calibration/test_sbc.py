@@ -12,8 +12,8 @@ from bayes_body import kernels
 from bayes_body.density.coordinates import Coordinates
 from bayes_body.kernels.smc import tempered_smc
 from bayes_body.workshop.calibration import bands, looks, sbc
-from bayes_body.workshop.calibration.coverage import coverage
 from bayes_body.workshop.calibration.problem import point_mass
+from bayes_body.workshop.calibration.verdict import coverage
 
 REPLICATIONS, BINS, SEED = 200, 20, 100
 LIMIT = 0.05 / 3

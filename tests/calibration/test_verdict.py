@@ -9,10 +9,8 @@ from scipy.stats import norm
 
 from bayes_body.view.report.close_ups import arviz_plots
 from bayes_body.workshop.calibration.check import INVARIANCE, SBC, Findings
-from bayes_body.workshop.calibration.coverage import coverage
-from bayes_body.workshop.calibration.picture import draw_ranks
-from bayes_body.workshop.calibration.rank_tree import rank_tree, ranks_file, save_ranks
-from bayes_body.workshop.calibration.verdict import verdict
+from bayes_body.workshop.calibration.picture import draw_ranks, rank_tree, ranks_file, save_ranks
+from bayes_body.workshop.calibration.verdict import coverage, verdict
 
 BINS, COUNT = 20, 400
 NAMES = ("hip", "knee", "still", "log-likelihood")

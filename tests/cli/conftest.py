@@ -9,7 +9,7 @@ import pytest
 from bayes_body.cli.main import main
 from bayes_body.recording.readers.parsec import import_parsec
 
-# A line of base/progress_log.py.
+# A line of base/progress.py.
 PROGRESS = re.compile(r"\[\d\d:\d\d:\d\d\] ")
 
 

@@ -9,11 +9,10 @@ import pytest
 
 from bayes_body.model.build import body_of
 from bayes_body.model.definition import load_definition
-from bayes_body.recording.readers.mocap.c3d import _text
-from bayes_body.recording.readers.mocap.c3d_parameters import open_c3d
+from bayes_body.recording.readers.mocap.c3d import _text, open_c3d
 from bayes_body.results.clinical.gait import CONTACT, Event
 from bayes_body.results.storage.saved_run import SavedRun, load_run
-from bayes_body.view.export.c3d_events import add_events
+from bayes_body.view.export.c3d import add_events
 from bayes_body.view.report.gait import gait_section
 from bayes_body.view.report.inspection import Inspection
 

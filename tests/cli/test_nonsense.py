@@ -20,7 +20,7 @@ from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
 from bayes_body.recording.session.read import load_session, save_session
 from bayes_body.recording.session.session import CameraSpec, Session, Subject, View
-from bayes_body.results.metrics.silhouette import fill, outlines
+from bayes_body.results.metrics.fit import fill, outlines
 
 SIZE, FRAMES = (128, 160), 2
 STANDING = {"root_z": 0.95, "l_shoulder_y": -1.4, "r_shoulder_y": 1.4, "l_hip_y": -0.25, "r_hip_y": 0.15}

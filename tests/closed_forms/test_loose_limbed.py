@@ -20,7 +20,7 @@ from bayes_body.model.body.world import placed_markers
 from bayes_body.model.definition import load_body
 from bayes_body.model.dynamics import rigid_walk
 from bayes_body.model.potentials import intersection, kinematic, penetration
-from bayes_body.model.potentials.joint_file import JointMixtures, save_joint_mixtures
+from bayes_body.model.potentials.joint_mixture import JointMixtures, save_joint_mixtures
 
 PARTS = Variable("parts")
 WIDE = {"component": [{"sd_m": {"*": [0.02, 0.03, 0.05]}, "sd_deg": {"*": [20.0, 55.0, 35.0]}, "mean_deg": {"l_knee": -40.0}}]}

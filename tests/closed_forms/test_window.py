@@ -11,8 +11,7 @@ from closed_forms.window_sweep import LongPath, sweep, windows_of
 from bayes_body.base.errors import InputError
 from bayes_body.density.factor import Particles
 from bayes_body.density.trajectory import trajectory
-from bayes_body.kernels.paths.path_whitening import gaussian_path
-from bayes_body.kernels.paths.window import fitted_path, sample_window
+from bayes_body.kernels.paths.window import fitted_path, gaussian_path, sample_window
 from bayes_body.kernels.paths.window_nuts import chain_diagnostics
 from bayes_body.kernels.smc.moves import hmc
 

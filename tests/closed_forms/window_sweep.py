@@ -20,8 +20,7 @@ from bayes_body.density.sharding import varying_like
 from bayes_body.density.tempering import LogTerms
 from bayes_body.density.trajectory import Trajectory, sampled_path, trajectory
 from bayes_body.kernels.batching import over_particles
-from bayes_body.kernels.paths.path_whitening import GaussianPath, Whitening
-from bayes_body.kernels.paths.window import flat, position_at, whitened
+from bayes_body.kernels.paths.window import GaussianPath, Whitening, flat, position_at, whitened
 from bayes_body.kernels.smc.moves import Move
 
 

@@ -6,8 +6,7 @@ import pytest
 from detection.people import JOINTS, SIZE, camera, mask, ring, scene
 
 from bayes_body.initial.detection import faces
-from bayes_body.initial.detection.faces import detect_faces
-from bayes_body.initial.detection.upright import upright
+from bayes_body.initial.detection.faces import detect_faces, upright
 from bayes_body.recording.readers.triangulate import project
 
 FACE = np.array([0.08, 0.0, 1.6])

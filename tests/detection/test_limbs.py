@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 from detection.people import PERSON, SIZE, mask, ring, scene
 
-from bayes_body.initial.detection.blobs import blobs
-from bayes_body.initial.detection.limbs import detect_limbs
+from bayes_body.initial.detection.limbs import blobs, detect_limbs
 
 COLOURS = [(40, 40, 200), (90, 160, 210), (200, 60, 60), (90, 160, 210), (200, 60, 60), (90, 160, 210)]
 COLOURS += [(60, 60, 60), (150, 90, 30), (30, 30, 90), (60, 60, 60), (150, 90, 30), (30, 30, 90)]

@@ -9,7 +9,7 @@ import pytest
 from sealed import seal
 
 from bayes_body.base.errors import InputError
-from bayes_body.recording.readers.mocap.c3d_parameters import open_c3d
+from bayes_body.recording.readers.mocap.c3d import open_c3d
 from bayes_body.results.storage.saved_run import load_run
 from bayes_body.view.export.formats import export, export_formats, formats_in, targets
 from bayes_body.view.export.motion import read_motion

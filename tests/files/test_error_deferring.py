@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayes_body.base.files.error_deferring import ErrorDeferringFile
+from bayes_body.base.files.atomic import ErrorDeferringFile
 
 ACTIONS = st.lists(
     st.one_of(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_body.initial.search.facing import TRUST, shares_over_time, way_of
+from bayes_body.initial.search.search import TRUST, shares_over_time, way_of
 
 NAMES = ("pelvis", "l_hip", "r_hip")
 UP = 2

@@ -17,7 +17,7 @@ from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.recording.session.read import load_session, save_session
 from bayes_body.recording.session.session import Subject
-from bayes_body.results.metrics.silhouette import intersection_over_union, projected_masks
+from bayes_body.results.metrics.fit import intersection_over_union, projected_masks
 
 # Fits and replications run for longer than they compile.
 pytestmark = pytest.mark.usefixtures("optimised")

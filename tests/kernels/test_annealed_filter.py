@@ -11,9 +11,8 @@ import pytest
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
 from bayes_body.density.spaces import SE3, Plate
-from bayes_body.kernels.resampling import resampler
 from bayes_body.kernels.smc.annealed_filter import _cross_over, _Layer, _power_for_survival, build_kernel
-from bayes_body.kernels.weights import effective_sample_size
+from bayes_body.kernels.weights import effective_sample_size, resampler
 
 X = Variable("x")
 

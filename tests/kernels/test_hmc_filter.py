@@ -18,11 +18,11 @@ from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
 from bayes_body.density.spaces import SO3, circle
 from bayes_body.kernels.hmc import hmc_filter
-from bayes_body.kernels.hmc.ancestors import compares_frames
 from bayes_body.kernels.hmc.hamiltonian import Schedule, chain_figures, effective_draws, run_chain
 from bayes_body.kernels.hmc.hmc_filter import build_kernel
 from bayes_body.kernels.hmc.mass import correlated, differenced, inverse_mass
-from bayes_body.tracking.rejected_chains import raise_if_all_rejected
+from bayes_body.kernels.hmc.starts import compares_frames
+from bayes_body.tracking.track import raise_if_all_rejected
 
 CHAINS = 64
 # The particles before are all equal, and so are their means: the same target, at a sixtieth of the cost.

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bayes_body.density.spaces import SE3, circle, euclidean
-from bayes_body.kernels.messages.message_diagnostics import Summary, belief_sds, changes, message_figures, oscillation, shares_of_weight
+from bayes_body.kernels.messages.messages import Summary, belief_sds, changes, message_figures, oscillation, shares_of_weight
 
 _changes, _oscillation = (jax.jit(function, static_argnums=0) for function in (changes, oscillation))
 LINE = euclidean(("x", "y"), ("m", "m"))

@@ -12,8 +12,8 @@ from bayes_body.density.pairwise import edge_factor, graph, proposal
 from bayes_body.density.spaces import SE3, SO3, euclidean
 from bayes_body.density.tangent_normal import tangent_normal
 from bayes_body.kernels.messages import epbp, products
+from bayes_body.kernels.messages.methods import KernelEstimate
 from bayes_body.kernels.messages.pampas import stratified
-from bayes_body.kernels.messages.pbp import KernelEstimate
 from bayes_body.kernels.messages.products import Product, draw_products, slots_of
 
 LINE = euclidean(("x",), ("m",))

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.kernels.resampling import resampler
+from bayes_body.kernels.weights import resampler
 
 SCHEMES = ["systematic", "stratified", "multinomial", "residual"]
 WEIGHTS = np.array([0.02, 0.4, 0.0, 0.13, 0.25, 0.2])

@@ -9,7 +9,7 @@ from closed_forms.targets import conjugate
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Variable
 from bayes_body.kernels.hmc.starts import by_annealing, by_importance
-from bayes_body.kernels.resampling import resampler
+from bayes_body.kernels.weights import resampler
 
 DRAWS, CHAINS, BEFORE = 200, 16, 40
 # Two poses that explain the image, to a fiftieth of what the prediction leaves open; the second one a little less well. They are so far apart that no

@@ -14,12 +14,10 @@ from bayes_body.model.definition import load_body
 from bayes_body.model.dynamics.activity import load_activity, save_activity
 from bayes_body.recording.readers.mocap import read_motion, resample
 from bayes_body.workshop.learning import activity_motions
-from bayes_body.workshop.learning.activity_hmm import LEAST_DEG, LearnOptions, learn_activity
+from bayes_body.workshop.learning.activity_hmm import LEAST_DEG, LearnOptions, angles_for, emitted, learn_activity, log_likelihood_ratio
 from bayes_body.workshop.learning.activity_motions import Captured, captured, learned_dofs, no_walk
-from bayes_body.workshop.learning.activity_samples import angles_for, emitted, log_likelihood_ratio
 from bayes_body.workshop.learning.baum_welch import Hmm, fit, log_likelihood, padded
-from bayes_body.workshop.learning.hmm_choice import Track, choose, starts
-from bayes_body.workshop.learning.hmm_join import shares_of, stationary
+from bayes_body.workshop.learning.hmm_choice import Track, choose, shares_of, starts, stationary
 
 BODY, FRAMES = "person_31", 120
 OPTIONS = LearnOptions(components=2, states=6, restarts=1)

@@ -7,8 +7,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from bayes_body.workshop.learning.baum_welch import FLOOR, Hmm, fit, log_likelihood, padded, step
-from bayes_body.workshop.learning.hmm_choice import starts
-from bayes_body.workshop.learning.hmm_join import stationary
+from bayes_body.workshop.learning.hmm_choice import starts, stationary
 
 STATES, ROUNDS = 5, 20
 LENGTHS = (50, 70, 33)

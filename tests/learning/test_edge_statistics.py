@@ -11,10 +11,9 @@ import pytest
 from bayes_body.base.errors import InputError
 from bayes_body.cli.main import main
 from bayes_body.model.definition import load_definition
-from bayes_body.model.likelihood.edge_density import PHASE_SD, EdgeStatistics
+from bayes_body.model.likelihood.edge_phase import PHASE_SD, EdgeStatistics
 from bayes_body.recording.evidence.edge_phase import Response
-from bayes_body.recording.observation.edge_phase import responses
-from bayes_body.recording.observation.outline_points import Points, displaced, elsewhere_points, outline_points, sampled
+from bayes_body.recording.observation.edge_phase import Points, displaced, elsewhere_points, outline_points, responses, sampled
 from bayes_body.workshop.learning.edge_statistics import Images, fit, mean_log_density
 
 

@@ -6,7 +6,7 @@ import pytest
 from bayes_body.base.errors import InputError
 from bayes_body.cli.main import main
 from bayes_body.model.definition import load_body, load_definition
-from bayes_body.view.report.densities import BINS, log_density
+from bayes_body.view.report.dependence import BINS, log_density
 from bayes_body.workshop.learning.image_motion import _mixture, motion_noise, motion_pairs
 from bayes_body.workshop.learning.smooth_motion import FPS, Track, smooth_noise
 

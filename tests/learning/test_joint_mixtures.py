@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bayes_body.workshop.learning.joint_mixtures import Floors, fit_mixture, log_density
+from bayes_body.workshop.learning.kinematic_potentials import Floors, fit_mixture, log_density
 
 NONE = Floors(1e-6, 1e-6)
 # Rotation vectors of the means: more than a radian from each other.

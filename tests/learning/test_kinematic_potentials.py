@@ -11,10 +11,9 @@ from bayes_body.base.geometry import rigid, rotations
 from bayes_body.cli.main import main
 from bayes_body.model.body.build import Shape, build_body
 from bayes_body.model.definition import load_body
-from bayes_body.model.potentials.joint_file import load_joint_mixtures
+from bayes_body.model.potentials.joint_mixture import load_joint_mixtures
 from bayes_body.recording.readers.mocap import read_motion
-from bayes_body.workshop.learning.joint_mixtures import Floors
-from bayes_body.workshop.learning.kinematic_potentials import JointPoses, held_out, joint_poses, joints_of, learn_joints, relative_poses
+from bayes_body.workshop.learning.kinematic_potentials import Floors, JointPoses, held_out, joint_poses, joints_of, learn_joints, relative_poses
 from bayes_body.workshop.learning.walking_cycle import load_cycle, walk
 
 BODY, FPS = "person_31", 60.0

@@ -9,7 +9,7 @@ import pytest
 from bayes_body.base.errors import InputError
 from bayes_body.cli.main import main
 from bayes_body.model.definition import load_definition
-from bayes_body.workshop.calibration.replication_log import ReplicationLog
+from bayes_body.workshop.calibration.replications import ReplicationLog
 from bayes_body.workshop.learning import likelihood_scale
 from bayes_body.workshop.learning.likelihood_scale import Trial, choose_scale, pooled, trials, with_scale
 

@@ -10,8 +10,7 @@ from bayes_body.base.errors import InputError
 from bayes_body.cli.main import main
 from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.readers.mocap import landmarks, read_motion
-from bayes_body.workshop.learning.cycle import ARRAYS, learn, save_cycle
-from bayes_body.workshop.learning.gait import TREE, is_run, points_of, strides
+from bayes_body.workshop.learning.gait import ARRAYS, TREE, is_run, learn, points_of, save_cycle, strides
 from bayes_body.workshop.learning.walking_cycle import load_cycle, walk
 
 FPS = 60.0

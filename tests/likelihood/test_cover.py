@@ -13,7 +13,7 @@ from bayes_body.density.factor import Variable
 from bayes_body.model.body.solids import Samples
 from bayes_body.model.likelihood.patch_pixels import rig_pixels
 from bayes_body.recording.observation.frames import Frame
-from bayes_body.recording.observation.thickness import spread_points
+from bayes_body.recording.observation.silhouette_edges import spread_points
 
 POSE = Variable("pose")
 SOFT, POINTS = 2.0, 300

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayes_body.model.body.solids import Samples
-from bayes_body.model.likelihood.coverage import projected_area
+from bayes_body.model.likelihood.outlines import projected_area
 from bayes_body.model.likelihood.patch_pixels import rig_pixels
 
 GRID = (80, 60)

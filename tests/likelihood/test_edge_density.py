@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayes_body.model.likelihood.edge_density import EdgeStatistics, clipped, log_density
+from bayes_body.model.likelihood.edge_phase import EdgeStatistics, clipped, log_density
 
 STATISTICS = EdgeStatistics(np.array([0.3, 0.9]), np.array([3.0, 1.5]), np.array([0.2, 4.0]), np.array(-4.0))
 

@@ -10,7 +10,7 @@ import pytest
 
 from bayes_body.density.factor import Variable
 from bayes_body.model.body.solids import part_transforms
-from bayes_body.model.likelihood.coverage import projected_area
+from bayes_body.model.likelihood.outlines import projected_area
 from bayes_body.model.likelihood.patch_pixels import rig_pixels
 from bayes_body.recording.observation.silhouette_edges import edge_proximity
 

@@ -7,10 +7,9 @@ import pytest
 
 from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
-from bayes_body.results.metrics.fit import Fit, cover_of, frame_fit
+from bayes_body.results.metrics.fit import Fit, cover_of, frame_fit, outlines
 from bayes_body.results.metrics.plausibility import FEWEST_FRAMES, fit_figures
 from bayes_body.results.metrics.plausibility_sentences import fit_sentences
-from bayes_body.results.metrics.silhouette import outlines
 
 
 def _fit(cover=np.nan, distance=np.nan, overlap=np.nan, body=0.1, silhouette=0.1, cameras=2):

@@ -14,7 +14,7 @@ from bayes_body.model.build import build_model
 from bayes_body.recording.session.read import save_session
 from bayes_body.results.metrics import draws_against_truth, log_evidence, marker_disagreement, silhouette_overlap, summarise
 from bayes_body.results.metrics.figures import NAMES
-from bayes_body.results.metrics.silhouette import intersection_over_union
+from bayes_body.results.metrics.fit import intersection_over_union
 from bayes_body.results.posterior import markers, mean_poses, rhat
 from bayes_body.runs.run import run
 from bayes_body.runs.settings import Settings

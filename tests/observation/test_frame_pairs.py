@@ -9,7 +9,7 @@ from bayes_body.base.errors import InputError
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.recording.observation.frame_pairs import pair_sentences
-from bayes_body.runs.frame_pairs import check_pairs
+from bayes_body.runs.finish import check_pairs
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_body.recording.observation.picture_cache import PictureCache
+from bayes_body.recording.observation.pictures import PictureCache
 
 
 def picture(seed):

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayes_body.recording.observation.thickness import local_thickness, spread_points
+from bayes_body.recording.observation.silhouette_edges import local_thickness, spread_points
 
 
 def test_a_disc_is_as_thick_as_its_radius():

@@ -16,7 +16,7 @@ from bayes_body.kernels.smc.particle_filter import build_kernel
 from bayes_body.model.build import build_model
 from bayes_body.results.posterior import equal_weight, equal_weight_draws, markers, mean_poses, rhat, save_posterior, stream_posterior, to_datatree
 from bayes_body.results.posterior import stream as streaming
-from bayes_body.results.posterior.on_demand import tree_on_demand
+from bayes_body.results.posterior.stream import tree_on_demand
 from bayes_body.tracking.track import track
 
 RUNS, FRAMES, PARTICLES = 3, 5, 400

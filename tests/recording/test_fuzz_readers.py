@@ -25,9 +25,8 @@ from bayes_body.recording.readers.calibration_qualisys import read_qualisys
 from bayes_body.recording.readers.calibration_toml import read_calibration_toml
 from bayes_body.recording.readers.camera_path import read_camera_path
 from bayes_body.recording.readers.images import read_colour
-from bayes_body.recording.readers.keypoint_layouts import choose_layout
 from bayes_body.recording.readers.keypoint_series import read_series
-from bayes_body.recording.readers.keypoints import read_people
+from bayes_body.recording.readers.keypoints import choose_layout, read_people
 from bayes_body.recording.readers.mocap import read_motion
 from bayes_body.recording.readers.parsec_files import read_calibration
 from bayes_body.recording.readers.truth import read_truth

@@ -8,9 +8,8 @@ import pytest
 
 from bayes_body.base.errors import InputError
 from bayes_body.base.files import arrays_file
-from bayes_body.recording.readers.keypoint_layouts import LAYOUTS
-from bayes_body.recording.readers.keypoint_series import KeypointSeries, read_series, write_series
-from bayes_body.recording.readers.keypoint_subject import follow_person
+from bayes_body.recording.readers.keypoint_series import KeypointSeries, follow_person, read_series, write_series
+from bayes_body.recording.readers.keypoints import LAYOUTS
 from bayes_body.recording.session.session import CameraSpec
 
 NAMES = ("neck", "mid_hip", "l_knee", "nose")

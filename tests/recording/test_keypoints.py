@@ -7,8 +7,7 @@ import pytest
 
 from bayes_body.base.errors import InputError
 from bayes_body.recording.readers.calibration_qualisys import read_qualisys
-from bayes_body.recording.readers.keypoint_layouts import LAYOUTS, PROPORTIONS, choose_layout, disproportion
-from bayes_body.recording.readers.keypoints import keypoint_files, read_openpose, read_people
+from bayes_body.recording.readers.keypoints import LAYOUTS, PROPORTIONS, choose_layout, disproportion, keypoint_files, read_openpose, read_people
 from bayes_body.recording.readers.person import choose_person
 from bayes_body.recording.readers.triangulate import triangulate
 

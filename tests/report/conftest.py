@@ -17,7 +17,7 @@ from bayes_body.model.definition import load_definition
 from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.session.read import load_session, save_session
 from bayes_body.results.posterior.message_passing import DIMS as MESSAGES
-from bayes_body.results.storage.inputs import input_digests
+from bayes_body.results.storage.manifest import input_digests
 from bayes_body.results.storage.saved_run import load_run
 from bayes_body.view.report.inspection import Inspection
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from bayes_body.model.definition import load_definition
-from bayes_body.results.storage.inputs import input_digests
+from bayes_body.results.storage.manifest import input_digests
 from bayes_body.results.storage.saved_run import load_run
-from bayes_body.view.backdrop import run_backdrop
+from bayes_body.view.overlay import run_backdrop
 from bayes_body.view.report.chains import chain_section, worst_mixed
 from bayes_body.view.report.figures import style
 from bayes_body.view.report.page import page, sections_of

@@ -17,12 +17,11 @@ from bayes_body.view.report import page as pages
 from bayes_body.view.report.bands import band_section
 from bayes_body.view.report.figures import style
 from bayes_body.view.report.filtering import filter_section
-from bayes_body.view.report.head import findings, key_figures, verdict
+from bayes_body.view.report.head import findings, key_figures, provenance_section, verdict
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup
 from bayes_body.view.report.page import LARGEST, SECTIONS, fitted, page, sections_of, write_report
 from bayes_body.view.report.pictures import QUALITIES, picture_section
-from bayes_body.view.report.provenance import provenance_section
 from bayes_body.view.report.runs import run_section
 
 # Each angle is a plot: where one is enough.

@@ -6,11 +6,10 @@ import shlex
 import numpy as np
 import pytest
 
-from bayes_body.view.report.choice import FEWEST_DRAWS, MOST_DRAWS, chosen_dofs, chosen_frames, equal_weight_sample
 from bayes_body.view.report.figures import MOST_POINTS, bins, draw_runs, encoded, new_panel, style
-from bayes_body.view.report.limbs import OTHER, by_limb, limb, spoken
+from bayes_body.view.report.head import LONGEST, command, provenance_section
+from bayes_body.view.report.inspection import FEWEST_DRAWS, MOST_DRAWS, OTHER, by_limb, chosen_dofs, chosen_frames, equal_weight_sample, limb, spoken
 from bayes_body.view.report.markup import Markup, joined, tag
-from bayes_body.view.report.provenance import LONGEST, command, provenance_section
 from bayes_body.view.report.ranks import rank_region
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_body.cli.main import main
-from bayes_body.results.metrics.silhouette import Outline
+from bayes_body.results.metrics.fit import Outline
 from bayes_body.results.storage.saved_run import load_run
 from bayes_body.view.picture.frame import BARS, LONGEST, write_picture
 from bayes_body.view.picture.frame import _crop as crop_of

@@ -11,15 +11,15 @@ import pytest
 from bayes_body.model.build import build_model
 from bayes_body.recording.observation.frames import Frame
 from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
-from bayes_body.results.metrics.silhouette import projected_masks
+from bayes_body.results.metrics.fit import projected_masks
 from bayes_body.results.posterior import markers
-from bayes_body.results.storage.inputs import input_digests
+from bayes_body.results.storage.manifest import input_digests
 from bayes_body.results.storage.saved_run import load_run
 from bayes_body.view.report.figures import style
 from bayes_body.view.report.inspection import Inspection
-from bayes_body.view.report.predicted_keypoints import expected_pixels, keypoint_check, marker_likelihood
 from bayes_body.view.report.predicted_silhouettes import silhouette_check, silhouette_likelihood
 from bayes_body.view.report.prediction import prediction_section
+from bayes_body.view.report.predictive import expected_pixels, keypoint_check, marker_likelihood
 
 DOFS = ("shoulder_x", "shoulder_y", "shoulder_z", "elbow")
 POSE = np.full(4, -0.3, np.float32)

@@ -23,8 +23,7 @@ from bayes_body.recording.session.session import CameraSpec
 from bayes_body.results.storage.saved_run import load_run
 from bayes_body.view.viewer import page as pages
 from bayes_body.view.viewer import write_view
-from bayes_body.view.viewer.budget import LARGEST, Budget
-from bayes_body.view.viewer.motion import read_poses
+from bayes_body.view.viewer.motion import LARGEST, Budget, read_poses
 from bayes_body.view.viewer.recording import flat
 from bayes_body.view.viewer.solids import part_mesh
 

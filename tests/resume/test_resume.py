@@ -28,8 +28,8 @@ from bayes_body.runs.run import run
 from bayes_body.runs.settings import Settings
 from bayes_body.runs.smooth import SmoothSettings, smooth_run
 from bayes_body.tracking.track import track
+from bayes_body.view.report.head import command as command_of
 from bayes_body.view.report.page import page
-from bayes_body.view.report.provenance import command as command_of
 
 from .conftest import contents, digests
 from .looped import link_looped

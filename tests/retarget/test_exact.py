@@ -7,8 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bayes_body.initial.retarget import retarget
-from bayes_body.initial.retarget.exact import decompose
-from bayes_body.initial.retarget.turns import angles_of
+from bayes_body.initial.retarget.exact import angles_of, decompose
 from bayes_body.model.body.build import Shape, build_body
 from bayes_body.recording.readers.mocap import read_motion
 from bayes_body.results.posterior.moments import Moments

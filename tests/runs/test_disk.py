@@ -8,7 +8,7 @@ import pytest
 from bayes_body.base.errors import InputError
 from bayes_body.cli.track import draws_of
 from bayes_body.model.build import build_model
-from bayes_body.runs.disk import disk_lines, draws_to_keep, frame_bytes, megabytes
+from bayes_body.runs.size import disk_lines, draws_to_keep, frame_bytes, megabytes
 
 Usage = namedtuple("Usage", "total used free")
 

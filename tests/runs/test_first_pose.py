@@ -10,9 +10,9 @@ import pytest
 from bayes_body.base.errors import InputError
 from bayes_body.model.build import build_model
 from bayes_body.recording.session.read import load_session, save_session
+from bayes_body.results.metrics.fit import projected_masks
 from bayes_body.results.metrics.plausibility import first_fit
 from bayes_body.results.metrics.plausibility_sentences import fit_sentences
-from bayes_body.results.metrics.silhouette import projected_masks
 from bayes_body.results.storage.saved_run import load_run
 from bayes_body.runs import run as module
 from bayes_body.runs.run import run

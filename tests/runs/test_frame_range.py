@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from bayes_body.runs.frame_range import frames_from, number_of_first
+from bayes_body.runs.settings import frames_from, number_of_first
 
 POINTS = {"a": {"l_knee": (10.0, 20.0, 0.9)}}
 POSES = {

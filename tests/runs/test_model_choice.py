@@ -6,7 +6,7 @@ import pytest
 
 from bayes_body.base.errors import InputError
 from bayes_body.model.definition import load_definition
-from bayes_body.runs.model_choice import choose_model
+from bayes_body.runs.settings import choose_model
 
 
 def _views(session, **changes):

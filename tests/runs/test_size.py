@@ -6,7 +6,7 @@ import jax
 import pytest
 
 from bayes_body.base.errors import InputError
-from bayes_body.model.body.space import configuration_space
+from bayes_body.model.body.solids import configuration_space
 from bayes_body.model.build import build_model
 from bayes_body.runs import size
 from bayes_body.runs.size import check_size, least_bytes, memory_bytes

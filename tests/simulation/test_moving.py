@@ -16,7 +16,7 @@ from bayes_body.recording.readers.camera_path import cameras_at
 from bayes_body.recording.readers.check import check_session
 from bayes_body.recording.readers.rig import read_rig
 from bayes_body.recording.readers.truth import read_truth
-from bayes_body.results.metrics.silhouette import seen_in
+from bayes_body.results.metrics.fit import seen_in
 from bayes_body.workshop.simulation.options import Options
 from bayes_body.workshop.simulation.person import build_person
 from bayes_body.workshop.simulation.session import simulate

@@ -15,7 +15,7 @@ from bayes_body.model.definition import load_body, load_definition
 from bayes_body.recording.readers.images import read_mask
 from bayes_body.recording.readers.rig import read_rig
 from bayes_body.recording.session.session import Subject
-from bayes_body.results.metrics.silhouette import intersection_over_union, projected_masks
+from bayes_body.results.metrics.fit import intersection_over_union, projected_masks
 from bayes_body.workshop.simulation.options import Options
 from bayes_body.workshop.simulation.person import build_person
 from bayes_body.workshop.simulation.session import simulate

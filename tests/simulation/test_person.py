@@ -9,10 +9,10 @@ from simulation.walker import FPS, walker
 from bayes_body.base.errors import InputError
 from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.readers.mocap import landmarks, read_motion, resample
-from bayes_body.workshop.simulation.clothes import folded
 from bayes_body.workshop.simulation.person import build_person
-from bayes_body.workshop.simulation.person_frames import chain, turned
+from bayes_body.workshop.simulation.person_bones import chain, turned
 from bayes_body.workshop.simulation.person_motion import complete
+from bayes_body.workshop.simulation.person_shape import folded
 from bayes_body.workshop.simulation.surface import ANGLES, sweep
 
 

@@ -7,13 +7,11 @@ from simulation.walker import FPS, walker
 
 from bayes_body.recording.readers.mocap import landmarks, read_motion, resample
 from bayes_body.recording.session.session import CameraSpec
-from bayes_body.workshop.simulation.mesh import Mesh
 from bayes_body.workshop.simulation.person import build_person
 from bayes_body.workshop.simulation.raster import Light, facing, normals, rasterise
-from bayes_body.workshop.simulation.raster_projection import project
 from bayes_body.workshop.simulation.raster_shadow import shadow, shadow_mask
-from bayes_body.workshop.simulation.raster_spans import spans
-from bayes_body.workshop.simulation.surface import ANGLES
+from bayes_body.workshop.simulation.raster_spans import project, spans
+from bayes_body.workshop.simulation.surface import ANGLES, Mesh
 
 WALK = walker(30)
 SIZE = (320, 240)

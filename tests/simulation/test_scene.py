@@ -11,8 +11,7 @@ from bayes_body.recording.readers.rig import read_rig
 from bayes_body.workshop.simulation.scene import Scene
 from bayes_body.workshop.simulation.scene_room import Clearance, build_room
 from bayes_body.workshop.simulation.scene_texture import SIDE, pink
-from bayes_body.workshop.simulation.segmenter import segment
-from bayes_body.workshop.simulation.sensor import DRIFT, READ_NOISE, SHOT_NOISE, Sensor
+from bayes_body.workshop.simulation.sensor import DRIFT, READ_NOISE, SHOT_NOISE, Sensor, segment
 
 RIG = read_rig(Path(__file__).parents[2] / "models" / "rigs" / "room_4.toml")
 VIEWPOINTS = np.array([-camera.rotation.T @ camera.translation_m for camera in RIG.cameras])

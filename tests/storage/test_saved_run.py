@@ -11,7 +11,7 @@ from sealed import seal
 
 from bayes_body.base.errors import InputError
 from bayes_body.base.files.shipped import definitions_folder
-from bayes_body.model.body.space import pose_space
+from bayes_body.model.body.solids import pose_space
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition, parse_definition
 from bayes_body.recording.session.read import load_session

@@ -4,8 +4,7 @@ import re
 
 import pytest
 
-from bayes_body.base.progress import steps_bar, waiting, watched
-from bayes_body.base.progress_log import ProgressLog
+from bayes_body.base.progress import ProgressLog, steps_bar, waiting, watched
 from bayes_body.runs.progress import progress_bar
 from bayes_body.tracking.track import Progress
 

@@ -11,7 +11,7 @@ import pytest
 from bayes_body.base.errors import InputError
 from bayes_body.kernels.smc.particle_filter import build_kernel
 from bayes_body.model.build import build_model
-from bayes_body.results.metrics.silhouette import Outline, outlines, projected_masks
+from bayes_body.results.metrics.fit import Outline, outlines, projected_masks
 from bayes_body.results.posterior import CentralPose
 from bayes_body.tracking.track import track
 from bayes_body.view.colours import OVER_IMAGE, WORLD_AXES, bgr

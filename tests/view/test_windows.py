@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_body.model.build import build_model
-from bayes_body.results.metrics.silhouette import outlines
+from bayes_body.results.metrics.fit import outlines
 from bayes_body.view.windows import EMPTY, SHAPES, TILE_HEIGHT, Window, columns_of, grid, person_windows
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from bayes_body.base.errors import FaultyFileError, InputError, input_error
-from bayes_body.base.files.text import read_text
+from bayes_body.base.files.read import read_text
 from bayes_body.base.toml.faults import sentences, shown
 
 # Much more than a run's file, which holds its session, definition and body; tomllib reads it in some seconds.

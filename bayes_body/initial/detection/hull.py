@@ -7,6 +7,8 @@ overlap with those of true masks by 0.62 and 0.69, four and seven views; hulls i
 
 Coarse voxels are kept if e may reach 1/2 within their circumscribed spheres. Each kept voxel is divided into eight, until its side is `VOXEL_M`.
 Connected voxels (26 neighbours) make one body.
+
+Points of two views: their rays, and where the rays meet.
 """
 
 from collections.abc import Sequence
@@ -19,7 +21,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from bayes_body.recording.readers.triangulate import project
+from bayes_body.recording.readers.triangulate import project, triangulate
 from bayes_body.recording.session.session import CameraSpec
 
 VOXEL_M = 0.03
@@ -121,3 +123,22 @@ def _occupied(views: Sequence[_View], centres: Voxels, radius_m: float) -> Bool[
         view_counts += inside
         evidence += inside * (np.where(distance[indices] <= reach + blur, 1.0, -1.0) if radius_m else map_[indices])
     return (view_counts >= max(2, len(views) / 2)) & (evidence >= LEAST_EVIDENCE * view_counts)
+
+
+def rays(camera: CameraSpec, pixels: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, "point 3"]:
+    """Unit vectors in the world from the camera's centre through pixels (column, row)."""
+    xy = (pixels - camera.centre_px) / camera.focal_px
+    xy[:, 0] -= camera.skew * xy[:, 1]
+    if len(xy):
+        xy = cv2.undistortPoints(xy[:, None], np.eye(3), np.array(camera.distortion))[:, 0]
+    directions = np.column_stack([xy, np.ones(len(xy))]) @ camera.rotation
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def triangulate_pair(
+    cameras: Sequence[CameraSpec], first: Float[np.ndarray, "point 2"], second: Float[np.ndarray, "point 2"]
+) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, " point"]]:
+    """Where the rays of two cameras' pixels meet, metres, and the root mean square distance in the images, pixels; NaN where they do not meet."""
+    observations = np.stack([np.column_stack([pixels, np.ones(len(pixels))]) for pixels in (first, second)])
+    triangulation = triangulate(cameras, observations)
+    return triangulation.points_m, triangulation.error_px

@@ -9,9 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
-from bayes_body.initial.detection.figure import Figure, figure, interior_depths
+from bayes_body.initial.detection.figure import ChosenBody, Figure, choose_person, figure, interior_depths
 from bayes_body.initial.detection.hull import VOXEL_M, Mask, Voxels, clean
-from bayes_body.initial.detection.person import ChosenBody, choose_person
 from bayes_body.recording.observation.frames import Frame
 from bayes_body.recording.observation.pictures import Colours, read_colour
 from bayes_body.recording.readers.camera_path import cameras_at

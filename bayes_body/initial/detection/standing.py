@@ -14,8 +14,7 @@ from jaxtyping import Float
 
 from bayes_body.initial.detection.detections import Detections, Found, Person, every_facing, landmark
 from bayes_body.initial.detection.figure import HIP, SHOULDER
-from bayes_body.initial.detection.hull import Mask
-from bayes_body.initial.detection.pairs import rays
+from bayes_body.initial.detection.hull import Mask, rays
 from bayes_body.initial.detection.scene import Scene
 from bayes_body.initial.detection.silhouettes import HEAD, PELVIS
 

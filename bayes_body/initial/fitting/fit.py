@@ -1,26 +1,61 @@
-"""Fit of the first pose: many starts, optimised in parallel by Adam in unconstrained coordinates, with a misfit whose width shrinks.
+r"""Fit of the first pose: many starts, optimised in parallel by Adam in unconstrained coordinates, with a misfit whose width shrinks.
 
 One compiled program runs in rounds. The first round starts from every heading and the best of a random population. Several rounds follow that start
 from the best results with the angles of some limbs drawn again. This frees a limb that went round the wrong way, and tries the other of two depths
 that one camera cannot distinguish. The last round starts from the best result and takes small steps.
+
+Adam (Kingma & Ba 2015) with a decaying learning rate; the fits of first poses, motions and outlines use it (docs/decisions/18_least_squares.md).
+
+Step k of n has progress $p = k / (n - 1)$ and learning rate $\tfrac12 r (1 + \cos \pi p)$, which ends at 0.
 """
 
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 from jaxtyping import Array, Float, Int
 
 from bayes_body.base.config import FAST_COMPILE
 from bayes_body.base.errors import InputError
 from bayes_body.base.geometry.namespaces import device_array
 from bayes_body.base.shapes import Key, Pose, Scalar
-from bayes_body.initial.fitting.adam import minimise
 from bayes_body.initial.fitting.misfit import Explained, Problem, explain
 from bayes_body.initial.fitting.shares import parameters_of, pose_of
 from bayes_body.initial.fitting.starts import candidates, choose, inside, random_poses
+
+
+def minimise[Parameters, Info](
+    slope: Callable[[Parameters, Scalar], tuple[Parameters, Info]], start: Parameters, rate: float | Scalar, steps: int
+) -> tuple[Parameters, Info]:
+    """Return the parameters after all steps, and the extra output of the last call of `slope`.
+
+    The last step has rate 0, so that output belongs to the returned parameters.
+
+    Args:
+        slope: maps the parameters and the progress (0 to 1) to the gradient and any extra output.
+        start: any pytree of arrays of one dtype.
+        rate: learning rate of the first step, in the parameters' unit.
+        steps: number of steps; each calls `slope` once.
+    """
+    adam, at_start = optax.scale_by_adam(b1=0.9, b2=0.99), cast(Any, start)
+    dtype = jax.tree.leaves(start)[0].dtype
+
+    def step(carry: tuple[Any, Any, Any], progress: Scalar) -> tuple[tuple[Any, Any, Any], None]:
+        parameters, state, _ = carry
+        gradient, info = slope(parameters, progress)
+        direction, state = adam.update(cast(Any, gradient), state)
+        pace = -0.5 * rate * (1 + jnp.cos(jnp.pi * progress))
+        return (optax.apply_updates(parameters, optax.tree.scale(pace, direction)), state, info), None
+
+    _, shape = jax.eval_shape(slope, start, jnp.ones((), dtype))
+    nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape)
+    (parameters, _, info), _ = jax.lax.scan(step, (at_start, adam.init(at_start), nothing), jnp.linspace(0, 1, steps, dtype=dtype))
+    return parameters, info
+
 
 # Number of starts in a round, of steps from each start, and of rounds in which limbs are redrawn. With these, 96 of 100 poses that were drawn
 # uniformly within the limits of `deutscher_31` are recovered from their markers to less than 10 mm at the worst marker.

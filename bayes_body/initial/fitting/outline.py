@@ -27,7 +27,7 @@ from bayes_body.base.errors import input_error
 from bayes_body.base.geometry.camera import Camera
 from bayes_body.base.geometry.namespaces import device_array
 from bayes_body.base.shapes import Pose, Scalar
-from bayes_body.initial.fitting.adam import minimise
+from bayes_body.initial.fitting.fit import minimise
 from bayes_body.model.body.solids import Body
 from bayes_body.model.build import Model
 from bayes_body.model.likelihood.outlines import outline_forms, signed_distance

@@ -5,7 +5,7 @@ $$U = \sum_t \Bigl[\sum_i \tfrac{\nu + 3}{2} \log\bigl(1 + \tfrac{r_{ti}^2}{\nu 
     + \tfrac12 \sum_{tk} \Bigl(\frac{s_{t+1,k} - 2 s_{tk} + s_{t-1,k}}{\alpha_k\,\Delta t^2}\Bigr)^2 + \tfrac12 \|z\|^2$$
 
 The first sums are the misfit of a first pose to markers (`bayes_body.initial.fitting.misfit`). The term with second differences keeps dofs that the
-landmarks do not determine from jumping between equally good solutions. The lengths depend on z as in `bayes_body.initial.fitting.lengths`.
+landmarks do not determine from jumping between equally good solutions. The lengths depend on z as in `bayes_body.initial.fitting.points`.
 
 The misfit of a single frame has many minima. The most complete frame is therefore searched like a first pose. Each other frame starts from the
 solution of its neighbour.
@@ -20,10 +20,10 @@ from jaxtyping import Array, Float, Int
 
 from bayes_body.base.config import FAST_COMPILE
 from bayes_body.base.shapes import Index, Pose, Scalar
-from bayes_body.initial.fitting.adam import minimise
 from bayes_body.initial.fitting.fit import fit as search
-from bayes_body.initial.fitting.lengths import scaled
+from bayes_body.initial.fitting.fit import minimise
 from bayes_body.initial.fitting.misfit import NU, Problem
+from bayes_body.initial.fitting.points import scaled
 from bayes_body.initial.fitting.shares import parameters_of, pose_of
 from bayes_body.initial.retarget.problem import landmarks_of_frame
 from bayes_body.model.body.kinematics import marker_positions

@@ -1,9 +1,13 @@
-"""Retarget a captured motion to a body's joint angles, by exact decomposition or by a fit."""
+"""Retarget a captured motion to a body's joint angles, by exact decomposition or by a fit.
+
+The result of retargeting: angles of a body, and the distances of its markers from the captured points.
+"""
 
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,11 +16,10 @@ from jaxtyping import Array, Float
 
 from bayes_body.base.config import FAST_COMPILE
 from bayes_body.base.errors import InputError, input_error
-from bayes_body.initial.fitting.lengths import factors, scaled
+from bayes_body.initial.fitting.points import factors, scaled
 from bayes_body.initial.retarget.exact import Exact, carried, decompose, with_ends
 from bayes_body.initial.retarget.fit import filled, fit_motion
 from bayes_body.initial.retarget.problem import build_problem, places_of
-from bayes_body.initial.retarget.result import Retargeted
 from bayes_body.model.body.build import Shape, build_body
 from bayes_body.model.body.kinematics import marker_positions
 from bayes_body.model.body.schema import BodySchema
@@ -24,6 +27,56 @@ from bayes_body.model.body.solids import Body
 from bayes_body.model.definition import load_body
 from bayes_body.recording.readers.mocap.landmarks import landmarks
 from bayes_body.recording.readers.mocap.motion import Motion
+
+
+class Retargeted(NamedTuple):
+    """A motion as the joint angles of a body.
+
+    Attributes:
+        angles: (frame, dof), radians and metres, in the order of `body.dof_names`.
+        lengths_m: the body's lengths if they were fitted, else empty.
+        residual_m: (frame, marker), the distance of each of the body's markers from the motion's point of that name; NaN where it has none. For an
+            exact motion, the points are the markers as attached to the motion's joints, except at the ends of limbs.
+        exact: whether the angles are the motion's own, from an exact decomposition, rather than a fit.
+        body: the body with the fitted lengths.
+        markers_m: (frame, marker, 3), the positions of the body's markers at these angles.
+        remarks: sentences for the user.
+    """
+
+    angles: Float[np.ndarray, "frame dof"]
+    lengths_m: Mapping[str, float]
+    residual_m: Float[np.ndarray, "frame marker"]
+    exact: bool
+    body: Body
+    markers_m: Float[np.ndarray, "frame marker 3"]
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def marker_names(self) -> tuple[str, ...]:
+        """The names of the columns of `residual_m`."""
+        return self.body.markers.names
+
+    def residual(self, marker: str | None = None) -> "Residual":
+        """Return a summary of the residuals of one marker, or of all."""
+        columns = slice(None) if marker is None else [self.marker_names.index(marker)]
+        return summed_up(self.residual_m[:, columns])
+
+
+class Residual(NamedTuple):
+    """Summary of distances in millimetres: mean, 95 % quantile and maximum; NaN without distances."""
+
+    mean_mm: float
+    most_mm: float
+    max_mm: float
+
+
+def summed_up(residual_m: Float[np.ndarray, "frame marker"]) -> Residual:
+    """Return a summary of the distances; NaN values are ignored."""
+    known = 1000 * residual_m[np.isfinite(residual_m)]
+    if not known.size:
+        return Residual(float("nan"), float("nan"), float("nan"))
+    return Residual(float(known.mean()), float(np.percentile(known, 95)), float(known.max()))
+
 
 # With fewer known points in the best frame, the pose would be arbitrary.
 FEWEST = 4

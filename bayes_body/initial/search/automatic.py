@@ -3,6 +3,8 @@
 The search samples a body of parts of its own, whatever the model is. Some of its draws are taken, each as often as its weight says, and a pose of the
 model's body is fitted to the markers of each. A likelihood of the whole body then refines these poses (initial/search/refine.py). They are equally
 likely first poses: how uncertain the first frame is, and which way the person may face, stays known to the sampler that starts from them.
+
+Whether a frame shows somebody, as the detectors tell, and which frame does where the first one does not.
 """
 
 import re
@@ -16,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from bayes_body.base.errors import input_error
+from bayes_body.base.errors import InputError, input_error
 from bayes_body.initial.detection.detect import TRUSTED, Detected, detect
 from bayes_body.initial.fitting.fit import fit, fit_draws, unbounded
 from bayes_body.initial.fitting.measurements import FEWEST, PREFIX, read_measurements
@@ -24,7 +26,6 @@ from bayes_body.initial.fitting.points import Points, body_points
 from bayes_body.initial.fitting.problem import build_problem
 from bayes_body.initial.fitting.report import FirstPose, tell
 from bayes_body.initial.search.person_search import Found, PersonSearch
-from bayes_body.initial.search.presence import TRUNK, later_frame
 from bayes_body.initial.search.refine import refine, resampled
 from bayes_body.initial.stored import DIGITS
 from bayes_body.kernels.batching import everywhere
@@ -32,7 +33,52 @@ from bayes_body.model.body.placement import POSE
 from bayes_body.model.build import Model, with_likelihoods
 from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.observation.frames import read_frame
+from bayes_body.recording.observation.silhouettes import has_silhouettes
 from bayes_body.recording.session.session import Session
+
+# The part that says where a person is.
+TRUNK = "torso"
+# Where the first frame shows nobody, so many other frames are looked at, so many seconds apart.
+LOOKED_AT, LOOK_S = 20, 1.0
+
+
+def shows_somebody(session: Session, frame: int) -> bool:
+    """Return whether detectors find a person in a frame, counted from 0.
+
+    Raises:
+        InputError: a file of the session cannot be used.
+    """
+    return TRUNK in detect(session, frame, TRUSTED).parts
+
+
+def later_frame(session: Session) -> int | None:
+    """Return the first frame after frame 0 that shows a person, counted from 0; None if none of those that are looked at does.
+
+    Raises:
+        InputError: a file of the session cannot be used.
+    """
+    step = max(1, round(LOOK_S * session.fps))
+    looked_at = range(step, min(session.frames, step * LOOKED_AT + 1), step)
+    return next((frame for frame in looked_at if shows_somebody(session, frame)), None)
+
+
+def nobody_first(session: Session) -> str | None:
+    """Return a sentence if the session's silhouettes show nobody in frame 0; None if they show somebody, or if other data tell or nothing does."""
+    pose_data = session.initial or session.initial_markers or session.initial_keypoints or any(view.keypoints for view in session.views)
+    if pose_data or not has_silhouettes(session):
+        return None
+    first = session.first_frame
+    try:
+        if shows_somebody(session, 0):
+            return None
+        later = later_frame(session)
+    except InputError as error:
+        return f"It is not known whether somebody is in frame {first}: {error}"
+    if later is None:
+        return f"Nobody is detected in frame {first}, nor in {LOOKED_AT} s after it: check the silhouettes, or give keypoints."
+    remedy = f"import again with --first-frame {session.frame_number(later)} --overwrite, or give the same option to `bayes-body track`"
+    return f"Nobody is detected in frame {first}, the first one; somebody is in frame {session.frame_number(later)}: {remedy}."
+
 
 # The definition whose likelihood compares body and silhouette both ways.
 JUDGE = "silhouettes"

@@ -1,7 +1,7 @@
 """Find the person of a session in single frames, from the pictures alone: detectors, and a search for a loose-limbed body (initial/search/search.py).
 
 A single frame does not always tell which way a person faces. So both ways are searched, with the same number of draws, and each has its evidence.
-Frames that are near in time decide together (initial/search/facing.py).
+Frames that are near in time decide together (initial/search/search.py).
 """
 
 import time
@@ -18,9 +18,8 @@ from bayes_body.density.density import Density
 from bayes_body.density.graph import Mixture
 from bayes_body.initial.detection.detect import TRUSTED, Detected, detect
 from bayes_body.initial.detection.detections import Detections, chosen
-from bayes_body.initial.search.facing import Way, shares_over_time, way_of
 from bayes_body.initial.search.proposals import by_parts, frames_of, proposals_of
-from bayes_body.initial.search.search import search
+from bayes_body.initial.search.search import Way, search, shares_over_time, way_of
 from bayes_body.kernels.batching import everywhere
 from bayes_body.model.body.solids import Body
 from bayes_body.model.body.world import placed_markers

@@ -36,12 +36,21 @@ from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.density.spaces import Flat
 from bayes_body.kernels.batching import axes_of, over_particles
 from bayes_body.kernels.hmc.adaptation import FEWEST
-from bayes_body.kernels.hmc.ancestors import compares_frames, whole_states, with_ancestor
 from bayes_body.kernels.hmc.hamiltonian import Chain, Sampler, Schedule, chain_figures, effective_draws, run_chain
 from bayes_body.kernels.hmc.mass import correlated, inverse_mass
-from bayes_body.kernels.hmc.starts import Initialisation, Start, StartsBy, by_annealing, by_importance, by_tempering
-from bayes_body.kernels.resampling import Scheme, resampler
+from bayes_body.kernels.hmc.starts import (
+    Initialisation,
+    Start,
+    StartsBy,
+    by_annealing,
+    by_importance,
+    by_tempering,
+    compares_frames,
+    whole_states,
+    with_ancestor,
+)
 from bayes_body.kernels.smc.moves import check_gradients
+from bayes_body.kernels.weights import Scheme, resampler
 
 type Carry = Literal["means", "draws"]
 type Mass = Literal["curvature", "curvature_matrix", "particles", "adapted"]

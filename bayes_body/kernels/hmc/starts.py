@@ -1,21 +1,28 @@
 """The starts of a frame's chains: states drawn from the prediction and selected by the likelihood.
 
 A chain may start anywhere, but it often does not leave the mode in which it started. So a mode without a start is not found.
+
+Chains on the extended view, for likelihoods that compare a state with its own past, such as image motion.
+
+The marginal view would evaluate the images once for each ancestor. A chain has one ancestor instead, which a Gibbs step redraws before each
+trajectory.
 """
 
+from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
-from bayes_body.base.shapes import Flag, Key, Keys, Scalar
-from bayes_body.density.density import Unconstrained
-from bayes_body.density.factor import Particles
+from bayes_body.base.shapes import Flag, Index, Key, Keys, Scalar
+from bayes_body.density.density import Density, Unconstrained
+from bayes_body.density.extended import extended
+from bayes_body.density.factor import Particles, State
 from bayes_body.density.kernel import FilterInfo, Kernel
-from bayes_body.kernels.resampling import Resample
+from bayes_body.kernels.hmc.hamiltonian import WithAncestor
 from bayes_body.kernels.smc import annealed_filter, tempered_smc
-from bayes_body.kernels.weights import predict
+from bayes_body.kernels.weights import Resample, predict
 
 type StartsBy = Literal["importance", "annealing"]
 
@@ -109,3 +116,37 @@ def _among_particles(keys: Keys, kernel: Kernel, target: Unconstrained, count: i
     chosen = resample(choose_key, after.log_weights, chains)
     position = jax.vmap(target.unconstrain)(jax.tree.map(lambda leaf: leaf[chosen], dict(after.states)))
     return Start(position, parents[info.ancestors[chosen]]), info
+
+
+def compares_frames(density: Density) -> bool:
+    """Return whether a likelihood depends on the previous frame."""
+    return any(factor.reads_previous and factor.side == "likelihood" for factor in density.factors)
+
+
+def with_ancestor(start: Start, density: Density, candidates: int) -> WithAncestor:
+    """Return the extended view as a target, beginning with the ancestor that a chain's start was predicted from.
+
+    Args:
+        start: the start of the chain.
+        density: the density of the frame.
+        candidates: the number of ancestors among which a chain redraws its own, including the current one.
+    """
+    view = extended(density)
+
+    def redraw(key: Key, ancestor: Index, position: State) -> Index:
+        return view.choose_ancestor(key, ancestor, position, 1.0, candidates)
+
+    def conditional(ancestor: Index) -> Callable[[State], Scalar]:
+        return lambda position: view.log_density(ancestor, position)[0]
+
+    return WithAncestor(start.ancestor, conditional, redraw, candidates)
+
+
+def whole_states(draws: State, ancestors: Int[Array, " draw"], target: Unconstrained) -> State:
+    """Return the whole states of draws whose ancestors are known, along a leading axis."""
+    transition = target.density.transition
+
+    def whole(position: State, ancestor: Index) -> State:
+        return transition.carry(target.density.ancestor(ancestor), target.constrain(position))
+
+    return jax.vmap(whole)(draws, ancestors)

@@ -1,21 +1,88 @@
-"""Methods of particle belief propagation: what they add to the common proposal of a node.
+r"""Methods of particle belief propagation: what they add to the common proposal of a node.
 
 A method gives every node a distribution near its last belief, with a density that is known exactly. In the method `mixture`, it is one part of the
 node's proposal, besides messages, prior and detections (kernels/messages/node_proposals.py). In `pbp` and `epbp` it is the whole proposal of a node
 that has particles, as in the papers; the other parts only give the first particles. `pampas` draws its particles in strata
 (kernels/messages/pampas.py), and uses the common proposal for the joint draws alone.
+
+Proposals of particle belief propagation (Ihler & McAllester 2009): the particles of a node are drawn from an estimate of its belief.
+
+The paper runs Markov chains whose target is the belief. Their draws have a density that is known up to a constant only, and are dependent. Here the
+estimate is a kernel density estimate of the last belief's particles,
+
+$$q_i(x) = \sum_n w_n\, \mathcal N\big(x;\, x_i^{(n)}, h^2 \Sigma_i\big), \qquad h = \Big(\frac{4}{(D + 2)\, \text{ESS}}\Big)^{1 / (D + 4)},$$
+
+with normal kernels in the tangent spaces at the particles (`density.tangent_normal`), the covariance $\Sigma_i$ of the normal fit to the belief, and
+Silverman's bandwidth for D coordinates. It is evaluated exactly, so the draws are independent and the evidence is unbiased. Where a belief has not
+been yet, nothing is proposed: the method finds no place that its first particles missed.
 """
 
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal, Protocol
 
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from bayes_body.base.shapes import Scalar
+from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.graph import Graph
 from bayes_body.density.tangent_normal import TangentNormal
 from bayes_body.kernels.messages.epbp import ExpectationPropagation
 from bayes_body.kernels.messages.messages import Beliefs, NodeValues
-from bayes_body.kernels.messages.pbp import BeliefKernels
+from bayes_body.kernels.weights import effective_sample_size
+
+
+@partial(jax.tree_util.register_dataclass, meta_fields=[], data_fields=["kernel", "points", "log_weights"])
+@dataclass(frozen=True)
+class KernelEstimate:
+    """A kernel density estimate.
+
+    Attributes:
+        kernel: the kernel, around any point.
+        points: the particles.
+        log_weights: their normalised log-weights.
+    """
+
+    kernel: TangentNormal
+    points: Float[Array, "sample *entry"]
+    log_weights: Float[Array, " sample"]
+
+    def sample(self, key: Key) -> Array:
+        """Draw a point."""
+        choice, draw = jax.random.split(key)
+        cumulative = jnp.cumsum(jnp.exp(self.log_weights))
+        index = jnp.searchsorted(cumulative, jax.random.uniform(choice) * cumulative[-1], side="right")
+        return self._component(self.points[jnp.minimum(index, len(cumulative) - 1)]).sample(draw)
+
+    def log_prob(self, x: Array) -> Scalar:
+        """Return the log-density at a point."""
+        return jax.nn.logsumexp(jax.vmap(lambda point: self._component(point).log_prob(x))(self.points) + self.log_weights)
+
+    def _component(self, point: Array) -> TangentNormal:
+        return TangentNormal(self.kernel.space, point, self.kernel.root, self.kernel.inverse)
+
+
+class BeliefKernels:
+    """The method `pbp`. It remembers nothing."""
+
+    alone = True
+
+    def begin(self, graph: Graph, points: Float[Array, "node sample *entry"]) -> tuple[()]:
+        """Return nothing."""
+        del graph, points
+        return ()
+
+    def near_beliefs(
+        self, graph: Graph, beliefs: Beliefs, weights: NodeValues, fits: TangentNormal, memory: Any, power: float | Scalar
+    ) -> tuple[KernelEstimate, Any]:
+        """Return the kernel density estimates of all beliefs, stacked over the nodes."""
+        del power
+        dimension = graph.space.dimension
+        width = (4 / (dimension + 2) / jax.vmap(effective_sample_size)(weights)) ** (1 / (dimension + 4))
+        kernel = TangentNormal(fits.space, fits.mean, width[:, None, None] * fits.root, fits.inverse / width[:, None, None])
+        return KernelEstimate(kernel, beliefs.points, weights), memory
+
 
 type MethodName = Literal["mixture", "pbp", "epbp", "pampas"]
 

@@ -6,7 +6,7 @@ are taken from the exact sum over a forest of the graph's edges (kernels/message
 out, so they are a weighted sample of the posterior.
 
 On a graph with loops, messages need not converge, and beliefs are not the true marginals. The joint draws still are a valid importance sample. If
-few of them carry the weight, `joint_ess` says so (kernels/messages/message_diagnostics.py).
+few of them carry the weight, `joint_ess` says so (kernels/messages/messages.py).
 """
 
 from dataclasses import replace
@@ -28,15 +28,13 @@ from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.density.parts_graph import parts_graph
 from bayes_body.kernels.batching import over_particles
 from bayes_body.kernels.messages.joint_particles import JointParticles, joint_particles
-from bayes_body.kernels.messages.message_diagnostics import Summary, message_figures, shares_of_weight
-from bayes_body.kernels.messages.messages import Beliefs, Directed, NodeValues
+from bayes_body.kernels.messages.messages import Beliefs, Directed, NodeValues, Summary, message_figures, shares_of_weight
 from bayes_body.kernels.messages.methods import MethodName
 from bayes_body.kernels.messages.node_proposals import Shares
 from bayes_body.kernels.messages.pampas import Pampas
 from bayes_body.kernels.messages.passing import Passing, Settings
 from bayes_body.kernels.messages.schedules import Round, Schedule, schedule
-from bayes_body.kernels.resampling import resampler
-from bayes_body.kernels.weights import effective_sample_size, normalise, predict
+from bayes_body.kernels.weights import effective_sample_size, normalise, predict, resampler
 
 # Iterations for the normaliser of the prior, whose beliefs are near its prediction.
 PRIOR_ITERATIONS = 3

@@ -21,12 +21,13 @@ from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.graph import Graph, Term
 from bayes_body.density.tangent_normal import fit
 from bayes_body.kernels.messages.joint_particles import Redrawn
-from bayes_body.kernels.messages.message_diagnostics import Summary, belief_sds
 from bayes_body.kernels.messages.messages import (
     Beliefs,
     Directed,
     NodeValues,
     Sources,
+    Summary,
+    belief_sds,
     cavities,
     entered,
     log_beliefs,

@@ -27,8 +27,7 @@ from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles, State, Transition, draw
 from bayes_body.density.kernel import FilterInfo, Kernel
 from bayes_body.kernels.batching import over_particles
-from bayes_body.kernels.resampling import Resample, Scheme, resampler
-from bayes_body.kernels.weights import LogWeights, Weighed, effective_sample_size, normalise, weigh
+from bayes_body.kernels.weights import LogWeights, Resample, Scheme, Weighed, effective_sample_size, normalise, resampler, weigh
 
 # Limits of the bisection for the likelihood's power, and its number of steps, which gives a precision of 1e-7 in the logarithm.
 LOWEST_POWER, HIGHEST_POWER = 1e-6, 1e6

@@ -20,8 +20,7 @@ from bayes_body.base.toml.schema import Count, Schema
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
 from bayes_body.density.kernel import FilterInfo, Kernel
-from bayes_body.kernels.resampling import Scheme, resampler
-from bayes_body.kernels.weights import effective_sample_size, predict
+from bayes_body.kernels.weights import Scheme, effective_sample_size, predict, resampler
 
 
 class Options(Schema):

@@ -41,12 +41,20 @@ from bayes_body.density.gaussian_view import GaussianView, joined
 from bayes_body.density.kernel import NO_ANCESTOR, FilterInfo, Kernel
 from bayes_body.density.tempering import LogTerms
 from bayes_body.kernels.batching import over_particles
-from bayes_body.kernels.resampling import Resample, Scheme, resampler
-from bayes_body.kernels.smc.ladder import Ladder, increment, is_at_top, potentials_share
 from bayes_body.kernels.smc.moment_correction import noise_beside
 from bayes_body.kernels.smc.moves import ExtendedParticle, Move, MoveName, MoveSettings, check_gradients, hmc, random_walk, walk, whitening
-from bayes_body.kernels.smc.tempering import TemperedState, corrected_positions, feynman_kac_step, finite_log, init_state
-from bayes_body.kernels.weights import LogWeights, effective_sample_size, normalise, predict, predict_by_gaussian
+from bayes_body.kernels.smc.tempering import (
+    Ladder,
+    TemperedState,
+    corrected_positions,
+    feynman_kac_step,
+    finite_log,
+    increment,
+    init_state,
+    is_at_top,
+    potentials_share,
+)
+from bayes_body.kernels.weights import LogWeights, Resample, Scheme, effective_sample_size, normalise, predict, predict_by_gaussian, resampler
 
 type View = Extended | GaussianView
 

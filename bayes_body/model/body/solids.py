@@ -11,6 +11,8 @@ view perpendicular to the axis matters, and it is the same at both ends. A spher
 Every point that a likelihood reads is therefore a sum of four vectors of its part, $V_0 + \alpha V_1 + \beta V_2 + \gamma V_3$, with fixed
 coefficients: $(1, t, s, ts)$ on a cylinder, with $t \in [0, 1]$ along and $s \in [-1, 1]$ across it. The outline is $s = \pm 1$; surface samples are
 points in between, on the patch that faces the camera.
+
+The space of what places a body: a pose, or the transforms of its parts.
 """
 
 from dataclasses import dataclass, replace
@@ -26,7 +28,8 @@ from bayes_body.base.geometry import transforms
 from bayes_body.base.geometry.namespaces import device_array
 from bayes_body.base.geometry.transforms import Transform
 from bayes_body.base.shapes import Configuration, Vector3
-from bayes_body.model.body.placement import ByAngles, Placement
+from bayes_body.density.spaces import SE3, Flat, Plate, Space, flat
+from bayes_body.model.body.placement import ByAngles, ByParts, Placement
 from bayes_body.model.body.skeleton import Markers, Skeleton
 
 
@@ -282,3 +285,16 @@ def _sphere_depths(first: Float[Array, "xyzr sphere pair"], second: Float[Array,
 def _deepest(depths: Float[Array, "sphere sphere pair"]) -> Float[Array, " pair"]:
     # Not a reduction over two small axes, which XLA runs unvectorised, ten times slower.
     return reduce(jnp.maximum, depths.reshape(-1, depths.shape[-1]))
+
+
+def pose_space(body: Body) -> Flat:
+    """Return the space of a pose, one axis `dof`: an angle without limits is on the circle, a dof with limits keeps them."""
+    topology, low, high = body.skeleton.topology, np.asarray(body.skeleton.low, float), np.asarray(body.skeleton.high, float)
+    turning = np.asarray(topology.angular) & ~np.isfinite(low) & ~np.isfinite(high)
+    return flat(topology.dof_names, topology.dof_units, tuple(turning.tolist()), tuple(low.tolist()), tuple(high.tolist()), "dof")
+
+
+def configuration_space(body: Body) -> Space:
+    """Return the space of the variable `body.variable`: that of a pose, or rigid transforms with the axes `part` and `coordinate`."""
+    placement = body.placement
+    return Plate(placement.names, SE3("coordinate"), "part") if isinstance(placement, ByParts) else pose_space(body)

@@ -14,10 +14,9 @@ from bayes_body.base.toml.schema import Positive, Schema, Share
 from bayes_body.density.factor import State
 from bayes_body.density.spaces import Space, circle, euclidean
 from bayes_body.model.body.placement import POSE
-from bayes_body.model.body.solids import Body
-from bayes_body.model.body.space import pose_space
+from bayes_body.model.body.solids import Body, pose_space
 from bayes_body.model.dynamics.activity import NAME, Activity
-from bayes_body.model.dynamics.root import ROOT_DOFS, check_root
+from bayes_body.model.dynamics.diffusion import ROOT_DOFS, check_root
 
 FEATURES, BELIEF, RESIDUAL, BEFORE = "features", "belief", "residual", "position_before"
 # The free variables, and where they are in the pose. The rest of the free dofs is the head.

@@ -32,9 +32,8 @@ from numpyro.distributions import Categorical, Distribution, LowRankMultivariate
 from bayes_body.base.registry import register
 from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.factor import State, Transition
-from bayes_body.model.body.branches import nearest_branch
+from bayes_body.model.body.branches import nearest_branch, settled
 from bayes_body.model.body.placement import POSE
-from bayes_body.model.body.settled import settled
 from bayes_body.model.body.solids import Body
 from bayes_body.model.body.world import require
 from bayes_body.model.dynamics.activity import load_activity
@@ -53,7 +52,7 @@ from bayes_body.model.dynamics.activity_arrays import (
     check_activity,
     transitions_needed,
 )
-from bayes_body.model.dynamics.root import ROOT_DOFS
+from bayes_body.model.dynamics.diffusion import ROOT_DOFS
 
 
 def _derive(arrays: ActivityArrays, sampled: State) -> dict[str, Array]:

@@ -35,11 +35,9 @@ from bayes_body.base.toml.schema import Positive, Schema
 from bayes_body.density.factor import State, Transition
 from bayes_body.density.spaces import euclidean
 from bayes_body.model.body.placement import POSE
-from bayes_body.model.body.solids import Body
-from bayes_body.model.body.space import pose_space
+from bayes_body.model.body.solids import Body, pose_space
 from bayes_body.model.body.world import require
-from bayes_body.model.dynamics.deviations import by_dof, standard_deviations
-from bayes_body.model.dynamics.diffusion import TruncatedWalk
+from bayes_body.model.dynamics.diffusion import TruncatedWalk, by_dof, standard_deviations
 
 VELOCITY = "velocity"
 # The first velocity of a dof whose velocity does not decay is 0, or as good as that: its standard deviation is this fraction of the noise.

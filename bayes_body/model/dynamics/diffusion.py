@@ -4,10 +4,15 @@ $$s_t^k \mid s_{t-1}^k \sim \mathcal{N}(s_{t-1}^k, \sigma_k^2) \text{ truncated 
 
 The truncated normal is normalised for each previous state: near a limit its density is higher, which rejection after drawing would ignore. The paper
 sets $\sigma_k$ to half the largest change between two frames of a training motion.
+
+Standard deviations per frame, as a definition gives them: by names of dofs or parts, or patterns, at one frame rate.
+
+The first joint of a body that a learned motion prior moves: its dofs are the position and the orientation in the world.
 """
 
 import math
 from collections.abc import Mapping
+from fnmatch import fnmatchcase
 from typing import Any
 
 import jax
@@ -15,17 +20,116 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpyro.distributions import Distribution, constraints
 
+from bayes_body.base.errors import InputError, input_error, nearest
 from bayes_body.base.geometry.namespaces import device_array
 from bayes_body.base.registry import register
 from bayes_body.base.shapes import Key, Pose, Scalar
 from bayes_body.base.toml.schema import Positive, Schema
 from bayes_body.density.factor import State, Transition
 from bayes_body.model.body.placement import POSE
-from bayes_body.model.body.solids import Body
-from bayes_body.model.body.space import pose_space
+from bayes_body.model.body.skeleton import Topology
+from bayes_body.model.body.solids import Body, pose_space
 from bayes_body.model.body.world import require
-from bayes_body.model.dynamics.deviations import standard_deviations
 from bayes_body.model.dynamics.limits import InBox
+
+
+def by_part(table: Mapping[str, float], names: tuple[str, ...], field: str) -> list[float]:
+    """The number of every part, from names or patterns. An exact name wins, else the first pattern that matches.
+
+    Raises:
+        InputError: a part has none, or a key matches no part.
+    """
+    _check_keys(table, names, field, "part")
+    numbers = []
+    for name in names:
+        key = _key_of(name, table)
+        if key is None:
+            raise InputError(f"{field}: none for the part '{name}'; expected one for every part; add '{name}' or a pattern.")
+        numbers.append(table[key])
+    return numbers
+
+
+def by_dof(table: Mapping[str, float], names: tuple[str, ...], field: str) -> dict[str, float]:
+    """The numbers of those dofs that have one, from names or patterns.
+
+    Raises:
+        InputError: a key matches no dof.
+    """
+    _check_keys(table, names, field, "dof")
+    return {name: table[key] for name in names if (key := _key_of(name, table)) is not None}
+
+
+def standard_deviations(sd_deg: Mapping[str, float], sd_m: Mapping[str, float], topology: Topology, prefix: str = "") -> dict[str, float]:
+    """The standard deviation of every dof, radians or metres. An exact name wins, else the first pattern that matches.
+
+    Args:
+        sd_deg: those of angles, degrees.
+        sd_m: those of shifts, metres.
+        topology: the body's dofs.
+        prefix: what the names of the two tables begin with in the definition, such as "velocity_".
+
+    Raises:
+        InputError: a dof has none, or a key matches no dof.
+    """
+    deviations = known_deviations(sd_deg, sd_m, topology, f"dynamics.{prefix}")
+    for name, unit in zip(topology.dof_names, topology.dof_units, strict=True):
+        if name not in deviations:
+            field = f"dynamics.{prefix}{'sd_deg' if unit == 'rad' else 'sd_m'}"
+            raise InputError(f"{field}: no standard deviation for the dof '{name}'; expected one for every dof; add '{name}' or a pattern.")
+    return deviations
+
+
+def known_deviations(sd_deg: Mapping[str, float], sd_m: Mapping[str, float], topology: Topology, place: str) -> dict[str, float]:
+    """The standard deviations of those dofs that have one, radians or metres.
+
+    Raises:
+        InputError: a key matches no dof.
+    """
+    deviations: dict[str, float] = {}
+    for unit, field, table, si in (("rad", "sd_deg", sd_deg, math.pi / 180), ("m", "sd_m", sd_m, 1.0)):
+        dofs = [name for name, u in zip(topology.dof_names, topology.dof_units, strict=True) if u == unit]
+        for key in table:
+            if not any(fnmatchcase(name, key) for name in dofs):
+                measure = "degrees" if unit == "rad" else "metres"
+                raise InputError(f"{place}{field}.{key}: matches no dof of the body in {measure}; {nearest(key, dofs)}")
+        for name in dofs:
+            key = _key_of(name, table)
+            if key is not None:
+                deviations[name] = table[key] * si
+    return deviations
+
+
+def _key_of(name: str, table: Mapping[str, float]) -> str | None:
+    return name if name in table else next((pattern for pattern in table if fnmatchcase(name, pattern)), None)
+
+
+def _check_keys(table: Mapping[str, float], names: tuple[str, ...], field: str, what: str) -> None:
+    for key in table:
+        if not any(fnmatchcase(name, key) for name in names):
+            raise InputError(f"{field}.{key}: matches no {what} of the body; {nearest(key, names)}")
+
+
+# Its dofs, in order: shifts along x, y, z, then rotations about z (yaw), x, y. The second entry says whether it is a shift.
+ROOT = ((0, True), (1, True), (2, True), (2, False), (0, False), (1, False))
+ROOT_DOFS = len(ROOT)
+
+
+def check_root(body: Body, what: str) -> None:
+    """Check that the first joint of a body has these dofs.
+
+    Args:
+        body: the body.
+        what: what needs it, such as "dynamics walking_cycle".
+
+    Raises:
+        InputError: it has others.
+    """
+    topology = body.skeleton.topology
+    root = tuple((motion.axis, motion.is_shift) for motion in topology.motions[0] if motion.sign == 1)
+    if root != ROOT or [motion.dof for motion in topology.motions[0]] != list(range(ROOT_DOFS)):
+        problem = f"the first joint of the body '{body.name}' is {topology.joint_names[0]}, with other dofs"
+        raise input_error(what, problem, "a first joint with the dofs tx, ty, tz, z, x, y in this order", "name another body")
+
 
 ROOT_HALF = math.sqrt(0.5)
 

@@ -18,7 +18,7 @@ from numpyro.distributions import Distribution, constraints
 from pydantic import Field
 
 from bayes_body.base.errors import input_error
-from bayes_body.base.geometry import half_angles, rigid, rotations
+from bayes_body.base.geometry import rigid, rotations
 from bayes_body.base.geometry.namespaces import device_array
 from bayes_body.base.registry import register
 from bayes_body.base.shapes import Key, Scalar
@@ -26,10 +26,9 @@ from bayes_body.base.toml.schema import Positive, Schema
 from bayes_body.density.chart import ChartAround
 from bayes_body.density.factor import State, Transition
 from bayes_body.model.body.placement import PARTS, ByParts
-from bayes_body.model.body.solids import Body
-from bayes_body.model.body.space import configuration_space
+from bayes_body.model.body.solids import Body, configuration_space
 from bayes_body.model.body.world import require
-from bayes_body.model.dynamics.deviations import by_part
+from bayes_body.model.dynamics.diffusion import by_part
 
 # With a larger standard deviation, more than a ten-millionth of the draws would be beyond a half turn, where the density ends.
 LARGEST_DEG = 30.0
@@ -91,12 +90,12 @@ class RigidWalk(Distribution):
 
     def log_prob_of_pairs(self, values: Float[Array, "value 7"]) -> Float[Array, "value step"]:
         """Return `log_prob` of all values under each of many steps of one part, whose fields are stacked. Its error is below 1e-3 in float32."""
-        versine = half_angles.away(values[:, 3:], self.loc[:, 3:])
-        squared_angle = half_angles.squared(versine) * versine * (2 - versine)
+        versine = rotations.away(values[:, 3:], self.loc[:, 3:])
+        squared_angle = rotations.squared(versine) * versine * (2 - versine)
         squared_distance = jnp.sum((values[:, None, :3] - self.loc[None, :, :3]) ** 2, axis=-1)
         constants = -3 * jnp.log(2 * math.pi * self.sd_m * self.sd_rad) - 2 * math.log(2)
         normal = -0.5 * (squared_distance / self.sd_m**2 + squared_angle / self.sd_rad**2)
-        return normal + constants + half_angles.log_squared(versine)
+        return normal + constants + rotations.log_squared(versine)
 
 
 def _walk(sd_m: Array, sd_rad: Array, previous: State) -> dict[str, Distribution]:

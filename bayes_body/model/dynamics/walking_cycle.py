@@ -33,15 +33,13 @@ from bayes_body.base.shapes import Pose, Scalar
 from bayes_body.base.toml.schema import Positive, ProperShare, Schema
 from bayes_body.density.factor import State, Transition
 from bayes_body.density.spaces import Space, circle, euclidean
-from bayes_body.model.body.branches import nearest_branch
+from bayes_body.model.body.branches import nearest_branch, settled
 from bayes_body.model.body.kinematics import marker_positions
 from bayes_body.model.body.placement import POSE
-from bayes_body.model.body.settled import settled
-from bayes_body.model.body.solids import Body
-from bayes_body.model.body.space import pose_space
+from bayes_body.model.body.solids import Body, pose_space
 from bayes_body.model.body.world import require
 from bayes_body.model.dynamics.angle_cycle import NAME, AngleCycle, load_angle_cycle
-from bayes_body.model.dynamics.root import ROOT_DOFS, check_root
+from bayes_body.model.dynamics.diffusion import ROOT_DOFS, check_root
 
 GRAVITY = 9.81
 LEG = ("l_hip", "l_knee", "l_ankle")

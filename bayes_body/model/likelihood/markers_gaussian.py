@@ -1,14 +1,25 @@
 r"""Markers seen by cameras, as a distribution over their pixels.
 
-$p(z \mid s) = p(z \mid x(s))$ with the positions x of the body's markers, and the distribution of detections in model/likelihood/detections.py. Which
-markers are present, and their confidence, is given.
+$p(z \mid s) = p(z \mid x(s))$ with the positions x of the body's markers, and the distribution of detections in model/likelihood/markers_gaussian.py.
+Which markers are present, and their confidence, is given.
 
 The markers of a body that is placed by its parts are a plate over the parts that hold them, which message passing reads part by part.
 
 Errors of keypoint networks are correlated between frames and cameras (a hip is always found outside and above the joint's centre). Here they are
 independent, so on real keypoints the posterior is too narrow, and more so at higher frame rates.
+
+Where cameras detect points of the world: the distribution of the detections' pixels.
+
+$$p(z \mid x) = \prod_{c, m \,\text{present}} \Big[ (1 - \epsilon)\, f\big(\|z_{cm} - \pi_c(x_m)\|; \sigma_{cm}\big)
+  + \frac{\epsilon}{W_c H_c} \Big],$$
+
+where f is Gaussian, $\frac{1}{2\pi\sigma^2} e^{-r^2/2\sigma^2}$, or Student's t in two dimensions (Lange et al. 1989), which has the same constant,
+$\frac{1}{2\pi\sigma^2} (1 + r^2/\nu\sigma^2)^{-(\nu+2)/2}$; $\epsilon$ is the fraction of outliers, uniform over the image, and
+$\sigma_{cm} = \sigma_c / q_{cm}^a$ with the confidence q. A point behind a camera is expected at a fixed place far outside the image: this is
+unlikely but finite, and the density is still normalised.
 """
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, Literal, NamedTuple
@@ -21,7 +32,7 @@ from pydantic import Field
 
 from bayes_body.base.errors import input_error
 from bayes_body.base.geometry import rigid, transforms
-from bayes_body.base.geometry.camera import Camera
+from bayes_body.base.geometry.camera import Camera, project
 from bayes_body.base.registry import register
 from bayes_body.base.shapes import Configuration, Key, Scalar
 from bayes_body.base.toml.schema import NonNegative, Positive, Schema, Share
@@ -30,8 +41,93 @@ from bayes_body.density.plate import Plate, plate_factor
 from bayes_body.model.body.placement import PARTS, ByParts
 from bayes_body.model.body.solids import Body
 from bayes_body.model.body.world import placed_markers
-from bayes_body.model.likelihood.detections import Detections
 from bayes_body.recording.evidence.markers import MARKERS, MarkerEvidence
+
+# Where a point behind the camera is expected: its distance from the image's centre, in diagonals of the image.
+BEHIND = 2.0
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    meta_fields=["noise", "outliers", "by_confidence"],
+    data_fields=["rig", "sd_px", "degrees_of_freedom", "least_confidence"],
+)
+@dataclass(frozen=True)
+class Detections:
+    """The distribution of the pixels at which cameras detect points of the world.
+
+    Attributes:
+        noise: gaussian or student.
+        outliers: fraction of the markers that are outliers, uniform over the image.
+        by_confidence: the power a of the confidence.
+        rig: the cameras.
+        sd_px: standard deviation in each camera; the scale for Student's t.
+        degrees_of_freedom: of Student's t.
+        least_confidence: a marker with at most this confidence counts as not present.
+    """
+
+    noise: Literal["gaussian", "student"]
+    outliers: float
+    by_confidence: float
+    rig: Camera
+    sd_px: Float[Array, " camera"]
+    degrees_of_freedom: Scalar
+    least_confidence: Scalar
+
+    def log_density(
+        self, points: Float[Array, "point 3"], pixels: Float[Array, "camera point 2"], confidence: Float[Array, "camera point"]
+    ) -> Scalar:
+        """Return the sum of the present points' log-densities, normalised."""
+        present = confidence > self.least_confidence
+        # Absent data may be NaN. Without this, a `where` around the density would still let NaN into the gradient.
+        pixels, confidence = jnp.where(present[..., None], pixels, 0.0), jnp.where(present, confidence, 1.0)
+        return jnp.sum(jnp.where(present, self._log_densities(pixels, confidence, self.expected(points)), 0.0))
+
+    def expected(self, points: Float[Array, "point 3"]) -> Float[Array, "camera point 2"]:
+        """Return the expected pixels of points in each camera."""
+
+        def pixels_of(camera: Camera) -> Float[Array, "point 2"]:
+            pixels, visible = project(camera, points)
+            return jnp.where(visible[:, None], pixels, camera.size / 2 - BEHIND * jnp.sqrt(jnp.sum(camera.size**2)))
+
+        return jax.vmap(pixels_of)(self.rig)
+
+    def _log_densities(
+        self, pixels: Float[Array, "camera point 2"], confidence: Float[Array, "camera point"], expected: Float[Array, "camera point 2"]
+    ) -> Float[Array, "camera point"]:
+        variance = self._sd(confidence) ** 2
+        squares = jnp.sum((pixels - expected) ** 2, axis=-1) / variance
+        nu = self.degrees_of_freedom
+        fall = 0.5 * squares if self.noise == "gaussian" else 0.5 * (nu + 2) * jnp.log1p(squares / nu)
+        inlier = -fall - jnp.log(2 * math.pi * variance)
+        if self.outliers == 0:
+            return inlier
+        anywhere = jnp.where(self._inside(pixels), math.log(self.outliers) - jnp.log(jnp.prod(self.rig.size, axis=1))[:, None], -jnp.inf)
+        return jnp.logaddexp(math.log1p(-self.outliers) + inlier, anywhere)
+
+    def _sd(self, confidence: Float[Array, "camera point"]) -> Float[Array, "camera point"]:
+        return self.sd_px[:, None] / confidence**self.by_confidence
+
+    def _inside(self, pixels: Float[Array, "camera point 2"]) -> Bool[Array, "camera point"]:
+        # The first pixel's centre is (0, 0), so an image begins half a pixel before it.
+        return jnp.all((pixels >= -0.5) & (pixels <= self.rig.size[:, None] - 0.5), axis=-1)
+
+    def draw(
+        self, key: Key, points: Float[Array, "point 3"], confidence: Float[Array, "camera point"] | None = None
+    ) -> Float[Array, "camera point 2"]:
+        """Draw pixels of points, with the given confidence, by default 1."""
+        noise, spread, choice, place = jax.random.split(key, 4)
+        expected = self.expected(points)
+        shape, dtype = expected.shape[:2], expected.dtype
+        sd = self._sd(jnp.ones(shape, dtype) if confidence is None else confidence)
+        off = sd[..., None] * jax.random.normal(noise, expected.shape, dtype)
+        if self.noise == "student":
+            # z / sqrt(chi2 / nu), chi2 = 2 Gamma(nu / 2).
+            gamma = jax.random.gamma(spread, self.degrees_of_freedom / 2, shape, dtype)
+            off *= jnp.sqrt(self.degrees_of_freedom / (2 * gamma))[..., None]
+        anywhere = jax.random.uniform(place, expected.shape, dtype) * self.rig.size[:, None] - 0.5
+        return jnp.where(jax.random.bernoulli(choice, self.outliers, shape)[..., None], anywhere, expected + off)
+
 
 Rare = Annotated[float, Field(strict=True, ge=0, lt=1)]
 

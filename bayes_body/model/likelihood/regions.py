@@ -5,7 +5,7 @@ $$\log \phi = \rho \sum_c \Big[ (1 - w) \Big( \sum_{x \in \Omega_1} \log \frac{p
 
 with the pixels $\Omega_1$ inside the part's projection, $\Omega_2$ of a band beside it, $\Gamma$ of its two long sides, the silhouette S, and the
 distance E to the nearest edge. The product of (8) over the rest of the image is divided out. The sums over pixels are sums over fixed points, each of
-which stands for a number of pixels (model/likelihood/region_samples.py); recording/observation/regions.py has the log-ratios. A part counts 0 in a
+which stands for a number of pixels (model/likelihood/regions.py); recording/observation/regions.py has the log-ratios. A part counts 0 in a
 camera where it is outside the image or not entirely in front of the lens. It is not rewarded for that: 0 is what a part on pixels about which nothing
 is known counts.
 
@@ -13,30 +13,191 @@ It is a plate over the parts: message passing reads it part by part, other kerne
 of them, and neighbouring pixels are not independent, so the sum is too sure. $\rho$ = `precision` corrects it. It holds for images of 640 x
 480 pixels. A larger image of the same scene tells little more: areas count as shares of the image, and lengths as the square roots of these shares.
 It is not a distribution over images.
+
+Fixed points of a part's projection, each with the pixels that it stands for: inside the part, in a band beside it, and on its two long sides.
+
+The ends of a solid's axis and its half-widths there are projected, as by Sigal et al. (2011, 5.1). With the middle c and the half-width h of both
+ends in the image, a point at $t \in [0, 1]$ along and s across it is
+
+$$x(t, s) = c_0 + t\,\Delta c + s\,(h_0 + t\,\Delta h),$$
+
+inside for $|s| \le 1$, in the band for $1 + 2a < |s| \le 1 + 2b$, from a to b outside in shares of the part's width. A point stands for the pixels
+$|(\Delta c + s\,\Delta h) \times (h_0 + t\,\Delta h)|\,dt\,ds$ of its cell, or for $|\Delta c + s\,\Delta h|\,dt$ of its side. A sphere is a disc:
+its half-width at t is the chord. The points of a part with several solids, such as a calf with its foot, are divided among them by their lengths.
 """
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from bayes_body.base.geometry.camera import Camera
+from bayes_body.base.errors import input_error
+from bayes_body.base.geometry import rigid, transforms
+from bayes_body.base.geometry.camera import Camera, Pixels
 from bayes_body.base.geometry.namespaces import device_array
+from bayes_body.base.geometry.transforms import Transform
 from bayes_body.base.registry import register
 from bayes_body.base.shapes import Scalar
 from bayes_body.base.toml.schema import Count, NonNegative, Positive, Schema, Share
 from bayes_body.density.factor import Factor
 from bayes_body.density.plate import Plate, plate_factor
-from bayes_body.model.body.placement import PARTS
-from bayes_body.model.body.solids import Body
-from bayes_body.model.body.world import require
-from bayes_body.model.likelihood.region_samples import PartSamples, part_samples, projected
-from bayes_body.recording.evidence.regions import EDGES, RegionMaps, log_ratios_at
+from bayes_body.model.body.placement import PARTS, ByParts
+from bayes_body.model.body.solids import Body, Shapes
+from bayes_body.model.body.world import require, solids_in_parts
+from bayes_body.model.likelihood.patch_pixels import corner_pixels, solid_patches
+from bayes_body.recording.evidence.regions import BAND, EDGES, INSIDE, RegionMaps, log_ratios_at
 from bayes_body.recording.evidence.silhouette_edges import Lookup
+
+# The corners of a solid's projection, in order.
+CORNERS_T, CORNERS_S = np.array([[0.0], [1.0], [1.0], [0.0]]), np.array([[-1.0], [-1.0], [1.0], [1.0]])
+
+
+class PartSamples(NamedTuple):
+    """The points of every part; of one part without the first axis.
+
+    Attributes:
+        T_part_solid: the solids that the part holds, in its frame. Parts with fewer than others repeat their first one.
+        shapes: what cameras see of them.
+        t: place of each point along its solid.
+        s: place across it.
+        cell: dt ds of a point's cell, or dt of a point of a side.
+        solid: the solid of each point.
+    """
+
+    T_part_solid: Transform
+    shapes: Shapes
+    t: Float[Array, "*part sample"]
+    s: Float[Array, "*part sample"]
+    cell: Float[Array, "*part sample"]
+    solid: Int[Array, "*part sample"]
+
+
+def part_samples(name: str, body: Body, samples: tuple[int, int, int], band: tuple[float, float]) -> tuple[PartSamples, Int[np.ndarray, " sample"]]:
+    """Return the points of every part of a loose-limbed body, and which of a camera's maps each reads, the same for all parts.
+
+    Args:
+        name: the name of the term, for messages.
+        body: the body.
+        samples: points along a part, across it, and across the band at either side; also along each of its sides there are as many as along the part.
+        band: where the band begins and ends, beside a side, as shares of the part's width.
+
+    Raises:
+        InputError: the band ends before it begins, or a part has more solids than points along it.
+    """
+    placement = body.placement
+    assert isinstance(placement, ByParts)
+    if band[0] >= band[1]:
+        raise input_error(f"{name}: band", f"from {band[0]:g} to {band[1]:g} of a part's width", "a band that ends after it begins", "swap them")
+    holders = np.array([placement.owners[joint] for joint in body.topology.joints])
+    solids_by_part = [np.flatnonzero(holders == part) for part in range(len(placement.names))]
+    (along, across, deep), (lengths, most) = samples, (np.asarray(body.lengths, float), max(len(solids) for solids in solids_by_part))
+    if along < most:
+        remedy = f"give at least {most} points along a part"
+        raise input_error(f"{name}: samples", f"{along} points along a part with {most} solids", "at least one for each solid", remedy)
+    rows = [_of_part(solids, _divided(along, lengths[solids]), body.topology.is_sphere, (across, deep), band) for solids in solids_by_part]
+    t, s, cell, solid = (np.stack(arrays) for arrays in zip(*rows, strict=True))
+    chosen = np.stack([np.concatenate([solids, np.repeat(solids[:1], most - len(solids))]) for solids in solids_by_part])
+    dtype = body.lengths.dtype
+    points = PartSamples(
+        T_part_solid=_rows(solids_in_parts(body), chosen),
+        shapes=_rows(body.seen, chosen),
+        t=device_array(t, dtype),
+        s=device_array(s, dtype),
+        cell=device_array(cell, dtype),
+        solid=device_array(solid, jnp.int32),
+    )
+    return points, np.repeat([INSIDE, BAND, EDGES], [along * across, 2 * along * deep, 2 * along])
+
+
+def _rows[Tree](tree: Tree, chosen: Int[np.ndarray, "part solid"]) -> Tree:
+    """Return rows of all arrays, taken on the host: on the device each would be a program of its own."""
+    return jax.tree.map(lambda leaf: device_array(np.asarray(leaf)[chosen], leaf.dtype), tree)
+
+
+def _divided(count: int, lengths: Float[np.ndarray, " solid"]) -> Int[np.ndarray, " solid"]:
+    """Return `count` points divided among solids by their lengths, at least one each: each next point where it is missed most."""
+    counts = np.ones(len(lengths), int)
+    while counts.sum() < count:
+        counts[np.argmax(lengths / counts)] += 1
+    return counts
+
+
+def _of_part(
+    solids: Int[np.ndarray, " solid"],
+    counts: Int[np.ndarray, " solid"],
+    is_sphere: tuple[bool, ...],
+    counts_across: tuple[int, int],
+    band: tuple[float, float],
+) -> tuple[np.ndarray, ...]:
+    """Return t, s, cell and solid of a part's points."""
+    step = np.repeat(1 / counts, counts)
+    t = np.concatenate([(np.arange(count) + 0.5) / count for count in counts])
+    slot = np.repeat(np.arange(len(solids)), counts)
+    sphere = np.array(is_sphere)[solids][slot]
+    chord = np.where(sphere, 2 * np.sqrt(t * (1 - t)), 1.0)
+    sides, (across, deep), wide = np.array([-1.0, 1.0]), counts_across, band[1] - band[0]
+    inside = chord[:, None] * ((2 * np.arange(across) + 1) / across - 1)
+    beside = (chord[:, None, None] + 2 * (band[0] + wide * (np.arange(deep)[:, None] + 0.5) / deep)) * sides
+    on_sides = chord[:, None] * sides
+    cell_inside = np.broadcast_to((step * chord)[:, None] * 2 / across, inside.shape)
+    # A circle's arc over dt of the diameter is longer than dt by one over the chord.
+    cells = cell_inside, np.tile((step * 2 * wide / deep)[:, None], 2 * deep), np.tile((step / chord)[:, None], 2)
+
+    def flat(arrays: tuple[np.ndarray, ...]) -> np.ndarray:
+        return np.concatenate([array.ravel() for array in arrays])
+
+    along = tuple(np.broadcast_to(t[:, None], cell.shape) for cell in cells)
+    slots = tuple(np.broadcast_to(slot[:, None], cell.shape) for cell in cells)
+    return flat(along), flat((inside, beside, on_sides)), flat(cells), flat(slots)
+
+
+def projected(part: PartSamples, rig: Camera, frame: Float[Array, "7"], map_index: Int[Array, " sample"]) -> tuple[Pixels[Array], Array]:
+    """Return the points of one part placed at `frame`, (camera, sample), and the number of pixels of each: 0 if its solid is not entirely visible."""
+    slots = part.T_part_solid.origin.shape[0]
+    T_world_part = rigid.to_transform(jnp.broadcast_to(frame, (slots, 7)))
+    in_camera = solid_patches(part.shapes, rig, transforms.compose(T_world_part, part.T_part_solid))
+    corners = corner_pixels(
+        rig, in_camera, *(np.repeat(coordinates, slots, axis=1).astype(in_camera.dtype) for coordinates in (CORNERS_T, CORNERS_S))
+    )
+    is_visible = jnp.all(corners.visible, axis=1)
+    u, v = (_quadrilateral(part, jnp.where(is_visible[:, None], coordinates, 0.0)) for coordinates in (corners.u, corners.v))
+    # sqrt of a clamped square: a side seen end-on is a point, and must have a finite gradient.
+    length = jnp.sqrt(jnp.maximum(u.along**2 + v.along**2, 1e-6))
+    area = jnp.abs(u.along * v.across - v.along * u.across)
+    visible = _of_solids(part, is_visible)
+    pixels = jnp.where(visible, part.cell * jnp.where(map_index == EDGES, length, area), 0.0)
+    return Pixels(u.place, v.place, visible), pixels
+
+
+class _Coordinate(NamedTuple):
+    """Columns or rows of the points, with the derivatives by t and by s: (camera, sample)."""
+
+    place: Array
+    along: Array
+    across: Array
+
+
+def _quadrilateral(part: PartSamples, corners: Float[Array, "camera 4 solid"]) -> _Coordinate:
+    middles, halves = (corners[:, 3] + corners[:, 0], corners[:, 2] + corners[:, 1]), (corners[:, 3] - corners[:, 0], corners[:, 2] - corners[:, 1])
+    c0, to_c1, h0, to_h1 = (
+        _of_solids(part, 0.5 * coordinates) for coordinates in (middles[0], middles[1] - middles[0], halves[0], halves[1] - halves[0])
+    )
+    across = h0 + part.t * to_h1
+    return _Coordinate(c0 + part.t * to_c1 + part.s * across, to_c1 + part.s * to_h1, across)
+
+
+def _of_solids(part: PartSamples, values: Array) -> Array:
+    """The values (camera, solid) at each point's solid: (camera, sample)."""
+    point_values = values[:, :1]
+    # Not a gather, which XLA does not vectorise.
+    for slot in range(1, values.shape[1]):
+        point_values = jnp.where(part.solid == slot, values[:, slot, None], point_values)
+    return point_values
+
 
 # Pixels of an image for which `precision` holds.
 IMAGE_PX = 640 * 480

@@ -38,8 +38,7 @@ from bayes_body.base.shapes import Configuration, Scalar
 from bayes_body.base.toml.schema import Count, NonNegative, Positive, Schema
 from bayes_body.density.factor import Factor, Variable, Variables
 from bayes_body.model.body.solids import Body, Samples, outline_samples, surface_samples
-from bayes_body.model.likelihood.coverage import projected_area
-from bayes_body.model.likelihood.outlines import forms_of, point_distance
+from bayes_body.model.likelihood.outlines import forms_of, point_distance, projected_area
 from bayes_body.model.likelihood.patch_pixels import rig_patches, sample_pixels
 from bayes_body.recording.evidence.silhouette_edges import EDGES, SILHOUETTE, Lookup, SilhouetteEdgeMaps, look_up
 

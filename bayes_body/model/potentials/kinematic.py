@@ -29,9 +29,7 @@ from bayes_body.density.plate import Plate, plate_factor
 from bayes_body.model.body.placement import PARTS, ByParts
 from bayes_body.model.body.solids import Body
 from bayes_body.model.body.world import require
-from bayes_body.model.potentials.joint_file import load_joint_mixtures
-from bayes_body.model.potentials.joint_mixture import log_of_components, mixture, times
-from bayes_body.model.potentials.joint_pairs import log_pairs
+from bayes_body.model.potentials.joint_mixture import load_joint_mixtures, log_of_components, log_pairs, mixture, times
 from bayes_body.model.potentials.widths import widths_by_part
 
 type Width = Positive | tuple[Positive, Positive, Positive]

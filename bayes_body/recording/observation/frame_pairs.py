@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 import cv2
 import numpy as np
 
-from bayes_body.recording.observation.background_motion import corner_ways
+from bayes_body.recording.observation.image_motion import corner_ways
 from bayes_body.recording.observation.pictures import Greys, read_greys
 from bayes_body.recording.readers.check import named
 from bayes_body.recording.session.session import Session, View

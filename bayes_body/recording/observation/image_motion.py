@@ -4,6 +4,8 @@ A Gaussian smooths the pictures, as in the paper, so that their difference has a
 still stays where it is; that of a camera that moves is carried by a homography. The points that are compared are a fixed
 grid on each part, so that the density is a function of the state alone. With `random`, they are drawn anew for each frame, as in the paper, the same
 for all particles.
+
+How the background moves from the frame before to this one, in pixels: corners are followed, most of which are not on the person.
 """
 
 from collections.abc import Callable
@@ -11,15 +13,42 @@ from typing import Any
 
 import cv2
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import Count, Positive, Schema
 from bayes_body.recording.evidence.image_motion import LEVELS, ImageMotion, random_places, stratified
 from bayes_body.recording.evidence.silhouette_edges import pack
-from bayes_body.recording.observation.background_motion import carried_background
 from bayes_body.recording.observation.frames import Frame
 from bayes_body.recording.observation.pictures import Greys
+
+CORNERS, FEWEST, QUALITY, APART_PX = 300, 20, 0.01, 8
+# A corner that a motion of the background explains is this near to where it belongs.
+WITHIN_PX = 1.0
+
+
+def corner_ways(before: Greys, picture: Greys) -> Float[np.ndarray, "2 corner 2"]:
+    """Return the pixels of corners in the frame before and in this one. There are none if fewer than FEWEST are found again."""
+    corners: Any = cv2.goodFeaturesToTrack(before, CORNERS, QUALITY, APART_PX)
+    if corners is None or len(corners) < FEWEST:
+        return np.empty((2, 0, 2))
+    empty: Any = None
+    moved, status, _ = cv2.calcOpticalFlowPyrLK(before, picture, corners, empty)
+    ways = np.stack([corners, moved])[:, status.ravel() == 1].reshape(2, -1, 2)
+    return ways if ways.shape[1] >= FEWEST else np.empty((2, 0, 2))
+
+
+def carried_background(before: Greys, picture: Greys) -> Greys:
+    """Return the picture of the frame before, carried to this frame as if everything moved with the background.
+
+    The motion is a homography: exact for a camera that turns and for a plane, approximate for a room with depth. Where none is found, nothing moves.
+    """
+    start, end = corner_ways(before, picture)
+    homography: Any = cv2.findHomography(start, end, cv2.RANSAC, WITHIN_PX)[0] if len(start) else None
+    if homography is None:
+        return before
+    return np.asarray(cv2.warpPerspective(before, homography, before.shape[::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
 
 
 class Options(Schema):

@@ -28,8 +28,7 @@ from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
 
 from bayes_body.recording.observation.background import Background, shrink
-from bayes_body.recording.observation.colours import colour_bins, colour_histogram
-from bayes_body.recording.observation.exposure import fit_exposure
+from bayes_body.recording.observation.exposure import colour_bins, colour_histogram, fit_exposure
 from bayes_body.recording.observation.pictures import Colours
 from bayes_body.recording.session.session import Segmentation
 

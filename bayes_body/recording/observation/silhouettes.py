@@ -14,8 +14,7 @@ from jaxtyping import UInt8
 
 from bayes_body.base.errors import input_error
 from bayes_body.recording.observation.background import Background, learn_background, shrink, still_background
-from bayes_body.recording.observation.picture_cache import PictureCache
-from bayes_body.recording.observation.pictures import Colours, read_colour
+from bayes_body.recording.observation.pictures import Colours, PictureCache, read_colour
 from bayes_body.recording.observation.segmentation import foreground_levels
 from bayes_body.recording.readers.images import is_image
 from bayes_body.recording.readers.images import read_colour as read_colour_image

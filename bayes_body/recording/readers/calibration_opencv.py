@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.base.errors import InputError, input_error
-from bayes_body.base.files.text import read_text
+from bayes_body.base.files.read import read_text
 from bayes_body.recording.readers.calibration import Calibrated, calibrated, rotation_given_twice
 from bayes_body.recording.readers.faults import Faults
 from bayes_body.recording.readers.images import silent

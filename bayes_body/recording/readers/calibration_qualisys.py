@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from bayes_body.base.errors import InputError, input_error
-from bayes_body.base.files.text import read_text
+from bayes_body.base.files.read import read_text
 from bayes_body.recording.readers.calibration import Calibrated, calibrated
 from bayes_body.recording.readers.faults import Faults
 from bayes_body.recording.session.schema import MOST_CAMERAS

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from bayes_body.base.errors import input_error
+from bayes_body.recording.readers.assemble import SAME_RATE
 from bayes_body.recording.readers.camera_path import read_camera_path
 from bayes_body.recording.readers.faults import Faults
 from bayes_body.recording.readers.images import NotSeenError, check_size, is_image, read_colour, read_grey, read_mask
 from bayes_body.recording.readers.keypoint_series import read_series
-from bayes_body.recording.readers.timing import SAME_RATE
 from bayes_body.recording.readers.video import damaged_frames, probe, readable_frames
 from bayes_body.recording.session.session import Session, View
 

@@ -9,10 +9,8 @@ from jaxtyping import Float
 
 from bayes_body.base.errors import input_error
 from bayes_body.recording.readers.faults import Faults
-from bayes_body.recording.readers.keypoint_layouts import Layout, choose_layout
-from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
-from bayes_body.recording.readers.keypoint_subject import Places, follow_person
-from bayes_body.recording.readers.keypoints import keypoint_files, read_openpose, read_people
+from bayes_body.recording.readers.keypoint_series import KeypointSeries, Places, follow_person, write_series
+from bayes_body.recording.readers.keypoints import Layout, choose_layout, keypoint_files, read_openpose, read_people
 from bayes_body.recording.readers.options import Options
 from bayes_body.recording.readers.person import People
 from bayes_body.recording.session.session import CameraSpec, Keypoints, Session, View

@@ -1,17 +1,131 @@
-"""Import a recording of the PARSEC suite's bodytrack (Intel 2006; also the layout of Balan et al.'s data) as a session."""
+"""Import a recording of the PARSEC suite's bodytrack (Intel 2006; also the layout of Balan et al.'s data) as a session.
 
+The cameras of a PARSEC bodytrack folder: `CALIB/CameraC.cal`, images in `CAMc`, silhouettes in `FGc`, all named `imageNNNN.bmp`.
+"""
+
+import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
-from bayes_body.recording.readers.assemble import saved, source_folder, with_options
+from bayes_body.base.errors import input_error
+from bayes_body.recording.readers.assemble import align, saved, source_folder, with_options
 from bayes_body.recording.readers.excerpt import excerpt
 from bayes_body.recording.readers.faults import Faults
+from bayes_body.recording.readers.images import read_grey, read_mask
 from bayes_body.recording.readers.imported_keypoints import with_imported_keypoints
 from bayes_body.recording.readers.options import Options, check_fps, check_height
+from bayes_body.recording.readers.parsec_files import read_calibration
 from bayes_body.recording.readers.parsec_subject import POSITIONS, read_subject
-from bayes_body.recording.readers.parsec_views import REMARK_NO_MASKS, read_views
-from bayes_body.recording.readers.timing import align
-from bayes_body.recording.session.session import Session
+from bayes_body.recording.session.session import Session, View
+
+IMAGE = "image%04d.bmp"
+REMARK_NO_MASKS = "There are no FG folders: the session has no silhouettes; they are computed from a background learned from its images."
+
+
+class Recorded(NamedTuple):
+    """The views, the number of the first image, the number of frames, and remarks for the user."""
+
+    views: tuple[View, ...]
+    first_frame: int
+    frames: int
+    remarks: list[str]
+
+
+class _Camera(NamedTuple):
+    number: int
+    calibration: Path
+    images: Path
+    masks: Path | None
+
+
+def read_views(source: Path) -> Recorded:
+    """The cameras of a folder, with the folder's numbers.
+
+    Raises:
+        FaultyFileError: one sentence for each calibration, folder or image that is missing or cannot be used.
+    """
+    cameras = _cameras(source)
+    folders = [folder for camera in cameras for folder in (camera.images, camera.masks) if folder is not None]
+    frames = _frames(folders)
+    faults, views = Faults(), []
+    for camera in cameras:
+        with faults.collect():
+            views.append(_view(camera, frames[0]))
+    for folder in folders:
+        with faults.collect():
+            _check_complete(folder, frames)
+    faults.raise_any()
+    return Recorded(tuple(view for view in views if view), frames[0], len(frames), [] if cameras[0].masks else [REMARK_NO_MASKS])
+
+
+def _cameras(source: Path) -> list[_Camera]:
+    calibrated = _numbered(source / "CALIB", r"Camera(\d+)\.cal")
+    filmed, masked = _numbered(source, r"CAM(\d+)"), _numbered(source, r"FG(\d+)")
+    if not calibrated:
+        raise input_error(
+            source / "CALIB", "no Camera*.cal in it", "a calibration for each camera", "name the folder that holds CALIB, CAM1, FG1 and so on"
+        )
+    faults = Faults()
+    for number in sorted({*calibrated, *filmed, *masked}):
+        needed = {"CALIB/Camera{}.cal": calibrated, "CAM{}": filmed} | ({"FG{}": masked} if masked else {})
+        for pattern, present in needed.items():
+            if number not in present:
+                with faults.collect():
+                    remedy = f"restore it, or move camera {number}'s other files away"
+                    raise input_error(
+                        source / pattern.format(number), "missing", f"the same files for camera {number} as for the other cameras", remedy
+                    )
+    faults.raise_any()
+    return [_Camera(number, path, filmed[number], masked.get(number)) for number, path in sorted(calibrated.items())]
+
+
+def _numbered(folder: Path, pattern: str) -> dict[int, Path]:
+    paths = folder.iterdir() if folder.is_dir() else ()
+    return {int(match[1]): path for path in paths if (match := re.fullmatch(pattern, path.name))}
+
+
+def _frames(folders: Sequence[Path]) -> range:
+    """All numbers from the first to the last image of any folder, so that a gap in one folder is noticed."""
+    numbers = {number for folder in folders for number in _numbered(folder, r"image(\d{4})\.bmp")}
+    if not numbers:
+        raise input_error(folders[0], "no images in it", f"{IMAGE % 0}, {IMAGE % 1} and so on", "restore the images")
+    return range(min(numbers), max(numbers) + 1)
+
+
+def _check_complete(folder: Path, frames: range) -> None:
+    missing = [number for number in frames if not (folder / (IMAGE % number)).exists()]
+    if missing:
+        problem = f"{len(missing)} of {len(frames)} images are missing, the first is {IMAGE % missing[0]}"
+        remedy = "restore them, or remove the same frames at the start or end of all other folders"
+        raise input_error(folder, problem, f"{IMAGE % frames[0]} to {IMAGE % frames[-1]}, as in the other folders", remedy)
+
+
+def _view(camera: _Camera, first_frame: int) -> View | None:
+    """A camera's view; None if its first image is missing, which `_check_complete` reports."""
+    faults, calibration, size = Faults(), None, None
+    with faults.collect():
+        calibration = read_calibration(camera.calibration)
+    first, first_mask = (folder / (IMAGE % first_frame) if folder else None for folder in (camera.images, camera.masks))
+    with faults.collect():
+        if first and first.exists():
+            height, width = read_grey(first).shape
+            size = (width, height)
+    with faults.collect():
+        if first_mask and first_mask.exists():
+            read_mask(first_mask, size)
+    faults.raise_any()
+    if calibration is None or size is None:
+        return None
+    spec = calibration._replace(name=camera.images.name).spec(size)
+    return View(spec, _pattern(camera.images), _pattern(camera.masks) if camera.masks else None)
+
+
+def _pattern(folder: Path) -> str:
+    # Escape percent signs in the folder's name: they are not the frame number.
+    return f"{folder.resolve()}/".replace("%", "%%") + IMAGE
+
 
 # The format does not state it. The subject's steps and speed fit 60 (about 15 mm per frame).
 FPS = 60.0

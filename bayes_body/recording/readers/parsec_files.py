@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.base.errors import input_error
-from bayes_body.base.files.read import read_bytes
-from bayes_body.base.files.text import LARGEST_BYTES
+from bayes_body.base.files.read import LARGEST_BYTES, read_bytes
 from bayes_body.recording.readers.calibration import Calibrated
 from bayes_body.recording.readers.faults import Faults
 from bayes_body.recording.session.schema import rotation_fault

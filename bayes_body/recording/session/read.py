@@ -1,18 +1,164 @@
-"""Read and write a session on disk: a folder with a `session.toml` (metres, degrees, pixels) that a person can edit."""
+"""Read and write a session on disk: a folder with a `session.toml` (metres, degrees, pixels) that a person can edit.
 
-from collections.abc import Mapping
+Write a session as `session.toml`: metres, degrees, pixels, with comments for the person who edits it.
+"""
+
+import math
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import tomlkit
+from tomlkit.items import Array, Table
 
 from bayes_body.base.errors import input_error
 from bayes_body.base.files.read import check_native
 from bayes_body.base.toml.read import read_toml, validate
-from bayes_body.recording.session.document import document
 from bayes_body.recording.session.schema import CameraTable, SessionFile, SubjectTable, to_radians
 from bayes_body.recording.session.session import CameraSpec, Segmentation, Session, Subject, View
+
+if TYPE_CHECKING:
+    from bayes_body.recording.session.session import Segmentation, Session, Subject, View
+
+# Decimals of converted values (degrees, metres): finer than any measurement, so that reading and writing again changes nothing.
+DECIMALS = 9
+
+
+def document(session: "Session") -> tomlkit.TOMLDocument:
+    """The file as a tomlkit document: tables in reading order, with comments."""
+    text = tomlkit.document()
+    text.add(tomlkit.comment("A recording. Metres, pixels, degrees (keys that end in _deg). Relative image paths start at this file's folder."))
+    text.add("title", tomlkit.item(session.title))
+    _add(text, "up", session.up, "the world's axis that points up")
+    _add(text, "fps", float(session.fps), "frames per second")
+    _add(text, "frames", session.frames)
+    _add(text, "first_frame", session.first_frame, "number of the first frame in the file names")
+    if session.recorded is not None:
+        comment = (
+            "the whole recording: its first frame's number, and how many; the background is learned from all, and rows of files count from there"
+        )
+        _add(text, "recorded", list(session.recorded), comment)
+    if session.truth is not None:
+        _add(text, "truth", session.truth, "an .npz with the true `markers` (frame, marker, 3), metres, and their `names`")
+    text.add("subject", _subject_table(session.subject, session.positions))
+    text.add("initial", _initial_table(session))
+    if session.segmentation != type(session.segmentation)():
+        text.add("segmentation", _segmentation_table(session.segmentation))
+    cameras = tomlkit.aot()
+    for view in session.views:
+        cameras.append(_camera_table(view))
+    text.add("camera", cameras)
+    return text
+
+
+def _add(table: Table | tomlkit.TOMLDocument, key: str, value: Any, comment: str | None = None) -> None:
+    item = tomlkit.item(value)
+    if comment:
+        item.comment(comment)
+    table.add(key, item)
+
+
+def _subject_table(subject: "Subject", positions: frozenset[str]) -> Table:
+    table = tomlkit.table()
+    if subject.body is not None:
+        _add(table, "body", subject.body, "the names and dofs below belong to this body")
+    if subject.height_m is not None:
+        _add(table, "height_m", _metres(subject.height_m))
+    _add_mapping(table, "lengths_m", "from joint to joint", subject.lengths_m, _metres)
+    _add_mapping(table, "radii_m", "[base, tip] of each part", subject.radii_m, _radii)
+    _add_mapping(table, "outline_radii_m", "radii as seen in the images, clothes included", subject.outline_radii_m, _radii)
+    _add_mapping(table, "sections", "scale factors of a section's [x, y] radius", subject.sections, list)
+    _add_motions(table, "motion_sd_deg", "motion_sd_m", "standard deviation of the change from one frame to the next", subject.motion_sd, positions)
+    return table
+
+
+def _radii(radii: tuple[float, float]) -> list[Any]:
+    return [_metres(radius) for radius in radii]
+
+
+def _initial_table(session: "Session") -> Table:
+    table = tomlkit.table()
+    table.add(tomlkit.comment("What is known about the pose of the first frame."))
+    if session.fit_lengths:
+        _add(table, "fit_lengths", True, "fit the segment lengths together with the pose")
+    if session.fit_outline:
+        _add(table, "fit_outline", True, "fit the apparent thickness of the body to the first frame's silhouettes")
+    _add_motions(table, "angles_deg", "positions_m", None, session.initial, session.positions)
+    _add_mapping(table, "markers_m", "x, y, z in the world", session.initial_markers, lambda point: [_metres(value) for value in point])
+    if session.initial_keypoints:
+        cameras = tomlkit.table(is_super_table=True)
+        for camera, keypoints in session.initial_keypoints.items():
+            _add_mapping(cameras, camera, "column, row, confidence", keypoints, lambda point: [float(value) for value in point])
+        table.add("keypoints_px", cameras)
+    return table
+
+
+def _segmentation_table(segmentation: "Segmentation") -> Table:
+    table = tomlkit.table()
+    table.add(tomlkit.comment("How the person is separated from the background."))
+    _add(table, "threshold", float(segmentation.threshold), "squared Mahalanobis distance at which foreground and background are equally likely")
+    _add(table, "learning_frames", segmentation.learning_frames, "number of evenly spaced frames from which the background is learned")
+    _add(table, "shadows", segmentation.shadows, "darker pixels with the background's colour count as background")
+    _add(table, "follow_exposure", segmentation.follow_exposure, "match each image's brightness to the background's first")
+    return table
+
+
+def _add_motions(table: Table, angles: str, shifts: str, comment: str | None, values: Mapping[str, float], positions: frozenset[str]) -> None:
+    """Add the angles of `values` (radians) in degrees under the key `angles`, and the positions (metres) under the key `shifts`."""
+    _add_mapping(table, angles, comment, {k: v for k, v in values.items() if k not in positions}, _degrees)
+    _add_mapping(table, shifts, comment, {k: v for k, v in values.items() if k in positions}, _metres)
+
+
+def _add_mapping(table: Table, key: str, comment: str | None, values: Mapping[str, Any], convert: Callable[[Any], Any]) -> None:
+    if not values:
+        return
+    inner = tomlkit.table()
+    if comment:
+        inner.comment(comment)
+    for name, value in values.items():
+        inner.add(name, convert(value))
+    table.add(key, inner)
+
+
+def _camera_table(view: "View") -> Table:
+    camera, table = view.camera, tomlkit.table()
+    _add(table, "name", camera.name)
+    _add(table, "size_px", list(camera.size_px), "width, height")
+    _add(table, "focal_px", list(camera.focal_px), "x, y")
+    _add(table, "centre_px", list(camera.centre_px), "column, row; the first pixel's centre is (0, 0)")
+    _add(table, "skew", float(camera.skew))
+    _add(table, "distortion", list(camera.distortion), "k1, k2, p1, p2, k3 (OpenCV's order)")
+    rows: Array = tomlkit.array()
+    rows.extend(np.asarray(camera.rotation, float).tolist())
+    table.add("rotation", rows.multiline(True).comment("X_camera = rotation X_world + translation"))
+    _add(table, "translation_m", [_metres(value) for value in camera.translation_m])
+    if view.images is not None:
+        _add(table, "images", view.images, "%04d: the frame's number in four digits")
+    if view.video is not None:
+        _add(table, "video", view.video)
+    if view.video_fps is not None:
+        _add(table, "video_fps", float(view.video_fps), "the rate that the video's file states; the camera filmed at the session's fps")
+    if view.masks is not None:
+        _add(table, "masks", view.masks, "white where the subject is")
+    if view.background is not None:
+        _add(table, "background", view.background, "the empty scene: an image or a video")
+    if view.path is not None:
+        _add(table, "path", view.path, "the camera moves: an .npz with its extrinsics in each frame; those above belong to the first frame")
+    if view.keypoints is not None:
+        _add(table, "keypoints", view.keypoints, "an .npz with the subject's keypoints in each frame")
+    if view.offset:
+        _add(table, "offset", view.offset, "the session's frame k is this camera's frame k + offset")
+    return table
+
+
+def _metres(value: float) -> float:
+    return round(float(value), DECIMALS)
+
+
+def _degrees(radians: float) -> float:
+    return round(math.degrees(radians), DECIMALS)
+
 
 FILE_NAME = "session.toml"
 

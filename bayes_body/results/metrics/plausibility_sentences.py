@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 from bayes_body.initial.fitting.outline import LEAST_OVERLAP
 from bayes_body.results.metrics.plausibility import LEAST_COVER, MOST_DISTANCE, SILHOUETTE
-from bayes_body.results.posterior.frame_text import frame_ranges
+from bayes_body.results.posterior.mixing_sentences import frame_ranges
 
 
 class _Wording(NamedTuple):

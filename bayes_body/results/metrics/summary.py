@@ -1,10 +1,13 @@
 """Agreement of the runs, evidence, and the figures of `summary.json`.
 
 Frames are read one at a time, and only a few numbers of each are kept.
+
+The figure that heads a run: of what it was fitted to.
 """
 
 import resource
 import sys
+from collections.abc import Mapping
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -12,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.base.progress import Watch, unwatched
-from bayes_body.model.body.space import configuration_space
+from bayes_body.base.registry import OTHER
+from bayes_body.model.body.solids import configuration_space
 from bayes_body.model.build import Model
 from bayes_body.recording.session.session import Session
 from bayes_body.results.metrics.figures import accuracy_figures
@@ -121,3 +125,14 @@ def peak_memory_mb() -> float:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     # Kilobytes on Linux, bytes on macOS.
     return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
+
+
+def shows_overlap(summary: Mapping[str, Any]) -> bool:
+    """Return whether the overlap with the silhouettes says how well a run fits: it was fitted to them, or it is unknown to what it was."""
+    reads = summary.get("reads")
+    return reads is None or not {"silhouettes", OTHER}.isdisjoint(reads)
+
+
+def shows_reprojection(summary: Mapping[str, Any]) -> bool:
+    """Return whether the run was fitted to keypoints and has their reprojection error."""
+    return "keypoints" in (summary.get("reads") or ()) and summary.get("reprojection_px_median") is not None

@@ -23,8 +23,7 @@ from bayes_body.base.errors import InputError, input_error
 from bayes_body.base.progress import Watch, unwatched
 from bayes_body.base.shapes import Configuration
 from bayes_body.model.body.skeleton import Markers
-from bayes_body.model.body.solids import Body
-from bayes_body.model.body.space import configuration_space
+from bayes_body.model.body.solids import Body, configuration_space
 from bayes_body.model.body.world import joint_transforms
 from bayes_body.model.build import Model
 from bayes_body.recording.evidence.markers import MARKERS

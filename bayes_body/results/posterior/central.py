@@ -18,8 +18,7 @@ from jaxtyping import Array, Float, Int
 from scipy.spatial.distance import cdist
 
 from bayes_body.base.shapes import Configuration
-from bayes_body.model.body.solids import Body, part_transforms
-from bayes_body.model.body.space import configuration_space
+from bayes_body.model.body.solids import Body, configuration_space, part_transforms
 
 # So many draws are compared, and fewer than FEWEST different ones tell nothing.
 DRAWS, FEWEST = 128, 8

@@ -7,14 +7,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bayes_body.results.posterior.agreement import independent_draws, rhat_of_block
-from bayes_body.results.posterior.blocks import BLOCK, coordinate_blocks, weights_of_runs
+from bayes_body.results.posterior.blocks import BLOCK, coordinate_blocks, stored_spaces, weights_of_runs
 from bayes_body.results.posterior.diagnosis import LAGS, Diagnosis, Thresholds, declared_sample, first_frame_of
 from bayes_body.results.posterior.genealogy import unique_ancestors
 from bayes_body.results.posterior.message_passing import message_passing_of, worst_of_messages
 from bayes_body.results.posterior.mixing import mixing_of, thinned_figure
 from bayes_body.results.posterior.pareto import pareto_shape
 from bayes_body.results.posterior.sentences import frame_ranges, sentences
-from bayes_body.results.posterior.stored_spaces import stored_spaces
 from bayes_body.results.posterior.thinning import INDEPENDENT, OF_ALL, RHAT
 
 if TYPE_CHECKING:

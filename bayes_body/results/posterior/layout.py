@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.density.spaces import Axis, Plate, Space, space_to_text
+from bayes_body.results.posterior.blocks import SPACE
 from bayes_body.results.posterior.diagnosis import SAMPLES_POSTERIOR
 from bayes_body.results.posterior.message_passing import DIMS, NODE, PARTS
 from bayes_body.results.posterior.mixing import PREFIX
-from bayes_body.results.posterior.stored_spaces import SPACE
 from bayes_body.results.posterior.thinning import INDEPENDENT, MARKOV_RHAT, MEAN, OF_ALL, RHAT
 from bayes_body.tracking.draws import Draws, FrameResult
 

@@ -1,6 +1,6 @@
 """Figures of a kernel that passes messages between the nodes of a graph, such as the parts of a body: from the tree's group `filter`.
 
-kernels/messages/message_diagnostics.py has their formulas.
+kernels/messages/messages.py has their formulas.
 """
 
 from typing import TYPE_CHECKING, Any, NamedTuple

@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayes_body.results.posterior.agreement import chain_rhat
-from bayes_body.results.posterior.blocks import BLOCK, coordinate_blocks
-from bayes_body.results.posterior.stored_spaces import stored_spaces
+from bayes_body.results.posterior.blocks import BLOCK, coordinate_blocks, stored_spaces
 from bayes_body.results.posterior.thinning import MARKOV_RHAT, OF_ALL
 
 if TYPE_CHECKING:

@@ -7,9 +7,7 @@ import numpy as np
 from bayes_body.base.errors import InputError
 from bayes_body.base.registry import find
 from bayes_body.results.posterior.diagnosis import Diagnosis, Thresholds
-from bayes_body.results.posterior.frame_text import at_worst, frame_ranges, frames_where, largest
-from bayes_body.results.posterior.message_sentences import message_sentences
-from bayes_body.results.posterior.mixing_sentences import mixing_sentences
+from bayes_body.results.posterior.mixing_sentences import at_worst, frame_ranges, frames_where, largest, message_sentences, mixing_sentences
 
 __all__ = ["frame_ranges", "sentences"]
 

@@ -3,6 +3,10 @@
 The groups `posterior` and `sample_stats` are stored in chunks: all draws of one run in some frames. The group `filter` has a few numbers per frame,
 and each of its variables is stored in one chunk. All chunks have checksums, which HDF5 verifies when it reads them. The file depends neither on
 when it was written nor on how often the run was resumed.
+
+Draws as an ArviZ DataTree: a chain is an independent run of the filter, a draw is a particle, and the weights are stored with the draws.
+
+The tree of `to_datatree` whose arrays are read from the frames when they are needed, so that memory does not grow with the number of frames.
 """
 
 import math
@@ -15,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.base.errors import input_error
-from bayes_body.base.files.atomic import make_folder, replacing
-from bayes_body.base.files.error_deferring import ErrorDeferringFile
+from bayes_body.base.files.atomic import ErrorDeferringFile, make_folder, replacing
 from bayes_body.results.posterior.layout import Variable, attributes_of, coordinates, dims_of, groups, sizes, unit_name
-from bayes_body.tracking.draws import Draws, FrameResult
+from bayes_body.tracking.draws import Draws, FrameResult, Frames
 
 if TYPE_CHECKING:
     import h5netcdf
+    import xarray as xr
 
 # Size of a chunk in bytes, and the largest number of frames in it.
 CHUNK_BYTES, CHUNK_FRAMES = 2**20, 256
@@ -106,3 +110,91 @@ def _write_block(arrays: Sequence[tuple[Variable, Any]], frames: Sequence[FrameR
         place[variable.frame_axis] = slice(start, start + len(frames))
         values = variable.stack(frames)
         array[tuple(place)] = values.astype(array.dtype, copy=False)
+
+
+def to_datatree(draws: Draws, attributes: Mapping[str, Any] | None = None) -> "xr.DataTree":
+    """Return the draws in ArviZ's form, all in memory.
+
+    The coordinate `frame` has the numbers of the frames in the recording.
+
+    Groups: `posterior` with the state's variables: `pose` (chain, draw, frame, dof), radians and metres as given by the `unit` coordinate, `parts`
+    (chain, draw, frame, part, coordinate), others with the axes of their spaces; the attribute `space` says where a variable lives. `sample_stats`
+    with `log_weight` and `ancestor` (chain, draw, frame); `filter` with `ess`, `log_evidence`, `lost` and `evaluations` (chain, frame), with
+    `survival_rate`, `inverse_temperature` and `acceptance_rate` (chain, frame, layer), and with `seen` (frame, camera). If the kernel runs Markov
+    chains, `filter` also has `markov_acceptance`, `markov_divergences`, `markov_energy_fraction` and `markov_step` (chain, frame, markov_chain),
+    `markov_ess` (chain, frame, dof) and `markov_length` (chain, frame); their draws are stored one chain after the other.
+    If it passes messages between the parts, `filter` also has the figures of `FilterInfo.messages`: `belief_ess`, `oscillation` (chain, frame, part),
+    `message_ess`, `joint_ess`, `samples` (chain, frame), `message_change` (chain, frame, iteration, part), `belief_sd` (chain, frame, iteration,
+    part, tangent) and `proposal_shares` (chain, frame, part, proposal).
+    """
+    import xarray as xr
+
+    frames = list(draws.frames)
+    datasets = {}
+    for group, members in groups(draws).items():
+        arrays = {variable.name: (variable.dims, variable.stack(frames), variable.attributes) for variable in members}
+        datasets[group] = xr.Dataset(arrays, coordinates(draws, dims_of(members)))
+    tree = xr.DataTree.from_dict(datasets)
+    tree.attrs.update(attributes_of(draws, attributes))
+    return tree
+
+
+def save_posterior(tree: "xr.DataTree", path: Path) -> None:
+    """Write the tree as NetCDF, either completely or not at all; `xarray.open_datatree` or `arviz.from_netcdf` reads it.
+
+    Raises:
+        InputError: the file system does not accept it.
+    """
+    make_folder(path.parent)
+    # Encoded in memory, because HDF5 cannot handle a full disk.
+    content = tree.to_netcdf(engine="h5netcdf")
+    with replacing(path) as partial:
+        partial.write_bytes(content)
+
+
+# This group has a few numbers a frame, and is read at once.
+SMALL = "filter"
+
+
+def tree_on_demand(draws: Draws, attributes: Mapping[str, Any] | None = None) -> "xr.DataTree":
+    """Return the tree of `to_datatree(draws, attributes)`. Its draws are read, some frames at a time, when they are used."""
+    import xarray as xr
+
+    lengths, by_group = sizes(draws), groups(draws)
+    small: dict[str, list[Any]] = {variable.name: [] for variable in by_group[SMALL]}
+    for frame in draws.frames:
+        for variable in by_group[SMALL]:
+            small[variable.name].append(variable.of(frame))
+    datasets = {}
+    for group, members in by_group.items():
+        arrays = {}
+        for variable in members:
+            shape = tuple(lengths[dim] for dim in variable.dims)
+            values = np.stack(small[variable.name], axis=variable.frame_axis) if group == SMALL else _lazily(variable, draws.frames, shape)
+            arrays[variable.name] = xr.Variable(variable.dims, values, variable.attributes)
+        datasets[group] = xr.Dataset(arrays, coordinates(draws, dims_of(members)))
+    tree = xr.DataTree.from_dict(datasets)
+    tree.attrs.update(attributes_of(draws, attributes))
+    return tree
+
+
+def _lazily(variable: Variable, frames: Frames, shape: tuple[int, ...]) -> Any:
+    """Return an array of xarray that reads the frames of an index, as xarray's guide to backends describes it."""
+    from xarray.backends import BackendArray
+    from xarray.core import indexing
+
+    class OnDemand(BackendArray):
+        def __init__(self) -> None:
+            self.shape, self.dtype = shape, np.asarray(variable.of(frames[0])).dtype
+
+        def __getitem__(self, key: indexing.ExplicitIndexer) -> NDArray[Any]:
+            return indexing.explicit_indexing_adapter(key, shape, indexing.IndexingSupport.BASIC, self.read)
+
+        def read(self, key: tuple[Any, ...]) -> NDArray[Any]:
+            axis = variable.frame_axis
+            places = range(shape[axis])[key[axis]]
+            single = isinstance(places, int)
+            values = variable.stack([frames[index] for index in ([places] if single else places)])
+            return values[(*key[:axis], 0 if single else slice(None), *key[axis + 1 :])]
+
+    return indexing.LazilyIndexedArray(OnDemand())

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.density.spaces import space_to_text
+from bayes_body.results.posterior.blocks import SPACE
 from bayes_body.results.posterior.layout import space_dims, unit_name
-from bayes_body.results.posterior.stored_spaces import SPACE
 from bayes_body.tracking.window import WindowPosterior
 
 if TYPE_CHECKING:

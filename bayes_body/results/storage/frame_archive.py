@@ -2,8 +2,14 @@
 
 `frames/index.npz` has what the posterior lacks of each frame: its digest, its seconds, and which runs restarted. A frame that is read back has every
 bit that it had in a file of its own; its digest says so. Frames of a smoothed run are stored from the last to the first.
+
+A frame as named arrays, without Python objects, and the digest of them.
+
+The names are `states.NAME`, `log_weights`, `info.FIELD`, `markov.NAME`, `messages.NAME`, `figures.NAME`, `seen`, `seconds`, `seconds_ready`,
+`restarted`; and the frame's place: `run`, `number` and `before`. The digest is of all of them.
 """
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -15,13 +21,88 @@ from numpy.typing import NDArray
 from bayes_body.base.errors import InputError, input_error
 from bayes_body.base.files.arrays_file import read_arrays
 from bayes_body.base.files.atomic import replacing
+from bayes_body.density.kernel import FilterInfo
 from bayes_body.results.posterior.layout import frame_axis_of, place_in_tree
-from bayes_body.results.storage.frame_arrays import Place, Stored, digest_of, place_of, result_of
 from bayes_body.results.storage.names import INDEX_FILE
 from bayes_body.results.storage.posterior_file import check_plain
+from bayes_body.tracking.draws import FrameResult
 
 if TYPE_CHECKING:
     import h5py
+
+# Fields of a kernel's diagnostics that are mappings.
+MAPPINGS = ("markov", "messages")
+
+
+class Place(NamedTuple):
+    """Where a frame belongs: the run's id, the frame's number, and the digest of the frame before it (empty for the first one)."""
+
+    run: str
+    number: int
+    before: str
+
+
+class Stored(NamedTuple):
+    """A frame that was read, where it belongs, and its digest."""
+
+    result: FrameResult
+    place: Place
+    digest: str
+
+
+def arrays_of(result: FrameResult, place: Place) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a frame."""
+    arrays: dict[str, Any] = {f"states.{name}": values for name, values in result.states.items()}
+    arrays |= {f"info.{name}": values for name, values in result.info._asdict().items() if name not in MAPPINGS}
+    for mapping in MAPPINGS:
+        arrays |= {f"{mapping}.{name}": values for name, values in getattr(result.info, mapping).items()}
+    arrays |= {f"figures.{name}": values for name, values in result.figures.items()}
+    arrays |= {name: getattr(result, name) for name in ("log_weights", "seen", "seconds", "seconds_ready", "restarted")}
+    return {name: np.asarray(values) for name, values in (arrays | place._asdict()).items()}
+
+
+def place_of(arrays: Mapping[str, NDArray[Any]]) -> Place:
+    """Return where a frame belongs.
+
+    Raises:
+        KeyError, TypeError, ValueError: the arrays are not those of a frame.
+    """
+    return Place(str(arrays["run"]), int(arrays["number"]), str(arrays["before"]))
+
+
+def result_of(arrays: Mapping[str, NDArray[Any]]) -> FrameResult:
+    """Return the frame of its arrays.
+
+    Raises:
+        KeyError, TypeError, ValueError: the arrays are not those of a frame.
+    """
+    info: dict[str, Any] = {name: arrays[f"info.{name}"] for name in FilterInfo._fields if name not in MAPPINGS}
+    info |= {mapping: _under(f"{mapping}.", arrays) for mapping in MAPPINGS}
+    return FrameResult(
+        states=_under("states.", arrays),
+        log_weights=arrays["log_weights"],
+        info=FilterInfo(**info),
+        seen=arrays["seen"],
+        seconds=float(arrays["seconds"]),
+        seconds_ready=float(arrays["seconds_ready"]),
+        restarted=arrays["restarted"],
+        figures=_under("figures.", arrays),
+    )
+
+
+def digest_of(arrays: Mapping[str, NDArray[Any]]) -> str:
+    """Return the SHA-256 of the arrays: names, types, shapes and bytes."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        values = arrays[name]
+        digest.update(f"{name!r} {values.dtype.str} {values.shape}\n".encode())
+        digest.update(values.tobytes())
+    return digest.hexdigest()
+
+
+def _under(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    return {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}
+
 
 KIND, REMEDY = "the frames of a finished run", "compute them again with --resume"
 # Blocks of frames that stay in memory: readers go through the frames in order, and look back one frame.

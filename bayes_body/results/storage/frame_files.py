@@ -16,8 +16,18 @@ import numpy as np
 from bayes_body.base.errors import InputError, escaped, input_error
 from bayes_body.base.files.arrays_file import read_arrays
 from bayes_body.base.files.atomic import make_folder, remove_partial, replacing
-from bayes_body.results.storage.frame_archive import Entry, FrameArchive, in_posterior, read_archive
-from bayes_body.results.storage.frame_arrays import Place, Stored, arrays_of, digest_of, place_of, result_of
+from bayes_body.results.storage.frame_archive import (
+    Entry,
+    FrameArchive,
+    Place,
+    Stored,
+    arrays_of,
+    digest_of,
+    in_posterior,
+    place_of,
+    read_archive,
+    result_of,
+)
 from bayes_body.results.storage.names import POSTERIOR_FILE
 from bayes_body.tracking.draws import FrameResult
 

@@ -1,5 +1,9 @@
-"""What the numbers of a run depend on: its id, and the changes that forbid to continue it."""
+"""What the numbers of a run depend on: its id, and the changes that forbid to continue it.
 
+The plugins of a run: their texts are stored for comparison and for people to read. They are never executed from there.
+"""
+
+import ast
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
@@ -9,8 +13,41 @@ from typing import Any
 from bayes_body.base.errors import input_error
 from bayes_body.base.toml.read import parse_toml
 from bayes_body.model.definition import FORMER_NAMES
+from bayes_body.model.plugins.load import loaded
 from bayes_body.recording.session.read import FILE_NAME
-from bayes_body.results.storage.kept_plugins import kept_plugins, meaning
+from bayes_body.results.storage.names import RUN_FILE
+
+
+def kept_plugins(record: Mapping[str, Any]) -> dict[str, str]:
+    """Return the texts of the plugins with which a run was made, by file name; empty if it used none."""
+    return dict(record.get("plugins", {}))
+
+
+def check_plugins(folder: Path, stored_texts: Mapping[str, str]) -> None:
+    """Check that the plugins of a run are loaded; the stored text is never executed.
+
+    Raises:
+        InputError: a plugin is not loaded, or it has changed since the run was made.
+    """
+    loaded_texts = {plugin.path.name: plugin.text for plugin in loaded()}
+    where = f"{folder / RUN_FILE}: plugins"
+    for name, text in stored_texts.items():
+        if name not in loaded_texts:
+            raise input_error(where, f"the run has terms of {name}, which is not loaded", "the run's plugins", f"give that file with --plugin {name}")
+        if meaning(loaded_texts[name]) != meaning(text):
+            remedy = f"put it back: its text is in {RUN_FILE}, under [plugins]; or start a new run in another folder"
+            raise input_error(where, f"{name} changed since the run was made", "the file that the run was made with", remedy)
+
+
+def meaning(code: str) -> str:
+    """Return a digest of Python code; comments and layout do not matter."""
+    try:
+        said = ast.dump(ast.parse(code))
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        # The parser refuses deep nesting with the last two.
+        said = code
+    return hashlib.sha256(said.encode()).hexdigest()[:12]
+
 
 # Packages that determine the numbers of a run: another version of one of them may give other numbers. The last three decode images and prepare them.
 COMPUTING = ("bayes-body", "jax", "jaxlib", "numpyro", "blackjax", "opencv-python-headless", "av", "numpy")

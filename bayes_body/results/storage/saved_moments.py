@@ -7,7 +7,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from bayes_body.base.errors import input_error
-from bayes_body.model.body.space import configuration_space
+from bayes_body.model.body.solids import configuration_space
 from bayes_body.results.posterior.blocks import BLOCK, pooled, pose_blocks, weights_of_runs
 from bayes_body.results.posterior.moments import Moments, MomentsAndMedian, moments_in, weighted_moments
 from bayes_body.results.posterior.weighted import markers

@@ -15,24 +15,23 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from bayes_body.base.errors import escaped, input_error
-from bayes_body.base.files.text import parse_json, read_text
+from bayes_body.base.files.read import parse_json, read_text
 from bayes_body.base.toml.read import parse_toml
 from bayes_body.density.spaces import Space
 from bayes_body.initial import apply_first_pose, restored
-from bayes_body.model.body.space import configuration_space
+from bayes_body.model.body.solids import configuration_space
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import parse_definition
 from bayes_body.recording.readers.excerpt import excerpt
 from bayes_body.recording.session.read import parse_session
 from bayes_body.recording.session.session import Session
+from bayes_body.results.posterior.blocks import stored_spaces
 from bayes_body.results.posterior.diagnosis import first_frame_of, is_mode_seeker
-from bayes_body.results.posterior.stored_spaces import stored_spaces
-from bayes_body.results.storage.inputs import input_digests
-from bayes_body.results.storage.kept_plugins import check_plugins, kept_plugins
 from bayes_body.results.storage.manifest import AGAIN as MANIFEST_AGAIN
-from bayes_body.results.storage.manifest import Manifest, check_result, read_manifest
+from bayes_body.results.storage.manifest import Manifest, check_result, input_digests, read_manifest
 from bayes_body.results.storage.names import FRAMES_FOLDER, MANIFEST_FILE, POSTERIOR_FILE, RUN_FILE, SUMMARY_FILE
 from bayes_body.results.storage.posterior_file import open_posterior
+from bayes_body.results.storage.run_changes import check_plugins, kept_plugins
 from bayes_body.results.storage.run_file import AGAIN, read_record, refuse_links
 
 if TYPE_CHECKING:

@@ -5,16 +5,14 @@ from functools import partial
 from pathlib import Path
 
 from bayes_body.base.errors import InputError, input_error, nearest
-from bayes_body.base.files.atomic import make_folder
-from bayes_body.base.files.existing import check_free
+from bayes_body.base.files.atomic import check_free, make_folder
 from bayes_body.results.posterior.moments import Moments
 from bayes_body.results.storage.saved_run import SavedRun
 from bayes_body.view.export.bvh import write_bvh
 from bayes_body.view.export.c3d import write_c3d
-from bayes_body.view.export.csv import write_csv
+from bayes_body.view.export.csv import write_csv, write_npz
 from bayes_body.view.export.mot import mot_files, write_mot
 from bayes_body.view.export.motion import MODE_SEEKER_MOMENTS, Angles, Axis, Motion, RunMoments, read_motion
-from bayes_body.view.export.npz import write_npz
 from bayes_body.view.export.trc import trc_files, write_trc
 
 WRITERS: dict[str, Callable[[Motion, Path], None]] = {

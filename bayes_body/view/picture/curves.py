@@ -13,11 +13,11 @@ from bayes_body.view.colours import INK, paper, side_of
 from bayes_body.view.colours import NAMES as SIDES
 from bayes_body.view.export.motion import lost_frames
 from bayes_body.view.labels import label_lines
-from bayes_body.view.picture.paper import SMALL, made_of, paper_style, save, wrapped
+from bayes_body.view.picture.frame import SMALL, made_of, paper_style, save, wrapped
 from bayes_body.view.report.bands import LEAST_SPAN, draw_band, limits
 from bayes_body.view.report.curves import clinical_curves, dof_curves, units_of
 from bayes_body.view.report.figures import shade_lost
-from bayes_body.view.report.limbs import spoken
+from bayes_body.view.report.inspection import spoken
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from bayes_body.view.colours import paper
 from bayes_body.view.report.activities import activity_details
 from bayes_body.view.report.curves import LEGEND, draw_filter, drawn_filter
-from bayes_body.view.report.densities import density_details
+from bayes_body.view.report.dependence import density_details
 from bayes_body.view.report.figures import encoded, new_panel, shade_lost, time_axis, time_label
-from bayes_body.view.report.inspection import Inspection
-from bayes_body.view.report.limbs import by_limb, spoken
+from bayes_body.view.report.inspection import Inspection, by_limb, spoken
 from bayes_body.view.report.markup import Markup, Picture, details, figures, section, tag
 
 if TYPE_CHECKING:

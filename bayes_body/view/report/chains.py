@@ -7,18 +7,17 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.base.errors import InputError
-from bayes_body.results.metrics.silhouette import outlines, seen_in
+from bayes_body.results.metrics.fit import outlines, seen_in
 from bayes_body.results.posterior.agreement import by_chain
 from bayes_body.results.posterior.blocks import coordinate_blocks, pose_blocks
 from bayes_body.results.posterior.mixing import Mixing, autocorrelation
-from bayes_body.view.backdrop import run_backdrop
 from bayes_body.view.colours import GREY, paper, run_line
 from bayes_body.view.crop import crop_about
-from bayes_body.view.report.dof_map import dof_map
+from bayes_body.view.overlay import run_backdrop
 from bayes_body.view.report.figures import data_uri, draw_limit, draw_runs, encoded, new_panel, shade_lost, time_axis
-from bayes_body.view.report.inspection import Inspection
-from bayes_body.view.report.limbs import spoken
+from bayes_body.view.report.inspection import Inspection, spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
+from bayes_body.view.report.runs import dof_map
 
 ABOUT = (
     "Each frame is sampled by a few Markov chains, which start from different predictions. If they agree (R-hat near 1), they have found the same "

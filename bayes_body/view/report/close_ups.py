@@ -12,10 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.view.colours import INK, WARNING, paper, run_line
-from bayes_body.view.report.choice import Sample
 from bayes_body.view.report.figures import MARGINS, PANEL, encoded, run_label, set_margins
-from bayes_body.view.report.inspection import Inspection
-from bayes_body.view.report.limbs import spoken
+from bayes_body.view.report.inspection import Inspection, Sample, spoken
 from bayes_body.view.report.markup import Picture
 from bayes_body.view.report.ranks import rank_region
 

@@ -1,19 +1,28 @@
-"""Data shared by all parts of the page: the run, its diagnosis and its warnings, each computed on first use."""
+"""Data shared by all parts of the page: the run, its diagnosis and its warnings, each computed on first use.
 
+Choose the frames and dofs that are shown in detail, and draw samples of equal weight there.
+
+Readable names of dofs, and the limbs to which they belong.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
-from bayes_body.base.errors import InputError
+from bayes_body.base.errors import InputError, escaped
 from bayes_body.base.progress import Watch, unwatched
 from bayes_body.results.clinical.moments import Curves
 from bayes_body.results.metrics.plausibility_sentences import fit_sentences
+from bayes_body.results.posterior.blocks import coordinate_blocks, weights_of_runs
 from bayes_body.results.posterior.diagnostics import Diagnosis, Thresholds, diagnose, sentences
 from bayes_body.results.posterior.moments import Moments
-from bayes_body.view.report.curves import FilterCurves, clinical_curves, dof_curves, filter_curves, units_of
+from bayes_body.results.posterior.resampling import RESAMPLING_SEED
+from bayes_body.view.report.curves import FilterCurves, clinical_curves, dof_curves, dof_scale, filter_curves, units_of
 from bayes_body.view.report.figures import frames_a_point, time_label
 from bayes_body.view.report.predictive import Predicted, prediction_of
 
@@ -120,3 +129,96 @@ class Inspection:
     def units(self) -> tuple[str, ...]:
         """Unit of each dof, `°` or `m`."""
         return units_of(self.run)
+
+
+FEWEST_DRAWS, MOST_DRAWS, DOFS = 20, 200, 3
+
+
+class Sample(NamedTuple):
+    """Draws of equal weight at one frame.
+
+    Attributes:
+        frame: index of the frame.
+        poses: the drawn poses, degrees and metres.
+    """
+
+    frame: int
+    poses: Float[np.ndarray, "run draw dof"]
+
+
+def worst_frame(it: Inspection) -> int:
+    """Return the frame with the largest R-hat; if there is no R-hat, the frame with the fewest effective particles."""
+    if it.agreement_known:
+        return int(np.nan_to_num(it.diagnosis.rhat, nan=-np.inf).max(axis=1).argmax())
+    return int(it.diagnosis.ess.min(axis=0).argmin())
+
+
+def chosen_frames(it: Inspection) -> list[int]:
+    """Return the first, the worst and the last frame, without repetition."""
+    return sorted({0, worst_frame(it), len(it.diagnosis.lost[0]) - 1})
+
+
+def chosen_dofs(it: Inspection) -> list[int]:
+    """Return the dofs with the largest R-hat in some frame.
+
+    If there is no R-hat, return those with the largest spread in the worst frame, in degrees or metres: angles come before positions.
+    """
+    if it.agreement_known:
+        figures_of = np.nan_to_num(it.diagnosis.rhat, nan=-np.inf).max(axis=0)
+    else:
+        figures_of = equal_weight_sample(it, worst_frame(it)).poses.std(axis=(0, 1))
+    ordered = np.argsort(-figures_of, kind="stable")[:DOFS].tolist()
+    # A dof that never moves has no R-hat and no spread: there is nothing to plot.
+    return [dof for dof in ordered if figures_of[dof] > 0]
+
+
+def equal_weight_sample(it: Inspection, frame: int) -> Sample:
+    """Return systematic draws in random order. Their number is the smallest effective sample size of the runs, within FEWEST_DRAWS and MOST_DRAWS."""
+    ess = float(np.nanmin(it.diagnosis.ess[:, frame]))
+    count = round(np.clip(ess, FEWEST_DRAWS, MOST_DRAWS))
+    (block,) = coordinate_blocks(it.run.tree, range(frame, frame + 1), spaces=it.run.spaces)
+    rng = np.random.default_rng([RESAMPLING_SEED, frame])
+    out = []
+    for weights, poses in zip(weights_of_runs(block.log_weights)[..., 0], block.poses[:, :, 0], strict=True):
+        levels = (np.arange(count) + rng.random()) / count
+        places = np.minimum(np.searchsorted(np.cumsum(weights), levels), len(weights) - 1)
+        out.append(poses[rng.permutation(places)])
+    return Sample(frame, np.stack(out) * dof_scale(it.units))
+
+
+SIDES = {"l": "left", "r": "right"}
+# Words in the names of joints. Joints with other names are grouped under OTHER.
+LIMBS = {
+    "leg": ("hip", "thigh", "knee", "shank", "calf", "ankle", "foot", "toe"),
+    "arm": ("clavicle", "scapula", "shoulder", "upper_arm", "elbow", "forearm", "wrist", "hand"),
+    "Trunk and head": ("pelvis", "spine", "lumbar", "torso", "thorax", "chest", "neck", "head"),
+    "Position and orientation of the whole body": ("root",),
+}
+OTHER = "Other joints"
+
+
+def by_limb(dofs: Sequence[str]) -> Mapping[str, list[int]]:
+    """Return the indices of the dofs, grouped by limb. Limbs are in the order in which a reader expects them, dofs in that of the body."""
+    groups: dict[str, list[int]] = {}
+    for place, dof in enumerate(dofs):
+        groups.setdefault(limb(dof), []).append(place)
+    order = ("Left leg", "Right leg", "Leg", "Left arm", "Right arm", "Arm", *LIMBS, OTHER)
+    return {name: groups[name] for name in order if name in groups}
+
+
+def limb(dof: str) -> str:
+    """Return the limb of a dof, such as `Left leg`."""
+    side, joint = _side(dof)
+    part = next((name for name, words in LIMBS.items() if any(word in joint for word in words)), OTHER)
+    return f"{side} {part}".strip().capitalize() if part in ("leg", "arm") else part
+
+
+def spoken(dof: str) -> str:
+    """Return the readable name of a dof or part: `left hip y` for `l_hip_y`. It is one line, which a plot can show."""
+    side, joint = _side(escaped(dof))
+    return f"{side} {joint}".strip().replace("_", " ")
+
+
+def _side(dof: str) -> tuple[str, str]:
+    match = re.match(r"([lr])_(.+)", dof)
+    return (SIDES[match[1]], match[2]) if match else ("", dof)

@@ -9,8 +9,7 @@ from jaxtyping import Float
 from bayes_body.results.posterior.message_passing import PARTS, MessagePassing
 from bayes_body.view.colours import GREY, INK, paper, run_line
 from bayes_body.view.report.figures import draw_limit, draw_runs, encoded, log_counts, new_panel, shade_lost, time_axis
-from bayes_body.view.report.inspection import Inspection
-from bayes_body.view.report.limbs import spoken
+from bayes_body.view.report.inspection import Inspection, spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
 
 if TYPE_CHECKING:

@@ -7,8 +7,7 @@ from string import Template
 from typing import TYPE_CHECKING
 
 from bayes_body.base.errors import input_error
-from bayes_body.base.files.atomic import make_folder, write_text
-from bayes_body.base.files.existing import check_free, has_mark
+from bayes_body.base.files.atomic import check_free, has_mark, make_folder, write_text
 from bayes_body.base.progress import Watch, unwatched
 from bayes_body.view.report.bands import band_section
 from bayes_body.view.report.chains import chain_section
@@ -16,14 +15,13 @@ from bayes_body.view.report.clinical import clinical_section
 from bayes_body.view.report.figures import style
 from bayes_body.view.report.filtering import filter_section
 from bayes_body.view.report.gait import gait_section, has_gait
-from bayes_body.view.report.head import findings, key_figures, scales, subtitle, verdict
+from bayes_body.view.report.head import findings, key_figures, provenance_section, scales, subtitle, verdict
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, joined, tag
 from bayes_body.view.report.message_passing import message_section
 from bayes_body.view.report.pairs import pair_section
 from bayes_body.view.report.pictures import QUALITIES, picture_section
 from bayes_body.view.report.prediction import prediction_section
-from bayes_body.view.report.provenance import provenance_section
 from bayes_body.view.report.runs import run_section
 from bayes_body.view.report.truth import truth_section
 

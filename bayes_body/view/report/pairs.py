@@ -6,11 +6,9 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.view.colours import GREY, INK, paper, run_line, run_mark
-from bayes_body.view.report.choice import equal_weight_sample
 from bayes_body.view.report.dependence import LEAST, Dependence, dependence
 from bayes_body.view.report.figures import NAMED, encoded
-from bayes_body.view.report.inspection import Inspection
-from bayes_body.view.report.limbs import spoken
+from bayes_body.view.report.inspection import Inspection, equal_weight_sample, spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, table, tag
 
 if TYPE_CHECKING:

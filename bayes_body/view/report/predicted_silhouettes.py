@@ -21,7 +21,7 @@ from bayes_body.model.likelihood.silhouette_bernoulli import SilhouetteBernoulli
 from bayes_body.recording.observation.frames import Frame
 from bayes_body.recording.observation.silhouette_bernoulli import sample_mask
 from bayes_body.recording.session.session import Session
-from bayes_body.results.metrics.silhouette import Outline, fill, intersection_over_union, outlines
+from bayes_body.results.metrics.fit import Outline, fill, intersection_over_union, outlines
 
 # Silhouettes are compared at no more than this width, pixels.
 WIDTH = 320

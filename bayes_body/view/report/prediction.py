@@ -7,10 +7,18 @@ from jaxtyping import Float, Int
 
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, figures, section, table, tag
-from bayes_body.view.report.predicted_keypoints import KeypointCheck, marker_likelihood, noise_in_words
 from bayes_body.view.report.predicted_silhouettes import SilhouetteCheck, silhouette_likelihood
-from bayes_body.view.report.prediction_curves import cameras, error_panels, median, percentile, percentiles, silhouette_panels
-from bayes_body.view.report.prediction_pictures import keypoint_pictures, silhouette_pictures
+from bayes_body.view.report.prediction_curves import (
+    cameras,
+    error_panels,
+    keypoint_pictures,
+    median,
+    percentile,
+    percentiles,
+    silhouette_panels,
+    silhouette_pictures,
+)
+from bayes_body.view.report.predictive import KeypointCheck, marker_likelihood, noise_in_words
 
 TITLE = "Posterior predictive check"
 ABOUT = (

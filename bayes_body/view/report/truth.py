@@ -14,8 +14,7 @@ from bayes_body.results.posterior.blocks import pose_blocks
 from bayes_body.view.colours import GREY, INK, run_line
 from bayes_body.view.report.bands import sparse_frames
 from bayes_body.view.report.figures import encoded, frames_a_point, new_panel, run_label, shade_lost, time_axis, time_label
-from bayes_body.view.report.inspection import Inspection
-from bayes_body.view.report.limbs import spoken
+from bayes_body.view.report.inspection import Inspection, spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, table, tag
 
 if TYPE_CHECKING:

@@ -7,18 +7,15 @@ from string import Template
 from typing import TYPE_CHECKING
 
 from bayes_body.base.errors import input_error
-from bayes_body.base.files.atomic import make_folder, write_text
-from bayes_body.base.files.existing import check_free, has_mark
+from bayes_body.base.files.atomic import check_free, has_mark, make_folder, write_text
 from bayes_body.base.progress import Watch, unwatched
 from bayes_body.results.posterior.diagnostics import frame_ranges
 from bayes_body.view.colours import KEYPOINTS, NAMES, TRUTH, Colour, over_image, side_of
 from bayes_body.view.export.motion import lost_frames
 from bayes_body.view.report.markup import Markup, joined, tag
-from bayes_body.view.viewer.budget import LARGEST, Budget
-from bayes_body.view.viewer.motion import read_poses
+from bayes_body.view.viewer.motion import LARGEST, Budget, read_poses
 from bayes_body.view.viewer.recording import Recording, read_recording
-from bayes_body.view.viewer.scene import Scene, look_at
-from bayes_body.view.viewer.server import deaf_server
+from bayes_body.view.viewer.scene import Scene, deaf_server, look_at
 
 if TYPE_CHECKING:
     from bayes_body.results.storage.saved_run import SavedRun

@@ -1,11 +1,17 @@
 """The nodes of a run's scene in viser: the floor, the mean body (or the medoid), draws, cameras, points, and the time.
 
 The first frame makes a node, and each later frame changes it. The names of the nodes are what the page lists as layers.
+
+viser records a scene through its server. Here it is a server that never listens: no port of this machine is opened, and nothing is printed.
 """
 
+import io
 import math
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Iterator, Sequence
+from contextlib import asynccontextmanager, contextmanager, redirect_stdout
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 from jaxtyping import Float
@@ -16,13 +22,13 @@ from bayes_body.model.body.solids import Body
 from bayes_body.recording.observation.pictures import Colours
 from bayes_body.recording.session.session import CameraSpec
 from bayes_body.view.colours import CAMERAS, FLOOR, KEYPOINTS, TRUTH, Colour, over_image
-from bayes_body.view.report.limbs import spoken
+from bayes_body.view.report.inspection import spoken
 from bayes_body.view.viewer.motion import Pose
 from bayes_body.view.viewer.recording import Seen
 from bayes_body.view.viewer.solids import part_mesh
 
 if TYPE_CHECKING:
-    from viser import SceneApi
+    from viser import SceneApi, ViserServer
 
 # Metres: thickness of a draw's lines, size of points, size of a camera's pyramid, length of the world's axes, and floor around the path.
 LINE, POINT, PYRAMID, AXES, AROUND = 0.003, 0.035, 0.35, 0.4, 4.0
@@ -162,3 +168,24 @@ class Scene:
 def _named(text: str) -> str:
     """Return a text as the last part of a node's name, in which / would begin another part."""
     return escaped(text).replace("/", "∕")
+
+
+@contextmanager
+def deaf_server() -> Iterator["ViserServer"]:
+    """Yield the server of an empty scene, and stop it at the end."""
+    import websockets.asyncio.server
+    from viser import ViserServer
+
+    with redirect_stdout(io.StringIO()), patch.object(websockets.asyncio.server, "serve", _nothing):
+        server = ViserServer(host="127.0.0.1", port=0, verbose=False)
+        try:
+            yield server
+        finally:
+            server.stop()
+
+
+@asynccontextmanager
+async def _nothing(*arguments: Any, **options: Any) -> AsyncIterator[SimpleNamespace]:
+    """Stand in for the function of `websockets` that opens a port."""
+    del arguments, options
+    yield SimpleNamespace(server=SimpleNamespace(sockets=()))

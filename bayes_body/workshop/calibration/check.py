@@ -17,8 +17,7 @@ from bayes_body.recording.session.read import load_session
 from bayes_body.workshop.calibration import invariance, sbc
 from bayes_body.workshop.calibration.looks import REPLICATIONS
 from bayes_body.workshop.calibration.problem import Problem, check_cases, problem_of
-from bayes_body.workshop.calibration.replication_log import ReplicationLog
-from bayes_body.workshop.calibration.replications import Compute, Experiments, Figures, add_replications
+from bayes_body.workshop.calibration.replications import Compute, Experiments, Figures, ReplicationLog, add_replications
 from bayes_body.workshop.calibration.scene import model_in_a_room
 
 SBC, INVARIANCE = "sbc", "invariance"

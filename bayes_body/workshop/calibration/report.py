@@ -13,13 +13,11 @@ from bayes_body.base.registry import find
 from bayes_body.base.toml.read import validate
 from bayes_body.model.definition import load_definition
 from bayes_body.workshop.calibration.check import Findings, Plan, model_of
-from bayes_body.workshop.calibration.picture import draw_ranks
-from bayes_body.workshop.calibration.pilot import enough_particles, more_particles
-from bayes_body.workshop.calibration.probe import probe
-from bayes_body.workshop.calibration.rank_tree import ranks_file, save_ranks
+from bayes_body.workshop.calibration.picture import draw_ranks, ranks_file, save_ranks
 from bayes_body.workshop.calibration.reference import check_reference
-from bayes_body.workshop.calibration.replication_log import SUFFIX, ReplicationLog, settings_of
-from bayes_body.workshop.calibration.sequential import Show, run_check
+from bayes_body.workshop.calibration.replications import SUFFIX, ReplicationLog, settings_of
+from bayes_body.workshop.calibration.scene import probe
+from bayes_body.workshop.calibration.sequential import Show, enough_particles, more_particles, run_check
 from bayes_body.workshop.calibration.verdict import Verdict
 
 # Packages whose version may affect the figures.
@@ -34,7 +32,7 @@ def run_and_report(plan: Plan, pilot: bool, replications: int, jobs: int, json_f
         pilot: whether a pilot determines the number of particles; otherwise the plan's is used.
         replications: number of truths to draw for the first look.
         jobs: number of processes.
-        json_file: file for the figures; the ranks are written beside it (workshop/calibration/rank_tree.py).
+        json_file: file for the figures; the ranks are written beside it (workshop/calibration/picture.py).
         plot: file for the picture.
         show: receives lines for the user.
         bar: whether to show the progress on standard error.

@@ -1,4 +1,7 @@
-"""Convert the figures of a check to a verdict and sentences: ranks of each quantity, coverage, the Markov move, effective sizes."""
+"""Convert the figures of a check to a verdict and sentences: ranks of each quantity, coverage, the Markov move, effective sizes.
+
+The coverage of the posterior's weighted, equal-tailed intervals: how often they contain the truth. Each coverage has a binomial interval.
+"""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -7,11 +10,35 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
+from scipy.stats import binomtest
 
 from bayes_body.workshop.calibration import bands, invariance, sbc
 from bayes_body.workshop.calibration.check import INVARIANCE, SBC, Findings
-from bayes_body.workshop.calibration.coverage import WIDTHS, coverage
 from bayes_body.workshop.calibration.looks import FALSE_ALARM, REPLICATIONS, Limits, fails, is_close, limits
+
+WIDTHS = (0.5, 0.9)
+CONFIDENCE = 0.95
+
+
+class Coverage(NamedTuple):
+    """The fraction of truths inside, and a binomial interval for its probability (Wilson 1927)."""
+
+    share: float
+    low: float
+    high: float
+
+
+def coverage(levels: Float[np.ndarray, " replication"], width: float) -> Coverage:
+    """The coverage of one quantity.
+
+    Args:
+        levels: posterior probability below the truth, by replication.
+        width: posterior probability of the interval, such as 0.9.
+    """
+    inside = int(np.sum(np.abs(levels - 0.5) <= width / 2))
+    interval = binomtest(inside, len(levels)).proportion_ci(CONFIDENCE, method="wilson")
+    return Coverage(inside / len(levels), float(interval.low), float(interval.high))
+
 
 # The fraction of replications that may have too few effective particles; the fraction of states that a move must change to make its test informative.
 MOST_SHORT, LEAST_MOVED = 0.05, 0.1

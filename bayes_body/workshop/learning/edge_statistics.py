@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from bayes_body.base.errors import input_error
-from bayes_body.model.likelihood.edge_density import EdgeStatistics, clipped, log_density, log_normaliser, phase_and_log_amplitude, wrapped_normal
+from bayes_body.model.likelihood.edge_phase import EdgeStatistics, clipped, log_density, log_normaliser, phase_and_log_amplitude, wrapped_normal
 from bayes_body.recording.evidence.edge_phase import Response
-from bayes_body.recording.observation.edge_phase import responses
+from bayes_body.recording.observation.edge_phase import displaced, elsewhere_points, outline_points, responses, sampled
 from bayes_body.recording.observation.frames import read_frame
-from bayes_body.recording.observation.outline_points import displaced, elsewhere_points, outline_points, sampled
 from bayes_body.recording.readers.images import read_mask
 from bayes_body.recording.session.session import Session
 

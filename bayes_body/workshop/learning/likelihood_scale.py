@@ -30,7 +30,7 @@ from bayes_body.results.metrics import accuracy_figures, draws_against_truth, si
 from bayes_body.results.metrics.accuracy import LEVELS
 from bayes_body.results.metrics.truth import no_truth
 from bayes_body.tracking.track import track
-from bayes_body.workshop.calibration.replication_log import ReplicationLog
+from bayes_body.workshop.calibration.replications import ReplicationLog
 
 LEVEL = 0.9
 OPTION = "precision"

@@ -24,13 +24,13 @@ from bayes_body.initial import load_model
 from bayes_body.initial.retarget import retarget
 from bayes_body.model.build import Model
 from bayes_body.model.definition import Definition
-from bayes_body.model.likelihood.region_samples import PartSamples, projected
+from bayes_body.model.likelihood.regions import PartSamples, projected
 from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.evidence.regions import BAND, EDGES, INSIDE
 from bayes_body.recording.observation.frames import masks_of, read_frame
 from bayes_body.recording.observation.regions import squared_edge_distance
 from bayes_body.recording.session.session import Session
-from bayes_body.results.metrics.silhouette import seen_in
+from bayes_body.results.metrics.fit import seen_in
 from bayes_body.results.metrics.truth import no_truth, true_markers
 
 KIND = "regions"

@@ -21,10 +21,9 @@ from jaxtyping import Array, Float, Int
 from bayes_body.base.errors import input_error
 from bayes_body.initial.retarget import retarget
 from bayes_body.initial.retarget.fit import filled
-from bayes_body.model.body.branches import TURN, nearest_branch
+from bayes_body.model.body.branches import TURN, nearest_branch, settled
 from bayes_body.model.body.build import build_body
 from bayes_body.model.body.schema import BodySchema
-from bayes_body.model.body.settled import settled
 from bayes_body.model.body.skeleton import Topology
 from bayes_body.model.body.solids import Body
 from bayes_body.model.dynamics.angle_cycle import AngleCycle

@@ -13,8 +13,7 @@ from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
 from bayes_body.base.errors import input_error
-from bayes_body.workshop.learning.cycle import WalkingCycle, load_cycle
-from bayes_body.workshop.learning.gait import TREE, terms
+from bayes_body.workshop.learning.gait import TREE, WalkingCycle, load_cycle, terms
 
 __all__ = ["WalkingCycle", "load_cycle", "walk"]
 

@@ -12,15 +12,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayes_body.base.errors import input_error
-from bayes_body.workshop.simulation.clothes import HAIR, SHIRT, TROUSERS, Folds, Outfit, folded, hanging
-from bayes_body.workshop.simulation.mesh import Mesh
-from bayes_body.workshop.simulation.person_bones import chains
-from bayes_body.workshop.simulation.person_colours import FRONT, colours, hairy, palette
-from bayes_body.workshop.simulation.person_frames import Chain
+from bayes_body.workshop.simulation.person_bones import Chain, chains
 from bayes_body.workshop.simulation.person_motion import Landmarks, complete
-from bayes_body.workshop.simulation.person_parts import Tube, tubes
-from bayes_body.workshop.simulation.person_shape import Build
-from bayes_body.workshop.simulation.surface import ANGLES, COSINES, SINES, Rings, sections, sweep, triangles
+from bayes_body.workshop.simulation.person_parts import FRONT, Tube, colours, hairy, palette, tubes
+from bayes_body.workshop.simulation.person_shape import HAIR, SHIRT, TROUSERS, Build, Folds, Outfit, folded, hanging
+from bayes_body.workshop.simulation.surface import ANGLES, COSINES, SINES, Mesh, Rings, sections, sweep, triangles
 
 type Shape = Literal["man", "woman"]
 

@@ -11,10 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from bayes_body.recording.session.session import CameraSpec
-from bayes_body.workshop.simulation.mesh import Mesh
 from bayes_body.workshop.simulation.person_motion import unit
-from bayes_body.workshop.simulation.raster_projection import project
-from bayes_body.workshop.simulation.raster_spans import in_front, spans
+from bayes_body.workshop.simulation.raster_spans import in_front, project, spans
+from bayes_body.workshop.simulation.surface import Mesh
 
 WHITE = 255.0
 # By how much the sky is brighter, and the floor darker, than their mean.

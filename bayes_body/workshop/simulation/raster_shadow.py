@@ -5,10 +5,9 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.recording.session.session import CameraSpec
-from bayes_body.workshop.simulation.mesh import Mesh
 from bayes_body.workshop.simulation.raster import doubled_area
-from bayes_body.workshop.simulation.raster_projection import project
-from bayes_body.workshop.simulation.raster_spans import spans
+from bayes_body.workshop.simulation.raster_spans import project, spans
+from bayes_body.workshop.simulation.surface import Mesh
 
 FLOOR_M = 0.001
 # Least tangent of the lamp's elevation; with a lower lamp, shadows would be unbounded.

@@ -15,8 +15,19 @@ from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.readers.rig import Rig
 from bayes_body.recording.session.read import FILE_NAME, load_session, save_session
 from bayes_body.recording.session.session import Session, Subject, View
-from bayes_body.workshop.simulation.background import backgrounds
-from bayes_body.workshop.simulation.film import MASKS, TRUE_MASKS, Camera, Picture, Reel, cameras, empty_name, film_empty, mask_pattern, video_name
+from bayes_body.workshop.simulation.film import (
+    MASKS,
+    TRUE_MASKS,
+    Camera,
+    Picture,
+    Reel,
+    backgrounds,
+    cameras,
+    empty_name,
+    film_empty,
+    mask_pattern,
+    video_name,
+)
 from bayes_body.workshop.simulation.options import Options, Quality
 from bayes_body.workshop.simulation.person import Performance, Person
 from bayes_body.workshop.simulation.session_files import CALIBRATION, TRUTH, camera_name, write_calibration, write_extrinsics, write_truth

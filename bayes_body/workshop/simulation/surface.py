@@ -2,6 +2,8 @@
 
 A ring's station is measured in bones: 1.25 is a quarter of the way along the second bone. Near a joint the path is a parabola and the rings turn with
 it, so the skin continues smoothly across bent knees and elbows.
+
+A surface as triangles, with one colour each.
 """
 
 from typing import NamedTuple
@@ -9,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayes_body.workshop.simulation.person_frames import Chain, across
+from bayes_body.workshop.simulation.person_bones import Chain, across
 from bayes_body.workshop.simulation.person_motion import unit
 
 # Points per ring; the first is towards the person's left, a quarter further is the front.
@@ -102,3 +104,17 @@ def triangles(rings: list[int]) -> tuple[Int[np.ndarray, "face 3"], Int[np.ndarr
         places += [side, side, np.stack([np.full(ANGLES, first), angles], axis=1), np.stack([np.full(ANGLES, first + count - 1), angles], axis=1)]
         first += count
     return np.concatenate(faces), np.concatenate(places)
+
+
+class Mesh(NamedTuple):
+    """Triangles in the world.
+
+    Attributes:
+        vertices: (vertex, 3), metres, z up.
+        faces: (face, 3), indices of vertices, anticlockwise as seen from outside.
+        colours: (face, 3), reflectance of blue, green, red in [0, 1].
+    """
+
+    vertices: Float[np.ndarray, "vertex 3"]
+    faces: Int[np.ndarray, "face 3"]
+    colours: Float[np.ndarray, "face 3"]

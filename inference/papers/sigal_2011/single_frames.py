@@ -2,7 +2,7 @@
 
 The error of a frame is the mean distance of the found markers from the true ones. A person is turned round if the line from the right hip to the left
 one points more than 90 degrees away from the true one. That is counted twice: for what each frame says alone, and for what it says with its
-neighbours (initial/search/facing.py). The error is that of the latter.
+neighbours (initial/search/search.py). The error is that of the latter.
 """
 
 from collections.abc import Sequence

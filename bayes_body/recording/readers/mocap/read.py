@@ -10,7 +10,7 @@ from bayes_body.recording.readers.mocap.amc import read_amc
 from bayes_body.recording.readers.mocap.bvh import read_bvh
 from bayes_body.recording.readers.mocap.c3d import read_c3d
 from bayes_body.recording.readers.mocap.capture import Capture, to_motion
-from bayes_body.recording.readers.mocap.dialects import best_reading
+from bayes_body.recording.readers.mocap.landmarks import best_reading
 from bayes_body.recording.readers.mocap.motion import Motion
 from bayes_body.recording.readers.mocap.trc import read_trc
 
