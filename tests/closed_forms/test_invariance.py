@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from calibration import toys
+from workshop.calibration import toys
 
 from bayes_body.base.registry import find, names
 from bayes_body.density.coordinates import Coordinates

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from calibration.limb import draw_prior, limb
+from workshop.calibration.limb import draw_prior, limb
 
 from bayes_body.density.factor import Factor, Variable
 from bayes_body.density.parts_graph import parts_graph

@@ -45,7 +45,7 @@ class MethodError(NamedTuple):
 
 
 # Against the speed of heel and toes (Ghoussayni et al. 2004, limit 0.5 m/s) in captured walks of five people: 02, 05, 07, 08 and 16 of the CMU set.
-# Other people's walks check it (tests/clinical/test_gait.py).
+# Other people's walks check it (tests/results/clinical/test_gait.py).
 CONTACT = MethodError(-0.023, 0.0055, 0.0045)
 LIFT = MethodError(0.015, 0.009, 0.0065)
 FREEDOM = 4
