@@ -1,4 +1,4 @@
-"""Track a session from a script, and say what the command line says at its end: `bayes_body.track`."""
+"""Track a session from a script, say what the command line says at its end, and smooth: `bayes_body.track` and `bayes_body.smooth`."""
 
 import sys
 import warnings
@@ -14,6 +14,7 @@ from bayes_body.base.errors import RunWarning, input_error
 from bayes_body.base.progress import waiting, watched
 from bayes_body.base.shapes import Key
 from bayes_body.density.kernel import Kernel
+from bayes_body.kernels.paths.smoother import build_smoother
 from bayes_body.model.build import Model
 from bayes_body.recording.session.session import Session
 from bayes_body.results.metrics.fit import frame_fit
@@ -23,11 +24,13 @@ from bayes_body.results.posterior import mean_pose
 from bayes_body.results.posterior.diagnostics import diagnose, sentences
 from bayes_body.results.posterior.stream import tree_on_demand
 from bayes_body.runs.finish import pair_remarks
-from bayes_body.runs.progress import progress_bar
+from bayes_body.runs.progress import progress_bar, smoothing_bar
+from bayes_body.tracking import smooth as smoothing
 from bayes_body.tracking import track as tracking
-from bayes_body.tracking.draws import Draws, FrameStore
+from bayes_body.tracking.draws import Draws, FrameStore, timing_of
 from bayes_body.tracking.program import Ahead
 from bayes_body.tracking.restarts import Recovery
+from bayes_body.tracking.smooth import SmoothProgress
 from bayes_body.tracking.track import Progress
 
 ORDER = "track(key, session, model, kernel=None, ...)"
@@ -81,6 +84,29 @@ def track(
     for sentence in draws.warnings:
         warnings.warn(sentence, RunWarning, stacklevel=2)
     return draws
+
+
+def smooth(key: Key, session: Session, draws: Draws, on_frame: Callable[[SmoothProgress], None] | None = None, **options: int | str) -> Draws:
+    """Draw paths through all frames, given all images: the joint posterior, where `track` has each frame's given the images up to it.
+
+    Args:
+        key: random key of all paths.
+        session: the recording that was tracked.
+        draws: what `track` returned for it.
+        on_frame: called after each frame, the last one first; by default a terminal shows a progress bar.
+        options: those of `kernels.paths.smoother.Options`: draws, start, moves, leapfrog_steps, candidates.
+
+    Returns:
+        one path a draw, of equal weight, with its frames in the order of time.
+
+    Raises:
+        InputError: the kernel of the draws seeks modes, an option does not exist or is outside its range, or a frame cannot be read.
+    """
+    if not draws.samples_posterior:
+        raise input_error("smooth: the draws", "their kernel seeks modes", "a sample of the posterior", "track with another kernel, such as tempered")
+    with smoothing_bar() if sys.stderr.isatty() and on_frame is None else nullcontext(on_frame) as show:
+        paths = smoothing.smooth(session, draws.model, build_smoother(**options), draws.frames, key, [], show)
+    return replace(draws, frames=paths, timing=timing_of(paths), warnings=(), smoothed=True)
 
 
 def _check_order(key: object, session: object, model: object, kernel: object) -> None:

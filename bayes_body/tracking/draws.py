@@ -93,6 +93,7 @@ class Draws:
         kernel: the kernel's name; empty if it has none.
         warnings: what `bayes_body.track` says about the result: the sentences that the command line prints at its end.
         first_frame: number of the first frame in the recording (`Session.frame_number`).
+        smoothed: whether a draw is a path of a smoother.
         declared_sample: whether the kernel declares that its particles are a sample of the posterior; None of a kernel without a name.
     """
 
@@ -104,6 +105,7 @@ class Draws:
     kernel: str = ""
     warnings: tuple[str, ...] = ()
     declared_sample: bool | None = None
+    smoothed: bool = False
 
     @property
     def samples_posterior(self) -> bool:

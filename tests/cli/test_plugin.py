@@ -99,11 +99,13 @@ def test_models_check_knows_the_terms(alone, files):
     assert (outcome.status, outcome.err) == (0, "") and "brightness" in outcome.out
 
 
+MOVED = ["bayes_body.errors is not where this plugin looks", "take bb.Schema, bb.Factor, bb.InputError"]
 FAULTS = {
     "vector": (("jnp.sum(values[POSE] ** 2)", "values[POSE] ** 2"), ["likelihood 'brightness'", "an array of shape (4,)", "expected one number"]),
     "NaN": (("** 2)", "** 0 * jnp.nan)"), ["likelihood 'brightness'", "is NaN at the first pose"]),
     "twice": (('"observation"', '"likelihood"'), ["line 14", "likelihood 'brightness' is registered twice", "rename yours"]),
     "its own error": (("values[POSE] ** 2", "values[POSE] @ jnp.ones(7)"), ["line 17", "TypeError: dot_general requires", "correct the plugin"]),
+    "a module that moved": (("import bayes_body as bb\n", "import bayes_body as bb\nfrom bayes_body.errors import InputError\n"), MOVED),
     "its observation": (("frame.images[0].mean()", "frame.pictures"), ["line 12", "AttributeError: 'Frame' object has no attribute 'pictures'"]),
 }
 

@@ -101,3 +101,15 @@ def test_another_order_of_the_arguments_is_refused_with_the_right_one(textured_s
     track = inspect.unwrap(bb.track)
     with pytest.raises(bb.InputError, match=said):
         track(*arguments(KEY, textured_session, model, bb.kernels.sir()))
+
+
+def test_smoothing_from_a_script_gives_paths_and_refuses_a_mode_seeker(textured_session, tracked):
+    draws, _ = tracked
+    paths = bb.smooth(KEY, textured_session, draws, draws=20, moves=0)
+    assert len(paths.frames) == len(draws.frames) and paths.particles == 20 and paths.runs == 2
+    tree = bb.to_datatree(paths)
+    assert bb.diagnose(tree).smoothed and not bb.diagnose(tree).mode_seeker
+    # Of equal weight, and connected: each state is one of the filter's, or near one.
+    assert np.ptp(paths.log_weights) == 0 and np.isfinite(paths.states["pose"]).all()
+    with pytest.raises(bb.InputError, match="their kernel seeks modes"):
+        bb.smooth(KEY, textured_session, dataclasses.replace(draws, declared_sample=False))

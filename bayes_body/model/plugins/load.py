@@ -164,7 +164,16 @@ def _execute(path: Path, text: str) -> None:
         exec(code, module.__dict__)
     except (Exception, SystemExit) as error:
         sys.modules.pop(module.__name__)
+        if isinstance(error, ImportError) and (error.name or "").startswith("bayes_body"):
+            raise _moved_module(path, error) from None
         raise failure(path, text, error, line_of(path, error)) from error
+
+
+def _moved_module(path: Path, error: ImportError) -> InputError:
+    """The error of a plugin that imports a module of this package by a path that it had in another version."""
+    where = f"{path}: line {line_of(path, error)}"
+    remedy = "write `import bayes_body as bb`, and take bb.Schema, bb.Factor, bb.InputError and the like"
+    return input_error(where, f"{error.name} is not where this plugin looks ({error.msg})", "names of `bayes_body` itself", remedy)
 
 
 def _module_name(path: Path) -> str:

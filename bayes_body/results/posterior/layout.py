@@ -221,7 +221,8 @@ def dims_of(members: Sequence[Variable]) -> list[str]:
 
 def attributes_of(draws: Draws, attributes: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the attributes of the whole tree."""
-    named = {"model": draws.model.definition.name, **({"kernel": draws.kernel} if draws.kernel else {}), **(attributes or {})}
+    smoothed = {"smoothed": 1} if draws.smoothed else {}
+    named = {"model": draws.model.definition.name, **({"kernel": draws.kernel} if draws.kernel else {}), **smoothed, **(attributes or {})}
     thinned = {"thinned_from": draws.particles} if draws.frames[0].figures else {}
     # A path of a smoother and a draw of a Markov chain have equal weights.
     weighted = not named.get("smoothed") and not draws.frames[0].info.markov
