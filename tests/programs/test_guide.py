@@ -132,3 +132,10 @@ def test_public_names_mean_the_same_whatever_was_imported_before():
 
     members = set(bb.__all__) - {"compare", "kernels", "metrics", "posterior"}
     assert {name for name in members if isinstance(getattr(bb, name), types.ModuleType)} == set()
+
+
+def test_the_tests_that_the_map_of_statistics_names_exist():
+    named = re.findall(r"`([\w/]+\.py): (test_\w+)`", page("docs/guide/statistics.md"))
+    assert len(named) > 25
+    missing = [(file, test) for file, test in named if f"def {test}(" not in (ROOT / "tests" / file).read_text(encoding="utf-8")]
+    assert missing == []
