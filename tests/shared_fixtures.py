@@ -3,11 +3,13 @@
 import dataclasses
 import gc
 import os
+import runpy
 import shutil
 import sys
 import types
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import beartype
 import cv2
@@ -294,5 +296,30 @@ def make_run(textured_session, body_of, tmp_path):
         (folder / "summary.json").write_text('{"rhat_max": 1.5}', encoding="utf-8")
         seal(folder, frames)
         return folder
+
+    return call
+
+
+class Outcome(NamedTuple):
+    """How a program ended: exit status, and what it wrote."""
+
+    status: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def program_runner(capsys, monkeypatch):
+    """`program_runner(path, "--quick")`: what a program does, run in this process as `python path --quick`; an uncaught error fails."""
+
+    def call(program: Path, *arguments: object) -> Outcome:
+        capsys.readouterr()
+        monkeypatch.setattr(sys, "argv", [str(program), *map(str, arguments)])
+        status = 0
+        try:
+            runpy.run_path(str(program), run_name="__main__")
+        except SystemExit as stopped:
+            status = stopped.code
+        return Outcome(status, *capsys.readouterr())
 
     return call

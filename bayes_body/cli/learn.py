@@ -1,4 +1,4 @@
-"""`bayes-body learn`: learn small arrays from captured motion, with a record of their source and command; learn constants of likelihoods."""
+"""`bayes-body learn`: learn small arrays from captured motion, with a record of their source and command; learn the scale of a likelihood."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -6,13 +6,9 @@ from typing import TYPE_CHECKING
 import typer
 
 from bayes_body.cli.activity_hmm import activity_hmm
-from bayes_body.cli.edge_statistics import edge_statistics
-from bayes_body.cli.image_motion import image_motion
 from bayes_body.cli.kinematic_potentials import kinematic_potentials
 from bayes_body.cli.learned_files import check_out, motion_files, portable
 from bayes_body.cli.likelihood_scale import likelihood_scale
-from bayes_body.cli.regions import regions
-from bayes_body.cli.smooth_motion import smooth_motion
 from bayes_body.cli.terminal import say
 from bayes_body.cli.walking_angles import walking_angles
 
@@ -21,11 +17,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Learn from captured motion, or from recordings with their truth.", no_args_is_help=True)
 app.command("likelihood-scale", short_help="The precision at which 90 % intervals hold.")(likelihood_scale)
-app.command("edge-statistics", short_help="Tables of the likelihood of edges.")(edge_statistics)
-app.command("regions", short_help="Probabilities of inside, band and edges.")(regions)
-app.command("image-motion", short_help="Noise and outliers of image motion.")(image_motion)
 app.command("walking-angles", short_help="The mean stride of several people.")(walking_angles)
-app.command("smooth-motion", short_help="Standard deviations of smooth motion.")(smooth_motion)
 app.command("kinematic-potentials", short_help="The joints of a loose-limbed body.")(kinematic_potentials)
 app.command("activity-hmm", short_help="A hidden Markov model of an activity.")(activity_hmm)
 

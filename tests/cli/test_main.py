@@ -112,7 +112,7 @@ EMPTY = {
         "track session --out",
         "mocap x.bvh --out",
     ],
-    "an argument": ["track", "report", "view", "picture", "import parsec source", "models check", "learn regions"],
+    "an argument": ["track", "report", "view", "picture", "import parsec source", "models check", "learn walking-cycle"],
     "--json": ["benchmark --json"],
 }
 

@@ -1,10 +1,7 @@
 """The session that programs and the guide's examples work on."""
 
-import runpy
 import shlex
-import sys
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 from programs.pages import FIRST_RUN, blocks
@@ -34,26 +31,7 @@ def walked(walk) -> Path:
     return folder
 
 
-class Outcome(NamedTuple):
-    """How a program ended: exit status, and what it wrote."""
-
-    status: int
-    out: str
-    err: str
-
-
 @pytest.fixture
-def run(capsys, monkeypatch):
-    """`run(path, "--quick")`: the outcome of a program, run in this process as `python path --quick` runs it; an uncaught error fails the test."""
-
-    def call(program: Path, *arguments: object) -> Outcome:
-        capsys.readouterr()
-        monkeypatch.setattr(sys, "argv", [str(program), *map(str, arguments)])
-        status = 0
-        try:
-            runpy.run_path(str(program), run_name="__main__")
-        except SystemExit as stopped:
-            status = stopped.code
-        return Outcome(status, *capsys.readouterr())
-
-    return call
+def run(program_runner):
+    """`run(path, "--quick")`: the outcome of a program (`shared_fixtures.program_runner`)."""
+    return program_runner

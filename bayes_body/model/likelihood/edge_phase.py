@@ -125,7 +125,7 @@ AboveOne = Annotated[float, Field(strict=True, gt=1, allow_inf_nan=False)]
 
 
 class Scale(Schema):
-    """A `[[likelihood.scale]]`: a filter's wavelength and the statistics of its responses on boundaries (`bayes-body learn edge-statistics`)."""
+    """A `[[likelihood.scale]]`: a filter's wavelength and the statistics of its responses on boundaries (inference/learn)."""
 
     wavelength_px: Annotated[float, Field(strict=True, ge=3, allow_inf_nan=False)]
     """[pixels] wavelength of the filter, at least 3."""

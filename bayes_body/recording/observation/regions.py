@@ -16,7 +16,7 @@ commands
     bayes-body simulate 07/07_01.amc --subject 107 --seed 2 --frames 20 --out train_07
     bayes-body simulate 08/08_01.amc --subject 108 --seed 3 --frames 20 --out train_08
     bayes-body simulate 16/16_15.amc --subject 116 --seed 4 --first-frame 30 --frames 20 --out train_16
-    bayes-body learn regions train_05 train_07 train_08 train_16 --model MODEL
+    python inference/learn/learn_regions.py train_05 train_07 train_08 train_16 --model MODEL
 
 gave 0.982 to 0.987 inside and 0.32 to 0.35 in the band for single walks, and E² of 1.2 to 3.0 on the true sides, 3.2 to 5.2 near the person.
 """

@@ -3,10 +3,12 @@
 import itertools
 import math
 import tomllib
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from learn_edge_statistics import Images, fit, mean_log_density
 
 from bayes_body.base.errors import InputError
 from bayes_body.cli.main import main
@@ -14,7 +16,6 @@ from bayes_body.model.definition import load_definition
 from bayes_body.model.likelihood.edge_phase import PHASE_SD, EdgeStatistics
 from bayes_body.recording.evidence.edge_phase import Response
 from bayes_body.recording.observation.edge_phase import Points, displaced, elsewhere_points, outline_points, responses, sampled
-from bayes_body.workshop.learning.edge_statistics import Images, fit, mean_log_density
 
 
 def _shipped():
@@ -72,6 +73,9 @@ def test_what_the_border_cuts_is_no_outline():
     assert points.places[:, 1].max() < 93 and len(outline_points(np.zeros((50, 50), bool)).places) == 0
 
 
+PROGRAM = Path(__file__).parents[3] / "inference" / "learn" / "learn_edge_statistics.py"
+
+
 @pytest.fixture(scope="module")
 def walks(tmp_path_factory):
     folder = tmp_path_factory.mktemp("walks")
@@ -84,22 +88,10 @@ def walks(tmp_path_factory):
 
 
 @pytest.mark.long
-def test_it_learns_from_one_and_holds_on_another(walks, capsys, tmp_path):
-    command = [
-        "learn",
-        "edge-statistics",
-        str(walks / "one"),
-        "--frames",
-        "6",
-        "--held-out",
-        str(walks / "another"),
-        "--plot",
-        str(tmp_path / "p.png"),
-    ]
-    with pytest.raises(SystemExit) as end:
-        main(command)
-    assert end.value.code in (0, None)
-    said = capsys.readouterr().out
+def test_it_learns_from_one_and_holds_on_another(walks, program_runner, tmp_path):
+    done = program_runner(PROGRAM, walks / "one", "--frames", 6, "--held-out", walks / "another", "--plot", tmp_path / "p.png")
+    assert done.status == 0
+    said = done.out
     tables = tomllib.loads(said)["likelihood"]["scale"]
     assert [table["wavelength_px"] for table in tables] == [8.0, 16.0]
     assert cv2.imread(str(tmp_path / "p.png")).shape[1] > 800
@@ -110,13 +102,12 @@ def test_it_learns_from_one_and_holds_on_another(walks, capsys, tmp_path):
 
 
 @pytest.mark.long
-def test_a_recording_without_known_silhouettes_is_said(walks, capsys):
+def test_a_recording_without_known_silhouettes_is_said(walks, program_runner):
     for mask in sorted((walks / "another" / "true_masks").rglob("*.png")):
         mask.rename(mask.with_suffix(".kept"))
     try:
-        with pytest.raises(SystemExit) as end:
-            main(["learn", "edge-statistics", str(walks / "another")])
-        assert end.value.code == 2 and "no known silhouettes" in capsys.readouterr().err
+        done = program_runner(PROGRAM, walks / "another")
+        assert done.status == 2 and "no known silhouettes" in done.err
     finally:
         for mask in sorted((walks / "another" / "true_masks").rglob("*.kept")):
             mask.rename(mask.with_suffix(".png"))
@@ -124,10 +115,9 @@ def test_a_recording_without_known_silhouettes_is_said(walks, capsys):
 
 @pytest.mark.long
 @pytest.mark.parametrize("wavelengths", ["8,x", "", "1"])
-def test_wavelengths_that_cannot_be_are_said(walks, wavelengths, capsys):
-    with pytest.raises(SystemExit) as end:
-        main(["learn", "edge-statistics", str(walks / "one"), "--wavelengths", wavelengths])
-    assert end.value.code == 2 and "numbers from 3 up" in capsys.readouterr().err
+def test_wavelengths_that_cannot_be_are_said(walks, wavelengths, program_runner):
+    done = program_runner(PROGRAM, walks / "one", "--wavelengths", wavelengths)
+    assert done.status == 2 and "numbers from 3 up" in done.err
 
 
 # Boundaries of the walker of sports2d_walk, frame 100, traced by hand on the enlarged picture: column and row.

@@ -1,14 +1,16 @@
 """The noise of image motion from grey values with a known mixture, and smooth motion from curves with known derivatives."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from learn_image_motion import _mixture, motion_noise, motion_pairs
+from learn_smooth_motion import FPS, Track, smooth_noise
 
 from bayes_body.base.errors import InputError
 from bayes_body.cli.main import main
 from bayes_body.model.definition import load_body, load_definition
 from bayes_body.view.report.dependence import BINS, log_density
-from bayes_body.workshop.learning.image_motion import _mixture, motion_noise, motion_pairs
-from bayes_body.workshop.learning.smooth_motion import FPS, Track, smooth_noise
 
 
 def test_noise_and_outliers_are_found_again():
@@ -32,14 +34,16 @@ def test_what_cannot_be_learned_is_said(textured_session):
 
 @pytest.mark.long
 @pytest.mark.usefixtures("optimised")
-def test_the_command_learns_from_a_film(tmp_path, capsys):
+def test_the_program_learns_from_a_film(tmp_path, program_runner):
     """A film of the simulator has noise of one to two grey levels, and clothes that move: sums over points are too sharp."""
     film = ["simulate", "walk", "--rig", "side_1", "--frames", "12", "--out", str(tmp_path / "walk")]
-    for words in (film, ["learn", "image-motion", str(tmp_path / "walk"), "--model", "sidenbladh_2000_walking", "--frames", "4"]):
-        with pytest.raises(SystemExit) as stopped:
-            main(words)
-        assert stopped.value.code == 0
-    told = capsys.readouterr().out.splitlines()[-3:]
+    with pytest.raises(SystemExit) as stopped:
+        main(film)
+    assert stopped.value.code == 0
+    program = Path(__file__).parents[3] / "inference" / "learn" / "learn_image_motion.py"
+    done = program_runner(program, tmp_path / "walk", "--model", "sidenbladh_2000_walking", "--frames", 4)
+    assert done.status == 0, done.err
+    told = done.out.splitlines()[-3:]
     noise, share, precision = (float(line.split(" = ")[1]) for line in told)
     assert 0.5 < noise < 5 and 0.005 < share < 0.3 and 0.02 < precision < 2
 

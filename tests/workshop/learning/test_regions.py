@@ -1,18 +1,19 @@
 """What is in the regions of a part: pooled sums, a simulated walker through the command line, and that the likelihood finds the walker's parts."""
 
 import tomllib
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from learn_regions import Sums, fitted_to_truth, region_statistics, region_sums
 
 from bayes_body.base.errors import InputError
 from bayes_body.cli.main import main
 from bayes_body.model.definition import load_definition
 from bayes_body.recording.observation.frames import read_frame
 from bayes_body.recording.session.read import load_session
-from bayes_body.workshop.learning.regions import Sums, fitted_to_truth, region_statistics, region_sums
 
 MODEL = """
 title  = "Parts in their regions"
@@ -72,11 +73,10 @@ def walk(tmp_path_factory):
 
 @pytest.mark.long
 @pytest.mark.usefixtures("optimised")
-def test_it_learns_and_finds_the_parts_of_a_simulated_walker(walk, model, capsys):
-    with pytest.raises(SystemExit) as end:
-        main(["learn", "regions", str(walk), "--model", str(model), "--frames", "2"])
-    assert end.value.code in (0, None)
-    said = capsys.readouterr().out
+def test_it_learns_and_finds_the_parts_of_a_simulated_walker(walk, model, program_runner):
+    done = program_runner(Path(__file__).parents[3] / "inference" / "learn" / "learn_regions.py", walk, "--model", model, "--frames", 2)
+    assert done.status == 0
+    said = done.out
     learned = tomllib.loads(said[said.index("[likelihood") :])["likelihood"]["observation"]
     assert 0.75 < learned["inside"] < 1 and 0.1 < learned["band"] < 0.6 and learned["edge_elsewhere"] > 0
 

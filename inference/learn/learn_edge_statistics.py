@@ -1,5 +1,7 @@
 r"""Filter responses on a person's boundary: the constants of the likelihood `edge_phase`, learned from images with known boundaries.
 
+    python inference/learn/learn_edge_statistics.py train_05 train_07 --held-out test_06 --plot edges.png
+
 A boundary is the outline of a trusted silhouette: a simulator's, or one that a person has checked. Filters are steered to the outline's normal at its
 points. $\epsilon$ at both ends of the amplitudes, and a and b of their Beta distribution, are maximum likelihood estimates
 (`likelihood.edge_density`). $\rho_{min}$ and $\rho_{max}$ contain 99 % of the amplitudes. log p_occ is half way between the mean log-density on
@@ -7,27 +9,35 @@ boundaries and the mean elsewhere (near the person, at least `ELSEWHERE_PX` from
 against a pose.
 """
 
+import argparse
+import sys
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from edge_plot import draw_edge_statistics
 from jaxtyping import Array
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from bayes_body.base.errors import input_error
+import bayes_body as bb
+from bayes_body.base.errors import InputError, input_error
 from bayes_body.model.likelihood.edge_phase import EdgeStatistics, clipped, log_density, log_normaliser, phase_and_log_amplitude, wrapped_normal
 from bayes_body.recording.evidence.edge_phase import Response
 from bayes_body.recording.observation.edge_phase import displaced, elsewhere_points, outline_points, responses, sampled
 from bayes_body.recording.observation.frames import read_frame
 from bayes_body.recording.readers.images import read_mask
 from bayes_body.recording.session.session import Session
+from bayes_body.workshop.simulation.film import TRUE_MASKS, mask_pattern
 
 # Fractions of the amplitudes below ρ_min and above ρ_max.
 TAIL = 0.005
 LEAST_POINTS = 200
+WAVELENGTHS = "8,16"
+DISPLACED_PX = (0.0, 2.0, 5.0, 10.0)
 
 
 def fit(boundary: Response, elsewhere: Response) -> EdgeStatistics:
@@ -116,3 +126,85 @@ def known_pairs(session: Session, frames: int, true_masks: Callable[[str], str])
 def mean_log_density(response: Response, statistics: EdgeStatistics) -> float:
     """The mean for one scale, nats per sample."""
     return float(np.mean(np.asarray(log_density(jnp.asarray(response.even), jnp.asarray(response.odd), statistics))))
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Learn the `likelihood.scale` tables of `edge_phase`, and print them.")
+    recordings = "recordings with reliable silhouettes: from `bayes-body simulate --masks`, or masks that you have checked"
+    parser.add_argument("sessions", type=Path, nargs="+", help=recordings)
+    parser.add_argument("--wavelengths", default=WAVELENGTHS, help="wavelengths of the filters in pixels, separated by commas (%(default)s)")
+    parser.add_argument("--frames", type=bb.whole_number(1), default=5, help="number of evenly spaced frames of each recording (%(default)s)")
+    parser.add_argument("--held-out", type=Path, action="append", default=[], help="a recording for the comparison only; may be given several times")
+    parser.add_argument("--plot", type=Path, help="a .png of the learned densities over the data")
+    return parser.parse_args()
+
+
+def main() -> None:
+    arguments = parse()
+    bb.configure()
+    tried = wavelengths_of(arguments.wavelengths)
+    images = images_of(arguments.sessions, arguments.frames)
+    others = images_of(arguments.held_out, arguments.frames) if arguments.held_out else None
+    asked, learned, compared = (*DISPLACED_PX, None), [], []
+    for number in bb.watched("wavelengths")(range(len(tried))):
+        wavelength = tried[number]
+        boundary = images.at(wavelength, asked)
+        learned.append((wavelength, fit(boundary[0], boundary[-1]), boundary[0]))
+        compared.append([mean_log_density(response, learned[-1][1]) for response in (others.at(wavelength, asked) if others else boundary)])
+    print("\n".join(scale_table(wavelength, statistics) for wavelength, statistics, _ in learned))
+    whose = "held-out recordings" if others else "training recordings"
+    print(f"# mean log-density per sample, nats, on the {whose}: on boundaries displaced by ... px, and elsewhere")
+    print("# wavelength px " + "".join(f"{by:8g}" for by in DISPLACED_PX) + "   elsewhere")
+    for (wavelength, *_), values in zip(learned, compared, strict=True):
+        print(f"# {wavelength:13g} " + "".join(f"{value:8.2f}" for value in values[:-1]) + f"{values[-1]:12.2f}")
+    if arguments.plot is not None:
+        draw_edge_statistics(arguments.plot, learned)
+        print(f"# {arguments.plot}")
+
+
+def scale_table(wavelength: float, statistics: EdgeStatistics) -> str:
+    def pair(values: Any) -> str:
+        return f"[{values[0]:.3f}, {values[1]:.3f}]"
+
+    rows = [
+        "[[likelihood.scale]]",
+        f"wavelength_px = {wavelength:.1f}",
+        f"epsilon = {pair(statistics.epsilon)}",
+        f"amplitude = {pair(statistics.amplitude)}",
+        f"log_amplitude = {pair(statistics.log_amplitude)}",
+        f"log_occluded = {float(statistics.log_occluded):.2f}",
+    ]
+    return "\n".join(rows) + "\n"
+
+
+def images_of(sessions: list[Path], frames: int) -> Images:
+    """Return the images of some frames whose silhouettes are known."""
+    pairs = []
+    for path in sessions:
+        session = bb.load_session(path)
+        recording_pairs = known_pairs(session, frames, lambda name: mask_pattern(TRUE_MASKS, name))
+        if not recording_pairs:
+            raise input_error(
+                path, "no known silhouettes", f"a folder {TRUE_MASKS}, or masks", "simulate with --masks, or give cameras their `masks`"
+            )
+        pairs += recording_pairs
+    return Images(pairs)
+
+
+def wavelengths_of(text: str) -> list[float]:
+    """Return the wavelengths, ascending."""
+    try:
+        wavelengths = sorted({float(word) for word in text.split(",")})
+    except ValueError:
+        wavelengths = []
+    if not wavelengths or not all(3 <= value < float("inf") for value in wavelengths):
+        raise input_error("--wavelengths", repr(text), "numbers from 3 up, separated by commas", f"give for example {WAVELENGTHS}")
+    return wavelengths
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except (InputError, OSError) as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)

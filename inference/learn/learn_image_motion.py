@@ -1,5 +1,7 @@
 r"""Learn the noise of image motion from recordings with known truth: options of the likelihood `image_motion` (Sidenbladh, Black & Fleet 2000, 4).
 
+    python inference/learn/learn_image_motion.py train_* --model sidenbladh_2000_walking
+
 The body is fitted to the true markers of each frame. The points that it carries from a frame to the next have grey values that differ by $\eta$. With
 the visible points of all pairs, expectation maximisation finds the $\sigma$ and $\epsilon$ that make
 
@@ -13,18 +15,23 @@ $$\rho = \frac{\sum_v 2\,\ell(0) - \ell(v) - \ell(-v)}{\sum_v \tfrac14\,(\ell(v)
 is the power of the likelihood for which both are equal in the mean over changes, frames and recordings (Pauli, Racugno & Ventura 2011).
 """
 
+import argparse
 import math
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from learn_regions import fitted_to_truth
 from numpy.typing import NDArray
 
-from bayes_body.base.errors import input_error
+import bayes_body as bb
+from bayes_body.base.errors import InputError, input_error
 from bayes_body.density.factor import Variable
 from bayes_body.model.body.placement import POSE
 from bayes_body.model.body.world import require
@@ -33,7 +40,6 @@ from bayes_body.model.definition import Definition
 from bayes_body.model.likelihood.image_motion import UNIFORM, ImageMotionPotential
 from bayes_body.recording.observation.frames import read_frame
 from bayes_body.recording.session.session import Session
-from bayes_body.workshop.learning.regions import fitted_to_truth
 
 KIND = "image_motion"
 # Changes of the pose for the precision: how many per pair of frames, and their standard deviations. A pixel of a usual picture is 5 mm.
@@ -153,3 +159,33 @@ def _log_likelihoods(potential: ImageMotionPotential, centre: Array, before: Arr
 
     ahead, behind = (jax.lax.map(lambda change, sign=sign: log_likelihood(centre + sign * change), changes) for sign in (1, -1))
     return log_likelihood(centre), ahead, behind
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Learn `noise_grey`, `outlier_share` and `precision` of the likelihood `image_motion`.")
+    parser.add_argument("sessions", type=Path, nargs="+", help="folders of recordings with their truth, such as those made by `bayes-body simulate`")
+    parser.add_argument("--model", required=True, help="a definition's name or the path of your own, with the likelihood `image_motion`")
+    parser.add_argument("--frames", type=bb.whole_number(1), default=10, help="evenly spaced pairs of frames of each recording (%(default)s)")
+    return parser.parse_args()
+
+
+def main() -> None:
+    arguments = parse()
+    bb.configure()
+    definition, pairs = bb.load_definition(arguments.model), []
+    for path in arguments.sessions:
+        recording = list(motion_pairs(bb.load_session(path), definition, arguments.frames))
+        noise = motion_noise(recording)
+        pairs += recording
+        figures = f"noise_grey {noise.noise_grey:.2f}, outlier_share {noise.outlier_share:.3f}, precision {noise.precision:.3f}"
+        print(f"# {path.name}: {figures}, {sum(pair.difference.size for pair in recording):,} points")
+    noise = motion_noise(pairs)
+    print(f"noise_grey = {noise.noise_grey:.2f}\noutlier_share = {noise.outlier_share:.3f}\nprecision = {noise.precision:.3f}")
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except (InputError, OSError) as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)

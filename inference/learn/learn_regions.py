@@ -1,5 +1,7 @@
 r"""Probabilities of foreground in the regions of a part, and the distances of its sides from edges: options of `regions`, from recordings with truth.
 
+    python inference/learn/learn_regions.py train_* --model mine.toml
+
 The body is fitted to the true markers. In the regions that its parts then have, with the likelihood's own points and the pixels that each stands for,
 
 $$p_1 = \mathrm{mean}_{x \in \Omega_1} S_x, \qquad p_2 = \mathrm{mean}_{x \in \Omega_2} S_x, \qquad
@@ -9,7 +11,10 @@ where B is the silhouette's box: a side about which nothing is known counts half
 learned: Sigal et al. (2011, 5.1) set it to 0.5, because other parts may be anywhere.
 """
 
+import argparse
+import sys
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -18,7 +23,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from bayes_body.base.errors import input_error
+import bayes_body as bb
+from bayes_body.base.errors import InputError, input_error
 from bayes_body.base.geometry.camera import Camera
 from bayes_body.initial import load_model
 from bayes_body.initial.retarget import retarget
@@ -138,3 +144,32 @@ def _of_frame(model: Model, pose: Any, session: Session, index: int, options: An
 @jax.jit
 def _projected(samples: PartSamples, rig: Camera, parts: Any, map_index: Any) -> Any:
     return jax.vmap(lambda part_samples, frame: projected(part_samples, rig, frame, map_index))(samples, parts)
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Learn `inside`, `band` and `edge_elsewhere` of the likelihood `regions`, and print them.")
+    parser.add_argument("sessions", type=Path, nargs="+", help="folders of recordings with their truth, such as those made by `bayes-body simulate`")
+    parser.add_argument("--model", required=True, help="a definition's name or the path of your own, with the likelihood `regions`")
+    parser.add_argument("--frames", type=bb.whole_number(1), default=5, help="number of evenly spaced frames of each recording (%(default)s)")
+    return parser.parse_args()
+
+
+def main() -> None:
+    arguments = parse()
+    bb.configure()
+    definition, sums = bb.load_definition(arguments.model), []
+    for path in arguments.sessions:
+        recording = list(region_sums(bb.load_session(path), definition, arguments.frames))
+        stats = region_statistics(recording)
+        sums += recording
+        print(f"# {path.name}: inside {stats.inside:.3f}, band {stats.band:.3f}, E² on sides {stats.on_sides:.2f}, nearby {stats.nearby:.2f}")
+    stats = region_statistics(sums)
+    print(f"[likelihood.observation]\ninside = {stats.inside:.2f}\nband = {stats.band:.2f}\nedge_elsewhere = {stats.edge_elsewhere:.2f}")
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except (InputError, OSError) as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)
