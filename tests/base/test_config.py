@@ -61,6 +61,7 @@ def folder(tmp_path):
     return folder
 
 
+@pytest.mark.slow
 def test_plot_settings_of_the_current_folder_are_ignored(folder, tmp_path):
     mine = tmp_path / "mine"
     mine.mkdir()
@@ -74,6 +75,7 @@ def test_plot_settings_of_the_current_folder_are_ignored(folder, tmp_path):
     assert not (folder / "ran").exists()
 
 
+@pytest.mark.slow
 def test_the_users_own_plot_settings_count_and_a_pipe_of_that_name_does_not_hang(tmp_path):
     for name in ("matplotlibrc", "arvizrc"):
         os.mkfifo(tmp_path / name)
@@ -83,6 +85,7 @@ def test_the_users_own_plot_settings_count_and_a_pipe_of_that_name_does_not_hang
     assert (where, usetex, dpi) == (str(tmp_path), "False", "77.0")
 
 
+@pytest.mark.slow
 def test_exchanged_compiled_programs_are_compiled_again(tmp_path):
     """On the way: of XLA's log only fatal errors are shown, unless the user wants more."""
     cache = tmp_path / "cache"

@@ -27,6 +27,7 @@ def troubled(textured_session, tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", ["sir", *(pytest.param(kernel, marks=pytest.mark.long) for kernel in ("annealed", "tempered"))])
 def test_a_run_goes_on_over_what_it_cannot_see(troubled, tmp_path, capsys, kernel):
     with pytest.raises(SystemExit) as stopped:

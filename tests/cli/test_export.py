@@ -19,6 +19,7 @@ def run(walk, tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_of_a_mode_seeker_means_only_and_why(cli, run, tmp_path):
     outcome = cli("export", run, "--to", "csv", "--out", tmp_path / "walk.csv")
     said = "Means only: the kernel annealed is a mode seeker, and the spread of its particles is not a measure of uncertainty."
@@ -45,7 +46,7 @@ def test_a_run_s_markers_as_c3d(cli, run):
     assert heights.min() > -200 and 1300 < heights.max() < 2100
 
 
-@pytest.mark.parametrize("name", ["trc", "csv", "npz", "bvh"])
+@pytest.mark.parametrize("name", ["trc", *(pytest.param(name, marks=pytest.mark.slow) for name in ("csv", "npz", "bvh"))])
 def test_a_name_of_one_s_own_and_overwriting(cli, run, tmp_path, name):
     out = tmp_path / f"walk.{name}"
     assert cli("export", run, "--to", name, "--out", out).status == 0

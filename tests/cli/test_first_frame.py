@@ -52,6 +52,7 @@ def test_it_begins_there(track, run):
     assert [path.name for path in sorted((run / "overlay").iterdir())] == ["frame_000002.png", "frame_000003.png"]
 
 
+@pytest.mark.slow
 def test_it_goes_on_from_there(track, run, tmp_path):
     track(run, "--resume", "--first-frame", 1).refuses("cannot be continued: --first-frame was 2 and is now 1", "change it back")
     track(run, "--resume", "--first-frame", 0).refuses("cannot be continued: --first-frame was 2 and is now not set")

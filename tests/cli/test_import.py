@@ -193,6 +193,7 @@ def test_options_of_bodytrack(cli, bodytrack, tmp_path):
     assert "first_frame = 1" in text and f'masks = "{bodytrack.resolve()}/CAM1/image%04d.bmp"' in text
 
 
+@pytest.mark.slow
 def test_a_range_of_bodytrack(cli, bodytrack, tmp_path):
     outcome = cli("import", "parsec", bodytrack, tmp_path / "walk", "--first-frame", 1, "--frames", 2)
     assert outcome.status == 0, outcome.err

@@ -51,6 +51,7 @@ def test_a_fault_of_the_program_is_a_sentence_that_names_a_file_with_the_details
     log.unlink()
 
 
+@pytest.mark.slow
 def test_a_path_that_is_not_utf8_is_refused_before_anything_is_done(tmp_path):
     folder = tmp_path / "gehört"
     folder.mkdir()
@@ -211,7 +212,7 @@ def test_a_current_folder_that_was_deleted(cli, tmp_path, monkeypatch):
     cli("models", "check", "arm").refuses("the current folder: does not exist any more", "change to another folder")
 
 
-@pytest.mark.parametrize("platform", ["cuda", "kuda"])
+@pytest.mark.parametrize("platform", ["cuda", pytest.param("kuda", marks=pytest.mark.slow)])
 def test_a_platform_that_jax_does_not_have(platform):
     code = "import jax; jax.devices()"
     environment = {**os.environ, "JAX_PLATFORMS": platform}

@@ -29,6 +29,7 @@ def test_a_former_name_works_with_a_note(former, today):
         assert load_definition(former) == load_definition(today)
 
 
+@pytest.mark.slow
 def test_definitions_inside_the_package_are_found_first(cli, monkeypatch, tmp_path):
     shutil.copytree(MODELS, tmp_path / "bayes_body" / "_models")
     (tmp_path / "bayes_body" / "_models" / "deutscher_2005.toml").unlink()
@@ -178,6 +179,7 @@ def test_a_body_written_out_that_cannot_be_used(cli, own_model, fault):
     cli("models", "check", path).refuses(str(path), *parts)
 
 
+@pytest.mark.slow
 def test_the_axes_of_a_body_are_drawn_and_its_angles_named(cli, tmp_path):
     outcome = cli("models", "axes", "keypoints", "--out", tmp_path / "axes.png")
     assert outcome.status == 0, outcome.err

@@ -192,7 +192,7 @@ def test_every_kernel_is_here():
     assert set(OPTIONS) == set(names("kernel"))
 
 
-@pytest.mark.parametrize("kernel", OPTIONS)
+@pytest.mark.parametrize("kernel", [pytest.param(name, marks=[] if name == "sir" else [pytest.mark.slow]) for name in OPTIONS])
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_cannot_be_is_refused_before_anything_is_computed(cli, changed, tmp_path, case, kernel):
     change, sentence = REFUSED[case]

@@ -69,12 +69,14 @@ def test_a_run_keeps_the_plugin_s_text(track, files, run):
     assert tomllib.loads((run / "run.toml").read_text(encoding="utf-8"))["plugins"] == {"mine.py": GOOD}
 
 
+@pytest.mark.slow
 def test_a_run_of_built_in_terms_keeps_none(alone, textured_session, files, tmp_path):
     arguments = ["--model", "arm", "--particles", 20, "--frames", 1, "--plugin", files / "mine.py"]
     assert alone("track", textured_session.folder, "--out", tmp_path / "run", *arguments).status == 0
     assert "plugins" not in tomllib.loads((tmp_path / "run" / "run.toml").read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", [["report"], ["view"], ["export", "--to", "csv"]])
 def test_what_reads_a_run_asks_for_its_plugin(alone, run, files, verb, tmp_path):
     command = [verb[0], run, *verb[1:], "--out", tmp_path / "out"]
@@ -144,7 +146,7 @@ def test_faults_of_a_likelihood_are_found_before_the_check(alone, guide_files, f
         outcome.refuses(f"{path}: line {line}, `", "expected code that runs; correct the plugin.")
 
 
-@pytest.mark.parametrize("command", [("models", "check"), ("check",)], ids=["models check", "check"])
+@pytest.mark.parametrize("command", [pytest.param(("models", "check"), id="models check", marks=pytest.mark.slow), pytest.param(("check",), id="check")])
 def test_faults_of_a_kernel_are_found_before_the_check(alone, guide_files, command):
     path = guide_files / "resample_move.py"
     text = path.read_text(encoding="utf-8")

@@ -198,6 +198,7 @@ def test_the_coordinates_are_those_of_the_tree_and_their_volume_is_right(body):
         assert float(chart.log_determinant(position)) == pytest.approx(volume, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_walk_is_normalised(body):
     """Its log-density under its own draws has the mean of a normal's, minus the mean log-Jacobian of the exponential map."""
     walk = rigid_walk.build(rigid_walk.Options(sd_deg={"*": 28.0}), body, 60.0)

@@ -33,7 +33,8 @@ def check(process, change=lambda transition: transition, particles=PARTICLES):
         assert distance(given, found) < 4, f"{name}: {distance(given, found):.1f} {FAULT}"
 
 
-@pytest.mark.parametrize("process", [pytest.param(FIRST, id="first order"), pytest.param(SECOND, id="second order", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("process", [pytest.param(FIRST, id="first order"), pytest.param(SECOND, id="second order")])
 def test_the_paths_are_those_of_the_exact_smoother(process):
     check(process)
 

@@ -40,6 +40,7 @@ def _target(process):
     return trajectory(process.frames(), _origin(process), jax.tree.map(lambda leaf: leaf[0], _paths(process, 1)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("metric", ["diagonal", pytest.param("dense", marks=pytest.mark.long), pytest.param("low_rank", marks=pytest.mark.long)])
 @pytest.mark.parametrize("process", NUTS)
 def test_nuts_on_a_window_is_the_exact_smoother(process, metric):

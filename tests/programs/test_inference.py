@@ -178,6 +178,7 @@ def stride(cmu_mocap, tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_program_of_its_own_process_ends_as_one_in_this_process(run, tmp_path):
     arguments = [FILTER, "--session", tmp_path, "--out", tmp_path / "run"]
     alone = subprocess.run([sys.executable, *map(str, arguments)], capture_output=True, text=True, check=False)

@@ -64,13 +64,15 @@ def stopping(monkeypatch):
     return arrange
 
 
+@pytest.mark.slow
 def test_the_draws_of_a_finished_run_are_in_its_posterior_alone(uninterrupted):
     assert {path.name for path in uninterrupted.iterdir()} == LEFT
     assert [path.name for path in (uninterrupted / "frames").iterdir()] == ["index.npz"]
     assert (uninterrupted / "frames" / "index.npz").stat().st_size < 10_000
 
 
-@pytest.mark.parametrize("moment", ["before the index", pytest.param("among the files", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("moment", ["before the index", "among the files"])
 def test_a_stop_while_the_files_of_the_frames_are_removed_costs_nothing(looped, tmp_path, uninterrupted, monkeypatch, moment):
     """The second time the index and the posterior are of fewer frames than there are."""
     out, lines = tmp_path / "run", []
@@ -107,6 +109,7 @@ def stop_in_archive(patch, moment):
 KEEP = {"keep": 20}
 
 
+@pytest.mark.slow
 def test_a_thinned_run_has_the_figures_of_all_particles(looped, tmp_path, uninterrupted, stopping):
     out, lines = tmp_path / "run", []
     stopping(3, KeyboardInterrupt())
@@ -185,6 +188,7 @@ def test_more_frames_may_be_asked_for(looped, tmp_path, uninterrupted):
         run(Settings(looped(FRAMES), out, frames=3, resume=True), lambda line: None, bar=False)
 
 
+@pytest.mark.slow
 def test_without_its_posterior_a_finished_run_is_computed_again(looped, tmp_path, uninterrupted):
     shutil.copytree(uninterrupted, tmp_path / "run")
     (tmp_path / "run" / "posterior.nc").unlink()
@@ -265,6 +269,7 @@ def test_a_link_in_the_folder_of_a_run_leads_no_writer_elsewhere(looped, tmp_pat
     assert digests(tmp_path / name) == before
 
 
+@pytest.mark.slow
 def test_pictures_of_a_user_in_the_overlay_stay(looped, tmp_path):
     out = tmp_path / "run"
     run(Settings(looped(FRAMES), out, frames=2, **SMALL), lambda line: None, bar=False)
@@ -421,6 +426,7 @@ def test_what_fails_after_the_last_frame_is_made_by_the_next_one(looped, tmp_pat
     assert contents(out / "posterior.nc") == contents(uninterrupted / "posterior.nc")
 
 
+@pytest.mark.slow
 def test_a_run_whose_pictures_cannot_be_drawn_is_complete_each_time(looped, tmp_path, uninterrupted, monkeypatch):
     out, lines = tmp_path / "run", []
 

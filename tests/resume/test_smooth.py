@@ -65,7 +65,8 @@ def test_a_smoothed_run_is_read_like_any_other(filtered, smoothed, tmp_path):
     assert len((tmp_path / "motion.csv").read_text().splitlines()) == FRAMES + 1
 
 
-@pytest.mark.parametrize("moves", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("moves", [0, 1])
 def test_after_a_stop_it_goes_on_to_the_same_paths(filtered, smoothed, tmp_path, monkeypatch, moves):
     whole, out, lines, save = smoothed, tmp_path / "run", [], frame_files.save_frame
     draws = DRAWS | {"moves": moves}

@@ -68,6 +68,7 @@ def test_without_a_first_pose_nothing_is_compiled(textured_session, tmp_path, mo
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_a_first_pose_that_fits_raises_no_warning(arm_session, tmp_path):
     summary, lines = _run(arm_session(lambda frame: 0), tmp_path / "run")
     assert summary["fit_by"] == "silhouettes" and summary["fit_first"] > 0.95 and summary["frames_off"] == []

@@ -41,12 +41,14 @@ def test_what_was_compiled_ahead_is_what_tracks(textured_session, arm):
     np.testing.assert_array_equal(draws.states["pose"], plain.states["pose"])
 
 
+@pytest.mark.slow
 def test_of_another_form_it_is_made_anew(textured_session, arm, ahead):
     kernel = Counted()
     assert track(KEY, textured_session, arm, kernel, 50, ahead=ahead).log_weights.shape == (1, 5, 50)
     assert kernel.traces == 1
 
 
+@pytest.mark.slow
 def test_in_double_precision_too(textured_session):
     with jax.enable_x64(True):
         arm, kernel = build_model("arm", textured_session), Counted()

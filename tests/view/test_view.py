@@ -195,6 +195,7 @@ def test_a_camera_of_any_shape_has_a_tile(size):
     assert tile.max() == 200
 
 
+@pytest.mark.slow
 def test_a_thin_camera_is_drawn(model, textured_session, tmp_path):
     first, *others = textured_session.views
     thin = dataclasses.replace(first, camera=dataclasses.replace(first.camera, name="thin", size_px=(3000, 1)), images=None, masks=None)

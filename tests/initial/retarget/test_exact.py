@@ -70,6 +70,7 @@ def test_lengths_become_the_motions_own(body, own_motion, lengths, angles):
     assert decompose(body, motion, {}, None) is None
 
 
+@pytest.mark.slow
 def test_lengths_that_end_a_limb_are_those_of_its_points(body, own_motion, lengths, angles):
     longer = {name: length * (1.07 if "calf" in name else 0.9 if name == "r_forearm" else 1.02) for name, length in lengths.items()}
     found = retarget(body, _with_ends(own_motion(longer, angles), longer))

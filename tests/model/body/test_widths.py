@@ -66,6 +66,7 @@ def test_the_radii_at_the_waist_are_added_to_and_no_others():
     assert radii[0, 1] < 0.8 * radii[0, 0] and radii[1, 0] < 0.8 * radii[1, 1]
 
 
+@pytest.mark.slow
 def test_pixels_change_with_it_as_their_slopes_say():
     samples = contour(BODY, 6).samples
     along_u, along_v = jax.jit(lambda pose: sample_slopes(BODY, RIG, samples, pose))(_pose())

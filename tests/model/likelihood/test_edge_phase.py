@@ -340,6 +340,7 @@ def test_the_sum_of_samples_is_the_normalised_one_times_their_number():
     assert np.isclose(found[0], 20 * found[1])
 
 
+@pytest.mark.slow
 def test_the_curvature_is_that_of_the_formula():
     """(22), from differences of the samples' places: the weight times (2π/λσ)² of every scale, times the products of shifts along the normal."""
     model = _model("hard")

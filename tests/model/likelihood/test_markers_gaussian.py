@@ -236,7 +236,8 @@ def whole(f: Factor, body, parts, seen: MarkerEvidence) -> tuple[jax.Array, jax.
 rows_of = jax.jit(lambda plate, parts, seen: plate.each(parts, seen))
 
 
-@pytest.mark.parametrize("body", ["arm_4", pytest.param("person_31", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("body", ["arm_4", "person_31"])
 @pytest.mark.parametrize("noise", SOME_NOISES)
 def test_a_body_placed_by_parts_is_a_plate_of_the_same_density(x64, scene, body, noise):
     scene = scene(body)
@@ -257,6 +258,7 @@ def test_a_body_placed_by_parts_is_a_plate_of_the_same_density(x64, scene, body,
     assert np.isnan(value_and_slope(f, parts.at[0, 4].set(jnp.nan), seen)[0])
 
 
+@pytest.mark.slow
 def test_both_placements_draw_the_same_frames(scene):
     scene = scene("arm_4")
     loose = loosened(scene.body)

@@ -207,6 +207,7 @@ def test_cameras_that_see_add_up(x64, loose):
     assert min(np.abs(each)) > 10
 
 
+@pytest.mark.slow
 def test_a_part_leaves_a_picture_without_a_jump(x64, loose):
     """The torso slides out of a picture in which everything is foreground: what is outside counts nothing, and no more than it did inside."""
     scene = loose("person_31")

@@ -159,6 +159,7 @@ def test_the_gradient_is_the_densitys(x64, scene, name):
     assert np.linalg.norm(gradient) > 10
 
 
+@pytest.mark.slow
 def test_it_is_greatest_near_the_pose_that_it_was_drawn_at(x64, scene):
     scene = scene("arm_4")
     f = factor(scene)

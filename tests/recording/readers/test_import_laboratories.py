@@ -330,6 +330,7 @@ def test_calibrations_in_their_own_folder_and_percent_signs(opencv, tmp_path):
     assert len(read_opencv(source / "calibration", 1e-3)) == 2
 
 
+@pytest.mark.slow
 def test_real_project(pose2sim_beam, tmp_path):
     session, remarks = import_pose2sim(pose2sim_beam, tmp_path / "beam")
     assert (session.up, session.fps, session.frames) == ("z", 60.0, 100)

@@ -170,6 +170,7 @@ def test_nobody_for_a_while():
     assert found[3:12] == [(0, 0)] * 9 and found[18:] == [(0, 0)] * 6
 
 
+@pytest.mark.slow
 def test_the_real_subject_is_followed(pose2sim_beam):
     """Another person stands in two of the views, and is listed first in some frames."""
     from bayes_body.recording.readers.calibration_qualisys import read_qualisys

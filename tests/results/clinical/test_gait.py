@@ -93,6 +93,7 @@ def compared(paths, rng, fps, sd=0.02, tau=0.1, draws=200):
 WALKS = ("06/06_01", "35/35_01", "35/35_28", "38/38_01", "39/39_01", "39/39_12")
 
 
+@pytest.mark.slow
 def test_events_of_captured_people(cmu_mocap):
     errors, held, missing = compared([cmu_mocap / f"{walk}.amc" for walk in WALKS], np.random.default_rng(4), 60.0)
     assert len(errors) > 40 and missing == 0

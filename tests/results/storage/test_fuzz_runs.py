@@ -127,6 +127,7 @@ def _fuzz(place, cases, seed):
     assert _peak_bytes() - peak < MEMORY_BYTES
 
 
+@pytest.mark.slow
 def test_some_mutations(place):
     _fuzz(place, QUICK, seed=1)
 

@@ -55,12 +55,14 @@ def test_trc(exported):
         np.testing.assert_allclose(tables[1], tables[0], atol=1000 * CLOSE_M)
 
 
+@pytest.mark.slow
 def test_c3d(exported):
     by_angles, by_parts = (ezc3d.c3d(str(path)) for path in exported("c3d"))
     assert by_parts["parameters"]["POINT"]["LABELS"]["value"] == [*MARKERS]
     np.testing.assert_allclose(by_parts["data"]["points"], by_angles["data"]["points"], atol=1000 * CLOSE_M)
 
 
+@pytest.mark.slow
 def test_npz(exported):
     by_angles, by_parts = (np.load(path) for path in exported("npz"))
     for moment in MOMENTS:
@@ -73,7 +75,7 @@ def test_npz(exported):
     assert {name for name in by_parts if name.startswith("part_rotation")} == {f"part_rotation_{moment}_deg" for moment in MOMENTS[1:]}
 
 
-@pytest.mark.parametrize("up", ["z", "y", "x"])
+@pytest.mark.parametrize("up", ["z", *(pytest.param(up, marks=pytest.mark.slow) for up in "yx")])
 def test_csv_places_the_parts_in_the_axes_of_the_file(exported, up):
     by_angles, by_parts = (columns(path) for path in exported("csv", up, pose=still_poses()))
     markers = [name for name in by_parts if name.startswith("l_")]
@@ -114,6 +116,7 @@ def test_the_spread_of_a_rotation_is_that_of_the_angle(exported):
     assert max(by_parts[name].max() for name in still) < 0.05
 
 
+@pytest.mark.slow
 def test_a_quaternion_does_not_change_its_sign_on_the_way(exported):
     pose = np.zeros((2, 30, 5, 4))
     pose[..., 2] = np.linspace(-1.5, 1.5, 5)

@@ -8,6 +8,8 @@ import pytest
 from bayes_body.results.storage.saved_run import load_run
 from bayes_body.view.report import write_report
 
+pytestmark = pytest.mark.slow
+
 # Read by the test alone: the page itself has no script, and forbids any.
 PROBE = """<script>addEventListener("load", () => {
   const images = [...document.images], root = document.documentElement;
@@ -26,7 +28,7 @@ def page(make_run, draw_pictures):
         return write_report(run)
 
 
-@pytest.mark.parametrize("width", [pytest.param(1200, marks=pytest.mark.slow), 500])
+@pytest.mark.parametrize("width", [1200, 500])
 def test_all_pictures_load_and_nothing_is_wider_than_the_window(browser, page, width):
     text = page.read_text(encoding="utf-8")
     policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"

@@ -82,12 +82,14 @@ def test_the_image_is_that_of_the_run_or_none(chained):
         assert (run_backdrop(known, 0, 0)[0] == picture).all()
 
 
+@pytest.mark.slow
 def test_without_a_body_that_fits_there_is_no_path_but_all_else(chained):
     with style():
         text = chain_section(chained(dofs=("a", "b", "c", "d")))
     assert "No path is drawn" in text and "R-hat over the chains" in text
 
 
+@pytest.mark.slow
 def test_a_single_chain_has_no_map(chained):
     with style():
         text = chain_section(chained(markov_length=np.full((RUNS, FRAMES), CHAINS * LENGTH)))

@@ -21,6 +21,7 @@ def report(capsys):
     return call
 
 
+@pytest.mark.slow
 def test_a_report(report, make_run, draw_pictures, tmp_path):
     folder = make_run()
     draw_pictures(folder, 5)

@@ -96,6 +96,7 @@ def test_the_direction_a_person_faces_has_no_jumps(walk):
     assert np.diff(turned) == pytest.approx(20, abs=1e-2)
 
 
+@pytest.mark.slow
 def test_a_mode_seeker_has_means_only(walk, tmp_path, parse):
     run = walk(log_evidence=np.full((2, 5), np.nan))
     with load_run(run) as saved:
@@ -106,6 +107,7 @@ def test_a_mode_seeker_has_means_only(walk, tmp_path, parse):
     assert "no bands" in found.text and "widest" not in " ".join(image["alt"] for image in found.of("img"))
 
 
+@pytest.mark.slow
 def test_opensim_wants_y_up_and_a_pelvis(walk, make_run, tmp_path):
     with load_run(walk()) as run, pytest.raises(InputError, match="--up: z with --to mot; expected y"):
         export(run, "mot", tmp_path / "walk.mot", up="z")

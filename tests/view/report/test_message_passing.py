@@ -31,6 +31,7 @@ def test_a_kernel_without_messages_has_no_such_section(inspect):
     assert "messages" not in [name for name, _, _ in sections_of(inspect())]
 
 
+@pytest.mark.slow
 def test_convergence_is_shown_where_beliefs_still_move(passing):
     it = passing()
     assert "messages" in [name for name, _, _ in sections_of(it)]

@@ -161,6 +161,7 @@ def test_figures_have_their_units_and_what_does_not_exist_is_a_dash(inspect):
     assert cells["log-evidence"] == f"{mean:.1f} ± {sd:.1f}\u00a0nats (sd over the runs)"
 
 
+@pytest.mark.slow
 def test_a_single_run_has_no_agreement_and_says_so(inspect, parse):
     it = inspect(runs=1)
     with style():
@@ -170,6 +171,7 @@ def test_a_single_run_has_no_agreement_and_says_so(inspect, parse):
     assert "spread unknown (a single run)" in key_figures(it.run.summary, it.diagnosis)
 
 
+@pytest.mark.slow
 def test_several_runs_are_ranked_at_the_first_the_worst_and_the_last_frame(inspect, parse):
     pose = 0.1 * np.random.default_rng(0).normal(size=(2, 60, 5, 2))
     pose[1, :, 3, 1] += 2
@@ -179,6 +181,7 @@ def test_several_runs_are_ranked_at_the_first_the_worst_and_the_last_frame(inspe
     assert re.search(r"The largest is \d\.\d\d: left knee at frame 3", found.text)
 
 
+@pytest.mark.slow
 def test_a_mode_seeker_shows_no_evidence_and_no_tail(inspect, parse):
     with style():
         seeker = parse(filter_section(inspect(log_evidence=np.full((2, 5), np.nan))))
@@ -201,6 +204,7 @@ def test_a_mode_seeker_has_no_intervals_and_a_sentence_why(inspect, parse):
     assert "not a measure of uncertainty" not in bands.text and "widest 90 % band" in alts(bands)
 
 
+@pytest.mark.slow
 def test_panels_of_what_a_kernel_has(inspect, parse):
     number = np.array([[[1], [2], [3], [2], [1]]] * 2)
     by_layer = np.where(np.arange(3) < number, 0.5, np.nan)
@@ -243,6 +247,7 @@ def test_pictures_that_are_gone_are_said_to_be_gone(make_run, draw_pictures, par
     assert re.findall(r"Frame (\d):", alts(found)) == ["0", "4"]
 
 
+@pytest.mark.slow
 def test_pictures_get_worse_until_the_page_fits(inspect, draw_pictures, parse):
     it = inspect()
     draw_pictures(it.run.folder, 4, (320, 240), noise=True)
@@ -263,6 +268,7 @@ def test_how_it_was_made(inspect):
     assert cells["cameras"] == "a 160 × 120\u00a0px; b 128 × 144\u00a0px" and "kind = &quot;silhouette_edges&quot;" in text
 
 
+@pytest.mark.slow
 def test_a_run_whose_session_cannot_be_used(make_run, parse):
     folder = make_run(**HIP)
     record = (folder / "run.toml").read_text(encoding="utf-8")

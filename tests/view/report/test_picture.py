@@ -82,6 +82,7 @@ def test_a_standing_person_s_picture_shows_where_the_person_is():
     assert whole[:4] == crop_of([], [], (1920, 1080), False)[:4] == (0, 0, 1920, 1080)
 
 
+@pytest.mark.slow
 def test_curves_with_bands(picture, folder, tmp_path):
     status, out, _ = picture(folder, "--curves", "elbow,shoulder_x")
     assert status == 0 and out.startswith(f"{folder / 'curves.pdf'}: ") and (folder / "curves.pdf").read_bytes().startswith(b"%PDF")

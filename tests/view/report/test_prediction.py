@@ -167,6 +167,7 @@ def same(session, model):
             cv2.imwrite(str(session.mask_path(view, frame)), 255 * mask.astype(np.uint8))
 
 
+@pytest.mark.slow
 def test_silhouettes_of_the_body_are_shown_as_such(looked_at):
     strange, known, found, _ = looked_at("arm_silhouette", same)
     assert "masks of a and 1 more: changed" in strange.text and not strange.of("img")
@@ -175,6 +176,7 @@ def test_silhouettes_of_the_body_are_shown_as_such(looked_at):
     assert "a51.001.000 %" in known.text and len(known.of("img")) == 6
 
 
+@pytest.mark.slow
 def test_a_mode_seeker_has_no_intervals(looked_at):
     _, known, found, _ = looked_at("arm_silhouette", same, log_evidence=np.full((2, 5), np.nan))
     assert found.draws == 1 and np.isnan(found.silhouettes.expected_area).all()

@@ -77,6 +77,7 @@ def test_sentences_and_table_say_what_is_so(inspect, parse, arm):
     assert alts[0] == "Error of the mean markers over the frames, from 30 to 30 mm." and "90 %: " in alts[1]
 
 
+@pytest.mark.slow
 def test_of_a_sound_posterior_the_intervals_are_about_right(inspect, parse, arm):
     pose, _ = still(60, draws=201, spread=0.1)
     truth = truth_of(arm, pose[0, 0], np.zeros(3))
@@ -115,6 +116,7 @@ def test_a_long_run_is_thinned_and_each_frame_meets_its_own_truth(inspect, parse
     assert f"Measured in every 2nd frame of {frames:,}; summary.json has all." in found.text
 
 
+@pytest.mark.slow
 def test_a_truth_that_is_gone_or_of_other_markers_is_said(make_run, inspect, parse, arm):
     pose, centres = still(5)
     folder = make_run(**ARM, pose=pose, truth=truth_of(arm, centres, [0, 0, 0.01]))

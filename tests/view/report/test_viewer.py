@@ -190,6 +190,7 @@ def test_images_are_shown_as_a_pinhole_sees_them():
     assert np.abs(np.subtract(found, expected)).max() < 1.0
 
 
+@pytest.mark.slow
 def test_a_long_run_is_thinned_and_says_so(make_arm, monkeypatch):
     assert (Budget(750, 4).step(100), Budget(750, 4).step(300), Budget(750, 4).step(3000)) == (1, 2, 11)
     assert Budget(0, 0).step(300) == 1 and Budget(10**6, 4).step(50) == 50

@@ -51,6 +51,7 @@ def wrong(spread, shift):
     return binom.pmf(np.arange(BINS)[:, None], BINS - 1, norm.cdf((truth - shift) / spread)).mean(axis=1)
 
 
+@pytest.mark.slow
 def test_a_correct_kernel_fails_as_seldom_as_stated():
     assert sum(looks.SHARES) == 1 and looks.FALSE_ALARM == 0.01
     repetitions = 10_000

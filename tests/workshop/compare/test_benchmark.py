@@ -220,6 +220,7 @@ def test_what_cannot_be_has_its_sentence_and_the_others_go_on(rows, tmp_path):
     assert fine["error_mm_mean"] > 0
 
 
+@pytest.mark.slow
 def test_a_fault_of_the_program_is_told_apart(rows):
     from bayes_body.base.toml.schema import Count, Schema
 

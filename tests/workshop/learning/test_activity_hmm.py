@@ -66,6 +66,7 @@ def found(walks, schema):
     return learn_activity(walks, BODY, schema, OPTIONS)
 
 
+@pytest.mark.slow
 def test_the_subspace_that_was_put_in_is_found(found, planted, topology, walks):
     activity, (places, basis, _) = found.activity, planted
     assert len(places) == 22 and activity.names == tuple(topology.dof_names[k] for k in places)
@@ -82,12 +83,14 @@ def test_the_subspace_that_was_put_in_is_found(found, planted, topology, walks):
     assert not found.sentences
 
 
+@pytest.mark.slow
 def test_changes_are_of_all_dofs_and_not_by_full_turns(found, topology):
     change = dict(zip(topology.dof_names, found.activity.change, strict=True))
     assert change["root_x"] == pytest.approx(0.01) and change["head_y"] == pytest.approx(0.15)
     assert change[topology.dof_names[3]] == pytest.approx(0.025)
 
 
+@pytest.mark.slow
 def test_the_model_explains_motion_held_out(found, walks, topology):
     # Six states around an ellipse explain more than one Gaussian does, whose density here is about that of training.
     places = learned_dofs(topology)
@@ -99,6 +102,7 @@ def test_the_model_explains_motion_held_out(found, walks, topology):
     np.testing.assert_allclose(found.activity.transition.sum(axis=1), 1)
 
 
+@pytest.mark.slow
 def test_turns_and_second_solutions_are_no_variation(walks, found, schema, topology):
     y, x, z = (topology.dof_names.index(f"l_shoulder_{axis}") for axis in "yxz")
     other = walks[3].dofs.copy()

@@ -91,6 +91,7 @@ def test_textures_lie_where_the_camera_says_through_a_bent_lens():
     assert np.abs(first - 0.5 - pixels[:, 1]).max() < 1.2
 
 
+@pytest.mark.slow
 def test_clutter_is_a_level():
     bare, usual, full = (Scene(room(1, clutter)).look(small(RIG.cameras[2])).picture for clutter in (0.0, 1.0, 2.0))
     # Edges a pixel: none but where walls meet in a bare room.

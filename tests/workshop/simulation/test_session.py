@@ -160,6 +160,7 @@ def test_keypoints_are_a_detectors(filmed):
     assert detected(np.random.default_rng(0), camera, {name: place + np.array((0, 0, 9.0)) for name, place in markers.items()}, 3.0) == {}
 
 
+@pytest.mark.slow
 def test_a_recording_is_the_same_for_the_same_seed(tmp_path):
     sessions = [
         simulate(motion(3), rig(scale=0.25), build_person(2, 1.78), Options(seed=seed), tmp_path / str(number))[0]
@@ -186,6 +187,7 @@ def test_a_segmenters_silhouettes_take_the_backgrounds_place(tmp_path, quality, 
     assert low < np.mean(overlaps) < high
 
 
+@pytest.mark.slow
 def test_a_moving_camera_brings_its_places_and_silhouettes(tmp_path):
     moving = rig("moving_1", 1)
     moving = replace(moving, fps=2.0)
