@@ -20,9 +20,9 @@ from bayes_body.density.density import Density
 from bayes_body.density.factor import Data, Factor, Particles, State, Transition
 from bayes_body.density.kernel import NamedKernel
 from bayes_body.model.body.build import Shape, build_body
-from bayes_body.model.body.placement import PARTS, loosened
+from bayes_body.model.body.placed_body import loosened, placed_markers
+from bayes_body.model.body.placement import PARTS
 from bayes_body.model.body.solids import Body
-from bayes_body.model.body.world import placed_markers
 from bayes_body.model.definition import Definition, evidence_of, load_body, load_definition
 from bayes_body.model.first import First, first_of
 from bayes_body.model.kernel_options import check_options, kernel_of, kernel_options

@@ -13,7 +13,7 @@ from bayes_body.model.definition import PLACEMENTS, FirstTable, definition_names
 def definition_schema() -> dict[str, Any]:
     """Return the JSON Schema of a definition: all terms that are registered, those of plugins included."""
     document = _Definitions()
-    body = {
+    body: dict[str, Any] = {
         "anyOf": [
             {"type": "object", "properties": {"name": {"type": "string", "examples": list(definition_names("bodies"))}}},
             document.table(BodySchema),

@@ -14,7 +14,7 @@ import jax
 from bayes_body.base.errors import input_error
 from bayes_body.base.files.lock import locked
 from bayes_body.base.progress import waiting
-from bayes_body.base.registry import notes
+from bayes_body.base.registry import find, notes
 from bayes_body.initial import (
     Show,
     apply_first_pose,

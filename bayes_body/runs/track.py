@@ -86,13 +86,13 @@ def track(
     return draws
 
 
-def smooth(key: Key, session: Session, draws: Draws, on_frame: Callable[[SmoothProgress], None] | None = None, **options: int | str) -> Draws:
+def smooth(key: Key, session: Session, filtered: Draws, on_frame: Callable[[SmoothProgress], None] | None = None, **options: int | str) -> Draws:
     """Draw paths through all frames, given all images: the joint posterior, where `track` has each frame's given the images up to it.
 
     Args:
         key: random key of all paths.
         session: the recording that was tracked.
-        draws: what `track` returned for it.
+        filtered: what `track` returned for it.
         on_frame: called after each frame, the last one first; by default a terminal shows a progress bar.
         options: those of `kernels.paths.smoother.Options`: draws, start, moves, leapfrog_steps, candidates.
 
@@ -100,13 +100,13 @@ def smooth(key: Key, session: Session, draws: Draws, on_frame: Callable[[SmoothP
         one path a draw, of equal weight, with its frames in the order of time.
 
     Raises:
-        InputError: the kernel of the draws seeks modes, an option does not exist or is outside its range, or a frame cannot be read.
+        InputError: the kernel that filtered seeks modes, an option does not exist or is outside its range, or a frame cannot be read.
     """
-    if not draws.samples_posterior:
+    if not filtered.samples_posterior:
         raise input_error("smooth: the draws", "their kernel seeks modes", "a sample of the posterior", "track with another kernel, such as tempered")
     with smoothing_bar() if sys.stderr.isatty() and on_frame is None else nullcontext(on_frame) as show:
-        paths = smoothing.smooth(session, draws.model, build_smoother(**options), draws.frames, key, [], show)
-    return replace(draws, frames=paths, timing=timing_of(paths), warnings=(), smoothed=True)
+        paths = smoothing.smooth(session, filtered.model, build_smoother(**options), filtered.frames, key, [], show)
+    return replace(filtered, frames=paths, timing=timing_of(paths), warnings=(), smoothed=True)
 
 
 def _check_order(key: object, session: object, model: object, kernel: object) -> None:

@@ -33,8 +33,8 @@ from numpy.typing import NDArray
 import bayes_body as bb
 from bayes_body.base.errors import InputError, input_error
 from bayes_body.density.factor import Variable
+from bayes_body.model.body.placed_body import require
 from bayes_body.model.body.placement import POSE
-from bayes_body.model.body.world import require
 from bayes_body.model.build import Model
 from bayes_body.model.definition import Definition
 from bayes_body.model.likelihood.image_motion import UNIFORM, ImageMotionPotential

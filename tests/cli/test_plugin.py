@@ -146,7 +146,9 @@ def test_faults_of_a_likelihood_are_found_before_the_check(alone, guide_files, f
         outcome.refuses(f"{path}: line {line}, `", "expected code that runs; correct the plugin.")
 
 
-@pytest.mark.parametrize("command", [pytest.param(("models", "check"), id="models check", marks=pytest.mark.slow), pytest.param(("check",), id="check")])
+@pytest.mark.parametrize(
+    "command", [pytest.param(("models", "check"), id="models check", marks=pytest.mark.slow), pytest.param(("check",), id="check")]
+)
 def test_faults_of_a_kernel_are_found_before_the_check(alone, guide_files, command):
     path = guide_files / "resample_move.py"
     text = path.read_text(encoding="utf-8")

@@ -15,8 +15,7 @@ from bayes_body.base.toml.read import validate
 from bayes_body.density.factor import Variable
 from bayes_body.kernels.hmc.hamiltonian import Schedule, run_chain
 from bayes_body.model.body.build import Shape, build_body
-from bayes_body.model.body.placement import loosened
-from bayes_body.model.body.world import placed_markers
+from bayes_body.model.body.placed_body import loosened, placed_markers
 from bayes_body.model.definition import load_body
 from bayes_body.model.dynamics import rigid_walk
 from bayes_body.model.potentials import intersection, kinematic, penetration

@@ -10,9 +10,8 @@ from bayes_body.initial.detection.detect import Detected
 from bayes_body.initial.detection.detections import UNKNOWN_RAD, axis_frames, landmark, part
 from bayes_body.initial.search.proposals import MOST, proposals_of
 from bayes_body.model.body.build import Shape, build_body
-from bayes_body.model.body.placement import loosened
+from bayes_body.model.body.placed_body import loosened, placed_markers
 from bayes_body.model.body.solids import part_transforms
-from bayes_body.model.body.world import placed_markers
 from bayes_body.model.definition import load_body
 
 YAW, PLACE = 0.7, np.array([1.0, -0.5, 0.9])

@@ -34,8 +34,10 @@ def options_of(schema: type[BaseModel]) -> list[Option]:
     texts = _texts(schema)
     options = []
     for name, field in schema.model_fields.items():
-        unit, text = re.fullmatch(r"(?:\[([^\]`]*)\] )?(.*)", texts.get(name, "")).groups("")
-        options.append(Option(field.alias or name, _default(field), unit, text.removesuffix(".")))
+        written = texts.get(name, "")
+        unit = re.match(r"\[([^\]`]*)\] ", written)
+        text = written[unit.end() :] if unit else written
+        options.append(Option(field.alias or name, _default(field), unit[1] if unit else "", text.removesuffix(".")))
     return options
 
 
@@ -62,9 +64,9 @@ def _texts(schema: type[BaseModel]) -> dict[str, str]:
         (definition,) = ast.parse(textwrap.dedent(inspect.getsource(derived))).body
         lines = definition.body if isinstance(definition, ast.ClassDef) else []
         for field, below in pairwise(lines):
-            is_text = isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant) and isinstance(below.value.value, str)
-            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and is_text:
-                texts[field.target.id] = " ".join(below.value.value.split())
+            match field, below:
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                    texts[name] = " ".join(text.split())
     return texts
 
 

@@ -21,8 +21,8 @@ from bayes_body.initial.detection.detections import Detections, chosen
 from bayes_body.initial.search.proposals import by_parts, frames_of, proposals_of
 from bayes_body.initial.search.search import Way, search, shares_over_time, way_of
 from bayes_body.kernels.batching import everywhere
+from bayes_body.model.body.placed_body import placed_markers
 from bayes_body.model.body.solids import Body
-from bayes_body.model.body.world import placed_markers
 from bayes_body.model.build import build_model
 from bayes_body.recording.observation.frames import read_frame
 from bayes_body.recording.session.session import Session

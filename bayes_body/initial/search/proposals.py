@@ -26,9 +26,9 @@ from bayes_body.density.spaces import SE3
 from bayes_body.density.tangent_normal import WIDEST_RAD, TangentNormal, tangent_normal
 from bayes_body.initial.detection.detect import Detected
 from bayes_body.initial.detection.detections import Detections, axis_frames, strongest
+from bayes_body.model.body.placed_body import placed_markers, require
 from bayes_body.model.body.placement import PARTS, ByParts
 from bayes_body.model.body.solids import Body, part_transforms
-from bayes_body.model.body.world import placed_markers, require
 
 # Detections of a part, and of its landmarks, of which a proposal is made: the strongest. A fixed number, so that a frame never retraces.
 MOST = 12

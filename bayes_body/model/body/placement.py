@@ -5,13 +5,11 @@
 a body and a configuration, the value of this variable. They do not know which of the two it is.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from bayes_body.base.geometry import rigid, transforms
@@ -99,40 +97,3 @@ class ByParts:
 @partial(jax.jit, static_argnames="joints")
 def _joint_frames(skeleton: Skeleton, pose: Pose, joints: tuple[int, ...]) -> Configuration:
     return rigid.from_transform(transforms.pick(forward_kinematics(skeleton, pose), np.array(joints)))
-
-
-def loosened(body: "Body") -> "Body":
-    """Return the body with one free rigid transform for each part, instead of joint angles.
-
-    Raises:
-        InputError: the first joint carries no solid, or a dof widens a part.
-    """
-    topology = body.skeleton.topology
-    carries = set(body.topology.joints)
-    if body.topology.widths:
-        problem = f"a dof of the body '{body.name}' widens the part '{body.topology.names[body.topology.widths[0][0]]}'"
-        raise input_error('[body] placement = "parts"', problem, "a body whose parts have fixed sizes", "take out the dofs of axis 'width'")
-    if 0 not in carries:
-        problem = f"the first joint of the body '{body.name}' carries no part"
-        raise input_error('[body] placement = "parts"', problem, "a part on the first joint", 'add one, or take placement = "angles"')
-    part_joints = [j for j, motions in enumerate(topology.motions) if j in carries and (motions or topology.parents[j] < 0)]
-    owners = _owners(topology.parents, part_joints)
-    names = tuple(body.topology.names[body.topology.joints.index(j)] for j in part_joints)
-    parents = tuple(-1 if topology.parents[j] < 0 else owners[topology.parents[j]] for j in part_joints)
-    return replace(body, placement=ByParts(names, parents, owners, tuple(part_joints), _joints_in_parts(body.skeleton, tuple(part_joints), owners)))
-
-
-def _owners(parents: Sequence[int], part_joints: Sequence[int]) -> tuple[int, ...]:
-    owners: list[int] = []
-    for j, parent in enumerate(parents):
-        owners.append(part_joints.index(j) if j in part_joints else owners[parent])
-    return tuple(owners)
-
-
-@partial(jax.jit, static_argnames=("part_joints", "owners"))
-def _joints_in_parts(skeleton: Skeleton, part_joints: tuple[int, ...], owners: tuple[int, ...]) -> Transform:
-    """Return every joint in its part's frame, with all angles at 0."""
-    at_zero = forward_kinematics(skeleton, jnp.zeros(len(skeleton.topology.dof_names), skeleton.offsets.dtype))
-    part = transforms.pick(at_zero, np.array(part_joints, np.int32)[list(owners)])
-    inverse = jnp.swapaxes(part.rotation, -1, -2)
-    return Transform(transforms.multiply(inverse, at_zero.rotation), transforms.turn(inverse, at_zero.origin - part.origin))

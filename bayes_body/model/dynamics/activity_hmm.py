@@ -33,9 +33,9 @@ from bayes_body.base.registry import register
 from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.factor import State, Transition
 from bayes_body.model.body.branches import nearest_branch, settled
+from bayes_body.model.body.placed_body import require
 from bayes_body.model.body.placement import POSE
 from bayes_body.model.body.solids import Body
-from bayes_body.model.body.world import require
 from bayes_body.model.dynamics.activity import load_activity
 from bayes_body.model.dynamics.activity_arrays import (
     BEFORE,

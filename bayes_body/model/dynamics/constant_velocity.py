@@ -34,9 +34,9 @@ from bayes_body.base.shapes import Pose, Scalar
 from bayes_body.base.toml.schema import Positive, Schema
 from bayes_body.density.factor import State, Transition
 from bayes_body.density.spaces import euclidean
+from bayes_body.model.body.placed_body import require
 from bayes_body.model.body.placement import POSE
 from bayes_body.model.body.solids import Body, pose_space
-from bayes_body.model.body.world import require
 from bayes_body.model.dynamics.diffusion import TruncatedWalk, by_dof, standard_deviations
 
 VELOCITY = "velocity"

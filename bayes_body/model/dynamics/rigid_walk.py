@@ -25,9 +25,9 @@ from bayes_body.base.shapes import Key, Scalar
 from bayes_body.base.toml.schema import Positive, Schema
 from bayes_body.density.chart import ChartAround
 from bayes_body.density.factor import State, Transition
+from bayes_body.model.body.placed_body import require
 from bayes_body.model.body.placement import PARTS, ByParts
 from bayes_body.model.body.solids import Body, configuration_space
-from bayes_body.model.body.world import require
 from bayes_body.model.dynamics.diffusion import by_part
 
 # With a larger standard deviation, more than a ten-millionth of the draws would be beyond a half turn, where the density ends.

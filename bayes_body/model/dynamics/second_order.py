@@ -23,9 +23,9 @@ from bayes_body.base.registry import register
 from bayes_body.base.shapes import Pose, Scalar
 from bayes_body.base.toml.schema import Positive, Schema, Share
 from bayes_body.density.factor import State, Transition
+from bayes_body.model.body.placed_body import require
 from bayes_body.model.body.placement import POSE
 from bayes_body.model.body.solids import Body, pose_space
-from bayes_body.model.body.world import require
 from bayes_body.model.dynamics.diffusion import standard_deviations
 from bayes_body.model.dynamics.joint_noise import JointNoise
 

@@ -35,9 +35,9 @@ from bayes_body.density.factor import State, Transition
 from bayes_body.density.spaces import Space, circle, euclidean
 from bayes_body.model.body.branches import nearest_branch, settled
 from bayes_body.model.body.kinematics import marker_positions
+from bayes_body.model.body.placed_body import require
 from bayes_body.model.body.placement import POSE
 from bayes_body.model.body.solids import Body, pose_space
-from bayes_body.model.body.world import require
 from bayes_body.model.dynamics.angle_cycle import NAME, AngleCycle, load_angle_cycle
 from bayes_body.model.dynamics.diffusion import ROOT_DOFS, check_root
 

@@ -38,9 +38,9 @@ from bayes_body.base.shapes import Configuration, Key, Scalar
 from bayes_body.base.toml.schema import NonNegative, Positive, Schema, Share
 from bayes_body.density.factor import Factor, Variable, Variables
 from bayes_body.density.plate import Plate, plate_factor
+from bayes_body.model.body.placed_body import placed_markers
 from bayes_body.model.body.placement import PARTS, ByParts
 from bayes_body.model.body.solids import Body
-from bayes_body.model.body.world import placed_markers
 from bayes_body.recording.evidence.markers import MARKERS, MarkerEvidence
 
 # Where a point behind the camera is expected: its distance from the image's centre, in diagonals of the image.

@@ -45,9 +45,9 @@ from bayes_body.base.shapes import Scalar
 from bayes_body.base.toml.schema import Count, NonNegative, Positive, Schema, Share
 from bayes_body.density.factor import Factor
 from bayes_body.density.plate import Plate, plate_factor
+from bayes_body.model.body.placed_body import require, solids_in_parts
 from bayes_body.model.body.placement import PARTS, ByParts
 from bayes_body.model.body.solids import Body, Shapes
-from bayes_body.model.body.world import require, solids_in_parts
 from bayes_body.model.likelihood.patch_pixels import corner_pixels, solid_patches
 from bayes_body.recording.evidence.regions import BAND, EDGES, INSIDE, RegionMaps, log_ratios_at
 from bayes_body.recording.evidence.silhouette_edges import Lookup

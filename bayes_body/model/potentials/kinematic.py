@@ -26,9 +26,9 @@ from bayes_body.base.toml.schema import Finite, Positive, Schema
 from bayes_body.density.chart import relative_to_parents
 from bayes_body.density.factor import Factor
 from bayes_body.density.plate import Plate, plate_factor
+from bayes_body.model.body.placed_body import require
 from bayes_body.model.body.placement import PARTS, ByParts
 from bayes_body.model.body.solids import Body
-from bayes_body.model.body.world import require
 from bayes_body.model.potentials.joint_mixture import load_joint_mixtures, log_of_components, log_pairs, mixture, times
 from bayes_body.model.potentials.widths import widths_by_part
 

@@ -25,9 +25,9 @@ from bayes_body.base.shapes import Scalar
 from bayes_body.base.toml.schema import NonNegative, Positive, Schema
 from bayes_body.density.factor import Factor
 from bayes_body.density.plate import Plate, plate_factor
+from bayes_body.model.body.placed_body import require, solids_in_parts
 from bayes_body.model.body.placement import PARTS, ByParts
 from bayes_body.model.body.solids import Body, Spheres, sphere_approximation
-from bayes_body.model.body.world import require, solids_in_parts
 
 
 class Options(Schema):

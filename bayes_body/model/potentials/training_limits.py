@@ -19,9 +19,9 @@ from bayes_body.base.registry import register
 from bayes_body.base.shapes import Scalar
 from bayes_body.base.toml.schema import NonNegative, Schema
 from bayes_body.density.factor import Factor, Variable, Variables
+from bayes_body.model.body.placed_body import require
 from bayes_body.model.body.placement import POSE
 from bayes_body.model.body.solids import Body
-from bayes_body.model.body.world import require
 
 REMEDY = "make one with `bayes-body learn activity-hmm`"
 

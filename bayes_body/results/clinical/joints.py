@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.base.geometry.transforms import Transform
+from bayes_body.model.body.placed_body import joint_transforms
 from bayes_body.model.body.placement import ByParts
 from bayes_body.model.body.solids import Body
 from bayes_body.model.body.tables import Segment
-from bayes_body.model.body.world import joint_transforms
 from bayes_body.results.clinical.conventions import CLINICAL, LABORATORY, Convention, Side, angles_of
 
 # Random configurations on which it is seen which angles a body can change, and the change that counts, radians.

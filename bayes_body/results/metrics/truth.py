@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from bayes_body.base.errors import InputError, input_error
 from bayes_body.base.progress import Watch, unwatched
 from bayes_body.base.shapes import Configuration
+from bayes_body.model.body.placed_body import joint_transforms
 from bayes_body.model.body.skeleton import Markers
 from bayes_body.model.body.solids import Body, configuration_space
-from bayes_body.model.body.world import joint_transforms
 from bayes_body.model.build import Model
 from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.readers.truth import read_truth

@@ -14,8 +14,8 @@ from jaxtyping import Float, Int
 
 from bayes_body.base.errors import input_error
 from bayes_body.density.spaces import Space
+from bayes_body.model.body.placed_body import placed_markers
 from bayes_body.model.body.solids import configuration_space
-from bayes_body.model.body.world import placed_markers
 from bayes_body.model.build import Model
 from bayes_body.results.posterior.agreement import FEWEST_DRAWS, split_rhat
 from bayes_body.results.posterior.blocks import around_mean

@@ -21,9 +21,9 @@ from scipy.spatial.transform import Rotation
 from bayes_body.base.errors import input_error
 from bayes_body.base.files.atomic import replacing
 from bayes_body.base.geometry.transforms import Transform
+from bayes_body.model.body.placed_body import joint_transforms
 from bayes_body.model.body.placement import ByParts
 from bayes_body.model.body.solids import Body
-from bayes_body.model.body.world import joint_transforms
 from bayes_body.view.export.motion import Motion, turned
 
 CENTIMETRES = 100.0

@@ -19,9 +19,9 @@ from bayes_body.base.shapes import Flag, Index, Key, Scalar
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, State, Transition
 from bayes_body.model.body.kinematics import marker_positions
+from bayes_body.model.body.placed_body import require
 from bayes_body.model.body.placement import POSE
 from bayes_body.model.body.solids import Body
-from bayes_body.model.body.world import require
 from bayes_body.model.build import Model
 
 # Number of rejected paths after which a case is given up.

@@ -25,8 +25,8 @@ from bayes_body.base.toml.read import validate
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles, State
 from bayes_body.density.kernel import Kernel
+from bayes_body.model.body.placed_body import require
 from bayes_body.model.body.placement import POSE
-from bayes_body.model.body.world import require
 from bayes_body.model.build import Model
 from bayes_body.model.plugins.load import check_own_factors, where_of
 from bayes_body.recording.observation.frames import read_frame

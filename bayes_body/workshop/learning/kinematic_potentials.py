@@ -34,7 +34,8 @@ from bayes_body.density.chart import relative_to_parents
 from bayes_body.density.spaces import SE3, SO3
 from bayes_body.initial.retarget import retarget
 from bayes_body.model.body.build import build_body
-from bayes_body.model.body.placement import ByParts, loosened
+from bayes_body.model.body.placed_body import loosened
+from bayes_body.model.body.placement import ByParts
 from bayes_body.model.body.schema import BodySchema
 from bayes_body.model.body.solids import Body
 from bayes_body.model.potentials.joint_mixture import JointMixtures, log_of_components, mixture

@@ -218,20 +218,21 @@ def follow(
     """
     model, options = bb.load_model(definition, session, lambda line: None), definition.kernel.options
     count = particles or int(options.particles)
-    accuracies, evaluations, seconds = [], [], []
+    accuracies, coverages, evaluations, seconds = [], [], [], []
     for run in watch(range(runs)):
         draws = bb.track(jax.random.key(seed + run), session, model, particles=count, frames=frames)
         against = draws_against_truth(session, draws)
         if against is None:
             raise no_truth(session)
         accuracies.append(against.plain)
+        coverages.append(coverage_at(against.plain.coverage, 0.9) if draws.samples_posterior else np.nan)
         evaluations.append(np.mean([np.asarray(frame.info.evaluations) for frame in draws.frames]))
         seconds.append((draws.timing.total - draws.timing.compile) / len(draws.frames))
     return Followed(
         absolute_m=_per_run(accuracies, "frame_error"),
         optimistic_m=_per_run(accuracies, "optimistic"),
         relative_m=_per_run(accuracies, "relative"),
-        coverage_90=np.array([coverage_at(accuracy.coverage, 0.9) if draws.samples_posterior else np.nan for accuracy in accuracies]),
+        coverage_90=np.array(coverages),
         evaluations=float(np.mean(evaluations)),
         seconds=np.array(seconds),
         fps=session.fps,

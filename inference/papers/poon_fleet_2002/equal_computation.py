@@ -22,8 +22,8 @@ from bayes_body.density.factor import Particles
 from bayes_body.kernels.batching import everywhere, over_particles
 from bayes_body.kernels.hmc.hmc_filter import build_sampler as hmc_sampler
 from bayes_body.kernels.weights import resampler
+from bayes_body.model.body.placed_body import require
 from bayes_body.model.body.placement import POSE
-from bayes_body.model.body.world import require
 from bayes_body.tracking.draws import Draws
 
 BOOTSTRAPS = 2000

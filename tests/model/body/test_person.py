@@ -8,7 +8,7 @@ import pytest
 
 from bayes_body.model.body.build import Shape, build_body
 from bayes_body.model.body.kinematics import marker_positions
-from bayes_body.model.body.placement import loosened
+from bayes_body.model.body.placed_body import loosened
 from bayes_body.model.body.solids import part_transforms
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_body

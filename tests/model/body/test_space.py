@@ -4,7 +4,7 @@ import numpy as np
 
 from bayes_body.density.spaces import Plate
 from bayes_body.model.body.build import build_body
-from bayes_body.model.body.placement import loosened
+from bayes_body.model.body.placed_body import loosened
 from bayes_body.model.body.solids import configuration_space, pose_space
 from bayes_body.model.definition import load_body, load_definition
 from bayes_body.model.dynamics import diffusion, second_order

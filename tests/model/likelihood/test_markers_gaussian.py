@@ -13,8 +13,7 @@ from bayes_body.base.errors import InputError
 from bayes_body.base.registry import find
 from bayes_body.density.factor import Factor, Variable
 from bayes_body.model.body.kinematics import marker_positions
-from bayes_body.model.body.placement import loosened
-from bayes_body.model.body.world import placed_markers
+from bayes_body.model.body.placed_body import loosened, placed_markers
 from bayes_body.recording.evidence.markers import MARKERS, MarkerEvidence
 
 POSE = Variable("pose")

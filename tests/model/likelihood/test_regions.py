@@ -14,7 +14,7 @@ from bayes_body.base.geometry.camera import project
 from bayes_body.base.registry import find
 from bayes_body.base.toml.read import validate
 from bayes_body.density.factor import Factor, Variable
-from bayes_body.model.body.placement import loosened
+from bayes_body.model.body.placed_body import loosened
 from bayes_body.model.body.solids import part_transforms, patches
 from bayes_body.recording.observation.frames import Frame
 from bayes_body.recording.observation.silhouette_edges import distance_to, edges

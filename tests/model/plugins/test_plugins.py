@@ -295,7 +295,7 @@ def test_a_signal_that_arrives_in_its_code_is_not_its_fault(write):
         raise SystemExit(143)
 
     registry.interrupt = stop
-    load_plugin(write(("return lambda frame: frame", "from bayes_body import registry; registry.interrupt(); return lambda frame: frame")))
+    load_plugin(write(("return lambda frame: frame", "from bayes_body.base import registry; registry.interrupt(); return lambda frame: frame")))
     with pytest.raises(SystemExit), plugins_to_blame():
         registry.find("observation", "brightness").build(options=None)
     del registry.interrupt

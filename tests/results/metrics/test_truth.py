@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_body.model.body.placement import loosened
+from bayes_body.model.body.placed_body import loosened
 from bayes_body.results.metrics import accuracy_figures, against_truth
 from bayes_body.results.metrics.accuracy import LEVELS
 from bayes_body.results.metrics.figures import NAMES, width

@@ -16,7 +16,6 @@ from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition, parse_definition
 from bayes_body.recording.session.read import load_session
 from bayes_body.results.posterior import markers
-from bayes_body.results.posterior.diagnostics import diagnose
 from bayes_body.results.storage.names import free_folder
 from bayes_body.results.storage.saved_moments import angle_moments, marker_moments
 from bayes_body.results.storage.saved_run import load_run
@@ -256,7 +255,7 @@ def test_a_space_that_cannot_be_read_is_a_sentence(make_run):
 def test_a_kernel_declares_that_it_seeks_modes_or_is_known_by_the_evidence_that_it_lacks(make_run, declared, evidence, seeker):
     attributes = {} if declared is None else {"samples_posterior": declared}
     with load_run(make_run(log_evidence=np.full((2, 5), evidence), attributes=attributes)) as run:
-        assert run.mode_seeker == diagnose(run).mode_seeker == seeker
+        assert run.mode_seeker == seeker
 
 
 def test_a_free_folder_is_the_first_that_does_not_exist(tmp_path):

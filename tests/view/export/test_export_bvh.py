@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from bayes_body.base.errors import InputError
 from bayes_body.model.body.build import build_body
-from bayes_body.model.body.placement import loosened
-from bayes_body.model.body.world import joint_transforms, placed_markers
+from bayes_body.model.body.placed_body import joint_transforms, loosened, placed_markers
 from bayes_body.model.definition import load_body
 from bayes_body.recording.readers.mocap import landmarks, read_motion
 from bayes_body.results.posterior.moments import Moments

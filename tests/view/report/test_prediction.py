@@ -186,4 +186,4 @@ def test_a_mode_seeker_has_no_intervals(looked_at):
 def test_a_model_that_reads_neither_says_so(inspect, keypoint_session, parse):
     it = inspect(dofs=DOFS, units=("rad",) * 4, pose=np.tile(POSE, (2, 60, 5, 1)), recording=keypoint_session, model="arm_edges")
     found = parse(prediction_section(it))
-    assert "reads neither keypoints (markers_gaussian) nor silhouettes" in found.text and not found.of("img")
+    assert "reads neither keypoints nor silhouettes" in found.text and not found.of("img")

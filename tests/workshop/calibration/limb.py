@@ -17,9 +17,9 @@ import numpy as np
 from bayes_body.base.geometry import rigid, rotations
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition
+from bayes_body.model.body.placed_body import placed_markers
 from bayes_body.model.body.placement import ByParts
 from bayes_body.model.body.solids import Body
-from bayes_body.model.body.world import placed_markers
 from bayes_body.model.definition import parse_definition
 from bayes_body.workshop.calibration.problem import AXES, point_mass
 from bayes_body.workshop.calibration.scene import model_in_a_room

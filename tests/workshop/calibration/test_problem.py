@@ -12,7 +12,7 @@ from workshop.calibration import toys
 
 from bayes_body.base.errors import InputError
 from bayes_body.density.factor import Factor
-from bayes_body.model.body.placement import loosened
+from bayes_body.model.body.placed_body import loosened
 from bayes_body.model.build import build_model
 from bayes_body.tracking.draws import Draws, Timing
 from bayes_body.workshop.calibration.problem import MOST_PATHS, check_cases, draw_case, draw_path, point_mass, problem_of

@@ -15,8 +15,8 @@ from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
 from bayes_body.kernels.messages.particle_bp import build_kernel
 from bayes_body.kernels.smc.tempered_smc import build_kernel as tempered
+from bayes_body.model.body.placed_body import placed_markers
 from bayes_body.model.body.placement import ByParts
-from bayes_body.model.body.world import placed_markers
 from bayes_body.model.build import Model
 from bayes_body.model.definition import load_definition
 from bayes_body.workshop.calibration.scene import model_in_a_room
