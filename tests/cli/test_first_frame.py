@@ -29,12 +29,6 @@ def track(cli, session):
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    """Where the tests of the first tier make a run, one after the other."""
-    return tmp_path_factory.mktemp("first_frame") / "run"
-
-
-@pytest.fixture(scope="module")
 def whole_run(tmp_path_factory, session):
     """A run from that frame on."""
     folder = tmp_path_factory.mktemp("whole") / "run"
@@ -44,7 +38,8 @@ def whole_run(tmp_path_factory, session):
     return folder
 
 
-def test_it_begins_there(track, run):
+def test_it_begins_there(track, tmp_path):
+    run = tmp_path / "run"
     outcome = track(run, "--first-frame", FIRST, "--frames", 2)
     assert outcome.status == 0, outcome.err
     assert tomllib.loads((run / "run.toml").read_text(encoding="utf-8"))["run"]["first_frame"] == FIRST
@@ -53,7 +48,9 @@ def test_it_begins_there(track, run):
 
 
 @pytest.mark.slow
-def test_it_goes_on_from_there(track, run, tmp_path):
+def test_it_goes_on_from_there(track, tmp_path):
+    run = tmp_path / "begun"
+    assert track(run, "--first-frame", FIRST, "--frames", 2).status == 0
     track(run, "--resume", "--first-frame", 1).refuses("cannot be continued: --first-frame was 2 and is now 1", "change it back")
     track(run, "--resume", "--first-frame", 0).refuses("cannot be continued: --first-frame was 2 and is now not set")
     outcome = track(run, "--resume", "--frames", FRAMES)

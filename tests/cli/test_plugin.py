@@ -78,7 +78,9 @@ def test_a_run_of_built_in_terms_keeps_none(alone, textured_session, files, tmp_
 
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", [["report"], ["view"], ["export", "--to", "csv"]])
-def test_what_reads_a_run_asks_for_its_plugin(alone, run, files, verb, tmp_path):
+def test_what_reads_a_run_asks_for_its_plugin(alone, track, run, files, verb, tmp_path):
+    if not run.exists():
+        assert track(run, "--plugin", files / "mine.py").status == 0
     command = [verb[0], run, *verb[1:], "--out", tmp_path / "out"]
     alone(*command).refuses("run.toml: plugins", "the run has terms of mine.py, which is not loaded", "--plugin mine.py")
     assert alone(*command, "--plugin", files / "mine.py").status == 0
