@@ -13,7 +13,7 @@ from typing import Any
 import typer
 
 import bayes_body
-from bayes_body.base.errors import FaultyFileError, InputError, input_error
+from bayes_body.base.errors import FaultyFileError, InputError, RunWarning, input_error
 from bayes_body.base.files.read import check_native
 from bayes_body.cli import benchmark, check, demo, export, gait, import_, learn, mocap, models, picture, report, simulate, smooth, track, view
 from bayes_body.cli.surroundings import STOPPED, check_current_folder, fault_of_surroundings, stoppable
@@ -64,6 +64,7 @@ def _common(version: bool = typer.Option(False, "--version", help="Print the ver
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its status."""
     warnings.showwarning = _show_warning
+    warnings.filterwarnings("once", category=RunWarning)
     with guarded() as (output, _), stoppable():
         status = _status(sys.argv[1:] if arguments is None else list(arguments))
         status = _report_lost_output(output) if output.error and not status else status

@@ -103,6 +103,8 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
     record = describe(settings.session, name, definition, kind, options.model_dump(), described, input_digests(session))
     if before:
         refuse_changes(settings.out, before, record)
+        # Its texts stay as they were: no number depends on what differs, but the run's id does.
+        record = {**record, "definition": before["definition"]}
     pairs = check_pairs(session, model, chosen.frames or session.frames, show, bar)
     kernel = kernel_of(kind, options)
     compiling = compiled_ahead(session, model, kernel, options.particles) if must_fit and ahead is None else nullcontext(ahead)

@@ -55,6 +55,8 @@ COMPUTING = ("bayes-body", "jax", "jaxlib", "numpyro", "blackjax", "opencv-pytho
 NAMED = 4
 # Before the name of an input.
 RECORDING = "recording: "
+# What a file says of itself: no number depends on it.
+DESCRIPTIONS = {f"{file}: {key}" for file in ("the model's file", "the body's file") for key in ("title", "source")}
 # Digits of a run's id.
 DIGITS = 16
 
@@ -74,7 +76,7 @@ def refuse_changes(folder: Path, stored_record: Mapping[str, Mapping[str, Any]],
         InputError: something has changed; the sentence names it with the old and the new value.
     """
     before, after = _comparable(stored_record), _comparable(record)
-    changed = [key for key in dict.fromkeys([*before, *after]) if before.get(key) != after.get(key)]
+    changed = [key for key in dict.fromkeys([*before, *after]) if before.get(key) != after.get(key) and key not in DESCRIPTIONS]
     if not changed:
         return
     named = [_describe_change(key, before, after) for key in changed[:NAMED]]
