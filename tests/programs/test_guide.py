@@ -139,3 +139,8 @@ def test_the_tests_that_the_map_of_statistics_names_exist():
     assert len(named) > 25
     missing = [(file, test) for file, test in named if f"def {test}(" not in (ROOT / "tests" / file).read_text(encoding="utf-8")]
     assert missing == []
+
+
+def test_the_tests_that_keep_the_promises_exist():
+    named = re.findall(r"`([\w/]+/test_\w+\.py)`", page("docs/guide/promises.md"))
+    assert len(named) > 15 and [file for file in named if not (ROOT / "tests" / file).is_file()] == []

@@ -15,7 +15,7 @@ whitened for each variable by the covariance of the weighted particles. The step
 
 With `prediction = "gaussian"`, the mixture of the particles' transitions is replaced by one Gaussian (density/gaussian_view.py). Then no particle has
 an ancestor, and the moves by HMC at the posterior itself give slopes, by which the moments of the particles are corrected
-(parts/moment_correction.py). Independent runs then agree even about dofs that the images hardly determine (docs/decisions).
+(smc/moment_correction.py). Independent runs then agree even about dofs that the images hardly determine (docs/decisions).
 
 The particles are a weighted sample of the posterior. `waste_free` keeps every state of the moves' chains (Dau & Chopin 2022). Temperatures and step
 sizes that depend on the particles bias the evidence by O(1/N). With those of a pilot run, `frozen_at`, it is unbiased.

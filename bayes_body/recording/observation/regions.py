@@ -9,8 +9,7 @@ $E_0^2 - E^2$: E is the distance to the nearest edge, at most `edge_limit_px`, d
 expect of a pixel about which nothing is known. The paper has $E_0 = 0$, with which leaving the picture would be the best fit.
 
 The defaults of `inside`, `band` and `edge_elsewhere` are means over four simulated walks, five frames of each in four views, with the likelihood's
-default band (workshop/learning/regions.py). The paper learned 0.8 and 0.3, from silhouettes with more holes. With MODEL a model with `regions`, the
-commands
+default band. The paper learned 0.8 and 0.3, from silhouettes with more holes. With MODEL a model with `regions`, the commands
 
     bayes-body simulate 05/05_01.amc --subject 105 --seed 1 --first-frame 60 --frames 20 --out train_05
     bayes-body simulate 07/07_01.amc --subject 107 --seed 2 --frames 20 --out train_07
