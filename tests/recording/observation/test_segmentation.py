@@ -287,7 +287,7 @@ def test_a_background_is_learned_once(session, monkeypatch):
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_real_drift_of_exposure_leaves_the_masks_clean(sports2d_walk):
     """Of frame 180 onwards the image is up to 12 grey levels brighter: the woman at the left is there, the box, the facade and the lawn are not."""
     path = sports2d_walk / "videos" / "demo.mp4"

@@ -70,7 +70,7 @@ def test_a_far_frame_first_and_then_backwards(video):
         np.testing.assert_array_equal(read_video_frame(video, number), expected[number], err_msg=f"frame {number}")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_frame_of_a_real_video_both_ways(pose2sim_beam):
     path = pose2sim_beam / "videos" / "cam01.mp4"
     expected = [image[::16, ::16] for image in decoded(path)]

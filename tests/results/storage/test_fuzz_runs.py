@@ -132,7 +132,7 @@ def test_some_mutations(place):
     _fuzz(place, QUICK, seed=1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_more_mutations(place):
     _fuzz(place, MORE, seed=5)
 
