@@ -1,12 +1,12 @@
-r"""The frames after a frame on one path, as far as their transitions read it.
+r"""The frames that follow a frame on one path, as far as their transitions read that frame.
 
 Given the rest of a path, the density of a state $s_t$ has the factor
 
 $$\prod_{k=1}^{m} p(x_{t+k} \mid s_{t+k-1}) \; \psi_{t+1}(s_{t+1}, s_t),$$
 
-with the sampled variables $x$, the transition's memory $m$ and the factors $\psi$ that read the frame before. The states between are rebuilt from
-$s_t$: what a later state carries, such as the previous pose of a second-order prior, follows from $s_t$. With its old value the product would be
-another density.
+with the sampled variables $x$, the transition's memory $m$ and the factors $\psi$ that read the previous frame. The states in between are rebuilt
+from $s_t$, because what they carry depends on $s_t$, such as the previous pose of a second-order prior. With carried values that belong to another
+$s_t$, the product would be a different density.
 """
 
 from typing import NamedTuple
@@ -32,13 +32,13 @@ class Ahead(NamedTuple):
     known: Bool[Array, " frame"]
 
     def pushed(self, sampled: State, known: bool = True) -> "Ahead":
-        """Return the frames ahead of the frame before: with these variables first, and without the last frame."""
+        """Return the frames ahead of the previous frame: this frame's variables come first, and the last frame is dropped."""
         frames = {name: jnp.concatenate([sampled[name][None], later[:-1]]) for name, later in self.sampled.items()}
         return Ahead(frames, jnp.concatenate([jnp.full((1,), known), self.known[:-1]]))
 
 
 def nothing_ahead(sampled: State, memory: int) -> Ahead:
-    """Return the frames ahead of the last frame of a path: none. `sampled` gives the shapes, and values inside the support."""
+    """Return no frames ahead, for the last frame of a path. `sampled` gives the shapes, and values inside the support."""
     filled = jax.tree.map(lambda value: jnp.broadcast_to(value, (memory, *value.shape)), dict(sampled))
     return Ahead(filled, jnp.zeros((memory,), bool))
 
@@ -50,13 +50,13 @@ def log_ahead(transition: Transition, state: State, ahead: Ahead, after: Density
         transition: the motion prior.
         state: the whole state of the frame, including what it carries.
         ahead: the frames that follow, at least as many as the transition's memory.
-        after: the density of the next frame, if a factor reads the frame before.
+        after: the density of the next frame, if a factor reads the previous frame.
     """
     return _log_path(transition, [dict(state)], ahead, ahead.known, after)
 
 
 def log_between(transition: Transition, before: State, state: State, ahead: Ahead, after: Density | None = None) -> Scalar:
-    """Return the log-density of a whole state given that of the frame before, and of the frames ahead given both. The arguments are as above."""
+    """Return the log-density of a whole state and of the frames ahead, given the state of the previous frame. Arguments are those of `log_ahead`."""
     return _log_path(transition, [dict(before), dict(state)], ahead, jnp.concatenate([jnp.ones((1,), bool), ahead.known]), after)
 
 

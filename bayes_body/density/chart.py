@@ -1,4 +1,4 @@
-r"""Charts: coordinates without limits for a whole state, for samplers that move in a vector space.
+r"""Charts: unconstrained coordinates for a whole state, for samplers that move in a vector space.
 
 Most states use `Coordinates` (density/coordinates.py): one bijection for each variable. A loose-limbed body uses `TreeChart`: the movement of the
 first part, and of every other part relative to its parent, as tangent vectors $(v, \omega)$ at a reference,
@@ -28,7 +28,7 @@ from bayes_body.density.factor import State
 
 
 class Chart(Protocol):
-    """The map between a state's sampled variables and a position: by variable, a vector without limits."""
+    """The map between a state's sampled variables and a position, which maps each variable to an unconstrained vector."""
 
     def constrain(self, position: State) -> dict[str, Array]:
         """Return the sampled variables at a position."""
@@ -39,14 +39,14 @@ class Chart(Protocol):
         ...
 
     def log_determinant(self, position: State) -> Scalar:
-        """Return what is added to a log-density of the state to give the log-density of the position."""
+        """Return the log-Jacobian, which is added to a log-density of the state to give the log-density of the position."""
         ...
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=["name", "parents"], data_fields=["references"])
 @dataclass(frozen=True)
 class TreeChart:
-    """Coordinates of rigid parts in a tree (formula of the module).
+    """Coordinates of rigid parts in a tree (see the module's formula).
 
     Attributes:
         name: the variable, with values (part, 7); its position is (6 part,).
@@ -78,7 +78,7 @@ class TreeChart:
 
 
 def relative_to_parents[Parts: Array | np.ndarray](parts: Parts, parents: Sequence[int]) -> Parts:
-    """Return every part as seen from its parent; the first part stays as it is."""
+    """Return every part relative to its parent; the first part stays as it is."""
     above = np.array([max(parent, 0) for parent in parents])
     first = np.array([parent < 0 for parent in parents])
     return namespace(parts).where(first[:, None], parts, rigid.relative(parts[above], parts))
@@ -87,13 +87,13 @@ def relative_to_parents[Parts: Array | np.ndarray](parts: Parts, parents: Sequen
 @partial(jax.tree_util.register_dataclass, meta_fields=["name", "parents"], data_fields=[])
 @dataclass(frozen=True)
 class ChartAround:
-    """Makes a tree's coordinates around a state: the `chart` of a transition of this variable."""
+    """The `chart` of a transition of a tree of parts: it makes coordinates around a state."""
 
     name: str
     parents: tuple[int, ...]
 
     def __call__(self, reference: State) -> TreeChart:
-        """Return the coordinates. The quaternions of the reference are scaled to length one, against the drift of many products."""
+        """Return the coordinates. The quaternions of the reference are normalised, since many products make them drift."""
         relative = relative_to_parents(reference[self.name], self.parents)
         unit = jnp.asarray(rigid.rigid(relative[:, :3], rotations.normalised(relative[:, 3:])))
         return TreeChart(self.name, self.parents, unit)

@@ -4,7 +4,7 @@ Given the weighted particles $(w_i, s^i_{t-1})$ of the previous frame, the poste
 
 $$\ell(i, s_t) = \log w_i + \log p(s_t \mid s^i_{t-1}) + \alpha \log \psi(s_t) + \beta \log L(s_t; z_t, s^i_{t-1}, z_{t-1}) + \log C(s_t),$$
 
-with the potentials ψ of the prior's side, such as the joints of a loose-limbed body, and the constraints C, which are never tempered.
+with the potentials ψ of the prior, such as the joints of a loose-limbed body, and the constraints C, which are never tempered.
 
 The *marginal* view sums over the ancestor $i$: $\log \sum_i \exp \ell(i, s_t)$, the target of Poon & Fleet's HMC (14). The *extended* view
 (density/extended.py) keeps the ancestor as a variable, for particle filters and tempered SMC. Both call the same factors, use the same coordinates
@@ -42,7 +42,8 @@ class Density:
         factors: all other terms.
         data: the data of this frame that the factors need, by factor name.
         previous: the particles of the previous frame.
-        proposals: where to look for entries of a plated variable (`graph.Mixture`), such as detections; no terms.
+        proposals: distributions of entries of a plated variable (`graph.Mixture`), such as detections. They say where to look and are not terms of
+            the density.
     """
 
     transition: Transition
@@ -132,7 +133,7 @@ class Density:
     def log_joint(
         self, state: State, previous: State, inverse_temperature: float | Scalar = 1.0, potential_power: float | Scalar = 1.0
     ) -> tuple[Scalar, LogTerms]:
-        r"""Return log p(s | previous) + log C + α log ψ + β log L with β = `inverse_temperature` and α = `potential_power`, and both terms alone."""
+        r"""Return log p(s | previous) + log C + α log ψ + β log L, and log L and log ψ; β = `inverse_temperature`, α = `potential_power`."""
         terms = LogTerms(self.log_likelihood(state, previous), self.log_potential(state, previous))
         prior = self.transition.log_density(state, previous) + self.log_constraint(state, previous)
         # Without potentials the power is not even traced.
@@ -244,7 +245,7 @@ class Unconstrained(NamedTuple):
         return self.completed(key, self.constrain(position))
 
     def completed(self, key: Key, sampled: State) -> tuple[State, Index]:
-        """Return the whole state of sampled variables, and its ancestor, as `complete` does."""
+        """Return the whole state with these sampled variables, and its ancestor, as `complete` does."""
         ancestor = jax.random.categorical(key, self.density.ancestor_log_probs(sampled, self.predictions))
         return self.density.transition.carry(self.density.ancestor(ancestor), sampled), ancestor
 

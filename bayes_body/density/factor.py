@@ -70,12 +70,12 @@ class Factor:
     curvature: Callable[[Variables, Any], Mapping[str, Array]] | None = None
 
     def __call__(self, values: Variables, data: Data) -> Scalar:
-        """Return the log-potential of those of the `values` that are in the scope, given the frame's data."""
+        """Return the log-potential of the `values` that are in the scope, given the frame's data."""
         return self.log_potential({variable: values[variable] for variable in self.scope}, data.get(self.name))
 
     @property
     def reads_previous(self) -> bool:
-        """Whether it depends on the previous frame, so that it differs between the ancestors of one state."""
+        """Whether the factor depends on the previous frame, and so differs between the ancestors of a state."""
         return any(variable.offset < 0 for variable in self.scope)
 
 
@@ -114,16 +114,18 @@ class Transition:
         carry: (previous, sampled and derived variables) -> the whole state, including variables that are remembered but not random (such as the
             previous pose of a second-order prior).
         begin: a first pose -> the whole state.
-        first: a state of `begin` -> a distribution for each variable that the first pose leaves open, such as its velocity; None: there is none.
+        first: a state of `begin` -> a distribution for each variable that the first pose leaves open, such as its velocity; None: there is no such
+            variable.
         derive: sampled variables -> the variables that follow from them alone, such as the pose at a phase of a walking cycle. Factors read
             these like any others, and derivatives go through this function.
         chart: previous state -> coordinates without limits for the sampled variables (density/chart.py), the same for every previous state of a
             frame; None: one bijection for each variable, onto the support of its distribution.
-        explore: (key, state, previous, scale) -> sampled variables: a layer of an annealing kernel, in place of `perturbation`. The first layer gets
-            the previous state twice and scale 1, in place of a draw of `conditional`. It is a proposal, not part of the density. None: those two.
-        spaces: where variables live, as pairs of a name and a space. A variable that is not among them is an array of plain numbers.
-        memory: number of frames before whose sampled variables determine `conditional`, such as 2 for a second-order process. None: 1 if nothing is
-            carried, else without a bound.
+        explore: (key, state, previous, scale) -> sampled variables: the proposal of a layer of an annealing kernel, in place of `perturbation`. In
+            the first layer it replaces a draw of `conditional`; its arguments are then the previous state twice, and scale 1. It is not part of the
+            density. None: layers use `conditional` and `perturbation`.
+        spaces: the spaces of variables, as pairs of a name and a space. A variable that is not listed is an array of plain numbers.
+        memory: number of previous frames whose sampled variables determine `conditional`, such as 2 for a second-order process. None: 1 if nothing is
+            carried, otherwise unbounded.
     """
 
     name: str
@@ -140,12 +142,12 @@ class Transition:
 
     @property
     def frames_read(self) -> int | None:
-        """The number of frames before that determine `conditional`; None if it has no bound, as for a filter that is carried along."""
+        """The number of previous frames that determine `conditional`; None if it is unbounded, as for a filter that is carried along."""
         carries = getattr(self.carry, "func", self.carry) is not nothing_carried
         return 1 if self.memory is None and not carries else self.memory
 
     def space(self, name: str, shape: tuple[int, ...]) -> Space:
-        """Return where a variable of this shape lives."""
+        """Return the space of a variable of this shape."""
         return dict(self.spaces).get(name) or numbered(name, shape)
 
     def with_derived(self, sampled: State) -> dict[str, Array]:
@@ -153,11 +155,11 @@ class Transition:
         return {**sampled, **self.derive(sampled)}
 
     def state(self, previous: State, sampled: State) -> State:
-        """Return the whole state of sampled variables: with those that follow from them and those that come from the previous state."""
+        """Return the whole state: the sampled variables, those that follow from them, and those that come from the previous state."""
         return self.carry(previous, self.with_derived(sampled))
 
     def near(self, sampled: State, centre: State) -> dict[str, Array]:
-        """Return sampled variables with their angles on the circle within half a turn of a centre: full turns between states are no distance."""
+        """Return sampled variables with angles on the circle moved by full turns to within half a turn of a centre: full turns are no distance."""
 
         def unwrap(name: str, value: Array) -> Array:
             space = self.space(name, value.shape)
@@ -170,7 +172,7 @@ class Transition:
         return self.state(previous, draw(key, self.conditional(previous)))
 
     def perturb(self, key: Key, state: State, previous: State, scale: Scalar) -> State:
-        """Return the state after a layer of an annealing kernel: with noise added, or explored from."""
+        """Return the state after a layer of an annealing kernel: by `explore` if there is one, else with noise added."""
         if self.explore is not None:
             return self.state(previous, self.explore(key, state, previous, scale))
         return self.state(previous, draw(key, self.perturbation(state, scale)))

@@ -1,7 +1,7 @@
-"""The densities of consecutive frames as one pytree: what is the same in all frames once, and the frames' data stacked.
+"""The densities of consecutive frames as one pytree: what all frames share is stored once, and the frames' data are stacked.
 
 A function of all frames, such as a trajectory's density, then contains each likelihood once, however many frames there are. It is not traced again
-for other frames of the same number.
+for the same number of other frames.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from bayes_body.base.shapes import Index, Scalar
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Data, Factor, Particles, State, Transition
 
-# What one frame has for itself: its factors if they differ between frames, and its data.
+# The part of one frame: its factors if they differ between frames, and its data.
 type Own = tuple[tuple[Factor, ...] | None, Data]
 
 
@@ -41,27 +41,27 @@ class Frames:
 
     @property
     def own(self) -> Own:
-        """Return what each frame has for itself, with a leading frame axis: for a `scan` or a `vmap`."""
+        """The parts of all frames, with a leading frame axis, for a `scan` or a `vmap`."""
         return (self.factors if self.moving else None), self.data
 
     def density(self, inputs: Own, previous: Particles) -> Density:
-        """Return the density of one frame, given its part of `own` and the particles of the frame before."""
+        """Return the density of one frame, given its part of `own` and the particles of the previous frame."""
         factors, data = inputs
         return Density(self.transition, self.factors if factors is None else factors, data, previous)
 
     def alone(self, inputs: Own, state: State) -> Scalar:
-        """Return the sum of those factors of one frame that do not read the frame before."""
+        """Return the sum of those factors of one frame that do not read the previous frame."""
         factors, data = inputs
         reading = tuple(factor for factor in (self.factors if factors is None else factors) if not factor.reads_previous)
         return Density(self.transition, reading, data, Particles({}, jnp.zeros(1))).log_weight(state, {})
 
     @property
     def linked(self) -> bool:
-        """Whether a factor reads the frame before."""
+        """Whether a factor reads the previous frame."""
         return any(factor.reads_previous for factor in self.factors)
 
     def window(self, begin: int | Index, count: int) -> "Frames":
-        """Return `count` of the frames from number `begin` on."""
+        """Return `count` frames, beginning with number `begin`."""
 
         def cut(leaf: Any) -> Any:
             return jax.lax.dynamic_slice_in_dim(leaf, begin, count)
@@ -70,7 +70,7 @@ class Frames:
 
 
 def stacked(densities: Sequence[Density]) -> Frames:
-    """Return consecutive frames from their densities. The particles of the frames before are left out.
+    """Return consecutive frames from their densities. The particles of their previous frames are left out.
 
     Raises:
         InputError: there is no frame, or the frames' data differ in shape.

@@ -5,9 +5,9 @@ $$\pi_{\alpha\beta}(u) \propto \mathcal{N}(u; m, V)\, C\, \psi^\alpha L^\beta,$$
 where m and V are the mean and the covariance of the prediction, from `TRANSITIONS` draws for each weighted particle of the previous frame. Only the
 variables that a factor reads are in u. The others, such as velocities, are normal given u, and are drawn once u is known.
 
-The extended view (density/extended.py) predicts by those transitions themselves. It is exact for the particles that it is given. In many dimensions,
-though, only a few of them explain the next image, so after some frames all particles descend from one, and dofs that the images hardly determine keep
-the value of that one. Here nothing descends from anything, at the price of the prediction's shape: what is not Gaussian in it is lost.
+The extended view (density/extended.py) predicts by these transitions themselves. It is exact for the given particles. But in many dimensions only a
+few particles explain the next image. After some frames all particles descend from one, and dofs that the images hardly determine keep its value. In
+the Gaussian view, particles have no ancestors. The prediction loses its non-Gaussian shape.
 """
 
 import itertools
@@ -26,7 +26,7 @@ from bayes_body.density.density import Density
 from bayes_body.density.factor import State, nothing_carried, nothing_derived
 from bayes_body.density.tempering import LogTerms, tempered
 
-# What is added to the variances of the prediction, relative and absolute, so that float32 finds a root of the covariance.
+# Added to the variances of the prediction, relative and absolute, so that the covariance has a root in float32.
 FLOOR = (1e-4, 1e-10)
 # Draws cost little, as no likelihood is evaluated. Resampled particles with one draw each would have chance correlations between dofs that the images
 # determine and dofs that they do not; each new image would then push the latter at random.
@@ -38,9 +38,9 @@ class Unread(NamedTuple):
 
     Attributes:
         mean: mean of the prediction.
-        gain: its change with the whitened coordinates of the others.
-        root: a root of the covariance that remains.
-        like: a position that has these variables.
+        gain: the derivative of their mean with respect to the whitened coordinates of the others.
+        root: a root of their covariance given the others.
+        like: a position of these variables, for the shapes.
     """
 
     mean: Float[Array, " unread"]
@@ -49,7 +49,7 @@ class Unread(NamedTuple):
     like: State
 
     def given(self, noise: Float[Array, " dof"], own_noise: Float[Array, " unread"] | None = None) -> dict[str, Array]:
-        """Return the position of the unread variables at the mean given the others' whitened coordinates, plus noise of their own."""
+        """Return the position of the unread variables: their mean given the others' whitened coordinates, plus noise of their own."""
         centre = self.mean + jnp.sum(self.gain * noise, axis=-1)
         return split(centre if own_noise is None else centre + jnp.sum(self.root * own_noise, axis=-1), self.like)
 
@@ -130,7 +130,7 @@ def gaussian_view(key: Key, density: Density) -> GaussianView:
         density: the density of the frame.
 
     Raises:
-        InputError: a state takes more from the previous frame than what a draw of the transition holds.
+        InputError: a factor reads the previous frame, or a state carries more from it than its sampled variables.
     """
     _check(density)
     coordinates, weights = density.coordinates(), jax.nn.softmax(density.previous.log_weights) / TRANSITIONS
@@ -155,7 +155,7 @@ def gaussian_view(key: Key, density: Density) -> GaussianView:
 
 
 def _unread(density: Density, names: Sequence[str]) -> list[str]:
-    """Return which of the sampled variables no factor reads, as far as the scopes tell: what is derived may come from any of them."""
+    """Return the sampled variables that are in no factor's scope. There are none if variables are derived, which may come from any of them."""
     transition = density.transition
     if getattr(transition.derive, "func", transition.derive) is not nothing_derived:
         return []

@@ -2,9 +2,9 @@ r"""A pairwise graph: nodes are the entries of one plated variable, such as the 
 
 $$\log p(x_1 \ldots x_V) = \sum_i \log \phi_i(x_i) + \sum_{(i, j)} \log \psi_{ij}(x_i, x_j) + \log \sum_a w_a \prod_i \pi_{ia}(x_i).$$
 
-The last term is optional: a prior that is a mixture over ancestors a of products over nodes. Message passing reads the graph. It knows no bodies:
-`graph` makes one from plain functions and distributions, and density/parts_graph.py makes one from the density of a frame. Proposals of nodes, such
-as detections, are no terms of the density. They only say where to look.
+The last term is optional: a prior that is a mixture over ancestors a of products over nodes. Message passing reads the graph. It does not depend on
+bodies: `graph` makes a graph from plain functions and distributions, and density/parts_graph.py makes one from the density of a frame. Proposals of
+nodes, such as detections, are not terms of the density. They only say where to look.
 """
 
 from collections.abc import Sequence
@@ -26,10 +26,10 @@ from bayes_body.density.spaces import Space
 @partial(jax.tree_util.register_dataclass, meta_fields=["name", "tempered"], data_fields=["plate", "data"])
 @dataclass(frozen=True)
 class Term:
-    """Factors of one form, over rows of one node or of two.
+    """Factors of the same form. Each reads one row, of one node or of two.
 
     Attributes:
-        name: their name in messages.
+        name: their name in error messages.
         tempered: whether they are likelihoods, which annealing tempers.
         plate: the factors.
         data: the frame's data that they read, or None.
@@ -103,17 +103,17 @@ class Mixture(NamedTuple):
 @partial(jax.tree_util.register_dataclass, meta_fields=["variable", "names", "space"], data_fields=["unaries", "pairs", "prior", "proposals", "rest"])
 @dataclass(frozen=True)
 class Graph:
-    """The graph.
+    """A pairwise graph.
 
     Attributes:
         variable: the name of the plated variable.
         names: the names of the nodes.
-        space: where the value of one node lives.
+        space: the space of a node's value.
         unaries: factors of one node.
         pairs: factors of two nodes.
         prior: a mixture over ancestors of products over nodes, or None. All nodes have the same ancestor, so its weights are the same for all.
-        proposals: where to look for the nodes. They are no factors.
-        rest: value of the variable -> log of the factors that read more than two nodes, or None. They are left to the weights of the joint draws.
+        proposals: distributions that say where to look for the nodes. They are not factors.
+        rest: value of the variable -> log of the factors that read more than two nodes, or None. Only the weights of the joint draws contain them.
     """
 
     variable: str
@@ -138,7 +138,7 @@ class Graph:
 
     @property
     def log_ancestors(self) -> Float[Array, " ancestor"]:
-        """The log-weights of the ancestors; without a prior, there is one."""
+        """The log-weights of the ancestors; without a prior there is one ancestor."""
         return jnp.zeros(1) if self.prior is None else self.prior.log_weights[0]
 
     def by_ancestor(self, values: Float[Array, "node draw *entry"]) -> Float[Array, "node draw ancestor"]:
@@ -151,12 +151,12 @@ class Graph:
 
     @property
     def only_closing(self) -> tuple[bool, ...]:
-        """For each of `pairs`, whether it proposes nothing and all its edges close loops, such as the penetration of parts that joints connect."""
+        """For each term of `pairs`, whether it proposes nothing and all its edges close loops, such as penetration between the parts of a body."""
         joining = {number for number, _ in self.forest()}
         return tuple(term.plate.draw is None and number not in joining for number, term in enumerate(self.pairs))
 
     def forest(self) -> tuple[tuple[int, int], ...]:
-        """Return edges without a loop, as (term, row) of `pairs`, such that no further edge could be added. Earlier terms come first."""
+        """Return a maximal set of edges without a loop, as (term, row) of `pairs`. Edges of earlier terms come first."""
         group, edges = list(range(self.count)), []
 
         def root(node: int) -> int:

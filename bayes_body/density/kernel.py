@@ -11,7 +11,7 @@ from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
 
-# In place of an ancestor's index, if a kernel's particles have none: a prediction by a Gaussian, or the paths of a smoother.
+# Replaces the index of an ancestor where particles have none: after a prediction by a Gaussian, or on the paths of a smoother.
 NO_ANCESTOR = -1
 
 
@@ -19,7 +19,7 @@ class FilterInfo(NamedTuple):
     """Diagnostics of one frame of one filter. A kernel that chooses its number of stages pads its per-stage values with NaN.
 
     Attributes:
-        ancestors: for every particle, the index of its ancestor among the particles of the previous frame; NO_ANCESTOR if it descends from none.
+        ancestors: for every particle, the index of its ancestor among the particles of the previous frame; NO_ANCESTOR if it has none.
         ess: effective sample size of the final weights, in particles.
         survival_rate: the effective sample size as a fraction of the particles, for each stage (one value if there are no stages).
         inverse_temperatures: the power of the likelihood at each stage.
@@ -32,11 +32,11 @@ class FilterInfo(NamedTuple):
         messages: figures of a kernel that passes messages on a graph (formulas: kernels/messages/messages.py). Empty from other kernels.
             `samples`: number of particles of a node.
             `belief_ess` (node,): effective sample size, 1 / sum of w², of every belief after the last iteration.
-            `message_ess`: the smallest of all messages then.
+            `message_ess`: the smallest effective sample size of all messages after the last iteration.
             `message_change` (iteration, node): how far a belief's mean moved, in its standard deviations, root mean square over the tangent
             coordinates; NaN in the first iteration.
             `belief_sd` (iteration, node, tangent coordinate): these standard deviations.
-            `oscillation` (node,): how far the mean jumped back in the last iteration, likewise; NaN with fewer than three iterations.
+            `oscillation` (node,): how far the mean jumped back in the last iteration, in standard deviations; NaN with fewer than three iterations.
             `joint_ess`: effective sample size of the joint draws.
             `proposal_shares` (node, 4): shares of messages, prior, detections and normal fit in the weight of a node's particles.
     """
@@ -54,7 +54,7 @@ class FilterInfo(NamedTuple):
 
 
 class Kernel(Protocol):
-    """Maps the particles of one frame to those of the next, given that frame's density. It is traced once for all frames."""
+    """A map from the particles of one frame to those of the next, given that frame's density. It is traced once for all frames."""
 
     def __call__(self, key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
         """Filter one frame."""
@@ -63,7 +63,7 @@ class Kernel(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class NamedKernel:
-    """A kernel with its name and options, such as `Model.kernel` and `bayes_body.kernels.tempered` return it.
+    """A kernel with its name and options, as `Model.kernel` and `bayes_body.kernels.tempered` return it.
 
     Attributes:
         kind: its name in a definition, such as `tempered`.

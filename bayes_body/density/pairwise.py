@@ -1,10 +1,12 @@
-"""Pairwise graphs from plain functions and numpyro distributions: the door to message passing for models without a body.
+"""Pairwise graphs from plain functions and numpyro distributions, for message passing on models without a body.
 
-graph = bb.graph(
-{"sensor": (20, 2)},                                                     # 20 nodes, each a point of the plane
-bb.node_factor("prior", dist.Normal(0.5, 1.0).expand([2]).to_event(1)),  # a factor of every node, which also proposes
-bb.edge_factor("range", log_range, edges, parameters=ranges, draw=draw_range, log_draw=log_draw_range),
-)
+For example:
+
+    graph = bb.graph(
+        {"sensor": (20, 2)},                                                     # 20 nodes, each a point of the plane
+        bb.node_factor("prior", dist.Normal(0.5, 1.0).expand([2]).to_event(1)),  # a factor of every node, which also proposes values
+        bb.edge_factor("range", log_range, edges, parameters=ranges, draw=draw_range, log_draw=log_draw_range),
+    )
 """
 
 import inspect
@@ -26,12 +28,12 @@ from bayes_body.density.plate import Plate
 from bayes_body.density.spaces import Space, numbered
 
 type Node = int | str
-# Values of each node at which factors are checked.
+# Number of values of each node at which factors are checked.
 TRIALS = 8
 
 
 class Part(NamedTuple):
-    """Something of a graph, before its nodes have numbers. Make it with `node_factor`, `edge_factor` or `proposal`."""
+    """A factor or a proposal of a graph, before its nodes have numbers. Make it with `node_factor`, `edge_factor` or `proposal`."""
 
     name: str
     rows: Sequence[Sequence[Node]] | None
@@ -43,7 +45,7 @@ def node_factor(name: str, factor: Distribution | Callable[..., Any], nodes: Seq
     """Return factors of one node.
 
     Args:
-        name: a name for messages.
+        name: a name for error messages.
         factor: a distribution of a node's value, the same for all nodes, from which values are also proposed; or `value -> log-potential`. With
             `parameters`: `(parameters of a node, value) -> log-potential`, or `parameters of a node -> distribution`.
         nodes: numbers or names of the nodes; by default all.
@@ -66,13 +68,13 @@ def edge_factor(
     """Return factors of two nodes.
 
     Args:
-        name: a name for messages.
+        name: a name for error messages.
         factor: a distribution of the difference, second value minus first, the same for all edges; or `(first, second) -> log-potential`. With
             `parameters`: `(parameters of an edge, first, second) -> log-potential`, or `parameters of an edge -> distribution of the difference`.
         edges: pairs of nodes, by number or name.
         parameters: pytree with a leading axis of edges.
-        draw: proposes along an edge: `(key, parameters of the edge, known, reverse) -> other`. A distribution does so by itself.
-        log_draw: `(parameters of the edge, known, other, reverse) -> scalar`, the normalised log-density of `draw`; by default the factor itself is.
+        draw: proposes a value along an edge: `(key, parameters of the edge, known, reverse) -> other`. Not needed if the factor is a distribution.
+        log_draw: `(parameters of the edge, known, other, reverse) -> scalar`, the normalised log-density of `draw`; by default the factor itself.
     """
     distribution = _as_maker(factor, parameters)
     if distribution:
@@ -85,7 +87,7 @@ def edge_factor(
 def proposal(
     name: str, distribution: Distribution | Callable[..., Distribution], nodes: Sequence[Node] | None = None, parameters: Any = None
 ) -> Part:
-    """Return where to look for some nodes: a distribution that is no factor, or `parameters of a node -> distribution`."""
+    """Return a proposal for some nodes: a distribution that is not a factor, or `parameters of a node -> distribution`."""
     return Part(name, _singletons(nodes), None, _as_maker(distribution, parameters))
 
 
@@ -96,11 +98,11 @@ def graph(variables: Mapping[str, tuple[int, ...]], *parts: Part, space: Space |
         variables: for each variable, the number of its entries and the shape of one: `(entries, *shape)`. Every entry is a node. Nodes are called
             `sensor_0`, `sensor_1` and so on; a variable of one entry keeps its name.
         parts: factors and proposals.
-        space: where the value of a node lives; by default plain numbers.
+        space: the space of a node's value; by default plain numbers.
 
     Raises:
         InputError: values of different shapes, an unknown node, an edge from a node to itself, a factor of more than two nodes, a node for which
-            nothing proposes a value, or a log-potential that is NaN or no number where nodes are proposed.
+            nothing proposes a value, or a log-potential that is NaN or not a single number at proposed values.
 
     Warns:
         UserWarning: the graph falls into pieces that share no edge. They are sampled independently.
@@ -176,7 +178,7 @@ def _numbered(part: Part, names: tuple[str, ...]) -> tuple[tuple[int, ...], ...]
 
 
 def _mixture(distributions: Distribution, rows: Sequence[Sequence[int]], count: int) -> Mixture:
-    """Return the proposals of some nodes as a mixture of one component for every node; that of the others has no weight."""
+    """Return the proposals of some nodes as a mixture with one component for every node. The component of the other nodes has no weight."""
     row_of = {row[0]: number for number, row in enumerate(rows)}
     index = jnp.asarray([row_of.get(node, 0) for node in range(count)])
     components = jax.tree.map(lambda leaf: leaf[index][:, None], distributions)
@@ -184,7 +186,7 @@ def _mixture(distributions: Distribution, rows: Sequence[Sequence[int]], count: 
 
 
 def _check_reached(built: Graph) -> None:
-    """Check that every node has a proposal, or is reached from one that has along edges that propose."""
+    """Check that every node has a proposal, or is reached from a node with a proposal along edges that propose."""
     reached = {int(node) for mixture in built.proposals for node in np.flatnonzero(np.asarray(mixture.exists))}
     before = -1
     while len(reached) > before:

@@ -1,7 +1,8 @@
-r"""The density of a frame as a graph: its plated variable is the nodes, its plates are the edges.
+r"""The density of a frame as a graph: the entries of its plated variable are the nodes, and its plates are the edges.
 
-The prediction is a mixture over ancestors of products over nodes, $\sum_a w_a \prod_i p(x_i \mid x^a_{t-1})$. Messages take each node's own mixture,
-$\sum_a w_a\, p(x_i \mid x^a_{t-1})$; the joint draws sum over ancestors exactly. Terms of the density that are not plates are left to their weights.
+The prediction is a mixture over ancestors of products over nodes, $\sum_a w_a \prod_i p(x_i \mid x^a_{t-1})$. Messages use each node's own mixture,
+$\sum_a w_a\, p(x_i \mid x^a_{t-1})$. The joint draws sum over ancestors exactly. Terms of the density that are not plates enter only by the weights
+of the joint draws.
 """
 
 from dataclasses import dataclass, replace
@@ -22,7 +23,7 @@ from bayes_body.density.spaces import Plate as PlateSpace
 @partial(jax.tree_util.register_dataclass, meta_fields=["variable"], data_fields=["density", "predictions"])
 @dataclass(frozen=True)
 class Rest:
-    """The log of the factors that are not plates, as a function of the plated variable. `density` has these factors alone."""
+    """The log of the factors that are not plates, as a function of the plated variable. `density` has only these factors."""
 
     variable: str
     density: Density
@@ -41,7 +42,7 @@ def parts_graph(density: Density, user: str = "the kernel 'particle_bp'") -> Gra
 
     Args:
         density: the density.
-        user: who needs it, for messages.
+        user: who needs the graph, for error messages.
 
     Raises:
         InputError: the state is not one plated variable, the prediction does not say how each entry moves, or a factor reads more than two entries.

@@ -1,6 +1,7 @@
 """A plate: many factors of one form over the entries of one plated variable, such as the kinematic edges between the parts of a body.
 
-A plate is evaluated as one factor, by `vmap` over its rows. It compiles in a fifth of the time of as many factors. Message passing reads its rows.
+A plate is evaluated as one factor, by `vmap` over its rows. It compiles in a fifth of the time that as many factors would take. Message passing reads
+its rows.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,10 +25,10 @@ from bayes_body.density.factor import Factor, Side, Variable, Variables
 )
 @dataclass(frozen=True)
 class Plate:
-    """The log-potential of a plate. Its functions are `jax.tree_util.Partial`s, or other pytrees, of functions of a module.
+    """The log-potential of a plate. Its functions are pytrees, such as `jax.tree_util.Partial`s of functions of a module.
 
     Attributes:
-        variable: the plated variable: its value has a leading axis of entries.
+        variable: the plated variable, whose value has a leading axis of entries.
         rows: for each factor, the entries that it reads.
         log_potential: `(parameters of a row, *entries) -> scalar`. The plate of a likelihood is also given the frame's data, as `data`.
         parameters: pytree with a leading axis of rows.
@@ -35,9 +36,9 @@ class Plate:
             with `reverse` the first given the second. None: the factors propose nothing.
         log_draw: `(parameters of a row, known entry, other entry, reverse) -> scalar`, the normalised log-density of `draw`. None: the log-potential
             itself is that density, in both directions.
-        weighted_draw: `(noise, parameters of a row, known entry, reverse) -> (other entry, log of its importance weight)`, a function of standard
-            normal numbers, one more than an entry has tangent coordinates. It needs no loop, so it compiles faster than `draw`. None: there is only
-            `draw`.
+        weighted_draw: `(noise, parameters of a row, known entry, reverse) -> (other entry, log of its importance weight)`, where the noise is
+            standard normal numbers, one more than an entry has tangent coordinates. It needs no loop, so it compiles faster than `draw`. None: there
+            is only `draw`.
         pairwise: `(parameters of a row, first entries, second entries) -> (first, second)`, the log-potentials of all pairs, faster than one by one.
     """
 

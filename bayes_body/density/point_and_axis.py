@@ -1,13 +1,14 @@
-r"""Rigid transforms of which a point and an axis are roughly known: what a detector says of a part.
+r"""Rigid transforms with a roughly known point and axis: what a detector says about a part.
 
-A point o of the part is near a place p in the world, and an axis a of the part is near a direction u. How far the part is turned about the axis is
+A point o of the part is near a place p in the world, and an axis a of the part is near a direction u. The rotation of the part about the axis is
 unknown:
 
 $$R o + t \sim \mathcal N(p, \operatorname{diag}(\sigma^2)), \qquad
 p(R) = \frac{1}{8 \pi^2} \frac{\kappa}{\sinh \kappa} \exp(\kappa\, u \cdot R a).$$
 
 The direction of the axis is von Mises-Fisher on the sphere (Mardia & Jupp 2000, 9.3.2). With a concentration κ of 0, nothing is known about the
-rotation. Both densities are normalised, with respect to Lebesgue and to Haar measure, which gives all rotations $8 \pi^2$.
+rotation. The first density is normalised with respect to Lebesgue measure, the second with respect to Haar measure, under which all rotations have
+the volume $8 \pi^2$.
 """
 
 import math
@@ -21,7 +22,7 @@ from jaxtyping import Array, Float
 from bayes_body.base.geometry import rigid, rotations
 from bayes_body.base.shapes import Key, Scalar, Vector3
 
-# Concentrations below this count as it: the formulas divide by κ.
+# Smaller concentrations are raised to this one, since the formulas divide by κ.
 LEAST = 1e-3
 
 
@@ -36,7 +37,7 @@ class PointAndAxis:
         sd_m: standard deviations of the place along the world's axes, metres.
         direction: the direction of the axis in the world, of length 1.
         axis: the axis in the part's frame, of length 1.
-        concentration: κ. For a large one, the direction has a standard deviation of 1 / sqrt(κ) radians about each normal.
+        concentration: κ. If it is large, the direction has a standard deviation of 1 / sqrt(κ) radians about each normal.
     """
 
     place: Vector3
@@ -55,7 +56,7 @@ class PointAndAxis:
         across = jax.random.normal(around_key, (3,), self.place.dtype)
         across = _unit(across - jnp.dot(across, self.direction) * self.direction)
         aim = cosine * self.direction + jnp.sqrt(1 - cosine**2) * across
-        # Any rotation, followed by the shortest one that brings the axis to its direction: the turn about it stays uniform.
+        # A uniform rotation, followed by the shortest one that brings the axis to its direction. The rotation about the axis stays uniform.
         anyhow = _unit(jax.random.normal(turn_key, (4,), self.place.dtype))
         quaternion = rotations.multiply(_shortest(jnp.asarray(rotations.rotate(anyhow, self.axis)), aim), anyhow)
         place = self.place + self.sd_m * jax.random.normal(place_key, (3,), self.place.dtype)

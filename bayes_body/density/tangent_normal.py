@@ -1,8 +1,8 @@
-r"""A normal distribution around a point of any space: a tangent vector is drawn, and the space leads to where it points.
+r"""A normal distribution around a point of any space: a tangent vector is drawn, and the space maps it to a point.
 
 With $v \sim \mathcal N(0, \Sigma)$ at the mean $\mu$, the density at x with respect to the space's reference measure is a sum over the tangent
-vectors $v_k$ that lead from μ to x, $\sum_k \mathcal N(v_k; 0, \Sigma) / J(v_k)$. For an angle or a rotation they are turns of the same point, so the
-density is that of a wrapped normal, and no draw is thrown away. Of the turns, only the nearest are summed (`Space.images`).
+vectors $v_k$ that lead from μ to x, $\sum_k \mathcal N(v_k; 0, \Sigma) / J(v_k)$. For an angle or a rotation, these vectors differ by full turns. So
+the density is that of a wrapped normal, and no draw is discarded. Only the nearest turns are summed (`Space.images`).
 """
 
 import math
@@ -16,9 +16,9 @@ from jaxtyping import Array, Float
 from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.spaces import Space
 
-# Standard deviation, radians, above which a fit does not go: the turns that are not summed would matter.
+# Largest standard deviation of a fit, radians. With a larger one, the turns that are not summed would matter.
 WIDEST_RAD = 1.2
-# A fit is at least this share of the points' own spread, whatever their weights, so that one heavy point does not end the search.
+# Smallest standard deviation of a fit, as a share of the unweighted one, so that one heavy point does not end the search.
 NARROWEST = 0.02
 # Added to every standard deviation: points may all be equal.
 TINY = 1e-6
@@ -27,13 +27,13 @@ TINY = 1e-6
 @partial(jax.tree_util.register_dataclass, meta_fields=["space"], data_fields=["mean", "root", "inverse"])
 @dataclass(frozen=True)
 class TangentNormal:
-    """The distribution.
+    """A normal distribution around a point of a space.
 
     Attributes:
         space: the space.
         mean: the mean, a point.
         root: lower triangular root of the covariance of the tangent vectors.
-        inverse: its inverse.
+        inverse: the inverse of the root.
     """
 
     space: Space
@@ -81,7 +81,7 @@ def least_sds(v: Float[Array, "point dimension"], floors: Array | float) -> Floa
 
 
 def widened(space: Space, covariance: Float[Array, "dimension dimension"], least: Float[Array, " dimension"]) -> Float[Array, "dimension dimension"]:
-    """Return a covariance that is at least `least` squared, and for angles not so wide that it would wind around the circle."""
+    """Return a covariance with variances of at least `least` squared, and not so wide that angles would wind around the circle."""
     covariance = covariance + jnp.diag(least**2)
     angles = jnp.asarray([unit == "rad" for unit in space.tangent_units])
     sd = jnp.sqrt(jnp.diagonal(covariance))

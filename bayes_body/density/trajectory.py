@@ -4,13 +4,13 @@ $$\log \sum_i w_i \prod_{t=1}^{F} p(x_t \mid s^{(i)}_{t-1})\, \psi_t(x_t, s^{(i)
   + \sum_t \log |\det \partial x_t / \partial y_t| + \log p(\mathrm{ahead} \mid s_F).$$
 
 $(w_i, s^i_0)$ are the particles of the frame before the window: the marginal view of the first frame (density/density.py). With one particle, the
-window is conditioned on that state. All states are rebuilt from the particle on, so what they carry, such as the pose before of a second-order prior,
-belongs to the same path. Only the first frames of the window read the particle, as many as the transition's memory. So only these are summed over the
-particles.
+window is conditioned on that state. All states are rebuilt, beginning with the particle, so what they carry belongs to the same path, such as the
+previous pose of a second-order prior. Only the first frames of the window, as many as the transition's memory, read the particle. So only their terms
+are summed over the particles.
 
-With a `prior`, one Gaussian over these first frames takes the place of that sum (density/window_prior.py).
+With a `prior`, one Gaussian over these first frames replaces the sum (density/window_prior.py).
 
-Frames after the window that are fixed (density/ahead.py) have a density given the window. With them, a window is one block of a longer path.
+Fixed frames after the window (density/ahead.py) add their density given the window. With them, the window is one block of a longer path.
 """
 
 from dataclasses import dataclass
@@ -40,11 +40,11 @@ class Trajectory:
 
     Attributes:
         frames: the frames of the window.
-        before: the particles of the frame before.
-        predictions: the motion prior of the first frame given each of them.
-        references: (frame, ...) for each frame a state of the frame before, around which its coordinates are laid.
+        before: the particles of the frame before the window.
+        predictions: the motion prior of the first frame, given each particle.
+        references: (frame, ...), for each frame a state of the previous frame, around which its coordinates are defined.
         ahead: the fixed frames after the window; None if there are none.
-        after: the density of the first of them, if a factor reads the frame before.
+        after: the density of the first frame after the window, if a factor reads the previous frame.
         prior: the Gaussian prior of the first frames; None for the sum over the particles.
     """
 
@@ -63,7 +63,7 @@ class Trajectory:
         return self._first(position, sampled, log_determinants) + self._shared_links(sampled) + jnp.sum(alone) + jnp.sum(log_determinants)
 
     def states(self, position: State, ancestor: int | Index = 0) -> State:
-        """Return the whole states of the frames (frame, ...) at a position, which follow a particle of the frame before."""
+        """Return the whole states of the frames (frame, ...) at a position, given a particle of the frame before the window."""
         return self._states(self._particle(ancestor), self._constrained(position)[0])
 
     def sampled(self, position: State) -> dict[str, Array]:
@@ -75,7 +75,7 @@ class Trajectory:
         return jax.vmap(lambda reference, state: self._chart(reference).unconstrain(state))(self.references, states)
 
     def ancestor_log_probs(self, position: State) -> Float[Array, " particle"]:
-        """Return log p(i | x) of each particle of the frame before."""
+        """Return log p(i | x) of each particle of the frame before the window."""
         return self.ancestor_log_probs_of(self.sampled(position))
 
     def ancestor_log_probs_of(self, sampled: State) -> Float[Array, " particle"]:
@@ -121,7 +121,7 @@ class Trajectory:
         return min(memory, count) if summed and memory is not None else count
 
     def _by_ancestor(self, sampled: State) -> Float[Array, " particle"]:
-        """Return, for each particle of the frame before, the terms that depend on it."""
+        """Return, for each particle of the frame before the window, the terms that depend on it."""
         transition, count = self.frames.transition, _length(sampled)
         reading = self._reading(count)
         if self.before.log_weights.shape[0] == 1:
@@ -148,13 +148,13 @@ class Trajectory:
         return self._links(last, _cut(self.frames.own, reading, count), _cut(sampled, reading, count), ends=True)
 
     def _links(self, before: State, inputs: Own, sampled: State, ends: bool) -> Scalar:
-        """Return the transitions and the factors that read the frame before, of frames after a whole state.
+        """Return the sum of some frames' transitions, and of their factors that read the previous frame.
 
         Args:
-            before: the state of the frame before.
-            inputs: what the frames have for themselves.
+            before: the whole state of the frame before them.
+            inputs: the frames' own factors and data.
             sampled: their sampled variables.
-            ends: whether the window ends with them, so that the frames ahead follow.
+            ends: whether the window ends with them, so that the frames ahead are added.
         """
         total, last = jnp.zeros(()), before
         if _length(sampled):
@@ -170,7 +170,7 @@ class Trajectory:
         return total
 
     def _states(self, before: State, sampled: State) -> State:
-        """Return the whole states of frames after a whole state."""
+        """Return the whole states of frames, given the whole state before them."""
 
         def advance(earlier: State, current: State) -> tuple[State, State]:
             state = self.frames.transition.state(earlier, current)
@@ -186,14 +186,14 @@ def trajectory(
 
     Args:
         frames: the frames of the window.
-        before: the weighted particles of the frame before; one particle for a known state.
-        path: whole states of the window's frames (frame, ...), around which the coordinates are laid.
+        before: the weighted particles of the frame before the window; one particle for a known state.
+        path: whole states of the window's frames (frame, ...), around which the coordinates are defined.
         ahead: fixed frames after the window.
-        after: the density of the first of them, if a factor reads the frame before.
+        after: the density of the first of these, if a factor reads the previous frame.
         gaussian: a random key, for a Gaussian prior of the first frames in place of the mixture of the particles' predictions.
 
     Raises:
-        InputError: the prior is to be Gaussian, but a term compares frames, or the motion prior remembers all frames before.
+        InputError: a Gaussian prior is wanted, but a term compares frames, or the motion prior remembers all earlier frames.
     """
     references = {name: jnp.concatenate([before.states[name][:1], states[:-1]]) for name, states in path.items()}
     predictions = Density(frames.transition, (), {}, before).predictions()

@@ -1,11 +1,12 @@
 r"""The prior of the first frames of a window as one Gaussian in unconstrained coordinates, fitted to what the motion prior predicts from particles.
 
-The exact prior is a mixture with a component for each particle of the frame before (density/trajectory.py). In many dimensions these components are
-far apart: the posterior has as many modes, and chains do not pass between them. The Gaussian has the mixture's mean and covariance. It is the prior
-that a filter with `prediction = "gaussian"` uses from frame to frame (density/gaussian_view.py).
+The exact prior is a mixture with a component for each particle of the frame before the window (density/trajectory.py). In many dimensions these
+components are far apart: the posterior has as many modes, and chains do not pass between them. The Gaussian has the mixture's mean and covariance. It
+is the prior that a filter with `prediction = "gaussian"` uses from frame to frame (density/gaussian_view.py).
 
-As many frames read the particles as the motion prior has memory, so the Gaussian is over these frames together. Its entries are the coordinates of
-the first frame and the steps to the next ones: a step varies far less than the place it starts from, and its variance would be lost in rounding.
+The memory of the motion prior is the number of frames that read the particles. The Gaussian is over all these frames together. Its entries are the
+coordinates of the first frame and the steps to the next ones. A step varies far less than its starting point. In the covariance of the coordinates
+themselves, its variance would be lost in rounding.
 """
 
 from typing import NamedTuple
@@ -27,7 +28,7 @@ class WindowPrior(NamedTuple):
     """The Gaussian over the first frames of a window. Create it with `window_prior`.
 
     Attributes:
-        mean: of the coordinates of the first frame, then of the steps.
+        mean: the mean of the coordinates of the first frame, then of the steps.
         inverse_root: the inverse of a lower triangular root of the covariance.
     """
 
@@ -35,7 +36,7 @@ class WindowPrior(NamedTuple):
     inverse_root: Float[Array, "entry entry"]
 
     def log_density(self, coordinates: Float[Array, "frame dof"]) -> Scalar:
-        """Return the log-density of coordinates of the first frames. It is a density over them, so no Jacobian is added."""
+        """Return the log-density of the coordinates of the first frames. It is a density over coordinates, so no Jacobian is added."""
         noise = self.inverse_root @ (_steps(coordinates) - self.mean)
         return jnp.sum(jnp.log(jnp.diagonal(self.inverse_root))) - 0.5 * jnp.sum(noise * noise) - 0.5 * noise.size * jnp.log(2 * jnp.pi)
 
@@ -47,10 +48,10 @@ def window_prior(key: Key, transition: Transition, before: Particles, references
         key: random key of the draws.
         transition: the motion prior.
         before: the weighted particles of the frame before the window.
-        references: (frame, ...) for each frame a state of the frame before, around which its coordinates are laid.
+        references: (frame, ...), for each frame a state of the previous frame, around which its coordinates are defined.
 
     Raises:
-        InputError: the motion prior remembers all frames before.
+        InputError: the motion prior remembers all earlier frames.
     """
     if transition.frames_read is None:
         problem = f"the dynamics '{transition.name}' remember all frames before"

@@ -21,7 +21,7 @@ __all__ = ["annealed", "hmc", "particle_bp", "sir", "tempered"]
 
 
 def _named[**Arguments](kind: str, schema: type[BaseModel], build: Callable[Arguments, Kernel]) -> Callable[Arguments, NamedKernel]:
-    """Return the build function of a kernel that knows its name and options, and shows them all in its signature."""
+    """Return a build function whose kernel knows its name and options, and whose signature shows all options."""
 
     @wraps(build)
     def named(*values: Arguments.args, **options: Arguments.kwargs) -> NamedKernel:

@@ -15,7 +15,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from bayes_body.density.sharding import varying_like
 
 BATCH = 32
-# A row of a graph is work enough for a core: all pairs of particles of two nodes fill its cache.
+# Rows of a graph in a batch. One row is enough work for a core: all pairs of particles of two nodes fill its cache.
 ROWS = 1
 # The mesh axis along which particles are distributed over devices.
 DEVICES = "particle"
@@ -81,7 +81,7 @@ def _in_batches(vmapped: Callable[..., Any], batch: int) -> Callable[..., Any]:
 
 
 def _is_key(leaf: Any) -> bool:
-    # Between devices, JAX refuses a common key for some draws whose parameters differ, as it may be common by mistake. Here it is on purpose.
+    # If parameters differ between devices, JAX refuses a common key for some draws, since this may be a mistake. Here it is intended.
     return isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 

@@ -5,7 +5,7 @@ given these data invariant. Then the joint distribution of truth and data is the
 test of this needs no tolerance.
 
 - `sir`: iterated sampling importance resampling (Andrieu, Lee & Vihola 2018). The current state is one of n particles. The others are predicted and
-  weighted as in the filter, and one of them all is drawn by weight. This is exact for every n ≥ 2.
+  weighted as in the filter, and one of all n is drawn by weight. This is exact for every n ≥ 2.
 - `tempered`: the kernel's own move at temperature 1. The ancestor is redrawn, and the state moves in unconstrained coordinates. Whitening and step
   size must not depend on the state that is moved. So the whitening is computed from a new prediction, and each move draws its step size between
   `SCALES` times the kernel's first one. Some of these step sizes then suit the posterior, however narrow it is.
@@ -32,7 +32,7 @@ from bayes_body.kernels.weights import predict
 
 # The smallest and the largest step size, relative to the kernel's first one.
 SCALES = (0.02, 1.0)
-# The number of particles in an iterated resampling, including the current state, and of predictions from which a whitening is computed.
+# The number of particles in an iterated resampling, including the current state, and the number of predictions from which a whitening is computed.
 PARTICLES, PREDICTED = 256, 64
 # Repetitions of a move: each draws its own step size.
 REPEATED = 8

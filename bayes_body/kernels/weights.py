@@ -1,8 +1,8 @@
-r"""Log-weights, and weighted draws from the prediction.
+r"""Log-weights, weighted draws from the prediction, and resampling.
 
 ESS $= 1 / \sum_i \pi_i^2$ for normalised $\pi$; survival rate = ESS / N (Deutscher & Reid 2005).
 
-Resampling schemes, from blackjax. Each draws ancestors of particles by weight. All are unbiased; they differ in variance.
+The resampling schemes are those of blackjax. Each draws ancestors of particles by weight. All are unbiased; they differ in variance.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ type LogWeights = Float[Array, " particle"]
 
 
 class Normalised(NamedTuple):
-    """Normalised log-weights, the log of the sum of the weights before, and whether that sum was zero or not finite."""
+    """Normalised log-weights, the log of the weights' sum before normalisation, and whether that sum was zero or not finite."""
 
     log_weights: LogWeights
     log_sum: Scalar
@@ -32,7 +32,7 @@ class Normalised(NamedTuple):
 def normalise(log_weights: LogWeights) -> Normalised:
     """Normalise log-weights. NaN counts as zero weight. If all weights are zero, they become equal and `lost` is set; then keep the prediction."""
     clean = jnp.where(jnp.isnan(log_weights), -jnp.inf, log_weights)
-    # Differences first. The log-likelihood of a whole image is some thousands, and 32 bits then have no digits left for the logarithm of the sum.
+    # The peak is subtracted first: the log-likelihood of a whole image is some thousands, which leaves no digits of 32 bits for the log of the sum.
     peak = jnp.max(clean)
     relative = clean - jnp.where(jnp.isfinite(peak), peak, 0.0)
     log_ratio = jax.nn.logsumexp(relative)
@@ -100,7 +100,7 @@ def predict_by_gaussian(key: Key, indices: Int[Array, " particle"], density: Den
 
     Args:
         key: random key.
-        indices: for each draw a particle of the previous frame, which gives what a state does not sample.
+        indices: for each draw a particle of the previous frame, from which the state takes the variables that are not sampled.
         density: the density of the frame.
 
     Raises:

@@ -1,6 +1,6 @@
-"""Where a variable lives: Euclidean entries, angles, rotations, rigid transforms, and spaces made of them.
+"""The spaces of variables: Euclidean entries, angles, rotations, rigid transforms, and spaces made of them.
 
-Whoever averages, compares, crosses over, stores or exports a variable asks its space.
+Code that averages, compares, crosses over, stores or exports a variable uses its space.
 """
 
 from bayes_body.density.spaces.compound import Plate, Product

@@ -11,10 +11,10 @@ from bayes_body.density.spaces.space import Axis, Numbers, Points, Space, Vector
 
 @dataclass(frozen=True)
 class Product:
-    """A vector that consists of pieces, each in a space of its own, one after the other.
+    """A vector that consists of consecutive pieces, each in its own space.
 
     Attributes:
-        names: names of the pieces, which precede the labels of their entries; an empty name leaves them as they are.
+        names: names of the pieces, which precede the labels of their entries; with an empty name, the labels stay as they are.
         pieces: the spaces of the pieces, whose points are vectors.
         axis: name of the axis of a point where it is stored; empty: it is named after the variable.
     """
@@ -41,17 +41,17 @@ class Product:
 
     @property
     def tangent_labels(self) -> tuple[str, ...]:
-        """Those of the pieces."""
+        """The labels of the pieces."""
         return _named(self.names, [piece.tangent_labels for piece in self.pieces])
 
     @property
     def tangent_units(self) -> tuple[str, ...]:
-        """Those of the pieces."""
+        """The units of the pieces."""
         return tuple(unit for piece in self.pieces for unit in piece.tangent_units)
 
     @property
     def blocks(self) -> tuple[int, ...]:
-        """Those of the pieces."""
+        """The blocks of the pieces, one after the other."""
         blocks: list[int] = []
         for piece in self.pieces:
             first = max(blocks, default=-1) + 1
@@ -80,7 +80,7 @@ class Product:
         return length(self.local(x, y))
 
     def log_measure(self, v: Vectors) -> Numbers:
-        """Return the sum of the pieces'."""
+        """Return the sum over the pieces."""
         return sum((piece.log_measure(v[..., entries]) for piece, entries in self._tangents()), 0.0 * v[..., 0])
 
     def images(self, v: Vectors) -> Vectors:
@@ -106,7 +106,7 @@ class Plate:
 
     Attributes:
         names: names of the points, which precede the labels of tangent vectors.
-        space: the space of each.
+        space: the space of each point.
         axis: name of the leading axis where points are stored; empty: it is named after the variable.
     """
 
@@ -121,7 +121,7 @@ class Plate:
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """The leading axis, and those of a point."""
+        """The leading axis, and the axes of a point."""
         return (Axis(self.axis, self.names), *self.space.axes)
 
     @property
@@ -131,12 +131,12 @@ class Plate:
 
     @property
     def tangent_labels(self) -> tuple[str, ...]:
-        """Such as `torso_x`, `torso_rx`."""
+        """The labels of the space with the name of each point, such as `torso_x`, `torso_rx`."""
         return _named(self.names, [self.space.tangent_labels] * len(self.names))
 
     @property
     def tangent_units(self) -> tuple[str, ...]:
-        """Those of the space, for each point."""
+        """The units of the space, for each point."""
         return self.space.tangent_units * len(self.names)
 
     @property
@@ -168,7 +168,7 @@ class Plate:
         return length(self.local(x, y))
 
     def log_measure(self, v: Vectors) -> Numbers:
-        """Return the sum of the points'."""
+        """Return the sum over the points."""
         return self.space.log_measure(self._by_point(v)).sum(axis=-1)
 
     def images(self, v: Vectors) -> Vectors:

@@ -1,7 +1,7 @@
-"""Arrays of numbers: each entry Euclidean, inside limits (a box), or an angle on the circle. They are computed together, with a mask.
+"""Arrays of numbers. Each entry is Euclidean, inside limits (a box), or an angle on the circle; a mask lets all be computed together.
 
-A pose of a body is such an array. An angle on the circle keeps its full turns when it moves, so that curves over time are continuous; differences
-and averages do not see them.
+A pose of a body is such an array. An angle on the circle keeps its full turns when it moves, so that curves over time are continuous; differences and
+averages ignore full turns.
 """
 
 import math
@@ -23,7 +23,7 @@ class Flat:
     Attributes:
         labels: names of the entries, flattened.
         units: units of the entries.
-        turning: for each entry, whether it is an angle of which a full turn more is the same (radians).
+        turning: for each entry, whether it is an angle on the circle (radians).
         low: lower limits, -inf where there is none.
         high: upper limits.
         shape: shape of a point.
@@ -52,12 +52,12 @@ class Flat:
 
     @property
     def tangent_labels(self) -> tuple[str, ...]:
-        """Those of the entries."""
+        """The labels of the entries."""
         return self.labels
 
     @property
     def tangent_units(self) -> tuple[str, ...]:
-        """Those of the entries."""
+        """The units of the entries."""
         return self.units
 
     @property
@@ -78,17 +78,17 @@ class Flat:
         return self._point(moved)
 
     def coordinates(self, centre: Points, y: Points) -> Vectors:
-        """Return y, its angles on the turn nearest to the centre's."""
+        """Return y, with its angles on the turn nearest to the centre."""
         values = self._vector(y)
         return values - self._turns(values - self._vector(centre)) if any(self.turning) else values
 
     def mean(self, weights: Weights, points: Points) -> Points:
-        """Return the weighted mean. That of an angle is on the turn nearest to the arithmetic mean, which keeps the turns of an angle that winds."""
+        """Return the weighted mean. The mean of an angle is on the turn nearest to the arithmetic mean, so it keeps full turns."""
         values = self._vector(points)
         plain = _average(weights, values)
         if any(self.turning):
             xp = namespace(weights, points)
-            # The direction of the mean of the unit vectors decides where the circle is cut: opposite it.
+            # The circle is cut opposite to the mean of the unit vectors.
             circular = xp.arctan2(_average(weights, xp.sin(values)), _average(weights, xp.cos(values)))
             centre = circular + TURN * xp.round((plain - circular) / TURN)
             plain = _average(weights, values - self._turns(values - centre[..., None, :]))
@@ -103,7 +103,7 @@ class Flat:
         return 0.0 * v[..., 0]
 
     def images(self, v: Vectors) -> Vectors:
-        """Return v, and v with a turn more or less of one angle at a time."""
+        """Return v, and v with one angle at a time a full turn larger or smaller."""
         turns = TURN * np.eye(self.dimension)[self.turns]
         return v[..., None, :] + np.concatenate([np.zeros((1, self.dimension)), turns, -turns]).astype(v.dtype)
 
@@ -113,7 +113,7 @@ class Flat:
         return np.asarray(self.turning)
 
     def _turns(self, difference: Vectors) -> Vectors:
-        """Return the full turns in a difference, zero for what is no angle on the circle."""
+        """Return the full turns in a difference; zero for entries that are not on the circle."""
         return np.where(self.turns, TURN, 0.0).astype(difference.dtype) * namespace(difference).round(difference / TURN)
 
     def _vector(self, x: Points) -> Vectors:
@@ -147,7 +147,7 @@ def circle(labels: tuple[str, ...], axis: str = "") -> Flat:
 
 
 def numbered(name: str, shape: tuple[int, ...]) -> Flat:
-    """Return the Euclidean space of an array about which nothing is declared; its entries are `name_0`, `name_1_0` and so on."""
+    """Return the Euclidean space of an array without a declared space; its entries are `name_0`, `name_1_0` and so on."""
     labels = tuple("_".join([name, *map(str, index)]) for index in np.ndindex(*shape))
     infinite = (math.inf,) * len(labels)
     return Flat(labels, ("",) * len(labels), (False,) * len(labels), tuple(-value for value in infinite), infinite, shape)

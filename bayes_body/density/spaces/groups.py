@@ -1,7 +1,7 @@
 """Rotations and rigid transforms as spaces. Their reference measure is Haar measure (`geometry.rotations`), for rigid transforms times volume.
 
-Tangent vectors at a placement X_a_b: metres along the axes of frame a, and a rotation vector in frame b, radians. So `torso_rz` is a rotation about
-the torso's own long axis. Neither distances nor volumes change if frame a moves.
+A tangent vector at a placement X_a_b is a translation along the axes of frame a, metres, and a rotation vector in frame b, radians. So `torso_rz` is
+a rotation about the torso's own long axis. Neither distances nor volumes change if frame a moves.
 """
 
 from dataclasses import dataclass
@@ -11,9 +11,9 @@ from bayes_body.base.geometry.namespaces import joined, namespace
 from bayes_body.density.spaces.flat import TURN, length
 from bayes_body.density.spaces.space import Axis, Numbers, Points, Vectors, Weights
 
-# Steps towards the intrinsic mean of rotations: from the extrinsic mean, each step leaves about the square of the spread of the error before.
+# Number of steps from the extrinsic to the intrinsic mean of rotations. Each step multiplies the error by about the square of the spread.
 MEAN_STEPS = 5
-# Radians: below it, the tangent vector the other way round is not needed.
+# Angle, radians, below which the tangent vector the other way round is not needed.
 SMALLEST_TURN = 0.01
 
 
@@ -51,7 +51,7 @@ class SO3:
         return self.local(centre, y)
 
     def mean(self, weights: Weights, points: Points) -> Points:
-        """Return the intrinsic mean, by Newton steps from the extrinsic mean (Markley et al. 2007); the draws must not fill the whole group."""
+        """Return the intrinsic mean, by Newton steps from the extrinsic mean (Markley et al. 2007); draws must not spread over the whole group."""
         xp = namespace(weights, points)
         outer = xp.einsum("...s,...si,...sj->...ij", weights, points, points)
         mean = rotations.canonical(xp.linalg.eigh(outer)[1][..., -1])
@@ -68,10 +68,10 @@ class SO3:
         return rotations.log_jacobian(v)
 
     def images(self, v: Vectors) -> Vectors:
-        """Return v, and the rotation the other way round. At the zero vector, where that has no axis, it is far away."""
+        """Return v, and the rotation the other way round. At the zero vector this rotation has no axis; its vector is then far away."""
         xp = namespace(v)
         angle = length(v)[..., None]
-        # Close to zero the other way round has a density of almost nothing, and no finite Jacobian.
+        # Close to zero, the other way round has almost no density, and no finite Jacobian.
         turned = angle > SMALLEST_TURN
         image = xp.where(turned, v * (1 - TURN / xp.where(turned, angle, 1.0)), 1.5 * TURN)
         return xp.stack([v, image], axis=-2)

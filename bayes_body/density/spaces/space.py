@@ -5,7 +5,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Array, Float
 
-# Points have the space's shape after any leading axes, tangent vectors are flat; the arrays are JAX's or NumPy's, and so are the results.
+# Points have the space's shape after any leading axes. Tangent vectors are flat. JAX arrays give JAX arrays, NumPy arrays give NumPy arrays.
 type Points = Float[Array | np.ndarray, "..."]
 type Vectors = Float[Array | np.ndarray, "... dimension"]
 type Weights = Float[Array | np.ndarray, "... draw"]
@@ -18,7 +18,7 @@ class Axis(NamedTuple):
     Attributes:
         name: its name where points are stored; empty for an axis that is named after its variable.
         labels: the names of its entries.
-        units: the units of its entries, `m`, `rad` or `1`; empty if they are not of one entry, as for the parts of a body.
+        units: the units of its entries, `m`, `rad` or `1`; empty if an entry has no single unit, as for the parts of a body.
     """
 
     name: str
@@ -28,7 +28,7 @@ class Axis(NamedTuple):
 
 @runtime_checkable
 class Space(Protocol):
-    """Where one variable lives. All functions accept leading axes, which are broadcast, and keep the precision of their arguments."""
+    """The space of a variable. All functions accept leading axes, which are broadcast, and keep the precision of their arguments."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -57,7 +57,7 @@ class Space(Protocol):
 
     @property
     def blocks(self) -> tuple[int, ...]:
-        """For each entry of a point, flattened, the number of its block: blocks may be exchanged between points, pieces of a block may not."""
+        """For each entry of a point, flattened, the number of its block. Points may exchange blocks, but not pieces of a block."""
         ...
 
     def local(self, x: Points, y: Points) -> Vectors:
@@ -77,9 +77,9 @@ class Space(Protocol):
         ...
 
     def mean(self, weights: Weights, points: Points) -> Points:
-        """Return the intrinsic mean, the point with the smallest mean squared distance, over the draws, the axis before those of a point.
+        """Return the intrinsic mean of draws: the point with the smallest mean squared distance to them.
 
-        The weights of all draws sum to one.
+        The axis of the draws is before those of a point. The weights of all draws sum to one.
         """
         ...
 
@@ -92,5 +92,5 @@ class Space(Protocol):
         ...
 
     def images(self, v: Vectors) -> Vectors:
-        """Return v and the next tangent vectors that lead to the same point, (..., image, dimension): such as a full turn more or less."""
+        """Return v and the next longer tangent vectors to the same point, such as a full turn more or less: (..., image, dimension)."""
         ...

@@ -1,4 +1,4 @@
-"""A space as text, as it is stored beside a variable's draws: JSON with the name of its class as `kind` and its fields."""
+"""Spaces as text, stored beside a variable's draws: JSON with the name of the class as `kind`, and its fields."""
 
 import dataclasses
 import json

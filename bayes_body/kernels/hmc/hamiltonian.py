@@ -1,4 +1,4 @@
-"""One chain of Hamiltonian Monte Carlo, by blackjax, without its burn-in.
+"""One chain of Hamiltonian Monte Carlo, by blackjax. Its burn-in is discarded.
 
 blackjax declares no types for these functions, so they are cast once, here.
 """
@@ -32,7 +32,7 @@ class Schedule(NamedTuple):
         burn_in: number of first states that are discarded.
         thinning: number of states per draw.
         leapfrog_steps: steps of a trajectory; NUTS chooses its own number.
-        jitter: fraction by which the number of steps varies between trajectories, evenly, and equally in all chains.
+        jitter: fraction by which the number of steps varies between trajectories; it varies evenly, and in the same way in all chains.
         sampler: hmc or nuts.
         target_acceptance: acceptance rate to which burn-in tunes the step; with 0 the step is not tuned.
         adapts_mass: whether burn-in finds the inverse mass matrix (`kernels/hmc/adaptation.py`).

@@ -8,8 +8,8 @@ draws in the paper). These draws also estimate the evidence, as accurately as a 
 particles of an annealed filter. A chain runs from each state, and its first states are burn-in. The remaining states of all chains are the particles.
 They have equal weight and are ordered by chain.
 
-If a likelihood reads the previous frame, like image motion, that sum would cost one evaluation of the images for each ancestor. Then the chains run
-on the *extended* view: each has an ancestor, which a Gibbs step redraws among `candidates` before each trajectory.
+If a likelihood reads the previous frame, like image motion, the sum over ancestors would cost one evaluation of the images for each. Then the chains
+run on the *extended* view: each has an ancestor, which a Gibbs step redraws among `candidates` before each trajectory.
 
 `carry` chooses the components of the next frame's mixture. They are either the means of the chains, as in the paper, one component per chain, or the
 draws themselves, each with an ancestor drawn from $p(i \mid s_t)$. Means keep only the spread between chains, not that of the posterior. A filter
@@ -227,7 +227,7 @@ class _Filter:
 
 
 def _reported(target: Unconstrained, positions: State) -> Float[Array, "chain draw entry"]:
-    """Return what effective draws are reported of: the variables that follow from the sampled ones if there are any, else the coordinates."""
+    """Return the values whose effective draws are reported: the derived variables if there are any, else the coordinates."""
     transition, (chains, length) = target.density.transition, jax.tree.leaves(dict(positions))[0].shape[:2]
     flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), dict(positions))
     derived = jax.vmap(lambda position: transition.derive(target.coordinates.constrain(position)))(flat)
@@ -238,7 +238,7 @@ def _reported(target: Unconstrained, positions: State) -> Float[Array, "chain dr
 def _on_one_turn(states: State, weights: Float[Array, " particle"], transition: Transition) -> dict[str, Array]:
     """Return the states, or their unconstrained coordinates, with their angles on the circle within half a turn of the mean.
 
-    Full turns between draws would count as spread. Angles on the circle are their own unconstrained coordinates.
+    Otherwise, full turns between draws would count as spread. Angles on the circle are their own unconstrained coordinates.
     """
 
     def unwound(name: str, leaf: Array) -> Array:
@@ -253,11 +253,11 @@ def _on_one_turn(states: State, weights: Float[Array, " particle"], transition: 
 def _chain_means(particles: Particles, length: int, transition: Transition) -> Particles:
     """Return the mean state of each chain of `length` draws, with equal weights, by the intrinsic mean of each variable's space.
 
-    What follows from sampled variables follows from their means: the mean of derived poses need not be the pose of any state.
+    Derived variables are computed from the means: the mean of derived poses need not be the pose of any state.
     """
     count = particles.log_weights.shape[0]
     chains = -(-count // length)
-    # All chains at once: one after the other, each mean would add to the program. The last chain may be shorter.
+    # All means are computed at once. One after the other, each would add to the program. The last chain may be shorter.
     place = np.arange(chains * length).reshape(chains, length)
     is_draw = place < count
     weights = is_draw / is_draw.sum(axis=1, keepdims=True)
@@ -282,7 +282,7 @@ def _coordinates(target: Unconstrained) -> tuple[Float[Array, "particle dof"], F
 
 
 def _markov_move(options: Options) -> Any:
-    # It is made of this kernel's parts, so it is imported when it is asked for.
+    # The move is built from this kernel's parts, so it is imported only when needed.
     from bayes_body.kernels.markov_moves import move_of_hmc
 
     return move_of_hmc(options)

@@ -8,14 +8,14 @@ $$M = S\, (\mathrm{diag}(1/v) + C)\, S - \mathrm{diag}\Big(\frac{\partial^2}{\pa
 The paper uses only the diagonal, $M^{-1} = \mathrm{diag}(\epsilon_k^2)$. Monocular posteriors are narrow along some combinations of dofs and wide
 along others. With the whole matrix, the narrowest combination does not limit the steps along the others.
 
-A likelihood may supply its part of C (`Factor.curvature`), for the variables that it reads. If those follow from the sampled variables
-(`Transition.derive`), it is pulled back: $J^\top C J$, with the Jacobian J of what follows. For the other likelihoods it comes from finite
-differences of their gradient by the sampled variables, over a tenth of the noise's standard deviation. Only positive curvature is used. The matrix
-depends only on the first state of the chain, so the moves stay reversible. If the correlations of the previous frame's particles are used, the
-scales ε_k do not change.
+A likelihood may supply its part of C (`Factor.curvature`), for the variables that it reads. If these variables are derived from the sampled ones
+(`Transition.derive`), the part is pulled back: $J^\top C J$, with the Jacobian J of the derived variables. For the other likelihoods, C comes from
+finite differences of their gradient with respect to the sampled variables, with steps of a tenth of the noise's standard deviation. Only positive
+curvature is used. The matrix depends only on the first state of the chain, so the moves stay reversible. If the correlations of the previous frame's
+particles are used, the scales ε_k do not change.
 
-If the prior has potentials, or in coordinates that are not entrywise (density/chart.py), where S is no diagonal, the curvature of the whole
-log-density given the ancestor is differenced in the coordinates. Directions in which it is smaller than a tenth of the noise's keep that tenth.
+If the prior has potentials, or if the coordinates are not entrywise (density/chart.py), so that S is not diagonal, M is the curvature of the whole
+log-density given the ancestor, by finite differences in the coordinates. In every direction it is at least a tenth of the noise's.
 """
 
 from collections.abc import Callable
@@ -34,7 +34,7 @@ from bayes_body.density.factor import State
 DIFFERENCE = 0.1
 # The factor by which the particles' correlations are shrunk.
 SHRINKAGE = 0.9
-# The smallest curvature of a whole log-density, in units of the noise's.
+# The smallest curvature of a whole log-density, in units of that of the noise.
 LEAST = 0.1
 
 
@@ -131,7 +131,7 @@ def _slope_and_bend(bijection: Transform, x: Array) -> tuple[Array, Array]:
 
 
 def differenced(density: Density, sampled: State, previous: State, variances: Float[Array, " dof"]) -> Float[Array, "dof dof"]:
-    """Return minus the second derivatives of the likelihoods without `curvature`, by the sampled variables, from gradients on both sides."""
+    """Return minus the second derivatives of the likelihoods without `curvature`, from gradients on both sides of the sampled variables."""
     flat, unravel = ravel_pytree(dict(sampled))
     names = density.without_curvature
     if not names:

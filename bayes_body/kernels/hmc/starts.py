@@ -1,11 +1,10 @@
-"""The starts of a frame's chains: states drawn from the prediction and selected by the likelihood.
+"""The starts of a frame's chains, and their targets on the extended view.
 
-A chain may start anywhere, but it often does not leave the mode in which it started. So a mode without a start is not found.
+Starts are states drawn from the prediction and selected by the likelihood. A chain may start anywhere, but it often does not leave the mode in which
+it started. So a mode without a start is not found.
 
-Chains on the extended view, for likelihoods that compare a state with its own past, such as image motion.
-
-The marginal view would evaluate the images once for each ancestor. A chain has one ancestor instead, which a Gibbs step redraws before each
-trajectory.
+Chains run on the extended view if a likelihood compares a state with its own past, as image motion does. The marginal view would evaluate the images
+once for each ancestor. On the extended view a chain has one ancestor, which a Gibbs step redraws before each trajectory.
 """
 
 from collections.abc import Callable
@@ -92,7 +91,7 @@ def by_annealing(key: Key, target: Unconstrained, count: int, chains: int, resam
 
 
 def by_tempering(key: Key, target: Unconstrained, count: int, chains: int, resample: Resample) -> Initialisation:
-    """Choose starts among particles of tempered SMC, for a prior with potentials: of independent draws, a single one would have all the weight.
+    """Choose starts among particles of tempered SMC, for a prior with potentials. Of independent draws, one would have all the weight.
 
     Args:
         key: random key.

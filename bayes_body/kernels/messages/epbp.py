@@ -1,14 +1,15 @@
-r"""Proposals of expectation particle belief propagation (Lienart, Teh & Doucet 2015): normal distributions that expectation propagation keeps.
+r"""Proposals of expectation particle belief propagation (Lienart, Teh & Doucet 2015): normal distributions by expectation propagation.
 
 $$q_u(x) \propto \eta_u(x) \prod_{w \to u} \eta_{wu}(x)$$
 
 with a site $\eta$ for the factors of the node itself and one for each message into it. Sites are unnormalised normal densities in the tangent space
-at a reference point of the node, given by a precision $\Lambda$ and a shift $\Lambda m$. A site is updated as in expectation propagation: the cavity
-$q_u / \eta_{wu}$ times the message $m_{wu}$ is the tilted distribution; the node's particles, weighted by it over the density they were drawn from,
-give its mean and covariance; the site becomes what takes the cavity to these moments. The sites of a node are updated one after the other, on the
-same particles. So after each of them $q_u$ has the moments of a tilted distribution, and is positive definite. An update is discarded if its cavity
-is not positive semi-definite, or if the weights have fewer effective particles than a covariance has rows, which is then singular. The program of
-the authors also discards sites that are not positive definite themselves. The proposal of a node with several peaks then stays too narrow.
+at a reference point of the node, given by a precision $\Lambda$ and a shift $\Lambda m$. A site is updated as in expectation propagation. The cavity
+$q_u / \eta_{wu}$ times the message $m_{wu}$ is the tilted distribution. Its mean and covariance come from the node's particles, weighted by the
+tilted distribution over the density from which they were drawn. The new site takes the cavity to these moments. The sites of a node are updated one
+after the other, on the same particles. So after each of them $q_u$ has the moments of a tilted distribution, and is positive definite. An update is
+discarded if its cavity is not positive semi-definite, or if there are fewer effective particles than a covariance has rows, since it is then
+singular. The program of the authors also discards sites that are not positive definite themselves. The proposal of a node with several peaks then
+stays too narrow.
 
 After the updates the reference point moves to the mean of $q_u$. Sites are carried to the tangent space there by the derivative of the change of
 coordinates, which is exact in flat spaces. A proposal's covariance is $q_u$'s times `inflation`, plus the floors of the other methods; the paper's
@@ -31,7 +32,7 @@ from bayes_body.kernels.weights import effective_sample_size
 
 
 class Sites(NamedTuple):
-    """The sites of the nodes: their own factors first, then the messages into them. A node has zeros for messages that it lacks.
+    """The sites of the nodes: their own factors first, then the messages into them. A node has zeros for missing messages.
 
     Attributes:
         precision: Λ, in the tangent space at the reference point.
@@ -114,7 +115,7 @@ def _updated(
 
     def update_site(natural: tuple[Array, Array], number: Array) -> tuple[tuple[Array, Array], None]:
         precision, shift = natural
-        # A sum over the others, since a difference would not be exactly zero.
+        # The other sites are summed. A difference from the sum of all would not be exactly zero.
         mask = (jnp.arange(len(shift)) != number).astype(shift.dtype)
         cavity, cavity_shift = jnp.einsum("k,kij->ij", mask, precision), mask @ shift
         log_cavity = v @ cavity_shift - 0.5 * jnp.sum((v @ cavity) * v, axis=1)
@@ -157,5 +158,5 @@ def _moved(space: Space, sites: Sites, point: Array) -> Sites:
 
 
 def _change(space: Space, reference: Array, mean: Float[Array, " dimension"], point: Array) -> Float[Array, "dimension dimension"]:
-    """Return the derivative of tangent vectors at the point by those at the reference, where the latter lead to the point (`mean`)."""
+    """Return the derivative of tangent vectors at the point with respect to those at the reference, at `mean`, which leads to the point."""
     return jax.jacfwd(lambda v: jnp.asarray(space.local(point, space.retract(reference, v))))(mean)

@@ -1,14 +1,15 @@
 r"""Joint draws of all nodes, and the evidence, from particle belief propagation.
 
-All nodes are redrawn at once from fixed proposals. On these points a forest of edges and the ancestors a of the prior are summed exactly: upwards for
-the evidence, and downwards by drawing an ancestor, and a point of each node given it and the parent's. With S points a node,
+All nodes are redrawn at once from fixed proposals. On these points, the sum over a forest of edges and the ancestors a of the prior is exact. A pass
+upwards gives the evidence. A pass downwards draws an ancestor, and then a point of each node given the ancestor and the parent's point. With S points
+per node,
 
 $$\hat Z = S^{-V} \sum_a w_a \sum_{n_1 \ldots n_V} \prod_i \frac{\phi_i(x_i^{n_i})\, \pi_{ia}(x_i^{n_i})}{q_i(x_i^{n_i})}
 \prod_{(i, j) \in \text{forest}} \psi_{ij}$$
 
 is unbiased. The sum is one product of matrices for each edge, (S, S) by (S, A). The draws have equal weights if the graph is the forest. Edges that
 close loops, and terms of more than two nodes, enter by the weights of the draws, and the mean weight times $\hat Z$ is still unbiased. In the sum,
-messages may stand in for the edges that close loops; the weights are then the ratio of both.
+messages may replace the edges that close loops. The weights are then the ratio of these edges' factors to the messages.
 """
 
 from collections.abc import Mapping
@@ -33,7 +34,7 @@ class Redrawn(NamedTuple):
         points: the points.
         unary: log of the factors of one node, without the prior.
         by_ancestor: log of the prior given each ancestor.
-        closing: log of what stands in for factors that close loops. The draws follow it, and their weights replace it by the factors.
+        closing: log of a substitute for factors that close loops. The draws follow the substitute, and their weights replace it by the factors.
         log_q: log-density of the proposals.
     """
 
@@ -130,7 +131,7 @@ def _up(table: Table, edge: tuple[Array, Array, Array]) -> tuple[Table, Float[Ar
 
 
 def _down(table: Table, edge: tuple[Array, Array, Array, Array]) -> tuple[Table, None]:
-    """Add the message of a parent, without what came from the child, to the table of the child."""
+    """Add the message of a parent, without the message from the child, to the table of the child."""
     matrix, message, parent, child = edge
     without = table[parent] - jnp.where(jnp.isfinite(message), message, jnp.inf)
     return table.at[child].add(_log_product(matrix.T, without)), None

@@ -1,23 +1,22 @@
-r"""Messages and beliefs of particle belief propagation (Ihler & McAllester 2009).
+r"""Messages and beliefs of particle belief propagation (Ihler & McAllester 2009), and their diagnostics.
 
-A message is weighted particles behind a factor, never a kernel density:
+A message is a weighted sum of a factor at the particles of its source, not a kernel density:
 
 $$m_{ij}(x) = \sum_n w^{(n)}_{ij}\, \psi_{ij}(x_i^{(n)}, x), \qquad
 w^{(n)}_{ij} \propto \frac{\phi_i(x_i^{(n)}) \prod_{k \ne j} m_{ki}(x_i^{(n)})}{q_i(x_i^{(n)})},$$
 
-with particles $x_i^{(n)}$ drawn from a proposal $q_i$ whose density is known exactly. Particles belong to nodes. Every message from a node weighs the
-same particles, without the factor that came from its target (the cavity). A belief is $\phi_i \prod_k m_{ki}$ at the particles of its node.
+with particles $x_i^{(n)}$ drawn from a proposal $q_i$ whose density is known exactly. Particles belong to nodes. All messages from a node use the
+same particles. The weights of a message leave out the message from its target (the cavity). A belief is $\phi_i \prod_k m_{ki}$ at the particles of
+its node.
 
-Diagnostics of particle belief propagation: whether the particles are enough, and whether the iterations converged.
-
-With the mean $\mu_m$ and the standard deviations $\sigma_m$ of a node's belief after iteration m of M, and the tangent vector $v(x, y)$ at x that
-leads to y, of D coordinates,
+The diagnostics show whether there are enough particles, and whether the iterations converged. Let $\mu_m$ be the mean and $\sigma_m$ the standard
+deviations of a node's belief after iteration m of M, and $v(x, y)$ the tangent vector at x that leads to y, of D coordinates. Then
 
 $$\text{change}_m = \sqrt{\tfrac1D \sum_d \frac{v_d(\mu_m, \mu_{m-1})^2}{\sigma_{m,d}^2}}, \qquad
 \text{oscillation} = \sqrt{\max\Big(0, \tfrac1D \sum_d \frac{v_d(\mu_{M-1}, \mu_{M-2})\, v_d(\mu_{M-1}, \mu_M)}{\sigma_{M-1,d}^2}\Big)}.$$
 
 The oscillation is 0 if the last two changes have the same direction, and equals them if the mean jumps back and forth. Particles alone change a mean
-by about $\sqrt{2 / \text{ESS}}$. Loopy belief propagation can converge and still be wrong: these figures do not show that, the weights of the joint
+by about $\sqrt{2 / \text{ESS}}$. Loopy belief propagation can converge and still be wrong. These figures do not show that; the weights of the joint
 draws do.
 """
 
@@ -47,7 +46,7 @@ class Directed(NamedTuple):
 
 
 class Beliefs(NamedTuple):
-    """The particles of all nodes, and what is known of them.
+    """The particles of all nodes, and the terms of their weights.
 
     Attributes:
         points: particles of each node.
@@ -73,7 +72,7 @@ def ends(term: Term) -> tuple[Int[Array, " edge"], Int[Array, " edge"]]:
 
 
 def slots(targets: Int[np.ndarray, " message"], count: int) -> Int[np.ndarray, "node slot"]:
-    """Return the numbers of the messages into each of `count` nodes, given the targets of all; the number after the last is padding."""
+    """Return the numbers of the messages into each of `count` nodes, given the targets of all messages; the number after the last is padding."""
     into = [np.flatnonzero(targets == node) for node in range(count)]
     widest = max(map(len, into))
     return np.array([np.concatenate([numbers, np.full(widest - len(numbers), len(targets))]) for numbers in into], int).reshape(count, widest)
@@ -89,7 +88,7 @@ def normalised(log_weights: Float[Array, "*batch sample"]) -> Float[Array, "*bat
 
 
 def log_beliefs(graph: Graph, beliefs: Beliefs, power: float | Scalar = 1.0) -> NodeValues:
-    """Return the log-weight of every particle in its node's belief, not normalised. `power` is that of the likelihood."""
+    """Return the log-weight of every particle in its node's belief, not normalised. `power` is the power of the likelihood."""
     total = beliefs.rest + power * beliefs.likelihood - beliefs.log_q
     for term, messages in zip(graph.pairs, beliefs.messages, strict=True):
         first, second = ends(term)
@@ -98,7 +97,7 @@ def log_beliefs(graph: Graph, beliefs: Beliefs, power: float | Scalar = 1.0) -> 
 
 
 def cavities(graph: Graph, beliefs: Beliefs, power: float | Scalar = 1.0) -> tuple[Directed, ...]:
-    """Return the normalised log-weights of the source's particles for every message: the belief without what came from the target."""
+    """Return the normalised log-weights of the source's particles for every message: the belief without the message from the target."""
     total = log_beliefs(graph, beliefs, power)
 
     def cavity(term: Term, messages: Directed) -> Directed:
@@ -115,7 +114,7 @@ def _without(total: EdgeValues, message: EdgeValues) -> EdgeValues:
 
 
 class Sources(NamedTuple):
-    """What the messages of one term come from.
+    """The sources of the messages of one term.
 
     Attributes:
         points: for every message, particles of its source.
@@ -129,7 +128,7 @@ class Sources(NamedTuple):
 
 
 def sources(term: Term, cavity: Directed, points: Float[Array, "node sample *entry"], ready: Float[Array, " node"]) -> Sources:
-    """Return what a term's messages come from, given the particles of all nodes."""
+    """Return the sources of a term's messages, given the particles of all nodes."""
     first, second = ends(term)
     return Sources(Directed(points[first], points[second]), cavity, Directed(ready[first], ready[second]))
 
@@ -145,10 +144,10 @@ def log_messages(
 
     Args:
         term: the term.
-        come_from: the particles and weights that the messages come from.
-        targets: particles of all nodes, at which they are evaluated.
-        rows: the rows whose message goes to the second node, and those to the first.
-        heard: the source is represented by so many of its particles, chosen by weight; None: by all, with their weights.
+        come_from: the sources of the messages.
+        targets: particles of all nodes, at which the messages are evaluated.
+        rows: the rows whose messages to the second node are evaluated, and those whose messages to the first are.
+        heard: the number of particles, chosen by weight, that represent the source; None: all particles, with their weights.
     """
     first, second = ends(term)
     last = len(term.plate.rows) - 1
@@ -194,12 +193,12 @@ def entered(old: Directed, new: Directed, rows: tuple[Array, Array]) -> Directed
 def unary_values(
     graph: Graph, points: Float[Array, "node sample *entry"], rows: tuple[Int[Array, "_"], ...] | None = None
 ) -> tuple[NodeValues, NodeValues]:
-    """Return the log of the tempered factors of one node, and of the others but the prior, at the particles of every node.
+    """Return the log of the tempered factors of one node, and of the others except the prior, at the particles of every node.
 
     Args:
         graph: the graph.
         points: particles of all nodes.
-        rows: for each term, the rows that are evaluated; beyond the last one is padding. None: all.
+        rows: for each term, the rows that are evaluated; numbers beyond the last row are padding. None: all.
     """
     nothing = jnp.zeros(points.shape[:2], points.dtype)
     likelihood, potential = nothing, nothing
@@ -257,7 +256,7 @@ def message_figures(
     """Return the figures that a kernel puts into `FilterInfo.messages`.
 
     Args:
-        space: where the value of a node lives.
+        space: the space of a node's value.
         rounds: figures after every round.
         iterations: number of iterations, each of equally many rounds.
         samples: number of particles of a node.
@@ -296,9 +295,9 @@ def oscillation(space: Space, means: Float[Array, "iteration node *entry"], sds:
 
 
 def shares_of_weight(log_weights: Float[Array, "node sample"], log_parts: Float[Array, "node sample part"]) -> Float[Array, "node 4"]:
-    r"""Return $\sum_n w_n\, \gamma_k q_k(x_n) / q(x_n)$ for each part k of every node's proposal: the share of the weight that it brought.
+    r"""Return $\sum_n w_n\, \gamma_k q_k(x_n) / q(x_n)$ for each part k of every node's proposal: the share of the weight that it contributed.
 
-    The first part is that from messages, the second the prior, the last the normal fit; those between are detections and are added up.
+    The first part is that of the messages, the second the prior, the last the normal fit. Those in between are detections; their shares are added.
 
     Args:
         log_weights: normalised log-weights of the points of the joint draws.

@@ -1,20 +1,19 @@
-r"""Methods of particle belief propagation: what they add to the common proposal of a node.
+r"""Methods of particle belief propagation: what each adds to the common proposal of a node.
 
 A method gives every node a distribution near its last belief, with a density that is known exactly. In the method `mixture`, it is one part of the
 node's proposal, besides messages, prior and detections (kernels/messages/node_proposals.py). In `pbp` and `epbp` it is the whole proposal of a node
 that has particles, as in the papers; the other parts only give the first particles. `pampas` draws its particles in strata
 (kernels/messages/pampas.py), and uses the common proposal for the joint draws alone.
 
-Proposals of particle belief propagation (Ihler & McAllester 2009): the particles of a node are drawn from an estimate of its belief.
-
-The paper runs Markov chains whose target is the belief. Their draws have a density that is known up to a constant only, and are dependent. Here the
-estimate is a kernel density estimate of the last belief's particles,
+The method `pbp` (Ihler & McAllester 2009) draws the particles of a node from an estimate of its belief. The paper runs Markov chains whose target is
+the belief. Their draws are dependent, and have a density that is known only up to a constant. Here the estimate is a kernel density estimate of the
+last belief's particles,
 
 $$q_i(x) = \sum_n w_n\, \mathcal N\big(x;\, x_i^{(n)}, h^2 \Sigma_i\big), \qquad h = \Big(\frac{4}{(D + 2)\, \text{ESS}}\Big)^{1 / (D + 4)},$$
 
 with normal kernels in the tangent spaces at the particles (`density.tangent_normal`), the covariance $\Sigma_i$ of the normal fit to the belief, and
-Silverman's bandwidth for D coordinates. It is evaluated exactly, so the draws are independent and the evidence is unbiased. Where a belief has not
-been yet, nothing is proposed: the method finds no place that its first particles missed.
+Silverman's bandwidth for D coordinates. It is evaluated exactly, so the draws are independent and the evidence is unbiased. Nothing is proposed
+outside the last belief, so the method finds no place that its first particles missed.
 """
 
 from dataclasses import dataclass
@@ -88,7 +87,7 @@ type MethodName = Literal["mixture", "pbp", "epbp", "pampas"]
 
 
 class Method(Protocol):
-    """A method.
+    """A method of particle belief propagation.
 
     Attributes:
         alone: whether a node that has particles is drawn from the method's distribution alone.
@@ -113,7 +112,7 @@ class Method(Protocol):
             weights: normalised log-weights of the beliefs.
             fits: normal distributions fitted to the beliefs, stacked over the nodes.
             memory: what the method remembers.
-            power: that of the likelihood.
+            power: the power of the likelihood.
         """
         ...
 

@@ -1,18 +1,18 @@
 r"""Nested draws of a tree: limbs are drawn many times for each candidate of the trunk, and only their sum is kept.
 
-The trunk is the root and all nodes that branch; what is left are chains, the limbs. Given the trunk x, the limbs are independent,
+The trunk is the root and all nodes that branch; the other nodes form chains, the limbs. Given the trunk x, the limbs are independent,
 
 $$p(\text{data} \mid x) = \prod_{i \in \text{trunk}} \phi_i(x_i) \prod_l Z_l(x), \qquad
 Z_l(x) = \int \prod_{j \in l} \phi_j(x_j)\, \psi(x_{j-1}, x_j)\, dx_j,$$
 
 and a particle filter down each limb gives an unbiased estimate of $Z_l$ and one draw of the limb (Andrieu, Doucet & Holenstein 2010). With L
-particles a limb, C candidates stand for $C L^k$ bodies of k limbs. Where message passing is lost, because beliefs are broad and joints are narrow,
-this still finds the body: a limb is always drawn from its own trunk.
+particles per limb, C candidates stand for $C L^k$ bodies of k limbs. Where beliefs are broad and joints are narrow, message passing fails. Nested
+draws still find the body, because a limb is always drawn from its own trunk.
 
 Edges must be normalised densities of the outer node given the inner one, from which one can draw. Edges that close loops are left out.
 
-All limbs go down one joint at a time, in one loop: the terms of an edge and of a node occur once in the program, which is most of its compile time.
-Shorter limbs wait at their ends.
+All limbs are drawn in one loop, one joint at a time. So the terms of an edge and of a node, which take most of the compile time, occur once in the
+program. Shorter limbs wait at their ends.
 """
 
 from collections.abc import Callable, Sequence
@@ -78,7 +78,7 @@ class Nested(NamedTuple):
     """Draws of all nodes, one for each candidate.
 
     Attributes:
-        values: the draws: the candidate's first trunk, and a limb each.
+        values: the draws: the candidate's first trunk, and one draw of each limb.
         log_estimates: logs of unbiased estimates of the product of the limbs' $Z_l$, for each trunk of a candidate.
     """
 
@@ -153,9 +153,9 @@ def nested_draws(
         graph: the graph. Its prior and proposals are not read.
         tree: its tree.
         trunks: values of the trunk's nodes.
-        power: that of the likelihood.
+        power: the power of the likelihood.
         shared: whether all trunks of a candidate are the same, so that their limbs are particles of one filter. Otherwise each trunk has one draw of
-            each limb, and the estimates are positive and not normalised: they may choose trunks, if they are divided out later.
+            each limb, and the estimates are positive but not normalised. They may be used to choose trunks, if they are divided out later.
     """
 
     def draw(random_and_trunks: tuple[_Noise, Array, Array], arguments: tuple[Graph, Scalar, Flag]) -> Nested:
@@ -189,12 +189,12 @@ def _noise(key: Key, graph: Graph, edges: Sequence[Edge], shape: tuple[int, ...]
 
 
 class _Depth(NamedTuple):
-    """What happens at one joint of all limbs, or with a leading axis at all joints, as arrays and as a pytree.
+    """The edges and nodes at one joint of all limbs, or with a leading axis at all joints: a pytree of arrays.
 
     Attributes:
         edges: for each kind of edge its rows, and which limbs have it.
         unaries: for each term of one node its rows, and which limbs' nodes have it.
-        goes_on: whether a limb reaches so far.
+        goes_on: for each limb, whether it has this joint.
     """
 
     edges: tuple[tuple[Int[np.ndarray, " limb"], Bool[np.ndarray, " limb"]], ...]
@@ -250,7 +250,7 @@ def _limbs(
 
 
 def _layout(graph: Graph, tree: Tree) -> tuple[list[tuple[int, bool]], _Depth, Int[np.ndarray, "depth limb"]]:
-    """Return the kinds of edges (term, reverse), what happens at each depth, and the nodes of the limbs, -1 behind the end of a limb."""
+    """Return the kinds of edges (term, reverse), the edges and nodes at each depth, and the nodes of the limbs, -1 after the end of a limb."""
     longest = len(tree.limbs[0])
     edges = [[limb[depth] if depth < len(limb) else None for limb in tree.limbs] for depth in range(longest)]
     kinds = sorted({(edge.term, edge.reverse) for limb in tree.limbs for edge in limb})

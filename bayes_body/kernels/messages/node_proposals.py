@@ -3,8 +3,9 @@ r"""Proposals of particle belief propagation: one normalised mixture for each no
 $$q_i = \gamma_1 \frac{1}{d_i} \sum_{k \to i} m_{ki} + \gamma_2\, \pi_i + \gamma_3\, f_i + \gamma_4\, b_i$$
 
 with the incoming messages $m_{ki}$ from which one can draw, the prior $\pi_i$ of the node, its detections $f_i$, and a distribution $b_i$ near its
-last belief, which the method gives (kernels/messages/methods.py): by default a normal distribution fitted to it. Every part is normalised, so q is an
-exact density (the balance heuristic of Veach & Guibas 1995), and weights need no unknown constants. What a node lacks leaves its share to the rest.
+last belief. The method gives $b_i$ (kernels/messages/methods.py); by default it is a normal distribution fitted to the belief. Every part is
+normalised, so q is an exact density (the balance heuristic of Veach & Guibas 1995), and weights need no unknown constants. The share of a missing
+part goes to the others.
 """
 
 import math
@@ -39,7 +40,7 @@ class Proposals(NamedTuple):
         cavities: their weights.
         near: a distribution near each belief, stacked over the nodes.
         shares: log-shares of messages, prior, each mixture of detections, and the distribution near the belief.
-        edges: log-probability of each message in its target's share, by term.
+        edges: for each term, the log-probability of each message among the messages to its target.
     """
 
     points: Float[Array, "node sample *entry"]
@@ -57,8 +58,8 @@ def proposals(graph: Graph, beliefs: Beliefs, cavities: tuple[Directed, ...], ne
         beliefs: particles and messages.
         cavities: normalised log-weights for each message.
         near: a distribution near each belief, stacked over the nodes.
-        shares: the shares of a node that has everything.
-        alone: whether that distribution is the whole proposal of a node that has particles.
+        shares: the shares of a node that has all parts.
+        alone: whether `near` is the whole proposal of a node that has particles.
     """
     degree = jnp.zeros(graph.count, beliefs.points.dtype)
     for term in graph.pairs:
@@ -81,7 +82,7 @@ def proposals(graph: Graph, beliefs: Beliefs, cavities: tuple[Directed, ...], ne
     remainder = 1 - beliefs.ready if alone else jnp.ones_like(none)
     parts = [*(remainder * part for part in others), (1.0 if alone else shares.fit) * beliefs.ready]
     table = jnp.stack([jnp.asarray(part, none.dtype) for part in parts], axis=1)
-    # Without a share for anything that a node has, its first particles come from prior and detections.
+    # If no part that a node has gets a share, its first particles come from prior and detections.
     begin = jnp.stack([none, *(jnp.asarray(exists, none.dtype) for exists in mixtures), none], axis=1)
     table = jnp.where(jnp.sum(table, axis=1, keepdims=True) > 0, table, begin)
     return Proposals(
@@ -94,7 +95,7 @@ def proposals(graph: Graph, beliefs: Beliefs, cavities: tuple[Directed, ...], ne
 
 
 def draw(key: Key, graph: Graph, proposal: Proposals, count: int) -> Float[Array, "node draw *entry"]:
-    """Draw `count` values of every node; each part of the mixture has its share of them, up to rounding at random."""
+    """Draw `count` values of every node; each part of the mixture has its share of them, up to random rounding."""
     part_key, message_key, near_key, *keys = jax.random.split(key, 3 + 1 + len(graph.proposals))
     levels = (jnp.arange(count) + jax.random.uniform(part_key, (graph.count, 1))) / count
     part = jnp.sum(levels[..., None] > jnp.cumsum(jnp.exp(proposal.shares), axis=1)[:, None, :-1], axis=-1)
@@ -111,7 +112,7 @@ def draw(key: Key, graph: Graph, proposal: Proposals, count: int) -> Float[Array
 
 
 def _from_messages(key: Key, graph: Graph, proposal: Proposals, count: int) -> Float[Array, "node draw *entry"]:
-    """Draw values of every node from the mixture of the messages into it. A node without any gets a copy of its particles, which has no share."""
+    """Draw values of every node from the mixture of the messages into it. A node without messages gets copies of its particles, without a share."""
     pick_key, draw_key = jax.random.split(key)
     samples = proposal.points.shape[1]
     sources, targets, log_weights, parts = [], [], [], []
@@ -171,7 +172,7 @@ def log_density(
 def log_parts(
     graph: Graph, proposal: Proposals, points: Float[Array, "node draw *entry"], messages: tuple[Directed, ...], prior: NodeValues
 ) -> Float[Array, "node draw part"]:
-    """Return the terms of `log_density`: the log of share times density, of messages, prior, each mixture of detections, and near belief."""
+    """Return the terms of `log_density`: log of share times density, for messages, prior, each mixture of detections, and `near`."""
     nothing = jnp.full(points.shape[:2], -jnp.inf, points.dtype)
     mixed = nothing
     for number, (term, edge) in enumerate(zip(graph.pairs, proposal.edges, strict=True)):

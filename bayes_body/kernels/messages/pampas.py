@@ -4,10 +4,10 @@ The particles of a message from i to j are drawn from two importance functions, 
 
 $$q^{(1)}_{ij} = \prod_{k \ne j} m_{ki}, \qquad q^{(2)}_i = \prod_k m_{ki},$$
 
-with the messages along which values are proposed (kernels/messages/products.py). The weights are $m^F_{ij} / q$ with the message foundation
-$m^F_{ij} = \phi_i \prod_{k \ne j} m_{ki}$. Both functions are known up to a constant only, so the weights are normalised within each stratum, to its
-share. This is not an exact balance of the strata: a stratum that misses a peak has the same share as one that finds it. In the first iteration, and
-where there is no other message, particles come from the prior (share 0.9, the paper's $q^{(4)}$) and detections (0.1, $q^{(3)}$).
+where the products are over messages along which values are proposed (kernels/messages/products.py). The weights are $m^F_{ij} / q$ with the message
+foundation $m^F_{ij} = \phi_i \prod_{k \ne j} m_{ki}$. Both functions are known only up to a constant, so the weights of each stratum are normalised
+to its share. This is not an exact balance of the strata: a stratum that misses a peak has the same share as one that finds it. In the first
+iteration, and where there is no other message, particles come from the prior (share 0.9, the paper's $q^{(4)}$) and detections (0.1, $q^{(3)}$).
 
 The particles of a node are one stratum of $q^{(2)}$, which all its messages share, and one of $q^{(1)}$ for each neighbour, which only the message to
 this neighbour uses. Half of `samples` are in each stratum. The paper takes fewer for parts with many joints, and adds a broad component of weight
@@ -50,7 +50,7 @@ class Pampas(Passing):
         self.of_beliefs = np.concatenate([np.where(degree > 0, HALF, 1.0), HALF * exists / np.maximum(degree, 1)], axis=1)
 
     def weigh(self, beliefs: Beliefs, power: float | Scalar) -> tuple[NodeValues, tuple[Directed, ...]]:
-        """Return log-weights that are normalised within each stratum, those of the beliefs and those of the messages."""
+        """Return the log-weights of the beliefs and of the messages, normalised within each stratum."""
         weights = stratified(log_beliefs(self.graph, beliefs, power), jnp.asarray(self.of_beliefs))
         message_weights, number = [], 0
         for term, raw in zip(self.graph.pairs, cavities(self.graph, beliefs, power), strict=True):
@@ -58,23 +58,23 @@ class Pampas(Passing):
             if term.plate.draw is None:
                 shares = [jnp.asarray(self.of_beliefs)[term.rows[:, column]] for column in (0, 1)]
             else:
-                # The message back along a row has the number of the other direction: its slot in the source is the one that is left out.
+                # The stratum of a message leaves out the slot, in the source, of the message in the other direction along the same row.
                 shares = [self._of_message(number + count + np.arange(count)), self._of_message(number + np.arange(count))]
                 number += 2 * count
             message_weights.append(Directed(*(stratified(log_weights, share) for log_weights, share in zip(raw, shares, strict=True))))
         return weights, tuple(message_weights)
 
     def _of_message(self, answers: np.ndarray) -> Float[Array, "edge stratum"]:
-        """Return the shares of the strata in the messages to which these are the answers, by number."""
+        """Return the shares of the strata in messages, given the numbers of the messages in the other direction."""
         return jnp.asarray(HALF * (np.eye(self.strata)[0] + np.eye(self.strata)[1 + self._places(answers)[1]]))
 
     def _places(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the nodes into which messages go, and their slots there."""
+        """Return the target nodes of messages, and their slots there."""
         places = np.array([np.argwhere(self.slots == number)[0] for number in numbers])
         return places[:, 0], places[:, 1]
 
     def first(self, beliefs: Beliefs, proposal: Proposals) -> Proposals:
-        """Return the proposal of particles that no message gives: prior and detections."""
+        """Return the proposal of particles that do not come from messages: prior and detections."""
         return proposals(self.graph, beliefs._replace(ready=jnp.zeros_like(beliefs.ready)), proposal.cavities, proposal.near, FIRST, False)
 
     def draw(self, key: Key, beliefs: Beliefs, proposal: Proposals) -> Float[Array, "node sample *entry"]:
@@ -105,13 +105,13 @@ class Pampas(Passing):
         return some | (jnp.max(self._taken(beliefs), axis=(1, 2), initial=0.0) > 0)
 
     def _taken(self, beliefs: Beliefs) -> Float[Array, "node sample slot"]:
-        """Return the slots that every particle's stratum multiplies, of those with particles at their source."""
+        """Return which slots the stratum of every particle multiplies, without those whose source has no particles."""
         ready = jnp.concatenate([beliefs.ready[way.term.rows[:, 1 if way.reverse else 0]] for way in ways(self.graph)])
         slot_ready = ready[np.minimum(self.slots, len(ready) - 1)]
         return jnp.repeat(self.taken * slot_ready[:, None], self.each, axis=1)
 
     def _product(self, beliefs: Beliefs, proposal: Proposals) -> Product:
-        """Return the messages with only those particles that have a share in them, and what each sample multiplies."""
+        """Return the messages, with only the particles in their strata, and the slots that each sample multiplies."""
         points, weights, number = [], [], 0
         cavity_of = dict(zip(map(id, self.graph.pairs), proposal.cavities, strict=True))
         for way in ways(self.graph):
@@ -126,7 +126,7 @@ class Pampas(Passing):
 
 
 def stratified(log_weights: Float[Array, "row sample"], shares: Float[Array, "row stratum"]) -> Float[Array, "row sample"]:
-    """Return log-weights whose sum in each stratum is its share. A stratum without any weight leaves its share to the others."""
+    """Return log-weights such that the weights of each stratum sum to its share. The share of a stratum without weight goes to the others."""
     strata = jnp.where(jnp.isnan(log_weights), -jnp.inf, log_weights).reshape(*shares.shape, -1)
     alive = (jnp.max(strata, axis=2) > -jnp.inf) & (jnp.max(strata, axis=2) < jnp.inf)
     share = jnp.where(alive, shares, 0.0)

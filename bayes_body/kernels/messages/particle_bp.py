@@ -2,11 +2,11 @@ r"""Particle belief propagation on a pairwise graph: loose-limbed bodies (Sigal 
 
 A round draws particles of its nodes from their proposals (kernels/messages/node_proposals.py) and evaluates the messages into them
 (kernels/messages/messages.py); kernels/messages/passing.py puts both together. After the last round, all nodes are redrawn at once, and joint draws
-are taken from the exact sum over a forest of the graph's edges (kernels/messages/joint_particles.py). Their weights correct whatever the graph left
-out, so they are a weighted sample of the posterior.
+are taken from the exact sum over a forest of the graph's edges (kernels/messages/joint_particles.py). Their weights include the factors that this sum
+leaves out, so the draws are a weighted sample of the posterior.
 
-On a graph with loops, messages need not converge, and beliefs are not the true marginals. The joint draws still are a valid importance sample. If
-few of them carry the weight, `joint_ess` says so (kernels/messages/messages.py).
+On a graph with loops, messages need not converge, and beliefs are not the true marginals. The joint draws are still a valid importance sample. If few
+of them carry the weight, `joint_ess` is small (kernels/messages/messages.py).
 """
 
 from dataclasses import replace
@@ -43,7 +43,7 @@ PRIOR_ITERATIONS = 3
 class Options(Schema):
     """Options of `[kernel] kind = "particle_bp"`.
 
-    `particles` is the number of joint draws, `samples` that of the particles of each node. Messages of factors that propose nothing and only close
+    `particles` is the number of joint draws, `samples` the number of particles of each node. Messages of factors that propose nothing and only close
     loops, such as penetration, take `loop_samples` of them: the weights of the joint draws evaluate these factors exactly. In iteration m of M the
     likelihood has the power `annealing`^(M - m). `shares` are those of a node's proposal: messages, prior, detections, and a normal fit to the last
     belief, whose covariance is multiplied by `fit_inflation`. `method` is `mixture`, or one of the papers (kernels/messages/methods.py). Messages are
@@ -106,7 +106,7 @@ def pass_messages(key: Key, graph: Graph, options: Options, rounds: Round) -> Pa
         key: random key.
         graph: the graph.
         options: the options.
-        rounds: the schedule (`kernels.parts.schedules.schedule`).
+        rounds: the schedule (`kernels.messages.schedules.schedule`).
     """
     first_key, round_key, redraw_key, joint_key = jax.random.split(key, 4)
     passing = _passing(graph, options)
@@ -131,7 +131,7 @@ def _passing(graph: Graph, options: Options) -> Passing:
 class ParticleBP:
     """The sampler, for one choice of options. Called as a kernel, it samples a frame of a model of parts; `on` takes any pairwise graph."""
 
-    # As `NamedKernel` has it.
+    # The attribute `kind` of `NamedKernel`.
     kind = "particle_bp"
 
     def __init__(self, options: Options):
@@ -173,7 +173,7 @@ class ParticleBP:
         predicted = predict(predict_key, self.resample(predict_key, density.previous.log_weights, count), density).states
         states = jax.tree.map(lambda filtered, prediction: jnp.where(posterior.lost, prediction, filtered), states, predicted)
         ess = effective_sample_size(posterior.log_weights)
-        # Each round evaluates some nodes, the redrawing all of them, and the weights what reads the whole body.
+        # A round evaluates the factors of some nodes, the redrawing those of all nodes, and the weights those that read the whole body.
         of_rounds = passed.points.shape[1] * jnp.sum(rounds.nodes < graph.count) // graph.count
         evaluations = of_rounds + options.samples + (0 if graph.rest is None else count)
         info = FilterInfo(

@@ -1,12 +1,12 @@
 r"""A round of particle belief propagation: nodes are redrawn from their proposals, and the messages into them are evaluated.
 
 Messages may be damped. The particles at which the last message was evaluated are gone, so each message keeps the particles and weights of its source
-from its last update. At the new particles both are evaluated and mixed,
+from its last update. At the new particles, the new and the last message are evaluated and mixed,
 
 $$\log m_{ij}(x) = (1 - d) \log \hat m_{ij}(x) + d \log \hat m'_{ij}(x),$$
 
-with the message $\hat m_{ij}$ from the source's particles now and $\hat m'_{ij}$ from those before. A message on which both agree stays as it is: the
-fixed points are those without damping. An error that changes its sign from round to round is averaged away.
+with the message $\hat m_{ij}$ from the current particles of the source and $\hat m'_{ij}$ from the kept ones. A message on which both agree stays as
+it is, so the fixed points are those without damping. An error that changes its sign from round to round is averaged away.
 """
 
 import math
@@ -43,11 +43,11 @@ from bayes_body.kernels.weights import effective_sample_size
 
 
 class Memory(NamedTuple):
-    """What is kept from round to round besides the beliefs.
+    """The values that are kept from round to round, besides the beliefs.
 
     Attributes:
         method: what the method remembers.
-        last: for each term, what its messages came from at their last update; empty without damping.
+        last: for each term, the sources of its messages at their last update; empty without damping.
     """
 
     method: Any
@@ -59,9 +59,9 @@ class Settings(NamedTuple):
 
     Attributes:
         samples: number of particles of a node.
-        heard: number of those that represent it in messages of factors that only close loops.
+        heard: number of particles that represent a node in messages of factors that only close loops.
         shares: the shares of a node's proposal.
-        inflation: factor of the covariance of normal distributions in it.
+        inflation: factor of the covariance of normal distributions in a proposal.
         method: the method.
         damping: d, from 0 to below 1.
     """
@@ -82,14 +82,14 @@ class Passing:
         self.graph, self.settings = graph, settings
         self.floors = jnp.array([FLOORS.get(unit, 0.0) for unit in graph.space.tangent_units])
         self.method = method(settings.method, settings.inflation, self.floors)
-        # The particles that each node holds.
+        # The number of particles of each node.
         self.held = settings.samples
 
     def begin(self, key: Key) -> tuple[Beliefs, Memory]:
-        """Return nodes that are not ready: messages from them say nothing yet, and their first round draws them from prior and proposals."""
+        """Return beliefs whose nodes are not ready. Messages from them say nothing yet; their first round draws them from prior and proposals."""
         graph, samples = self.graph, self.held
         mixtures = [mixture for mixture in (graph.prior, *graph.proposals) if mixture is not None]
-        # Only points of the space, so that nothing computed from them is NaN.
+        # Any points of the space will do: nothing computed from them is NaN.
         points = mixtures[0].sample(key, samples)
         zero = jnp.zeros((graph.count, samples), points.dtype)
         edges = [jnp.zeros((len(term.plate.rows), samples), zero.dtype) for term in graph.pairs]
@@ -98,7 +98,7 @@ class Passing:
         return Beliefs(points, zero, zero, zero, messages, zero[:, 0]), Memory(self.method.begin(graph, points), last)
 
     def proposals(self, beliefs: Beliefs, memory: Memory, power: float | Scalar) -> tuple[Proposals, Memory, Summary]:
-        """Return the proposals that follow from beliefs, what the method remembers, and figures of the beliefs. `power` is that of the likelihood."""
+        """Return the proposals that follow from beliefs, the memory, and figures of the beliefs. `power` is the power of the likelihood."""
         graph = self.graph
         weights, cavity = self.weigh(beliefs, power)
         fits = jax.vmap(lambda points, log_weights: fit(graph.space, jnp.exp(log_weights), points, self.settings.inflation, self.floors))(
@@ -157,7 +157,7 @@ class Passing:
         return jnp.max(proposal.shares, axis=1) > -jnp.inf
 
     def _arrived(self, beliefs: Beliefs, proposal: Proposals, points: Float[Array, "node sample *entry"], turn: Round) -> tuple[Directed, ...]:
-        """Return all messages, those into the nodes of the round evaluated at their new particles."""
+        """Return all messages. Those into the nodes of the round are evaluated at their new particles."""
 
         def evaluate(term: Term, closing: bool, cavity: Directed, old: Directed, rows: tuple[Array, Array]) -> Directed:
             come_from = sources(term, cavity, beliefs.points, beliefs.ready)
@@ -177,7 +177,7 @@ class Passing:
         arrived: tuple[Directed, ...],
         turn: Round,
     ) -> tuple[tuple[Directed, ...], Memory]:
-        """Return the messages mixed with those from their sources before, and what they came from now."""
+        """Return the messages mixed with those from their last sources, and the memory of their current sources."""
         damping = self.settings.damping
 
         def damp(term: Term, closing: bool, cavity: Directed, new: Directed, last: Sources, rows: tuple[Array, Array]) -> tuple[Directed, Sources]:
@@ -220,9 +220,9 @@ class Passing:
         return Redrawn(points, likelihood + potential, by_ancestor, closing, jax.nn.logsumexp(parts, axis=-1)), parts
 
     def _closing(self, beliefs: Beliefs, proposal: Proposals, points: Float[Array, "node sample *entry"]) -> NodeValues:
-        """Return at each point what stands in for the factors that only close loops: their messages from the node that is nearer to the root.
+        """Return at each point a substitute for the factors that only close loops: their messages from the node that is nearer to the root.
 
-        A message averages the factor over particles of its source. One in `heard` is added to it, so that it never excludes what the factor allows.
+        A message averages the factor over particles of its source. 1 / `heard` is added to it, so that it never excludes what the factor allows.
         """
         graph, depth, heard = self.graph, np.zeros(self.graph.count), self.settings.heard
         for distance, nodes in enumerate(depths(graph)):

@@ -6,9 +6,9 @@ $$p(x, l_1 \ldots l_K) \propto \prod_k w_k^{(l_k)}\, \psi_k\big(x_k^{(l_k)}, x\b
 
 Given x, the labels are independent and drawn exactly. Given the labels, x is proposed from the product of normal distributions that stand for the
 factors $\psi_k(x_k^{(l_k)}, \cdot)$, and accepted by Metropolis-Hastings. The papers have no such step. Without it, draws are biased where a factor
-is curved in the target's tangent space, as that of a child to its parent. The mean of a normal distribution is that of a few draws along the edge;
-its covariance is that of these draws, averaged over the message's particles. A chain begins with a draw from one message, so that for a product of
-one message it is exact from the start.
+is curved in the target's tangent space, as in a message from a child to its parent. The mean of a normal distribution is the mean of a few draws
+along the edge; its covariance is the covariance of such draws, averaged over the message's particles. A chain begins with a draw from one message, so
+for a product of one message it is exact from the start.
 """
 
 from collections.abc import Callable, Iterator
@@ -40,7 +40,7 @@ class Way(NamedTuple):
 
 
 class Product(NamedTuple):
-    """Messages, in the order of `ways`, and which of them each sample is to come from.
+    """Messages, in the order of `ways`, and which of them each sample multiplies.
 
     Attributes:
         points: particles of the source of every message.
@@ -67,7 +67,7 @@ def slots_of(graph: Graph) -> Int[np.ndarray, "node slot"]:
 
 
 def draw_products(key: Key, graph: Graph, product: Product, otherwise: Float[Array, "node sample *entry"]) -> Float[Array, "node sample *entry"]:
-    """Return one draw of every sample's product; that of a product without factors is `otherwise`."""
+    """Return one draw from every sample's product, or the value of `otherwise` if the product has no factors."""
     label_key, start_key, normal_key, key = jax.random.split(key, 4)
     samples, some = otherwise.shape[1], jnp.max(product.taken, axis=2) > 0
     first = jnp.argmax(product.taken, axis=2)
@@ -118,7 +118,7 @@ def _targets(graph: Graph) -> np.ndarray:
 
 
 def _into(product: Product, values: Float[Array, "message sample *any"]) -> Float[Array, "node sample slot *any"]:
-    """Return values of messages by node, sample and slot; those of padding are of any message."""
+    """Return values of messages by node, sample and slot. Padding has the values of any message."""
     return jnp.moveaxis(values[np.minimum(product.slots, len(values) - 1)], 1, 2)
 
 

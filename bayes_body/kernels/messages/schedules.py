@@ -1,7 +1,7 @@
 """Schedules of message passing as arrays of integers, so that one compiled update serves all of them.
 
-A round redraws the particles of some nodes and evaluates all messages into them. In `flooding`, a round is all nodes. In `tree`, a round is the nodes
-of one depth: from the leaves to the root and back (Sigal et al. 2011: extremities, torso, extremities).
+A round redraws the particles of some nodes and evaluates all messages into them. In `flooding`, a round redraws all nodes. In `tree`, a round redraws
+the nodes of one depth, from the leaves to the root and back (Sigal et al. 2011: extremities, torso, extremities).
 """
 
 from typing import Literal, NamedTuple

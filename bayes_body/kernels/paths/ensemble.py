@@ -1,12 +1,12 @@
-r"""The step back in time of the ensemble Rauch-Tung-Striebel smoother (Raanes 2016), in unconstrained coordinates.
+r"""The backward step of the ensemble Rauch-Tung-Striebel smoother (Raanes 2016), in unconstrained coordinates.
 
-Let $u_i$ be the coordinates of a particle of the frame before, and $v_i$ those of the next frames, drawn from the motion prior given it. A path whose
-next frames are at $v$ continues backwards from a particle $i$, drawn by its weight, at
+Let $u_i$ be the coordinates of a particle of the frame before, and $v_i$ the coordinates of the next frames, drawn from the motion prior given this
+particle. A path whose next frames are at $v$ continues backwards from a particle $i$, drawn by its weight, at
 
 $$u = u_i + K (v - v_i), \qquad K = \mathrm{Cov}(u, v)\, \mathrm{Cov}(v, v)^{-1}.$$
 
-If everything is normal, $u$ is a draw from its distribution given the next frames and the images so far. Unlike one of the particles, it can lie
-anywhere: paths do not share their past.
+If everything is normal, $u$ is a draw from its distribution given the next frames and the images so far. Unlike a particle, it can lie anywhere, so
+paths do not share their past.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,12 +24,12 @@ from bayes_body.density.factor import Particles, State, Transition
 from bayes_body.kernels.batching import over_particles
 from bayes_body.kernels.smc.moves import shrunk
 
-# Predictions of all particles together, at least, with noise of their own: they give the covariance of the noise.
+# The least number of predictions, of all particles together, with noise of their own. They give the covariance of the noise.
 PREDICTIONS = 2000
-# For each of these, so many with one noise for all particles: they give the slope, in which this noise is no error. Near the limit of a joint the
-# slope depends on the noise. With one instead of four, the runs of a smoother differed more there.
+# For each of these, the number of predictions with the same noise for all particles. They give the slope, in which common noise is no error. Near the
+# limit of a joint the slope depends on the noise. With one instead of four, the runs of a smoother differed more there.
 ALIKE = 4
-# Of particles; a prediction is little work.
+# Particles in a batch; a prediction is little work.
 BATCH = 64
 
 
@@ -52,7 +52,7 @@ class LinearPrediction(NamedTuple):
         return LinearPrediction(self.spread, self.slope[:size], self.noise[:size, :size])
 
     def of_known(self, known: Bool[Array, " frame"]) -> "LinearPrediction":
-        """Return the regression with no weight on next frames that a path does not have. One program serves all frames of the recording."""
+        """Return the regression without weight on next frames that do not exist, so that one program serves all frames of a recording."""
         rows = jnp.repeat(known, len(self.spread))
         noise = jnp.where(rows[:, None] & rows, self.noise, jnp.eye(len(rows), dtype=self.noise.dtype))
         return LinearPrediction(self.spread, jnp.where(rows[:, None], self.slope, 0.0), noise)
@@ -62,16 +62,16 @@ class LinearPrediction(NamedTuple):
         return jnp.linalg.solve(self.slope @ self.spread @ self.slope.T + self.noise, self.slope @ self.spread).T
 
     def precision_between(self) -> Float[Array, "size size"]:
-        r"""Return about the precision of u given the frames before and after: $C^{-1} + S^{-1} + B^\top S^{-1} B$, of one next frame.
+        r"""Return approximately the precision of u given the frames before and after, for one next frame: $C^{-1} + S^{-1} + B^\top S^{-1} B$.
 
-        The first counts what the images say, and a part of what the frame before says, which is so counted twice.
+        The first term contains what the images say, and a part of what the frame before says. This part is counted twice.
         """
         precision = _inverse(self.noise)
         return _inverse(self.spread) + precision + self.slope.T @ precision @ self.slope
 
 
 class _Flat(NamedTuple):
-    """How sampled variables become vectors of coordinates, and back. A dof that turns freely is unwound to near the particles' mean."""
+    """The maps from sampled variables to vectors of coordinates and back. A freely turning dof is unwound to near the particles' mean."""
 
     unwound: Callable[[State], State]
     vector: Callable[[State], Array]
@@ -87,7 +87,7 @@ def regressed(
         key: random key of the predictions.
         particles: the particles of the frame before.
         indices: the particle from which each path continues.
-        nexts: the next frames of each path, the nearest first (path, frame, ...); all paths have as many.
+        nexts: the next frames of each path, the nearest first (path, frame, ...); all paths have the same number.
         transition: the motion prior.
         chart: the unconstrained coordinates.
         prediction: the regression (`linear_prediction`).
@@ -102,11 +102,11 @@ def regressed(
 
 
 def linear_prediction(key: Key, particles: Particles, transition: Transition, chart: Chart, frames: int) -> LinearPrediction:
-    """Return the regression of as many next frames on the particles, in the order of `ravel_pytree` over a position's variables.
+    """Return the regression of the next `frames` frames on the particles, in the order of `ravel_pytree` over a position's variables.
 
-    A regression of u on v with few particles would find too small a gain in every coordinate, and chance correlations between all of them. B comes
-    from predictions with the same noise for all particles, which is so left out of it. The correlations of C and S are shrunk, the less the more
-    particles there are.
+    With few particles, a regression of u on v would find too small a gain in every coordinate, and chance correlations between all of them. So B
+    comes from predictions with the same noise for all particles, which leaves the noise out of B. The correlations of C and S are shrunk, less if
+    there are more particles.
     """
     flat, weights, count = _flat(particles, transition, chart), jax.nn.softmax(particles.log_weights), particles.log_weights.shape[0]
     repeats = -(-PREDICTIONS // count)
@@ -116,9 +116,9 @@ def linear_prediction(key: Key, particles: Particles, transition: Transition, ch
         (keys, state), (transition, chart, common) = item, shared
         draw = jax.vmap(lambda key: _predicted(key, state, transition, chart, frames))
         if frames == 1:
-            # Apart, the random numbers of common keys are drawn once for all particles.
+            # In a call of their own, the random numbers of common keys are drawn once for all particles.
             return draw(keys), jnp.mean(draw(common), axis=0)
-        # Together, the program holds the motion prior once.
+        # In one call, the program holds the motion prior once.
         drawn = draw(jnp.concatenate([keys, common]))
         return drawn[:repeats], jnp.mean(drawn[repeats:], axis=0)
 
@@ -130,7 +130,7 @@ def linear_prediction(key: Key, particles: Particles, transition: Transition, ch
     u -= weights @ u
     share = (size / (size + 1 / jnp.sum(weights**2))) ** 2
     spread = shrunk((weights[:, None] * u).T @ u, share)
-    # The slope beyond that of a random walk, which is known to be one.
+    # The slope of a random walk is the identity. Only the difference from it is estimated.
     excess = common - jnp.tile(u, frames)
     cross = (weights[:, None] * (excess - weights @ excess)).T @ u
     slope = jnp.tile(jnp.eye(size, dtype=u.dtype), (frames, 1)) + jnp.linalg.solve(spread, cross.T).T
@@ -164,7 +164,7 @@ def _predicted(key: Key, state: State, transition: Transition, chart: Chart, fra
         return state, ravel_pytree(chart.unconstrain(sampled_of(transition, state)))[0]
 
     if frames == 1:
-        # Outside a loop, what draws from one state have in common is computed once.
+        # Outside a loop, the part that all draws from one state share is computed once.
         return step(dict(state), jnp.zeros((), jnp.int32))[1]
     return jax.lax.scan(step, dict(state), jnp.arange(frames))[1].ravel()
 
@@ -177,6 +177,6 @@ def _inverse(covariance: Float[Array, "size size"]) -> Float[Array, "size size"]
 
 
 def replaced(particles: Particles, indices: Int[Array, " path"], sampled: Mapping[str, Array], transition: Transition) -> dict[str, Array]:
-    """Return the particles of the paths as whole states, with other sampled variables and what follows from these."""
+    """Return the particles of the paths as whole states, with new sampled variables and the variables derived from these."""
     states = jax.tree.map(lambda leaf: leaf[indices], dict(particles.states))
     return {**states, **jax.vmap(transition.with_derived)(sampled)}

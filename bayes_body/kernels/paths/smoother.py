@@ -7,9 +7,10 @@ A path begins at its last frame and goes back in time. There are two ways to tak
 $$p(i \mid x_t, x_{t+1}, \ldots) \propto w^i_{t-1}\, p(x_t \mid s^i_{t-1}) \prod_{k=1}^{m-1} p(x_{t+k} \mid s_{t+k-1}^{(i)}),$$
 
 with the memory $m$ of the transition: one density for a random walk, two for a second-order process, whose state at $t$ is rebuilt from particle $i$
-(density/ahead.py). With $m = 1$ the index is drawn from all particles. With a longer memory, `candidates` drawn by the first two factors compete by
-the product. The index from the filter's genealogy is among them (Dau & Chopin 2023), so this too leaves the distribution invariant. The law of the
-paths is exact in the limit of many particles. But in 31 dimensions a few particles take all the weight, and the paths share their past.
+(density/ahead.py). With $m = 1$ the index is drawn from all particles. With a longer memory, `candidates` indices are drawn by the first two factors
+and compete by the product. The index from the filter's genealogy is among them (Dau & Chopin 2023), so this too leaves the distribution invariant.
+The law of the paths is exact in the limit of many particles. But in 31 dimensions a few particles take all the weight, and the paths share their
+past.
 
 `start = "ensemble"` (kernels/paths/ensemble.py) moves a particle by linear regression on the next frames. Paths do not share their past. Their law is
 exact only if everything is normal.
@@ -82,14 +83,14 @@ class Moved(NamedTuple):
 
 
 class Moves(NamedTuple):
-    """What the moves of all paths share in one frame.
+    """The settings that the moves of all paths share in one frame.
 
     Attributes:
         density: the density of the frame.
         coordinates: its unconstrained coordinates.
         after: the density of the next frame, if a factor reads the frame before.
         whitening: an upper triangular root of a covariance of the coordinates, in the order of `ravel_pytree`.
-        step_size: of the trajectories.
+        step_size: step size of the trajectories.
     """
 
     density: Density
@@ -152,7 +153,7 @@ class Smoother:
             sampled: the sampled variables of the frame (path, ...).
             before: whole states of the frame before.
             ahead: the frames after it.
-            settings: what all paths share.
+            settings: the settings that all paths share.
         """
 
         def move_path(item: tuple[Key, State, State, Ahead], settings: Moves) -> tuple[State, Scalar]:

@@ -1,19 +1,17 @@
-r"""Trajectories of a window of frames with error bars from a gradient-based sampler.
+r"""Trajectories of a window of frames with error bars, from a gradient-based sampler in whitened coordinates.
 
 Chains of NUTS sample the joint posterior of the window (density/trajectory.py). They start from smoothed paths, and move in coordinates in which
-these are white (kernels/paths/window.py).
+these paths are white.
 
-Whitened coordinates of a window of frames, fitted to smoothed paths.
-
-A motion prior couples neighbouring frames strongly: a random walk of small steps lets a window move as a whole, but hardly one frame alone. A sampler
-with a diagonal metric would take as many leapfrog steps as the ratio of these widths. The paths are therefore taken as a Gaussian process with the
-transition's memory $m$: each frame is a regression on the $m$ frames before,
+A motion prior couples neighbouring frames strongly. If it is a random walk of small steps, the window can move as a whole, but one frame alone hardly
+can. A sampler with a diagonal metric would take as many leapfrog steps as the ratio of these widths. The paths are therefore modelled as a Gaussian
+process with the transition's memory $m$: each frame is a regression on the $m$ frames before,
 
 $$x_t = \mu_t + \sum_{k=1}^{m} A_{tk} (x_{t-k} - \mu_{t-k}) + \epsilon_t, \qquad P = J^\top \mathrm{diag}(S_t^{-1})\, J,$$
 
-with the residuals' covariances $S_t$ and the rows $J_t = (-A_{tm}, \dots, -A_{t1}, 1)$. This is the maximum likelihood under that structure. It needs
-some more paths than $m$ frames have dofs, while a covariance of the whole window would need more paths than the window has dofs. The precision of a
-window given the rest of its path is a block of $P$. With $P = C C^\top$, a standard normal $z$ gives $\mu + C^{-\top} z$.
+with the residuals' covariances $S_t$ and the rows $J_t = (-A_{tm}, \dots, -A_{t1}, 1)$. This is the maximum likelihood estimate under this structure.
+It needs a few more paths than $m$ frames have dofs; a covariance of the whole window would need more paths than the window has dofs. The precision of
+a window given the rest of its path is a block of $P$. With $P = C C^\top$, a standard normal $z$ gives $\mu + C^{-\top} z$.
 """
 
 from functools import partial
@@ -35,7 +33,7 @@ from bayes_body.density.trajectory import Trajectory
 from bayes_body.kernels.batching import over_particles
 from bayes_body.kernels.paths.window_nuts import Metric, NutsSchedule, chain_diagnostics, run_nuts
 
-# With fewer paths than this many for each predictor, a frame is taken as the frame before and a step.
+# With fewer paths than this for each predictor, a frame is modelled as the frame before plus a step.
 PATHS_PER_PREDICTOR = 2
 # The share by which a residual's covariance is shrunk towards its diagonal, as in kernels/smc/moves.py.
 SHRUNK = 0.1
@@ -65,11 +63,11 @@ class GaussianPath(NamedTuple):
 
 
 def gaussian_path(values: Float[np.ndarray, "path frame dof"], memory: int) -> GaussianPath:
-    """Return the Gaussian process of paths.
+    """Return the Gaussian process fitted to paths.
 
     Args:
         values: coordinates of the paths.
-        memory: number of frames before that a frame depends on.
+        memory: number of previous frames on which a frame depends.
     """
     values = np.asarray(values, np.float64)
     paths, frames, dofs = values.shape
@@ -122,12 +120,12 @@ class WindowDraws(NamedTuple):
     Attributes:
         states: whole states (chain, draw, frame, ...).
         r_hat: rank-normalised split R-hat of each unconstrained coordinate.
-        effective: bulk effective sample size of each, of all chains together.
+        effective: bulk effective sample size of each coordinate, for all chains together.
         divergent: whether each trajectory after warm-up diverged.
         leapfrog_steps: number of leapfrog steps of each trajectory.
-        acceptance: acceptance rate of each.
+        acceptance: acceptance rate of each trajectory.
         log_density: at each draw, up to the evidence.
-        step_size: of each chain after warm-up, in whitened coordinates.
+        step_size: step size of each chain after warm-up, in whitened coordinates.
         warm_up_steps: number of leapfrog steps of all chains in warm-up.
     """
 
@@ -148,7 +146,7 @@ def sample_window(key: Key, target: Trajectory, paths: State, whitening: Whiteni
     Args:
         key: random key.
         target: the joint density of the window.
-        paths: whole states of smoothed paths through the window (path, frame, ...). Each chain starts from another one.
+        paths: whole states of smoothed paths through the window (path, frame, ...). Each chain starts from a different path.
         whitening: coordinates for the chains; by default those fitted to the paths.
         options: those of `Options`.
 

@@ -24,7 +24,7 @@ RANK = 20
 
 
 class NutsSchedule(NamedTuple):
-    """The settings of chains: numbers of transitions of warm-up and after it, the metric that warm-up estimates, the acceptance rate it aims at."""
+    """The settings of chains: numbers of transitions in warm-up and after it, and the metric and the acceptance rate to which warm-up adapts."""
 
     warm_up: int
     draws: int
@@ -39,7 +39,7 @@ class _Centre(NamedTuple):
 
 
 class _WarmUp(NamedTuple):
-    """What is kept of a step of warm-up: the position, the number of leapfrog steps, and what blackjax itself reads."""
+    """The values kept from a step of warm-up: the position, the number of leapfrog steps, and the part that blackjax itself reads."""
 
     position: Array
     steps: Int[Array, ""]
@@ -52,10 +52,10 @@ class NutsChains(NamedTuple):
     Attributes:
         draws: the draws.
         divergent: whether each trajectory after warm-up diverged.
-        steps: number of leapfrog steps of each.
-        acceptance: acceptance rate of each.
+        steps: number of leapfrog steps of each trajectory.
+        acceptance: acceptance rate of each trajectory.
         log_density: at each draw.
-        step_size: after warm-up.
+        step_size: step size after warm-up.
         warm_up_steps: number of leapfrog steps of the whole warm-up.
     """
 
@@ -71,7 +71,7 @@ class NutsChains(NamedTuple):
 def run_nuts(
     key: Key, starts: Float[Array, "chain entry"], log_density: Callable[[Any, Array], Scalar], shared: Any, schedule: NutsSchedule
 ) -> NutsChains:
-    """Run chains side by side; each adapts by itself.
+    """Run chains in parallel; each adapts by itself.
 
     Args:
         key: random key.

@@ -5,8 +5,8 @@ does not estimate the evidence, which is reported as NaN.
 
 A frame has layers $r = R \ldots 1$. At each layer, particles are resampled, crossed over, moved by the prior's noise with its standard deviation
 multiplied by $\tau^{R-r}$ (Darby et al. 2008, (10)), and weighted by $w^{\beta_r}$. Bisection finds the $\beta_r$ at which the survival rate
-$1 / (N \sum_n \pi_n^2)$ is $\tau$. The noise of the layers is a proposal that no weight corrects. This makes the filter a mode seeker.
-A motion prior may have a proposal of its own for the layers (`Transition.explore`).
+$1 / (N \sum_n \pi_n^2)$ is $\tau$. The noise of the layers is a proposal that no weight corrects. This makes the filter a mode seeker. A motion prior
+may have its own proposal for the layers (`Transition.explore`).
 
 Crossover: a particle takes an interval of its parameters (a piece of a chain of joints, or of the list of parts) from a second parent, which is drawn
 by weight.
@@ -115,7 +115,7 @@ def build_kernel(layers: int = 5, survival_rate: float = 0.5, crossover_rate: fl
 
 
 def _move_and_weigh(particle: tuple[Key, State, State], shared: tuple[Density, Index, Scalar]) -> Weighed:
-    """Return the moved particle with the terms of its weight. The first layer draws from the motion prior; the others add its shrunken noise."""
+    """Return the moved particle with the terms of its weight. The first layer draws from the motion prior; the others add its noise, scaled down."""
     key, parent, previous = particle
     density, index, scale = shared
     transition = density.transition
@@ -136,7 +136,7 @@ def _cross_over(key: Key, parents: State, before: _Layer, resample: Resample, ra
     takes_part = jax.random.uniform(share_key, second.shape) < rate
 
     def cross(name: str, first: Array, partner: Array) -> Array:
-        # The interval is one of blocks, so that a rotation is taken as a whole.
+        # The interval consists of whole blocks, so that a rotation is not split.
         blocks = np.asarray(transition.space(name, first.shape[1:]).blocks)
         ends = jnp.sort(jax.random.randint(keys[name], (first.shape[0], 2), 0, blocks.max() + 2), axis=1)
         swapped = (blocks >= ends[:, :1]) & (blocks < ends[:, 1:]) & takes_part[:, None]

@@ -5,16 +5,16 @@ For a smooth density π without walls, the slope $s = \nabla \log \pi$ has known
 $$E[s] = 0, \qquad E[s\, (u - \mu)^T] = -I.$$
 
 Where the draws give other values, their moments are wrong too, and the slopes tell by how much (zero-variance control variates: Assaraf & Caffarel
-1999; Mira, Solgi & Imparato 2013). Take coordinates z in which the draws have mean 0 and covariance I, and in which the covariance of what a linear
-fit of s to z leaves over is diagonal, with entries $\epsilon_j$. In these coordinates the mean is estimated as $\Lambda^{-1} m$ and the covariance
-as $\Lambda^{-1}$, with
+1999; Mira, Solgi & Imparato 2013). Take coordinates z in which the draws have mean 0 and covariance I, and in which the residuals of a linear fit of
+s to z have a diagonal covariance, with entries $\epsilon_j$. In these coordinates the mean is estimated as $\Lambda^{-1} m$ and the covariance as
+$\Lambda^{-1}$, with
 
 $$m_j = \frac{\bar s_j}{1 + \epsilon_j}, \qquad
 \Lambda_{jk} = \delta_{jk} - a_{jk} H_{jk} - a_{kj} H_{kj}, \quad H = \overline{s z^T} + I, \quad
 a_{jk} = \frac{1 / \epsilon_j}{1 + 1 / \epsilon_j + 1 / \epsilon_k}.$$
 
-The factors give the least variance if z is Gaussian and independent of what is left over. Of a Gaussian nothing is left over, and both moments are
-exact, whatever the draws. In a direction in which the likelihood says nothing, they are those of the prior. Without the correction, a filter's mean
+The factors give the least variance if z is Gaussian and independent of the residuals. If π is Gaussian, there are no residuals, and both moments are
+exact for any draws. In a direction in which the likelihood says nothing, they are the moments of the prior. Without the correction, a filter's mean
 would take a random step in such a direction in every frame.
 """
 
@@ -29,7 +29,7 @@ from bayes_body.kernels.weights import LogWeights
 
 # Limits of the factor by which a variance is corrected.
 FACTORS = (0.25, 4.0)
-# What is added to the variances so that float32 finds a root of the covariance, relative.
+# Added to the variances, relative, so that the covariance has a root in float32.
 FLOOR = 1e-5
 
 
@@ -84,7 +84,7 @@ def with_moments(draws: Float[Array, "draw dof"], log_weights: LogWeights, wante
 def noise_beside(key: Key, draws: Float[Array, "draw dof"], log_weights: LogWeights, size: int) -> Float[Array, "draw {size}"]:
     """Return standard normal noise whose weighted mean is 0, whose covariance is I, and which is not correlated with the draws.
 
-    Independent noise would move the mean by chance. Where no image pulls back what the noise is for, such as a velocity, these steps would add
+    Independent noise would move the mean by chance. The noise is for variables that no image pulls back, such as velocities, so these steps would add
     up over the frames. With too few draws for these moments, the noise is independent.
 
     Args:

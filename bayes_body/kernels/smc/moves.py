@@ -28,7 +28,7 @@ type MoveName = Literal["hmc", "random_walk"]
 # The log-density, and those of its terms that are tempered.
 type Target = Callable[[Position], tuple[Scalar, LogTerms]]
 
-# On a nearly Gaussian target, trajectories of constant length would return to their starts.
+# Limits of the step size's random factor. On a nearly Gaussian target, trajectories of constant length would return to their starts.
 JITTER = (0.6, 1.4)
 
 
@@ -51,7 +51,7 @@ def check_gradients(density: Density, what: str, alternative: str = "") -> None:
 class Moved(NamedTuple):
     """The end of a move, the tempered terms and the slope of the log-density there, and the acceptance rate of the move.
 
-    A random walk knows no slope; it is NaN.
+    A random walk does not compute the slope; it is NaN.
     """
 
     position: Position
@@ -162,7 +162,7 @@ def _kinetic(momentum: Position) -> Scalar:
 class ExtendedParticle(NamedTuple):
     """A point of the extended view: its ancestor, its unconstrained coordinates, and the tempered terms there.
 
-    The slope is the gradient of the log-density for which the particle was moved last.
+    The slope is the gradient of the log-density that was the target of the last move.
     """
 
     ancestor: Index

@@ -63,7 +63,7 @@ def build_kernel(resampling: Scheme = "systematic") -> Kernel:
 
 
 def _markov_move(options: Options) -> Any:
-    # It is made of this kernel's parts, so it is imported when it is asked for.
+    # The move is built from this kernel's parts, so it is imported only when needed.
     from bayes_body.kernels.markov_moves import move_of_sir
 
     return move_of_sir(options)

@@ -8,17 +8,17 @@ $$\pi_\beta(i, s_t) \propto w_i\, p(s_t \mid s^i_{t-1})\, C(s_t)\, L(s_t; z_t)^\
 
 Constraints apply at full power in all stages. If the prior has potentials ψ, such as the joints of a loose-limbed body, a first ladder leads from
 $\alpha = 0$ to 1 in $\psi^\alpha$, with $\beta = 0$; without it, few independent draws would survive. The evidence is that of the second ladder,
-$\log Z(1, 1) - \log Z(1, 0)$. A stage resamples, moves each particle by a Markov kernel that leaves
-$\pi_\beta$ invariant, and reweights to the next temperature. That is the highest β at which the effective sample size is at least the fraction
-`target_ess` of the particles. A move redraws the ancestor, and then the state by HMC or a random walk. The state moves in unconstrained coordinates,
-whitened for each variable by the covariance of the weighted particles. The step size is adapted from stage to stage by the acceptance rate.
+$\log Z(1, 1) - \log Z(1, 0)$. A stage resamples, moves each particle by a Markov kernel that leaves $\pi_\beta$ invariant, and reweights to the next
+β. This is the highest β at which the effective sample size is at least the fraction `target_ess` of the particles. A move redraws the ancestor, and
+then the state by HMC or a random walk. The state moves in unconstrained coordinates, whitened for each variable by the covariance of the weighted
+particles. The step size is adapted from stage to stage by the acceptance rate.
 
 With `prediction = "gaussian"`, the mixture of the particles' transitions is replaced by one Gaussian (density/gaussian_view.py). Then no particle has
-an ancestor, and the moves by HMC at the posterior itself give slopes, by which the moments of the particles are corrected
-(smc/moment_correction.py). Independent runs then agree even about dofs that the images hardly determine (docs/decisions).
+an ancestor. The moves by HMC at the posterior itself give slopes, which correct the moments of the particles (smc/moment_correction.py). Independent
+runs then agree even about dofs that the images hardly determine (docs/decisions).
 
 The particles are a weighted sample of the posterior. `waste_free` keeps every state of the moves' chains (Dau & Chopin 2022). Temperatures and step
-sizes that depend on the particles bias the evidence by O(1/N). With those of a pilot run, `frozen_at`, it is unbiased.
+sizes that depend on the particles bias the evidence by O(1/N). With the temperatures and step sizes of a pilot run, `frozen_at`, it is unbiased.
 """
 
 from collections.abc import Callable
@@ -67,8 +67,8 @@ class Options(Schema):
 
     A stage makes `moves` Markov moves. `final_stages` more stages follow at the posterior itself; they keep the particles' weights. With
     `prediction = "particles"`, a move chooses its ancestor among `candidates`, including the current one. With "gaussian" and moves by HMC,
-    `correct_moments` moves the particles to moments that are computed from the draws and slopes of all final stages; `waste_free` does without. The
-    last of `most_stages` goes to the posterior, even if few particles survive.
+    `correct_moments` moves the particles to moments that are computed from the draws and slopes of all final stages; with `waste_free` it has no
+    effect. The last of `most_stages` goes to the posterior, even if few particles survive.
     """
 
     particles: Count = 1000
@@ -122,7 +122,7 @@ def build_kernel(frozen_at: Ladder | None = None, **options: Any) -> Kernel:
 
 
 def build_ladder_kernel(frozen_at: Ladder | None = None, **options: Any) -> LadderKernel:
-    """Return a kernel as `build_kernel` does, which also returns the ladder of temperatures that it used."""
+    """Return a kernel like that of `build_kernel`, which also returns the ladder of temperatures that it used."""
     checked = validate(Options, options, "tempered()")
     return _Sampler(checked, frozen_at).frame
 
@@ -147,7 +147,7 @@ class _Sampler:
             problem, expected = f"{count} particles with chains of {self.options.moves} moves", f"a multiple of {self.options.moves + 1} particles"
             raise input_error("tempered(waste_free=true)", problem, expected, "change the particles or the moves")
         start, predicted, lost, view = self._begin(start_key, density.with_previous(particles))
-        # In the loop, the first step shares the program of the stages. With waste-free moves it has other shapes.
+        # In the loop, the first step shares the program of the stages. With waste-free moves its shapes differ, so it comes before the loop.
         first = self._step(jax.random.fold_in(stages_key, 0), start, _still, count) if self.options.waste_free else start
 
         def unfinished(state: TemperedState) -> Array:
@@ -162,7 +162,7 @@ class _Sampler:
     # -- stages -------------------------------------------------------------------------------------------------------------------------
 
     def _begin(self, key: Key, density: Density) -> tuple[TemperedState, Particles, Flag, View]:
-        """Return the constrained prediction, the prediction, and whether no particle explains the frame."""
+        """Return the constrained prediction, the prediction, whether no particle explains the frame, and the view."""
         ancestor_key, draw_key = jax.random.split(key)
         ancestors = self.resample(ancestor_key, density.previous.log_weights)
         if self.options.prediction == "gaussian":
@@ -307,7 +307,7 @@ def _still(keys: Keys, parents: ExtendedParticle) -> tuple[ExtendedParticle, tup
 
 
 def _markov_move(options: Options) -> Any:
-    # It is made of this kernel's parts, so it is imported when it is asked for.
+    # The move is built from this kernel's parts, so it is imported only when needed.
     from bayes_body.kernels.markov_moves import move_of_tempered
 
     return move_of_tempered(options)

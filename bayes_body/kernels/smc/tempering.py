@@ -1,10 +1,9 @@
-r"""A stage of tempered SMC: its state, the Feynman-Kac step through blackjax, and what the stages at the posterior are kept for.
+r"""The stages of tempered SMC: their powers, their state, the Feynman-Kac step through blackjax, and the correction of moments at the end.
+
+The powers are those of the prior's potentials, $\alpha$, and of the likelihood, $\beta$. First $\alpha$ goes from 0 to 1, then $\beta$. The ladder
+records the powers of all stages.
 
 blackjax declares no types for these functions, so they are cast once, here.
-
-The ladder of tempered SMC: the powers of its stages, and how the next powers are found.
-
-The powers are those of the prior's potentials, $\alpha$, and of the likelihood, $\beta$. First $\alpha$ goes from 0 to 1, then $\beta$.
 """
 
 from collections.abc import Callable
@@ -34,14 +33,14 @@ class Ladder(NamedTuple):
     whitening: dict[str, Float[Array, "stage dof dof"]]
 
     def with_powers(self, stage: Index, powers: LogTerms) -> "Ladder":
-        """Return the ladder with the powers that a stage reached entered."""
+        """Return the ladder with the powers that a stage reached added to it."""
         return self._replace(
             inverse_temperatures=self.inverse_temperatures.at[stage].set(powers.likelihood),
             potential_powers=self.potential_powers.at[stage].set(powers.potential),
         )
 
     def with_moves(self, stage: Index, log_step_size: Scalar, whitening: dict[str, Float[Array, "dof dof"]]) -> "Ladder":
-        """Return the ladder with the moves of a stage entered."""
+        """Return the ladder with the settings of a stage's moves added to it."""
         roots = {name: self.whitening[name].at[stage].set(root) for name, root in whitening.items()}
         return self._replace(log_step_sizes=self.log_step_sizes.at[stage].set(log_step_size), whitening=roots)
 
@@ -51,7 +50,7 @@ class Ladder(NamedTuple):
 
 
 def increment(terms: LogTerms, powers: LogTerms, target_ess: float, is_last: Flag) -> LogTerms:
-    """Return the step of both powers: of the potentials' until it is 1, then of the likelihood's. The last stage goes to 1 in both.
+    """Return the step of both powers. First the potentials' power rises to 1, then the likelihood's. The last stage takes both to 1.
 
     Args:
         terms: the particles' terms, with a leading particle axis.
@@ -68,9 +67,9 @@ def increment(terms: LogTerms, powers: LogTerms, target_ess: float, is_last: Fla
 
 
 def potentials_share(step: LogTerms, terms: LogTerms) -> Scalar:
-    """Return the share of a stage's evidence that belongs to the potentials: all of it on the first rung, none on the second.
+    """Return the share of a stage's evidence that belongs to the potentials: all of it while their power rises, none afterwards.
 
-    If too few stages are left, the last one climbs the rest of both rungs at once, and only the likelihood's share is evidence.
+    If too few stages are left, the last one takes both powers to 1 at once, and only the likelihood's share is evidence.
     """
     share = normalise(step.potential * terms.potential).log_sum - jnp.log(terms.potential.shape[0])
     return jnp.where(step.potential > 0, share, 0.0)
@@ -97,7 +96,7 @@ def _bisect(dichotomy: Callable[..., Any]) -> Callable[..., Array]:
 
 # The log of a likelihood of zero, as stored for particles. It is finite, so that differences between particles are not NaN.
 LOG_ZERO = -1e30
-# The share of the last proposals behind a wall up to which the moments are corrected. Stein's identity does not hold at a wall.
+# The moments are corrected if at most this share of the last proposals was behind a wall. Stein's identity does not hold at a wall.
 MOST_IMPOSSIBLE = 0.01
 
 
@@ -107,13 +106,13 @@ def finite_log(log_likelihood: Array) -> Array:
 
 
 class Finals(NamedTuple):
-    """Positions and slopes, as vectors."""
+    """Positions and slopes after the stages at the posterior, as vectors."""
 
     positions: Float[Array, "stage particle dof"]
     slopes: Float[Array, "stage particle dof"]
 
     def with_stage(self, number: Index, at_top: Flag, particles: ExtendedParticle) -> "Finals":
-        """Return them with those of stage `number` at the posterior, if a stage is one; unchanged if none are kept."""
+        """Return the positions and slopes with those of final stage `number` added, if `at_top`; unchanged if none are kept."""
         if not self.positions.shape[0]:
             return self
         final = Finals(jax.vmap(joined)(particles.position), jax.vmap(joined)(particles.slope))
@@ -171,7 +170,7 @@ def init_state(
 
 
 def corrected_positions(last: TemperedState) -> dict[str, Array]:
-    """Return the positions of the particles, with moments corrected by the slopes of the final stages if these are kept and no wall is near."""
+    """Return the positions of the particles, with moments corrected by the slopes of the final stages if these are kept and no wall is close."""
     position, stages = last.particles.position, last.finals.positions.shape[0]
     if not stages:
         return position
