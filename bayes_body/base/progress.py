@@ -1,9 +1,7 @@
-"""Progress on standard error: a bar on a terminal or in a notebook; elsewhere lines, for a log (base/progress.py).
+"""Progress on standard error: a bar on a terminal or in a notebook; elsewhere lines, for a log.
 
-Progress for a log file: lines on standard error, where a terminal would show a bar.
-
-Work says a line when it begins, if it may take long before anything can be counted; then one after every 5 %, but no two within ten seconds. After a
-minute without a line comes one all the same, so that a log tells slow work from work that hangs.
+In a log, work prints a line when it begins, if it may take long before anything can be counted; then one after every 5 %, but no two within ten
+seconds. After a minute without a line, one is printed in any case, so that a log tells slow work from work that hangs.
 """
 
 import sys

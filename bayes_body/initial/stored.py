@@ -17,7 +17,7 @@ DIGITS = 5
 
 
 def stored(model: Model, estimate: FirstPose) -> dict[str, Any]:
-    """Return the pose by dof (radians and metres), the equally likely ones by draw, and the fitted lengths and outline, as a table."""
+    """Return a table of the pose by dof (radians and metres), the equally likely poses by draw, and the fitted lengths and outline."""
     pose = dict(zip(model.body.dof_names, np.asarray(estimate.pose, float).tolist(), strict=True))
     radii = {part: list(ends) for part, ends in estimate.outline_radii_m.items()}
     draws = {} if estimate.draws is None else {"draws": np.asarray(estimate.draws, float).round(DIGITS).tolist()}

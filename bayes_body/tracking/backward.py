@@ -1,11 +1,11 @@
-r"""Walk back through the frames of one filter run, and yield one frame of all paths after the other (kernels/paths/smoother.py).
+r"""Walk back through the frames of one filter run, and yield all paths frame by frame (kernels/paths/smoother.py).
 
 The last frame comes first. A first walk, which reads no images, lays the paths. A second walk follows some frames behind and moves each state given
-the frames before and after it. Memory holds a few frames, whatever their number. To continue, the first walk is repeated, since it is fast; the
-second one goes on from the stored frames.
+the frames before and after it. Memory holds a few frames, however many there are in all. A run that continues repeats the first walk, which is fast;
+its second walk goes on from the stored frames.
 
-Where the transition's memory has no bound, as with a filter of activities that each particle carries along, paths follow the filter's ancestors and
-are not moved. That is exact too, but few paths are distinct.
+If the transition's memory has no bound, as with a filter of activities that each particle carries along, paths follow the filter's ancestors and are
+not moved. That is exact too, but few paths are distinct.
 """
 
 from collections.abc import Callable, Iterator
@@ -23,7 +23,7 @@ from bayes_body.kernels.paths.ensemble import LinearPrediction
 from bayes_body.kernels.paths.smoother import OnParticles, Smoother
 from bayes_body.tracking.backward_steps import BackwardSteps
 
-# Folded into a key for the second walk, so that it has other random numbers than the first.
+# Folded into the key of the second walk, so that its random numbers differ from those of the first.
 MOVES = 1
 
 
@@ -32,9 +32,9 @@ class Filtered(NamedTuple):
 
     Attributes:
         particles: its particles.
-        ancestors: the index of each one's ancestor among the particles of the frame before.
+        ancestors: the index of each particle's ancestor among the particles of the frame before.
         begins: whether no transition leads here from a stored frame: the first frame, or the first after a loss.
-        fixed: whether states are not moved here, such as in a frame that no particle explained.
+        fixed: whether the states stay as they are, as in a frame that no particle explained.
     """
 
     particles: Particles
@@ -49,10 +49,10 @@ class PathFrame(NamedTuple):
     Attributes:
         frame: its number.
         states: whole states (path, ...).
-        begins: whether the paths begin here, so that the frame before belongs to others.
+        begins: whether the paths begin here, so that the frame before belongs to other paths.
         acceptance_rate: of the moves; NaN without moves.
         log_step_size: logarithm of the step size for the frame before.
-        prediction: the linear prediction of the frames after it, if the paths were laid by one.
+        prediction: the linear prediction of the frames after it, if the first walk used one.
     """
 
     frame: int
@@ -64,7 +64,7 @@ class PathFrame(NamedTuple):
 
 
 class _Laid(NamedTuple):
-    """How far the first walk is: a frame, the paths' states there, their indices in the frame before, and the frames ahead."""
+    """The position of the first walk: a frame, the paths' states in it, the indices of their ancestors in the frame before, and the frames ahead."""
 
     frame: int
     states: State
@@ -79,7 +79,7 @@ class Backward:
     """Paths through the frames of one filter run.
 
     Args:
-        smoother: chooses and moves.
+        smoother: chooses and moves the states.
         transition: the motion prior.
         filtered: frame number -> that frame of the filter.
         density: (frame number, particles of the frame before) -> the density of the frame; its data matter only if states are moved or a factor reads
@@ -89,17 +89,17 @@ class Backward:
     def __init__(self, smoother: Smoother, transition: Transition, filtered: Callable[[int], Filtered], density: Callable[[int, Particles], Density]):
         self.smoother, self.filtered, self.density, self.memory = smoother, filtered, density, transition.frames_read
         self.steps = BackwardSteps(smoother, transition)
-        # What a state carries is known when the frames before it are.
+        # What a state carries is known only when this many frames before it are known.
         self.delay = 0 if self.memory is None else self.memory - 1
 
     def follow(self, key: Key, count: int, stored: Callable[[int], PathFrame] | None = None, first: int | None = None) -> Iterator[PathFrame]:
         """Yield the frames of the paths, the last one first.
 
         Args:
-            key: random key; each frame folds its own from it.
+            key: random key; the frame's number is folded into it.
             count: number of frames of the filter.
             stored: frame number -> a frame that was yielded before.
-            first: the lowest number of a stored frame, after which to continue; None to begin at the last frame.
+            first: the lowest number of a stored frame, from which to continue; None to begin at the last frame.
         """
         laid = self._final(self._lay(key, count))
         if not self.smoother.options.moves or self.memory is None:
@@ -107,7 +107,7 @@ class Backward:
         return self._final(self._move(jax.random.fold_in(key, MOVES), laid, stored, count if first is None else first))
 
     def _final(self, frames: Iterator[PathFrame]) -> Iterator[PathFrame]:
-        """Yield each frame as soon as what its states carry follows from the frames before it."""
+        """Yield each frame as soon as the frames before it determine what its states carry."""
         later: list[PathFrame] = []
         for current in frames:
             later = [current, *later]
@@ -126,7 +126,7 @@ class Backward:
             yield PathFrame(frame, after.states, after.begins, unknown, unknown, after.prediction)
 
     def _step_back(self, key: Key, frame: int, filtered: Filtered, after: _Laid | None) -> _Laid:
-        """Return the paths at a frame, given how they go on."""
+        """Return the paths at a frame, given their later frames."""
         begin_key, step_key = jax.random.split(key)
         particles, prediction = filtered.particles, None
         if after is None or after.begins:
@@ -141,7 +141,7 @@ class Backward:
                 density = self.density(frame + 1, particles)
                 paths = OnParticles(after.ancestors, self.steps.sampled(after.states), after.ahead)
                 linked = density if density.reads_previous else None
-                # Without a frame ahead the link does not count; with one of the same form the program is the same.
+                # Without a frame ahead, this link has no effect; a density of the same form lets the same program run.
                 index = self.steps.choose(step_key, paths, density, linked if after.density is None else after.density)
                 states = self.steps.at(particles, index)
                 return _Laid(frame, states, self.steps.ancestors_at(filtered.ancestors, index), ahead, linked, filtered.begins)
@@ -166,7 +166,7 @@ class Backward:
                 moved, after = self._frame(jax.random.fold_in(key, current.frame), current, before, ahead, after, step_size)
                 yield moved
             step_size, sampled = moved.log_step_size, self.steps.sampled(moved.states)
-            # After a gap the paths are others.
+            # The frame before the beginning of these paths belongs to other paths.
             ahead = None if current.begins else self.steps.pushed(self.steps.none_ahead(sampled) if ahead is None else ahead, sampled)
             after = None if current.begins else after
             current = before
@@ -183,13 +183,13 @@ class Backward:
     ) -> tuple[PathFrame, Density | None]:
         """Return one frame with its states moved, and its density if the frame before needs it."""
         filtered = self.filtered(path_frame.frame)
-        # At the beginning of paths, what a state carries comes from a particle, and is not that of the path.
+        # Near the beginning of the paths, what a state carries comes from a particle, not from the path.
         early = any(self.filtered(path_frame.frame - k).begins for k in range(1, self.delay + 1) if path_frame.frame >= k)
         if path_frame.begins or before is None or filtered.fixed or early:
             return path_frame._replace(log_step_size=step_size), None
         previous, sampled = self.filtered(path_frame.frame - 1).particles, self.steps.sampled(path_frame.states)
         density = self.density(path_frame.frame, previous)
-        # Without a frame ahead the link does not count; with one of the same form the program is the same.
+        # Without a frame ahead, this link has no effect; a density of the same form lets the same program run.
         linked = (density if ahead is None else after) if density.reads_previous else None
         neighbours = (before.states, self.steps.none_ahead(sampled) if ahead is None else ahead)
         predict_key, move_key = jax.random.split(key)

@@ -1,6 +1,6 @@
-"""The compiled steps of a walk back through the frames of a filter: each is compiled once for all frames.
+"""The compiled steps of a walk back through the frames of a filter, and the filter's frames as the walk reads them.
 
-The frames of a filter as a smoother reads them: from a last one back, each several times while the walks are near.
+Each step is compiled once for all frames. The frames are read backwards, each several times while the walks are near it.
 """
 
 from collections.abc import Callable, Iterator
@@ -42,7 +42,7 @@ class BackwardSteps:
 
     @cached_property
     def choose(self) -> Callable[..., Int[Array, " path"]]:
-        """Redraw these particles (`Smoother.choose`)."""
+        """Redraw the particles of the paths (`Smoother.choose`)."""
         return _compiled(self.smoother.choose)
 
     @cached_property
@@ -67,13 +67,13 @@ class BackwardSteps:
 
     @cached_property
     def none_ahead(self) -> Callable[[State], Ahead]:
-        """Return the frames ahead of the last frame of paths."""
+        """Return the frames ahead for the last frame of paths: none."""
         memory = self.memory or 0
         return _compiled(jax.vmap(lambda sampled: nothing_ahead(sampled, memory)))
 
     @cached_property
     def pushed(self) -> Callable[[Ahead, State], Ahead]:
-        """Return the frames ahead of the frame before, given the sampled variables of a frame."""
+        """Put the sampled variables of a frame in front of the frames ahead."""
         return _compiled(jax.vmap(lambda ahead, sampled: ahead.pushed(sampled)))
 
     @cached_property
@@ -83,7 +83,7 @@ class BackwardSteps:
 
     @cached_property
     def carried(self) -> Callable[[State, State], State]:
-        """Return whole states with what they carry from other states of the frame before."""
+        """Return whole states in which the parts that are carried along follow from the given states of the frame before."""
         return _compiled(jax.vmap(lambda before, state: self.transition.state(before, sampled_of(self.transition, state))))
 
     @cached_property
@@ -107,7 +107,7 @@ class BackwardSteps:
 
     @cached_property
     def move(self) -> Callable[..., Moved]:
-        """Return the states after the moves of a frame (`Smoother.moved`), in coordinates that a linear prediction from it whitens."""
+        """Move the states of a frame (`Smoother.moved`), in coordinates that are whitened by a linear prediction from it."""
 
         def moved(
             key: Key,
@@ -126,7 +126,7 @@ class BackwardSteps:
 
 
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function whose results are placed as its arguments are: a result that is an argument later must not need another program."""
+    """Return the compiled function. Its results are placed like its arguments, so that a result can be an argument later without another program."""
     return jax.jit(function, out_shardings=whole())
 
 
@@ -135,9 +135,9 @@ def _coordinates(transition: Transition, particles: Particles) -> Chart:
     return Density(transition, (), {}, particles).coordinates()
 
 
-# Frames whose data are held for the runs that are behind.
+# Number of frames whose data are held for the runs that are behind.
 HELD = 8
-# Frames of the filter that are held: those near the walks, and those whose images are read ahead.
+# Number of frames of the filter that are held: those near the walks, and those whose images are read ahead.
 NEAR = HELD + 2 * PIECE
 
 
@@ -160,7 +160,7 @@ class Begun:
 
 
 class Near:
-    """The frames of a filter, of which the last ones that were asked for are held."""
+    """The frames of a filter. The frames that were read last stay in memory."""
 
     def __init__(self, frames: Frames):
         self._frames, self._held = frames, lru_cache(NEAR)(frames.__getitem__)

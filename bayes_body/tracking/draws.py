@@ -23,9 +23,9 @@ class FrameResult:
         info: the kernel's diagnostics, each field with a leading axis (run,).
         seen: whether each camera saw the frame.
         seconds: wall-clock time of the frame, all runs together, without `seconds_ready`.
-        seconds_ready: time before it until the program was compiled; 0 except for the first frame of a process.
-        restarted: whether each run was lost before and started anew at this frame; empty where no run was.
-        figures: figures of all particles, if only some of them are here (`posterior.thinning`); else empty.
+        seconds_ready: time before the frame until the program was compiled; 0 except for the first frame of a process.
+        restarted: whether each run was lost before and started anew at this frame; empty if no run did.
+        figures: figures of all particles, if only some of them are stored (`posterior.thinning`); else empty.
     """
 
     states: dict[str, NDArray[Any]]
@@ -91,10 +91,10 @@ class Draws:
         timing: seconds, over all processes that worked on these frames.
         cameras: the cameras' names.
         kernel: the kernel's name; empty if it has none.
-        warnings: what `bayes_body.track` says about the result: the sentences that the command line prints at its end.
+        warnings: the remarks of `bayes_body.track` on the result, which the command line prints at its end.
         first_frame: number of the first frame in the recording (`Session.frame_number`).
         smoothed: whether a draw is a path of a smoother.
-        declared_sample: whether the kernel declares that its particles are a sample of the posterior; None of a kernel without a name.
+        declared_sample: whether the kernel declares that its particles are a sample of the posterior; None for a kernel without a name.
     """
 
     model: Model
@@ -109,7 +109,7 @@ class Draws:
 
     @property
     def samples_posterior(self) -> bool:
-        """Whether the particles are a sample of the posterior. A kernel that does not say is taken for a mode seeker if it has no evidence."""
+        """Whether the particles are a sample of the posterior. A kernel that does not declare it counts as a mode seeker if it has no evidence."""
         if self.declared_sample is not None:
             return self.declared_sample
         return not all(np.isnan(np.asarray(frame.info.log_evidence, float)).all() for frame in self.frames)

@@ -10,7 +10,7 @@ from bayes_body.model.build import Model
 from bayes_body.recording.observation.frames import prefetch, read_frame
 from bayes_body.recording.session.session import Session
 
-# Frames that are read forwards before they are taken backwards: a video cannot be read backwards.
+# Number of frames that are read forwards and then yielded backwards: a video cannot be read backwards.
 PIECE = 8
 
 

@@ -2,8 +2,8 @@
 
 A run is lost if for FRAMES_OFF frames in a row its body is off the person, no particle explains the frame, or no camera sees it. After such a gap the
 particles are only a prediction, which may overlap the person and still be wrong by a step. At the next frame in which the person is found, they are
-replaced by the first poses that were found there. Which frames a run is off in follows from what is stored of them, and the search has its own seed.
-So a run that is continued restarts at the same frames, in the same way.
+replaced by the first poses that were found there. The stored frames determine in which frames a run is off, and the search has its own seed. A run
+that continues therefore restarts at the same frames, in the same way.
 """
 
 from typing import Protocol
@@ -20,7 +20,7 @@ from bayes_body.tracking.draws import FrameResult, FrameStore
 
 # A single bad silhouette is no loss.
 FRAMES_OFF = 3
-# Folded into a run's key before the frame's number, so that a restart has other random numbers than the frame.
+# Folded into a run's key before the frame's number, so that the random numbers of a restart differ from those of the frame.
 AGAIN = 2**32 - 2
 
 
@@ -28,13 +28,13 @@ class Recovery(Protocol):
     """Says where the body is off the person, and finds the person again."""
 
     def off(self, result: FrameResult, frame: int) -> Bool[np.ndarray, " run"]:
-        """Return whether each run's body is off the person in a frame. A frame that does not show the person says nothing: False."""
+        """Return whether each run's body is off the person in a frame; False if the frame does not show the person."""
         ...
 
     def found(self, frame: int, is_first: bool) -> Model | None:
-        """Return the model that starts at the person of a frame; None if nobody was found.
+        """Return the model that starts from the person found in a frame; None if nobody was found.
 
-        `is_first` says that a run is lost since the frame before, so that nobody was looked for earlier.
+        `is_first` says that a run has been lost only since the frame before, so that there was no earlier search.
         """
         ...
 
@@ -55,7 +55,7 @@ class Restarts:
         self.frames_off = np.where(self.recovery.off(result, frame) | np.asarray(result.info.lost, bool), before + 1, 0)
 
     def restart(self, frame: int, filters: list[Particles], keys: list[Key]) -> Bool[np.ndarray, " run"]:
-        """Replace the particles of lost runs by those of the person of a frame, if one is found; return whether each run was restarted."""
+        """Replace the particles of lost runs by poses of the person found in a frame, if any; return whether each run was restarted."""
         lost = self.frames_off >= FRAMES_OFF
         model = self.recovery.found(frame, bool((self.frames_off == FRAMES_OFF).any())) if lost.any() else None
         if model is None:

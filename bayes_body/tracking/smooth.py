@@ -1,7 +1,7 @@
-"""Smooth a filtered session: paths through all frames, from the frames of its filters (tracking/backward.py).
+"""Smooth a filtered session: draw paths through all frames, from the frames of its filters (tracking/backward.py).
 
-The last frame is computed first, and stored first: the frames of a smoothed run are stored in this order (`LastFirst`). Each run of the filter gives
-its own paths. A lost frame is one without images: its states are not moved, and its neighbours decide. No path leads across a restart.
+The last frame is computed and stored first (`LastFirst`). Each run of the filter gives its own paths. A lost frame counts as a frame without images:
+its states follow from its neighbours and are not moved. No path leads across a restart.
 """
 
 import time
@@ -41,7 +41,7 @@ class SmoothProgress(NamedTuple):
 
 
 class LastFirst:
-    """Frames that are stored from the last to the first, in the order of time."""
+    """A view, in the order of time, of frames that are stored from the last to the first."""
 
     def __init__(self, stored: Frames):
         self._stored = stored
@@ -71,7 +71,7 @@ def smooth(
 
     Args:
         session: the recording.
-        model: the model with which it was filtered.
+        model: the model with which the session was filtered.
         smoother: from `kernels.smoother.build_smoother`.
         filtered: the frames of the filters.
         key: random key of all paths.
@@ -103,7 +103,7 @@ def smooth_window(session: Session, model: Model, smoother: Smoother, filtered: 
 
     Args:
         session: the recording.
-        model: the model with which it was filtered.
+        model: the model with which the session was filtered.
         smoother: from `kernels.smoother.build_smoother`.
         filtered: the frames of the filters.
         key: random key of all paths.
@@ -212,7 +212,7 @@ class _Walk:
 
 
 def _one_ahead[Item](items: Iterable[Item]) -> Iterator[Item]:
-    """Yield the items, each after the next one was asked for: the devices compute a frame while the one before it is stored."""
+    """Yield each item after asking for the next one, so that the devices compute a frame while the frame before it is stored."""
     buffer = list[Item]()
     for item in items:
         yield from buffer

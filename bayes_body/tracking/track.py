@@ -1,10 +1,10 @@
-"""Filter a session with a model and a kernel, frame by frame.
+"""Filter a session with a model and a kernel, frame by frame, and detect Markov chains that do not move.
 
 All frames and all runs use one compiled program, whose arguments are images, particles and keys. While the device works on a frame, the host prepares
 the data of the next one. Keys are folded by run and frame, so the randomness of a frame does not depend on how many frames came before it in this
 process. A filter that continues from stored frames therefore gives the same results, bit for bit.
 
-Detection of Markov chains that do not move. If no trajectory of a frame is accepted, all later frames would only repeat the chains' starts.
+If no trajectory of a frame is accepted, tracking stops with an error, since all later frames would only repeat the chains' starts.
 """
 
 import time
@@ -32,7 +32,7 @@ from bayes_body.tracking.observations import Observed, observations
 from bayes_body.tracking.program import Ahead, program_from
 from bayes_body.tracking.restarts import Recovery, Restarts
 
-# Chains with a lower mean acceptance do not move; the suggested step is smaller by this factor.
+# Chains with a lower mean acceptance do not move; the suggested step is smaller by the factor REDUCTION.
 LEAST_ACCEPTANCE, REDUCTION = 1e-3, 10.0
 # A step factor at which trajectories are stable on most posteriors.
 USUAL_STEP = 0.2
@@ -61,9 +61,9 @@ def raise_if_all_rejected(info: FilterInfo, frame: int) -> None:
     )
 
 
-# In place of a frame's number in the keys of the states before the first frame.
+# Takes the place of the frame's number in the keys of the states before the first frame.
 BEFORE = 2**32 - 1
-# Of a kernel that is a plain function.
+# Number of particles by default, for a kernel that is a plain function.
 PARTICLES = 1000
 
 
@@ -73,7 +73,7 @@ class Progress(NamedTuple):
     Attributes:
         frame: frames done.
         frames: frames in all.
-        seconds_per_frame: mean so far in this process, all runs together, compilation left out.
+        seconds_per_frame: mean so far in this process, all runs together, without compilation.
         ess: smallest effective sample size over the runs, particles.
         survival_rate: smallest final survival rate over the runs.
         lost: whether a run lost this frame.
@@ -108,7 +108,7 @@ def track(
         model: from `initial.load_model`, for this session.
         kernel: by default the model's own, `model.kernel()`.
         particles: number of particles per run; by default the kernel's option `particles`, or 1000 if it has no options.
-        runs: independent filters; ArviZ's chains.
+        runs: number of independent filters, which ArviZ calls chains.
         frames: number of frames to track, from the first; all by default. `recording.excerpt` makes a session that begins later.
         on_frame: called after each frame is stored.
         into: the store of the frames, such as `storage.FrameFiles`; a list by default. Frames that it already holds are not computed again: the
@@ -182,7 +182,7 @@ def _filter(
 ) -> Iterator[FrameResult]:
     """Yield the results of all runs for each frame from `first` on. Only the particles of the last frame stay in memory.
 
-    In the recording, frame 0 has this number.
+    `number` is the number of frame 0 in the recording.
     """
     last = time.perf_counter()
     run_keys = [everywhere(jax.random.fold_in(key, run)) for run in range(len(filters))]
@@ -234,7 +234,7 @@ def _progress(result: FrameResult, frame: int, frames: int, seconds: float) -> P
 
 
 def _final(by_layer: Array | np.ndarray) -> np.ndarray:
-    """Return the value at the last layer of each run. A kernel that chooses the number of layers leaves the others NaN."""
+    """Return the value at the last layer of each run. A kernel that chooses the number of layers leaves NaN in unused ones."""
     values = np.asarray(by_layer)
     reached = np.isfinite(values).sum(axis=-1)
     return values[np.arange(len(values)), np.maximum(reached, 1) - 1]

@@ -1,8 +1,8 @@
 """The joint posterior of a window of frames of a filtered session, by NUTS (kernels/paths/window.py).
 
-The filter's particles in the frame before the window are its prior. The chains start from the smoother's paths, and move in coordinates fitted to
-them. Both know the images up to the end of the window and no later ones: so the paths and the draws have the same distribution. The runs of a filter
-count together, as one sample.
+The filter's particles in the frame before the window give the prior. The chains start from the smoother's paths, and move in coordinates fitted to
+these paths. Paths and chains both use the images up to the end of the window and no later ones, so the paths and the draws have the same
+distribution. The runs of a filter count together, as one sample.
 """
 
 import time
@@ -66,14 +66,14 @@ def window_posterior(
 
     Args:
         session: the recording.
-        model: the model with which it was filtered.
-        filtered: the frames of the filters, of a kernel that samples the posterior.
+        model: the model with which the session was filtered.
+        filtered: the frames of the filters; their kernel must sample the posterior.
         frames: the frames, counted from 0.
         key: random key.
-        prior: of the first frame. `gaussian`: one Gaussian with the moments of the filter's prediction, as in a filter with
+        prior: the prior of the first frame. `gaussian`: one Gaussian with the moments of the filter's prediction, as in a filter with
             `prediction = "gaussian"`. `particles`: the mixture of the particles' predictions, for models with few dofs.
         paths: number of the smoother's paths for each run of the filter.
-        moves: number of the smoother's moves of each state.
+        moves: number of times that the smoother moves each state.
         options: those of `kernels.window.Options`: chains, warm_up, draws, metric, target_acceptance.
 
     Raises:

@@ -1,9 +1,9 @@
 """Pictures of a run: the recording with the posterior drawn over it, all cameras side by side, each cropped to the person.
 
-The posterior mean is a translucent body with an outline (left side blue, right side orange, middle green); where the mean lies among no draws, it is
+The posterior mean is a translucent body with an outline (left side blue, right side orange, middle green). If no draws lie near the mean, the body is
 their medoid (results/posterior/central.py), and the picture says so. Draws are thin light outlines over it; they spread where the posterior is wide.
 
-The image of a run's recording behind a picture. A stranger's run may name any file of this machine: only the run's own images are shown.
+The image of the run's recording is behind the body. A stranger's run may name any file of this machine, so only the run's own images are shown.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -1,11 +1,10 @@
-"""Write folders and files for a user: completely or not at all. What the file system refuses becomes an InputError.
+"""Write folders and files for a user: completely or not at all. Errors of the file system become an InputError.
 
-A user's own file is never replaced unless the user says so. A page of this program is known by a mark.
+A user's own file is never replaced unless the user says so. A page of this program is recognised by a mark.
 
-A file for HDF5 on a disk that may fill up.
-
-HDF5 does not survive a failed write: it tries again on closing and crashes the process. This file keeps in memory what the disk refuses, so that HDF5
-can close, and reports the error afterwards. Writers should check `error` regularly and stop, so that little is kept.
+HDF5 gets a special file for a disk that may fill up. HDF5 does not survive a failed write: it tries again on closing and crashes the process. This
+file keeps in memory what the disk refuses, so that HDF5 can close, and reports the error afterwards. Writers should check `error` regularly and stop,
+so that little is kept.
 """
 
 import io

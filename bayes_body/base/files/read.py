@@ -2,7 +2,7 @@
 
 A pipe would make a reader wait for ever, and a device such as /dev/zero never ends.
 
-Read text and JSON of other programs (calibrations, keypoints). A file that is missing, too large or not text raises an InputError.
+Text and JSON of other programs (calibrations, keypoints) are read here too. A file that is missing, too large or not text raises an InputError.
 """
 
 import json

@@ -1,15 +1,11 @@
-r"""A pinhole camera with Bouguet's (OpenCV's) distortion.
+r"""A pinhole camera with Bouguet's (OpenCV's) distortion, and the radius at which its lens folds the picture.
 
 $x = X/Z,\ y = Y/Z,\ r^2 = x^2 + y^2$ in the camera's frame; $x_d = x (1 + k_1 r^2 + k_2 r^4 + k_3 r^6) + 2 p_1 x y + p_2 (r^2 + 2 x^2)$ and likewise
 $y_d$; $u = f_x (x_d + \alpha y_d) + c_x,\ v = f_y y_d + c_y$, pixels, the first pixel's centre at (0, 0).
 
-The radial polynomial stops growing at some radius. Beyond it, points far outside the field of view would land inside the image again. `radius_max` is
-that radius; points beyond it, or behind the camera, are not visible.
-
-Where a lens folds its picture.
-
-With $r$ the distance from the optical axis at unit depth, the lens maps $r$ to $r (1 + k_1 r^2 + k_2 r^4 + k_3 r^6)$. Where this stops growing, the
-picture folds back: points further out would land on those further in.
+With $r$ the distance from the optical axis at unit depth, the lens maps $r$ to $r (1 + k_1 r^2 + k_2 r^4 + k_3 r^6)$. Where this stops growing, at
+`radius_max`, the picture folds back: points further out, even far outside the field of view, would land on those further in. Points beyond this
+radius, or behind the camera, are not visible.
 """
 
 import math

@@ -1,15 +1,13 @@
 r"""Rotations as unit quaternions (w, x, y, z), batched over leading axes, for JAX and NumPy arrays.
 
-`q` and `-q` are the same rotation. Gradients are finite everywhere, also at the zero angle, where the formulas are Taylor series in the square.
-The group's measure (Haar) is that which equals Lebesgue measure dw of the rotation vector w at the identity. All rotations together then have the
-measure $8 \pi^2$.
+`q` and `-q` are the same rotation. Gradients are finite everywhere, also at the zero angle, where the formulas are Taylor series in the square. The
+group's measure (Haar) equals Lebesgue measure dw of the rotation vector w at the identity. All rotations together then have the measure $8 \pi^2$.
 
 Source of the formulas: Solà, Deray & Atchuthan 2018, A micro Lie theory for state estimation in robotics; Shepperd 1978, Quaternion from rotation
 matrix.
 
-The angles between all pairs of rotations at once, from one product of matrices.
-
-With the scalar product w of two unit quaternions, the angle between them is $\theta = 2 \arccos |w|$. With $s = \theta / \sqrt{1 - w^2}$,
+The angles between all pairs of rotations are computed at once, from one product of matrices. With the scalar product w of two unit quaternions, the
+angle between them is $\theta = 2 \arccos |w|$. With $s = \theta / \sqrt{1 - w^2}$,
 
 $$\theta^2 = s^2 (1 - w^2), \qquad \log \frac{2 (1 - \cos \theta)}{\theta^2} = 2 \log 2 - 2 \log s.$$
 

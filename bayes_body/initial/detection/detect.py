@@ -23,7 +23,7 @@ DETECTORS: Mapping[str, tuple[Callable[[Scene], Found], float]] = {
     "faces": (detect_faces, 2.0),
     "limbs": (detect_limbs, 1.0),
 }
-# Detectors whose person is believed, the first that found one.
+# Detectors whose person is trusted; the first one that found a person is used.
 TRUSTED = ("keypoints", "silhouettes", "standing")
 
 
@@ -33,7 +33,7 @@ class Detected(NamedTuple):
     Attributes:
         landmarks: detections of the fifteen markers by name; a marker that was not detected is missing.
         parts: detections of the fifteen parts by name; likewise.
-        person: where the person stands; None if no detector told.
+        person: where the person stands; None if no detector found it.
         notices: sentences for the reader, such as "no face was found in any view".
         seconds: the time that each detector took; "scene" is that of reading the pictures and silhouettes and of the visual hull.
     """
@@ -46,7 +46,7 @@ class Detected(NamedTuple):
 
 
 def detect(session: Session, frame: Frame | int, detectors: tuple[str, ...] = tuple(DETECTORS)) -> Detected:
-    """Detect the person in a frame of a session. Finding nothing is no error.
+    """Detect the person in a frame of a session. It is not an error if nothing is found.
 
     Args:
         session: the recording.
@@ -92,7 +92,7 @@ def _detected(scene: Scene, detectors: tuple[str, ...], seconds: float) -> Detec
 
 
 def _facing(findings: Mapping[str, Found], scene: Scene, person: Person | None) -> Person | None:
-    """The person, who looks where the strongest face does if nothing else tells."""
+    """Return the person, with the facing of the strongest face if the facing is not known otherwise."""
     heads = findings["faces"].parts.get("head") if "faces" in findings else None
     if person is None or person.facing_known or heads is None:
         return person

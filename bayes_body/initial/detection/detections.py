@@ -1,6 +1,6 @@
 r"""What detectors return for a part or a landmark: a mixture of rigid normals, $f(X) = \sum_n w_n\, \mathcal N(X; X_n, \Lambda_n)$.
 
-It is that of Sigal, Isard, Haussecker & Black (2011, equations 11 to 13), with diagonal $\Lambda_n$.
+The mixture is that of Sigal, Isard, Haussecker & Black (2011, equations 11 to 13), with diagonal $\Lambda_n$.
 
 A landmark is one of the fifteen markers (`bayes_body.recording.evidence.markers`; `head` is the crown) and has a position only. A part has a rigid
 pose:
@@ -26,10 +26,10 @@ PARTS = (
     *("pelvis", "torso", "head"),
     *(side + part for side in ("l_", "r_") for part in ("upper_arm", "forearm", "hand", "thigh", "calf", "foot")),
 )
-# Standard deviation of an angle of which nothing is known: that of the uniform distribution on a circle.
+# Standard deviation of an unknown angle: that of the uniform distribution on a circle.
 UNKNOWN_RAD = float(np.pi / np.sqrt(3))
 
-# Shorter segments have no direction; standard deviation of a direction that two uncertain ends give.
+# Shorter segments have no direction; standard deviation of a direction between two uncertain ends.
 LEAST_LENGTH_M, SD_TILT_RAD = 0.03, 0.35
 
 
@@ -42,7 +42,7 @@ class Detections(NamedTuple):
         sd_m: standard deviations of the position along the part's axes; along the world's axes for a landmark. Metres.
         sd_rad: standard deviations of the rotation vector in the part's frame, radians; `UNKNOWN_RAD` where nothing is known.
         weights: they sum to 1, or there are none.
-        source: the name of the detector of each.
+        source: the name of each detection's detector.
     """
 
     positions: Float[np.ndarray, "detection 3"]
@@ -59,8 +59,8 @@ class Person(NamedTuple):
     Attributes:
         floor_m: the point of the floor below the pelvis, in the world, metres.
         height_m: distance from the floor to the crown in the present pose, metres; the stature if the person stands.
-        facing: horizontal unit vector to where the person faces, if `facing_known`; else it or its opposite; None if nothing is known of it.
-        facing_known: whether a face or keypoints tell the facing from its opposite.
+        facing: horizontal unit vector to where the person faces, if `facing_known`; else this or the opposite vector; None if nothing is known.
+        facing_known: whether a face or keypoints distinguish the facing from its opposite.
     """
 
     floor_m: Float[np.ndarray, "3"]
@@ -79,7 +79,7 @@ class Found(NamedTuple):
 
 
 def landmark(positions: Float[np.ndarray, "detection 3"], sd_m: float | np.ndarray, weights: np.ndarray, source: str) -> Detections:
-    """Detections of a landmark; `sd_m` is one number, or broadcasts to (detection, 3). Weights are normalised."""
+    """Return detections of a landmark; `sd_m` is one number, or broadcasts to (detection, 3). Weights are normalised."""
     positions = np.asarray(positions, float).reshape(-1, 3)
     sds = np.broadcast_to(np.asarray(sd_m, float), positions.shape).copy()
     return Detections(positions, None, sds, np.full(positions.shape, UNKNOWN_RAD), _normalised(weights), (source,) * len(positions))
@@ -93,7 +93,7 @@ def part(
     weights: np.ndarray,
     source: str,
 ) -> Detections:
-    """Detections of a part; `sd_m` and `sd_rad` broadcast to (detection, 3). Weights are normalised."""
+    """Return detections of a part; `sd_m` and `sd_rad` broadcast to (detection, 3). Weights are normalised."""
     positions = np.asarray(positions, float).reshape(-1, 3)
     rotations = np.asarray(rotations, float).reshape(-1, 3, 3)
     sds = [np.broadcast_to(np.asarray(sd, float), positions.shape).copy() for sd in (sd_m, sd_rad)]
@@ -109,7 +109,7 @@ def every_facing(
     weights: np.ndarray,
     source: str,
 ) -> Detections:
-    """Detections of an upright part at one place: one for each direction in which the person may face; the directions are spread over the circle."""
+    """Return detections of an upright part at one place, one for each direction in which the person may face, all round the circle."""
     rotations = axis_frames(np.tile(axis, (len(facings), 1)), facings)
     sd_rad = np.array([sd_tilt_rad, sd_tilt_rad, np.pi / len(facings)])
     return part(np.tile(middle, (len(facings), 1)), rotations, sd_m, sd_rad, weights, source)
@@ -118,7 +118,7 @@ def every_facing(
 def segments(
     proximal: Float[np.ndarray, "detection 3"], distal: Float[np.ndarray, "detection 3"], sd_m: float | np.ndarray, weights: np.ndarray, source: str
 ) -> Detections:
-    """Detections of a part whose two ends are known, but not its twist. Segments without a length are left out."""
+    """Return detections of a part whose two ends are known, but not its twist. Segments without a length are left out."""
     axes = np.asarray(distal - proximal, float).reshape(-1, 3)
     has_length = np.linalg.norm(axes, axis=1) > LEAST_LENGTH_M
     middles, axes = (proximal + distal).reshape(-1, 3)[has_length] / 2, axes[has_length]
@@ -127,7 +127,7 @@ def segments(
 
 
 def merge(mixtures: Sequence[tuple[Detections, float]]) -> Detections | None:
-    """One mixture of several, each with its share of the weight; None if there are no detections."""
+    """Return several mixtures as one, each with its share of the weight; None if there are no detections."""
     mixtures = [(mixture, share) for mixture, share in mixtures if len(mixture.weights)]
     if not mixtures:
         return None
@@ -143,12 +143,12 @@ def merge(mixtures: Sequence[tuple[Detections, float]]) -> Detections | None:
 
 
 def strongest(detections: Detections, most: int) -> Detections:
-    """The `most` detections of the largest weight, the strongest first."""
+    """Return the `most` detections with the largest weights, the strongest first."""
     return chosen(detections, np.argsort(-detections.weights, kind="stable")[:most])
 
 
 def chosen(detections: Detections, rows: Int[np.ndarray, " row"]) -> Detections:
-    """Some of the detections, with their weights normalised."""
+    """Return some of the detections, with their weights normalised."""
     rotations = None if detections.rotations is None else detections.rotations[rows]
     return Detections(
         detections.positions[rows],
@@ -161,7 +161,7 @@ def chosen(detections: Detections, rows: Int[np.ndarray, " row"]) -> Detections:
 
 
 def axis_frames(axes: Float[np.ndarray, "detection 3"], forward: Float[np.ndarray, "detection 3"]) -> Float[np.ndarray, "detection 3 3"]:
-    """Rotations with z along `axes` and x as near to `forward` as possible; where both are parallel, x is any direction across."""
+    """Return rotations with z along `axes` and x as near to `forward` as possible; if the two are parallel, x is any perpendicular direction."""
     z = axes / np.linalg.norm(axes, axis=-1, keepdims=True)
     x = forward - (forward * z).sum(axis=-1, keepdims=True) * z
     least = np.eye(3)[np.argmin(np.abs(z), axis=-1)]

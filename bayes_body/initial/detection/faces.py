@@ -1,11 +1,9 @@
 r"""The head, from faces in several views (Viola & Jones 2001; Sigal, Isard, Haussecker & Black 2011, 6.1).
 
-OpenCV's cascades for frontal faces and profiles search each view, turned so that the world's up is up in the picture, with the profiles in both
-mirror images. Faces of two views are paired: the rays through their middles must meet, at a place where both have the size of a head. A face in a
-single view is paired with the head of the visual hull, if its ray passes that. A frontal face looks to its camera, a profile aside; a pair looks
-where both look on average. Heads outside the foreground are dropped.
-
-Pictures turned so that the world's up is up, cut around the head where it is known.
+OpenCV's cascades for frontal faces and profiles search a picture of each view. The picture is turned so that the world's up is up, and cut out around
+the head if its place is known. Profiles are also searched in the mirror image. Faces of two views are paired: the rays through their middles must
+meet, at a place where both have the size of a head. A face in a single view is paired with the head of the visual hull if its ray passes near it. A
+frontal face looks to its camera, a profile to the side; a pair looks in the mean direction of its faces. Heads outside the foreground are dropped.
 """
 
 from collections.abc import Iterator, Sequence
@@ -36,7 +34,7 @@ class Upright(NamedTuple):
 
     Attributes:
         picture: blue, green and red.
-        matrix: takes (column, row, 1) of the picture to column and row of the camera's image.
+        matrix: maps (column, row, 1) of the picture to column and row of the camera's image.
         scale: the picture's pixels for one pixel of the image.
         pixels_per_m: the picture's pixels for a metre at the head; None if the head is not known.
     """
@@ -47,12 +45,12 @@ class Upright(NamedTuple):
     pixels_per_m: float | None
 
     def to_image(self, pixel: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
-        """A pixel of the picture in the camera's image."""
+        """Return the position of a pixel of the picture in the camera's image."""
         return self.matrix @ np.append(pixel, 1.0)
 
 
 def upright(scene: Scene, view: int) -> Upright:
-    """The picture of a view, turned; around the head of the visual hull if there is one, else all of it."""
+    """Return the turned picture of a view, cut out around the head of the visual hull if there is one."""
     camera = scene.cameras[view]
     if scene.figure is None:
         place = scene.viewpoints[view] + AHEAD_M * camera.rotation[2]
@@ -71,7 +69,7 @@ def _turned(
     low, high = project(scene.cameras[view], np.stack([place, place + 0.1 * scene.upwards]))
     down = low - high
     length = float(np.linalg.norm(down))
-    # Looking straight down or up, or a head behind the camera: nothing to turn.
+    # If the camera looks straight down or up, or the head is behind it, nothing is turned.
     down = down / length if np.isfinite(length) and length > 1e-6 else np.array([0.0, 1.0])
     middle = np.where(np.isfinite(middle), middle, 0.0)
     # The picture's columns run to the right of down, its rows along down.
@@ -90,7 +88,7 @@ CASCADES = (
     ("haarcascade_profileface.xml", False, -1),
     ("haarcascade_profileface.xml", True, 1),
 )
-# Angle between a profile and the camera: the cascade finds faces that look aside by 30 to 90 degrees.
+# Angle between a profile and the camera: the cascade finds faces that are turned aside by 30 to 90 degrees.
 PROFILE_RAD = np.pi / 3
 # Side of a face's box: accepted range, metres; OpenCV's boxes reach from the brows to the chin.
 SIZES_M = (0.12, 0.35)
@@ -100,7 +98,7 @@ MISS, MISS_HULL_M = 0.35, 0.15
 # The face's middle lies in front of the skull's; the crown above. Metres.
 FRONT_M, CROWN_M = 0.05, 0.11
 SD_M, SD_RAD = 0.05, (0.3, 0.3, np.pi / 4 / np.sqrt(3))
-# Weight of a face in a single view, against a pair's; share of the views in which a head's middle is foreground.
+# Weight of a face in a single view, relative to a pair; least share of the views in which a head's middle is foreground.
 SINGLE, FOREGROUND = 0.3, 0.6
 
 _lock = Lock()
@@ -124,7 +122,7 @@ class Head(NamedTuple):
 
 
 def detect_faces(scene: Scene) -> Found:
-    """Detections of the head, and of the crown."""
+    """Return detections of the head, and of the crown."""
     faces = [face for view in range(len(scene.cameras)) for face in _faces(scene, view)]
     if not faces:
         return Found({}, {}, ("no face was found in any view",))
@@ -151,7 +149,7 @@ def _faces(scene: Scene, view: int) -> Iterator[Face]:
 
 
 def boxes(grey: UInt8[np.ndarray, "row column"], cascade: str, turned: Upright) -> list[tuple[int, int, int]]:
-    """(left, top, side) of the faces in a picture; where the picture's scale is known, only of faces of a possible size."""
+    """Return (left, top, side) of the faces in a picture; if the picture's scale is known, only faces of a possible size."""
     sides = [max(20, round(size * turned.pixels_per_m)) for size in SIZES_M] if turned.pixels_per_m else [20, max(grey.shape)]
     with _lock:
         rectangles = _cascade(cascade).detectMultiScale(
@@ -174,7 +172,7 @@ def _pairs(scene: Scene, faces: Sequence[Face]) -> Iterator[Head]:
             continue
         looks = [_looks(scene, face, middle[0]) for face in (a, b)]
         both = looks[0] + looks[1]
-        # Faces that look apart by more than 120 degrees are not one head.
+        # Faces whose directions differ by more than 120 degrees do not belong to one head.
         if np.linalg.norm(both) > 1 and all(_has_size(scene, face, middle[0]) for face in (a, b)):
             yield Head(middle[0], both / np.linalg.norm(both), 1.0)
 
@@ -198,7 +196,7 @@ def _has_size(scene: Scene, face: Face, place: Float[np.ndarray, "3"]) -> bool:
 
 
 def _looks(scene: Scene, face: Face, place: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """The horizontal direction to which a face at a place looks."""
+    """Return the horizontal direction in which a face at a place looks."""
     view_direction = place - scene.viewpoints[face.view]
     view_direction = view_direction - (view_direction @ scene.upwards) * scene.upwards
     view_direction = view_direction / max(float(np.linalg.norm(view_direction)), 1e-6)

@@ -7,7 +7,7 @@ a limb, since an edge costs its length divided by the depth inside the hull.
 The trunk is found for people who are roughly upright. Shoulders are at the fraction of the stature of Drillis & Contini (1966); hips are at 0.51, a
 little lower than their 0.53, as in walking.
 
-The person among the bodies of a visual hull: the largest one that is as tall as a person, without the shadow on the floor.
+Among the bodies of a visual hull, the person is the largest one that is as tall as a person, without the shadow on the floor.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ LEAST_HEIGHT_M, LEAST_VOLUME_M3 = 0.5, 0.01
 SECOND_SHARE, SECOND_HEIGHT_M = 0.3, 0.9
 # If the lowest voxel is farther from the height 0 than this, the world's origin is not on the floor.
 FLOOR_M = 0.25
-# A shadow lies on the floor: below the first height, farther than FOOT_M from all that is between the two heights.
+# A shadow lies on the floor: it is below the first height, and farther than FOOT_M from all voxels between the two heights.
 SHADOW_M, SHIN_M, FOOT_M = 0.15, 0.45, 0.2
 
 
@@ -41,7 +41,7 @@ class ChosenBody(NamedTuple):
 
 
 def choose_person(cameras: Sequence[CameraSpec], masks: Sequence[Mask], up: int) -> ChosenBody:
-    """The largest person in the hull of two or more cleaned masks; `up` is the index of the world's axis that points up."""
+    """Return the largest person in the hull of two or more cleaned masks; `up` is the index of the world's axis that points up."""
     people = [body for body in bodies(_on_floor(carve(cameras, masks), up)) if _is_person(body, up)]
     if not people:
         return ChosenBody(None, ("the silhouettes have no body in common that is as large as a person",))
@@ -49,7 +49,7 @@ def choose_person(cameras: Sequence[CameraSpec], masks: Sequence[Mask], up: int)
 
 
 def floor_height(centres: Voxels, up: int) -> float:
-    """The floor's height: 0, the convention for a session's world, unless the body's lowest voxels are far from it."""
+    """Return the floor's height: 0, as in the world of a session by convention, unless the body's lowest voxels are far from it."""
     lowest = float(np.percentile(centres[:, up], 0.5)) - VOXEL_M / 2
     return 0.0 if abs(lowest) <= FLOOR_M else lowest
 
@@ -77,7 +77,7 @@ def _is_person(body: Voxels, up: int) -> bool:
 
 
 def _on_floor(centres: Voxels, up: int) -> Voxels:
-    """The hull above the floor, without the shadow on it."""
+    """Return the hull above the floor, without the shadow on it."""
     body_voxels = bodies(centres)
     if not body_voxels:
         return centres
@@ -90,16 +90,16 @@ def _on_floor(centres: Voxels, up: int) -> Voxels:
     return centres[(above > SHADOW_M) | ((distance < FOOT_M) & (above > -VOXEL_M))]
 
 
-# Heights of hip and shoulder above the floor, and half of the slabs in which the trunk's middle is measured, as fractions of the height.
+# Heights of hip and shoulder above the floor, and half the thickness of the slabs in which the trunk's middle is measured; fractions of the height.
 HIP, SHOULDER, SLAB = 0.51, 0.818, 0.04
 # The slab in which the line of the shoulders is measured.
 CHEST, CHEST_PERCENTILES = (0.76, 0.82), (3, 97)
-# Extremities: at most so many, and none that is nearer to the pelvis or to another's path than this.
+# The most extremities that are found, and their least distance from the pelvis and from the paths of the others.
 MOST_TIPS, NEAREST_M = 7, 0.18
-# A hull of this height, as shares of the stature, is that of a person who stands, perhaps with parts that masks lack.
+# A hull within these heights, as shares of the stature, is that of a person who stands, perhaps with parts that are missing in the masks.
 # A walker's crown is a little below the stature (0.95 to 1 of it in motion capture).
 STANDS, WALKING = (0.75, 1.1), 0.95
-# Skin to skin of a thin part, such as an arm: the crown is where the hull is deeper.
+# Thickness of a thin part, such as an arm. The crown belongs to a thicker part of the hull.
 THIN_M = 0.06
 
 
@@ -108,12 +108,12 @@ class Figure(NamedTuple):
 
     Attributes:
         floor: height of the floor.
-        height: from the floor to the crown; of a person who stands, at least a walker's of the given stature.
+        height: from the floor to the crown; for a person who stands, at least that of a walker of the given stature.
         crown: the highest point of the hull's head.
         pelvis: the middle of the trunk at the height of the hips.
         thorax: the middle of the trunk at the height of the shoulders.
-        across: horizontal unit vector along the line of the shoulders; its sign says nothing.
-        elongation: how many times the chest is as wide as deep; near 1 the line of the shoulders is not known.
+        across: horizontal unit vector along the line of the shoulders; its sign has no meaning.
+        elongation: ratio of the chest's width to its depth; near 1 the line of the shoulders is not known.
         paths: for each extremity, the points from its tip to the pelvis.
     """
 
@@ -128,10 +128,10 @@ class Figure(NamedTuple):
 
 
 def figure(centres: Voxels, viewpoints: Float[np.ndarray, "view 3"], up: int, stature_m: float | None = None) -> Figure:
-    """The figure of one body, seen from cameras at `viewpoints` (metres); `up` is the index of the world's axis that points up.
+    """Return the figure of one body, seen from cameras at `viewpoints` (metres); `up` is the index of the world's axis that points up.
 
-    A person whose stature is known, and whose hull is nearly as high, stands: the height is at least that of a walker of the stature, since masks
-    lack heads more often than people stoop.
+    If the stature is known and the hull is nearly as high, the person stands. The height is then at least that of a walker of this stature, since
+    masks more often miss the head than people stoop.
     """
     depths = interior_depths(centres)
     floor = floor_height(centres, up)
@@ -145,7 +145,7 @@ def figure(centres: Voxels, viewpoints: Float[np.ndarray, "view 3"], up: int, st
 
 
 def interior_depths(centres: Voxels) -> Float[np.ndarray, " voxel"]:
-    """Each voxel's distance to the outside, metres."""
+    """Return each voxel's distance to the outside, metres."""
     cells = np.rint((centres - centres.min(axis=0)) / VOXEL_M).astype(int) + 1
     filled = np.zeros(cells.max(axis=0) + 2, bool)
     filled[tuple(cells.T)] = True
@@ -153,7 +153,7 @@ def interior_depths(centres: Voxels) -> Float[np.ndarray, " voxel"]:
 
 
 def _crown(centres: Voxels, depths: Float[np.ndarray, " voxel"], up: int) -> Float[np.ndarray, "3"]:
-    """The top of the highest part that is thicker than an arm; of any part if there is none."""
+    """Return the top of the highest part that is thicker than an arm; if there is none, the top of the highest part."""
     thick = depths > THIN_M
     candidates, inside = (centres[thick], depths[thick]) if thick.any() else (centres, depths)
     top = np.argmax(candidates[:, up])
@@ -165,7 +165,7 @@ def _crown(centres: Voxels, depths: Float[np.ndarray, " voxel"], up: int) -> Flo
 
 
 def _middle(centres: Voxels, depths: Float[np.ndarray, " voxel"], level: float, height: float, up: int) -> Float[np.ndarray, "3"]:
-    """The middle of the trunk at a height. Deep voxels count more, so that arms beside the trunk count little."""
+    """Return the middle of the trunk at a height. Deep voxels count more, so that arms beside the trunk count little."""
     weights = depths**3 * np.exp(-0.5 * ((centres[:, up] - level) / (SLAB * height)) ** 2)
     middle = weights @ centres / weights.sum()
     middle[up] = level
@@ -175,10 +175,10 @@ def _middle(centres: Voxels, depths: Float[np.ndarray, " voxel"], level: float, 
 def _across(
     centres: Voxels, thorax: Float[np.ndarray, "3"], height_of_chest: Float[np.ndarray, "2"], viewpoints: Float[np.ndarray, "view 3"], up: int
 ) -> tuple[Float[np.ndarray, "3"], float]:
-    """The line of the shoulders, and how many times the chest is as wide as deep.
+    """Return the line of the shoulders, and the ratio of the chest's width to its depth.
 
-    An ellipse with the matrix S is seen from the horizontal direction d with the width w: $w^2 = u^T S u$, u across d. The hull fills the corners
-    between the views, so its widths in the views tell more than its moments.
+    An ellipse with the matrix S has, seen from the horizontal direction d, the width w with $w^2 = u^T S u$, where u is perpendicular to d. The hull
+    fills the corners between the views, so its widths in the views tell more than its moments.
     """
     chest = centres[(centres[:, up] > height_of_chest[0]) & (centres[:, up] < height_of_chest[1])]
     level = [k for k in range(3) if k != up]
@@ -188,7 +188,7 @@ def _across(
         return np.eye(3)[level[0]], 1.0
     widths = np.ptp(np.percentile(chest[:, level] @ u.T, CHEST_PERCENTILES, axis=0), axis=0)
     rows = np.stack([u[:, 0] ** 2, 2 * u[:, 0] * u[:, 1], u[:, 1] ** 2], axis=1)
-    # With two views the smallest solution is taken.
+    # With two views, this is the smallest solution.
     a, b, c = np.linalg.lstsq(rows, widths**2, rcond=None)[0]
     spread, axes = np.linalg.eigh([[a, b], [b, c]])
     across = np.zeros(3)
@@ -226,7 +226,7 @@ def _path(before: Int[np.ndarray, " voxel"], tip: int) -> list[int]:
 
 
 def _smooth(path: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 3"]:
-    """The path without the steps of the voxels: means of five neighbours; the tip stays."""
+    """Return the path smoothed over five neighbours, without the steps of the voxels; the tip stays."""
     if len(path) < 5:
         return path
     padded = np.concatenate([path[:1].repeat(2, 0), path, path[-1:].repeat(2, 0)])

@@ -2,13 +2,13 @@ r"""The visual hull of silhouettes in several calibrated views (Laurentini 1994;
 
 The blurred mask b in [0, 1] of a view gives the evidence $e = \operatorname{logit}(\epsilon + (1 - 2\epsilon) b) / \operatorname{logit}(1 -
 \epsilon)$, between -1 and 1. A voxel belongs to the hull if the mean of e at its centre, over the views that show it, is at least 1/2: with two or
-three views each must show foreground, with four to seven one may miss it. (On simulated people of the training subjects with poor masks such hulls
-overlap with those of true masks by 0.62 and 0.69, four and seven views; hulls in which every view decides alone by 0.58 and 0.49.)
+three views each must show foreground, with four to seven one may miss it. (On simulated people of the training subjects with poor masks, such hulls
+overlap with those of true masks by 0.62 with four views and 0.69 with seven; hulls in which every view decides alone, by 0.58 and 0.49.)
 
 Coarse voxels are kept if e may reach 1/2 within their circumscribed spheres. Each kept voxel is divided into eight, until its side is `VOXEL_M`.
 Connected voxels (26 neighbours) make one body.
 
-Points of two views: their rays, and where the rays meet.
+The file also has the rays through pixels, and the points where the rays of two views meet.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ VOXEL_M = 0.03
 LEVELS = 4
 # The searched box extends by this much around the cameras and the point that they look at, metres.
 MARGIN_M = 1.5
-# With more voxels than this the silhouettes say nothing of a person: they fill the images.
+# With more voxels than this, the silhouettes fill the images and do not show a person.
 MOST_VOXELS = 400_000
 # Specks of fewer pixels than this share of the image are removed, and holes up to this share of the image's height are closed.
 SPECK, HOLE = 1e-4, 0.015
@@ -49,7 +49,7 @@ class _View(NamedTuple):
 
 
 def clean(mask: Mask) -> Mask:
-    """The mask without specks, its small holes closed."""
+    """Return the mask without specks and with its small holes closed."""
     size = max(3, round(HOLE * mask.shape[0]) | 1)
     closed = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((size, size), np.uint8))
     _, labels, stats, _ = cv2.connectedComponentsWithStats(closed)
@@ -59,7 +59,7 @@ def clean(mask: Mask) -> Mask:
 
 
 def carve(cameras: Sequence[CameraSpec], masks: Sequence[Mask]) -> Voxels:
-    """The centres of the hull's voxels in the world, metres; none if the silhouettes fill the images. One mask for each of two or more cameras."""
+    """Return the centres of the hull's voxels, metres; none if the silhouettes fill the images. Each of two or more cameras has a mask."""
     views = [_view(camera, mask) for camera, mask in zip(cameras, masks, strict=True)]
     side = VOXEL_M * 2**LEVELS
     low, high = searched_box(cameras)
@@ -75,7 +75,7 @@ def carve(cameras: Sequence[CameraSpec], masks: Sequence[Mask]) -> Voxels:
 
 
 def bodies(centres: Voxels) -> list[Voxels]:
-    """The connected bodies of a hull, the largest first."""
+    """Return the connected bodies of a hull, the largest first."""
     if not len(centres):
         return []
     labels = connected_components(neighbours(centres), directed=False)[1]
@@ -83,18 +83,18 @@ def bodies(centres: Voxels) -> list[Voxels]:
 
 
 def neighbours(centres: Voxels) -> coo_array:
-    """The graph of neighbouring voxels (faces, edges and corners) with their distances, metres: an upper triangle."""
+    """Return the graph of neighbouring voxels (faces, edges and corners) with their distances, metres, as an upper triangular matrix."""
     pairs = KDTree(centres).query_pairs(1.8 * VOXEL_M, output_type="ndarray")
     lengths = np.linalg.norm(centres[pairs[:, 0]] - centres[pairs[:, 1]], axis=1)
     return coo_array((lengths, (pairs[:, 0], pairs[:, 1])), shape=(len(centres), len(centres)))
 
 
 def searched_box(cameras: Sequence[CameraSpec]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """The lowest and the highest corner of the box that is searched: it holds the cameras and the point nearest to all their axes, with a margin."""
+    """Return the lowest and the highest corner of the searched box: it holds the cameras and the point nearest to all their axes, with a margin."""
     places = np.stack([-camera.rotation.T @ camera.translation_m for camera in cameras])
     axes = np.stack([camera.rotation[2] for camera in cameras])
     across = np.eye(3) - axes[:, :, None] * axes[:, None]
-    # A small ridge: parallel axes meet nowhere.
+    # The small ridge is for parallel axes, which meet nowhere.
     ridge = 1e-2 * np.eye(3)
     ahead = places.mean(axis=0) + 3.0 * axes.mean(axis=0)
     middle = np.linalg.solve(across.sum(axis=0) + ridge, (across @ places[:, :, None]).sum(axis=0)[:, 0] + ridge @ ahead)
@@ -110,7 +110,7 @@ def _view(camera: CameraSpec, mask: Mask) -> _View:
 
 
 def _occupied(views: Sequence[_View], centres: Voxels, radius_m: float) -> Bool[np.ndarray, " voxel"]:
-    """Which voxels belong to the hull, or with a radius: which may have a part that does. At least half of the views must show a voxel."""
+    """Return which voxels belong to the hull; with a radius, which may have parts that do. At least half of the views must show a voxel."""
     view_counts, evidence = np.zeros(len(centres), int), np.zeros(len(centres))
     for camera, map_, distance, blur in views:
         height, width = map_.shape
@@ -126,7 +126,7 @@ def _occupied(views: Sequence[_View], centres: Voxels, radius_m: float) -> Bool[
 
 
 def rays(camera: CameraSpec, pixels: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, "point 3"]:
-    """Unit vectors in the world from the camera's centre through pixels (column, row)."""
+    """Return unit vectors in the world from the camera's centre through pixels (column, row)."""
     xy = (pixels - camera.centre_px) / camera.focal_px
     xy[:, 0] -= camera.skew * xy[:, 1]
     if len(xy):
@@ -138,7 +138,7 @@ def rays(camera: CameraSpec, pixels: Float[np.ndarray, "point 2"]) -> Float[np.n
 def triangulate_pair(
     cameras: Sequence[CameraSpec], first: Float[np.ndarray, "point 2"], second: Float[np.ndarray, "point 2"]
 ) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, " point"]]:
-    """Where the rays of two cameras' pixels meet, metres, and the root mean square distance in the images, pixels; NaN where they do not meet."""
+    """Return where the rays of two cameras' pixels meet, metres, and the RMS distance in the images, pixels; NaN where they do not meet."""
     observations = np.stack([np.column_stack([pixels, np.ones(len(pixels))]) for pixels in (first, second)])
     triangulation = triangulate(cameras, observations)
     return triangulation.points_m, triangulation.error_px

@@ -1,4 +1,4 @@
-"""Detections from keypoints of any network: triangulated landmarks, and the parts between them. They tell left from right, and front from back."""
+"""Detections from keypoints of any network: triangulated landmarks, and the parts between them. Keypoints tell left from right, front from back."""
 
 from collections.abc import Mapping
 
@@ -21,7 +21,7 @@ _LIMBS = {
 ENDS = {side + name: (side + a, side + b) for side in ("l_", "r_") for name, (a, b) in _LIMBS.items()} | {"torso": ("pelvis", "thorax")}
 # Landmarks that follow from two others if they are missing.
 MIDDLES = {"pelvis": ("l_hip", "r_hip"), "thorax": ("l_shoulder", "r_shoulder")}
-# Networks put points at least this far from a joint's centre; hips, shoulders and the crown farther. Metres.
+# Networks miss a joint's centre by at least this distance, metres; those of hips, shoulders and the crown by more.
 LEAST_SD_M, LOOSE_SD_M = 0.02, 0.04
 LOOSE = frozenset(("l_hip", "r_hip", "pelvis", "thorax", "head"))
 # Standard deviations of a part's tilt, and of the trunk's facing, radians.
@@ -33,7 +33,7 @@ type Places = dict[str, tuple[Float[np.ndarray, "3"], float]]
 
 
 def detect_keypoints(scene: Scene) -> Found:
-    """Detections from the subject's keypoints in two or more cameras."""
+    """Return detections from the subject's keypoints in two or more cameras."""
     views = [] if scene.keypoints is None else [keypoints for keypoints in scene.keypoints if keypoints]
     if scene.keypoints is None:
         return Found({}, {})
@@ -49,7 +49,7 @@ def detect_keypoints(scene: Scene) -> Found:
 
 
 def _places(scene: Scene) -> Places:
-    """The triangulated keypoints and their standard deviations, metres."""
+    """Return the triangulated keypoints and their standard deviations, metres."""
     views = [keypoints or {} for keypoints in scene.keypoints or ()]
     names = sorted({name for keypoints in views for name in keypoints})
     observations = np.array([[keypoints.get(name, (np.nan, np.nan, 0.0)) for name in names] for keypoints in views], float)
@@ -63,7 +63,7 @@ def _places(scene: Scene) -> Places:
 
 
 def _sds(scene: Scene, triangulation: Triangulated) -> Float[np.ndarray, " point"]:
-    """The reprojection errors at the points' distances, metres."""
+    """Return the reprojection errors at the points' distances, metres."""
     metres = [
         np.linalg.norm(triangulation.points_m - viewpoint, axis=1) / max(camera.focal_px)
         for viewpoint, camera in zip(scene.viewpoints, scene.cameras, strict=True)
@@ -77,7 +77,7 @@ def _sd(name: str, sd: float) -> float:
 
 
 def _forward(places: Places, up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"] | None:
-    """The horizontal direction to where the trunk faces; None without both shoulders or both hips."""
+    """Return the horizontal direction in which the trunk faces; None without both shoulders or both hips."""
     for name in ("shoulder", "hip"):
         if f"l_{name}" in places and f"r_{name}" in places:
             forward = np.cross(places[f"l_{name}"][0] - places[f"r_{name}"][0], up)
@@ -87,7 +87,7 @@ def _forward(places: Places, up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3
 
 
 def _limb(places: Places, ends: tuple[str, str], forward: Float[np.ndarray, "3"] | None) -> Detections:
-    """A part between two landmarks. Keypoints say nothing of a limb's twist; the trunk's is that of the shoulders."""
+    """Return a part between two landmarks. Keypoints do not tell a limb's twist; the trunk's twist is that of the shoulders."""
     (a, sd_a), (b, sd_b) = (places[end] for end in ends)
     twist = SD_FACING_RAD if ends == ENDS["torso"] and forward is not None else UNKNOWN_RAD
     rotation = axis_frames((b - a)[None], (np.zeros(3) if forward is None else forward)[None])
@@ -95,7 +95,7 @@ def _limb(places: Places, ends: tuple[str, str], forward: Float[np.ndarray, "3"]
 
 
 def _head(places: Places, trunk: Float[np.ndarray, "3"] | None, up: Float[np.ndarray, "3"]) -> Mapping[str, Detections]:
-    """The head from ears and nose, or from the crown."""
+    """Return detections of the head, from ears and nose or from the crown."""
     if all(name in places for name in ("l_ear", "r_ear", "nose")):
         ears = (places["l_ear"][0] + places["r_ear"][0]) / 2
         forward = places["nose"][0] - ears
@@ -110,7 +110,7 @@ def _head(places: Places, trunk: Float[np.ndarray, "3"] | None, up: Float[np.nda
 
 
 def _person(places: Places, forward: Float[np.ndarray, "3"] | None, up: int) -> Person | None:
-    """Where the person stands; None without pelvis and ankles. The height needs the crown, and is otherwise inferred from the hips' height."""
+    """Return where the person stands; None without pelvis and ankles. Without the crown, the height is inferred from the height of the hips."""
     ankles = [places[name][0] for name in ("l_ankle", "r_ankle") if name in places]
     if "pelvis" not in places or not ankles:
         return None

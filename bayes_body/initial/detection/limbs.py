@@ -1,11 +1,10 @@
 r"""The outermost parts, from colour blobs in pairs of views (Sigal, Isard, Haussecker & Black 2011, 6.2).
 
-A limb is assumed to have about one colour. Its middle is where the rays through the blobs' middles meet; its axis is the line in which the planes
-through the two cameras and the blobs' long axes intersect. Limbs without a possible size, or outside the foreground, are dropped. All outermost
+Blobs are elongated segments of similar colour inside the foreground of one view, described by ellipses (mean-shift segmentation, Comaniciu & Meer
+2002). A limb is assumed to have about one colour. Its middle is where the rays through the blobs' middles meet; its axis is the line in which the
+planes through the two cameras and the blobs' long axes intersect. Limbs of an impossible size, or outside the foreground, are dropped. All outermost
 parts get the same limbs, weighted by the height above the floor (their equation 13), $w_n \propto \mathcal N(z_n; z_\text{part},
 \sigma_\text{part}^2)$, and likewise by tilt and length; and by the number of pairs of views that agree. The twist about the axis is unknown.
-
-Elongated colour blobs inside the foreground of one view: mean-shift segmentation (Comaniciu & Meer 2002) and ellipses of the segments.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,10 +27,10 @@ HEIGHT_PX = 220
 SPACE_PX, COLOUR, EDGE = 6, 18, 14
 # Pyramid levels of the mean shift above the picture.
 LEVELS = 0
-# Least area of a blob, share of the foreground; largest, and the least ratio of its axes.
+# Least and largest area of a blob, as shares of the foreground, and the least ratio of its axes.
 AREA, ELONGATED = (0.004, 0.35), 1.25
 
-# Segments of at least so many pixels are cut in two as well.
+# Segments of at least this many pixels are also cut in two.
 HALVED_PX = 300
 
 
@@ -45,7 +44,7 @@ class Blob(NamedTuple):
 
 
 def blobs(picture: Colours, mask: Mask) -> list[Blob]:
-    """The blobs of one view, the largest first; none without foreground."""
+    """Return the blobs of one view, the largest first; none without foreground."""
     left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
     if width < 2 or height < 2:
         return []
@@ -63,7 +62,7 @@ def blobs(picture: Colours, mask: Mask) -> list[Blob]:
 
 
 def _segments(smooth: Colours, inside: Mask) -> list[Mask]:
-    """Connected pixels of the foreground between which the colour changes slowly, the largest first."""
+    """Return connected pixels of the foreground between which the colour changes slowly, the largest first."""
     steps = cv2.morphologyEx(smooth, cv2.MORPH_GRADIENT, np.ones((2, 2), np.uint8)).max(axis=2)
     count, labels, stats, _ = cv2.connectedComponentsWithStats((inside & (steps < EDGE)).astype(np.uint8), connectivity=4)
     areas = stats[:, cv2.CC_STAT_AREA] / max(int(inside.sum()), 1)
@@ -72,7 +71,7 @@ def _segments(smooth: Colours, inside: Mask) -> list[Mask]:
 
 
 def _halves(segment: Mask) -> list[Mask]:
-    """The two halves of a segment, cut across its long axis: a sleeve or a trouser leg may be one segment with two parts."""
+    """Return the halves of a segment, cut across its long axis: a sleeve or a trouser leg may be one segment that covers two parts."""
     rows, columns = np.nonzero(segment)
     if len(rows) < HALVED_PX:
         return []
@@ -99,7 +98,8 @@ def _is_elongated(blob: Blob) -> bool:
 
 
 NAME = "limbs"
-# For each part: the height of its middle and its standard deviation, its length, as fractions of the stature; and whether it hangs in most poses.
+# For each part: the height of its middle, the standard deviation of this height, and its length, as fractions of the stature; and whether it hangs
+# in most poses.
 PARTS: Mapping[str, tuple[float, float, float, bool]] = {
     "forearm": (0.55, 0.08, 0.146, True),
     "hand": (0.45, 0.10, 0.095, True),
@@ -108,13 +108,13 @@ PARTS: Mapping[str, tuple[float, float, float, bool]] = {
 }
 # The joint at a part's proximal end.
 PROXIMAL = {"forearm": "elbow", "hand": "wrist", "calf": "knee", "foot": "ankle"}
-# Accepted ratio of a limb's length to the part's (a forearm with its hand is 1.9 times as long, as ellipses go), and radii in metres.
+# Accepted ratio of a limb's length to the part's (the ellipse of a forearm with its hand is 1.9 times as long), and radii in metres.
 LENGTHS, RADII_M = (0.5, 2.1), (0.015, 0.10)
 # Rays may miss each other by this share of the blobs' short half axis and a pixel count; a limb's middle is foreground in this share of the views.
 MISS, MISS_PX, FOREGROUND = 0.7, 2.0, 0.7
 # A limb's middle lies no deeper inside the visual hull than this, metres.
 DEEPEST_M = 0.12
-# What is nearer to the crown than this is the head, metres.
+# Limbs nearer to the crown than this are parts of the head, metres.
 HEAD_M = 0.3
 # Largest distance of the colours of two blobs of one limb, grey levels of a channel; grey cameras are not compared with colour cameras.
 COLOURS = 40.0
@@ -139,7 +139,7 @@ class Limbs(NamedTuple):
 
 
 def detect_limbs(scene: Scene) -> Found:
-    """Detections of forearms, hands, calves and feet, and of the landmarks at their proximal ends."""
+    """Return detections of forearms, hands, calves and feet, and of the landmarks at their proximal ends."""
     masks = scene.people
     if masks is None or len(scene.cameras) < 2:
         return Found({}, {}, ("limbs need silhouettes in two or more cameras",))
@@ -159,13 +159,13 @@ def detect_limbs(scene: Scene) -> Found:
 
 
 def _of_part(scene: Scene, limbs: Limbs, name: str, stature: float, floor: float) -> tuple[Detections, Detections]:
-    """The detections of a part and of the joint at its proximal end, weighted by height."""
+    """Return the detections of a part and of the joint at its proximal end, weighted by height."""
     height, sd, length, hangs = PARTS[name]
     axes = limbs.lower - limbs.upper
     lengths = np.linalg.norm(axes, axis=1)
     tilts = np.arccos(np.clip(-axes[:, scene.up] / lengths, -1.0, 1.0))
     z_scores = ((limbs.middles[:, scene.up] - floor) / stature - height) / sd, (tilts if hangs else np.pi / 2 - tilts) / SD_POSE_RAD
-    # A height or a tilt that does not fit, beyond three standard deviations, is no more than improbable: arms may be raised.
+    # Beyond three standard deviations the penalty of a height or a tilt is constant, since arms may be raised.
     log_weights = sum(-0.5 * np.minimum(np.abs(z), 3.0) ** 2 for z in z_scores)
     lengths = lengths / (length * stature)
     weights = np.exp(log_weights - 0.5 * (np.log(lengths) / SD_LOG_LENGTH) ** 2) * _support(limbs)
@@ -184,12 +184,12 @@ def _of_part(scene: Scene, limbs: Limbs, name: str, stature: float, floor: float
 
 
 def _support(limbs: Limbs) -> Float[np.ndarray, " limb"]:
-    """How many limbs, of any pairs of views, agree with each one: a pattern of the clothes that is mistaken for a limb differs from pair to pair."""
+    """Return how many limbs of all pairs of views agree with each limb. A pattern on clothes, mistaken for a limb, differs from pair to pair."""
     return (np.exp(-0.5 * (_distances(limbs) / SAME_M) ** 2) * _parallel(limbs)).sum(axis=1)
 
 
 def _suppressed(limbs: Limbs, weights: Float[np.ndarray, " limb"]) -> Bool[np.ndarray, " limb"]:
-    """Which limbs are nearly the same as one of a larger weight."""
+    """Return which limbs are nearly the same as a limb with a larger weight."""
     same = (_distances(limbs) < SAME_M) & _parallel(limbs)
     suppressed = np.zeros(len(weights), bool)
     for k in np.argsort(-weights, kind="stable"):
@@ -220,7 +220,7 @@ def _all_limbs(scene: Scene, blobs_by_view: Sequence[Sequence[Blob]]) -> Limbs:
 
 
 def _is_outside(scene: Scene, middles: Float[np.ndarray, "limb 3"]) -> Bool[np.ndarray, " limb"]:
-    """Whether limbs are foreground, and neither head nor trunk, where the visual hull tells: what lies deep inside is a pattern of the clothes."""
+    """Return whether limbs are foreground, and outside the head and the trunk of the visual hull. Limbs deep inside it are patterns on clothes."""
     is_foreground = scene.foreground(middles) >= FOREGROUND
     if scene.figure is None:
         return is_foreground
@@ -233,7 +233,7 @@ def _no_limbs() -> Limbs:
 
 
 def _pair(scene: Scene, a: int, b: int, first: Sequence[Blob], second: Sequence[Blob]) -> Limbs:
-    """The limbs that the blobs of two views form."""
+    """Return the limbs that the blobs of two views form."""
     cameras, viewpoints = [scene.cameras[a], scene.cameras[b]], scene.viewpoints[[a, b]]
     matches = [(p, q) for p in first for q in second if _same_colour(p.colour, q.colour)]
     if not matches:
@@ -261,14 +261,14 @@ def _pair(scene: Scene, a: int, b: int, first: Sequence[Blob], second: Sequence[
 
 
 def _same_colour(first: Float[np.ndarray, "3"], second: Float[np.ndarray, "3"]) -> bool:
-    """Whether two blobs may be one limb by their colours. A blob of equal channels is grey, perhaps since its camera is."""
+    """Return whether two blobs may be one limb by their colours. A blob with equal channels is grey, and its camera may be a grey one."""
     if min(np.ptp(first), np.ptp(second)) < 1.0:
         return True
     return bool(np.abs(first - second).max() < COLOURS)
 
 
 def _axes(cameras: Sequence[CameraSpec], left: Sequence[Blob], right: Sequence[Blob]) -> Float[np.ndarray, "limb 3"]:
-    """Directions of the lines in which the two planes through camera and blob intersect; NaN where the planes are nearly one."""
+    """Return the directions of the lines in which the two planes through camera and blob intersect; NaN where the planes nearly coincide."""
     normals = []
     for camera, view_blobs in zip(cameras, (left, right), strict=True):
         ends = [rays(camera, np.array([blob.ends[k] for blob in view_blobs])) for k in (0, 1)]
@@ -286,7 +286,7 @@ def _ends(
     middles: Float[np.ndarray, "limb 3"],
     axes: Float[np.ndarray, "limb 3"],
 ) -> Float[np.ndarray, "limb 2"]:
-    """Where the rays through a blob's two ends pass the limb's axis: distances from its middle, metres."""
+    """Return where the rays through a blob's two ends pass the limb's axis, as distances from the limb's middle, metres."""
     distances = []
     for k in (0, 1):
         ray = rays(camera, np.array([blob.ends[k] for blob in view_blobs]))

@@ -57,13 +57,13 @@ class Scene:
 
     @cached_property
     def people(self) -> Sequence[Mask] | None:
-        """The silhouettes without what is far from the person's hull; as they are without a hull; None without silhouettes."""
+        """The silhouettes without pixels far from the person's hull; unchanged if there is no hull; None without silhouettes."""
         if self.masks is None or self.chosen.voxels is None:
             return self.masks
         return [mask & _dilated_projection(camera, self.chosen.voxels, mask.shape) for camera, mask in zip(self.cameras, self.masks, strict=True)]
 
     def depths(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " point"]:
-        """How deep points lie inside the person's hull, metres: 0 outside; NaN without a hull."""
+        """Return how deep points lie inside the person's hull, metres: 0 outside; NaN without a hull."""
         if self.chosen.voxels is None:
             return np.full(len(points), np.nan)
         distance, nearest = KDTree(self.chosen.voxels).query(points)
@@ -79,7 +79,7 @@ class Scene:
         return np.eye(3)[self.up]
 
     def foreground(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " point"]:
-        """The share of the views that show each point on the foreground, of those that show it; NaN where none does, or without silhouettes."""
+        """Return, of the views that show each point, the share that show it on the foreground; NaN if no view does, or without silhouettes."""
         hits, shown = np.zeros(len(points)), np.zeros(len(points))
         for camera, mask in zip(self.cameras, self.people or (), strict=False):
             pixels = project(camera, points)
@@ -91,7 +91,7 @@ class Scene:
 
 
 def read_scene(session: Session, frame: Frame) -> Scene:
-    """The scene of a frame of a session. Cameras that have no picture, or no silhouette where the session has silhouettes, are left out.
+    """Return the scene of a frame. Cameras without a picture are left out, and cameras without a silhouette if the session has silhouettes.
 
     Raises:
         InputError: the background cannot be learned, or a file cannot be used.
@@ -111,7 +111,7 @@ def read_scene(session: Session, frame: Frame) -> Scene:
 
 
 def _dilated_projection(camera: CameraSpec, centres: Voxels, shape: tuple[int, ...]) -> Mask:
-    """The voxels' projection, wider by two voxels: holes of a mask stay holes, shadows and other people go."""
+    """Return the voxels' projection, wider by two voxels. A mask keeps its holes in it, but loses shadows and other people."""
     pixels = project(camera, centres)
     depth = centres @ camera.rotation[2] + camera.translation_m[2]
     inside = _is_inside(pixels, shape)
@@ -125,5 +125,5 @@ def _dilated_projection(camera: CameraSpec, centres: Voxels, shape: tuple[int, .
 
 
 def _is_inside(pixels: Float[np.ndarray, "point 2"], shape: tuple[int, ...]) -> Bool[np.ndarray, " point"]:
-    """Whether pixels (column, row) lie in an image of a shape (rows, columns)."""
+    """Return whether pixels (column, row) lie in an image of a shape (rows, columns)."""
     return np.isfinite(pixels).all(axis=1) & (pixels > -0.5).all(axis=1) & (pixels < (shape[1] - 0.5, shape[0] - 0.5)).all(axis=1)

@@ -2,8 +2,8 @@
 
 Pelvis, thorax and crown follow from the middle of the trunk. Shoulders and hips are proposed on circles around it, with more weight along the line
 of the shoulders. Arms and legs follow from the paths between the hull's extremities and the pelvis: landmarks lie on a path at a limb's lengths from
-its tip. An arm that touches the trunk has no extremity, and legs that touch have one path. So arms that hang are proposed around the trunk where the
-hull is, and legs as the two halves of the hull's sections. Nothing here tells left from right, or front from back.
+its tip. An arm that touches the trunk has no extremity, and legs that touch share one path. Hanging arms are therefore also proposed around the trunk
+inside the hull, and legs as the two halves of the hull's sections. This detector cannot tell left from right, or front from back.
 """
 
 import numpy as np
@@ -17,12 +17,12 @@ from bayes_body.initial.detection.hull import Voxels
 from bayes_body.initial.detection.scene import Scene
 
 NAME = "silhouettes"
-# Fractions of the stature (Drillis & Contini 1966; the hips' and hands' as in the bodies that ship).
+# Fractions of the stature (Drillis & Contini 1966; those of hips and hands as in the bodies that ship).
 HALF_HIPS, HALF_SHOULDERS, PELVIS, HEAD = 0.052, 0.1295, 0.084, 0.182
 FOREARM, HAND, CALF, ANKLE, FOOT = 0.146, 0.095, 0.246, 0.039, 0.112
-# A tip below this share of the height is a foot; one this near to the crown (share of the height) is the head.
+# A tip below this share of the height is a foot; a tip this near to the crown (share of the height) is the head.
 FOOT_TIP, HEAD_TIP = 0.2, 0.16
-# Arms that hang: distance from the trunk's middle and height below the shoulders, shares of the stature.
+# Hanging arms: distance from the trunk's middle and height below the shoulders, shares of the stature.
 ELBOWS, WRISTS = ((0.145, 0.17),), ((0.16, 0.315), (0.22, 0.27))
 # The crown is looked for above the hull if the hull ends farther than this below a known stature.
 MISSING_M = 0.1
@@ -32,7 +32,8 @@ KNEES, ANKLES = (0.25, 0.32), (0.02, 0.09)
 DIRECTIONS, OUTSIDE_M = 8, 0.05
 # Weight of a direction at the angle a to the chest's long axis: exp(ALONG cos 2a).
 ALONG = 0.8
-# Standard deviations, metres, set by hand: on simulated people of the training subjects the best detections miss by 0.5 to 0.9 of them an axis.
+# Standard deviations, metres, set by hand: on simulated people of the training subjects, the error of the best detections on each axis is 0.5 to 0.9
+# standard deviations.
 SD_M = {"crown": 0.05, "trunk": 0.05, "shoulder": 0.07, "hip": 0.05, "leg": 0.06, "arm": 0.08}
 # Share of the weight of landmarks that do not lie on a path.
 GUESSED = 0.5
@@ -42,7 +43,7 @@ type Joints = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], Float[np.nda
 
 
 def detect_silhouettes(scene: Scene) -> Found:
-    """Detections from the hull of two or more silhouettes."""
+    """Return detections from the hull of two or more silhouettes."""
     if scene.figure is None or scene.chosen.voxels is None:
         return Found({}, {}, scene.chosen.notices)
     sketch = _Sketch(scene.figure, scene.chosen.voxels, scene.stature_m or scene.figure.height, scene.up)
@@ -67,7 +68,7 @@ class _Sketch:
         self.circle_weights = np.exp(ALONG * np.cos(2 * angles))
 
     def trunk(self) -> dict[str, Detections]:
-        """Crown, pelvis, thorax, shoulders and hips."""
+        """Return crown, pelvis, thorax, shoulders and hips."""
         figure, unit_weight = self.figure, np.ones(1)
         return {
             "head": self._crown(),
@@ -78,7 +79,7 @@ class _Sketch:
         }
 
     def _crown(self) -> Detections:
-        """The hull's crown; also the place where the stature has it, if the hull ends far below."""
+        """Return the hull's crown; also the place given by the stature, if the hull ends far below it."""
         figure = self.figure
         points, weights = figure.crown[None], np.ones(1)
         if figure.height - (figure.crown[self.up] - figure.floor) > MISSING_M:
@@ -87,7 +88,7 @@ class _Sketch:
         return landmark(points, SD_M["crown"], weights, NAME)
 
     def legs(self) -> dict[str, Detections]:
-        """Knees and ankles."""
+        """Return knees and ankles."""
         knees, ankles, _ = self._on_paths(self._legs())
         return {
             **_both("ankle", _mixture(ankles, self._halves(ANKLES), SD_M["leg"])),
@@ -95,7 +96,7 @@ class _Sketch:
         }
 
     def arms(self) -> dict[str, Detections]:
-        """Elbows and wrists."""
+        """Return elbows and wrists."""
         elbows, wrists, _ = self._on_paths(self._arms())
         return {
             **_both("wrist", _mixture(wrists, self._hanging(WRISTS), SD_M["arm"])),
@@ -103,7 +104,7 @@ class _Sketch:
         }
 
     def limbs(self) -> dict[str, Detections]:
-        """Calves, feet, forearms and hands along the paths, where there are any."""
+        """Return calves, feet, forearms and hands along the paths, where there are any."""
         mixtures = dict[str, Detections]()
         for inner, outer, joints, sd in (("calf", "foot", self._legs(), SD_M["leg"]), ("forearm", "hand", self._arms(), SD_M["arm"])):
             if joints:
@@ -113,12 +114,12 @@ class _Sketch:
         return {name: mixture for name, mixture in mixtures.items() if len(mixture.weights)}
 
     def _legs(self) -> list[Joints]:
-        """Knee, ankle and tip of each path that ends in a foot, for either place of its ankle."""
+        """Return knee, ankle and tip of each path that ends in a foot, for each of two places of the ankle."""
         paths = [path for path in self.figure.paths if self._height(path[:1])[0] < FOOT_TIP]
         return [(_beyond(path, ankle, CALF * self.stature), ankle, path[0]) for path in paths for ankle in self._ankles(path)]
 
     def _arms(self) -> list[Joints]:
-        """Elbow, wrist and tip of each path that ends neither in a foot nor in the head."""
+        """Return elbow, wrist and tip of each path that ends neither in a foot nor in the head."""
         arms = list[Joints]()
         for path in self.figure.paths:
             is_head = np.linalg.norm(path[0] - self.figure.crown) < HEAD_TIP * self.figure.height
@@ -128,11 +129,11 @@ class _Sketch:
         return arms
 
     def _on_paths(self, joints: list[Joints]) -> Float[np.ndarray, "3 limb 3"]:
-        """The joints of limbs as arrays: the inner ones, the outer ones, and the tips."""
+        """Return the joints of limbs as arrays: the inner ones, the outer ones, and the tips."""
         return np.array(joints, float).reshape(-1, 3, 3).transpose(1, 0, 2)
 
     def parts(self) -> dict[str, Detections]:
-        """Pelvis, torso and head, once for each facing; and limbs."""
+        """Return pelvis, torso and head, once for each facing; and limbs."""
         figure, up = self.figure, self.upwards
         navel = figure.pelvis + PELVIS * self.stature * up
         skull = figure.crown - HEAD / 2 * self.stature * up
@@ -147,31 +148,31 @@ class _Sketch:
         return every_facing(middle, axis, np.cross(self.circle, self.upwards), sd_m, sd_tilt_rad, self.circle_weights, NAME)
 
     def _height(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " point"]:
-        """Heights above the floor as shares of the person's height."""
+        """Return heights above the floor as shares of the person's height."""
         return (points[:, self.up] - self.figure.floor) / self.figure.height
 
     def _ring(self, middle: Float[np.ndarray, "3"], radius: float, below: float) -> Float[np.ndarray, "direction 3"]:
         return middle + self.stature * (radius * self.circle - below * self.upwards)
 
     def _hanging(self, places: tuple[tuple[float, float], ...]) -> Float[np.ndarray, "point 3"]:
-        """Points around the trunk that lie in the hull, or just outside of it."""
+        """Return points around the trunk that lie in the hull, or just outside of it."""
         points = np.concatenate([self._ring(self.figure.thorax, *place) for place in places])
         return points[KDTree(self.voxels).query(points)[0] < OUTSIDE_M]
 
     def _halves(self, between: tuple[float, float]) -> Float[np.ndarray, "half 3"]:
-        """The middles of the two halves (2-means) of the hull between two heights."""
+        """Return the middles of the two halves (2-means) of the hull between two heights."""
         heights = self._height(self.voxels)
         section = self.voxels[(heights > between[0]) & (heights < between[1])]
         if len(section) < 4:
             return np.zeros((0, 3))
-        # The two ends of the longest axis begin the means, so that the result does not depend on chance.
+        # The means start at the two ends of the longest axis, so that the result does not depend on chance.
         offsets = section - section.mean(axis=0)
         offsets[:, self.up] = 0
         along = offsets @ np.linalg.svd(offsets, full_matrices=False)[2][0]
         return kmeans2(section, section[[int(along.argmin()), int(along.argmax())]], minit="matrix")[0]
 
     def _ankles(self, path: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "2 3"]:
-        """Two places of the ankle: where the path has risen from the sole (a flat foot), and a foot's length from the tip (a lifted one)."""
+        """Return two places of the ankle: where the path has risen from the sole (flat foot), and a foot's length from the tip (lifted foot)."""
         heights = path[:, self.up]
         sole = heights[: max(2, len(path) // 3)].min()
         return np.stack([path[np.argmax(heights >= sole + 2 * ANKLE * self.stature)], _along(path, 0.9 * FOOT * self.stature)])
@@ -182,19 +183,19 @@ def _both(name: str, detections: Detections) -> dict[str, Detections]:
 
 
 def _mixture(on_paths: Float[np.ndarray, "path 3"], guessed: Float[np.ndarray, "point 3"], sd_m: float) -> Detections:
-    """Landmarks on paths, and others with the share GUESSED of the weight."""
+    """Return landmarks on paths, and others with the share GUESSED of the weight."""
     groups = [(landmark(points, sd_m, np.ones(len(points)), NAME), share) for points, share in ((on_paths, 1 - GUESSED), (guessed, GUESSED))]
     return merge(groups) or landmark(np.zeros((0, 3)), sd_m, np.zeros(0), NAME)
 
 
 def _along(path: Float[np.ndarray, "point 3"], length: float) -> Float[np.ndarray, "3"]:
-    """The point of a path at a length from its tip."""
+    """Return the point of a path at this length from its tip."""
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     return np.array([np.interp(length, travelled, path[:, k]) for k in range(3)])
 
 
 def _beyond(path: Float[np.ndarray, "point 3"], point: Float[np.ndarray, "3"], length: float) -> Float[np.ndarray, "3"]:
-    """The first point of a path, seen from its tip, that is farther than `length` from a point near its tip; its end if there is none."""
+    """Return the first point of a path from its tip that is farther than `length` from a point near the tip; the path's end if there is none."""
     start = int(np.argmin(((path - point) ** 2).sum(axis=1)))
     far = np.linalg.norm(path[start:] - point, axis=1) >= length
     return path[start + int(np.argmax(far))] if far.any() else path[-1]

@@ -1,9 +1,9 @@
 """Where the person stands, from the silhouette of a single camera: on the floor, and as tall as their stature says.
 
 The ray through the silhouette's lowest point, turned to the middle of its upper half, meets the floor (height 0) below the pelvis. The crown is
-where the vertical above that point comes nearest to the ray through the silhouette's highest point. Nothing is told of limbs or facing. A shadow at
-the feet misplaces the person along the line of sight; the stature shows that only if the height that follows is far from it. Pelvis, torso and head
-have the proportions of a person who stands. Of several silhouettes, the largest one that stands on the floor is the person's.
+where the vertical above that point comes nearest to the ray through the silhouette's highest point. Limbs and facing stay unknown. A shadow at the
+feet misplaces the person along the line of sight; this is noticed only if the resulting height is far from the stature. Pelvis, torso and head have
+the proportions of a person who stands. Of several silhouettes, the largest one that stands on the floor is the person's.
 """
 
 from collections.abc import Iterator
@@ -28,12 +28,12 @@ MIDDLES = {"pelvis": HIP + PELVIS / 2, "torso": (HIP + SHOULDER) / 2, "head": 1 
 # A person's height in the image must agree with the stature within these ratios.
 AGREES = (0.85, 1.08)
 LEAST_M, MOST_M = 0.8, 2.3
-# Of the largest silhouette's area: smaller ones are no people.
+# Silhouettes with less than this share of the largest one's area are not people.
 LEAST_SHARE = 0.3
 
 
 def detect_standing(scene: Scene) -> Found:
-    """Broad detections of the trunk and the head from one camera's silhouette; nothing where the person does not stand on the floor."""
+    """Return broad detections of the trunk and the head from one camera's silhouette; none if the person does not stand on the floor."""
     if scene.masks is None or len(scene.masks) != 1:
         return Found({}, {})
     mask = scene.masks[0]
@@ -56,10 +56,10 @@ def detect_standing(scene: Scene) -> Found:
 
 
 def _parts(floor: Float[np.ndarray, "3"], height: float, scene: Scene) -> dict[str, Detections]:
-    """Pelvis, torso and head that face away from the camera, towards it, and to both sides."""
+    """Return detections of pelvis, torso and head that face away from the camera, towards it, and to both sides."""
     up, view_direction = scene.upwards, _view_direction(floor, scene)
     across = np.cross(up, view_direction)
-    # In a part's axes: ahead, to the left, and up.
+    # Along a part's axes: forward, left, and up.
     level = np.array([[SD_DEPTH_M, SD_ACROSS_M], [SD_ACROSS_M, SD_DEPTH_M]])[[0, 0, 1, 1]]
     sd_m = np.concatenate([level, np.full((4, 1), SD_HEIGHT_M)], axis=1)
     facings = np.stack([view_direction, -view_direction, across, -across])
@@ -67,7 +67,7 @@ def _parts(floor: Float[np.ndarray, "3"], height: float, scene: Scene) -> dict[s
 
 
 def _view_direction(floor: Float[np.ndarray, "3"], scene: Scene) -> Float[np.ndarray, "3"]:
-    """The horizontal direction from the camera to the person."""
+    """Return the horizontal direction from the camera to the person."""
     view_direction = (floor - scene.viewpoints[0]) * (1 - scene.upwards)
     return view_direction / np.linalg.norm(view_direction)
 
@@ -80,7 +80,7 @@ def _landmark_at(floor: Float[np.ndarray, "3"], height: float, scene: Scene) -> 
 
 
 def _silhouettes(mask: Mask) -> Iterator[Mask]:
-    """The mask's connected parts of a person's size, the largest one first."""
+    """Yield the mask's connected parts of a person's size, the largest one first."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
     areas = stats[1:, cv2.CC_STAT_AREA]
     for number in np.argsort(-areas, kind="stable"):
@@ -89,7 +89,7 @@ def _silhouettes(mask: Mask) -> Iterator[Mask]:
 
 
 def _floor_and_height(scene: Scene, mask: Mask) -> tuple[Float[np.ndarray, "3"], float] | None:
-    """The point of the floor under the person of a silhouette, and the crown's height; None if the lowest ray does not meet the floor."""
+    """Return the point of the floor under a silhouette's person, and the crown's height; None if the lowest ray does not meet the floor."""
     rows, columns = np.nonzero(mask)
     directions = rays(scene.cameras[0], np.stack([columns, rows], axis=1).astype(float))
     lengths = np.maximum(np.linalg.norm(directions * (1 - scene.upwards), axis=1), 1e-6)

@@ -4,9 +4,8 @@ One compiled program runs in rounds. The first round starts from every heading a
 from the best results with the angles of some limbs drawn again. This frees a limb that went round the wrong way, and tries the other of two depths
 that one camera cannot distinguish. The last round starts from the best result and takes small steps.
 
-Adam (Kingma & Ba 2015) with a decaying learning rate; the fits of first poses, motions and outlines use it (docs/decisions/18_least_squares.md).
-
-Step k of n has progress $p = k / (n - 1)$ and learning rate $\tfrac12 r (1 + \cos \pi p)$, which ends at 0.
+The fits of first poses, motions and outlines use Adam (Kingma & Ba 2015) with a decaying learning rate (docs/decisions/18_least_squares.md). Step k
+of n has progress $p = k / (n - 1)$ and learning rate $\tfrac12 r (1 + \cos \pi p)$, which ends at 0.
 """
 
 from collections.abc import Callable
@@ -164,7 +163,7 @@ def _descend(
 def fit_draws(
     problem: Problem, starts: Float[Array | np.ndarray, "draw parameter"], markers: Float[np.ndarray, "draw point 3"]
 ) -> Float[np.ndarray, "draw dof"]:
-    """Return the pose that fits each draw's own markers, from a start that is near. The program is that of `fit`.
+    """Return the pose that fits each draw's own markers, from a start nearby. It is computed by the same program as `fit`.
 
     Args:
         problem: the problem; its markers are replaced by each draw's, with the same weights.
@@ -210,7 +209,7 @@ def unbounded(problem: Problem, poses: Float[Array, "start dof"]) -> Float[Array
 
 @partial(jax.jit, compiler_options=FAST_COMPILE)
 def _thrown(problem: Problem, key: Key, best: Float[Array, "kept parameter"]) -> Float[Array, "start parameter"]:
-    """Return the same number of starts: the best, and copies of them in which the angles of some joints, never the root's, are drawn again."""
+    """Return STARTS starts: the best ones, and copies of them in which the angles of some joints, never the root's, are drawn again."""
     topology, count = problem.body.skeleton.topology, len(problem.body.dof_names)
     parameters = jnp.tile(best, (-(-STARTS // best.shape[0]), 1))[:STARTS]
     skeleton = problem.body.skeleton

@@ -1,14 +1,13 @@
-r"""The points of a body that markers and keypoints measure, by name.
+r"""The points of a body that markers and keypoints measure, by name; and the lengths of the body that are fitted together with its pose.
 
 A name is one of the body's virtual markers, a synonym of one, or a point of the face. The points of the face follow from the crown and the
 shoulders: the shoulders define left and right, and the head's axis defines up; together they define forward. The offsets of the face's points are
 fractions of the distance from the head's joint to the crown. They come from ANSUR II (Gordon et al. 2014), means of 4082 men: tragion to top of
 head 130 mm, bitragion breadth 145 mm, distance between the pupils 64 mm.
 
-Lengths that are fitted together with the pose: $\ell_k = \bar\ell_k e^{\sigma z_{g(k)}}$, $z \sim N(0, 1)$, with one z for a left and right pair.
-
-A body is affine in its lengths: the offsets of joints, markers and parts are constants plus named lengths with a sign. To find the contribution of
-a length, the body is built with that length alone.
+The fitted lengths are $\ell_k = \bar\ell_k e^{\sigma z_{g(k)}}$, $z \sim N(0, 1)$, with one z for a left and right pair. A body is affine in its
+lengths: the offsets of joints, markers and parts are constants plus named lengths with a sign. To find the contribution of a length, the body is
+built with that length alone.
 """
 
 from dataclasses import dataclass, replace
@@ -43,7 +42,7 @@ FACE = {
 LOOSE_M = {"l_hip": 0.04, "r_hip": 0.04, "pelvis": 0.04, "thorax": 0.04, "head": 0.04, **dict.fromkeys(FACE, 0.06)}
 TIGHT_M = 0.02
 FACE_WEIGHT = 0.3
-# Pairs of points of which the first is below the second in a person who stands at rest; on the left, on the right or in the middle.
+# Pairs of points: in a person who stands at rest, the first is below the second; on the left, on the right or in the middle.
 HANGING = (("elbow", "shoulder"), ("wrist", "elbow"), ("knee", "hip"), ("ankle", "knee"), ("pelvis", "thorax"), ("thorax", "head"))
 
 

@@ -17,7 +17,7 @@ GIVEN_SD = {True: 0.35, False: 0.2}
 # Standard deviations of the body's tilt, radians, and of a joint about its resting angle, as a fraction of its range; the values suit one camera.
 TILT_SD = 0.4
 RANGE_SHARE = 0.25
-# With more data than one camera's, the prior should decide only what the data leave open: its standard deviations are multiplied by this.
+# With data of more than one camera, the prior should decide only what the data leave open: its standard deviations are multiplied by this.
 LOOSER = 8.0
 
 

@@ -1,6 +1,6 @@
 """Unconstrained parameters of a fit: the logit of an angle's share of its range, so that a step of Adam moves all angles by similar shares.
 
-A sampler's coordinates (`model/dynamics/limits.py`) differ: there all particles should have the same scales.
+A sampler's coordinates (`model/dynamics/limits.py`) differ, because they should have the same scales for all particles.
 """
 
 import jax

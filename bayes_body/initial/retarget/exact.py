@@ -7,8 +7,7 @@ The joints' axes in a file are either those of the body's joints or, as in bvh, 
 second case, with $R^0_j$ the joint's rotation in the zero pose and S the rotation of the file's axes relative to the world's,
 $R_j = R^{file}_j\, S\, R^0_j$.
 
-Rotations as a joint's angles in order, $D = R_{a_1}(\pm s_1) R_{a_2}(\pm s_2) R_{a_3}(\pm s_3)$, and the remaining rotation.
-
+A joint's rotation is decomposed into its angles in order, $D = R_{a_1}(\pm s_1) R_{a_2}(\pm s_2) R_{a_3}(\pm s_3)$, and a remaining rotation.
 Three angles, with different axes for neighbours, give every rotation in two ways. The second solution is $(s_1 + \pi, \pi - s_2, s_3 + \pi)$ if all
 axes differ, and $(s_1 + \pi, -s_2, s_3 + \pi)$ if the first axis is also the third (Diebel 2006, Representing attitude, 5.6). Fewer angles give only
 some rotations.
@@ -87,7 +86,7 @@ def _both(rotations: Float[np.ndarray, "frame 3 3"], axes: Sequence[int]) -> Flo
 
 
 def _chained(both: Float[np.ndarray, "frame 2 turn"], start: Float[np.ndarray, " turn"]) -> Float[np.ndarray, "frame turn"]:
-    """Return one solution for each frame, starting near `start`: the one nearer to the frame before, up to full turns."""
+    """Return one solution for each frame, starting near `start`: the solution that is nearer to the frame before, up to full turns."""
     chain = np.empty((len(both), both.shape[-1]))
     before = start
     for t, two in enumerate(both):

@@ -47,7 +47,7 @@ def landmarks_of_frame(places: Float[np.ndarray, "point 3"], dtype: jnp.dtype) -
 
 
 def places_of(body: Body, landmarks: Mapping[str, np.ndarray]) -> Float[np.ndarray, "frame marker 3"]:
-    """Return the landmarks in the order of the body's markers; NaN where there is none of that name.
+    """Return the landmarks in the order of the body's markers; NaN for a marker without a landmark.
 
     Raises:
         InputError: a landmark does not have the same number of frames as the first one.
@@ -61,7 +61,7 @@ def places_of(body: Body, landmarks: Mapping[str, np.ndarray]) -> Float[np.ndarr
     for m, name in enumerate(body.markers.names):
         if name in landmarks:
             places[:, m] = landmarks[name]
-    # A point with one coordinate unknown is not known.
+    # A point with an unknown coordinate counts as unknown.
     places[~np.isfinite(places).all(axis=-1)] = np.nan
     return places
 

@@ -1,6 +1,6 @@
 """Retarget a captured motion to a body's joint angles, by exact decomposition or by a fit.
 
-The result of retargeting: angles of a body, and the distances of its markers from the captured points.
+The result also has the distances of the body's markers from the captured points.
 """
 
 import math

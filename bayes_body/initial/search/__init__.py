@@ -1,1 +1,1 @@
-"""Search a person in pictures without any first pose."""
+"""Search for a person in pictures, without any first pose."""

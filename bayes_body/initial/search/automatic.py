@@ -1,10 +1,10 @@
 """The first pose from the pictures alone, for a model of any body: detectors, and a search for a loose-limbed body (initial/search/person_search.py).
 
-The search samples a body of parts of its own, whatever the model is. Some of its draws are taken, each as often as its weight says, and a pose of the
-model's body is fitted to the markers of each. A likelihood of the whole body then refines these poses (initial/search/refine.py). They are equally
-likely first poses: how uncertain the first frame is, and which way the person may face, stays known to the sampler that starts from them.
+The search samples a loose-limbed body, whatever the model is. Some of its draws are chosen by weight, and a pose of the model's body is fitted to the
+markers of each. A likelihood of the whole body then refines these poses (initial/search/refine.py). They are equally likely first poses, so the
+sampler that starts from them knows how uncertain the first frame is, and which way the person may face.
 
-Whether a frame shows somebody, as the detectors tell, and which frame does where the first one does not.
+The detectors also tell whether the first frame shows a person, and if not, which later frame does.
 """
 
 import re
@@ -38,7 +38,7 @@ from bayes_body.recording.session.session import Session
 
 # The part that says where a person is.
 TRUNK = "torso"
-# Where the first frame shows nobody, so many other frames are looked at, so many seconds apart.
+# If the first frame shows nobody: the number of later frames that are looked at, and the seconds between them.
 LOOKED_AT, LOOK_S = 20, 1.0
 
 
@@ -52,7 +52,7 @@ def shows_somebody(session: Session, frame: int) -> bool:
 
 
 def later_frame(session: Session) -> int | None:
-    """Return the first frame after frame 0 that shows a person, counted from 0; None if none of those that are looked at does.
+    """Return the first frame after frame 0 that shows a person, counted from 0; None if no frame that is looked at does.
 
     Raises:
         InputError: a file of the session cannot be used.
@@ -63,7 +63,7 @@ def later_frame(session: Session) -> int | None:
 
 
 def nobody_first(session: Session) -> str | None:
-    """Return a sentence if the session's silhouettes show nobody in frame 0; None if they show somebody, or if other data tell or nothing does."""
+    """Return a sentence if the silhouettes show nobody in frame 0; None if they show somebody, are missing, or the session has other pose data."""
     pose_data = session.initial or session.initial_markers or session.initial_keypoints or any(view.keypoints for view in session.views)
     if pose_data or not has_silhouettes(session):
         return None
@@ -80,15 +80,15 @@ def nobody_first(session: Session) -> str | None:
     return f"Nobody is detected in frame {first}, the first one; somebody is in frame {session.frame_number(later)}: {remedy}."
 
 
-# The definition whose likelihood compares body and silhouette both ways.
+# The definition whose likelihood compares the body with the silhouette, and the silhouette with the body.
 JUDGE = "silhouettes"
-# Poses that are drawn.
+# Number of poses that are drawn.
 DRAWS = 32
-# Warnings: share of the weight that faces the other way, or is elsewhere, and effective draws.
+# Limits for warnings: the shares of the weight that faces the other way or is elsewhere, and the number of effective draws.
 MOST_TURNED, MOST_ELSEWHERE, FEWEST_DRAWS = 0.05, 0.3, 5.0
 # Markers of a leg below the hip.
 LEG = re.compile(r"[lr]_(knee|ankle|heel|toe|big_toe|small_toe)")
-# Below this share of the weight, nothing starts from poses that face the other way: one frame, which a sampler sees first, may not tell them apart.
+# Below this share of the weight, poses that face the other way are not used: a sampler may not be able to reject them by its first frame alone.
 LEAST_TURNED = 0.25
 
 
@@ -115,7 +115,7 @@ def find_first_pose(model: Model, session: Session, show: Callable[[str], None],
     show(f"first pose: a person was found in {time.perf_counter() - begun:.0f} s; {person.precision}, by {person.ess:.0f} effective draws")
     for warning in _warnings(person):
         show(f"first pose: warning: {warning}")
-    # How far the poses are from the markers of the search is no residual: nobody measured these.
+    # The distances to the markers of the search are not residuals, since these markers were not measured.
     return poses_of(model, session, person, seed=seed)._replace(median_m=float("nan"))
 
 
@@ -123,7 +123,7 @@ def check_pictures(model: Model, session: Session) -> None:
     """Check that frame 0 has silhouettes, and that detectors see a person there.
 
     Raises:
-        InputError: they do not, or a file of frame 0 cannot be used.
+        InputError: there are no silhouettes, no person is seen, or a file of frame 0 cannot be used.
     """
     _check_silhouettes(model, session)
     detected = detect(session, 0, TRUSTED)
@@ -132,7 +132,7 @@ def check_pictures(model: Model, session: Session) -> None:
 
 
 def known_markers(model: Model) -> int:
-    """Return how many of the markers that are searched for are markers of the model's body; with fewer than FEWEST no pose is fitted to them."""
+    """Return how many markers of the search are markers of the model's body; with fewer than FEWEST no pose is fitted to them."""
     points = body_points(model.body.by_angles)
     return sum(points.index(name) is not None for name in MARKERS)
 
@@ -140,7 +140,7 @@ def known_markers(model: Model) -> int:
 def poses_of(model: Model, session: Session, person: Found, frame: int = 0, seed: int = 0) -> FirstPose:
     """Return DRAWS equally likely poses of the model's body, and the likeliest of them: fitted to what was found, then refined (refine.py).
 
-    A body that is placed by parts is fitted only.
+    Poses of a body that is placed by parts are fitted but not refined.
 
     Args:
         model: the model whose body is placed.
@@ -159,7 +159,7 @@ def poses_of(model: Model, session: Session, person: Found, frame: int = 0, seed
     measured_frame, judge = read_frame(session, frame), _judge(model)
     placed = judge.at(measured_frame.cameras) if session.moves else judge
     density = everywhere(placed.density(placed.observe(measured_frame), placed.start(1)))
-    # Each way to face keeps its share: one frame must not decide again what several have decided.
+    # Each facing keeps its share: one frame must not change what several frames have decided.
     ahead = _is_ahead(person)[_taken(person, seed)]
     refined = [
         refine(model, density, np.concatenate([np.asarray(pose_fit.draws, float)[way] for pose_fit in (estimate, exchanged)]), int(way.sum()), seed)
@@ -173,31 +173,31 @@ def poses_of(model: Model, session: Session, person: Found, frame: int = 0, seed
 def _judge(model: Model) -> Model:
     """Return the model whose likelihood refines found poses: the model itself if it compares keypoints, else with the likelihood of JUDGE.
 
-    Many likelihoods reward a body inside the silhouette and do not ask what it leaves uncovered, or say nothing about a single frame. With them, arms
-    are folded in front of the trunk.
+    Many likelihoods reward a body inside the silhouette but ignore what it leaves uncovered; others say nothing about a single frame. With them, arms
+    end up folded in front of the trunk.
     """
     return model if "keypoints" in model.reads else with_likelihoods(model, JUDGE)
 
 
 def _is_ahead(person: Found) -> Bool[np.ndarray, " draw"]:
-    """Whether each draw faces as the mean does."""
+    """Return whether each draw faces the same way as the mean."""
     return _hip_axis(person.names, person.draws) @ _hip_axis(person.names, person.markers[None])[0] >= 0
 
 
 def _taken(person: Found, seed: int) -> Int[np.ndarray, " taken"]:
-    """Return DRAWS draws, each as often as its weight says."""
+    """Return the indices of DRAWS draws, resampled by weight."""
     weights = np.where(_is_ahead(person) | (person.turned >= LEAST_TURNED), person.weights, 0.0)
     with np.errstate(divide="ignore"):
         return np.asarray(resampled(jax.random.key(seed), np.log(weights), DRAWS))
 
 
 def _other_leg(name: str) -> str:
-    """The name of the same marker of the other leg; of any other marker its own."""
+    """Return the name of the same marker on the other leg; the given name if the marker is not on a leg."""
     return {"l": "r", "r": "l"}[name[0]] + name[1:] if LEG.match(name) else name
 
 
 def fit_to(model: Model, session: Session, person: Found, seed: int = 0) -> FirstPose:
-    """Return the model's pose that fits the main mode's mean markers, and DRAWS poses that fit the markers of as many draws.
+    """Return the model's pose that fits the main mode's mean markers, and DRAWS poses that fit the markers of DRAWS draws.
 
     Args:
         model: the model whose body is placed.
@@ -216,7 +216,7 @@ def fit_to(model: Model, session: Session, person: Found, seed: int = 0) -> Firs
     drawn, ahead = person.draws[taken], _is_ahead(person)[taken]
     estimate, poses = _fit_way(model, session, points, person.names, person.markers, drawn)
     if not ahead.all():
-        # The fit of the main way is no start for bodies that face the other way.
+        # Bodies that face the other way cannot start from the fit of the main way.
         poses = np.where(ahead[:, None], poses, _fit_way(model, session, points, person.names, drawn[~ahead].mean(axis=0), drawn)[1])
     return estimate._replace(draws=jnp.asarray(poses.round(DIGITS)))
 
@@ -231,7 +231,7 @@ def _fit_way(
 ) -> tuple[FirstPose, Float[np.ndarray, "draw dof"]]:
     """Return the pose that fits mean markers, and poses near it that fit each draw's markers."""
     of_mean = {name: (float(x), float(y), float(z)) for name, (x, y, z) in zip(names, mean, strict=True)}
-    # The markers are those of a body of the same height: they tell nothing more about lengths.
+    # The markers belong to a body of the same height, so they say nothing more about lengths.
     asked = replace(session, initial_markers=of_mean, fit_lengths=False)
     measurements = read_measurements(asked, points)
     problem = build_problem(model, asked, points, measurements)

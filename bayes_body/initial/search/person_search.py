@@ -1,7 +1,7 @@
 """Find the person of a session in single frames, from the pictures alone: detectors, and a search for a loose-limbed body (initial/search/search.py).
 
-A single frame does not always tell which way a person faces. So both ways are searched, with the same number of draws, and each has its evidence.
-Frames that are near in time decide together (initial/search/search.py).
+A single frame does not always tell which way a person faces. Both ways are therefore searched, with the same number of draws, and each way gets its
+evidence. Frames that are near in time decide together (initial/search/search.py).
 """
 
 import time
@@ -29,11 +29,11 @@ from bayes_body.recording.session.session import Session
 
 # The loose-limbed body that is searched for.
 LOOSE = "loose_limbed_15"
-# Draws whose markers are on average so near, metres, are of one mode. With fewer effective draws there is no mode: all draws of the way count.
+# Draws belong to one mode if their markers are on average this near, metres. If fewer draws are effective in it, all draws of the way are used.
 MODE_M, FEWEST_OF_MODE = 0.12, 5.0
-# Frames that decide together which way the person faces, and seconds between them.
+# Number of frames that decide together which way the person faces, and seconds between them.
 WINDOW, APART_S = 5, 0.2
-# Below this the detected facings have no common axis.
+# Below this mean resultant length the detected facings have no common axis.
 UNDIRECTED = 1e-3
 
 
@@ -64,12 +64,12 @@ class Found(NamedTuple):
 
     Attributes:
         names: names of the markers.
-        markers: their weighted mean over the draws of the main mode, metres; over all that face this way, if there is no such mode.
+        markers: their weighted mean over the draws of the main mode, metres; over all draws that face this way, if there is no such mode.
         sd_m: root mean square distance of these draws' markers from the mean, metres.
         elsewhere: share of the weight that is not in the main mode.
         turned: share of the weight that faces the other way.
         ess: effective number of draws of the main mode's way.
-        log_evidence: log-evidence of the search; a person who is not there has a lower one.
+        log_evidence: log-evidence of the search; it is lower if no person is there.
         draws: markers of all draws, metres.
         weights: their weights, which sum to 1.
         notices: sentences of the detectors.
@@ -101,7 +101,7 @@ class PersonSearch:
     """
 
     def __init__(self, session: Session, loose: str = LOOSE, seed: int = 0):
-        """Take the session, and the loose-limbed model of which bodies are drawn: its likelihoods read single parts, and its joints propose."""
+        """Take the session, and the name of the loose-limbed model to draw from; its likelihoods read single parts, and its joints propose."""
         self.session, self.seed = session, seed
         self.model = build_model(loose, session)
         self.names = self.model.body.markers.names
@@ -112,7 +112,7 @@ class PersonSearch:
         self._searched = dict[int, Searched]()
 
     def frame(self, index: int) -> Found | Detected:
-        """Return the person of a frame, from this frame alone; what was detected, if that does not say where the body's first part may be.
+        """Return the person of a frame, from this frame alone; or the detections, if they do not say where the body's first part may be.
 
         Args:
             index: the frame, counted from 0.
@@ -123,7 +123,7 @@ class PersonSearch:
         return self._among(index, [index])
 
     def window(self, index: int) -> Found | Detected:
-        """Return the person of a frame as `frame` does, where WINDOW frames, APART_S seconds apart, decide which way the person faces.
+        """Return the person of a frame like `frame`; but WINDOW frames, APART_S seconds apart, decide which way the person faces.
 
         Args:
             index: the frame, counted from 0.
@@ -154,7 +154,7 @@ class PersonSearch:
     def _search_frame(self, index: int) -> Searched:
         begun = time.perf_counter()
         frame = read_frame(self.session, index)
-        # Only the root is read from them. Limbs and head are drawn from the joints' densities.
+        # Only the root is read from the detections. Limbs and head are drawn from the joints' densities.
         detected = detect(self.session, frame, TRUSTED)
         root = by_parts(self.model.body).names[0]
         halves = _by_facing(detected.parts.get(root), self.up)
@@ -183,7 +183,7 @@ def _by_facing(detections: Detections | None, up: int) -> list[tuple[Detections,
     ahead = detections.rotations[:, :, 0][:, level]
     # Twice the angle is the same for both ways.
     doubled = detections.weights @ np.exp(2j * np.arctan2(ahead[:, 1], ahead[:, 0]))
-    # All directions alike: any axis will do, the same on every machine.
+    # If all directions are equally likely, any axis will do, but it must be the same on every machine.
     axis = np.angle(doubled) / 2 if abs(doubled) > UNDIRECTED else 0.0
     along = ahead @ (np.cos(axis), np.sin(axis)) >= 0
     shares = {side: float(detections.weights[along == side].sum()) for side in (True, False)}
@@ -191,12 +191,12 @@ def _by_facing(detections: Detections | None, up: int) -> list[tuple[Detections,
 
 
 def found_of(names: tuple[str, ...], searched: Searched, shares: Float[np.ndarray, " way"]) -> Found:
-    """Return the person of a frame, if the ways to face have these shares."""
+    """Return the person of a frame, given the share of each way to face."""
     ways = searched.ways
     markers = np.concatenate([way.markers for way in ways])
     weights = np.concatenate([share * np.exp(way.log_weights) for share, way in zip(shares, ways, strict=True)])
     main = ways[int(np.argmax(shares))]
-    # The main mode: draws near the one that is nearest to all others of its way by weight.
+    # The main mode: the draws near a central draw, whose weighted mean distance to all draws of its way is smallest.
     of_way = np.exp(main.log_weights)
     apart = np.stack([np.linalg.norm(main.markers - draw, axis=2).mean(1) for draw in main.markers])
     centre = int(np.argmin(apart @ of_way))

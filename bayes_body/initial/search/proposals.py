@@ -1,9 +1,9 @@
-"""Detections as proposals of message passing: for each part of a loose-limbed body, where to look. They are no factors of the density.
+"""Detections as proposals of message passing: for each part of a loose-limbed body, where to look. They are not factors of the density.
 
 Detected parts and the parts of a body have different frames: a detected part has its axis along z, and x points to where the person faces
-(`detection.detections`). What is between the two frames is read from the body with all angles at 0, where it stands upright. Arms and feet point
-forward or back there, so how they are turned about their axes is arbitrary; no detector tells it. A detected landmark says where a point of a part
-is, and nothing about its rotation (`density.point_and_axis`).
+(`detection.detections`). The transform between the two frames is read from the body with all angles at 0, where it stands upright. Arms and feet
+point forward or back in that pose, so their rotation about their axes is arbitrary; no detector measures it. A detected landmark gives the position
+of a point of a part, and nothing about the part's rotation (`density.point_and_axis`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,19 +30,19 @@ from bayes_body.model.body.placed_body import placed_markers, require
 from bayes_body.model.body.placement import PARTS, ByParts
 from bayes_body.model.body.solids import Body, part_transforms
 
-# Detections of a part, and of its landmarks, of which a proposal is made: the strongest. A fixed number, so that a frame never retraces.
+# Number of the strongest detections of a part, and of its landmarks, that make a proposal. It is fixed, so that no frame is traced again.
 MOST = 12
 
-# The parameters of a distribution, and with its weight.
+# The parameters of a distribution, without and with its weight.
 type Parameters = tuple[np.ndarray, ...]
 type Weighted = tuple[Parameters, float]
 
 
 class Frames(NamedTuple):
-    """For each part of the body by name, the frame of its detections `X_part_detected`; and the body's markers at zero angles, in their parts.
+    """The frame of each part's detections `X_part_detected`, and the body's markers at zero angles in the frames of their parts.
 
     Attributes:
-        detected: by part.
+        detected: by the part's name.
         landmarks: by landmark, the part's index and the point in its frame, metres.
     """
 
@@ -59,14 +59,14 @@ def frames_of(body: Body) -> Frames:
     placement = by_parts(body)
     zero, markers, (rotation, base) = jax.tree.map(lambda leaf: np.asarray(leaf, float), _at_rest(body))
     marker_places = dict(zip(body.markers.names, markers, strict=True))
-    # Left and up of an upright body; forward is across both.
+    # The cross product of an upright body's left and up.
     forward = np.cross(marker_places["l_hip"] - marker_places["r_hip"], marker_places["thorax"] - marker_places["pelvis"])
     detected = {}
     for part, name in enumerate(placement.names):
         solid = body.topology.names.index(name)
         axis = rotation[solid][:, 2]
         tip = base[solid] + float(body.lengths[solid]) * axis
-        # The axis of trunk and head points to the crown; that of a limb away from the trunk.
+        # The axes of trunk and head point to the crown; the axis of a limb points away from the trunk.
         towards = axis if "_" in name or axis @ (marker_places["thorax"] - marker_places["pelvis"]) > 0 else -axis
         frame = rigid.rigid((base[solid] + tip) / 2, rotations.from_matrix(axis_frames(towards[None], forward[None])[0]))
         detected[name] = np.asarray(rigid.relative(zero[part], frame), float)
@@ -85,7 +85,7 @@ def _at_rest(body: Body) -> tuple[Configuration, Float[Array, "marker 3"], Trans
 
 
 def proposals_of(detected: Detected, body: Body, frames: Frames | None = None) -> tuple[Mixture, ...]:
-    """Return mixtures of what was detected of each part: its rigid frame, and its landmarks. A part that was not detected has no proposal in them.
+    """Return a mixture of each part's detected rigid frames, and one of its landmarks. A part that was not detected has no proposal in them.
 
     Args:
         detected: what was detected in a frame.
@@ -145,7 +145,7 @@ def _rigid(detections: Detections, X_part_detected: Float[np.ndarray, "7"]) -> l
 
 
 def _points(detections: Detections, point: Float[np.ndarray, "3"]) -> list[Weighted]:
-    """Return the parameters of distributions of the part's frame of which a point is known and nothing else, with their weights."""
+    """Return the parameters of distributions of the part's frame, with their weights; only one point of the part is known."""
     return [
         (_point(place, point, sd_m), float(weight))
         for place, sd_m, weight in zip(detections.positions, detections.sd_m, detections.weights, strict=True)
@@ -159,7 +159,7 @@ def _point(place: np.ndarray, point: np.ndarray, sd_m: np.ndarray) -> Parameters
 
 
 def _mixture(by_part: Sequence[Sequence[Weighted]], filling: Parameters, distributions: Callable[..., Any]) -> Mixture:
-    """Return the mixture, with the same number of components for each part; the filling has no weight. `distributions` takes all parameters."""
+    """Return the mixture, with MOST components for each part; missing ones are `filling`, without weight. `distributions` takes all parameters."""
     weights = np.full((len(by_part), MOST), -np.inf)
     for part, part_components in enumerate(by_part):
         total = sum(weight for _, weight in part_components)

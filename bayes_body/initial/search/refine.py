@@ -1,15 +1,14 @@
-"""Poses that were found are drawn again by a likelihood of the whole body: they come nearer, and legs may change places.
+"""Refine found poses by a likelihood of the whole body, which brings them nearer to the person, and may exchange the legs and move the arms.
 
-The search has a likelihood of each part on its own, and may exchange legs. A likelihood of the whole body can tell. So the found poses, and those
-with the legs exchanged, become the particles of a filter that sees the frame several times. From round to round the steps of the dofs get smaller.
-Particles are weighted with the power of the likelihood with which EFFECTIVE of them are effective, at most 1. So the poses stay apart as far as the
-picture allows. Before one of the rounds, arms that stand out are looked for (initial/search/refine.py).
+The search has a separate likelihood for each part, and may exchange legs. A likelihood of the whole body can tell the legs apart. The found poses,
+and copies with the legs exchanged, therefore become the particles of a filter that sees the frame several times. From round to round the steps of
+the dofs get smaller. Particles are weighted with a power of the likelihood, at most 1, that leaves EFFECTIVE of them effective. The poses therefore
+stay as diverse as the picture allows.
 
-Arms that stand out: a second look at the arms of a pose that was found.
-
-The joints of the search are those of people who walk, so it finds hanging arms. Each arm of a pose is therefore compared with arms drawn from all
-that the joint limits allow. The best of these, and the arm that was found, climb to their nearest maxima. Another arm is taken only if it gains
-LEAST_GAIN: many of the arms that joint limits allow are in front of the trunk or behind it, where silhouettes do not tell them from a hanging one.
+Before one of the rounds, arms that stand out are looked for. The joints of the search are those of people who walk, so it finds hanging arms. Each
+arm of a pose is therefore compared with arms drawn uniformly within the joint limits. The best of these, and the arm that was found, climb to their
+nearest maxima. Another arm is used only if it gains LEAST_GAIN: many arms within the joint limits are in front of the trunk or behind it, where
+silhouettes do not distinguish them from a hanging arm.
 """
 
 import re
@@ -33,9 +32,9 @@ from bayes_body.model.build import Model
 
 # Dofs of an arm. A body with other names keeps its arms.
 ARM = "_(clavicle|shoulder|elbow|wrist)"
-# Log-likelihood that another arm must gain. Arms of walkers gained 2.6 at most (32 comparisons), an arm that stands out 2.2 to 4.0 (six).
+# Log-likelihood that another arm must gain. Arms of walkers gained 2.6 at most (32 comparisons), arms that stand out 2.2 to 4.0 (six).
 LEAST_GAIN = 3.0
-# Of each side, drawn arms that climb; and the standard deviations of their steps, degrees.
+# Number of drawn arms of each side that climb; and the standard deviations of their steps, degrees.
 CLIMB, STEPS_DEG = 11, (10.0, 6.0, 4.0, 2.5, 1.5)
 
 type Dofs = Int[np.ndarray, " own"]
@@ -46,11 +45,11 @@ type Evaluate = Callable[[Poses], Float[np.ndarray, " pose"]]
 def other_arms(
     skeleton: Skeleton, evaluate: Evaluate, best: Float[np.ndarray, " dof"], many: int, random: np.random.Generator
 ) -> list[tuple[Dofs, Float[np.ndarray, " own"]]]:
-    """Return the arms that fit clearly better than those of a pose: their dofs, and the values of these.
+    """Return the arms that fit clearly better than those of a pose: their dofs, and the values of these dofs.
 
     Args:
         skeleton: the body's skeleton.
-        evaluate: returns the log-likelihoods of `many` poses; one that is not finite is not allowed.
+        evaluate: returns the log-likelihoods of `many` poses; a pose whose value is not finite is not allowed.
         best: the pose.
         many: the number of poses that are evaluated at once.
         random: random generator.
@@ -65,7 +64,7 @@ def other_arms(
     for poses, dofs in zip(drawn, arms, strict=True):
         poses[:, dofs] = random.uniform(low[dofs], high[dofs], (len(poses), len(dofs)))
     log_likelihoods = _evaluated(evaluate, drawn, many)
-    # Of each arm: the pose itself, and the best of the drawn ones.
+    # For each arm: the pose itself, and the best of the drawn ones.
     starts = [
         np.concatenate([best[None], poses[np.argsort(-arm_log_likelihoods)[:CLIMB]]])
         for poses, arm_log_likelihoods in zip(drawn, log_likelihoods, strict=True)
@@ -109,7 +108,7 @@ def _evaluated(evaluate: Evaluate, poses: Float[np.ndarray, "*pose dof"], many: 
     return np.where(np.isfinite(values), values, -np.inf).reshape(poses.shape[:-1])
 
 
-# Particles, and those of them that are effective.
+# Number of particles, and how many of them are effective.
 MANY, EFFECTIVE = 8_192, 96
 # The log-weight of a pose that a constraint forbids: finite, because it is multiplied by powers that may be 0.
 IMPOSSIBLE = -1e30
@@ -125,7 +124,7 @@ def refine(model: Model, density: Density, poses: Float[np.ndarray, "pose dof"],
     Args:
         model: the model that will track; its body is placed by angles.
         density: its density of the frame.
-        poses: the poses, radians and metres; all count alike.
+        poses: the poses, radians and metres; all have the same weight.
         count: number of poses to return.
         seed: random seed.
     """

@@ -1,27 +1,27 @@
-r"""Find a body in one frame without any first pose: posterior draws of a loose-limbed body, from detections of its parts.
+r"""Find a body in one frame without any first pose, by posterior draws of a loose-limbed body; and tell from several frames which way it faces.
 
-The root's place comes from the detections; all other parts from the joints' densities. Whole bodies are drawn and weighed with a small power of the
-likelihood. Of the trunks that are left, limbs are drawn many times (kernels/messages/nested.py), with a larger power and then with the whole
-likelihood. Trunks are drawn again by weight in between; each stage's weights divide out those of the stage before, so the result is a weighted sample
-of
+The root is drawn from the detections, and all other parts from the joints' densities. Whole bodies are drawn and weighted with a small power of the
+likelihood. The remaining trunks get new limbs, many for each trunk (kernels/messages/nested.py), with a larger power and then with the whole
+likelihood. Trunks are drawn again by weight in between. Each stage divides the weights of the stage before out of its own, so the result is a
+weighted sample of
 
 $$p(x) \propto q(x_\text{root}) \prod_{\text{joints}} \psi \prod_i \phi_i(x_i),$$
 
 where q is the mixture of the root's detections. Penetration of parts enters the weights at the end. The motion prior plays no role.
 
-All stages are one loop, so that the likelihood of a part is compiled once for all limbs. In the first stage, the particles of a limb belong to as
-many trunks.
+All stages are one loop, so that the likelihood of a part is compiled once for all limbs. In the first stage, each particle of a limb has a trunk of
+its own.
 
-Which way a person faces, from several frames: the draws of a frame are kept by the way they face, and frames near in time vote.
-
-Silhouettes tell little about front and back. A body and the same body turned round by 180 degrees may explain one frame about equally well. From
-frame to frame the facing turns slowly, and people walk forwards. Let way k of frame t have the evidence $Z_{tk}$ and the facing angle $a_{tk}$. The
-ways of all frames form a hidden Markov chain,
+Silhouettes tell little about front and back: a body and the same body turned round by 180 degrees may explain one frame about equally well. The draws
+of a frame are therefore kept apart by the way they face, and frames that are near in time decide together. From frame to frame the facing turns
+slowly, and people walk forwards. Let way k of frame t have the evidence $Z_{tk}$ and the facing angle $a_{tk}$. The ways of all frames form a hidden
+Markov chain,
 
 $$p(k_{1:T}) \propto \prod_t Z_{t k_t}^{\gamma}\, \exp\{\kappa_t \cos(a_{t k_t} - a_{t-1, k_{t-1}})\}\, m_t(a_{t k_t})^{1/T},$$
 
-where m is the ratio of how often people move in the direction $a$ to how often they move in any direction, and the forward and backward recursions
-give the share of each way (Rabiner 1989). The exponent $\gamma$ is below 1, because frames that are near in time misfit the model in the same way.
+where m is the density of the person's movement given the facing $a$, relative to a uniform distribution of directions. The forward and backward
+recursions give the share of each way (Rabiner 1989). The exponent $\gamma$ is below 1, because frames that are near in time misfit the model in the
+same way.
 """
 
 from collections.abc import Sequence
@@ -42,13 +42,13 @@ from bayes_body.kernels.messages.nested import Tree, Trunks, nested_draws, tree_
 from bayes_body.kernels.smc.tempering import next_increment
 from bayes_body.kernels.weights import effective_sample_size, normalise, resampler
 
-# Trunks that are kept, and particles of a limb. Their product is the number of whole bodies that are drawn first.
+# Number of trunks that are kept, and of particles of a limb. Their product is the number of whole bodies that are drawn first.
 TRUNKS, LIMBS = 256, 48
 # Powers of the likelihood in each stage. The first stage weighs its bodies by a power of their likelihood, at most the second number.
 POWERS, FIRST_POWER = (1.0, 0.4, 1.0), 0.4
-# That power leaves this share of the trunks effective.
+# The power of the first stage leaves this share of the trunks effective.
 EFFECTIVE = 0.5
-# If fewer draws are effective at the end, their weights are raised to the power with which so many are. A mean of one draw or two has the whole
+# If fewer draws are effective at the end, their weights are raised to the power at which this many are. A mean of one or two draws has the whole
 # error of a draw, and a sampler that starts there does not know how uncertain its start is.
 LEAST_EFFECTIVE = 20
 
@@ -60,7 +60,7 @@ class Search(NamedTuple):
         parts: the draws.
         log_weights: their log-weights, normalised; flattened, if fewer than LEAST_EFFECTIVE draws were effective.
         log_evidence: log of the mean likelihood over the prior of the search.
-        ess: effective number of draws by the weights that are not flattened.
+        ess: effective number of draws, by the weights before they are flattened.
     """
 
     parts: Float[Array, "draw part 7"]
@@ -70,7 +70,7 @@ class Search(NamedTuple):
 
 
 class _Stage(NamedTuple):
-    """The trunks of all bodies, (TRUNKS, LIMBS, ...), and the log of what was divided out of their weights by drawing them."""
+    """The trunks of all bodies, (TRUNKS, LIMBS, ...), and the log-weights by which they were drawn, which are divided out later."""
 
     trunks: Trunks
     divided: Float[Array, "trunk limb"]
@@ -82,10 +82,10 @@ def search(key: Key, density: Density, roots: Mixture) -> Search:
     Args:
         key: random key.
         density: the frame's density; its motion prior is not read.
-        roots: a mixture for each part (`proposals_of`), of which the first part's is read.
+        roots: a mixture for each part (`proposals_of`); only that of the first part is read.
 
     Raises:
-        InputError: the body is not placed by parts, or its joints are no densities to draw from.
+        InputError: the body is not placed by parts, or its joints are not densities that can be drawn from.
     """
     root_key, trunk_key, *stage_keys = jax.random.split(key, 2 + 2 * len(POWERS))
     graph = parts_graph(density, "the search for a first pose")
@@ -140,8 +140,8 @@ def _log_mean(log_weights: Float[Array, " draw"]) -> Scalar:
 
 # How fast people turn, radians a second, and how well a frame's facing is known, radians: standard deviations.
 TURN_RAD_S, FACING_RAD = 2.0, 0.35
-# Share of the people who walk backwards or sideways, and the speed from which on a movement is a walk, metres a second; how closely walkers face
-# where they walk: concentration of a von Mises distribution.
+# Share of the people who walk backwards or sideways; the least speed of a walk, metres a second; and how closely walkers face their direction of
+# movement: concentration of a von Mises distribution.
 BACKWARDS, WALKS_M_S, STRAIGHT = 0.02, 0.3, 4.0
 # γ
 TRUST = 0.5
@@ -155,7 +155,7 @@ class Way(NamedTuple):
         log_weights: their normalised log-weights.
         log_evidence: log-evidence of the frame, if the person faces this way.
         ess: effective number of draws.
-        facing: horizontal direction to where the mean body faces, of length 1.
+        facing: horizontal unit vector to where the mean body faces.
         place: the mean body's pelvis, metres.
     """
 
@@ -168,7 +168,7 @@ class Way(NamedTuple):
 
 
 def way_of(names: Sequence[str], markers: np.ndarray, log_weights: np.ndarray, log_evidence: float, ess: float, up: int) -> Way:
-    """Return the way that weighted draws of markers face: the mean over the draws of the direction that points left from hip to hip, turned ahead."""
+    """Return the way of weighted draws of markers. Its facing is the mean direction from right to left hip, turned forward."""
     weights = np.exp(log_weights)
     hip_axis = markers[:, names.index("l_hip")] - markers[:, names.index("r_hip")]
     ahead = np.cross(hip_axis, np.eye(3)[up])
@@ -199,13 +199,13 @@ def shares_over_time(frames: Sequence[Sequence[Way]], seconds: Sequence[float], 
 
 
 def _log_turns(before: Sequence[Way], after: Sequence[Way], seconds: float) -> Float[np.ndarray, "before after"]:
-    """Log-density, but for a constant, of the turns between two frames."""
+    """Return the log-density of the turns between two frames, up to a constant."""
     concentration = 1 / (FACING_RAD**2 + (TURN_RAD_S * seconds) ** 2)
     return concentration * np.array([[earlier_way.facing @ later_way.facing for later_way in after] for earlier_way in before])
 
 
 def _movements(frames: Sequence[Sequence[Way]], seconds: Sequence[float], up: int) -> Float[np.ndarray, "frame 3"]:
-    """Horizontal velocity of the person in each frame, metres a second; the ways of a frame are at about the same place."""
+    """Return the horizontal velocity of the person in each frame, metres a second; the ways of a frame are at about the same place."""
     if len(frames) < 2:
         return np.zeros((len(frames), 3))
     places = np.stack([np.mean([way.place for way in ways], axis=0) for ways in frames])
@@ -214,7 +214,7 @@ def _movements(frames: Sequence[Sequence[Way]], seconds: Sequence[float], up: in
 
 
 def _log_forwards(facing: Float[np.ndarray, "3"], moved: Float[np.ndarray, "3"]) -> float:
-    """Log of how many times likelier than any other direction it is that someone who faces so moves so."""
+    """Return the log-density of a movement given a facing, relative to a uniform distribution of directions."""
     speed = float(np.linalg.norm(moved))
     if speed < WALKS_M_S:
         return 0.0

@@ -1,16 +1,16 @@
-r"""Different angles for the same rotations: full turns, and the second solution of a joint with three angles.
+r"""Different angles for the same rotations or the same markers, and the choice among them.
 
-The second solution is $(s_1 + \pi, \pi - s_2, s_3 + \pi)$ if all three axes differ, and $(s_1 + \pi, -s_2, s_3 + \pi)$ if the first axis is also the
-third (Diebel 2006, Representing attitude, 5.6). The signs of the dofs change it by full turns only.
+A rotation determines its angles up to full turns, and up to the second solution of a joint with three angles. The second solution is $(s_1 + \pi, \pi
+- s_2, s_3 + \pi)$ if all three axes differ, and $(s_1 + \pi, -s_2, s_3 + \pi)$ if the first axis is also the third (Diebel 2006, Representing
+attitude, 5.6). The signs of the dofs change it by full turns only.
 
-Of all poses that place the markers alike, the one nearest to rest: it makes the angles of different people and motions comparable.
-
-Markers leave some angles open. A pelvis with a marker at each hip can pitch freely if hips and thorax turn back. Distance from rest is that of angles
-over $\sigma_k \propto \mathrm{range}_k^2$: joints with a small range, those of the spine, move least.
+Markers leave some angles open: a pelvis with a marker at each hip can pitch freely if hips and thorax turn back. Of all poses that place the markers
+alike, the one nearest to rest makes the angles of different people and motions comparable. The distance from rest is that of angles divided by
+$\sigma_k \propto \mathrm{range}_k^2$: joints with a small range, those of the spine, move least.
 
 $$\min_s\ \sum_i \frac{\|m_i(s) - m_i\|^2}{\epsilon^2} + \sum_k \Bigl(\frac{s_k - r_k}{\sigma_k}\Bigr)^2$$
 
-Gauss-Newton steps start from the given pose. The second solutions of joints and full turns are treated elsewhere (`bayes_body.model.body.branches`).
+Gauss-Newton steps start from the given pose. The second solutions of joints and full turns are treated separately.
 """
 
 from typing import NamedTuple

@@ -1,8 +1,7 @@
 """Convert a body file to the arrays of one subject's body: metres, radians.
 
-Turn the joints of a body file into frames, with fixed dofs as constants.
-
-A dof with equal limits is fixed. The dofs before it become a separate frame, to which the fixed rotation or translation is attached.
+The joints of a body file become frames, and fixed dofs become constants. A dof with equal limits is fixed. The dofs before it become a separate
+frame, to which the fixed rotation or translation is attached.
 """
 
 import math

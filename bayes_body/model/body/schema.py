@@ -1,6 +1,6 @@
-"""The schema of a body file, with the check that its tables fit together.
+"""The schema of a body file, with checks beyond its types.
 
-Checks of a body file beyond its types: unknown names, duplicate names, a joint hierarchy that is not a tree.
+The tables must fit together. Unknown names, duplicate names and a joint hierarchy that is not a tree are errors.
 """
 
 from collections import Counter

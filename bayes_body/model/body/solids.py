@@ -1,4 +1,4 @@
-r"""The parts of a body as solids, and their projection to a camera.
+r"""The parts of a body as solids, their projection to a camera, and the space in which a body is placed.
 
 A tapered cylinder has the ends $e_0, e_1 = e_0 + \ell a$, radii $r_0, r_1$ and an elliptical section with semi-axes $(r s_x, r s_y)$ along its own
 x and y. For a view along $c$ (in the part's frame), the contour point of a section is where the normal is perpendicular to the view,
@@ -12,7 +12,7 @@ Every point that a likelihood reads is therefore a sum of four vectors of its pa
 coefficients: $(1, t, s, ts)$ on a cylinder, with $t \in [0, 1]$ along and $s \in [-1, 1]$ across it. The outline is $s = \pm 1$; surface samples are
 points in between, on the patch that faces the camera.
 
-The space of what places a body: a pose, or the transforms of its parts.
+A body is placed by a pose, or by the transforms of its parts.
 """
 
 from dataclasses import dataclass, replace

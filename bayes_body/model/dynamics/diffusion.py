@@ -5,9 +5,9 @@ $$s_t^k \mid s_{t-1}^k \sim \mathcal{N}(s_{t-1}^k, \sigma_k^2) \text{ truncated 
 The truncated normal is normalised for each previous state: near a limit its density is higher, which rejection after drawing would ignore. The paper
 sets $\sigma_k$ to half the largest change between two frames of a training motion.
 
-Standard deviations per frame, as a definition gives them: by names of dofs or parts, or patterns, at one frame rate.
+A definition gives the standard deviations per frame by names of dofs or parts, or by patterns, at one frame rate.
 
-The first joint of a body that a learned motion prior moves: its dofs are the position and the orientation in the world.
+If a learned motion prior moves a body, the dofs of the body's first joint must be the position and the orientation in the world (`check_root`).
 """
 
 import math
@@ -115,14 +115,14 @@ ROOT_DOFS = len(ROOT)
 
 
 def check_root(body: Body, what: str) -> None:
-    """Check that the first joint of a body has these dofs.
+    """Check that the dofs of a body's first joint are its position and orientation in the world.
 
     Args:
         body: the body.
-        what: what needs it, such as "dynamics walking_cycle".
+        what: what needs these dofs, such as "dynamics walking_cycle".
 
     Raises:
-        InputError: it has others.
+        InputError: the first joint has other dofs.
     """
     topology = body.skeleton.topology
     root = tuple((motion.axis, motion.is_shift) for motion in topology.motions[0] if motion.sign == 1)

@@ -8,10 +8,8 @@ v = \frac{(1 + m\kappa)(1 + (1 - m)\kappa)}{(2 + \kappa)^2 (3 + \kappa)}, \qquad
 
 $v$ decreases strictly in $\kappa \ge 0$ from $1/12$, the variance of the uniform distribution: no larger variance has a mode inside.
 
-Beta distributions with parameters of at least 1: their normaliser and draws from them, each in a few operations.
-
-Draws are made by rejection from a log-logistic distribution (Cheng 1978, algorithm BB). With $\lambda^2 = (2ab - a - b) / (a + b - 2)$ and uniform
-$U$, the odds are proposed as
+All parameters of these Beta distributions are at least 1. Their normaliser and draws take a few operations each. Draws are made by rejection from a
+log-logistic distribution (Cheng 1978, algorithm BB). With $\lambda^2 = (2ab - a - b) / (a + b - 2)$ and uniform $U$, the odds are proposed as
 
 $$\frac{x}{1 - x} = \frac{a}{b}\, e^{V}, \qquad V = \frac{1}{\lambda} \log\frac{U}{1 - U},$$
 
@@ -20,7 +18,7 @@ and accepted with the ratio of the densities, divided by its largest value, whic
 $$\log r = (a + \lambda) V - 2 \log 2U - (a + b) \log\!\Big(1 + \frac{a}{a + b} (e^V - 1)\Big).$$
 
 The distribution is exact. At most 1.48 trials are needed on average, whatever the parameters. JAX's own draw divides two gamma variables, each from
-two nested loops with a random key for every entry: several times the time, and many times the program.
+two nested loops with a random key for every entry. It takes several times as long, and its program is many times as large.
 
 The logarithm of the normaliser is Stirling's formula for $B(a + 2, b + 2)$ with the remainder as Stieltjes' continued fraction,
 

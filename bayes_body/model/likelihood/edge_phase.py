@@ -3,16 +3,15 @@ r"""Edges by phase (Poon & Fleet 2002, 3.2): band-pass filters steered to the no
 $$\log L(s) = \sum_c \sum_j \frac{1}{n_j} \sum_i \log L_{ij}, \qquad
 L_{ij} = \prod_{\text{scales}} p(\phi_{ij} \mid \rho_{ij}, s)\, p(\rho_{ij} \mid s) \ \text{if visible, else}\ p_{occ},$$
 
-with the densities of `edge_density` and the samples of `boundaries`. A partly hidden sample (soft visibility) has the mixture of both. A sample
-outside the image, or in a camera that did not see the frame, counts as hidden.
+with the densities below and the samples of `boundaries`. A partly hidden sample (soft visibility) has the mixture of both. A sample outside the
+image, or in a camera that did not see the frame, counts as hidden.
 
 The factor $1/n_j$ is the paper's (8). It tempers the posterior: n measurements count as one, which "accounts for the lack of a background model" and
 broadens the likelihood; it does not depend on how many of them are independent. Without it (`normalise_by_samples = false`) all count as independent,
 which neighbours along a boundary are not. The constant p_occ is not a density of the image either, so this likelihood cannot be simulated.
 
-The density of a filter's response on a boundary, steered to its normal (Nestares & Fleet 2001; Poon & Fleet 2002, (5) and (6)).
-
-With the phase $\phi \in [0, \pi)$, the logarithm $\rho$ of the amplitude and $\rho' = (\rho - \rho_{min}) / (\rho_{max} - \rho_{min})$,
+A filter is steered to the normal of a boundary. Its response there has this density (Nestares & Fleet 2001; Poon & Fleet 2002, (5) and (6)). With the
+phase $\phi \in [0, \pi)$, the logarithm $\rho$ of the amplitude and $\rho' = (\rho - \rho_{min}) / (\rho_{max} - \rho_{min})$,
 
 $$p(\phi \mid \rho) = \epsilon(\rho)\, \mathcal{N}(\phi; \pi/2, \sigma^2) + (1 - \epsilon(\rho)) / \pi, \qquad
 p(\rho') \propto c(\rho')^{a-1} (1 - c(\rho'))^{b-1},$$
@@ -20,8 +19,8 @@ p(\rho') \propto c(\rho')^{a-1} (1 - c(\rho'))^{b-1},$$
 $\epsilon$ is linear in $\rho'$. The phase is that of a step edge with either side brighter, so it is folded modulo $\pi$. The normal distribution is
 wrapped around that circle, so it is normalised, and smooth where the phase wraps. The paper's distribution of $\rho'$ is Beta(a, b). Here $c$ clips
 it to $[\delta, 1 - \delta]$, softly: with a hard clip the density would have slopes of $(a - 1) / \delta$, which would force short steps on
-Hamiltonian Monte Carlo. It is normalised over $[\rho_{min}, \rho_{max}]$. For a response outside, which the paper leaves open, the value at the
-nearer end counts.
+Hamiltonian Monte Carlo. It is normalised over $[\rho_{min}, \rho_{max}]$. For a response outside this range, which the paper leaves open, the value
+at the nearer end is used.
 """
 
 import math

@@ -1,22 +1,20 @@
-r"""Markers seen by cameras, as a distribution over their pixels.
+r"""Markers seen by cameras, as a distribution over the pixels of their detections.
 
-$p(z \mid s) = p(z \mid x(s))$ with the positions x of the body's markers, and the distribution of detections in model/likelihood/markers_gaussian.py.
-Which markers are present, and their confidence, is given.
-
-The markers of a body that is placed by its parts are a plate over the parts that hold them, which message passing reads part by part.
+The likelihood is $p(z \mid s) = p(z \mid x(s))$ with the positions x of the body's markers. It is given which markers are present, and with which
+confidence. If a body is placed by its parts, its markers are a plate over the parts that hold them, which message passing reads part by part.
 
 Errors of keypoint networks are correlated between frames and cameras (a hip is always found outside and above the joint's centre). Here they are
 independent, so on real keypoints the posterior is too narrow, and more so at higher frame rates.
 
-Where cameras detect points of the world: the distribution of the detections' pixels.
+The distribution of the detections' pixels, given points x of the world, is
 
 $$p(z \mid x) = \prod_{c, m \,\text{present}} \Big[ (1 - \epsilon)\, f\big(\|z_{cm} - \pi_c(x_m)\|; \sigma_{cm}\big)
   + \frac{\epsilon}{W_c H_c} \Big],$$
 
 where f is Gaussian, $\frac{1}{2\pi\sigma^2} e^{-r^2/2\sigma^2}$, or Student's t in two dimensions (Lange et al. 1989), which has the same constant,
 $\frac{1}{2\pi\sigma^2} (1 + r^2/\nu\sigma^2)^{-(\nu+2)/2}$; $\epsilon$ is the fraction of outliers, uniform over the image, and
-$\sigma_{cm} = \sigma_c / q_{cm}^a$ with the confidence q. A point behind a camera is expected at a fixed place far outside the image: this is
-unlikely but finite, and the density is still normalised.
+$\sigma_{cm} = \sigma_c / q_{cm}^a$ with the confidence q. A point behind a camera is expected at a fixed place far outside the image. Its detections
+are then unlikely but not impossible, and the density is still normalised.
 """
 
 import math

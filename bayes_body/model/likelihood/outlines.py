@@ -1,14 +1,14 @@
-r"""How far image points are inside a body's projection, pixels: a signed distance, positive inside, with a gradient by the pose.
+r"""How far image points are inside a body's projection, and the fraction of an image that the body covers.
 
-The outline of a cylinder is a quadrilateral, $d_p(x) = \min_i\, n_i \cdot (x - x_i)$ over its sides. The outline of a sphere is an ellipse,
-$d_p(x) = \frac{r}{2} (1 - |M^{-1}(x - x_0)|^2)$ with its half-axes in M and $r = \sqrt{|\det M|}$, which has the slope of the distance on the
-outline. The union of parts is $d(x) = \max_p d_p(x)$. Each $d_p$ is a minimum of forms $f \cdot (1, u, v, u^2, uv, v^2)$, so one form determines d at
-a point. The gradient by a form's coefficients is a sum over its points, and the code below computes it so (reverse mode only).
+The signed distance is in pixels, positive inside, and has a gradient by the pose. The outline of a cylinder is a quadrilateral, $d_p(x) = \min_i\,
+n_i \cdot (x - x_i)$ over its sides. The outline of a sphere is an ellipse, $d_p(x) = \frac{r}{2} (1 - |M^{-1}(x - x_0)|^2)$ with its half-axes in M
+and $r = \sqrt{|\det M|}$, which has the slope of the distance on the outline. The union of parts is $d(x) = \max_p d_p(x)$. Each $d_p$ is a minimum
+of forms $f \cdot (1, u, v, u^2, uv, v^2)$, so one form determines d at a point. The gradient by a form's coefficients is a sum over its points; the
+code below computes this sum (reverse mode only).
 
-The fraction of an image that a body covers: of the points of a coarse grid, those in the projection of any part.
-
-The membership of a grid point in a part's quadrilateral is soft over one step of the grid: $\prod$ of sigmoids of the distances to its four sides.
-Therefore the area has a gradient. The union over parts is $1 - \prod_p (1 - m_p)$.
+The covered fraction is that of the points of a coarse grid which lie in the projection of any part. The membership of a grid point in a part's
+quadrilateral is soft over one step of the grid: $\prod$ of sigmoids of the distances to its four sides. Therefore the area has a gradient. The union
+over parts is $1 - \prod_p (1 - m_p)$.
 """
 
 import math

@@ -5,19 +5,17 @@ $$\log \phi = \rho \sum_c \Big[ (1 - w) \Big( \sum_{x \in \Omega_1} \log \frac{p
 
 with the pixels $\Omega_1$ inside the part's projection, $\Omega_2$ of a band beside it, $\Gamma$ of its two long sides, the silhouette S, and the
 distance E to the nearest edge. The product of (8) over the rest of the image is divided out. The sums over pixels are sums over fixed points, each of
-which stands for a number of pixels (model/likelihood/regions.py); recording/observation/regions.py has the log-ratios. A part counts 0 in a
-camera where it is outside the image or not entirely in front of the lens. It is not rewarded for that: 0 is what a part on pixels about which nothing
-is known counts.
+which stands for a number of pixels; recording/observation/regions.py has the log-ratios. A part contributes 0 in a camera where it is outside the
+image or not entirely in front of the lens. This is not a reward: a part on pixels about which nothing is known also contributes 0.
 
-It is a plate over the parts: message passing reads it part by part, other kernels read the sum. A pixel that several parts cover is counted for each
-of them, and neighbouring pixels are not independent, so the sum is too sure. $\rho$ = `precision` corrects it. It holds for images of 640 x
-480 pixels. A larger image of the same scene tells little more: areas count as shares of the image, and lengths as the square roots of these shares.
-It is not a distribution over images.
+The factor is a plate over the parts: message passing reads it part by part, other kernels read the sum. A pixel that several parts cover is counted
+for each of them, and neighbouring pixels are not independent, so the sum is too confident. $\rho$ = `precision` corrects this. Its value is for
+images of 640 x 480 pixels. A larger image of the same scene tells little more: areas count as shares of the image, and lengths as the square roots of
+these shares. The factor is not a distribution over images.
 
-Fixed points of a part's projection, each with the pixels that it stands for: inside the part, in a band beside it, and on its two long sides.
-
-The ends of a solid's axis and its half-widths there are projected, as by Sigal et al. (2011, 5.1). With the middle c and the half-width h of both
-ends in the image, a point at $t \in [0, 1]$ along and s across it is
+The fixed points of a part's projection are inside the part, in a band beside it, and on its two long sides. The ends of a solid's axis and its
+half-widths there are projected, as by Sigal et al. (2011, 5.1). With the middle c and the half-width h of both ends in the image, a point at $t \in
+[0, 1]$ along and s across it is
 
 $$x(t, s) = c_0 + t\,\Delta c + s\,(h_0 + t\,\Delta h),$$
 

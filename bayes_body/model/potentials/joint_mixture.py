@@ -11,17 +11,16 @@ A mixture is a mapping of arrays: `mean` (component, 7); `root` (component, 2, 3
 `inverse_root`, its inverse; `weight` (component,); `log_weight` (component,), the log-weights with all constants of the Gaussians; `log_mass`
 (component,), $\log P_m$.
 
-Learned densities of the joints of a body, as `bayes-body learn kinematic-potentials` writes them: an .npz that holds a mixture for each joint.
+`bayes-body learn kinematic-potentials` writes the learned densities of the joints of a body: an .npz that holds a mixture for each joint.
 
-The log-potential of a joint for all pairs of poses of parent and child at once, as products of matrices.
-
-With the reference position o, a component's quadratic form separates into a part of the parent and a part of the child:
+The log-potential of a joint is computed for all pairs of poses of parent and child at once, as products of matrices. With the reference position o, a
+component's quadratic form separates into a part of the parent and a part of the child:
 
 $$-\tfrac12\big[a(X_i) \cdot f(t_j - o) + s(|w|)^2\, g(X_i) \cdot h(q_j)\big] + 2 \log s(|w|) + \text{const}, \qquad
 w = \langle q_i \bar q,\, q_j \rangle, \quad s = 2 \arccos |w| / \sqrt{1 - w^2}.$$
 
 f are the 10 monomials of the position up to degree two and h the 10 products of the quaternion's entries, so three products of matrices (10, 10 and 4
-columns) and two polynomials in 1 - |w| (base/geometry/rotations.py) give all pairs. This is over ten times faster than pair by pair. In float32 the
+columns) and two polynomials in 1 - |w| (base/geometry/rotations.py) give all pairs. This is over ten times as fast as pair by pair. In float32 the
 error of log ψ is below 1e-3, if o is near the poses.
 """
 

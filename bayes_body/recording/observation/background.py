@@ -1,15 +1,14 @@
 r"""The background of a camera that stands still: one Gaussian per pixel, learned once and then fixed.
 
-What is computed from a frame therefore depends on that frame only, and not on the frames that were read before.
-
-Decide, pixel by pixel, which frames show the background, even if a person stands in one place for most of the recording.
+What is computed from a frame therefore depends on that frame only, and not on the frames that were read before. It is decided pixel by pixel which
+frames show the background, even if a person stands in one place for most of the recording.
 
 OpenCV's Gaussian mixture gives each pixel's most frequent colour. This is the background where it is visible most of the time; where a person stays,
 it is the person. For pixels whose colour changes, and pixels enclosed by them, the background is therefore chosen among the observed colours k.
 Colour k was seen at the times $T_k$ and has the mean $c_k$. The choice is
 
 $$\operatorname*{argmax}_k \; e^{-\min(\|c_k - \bar c\|^2 / 2\sigma^2,\, m)}
-  \sum_{t \in T_k} \frac{p(I_t \mid \text{scene})}{p(I_t \mid \text{person})},$$
+  \sum_{t \in T_k} \frac{p(I_t \mid \text{scene})}{p(I_t \mid \text{person})}.$$
 
 Here $\bar c$ is the colour expected from the constant pixels around (OpenCV's inpainting). The two densities are histograms of colours. The scene's
 histogram uses the pixels that never change. The person's uses samples in the outer part of the changing region that differ from the background chosen

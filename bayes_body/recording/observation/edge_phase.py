@@ -4,7 +4,7 @@ Log-Gabor in radius, $\exp(-\ln^2(f\lambda) / 2 \ln^2 \beta)$ for the wavelength
 `bayes_body.recording.evidence.edge_phase`. A wave with the filter's wavelength and direction gives a response with the wave's amplitude, in grey
 levels. A step edge gives an odd response, with the phase π/2 or −π/2.
 
-Points on the outline of a silhouette, beside it and elsewhere, and the filter responses there.
+The responses can also be read at points on the outline of a silhouette, beside it and elsewhere.
 """
 
 from collections.abc import Callable

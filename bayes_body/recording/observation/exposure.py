@@ -5,7 +5,7 @@ $$I(x, y) \approx g\,B(x, y) + \sum_{i+j \le 3} a_{ij}\, x^i y^j.$$
 Automatic exposure and white balance change the gain g and a constant; veiling glare and flickering lamps add slowly varying terms. A person changes
 some pixels abruptly. The fit is therefore iterated on the pixels that it already explains.
 
-Smooth histograms of colours: densities of the colours of a scene or of a person.
+Smooth histograms give the densities of the colours of a scene or of a person.
 """
 
 from functools import cache

@@ -1,9 +1,9 @@
 """The pictures of a frame and of the frame before, for the likelihood `image_motion` (Sidenbladh, Black & Fleet 2000, 4).
 
 A Gaussian smooths the pictures, as in the paper, so that their difference has a gradient over a few pixels. The background of a camera that stands
-still stays where it is; that of a camera that moves is carried by a homography. The points that are compared are a fixed
-grid on each part, so that the density is a function of the state alone. With `random`, they are drawn anew for each frame, as in the paper, the same
-for all particles.
+still stays where it is. The background of a camera that moves is carried by a homography, which is found by following corners; most corners are not
+on the person. The points that are compared are a fixed grid on each part, so that the density is a function of the state alone. With `random`, they
+are drawn anew for each frame, as in the paper, the same for all particles.
 
 How the background moves from the frame before to this one, in pixels: corners are followed, most of which are not on the person.
 """

@@ -1,6 +1,6 @@
 """What one camera saw at one instant: an image from a file or a video, or nothing.
 
-A cache of compressed pictures that are expensive to compute.
+Pictures that are expensive to compute are cached in compressed form.
 """
 
 import threading

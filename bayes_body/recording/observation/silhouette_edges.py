@@ -5,7 +5,7 @@ each pixel a measure of proximity to an edge". By distance: V = exp(−d²/2h²)
 distances, an arm five pixels wide agrees with its silhouette as fully as a torso does, and a single outline counts as much as a striped shirt
 (docs/decisions). Both maps are stored as (1 − V)², which is what the likelihood averages.
 
-Spread points over a silhouette so that a limb gets points in proportion to its length. By area, a torso would get most of them, and an arm few.
+Points are spread over a silhouette so that a limb gets points in proportion to its length. By area, a torso would get most of them, and an arm few.
 """
 
 from collections.abc import Callable

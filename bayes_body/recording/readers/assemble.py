@@ -1,6 +1,6 @@
 """Build a session from calibrated cameras and a folder with their recordings. All importers share this.
 
-Align the cameras' frames: cameras may start at different times, number their frames differently and have different lengths.
+The cameras' frames are aligned: cameras may start at different times, number their frames differently and record different numbers of frames.
 """
 
 from collections.abc import Mapping, Sequence

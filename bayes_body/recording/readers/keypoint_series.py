@@ -1,10 +1,10 @@
-"""The subject's keypoints in all frames of one camera: an .npz beside a session, with
+"""The subject's keypoints in all frames of one camera, and how the subject is followed among the people that the cameras see.
+
+The keypoints are in an .npz beside a session, with
 
 - `keypoints` (frame, keypoint, 3): column, row (pixels; NaN where not found) and confidence, between 0 and 1,
-- `names` of the keypoints: those of `keypoint_layouts`, of the fifteen markers (recording/evidence/markers.py), or others, which are ignored,
+- `names` of the keypoints: those of the layouts (readers/keypoints.py), of the fifteen markers (evidence/markers.py), or others, which are ignored,
 - `first`, the number of the first row's frame in the camera's numbering; 0 if missing.
-
-Follow the subject from frame to frame among the people that the cameras see.
 
 `choose_person` finds the subject in the first frame. From then on, the subject in a camera is the person nearest to the projection of the previous
 frame's body (with one camera: to the subject's place in the previous frame), if the distance is within a fifth of the person's size. Cameras that do

@@ -1,12 +1,12 @@
-"""Read keypoints in OpenPose's format: one JSON file per frame with `people`, each with `pose_keypoints_2d` = x, y, confidence of each keypoint.
+"""Read keypoints in OpenPose's format, and the layouts: the orders in which pose estimators list a body's keypoints.
 
-Pose2Sim and the converters of MMPose and AlphaPose write the same. A keypoint that was not found is 0, 0, 0 in the file and NaN, NaN, 0 here.
+OpenPose writes one JSON file per frame with `people`, each with `pose_keypoints_2d` = x, y, confidence of each keypoint. Pose2Sim and the converters
+of MMPose and AlphaPose write the same. A keypoint that was not found is 0, 0, 0 in the file and NaN, NaN, 0 here.
 
-Keypoint layouts: the orders in which pose estimators list a body's keypoints, with this project's names.
-
-BODY_25 and BODY_25B (OpenPose's released and experimental network) both have 25 keypoints, and a file does not say which it holds. The wrong order
-gives a skeleton with implausible proportions. Limb lengths in the image, foreshortened, divided by their mean proportions (Drillis & Contini 1966,
-fractions of stature), spread by 10 to 20 % in the right order, and by about 40 % where eyes are mistaken for elbows.
+The layouts have this project's names. BODY_25 and BODY_25B (OpenPose's released and experimental network) both have 25 keypoints, and a file does not
+say which it holds. The wrong order gives a skeleton with implausible proportions. Limb lengths in the image, foreshortened, divided by their mean
+proportions (Drillis & Contini 1966, fractions of stature), spread by 10 to 20 % in the right order, and by about 40 % where eyes are mistaken for
+elbows.
 """
 
 import re

@@ -27,7 +27,7 @@ class Options:
         background: a folder that contains an image or a video of the empty scene for each camera.
         truth: an .npz with true markers.
         offsets: the session's frame k is the camera's frame k + offset.
-        layout: the order of the keypoints, a name in `keypoint_layouts.LAYOUTS`.
+        layout: the order of the keypoints, a name in `keypoints.LAYOUTS`.
         keypoints: a folder that contains a folder of OpenPose's files for each camera.
         first_frame: number of the first frame that is imported, as in the file names; in a video they count from 0.
         frames: number of frames that are imported; all from the first one on by default.

@@ -1,6 +1,6 @@
 """Import a recording of the PARSEC suite's bodytrack (Intel 2006; also the layout of Balan et al.'s data) as a session.
 
-The cameras of a PARSEC bodytrack folder: `CALIB/CameraC.cal`, images in `CAMc`, silhouettes in `FGc`, all named `imageNNNN.bmp`.
+A PARSEC bodytrack folder has the cameras in `CALIB/CameraC.cal`, images in `CAMc`, silhouettes in `FGc`, all named `imageNNNN.bmp`.
 """
 
 import re

@@ -1,6 +1,6 @@
-"""Find a camera's recording: a video or a folder of numbered images named after the camera. The same for its empty scene.
+"""Find the recording of a camera or of its empty scene: a video or a folder of numbered images, named after the camera.
 
-A folder of numbered images as one printf pattern.
+A folder of numbered images becomes one printf pattern.
 """
 
 import re

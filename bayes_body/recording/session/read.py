@@ -1,6 +1,6 @@
 """Read and write a session on disk: a folder with a `session.toml` (metres, degrees, pixels) that a person can edit.
 
-Write a session as `session.toml`: metres, degrees, pixels, with comments for the person who edits it.
+A `session.toml` is written with comments for the person who edits it.
 """
 
 import math

@@ -2,10 +2,9 @@ r"""The description of a recording: calibrated cameras, their images, the subjec
 
 Plain data in metres, radians and pixels. `bayes_body.recording.session.read` reads and writes it.
 
-What a camera with given intrinsics can see: a lens that folds its picture at once, or an absurd focal length, sees nothing.
-
-The radial coefficients fold the picture where their polynomial stops growing (`base/geometry/camera.py`), the tangential ones at about
-$r = 1 / (6 |p|)$, with $r$ the distance from the optical axis at unit depth.
+The intrinsics of a camera are checked: a camera with a lens that folds its picture at once, or with an absurd focal length, sees nothing. The radial
+coefficients fold the picture where their polynomial stops growing (`base/geometry/camera.py`), the tangential ones at about $r = 1 / (6 |p|)$, with
+$r$ the distance from the optical axis at unit depth.
 """
 
 import math

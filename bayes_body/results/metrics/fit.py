@@ -5,9 +5,8 @@ $|A \cap B| / \min(|A|, |B|)$. The cover stays near 1 if the body is only a part
 the silhouette. It falls if the two lie apart. The distance to the keypoints is the median over the body's markers, divided by the person's size in
 the image (the larger side of the box around the keypoints). What these figures mean is judged in results/metrics/plausibility.py.
 
-A posed body in a camera's image: the outline of every part, and the silhouette of the whole body.
-
-The outline of a tapered cylinder is the convex hull of its two end sections. The outline of a sphere is that of the circle that faces the camera.
+The body's projection to a camera's image consists of the outline of every part and the silhouette of the whole body. The outline of a tapered
+cylinder is the convex hull of its two end sections. The outline of a sphere is that of the circle that faces the camera.
 """
 
 from collections.abc import Sequence

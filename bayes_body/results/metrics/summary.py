@@ -1,8 +1,7 @@
 """Agreement of the runs, evidence, and the figures of `summary.json`.
 
-Frames are read one at a time, and only a few numbers of each are kept.
-
-The figure that heads a run: of what it was fitted to.
+Frames are read one at a time, and only a few numbers of each are kept. The figure at the head of a run measures the fit to the data that the run was
+fitted to.
 """
 
 import resource

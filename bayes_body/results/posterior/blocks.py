@@ -1,6 +1,6 @@
 """Read a posterior a few frames at a time, so that memory is bounded for a recording of any length.
 
-The spaces of a stored posterior's variables, and which of them the diagnostics read.
+`stored_spaces` returns the spaces of the stored variables that the diagnostics read.
 """
 
 from collections.abc import Iterator, Mapping

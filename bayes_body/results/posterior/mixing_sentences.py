@@ -1,8 +1,7 @@
-"""Warnings about the Markov chains of a run: the frames in which they did not mix, and what to change.
+"""Warnings about a run's Markov chains and message passing: the frames that are affected, and what to change.
 
-Warnings about message passing: frames with too few particles, or in which the iterations did not converge, and what to change.
-
-Wording shared by sentences about frames.
+Markov chains may not mix in a frame. Message passing may have too few particles there, or its iterations may not converge. All sentences about frames
+share their wording.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,8 +1,7 @@
 """Weighted means, markers, draws of equal weight and R-hat, of one frame or of all frames.
 
-R-hat does not use weights: it is computed on draws of equal weight, which are resampled from the particles.
-
-Draws of equal weight from a posterior's tree, for functions that do not know weights, such as those of ArviZ.
+R-hat does not use weights: it is computed on draws of equal weight, which are resampled from the particles. Draws of equal weight from a posterior's
+tree are for other functions without weights, such as those of ArviZ.
 """
 
 from typing import TYPE_CHECKING

@@ -1,12 +1,10 @@
-"""Frames whose draws are in `posterior.nc`, so that a finished run does not hold the same numbers twice.
+"""Frames whose draws are in `posterior.nc`, so that a finished run does not hold the same numbers twice; and a frame as named arrays with a digest.
 
-`frames/index.npz` has what the posterior lacks of each frame: its digest, its seconds, and which runs restarted. A frame that is read back has every
-bit that it had in a file of its own; its digest says so. Frames of a smoothed run are stored from the last to the first.
+`frames/index.npz` has what the posterior lacks of each frame: its digest, its seconds, and which runs restarted. A frame that is read back is
+bit-identical to the frame in a file of its own; its digest verifies this. Frames of a smoothed run are stored from the last to the first.
 
-A frame as named arrays, without Python objects, and the digest of them.
-
-The names are `states.NAME`, `log_weights`, `info.FIELD`, `markov.NAME`, `messages.NAME`, `figures.NAME`, `seen`, `seconds`, `seconds_ready`,
-`restarted`; and the frame's place: `run`, `number` and `before`. The digest is of all of them.
+A frame's arrays have no Python objects. Their names are `states.NAME`, `log_weights`, `info.FIELD`, `markov.NAME`, `messages.NAME`, `figures.NAME`,
+`seen`, `seconds`, `seconds_ready`, `restarted`; and the frame's place: `run`, `number` and `before`. The digest is of all of them.
 """
 
 import hashlib

@@ -1,10 +1,10 @@
-"""`manifest.json`: what a run made of its frames, with a checksum of each file. A result is used only if it is the one that the manifest lists.
+"""`manifest.json`: what a run made of its frames, with a checksum of each file; and digests of the recording.
 
-The manifest says of which frames a result was made: their number, and the digest of the last one, which depends on all frames before it.
+A result is used only if it is the one that the manifest lists. The manifest says from which frames a result was made: their number, and the digest of
+the last one, which depends on all frames before it.
 
-Digests of a recording: they tell whether images, videos and other files are still those from which a run was made.
-
-Of each file the size is used, and of some evenly spaced files of a sequence, or pieces of a long file, the content.
+The digests of a recording tell whether images, videos and other files are still those from which a run was made. They use the size of each file, and
+the content of some evenly spaced files of a sequence, or of pieces of a long file.
 """
 
 import hashlib

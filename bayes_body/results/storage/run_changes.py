@@ -1,6 +1,6 @@
-"""What the numbers of a run depend on: its id, and the changes that forbid to continue it.
+"""What the numbers of a run depend on: its id, its plugins, and the changes that forbid continuing it.
 
-The plugins of a run: their texts are stored for comparison and for people to read. They are never executed from there.
+The texts of the plugins are stored for comparison and for people to read. They are never executed from there.
 """
 
 import ast

@@ -1,9 +1,9 @@
-"""`run.toml`, which has everything that is needed to repeat or continue a run.
+"""`run.toml` and its schema. The file has everything that is needed to repeat or continue a run.
 
 It contains the settings, every option of the kernel, the versions, digests of the recording, and the texts of model and session. The table `[check]`
 has the id of the run and a digest of all other tables, so that a change by hand is noticed.
 
-The schema of `run.toml`. Options of the kernel and the texts are checked by those who use them.
+The schema does not check the kernel's options and the texts; they are checked where they are used.
 """
 
 import hashlib

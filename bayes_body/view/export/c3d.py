@@ -1,17 +1,16 @@
 r"""C3D, the binary format of motion laboratories (c3d.org), written with ezc3d: millimetres, 32-bit floats.
 
 The points are the markers' means. A point's residual, which usually measures the agreement of the cameras, is the posterior's standard deviation: the
-root of the mean variance of the three axes, $\sqrt{(s_x^2 + s_y^2 + s_z^2)/3}$. A C3D residual has a byte, of which seven bits are used, in steps of
+root of the mean variance of the three axes, $\sqrt{(s_x^2 + s_y^2 + s_z^2)/3}$. A C3D residual is a byte, of which seven bits are used, in steps of
 |POINT:SCALE| mm. On request, the moments of each axis are stored in full precision as further points, with `_sd`, `_q05` and `_q95` after the
-marker's name. The file of a mode seeker's run has the means only, and its residuals are 0. The gait events of a smoothed run are in the group EVENT.
+marker's name. The file of a mode seeker's run has the means only, and its residuals are 0.
 
 The format's description (C3D user guide, "Notes for programmers, floating-point 3D data") has the residual in the low byte of a point's fourth word,
 and the cameras that saw the point in the high byte. The scale is in the header and in POINT:SCALE. ezc3d 1.7 writes the residual into the high byte,
 and -1 as the header's scale. Both are corrected in the file that it wrote. ezc3d also reads the high byte, and so it reads a residual of 0.
 
-Gait events in a C3D file: its groups EVENT and EVENT_CONTEXT (C3D user guide), as motion laboratories' programs write and read them.
-
-An event has a label, a context (`Left` or `Right`) and a time from the first frame: minutes and seconds. The time is the posterior's mean. The
+The gait events of a smoothed run are in the groups EVENT and EVENT_CONTEXT (C3D user guide), as motion laboratories' programs write and read them. An
+event has a label, a context (`Left` or `Right`) and a time from the first frame: minutes and seconds. The time is the posterior's mean. The
 description says how certain it is, since the format has no other place for that.
 """
 

@@ -1,6 +1,7 @@
-"""CSV: one row for each frame; the columns' names end in their units.
+"""Export to CSV and NPZ.
 
-NPZ, for NumPy: arrays in full precision, with names that end in their units.
+CSV has one row for each frame; the columns' names end in their units. NPZ, for NumPy, has arrays in full precision, with names that end in their
+units.
 """
 
 from collections.abc import Iterator, Sequence

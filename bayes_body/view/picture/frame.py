@@ -1,6 +1,6 @@
 """The posterior of one frame over a camera's image: the mean body, draws, a legend, a scale bar, and what was made of which recording.
 
-What pictures for a paper have in common: their formats, their style, and the line that says what was made of which recording.
+Pictures for a paper share their formats, their style, and the line that says what was made of which recording.
 """
 
 import textwrap

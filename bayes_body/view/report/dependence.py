@@ -1,12 +1,11 @@
-r"""Which dofs depend on each other in the posterior: correlations of the weighted draws of a frame.
+r"""Which dofs depend on each other in the posterior: correlations of the weighted draws of a frame, and the posterior of a shoulder's angles.
 
-Correlations are those within a run, $r = S_{jk} / \sqrt{S_{jj} S_{kk}}$ with S the mean of the runs' weighted covariances. So runs that found
-different poses do not look like dofs that depend on each other. With few effective draws n, large correlations occur by chance. Pairs are ordered by
-the adjusted square $1 - (1 - r^2)(n - 1) / (n - 2)$, whose mean is about 0 for independent dofs.
+Correlations are those within a run, $r = S_{jk} / \sqrt{S_{jj} S_{kk}}$ with S the mean of the runs' weighted covariances. Runs that found different
+poses therefore do not make dofs look dependent. With few effective draws n, large correlations occur by chance. Pairs are ordered by the adjusted
+square $1 - (1 - r^2)(n - 1) / (n - 2)$, whose mean is about 0 for independent dofs.
 
-The log posterior of a shoulder's three angles over the frames (Sidenbladh, Black & Fleet 2000, Fig. 4).
-
-Bands hide that a posterior has several modes or fills a whole range, as that of a straight arm's twist does.
+The log posterior of a shoulder's three angles is shown over the frames (Sidenbladh, Black & Fleet 2000, Fig. 4). Bands would hide that a posterior
+has several modes or fills a whole range, as that of a straight arm's twist does.
 """
 
 from collections.abc import Sequence

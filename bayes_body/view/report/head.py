@@ -1,6 +1,6 @@
-"""The head of the page: the result in one line, and the key figures with their units; and the section of warnings.
+"""The head of the page: the result in one line, and the key figures with their units; and the sections on warnings and on how the run was made.
 
-The section on how a run was made: the command that repeats it, versions, machine, the recording, and the definition's text.
+The section on how a run was made has the command that repeats it, versions, machine, the recording, and the definition's text.
 """
 
 import re

@@ -1,8 +1,7 @@
 """Data shared by all parts of the page: the run, its diagnosis and its warnings, each computed on first use.
 
-Choose the frames and dofs that are shown in detail, and draw samples of equal weight there.
-
-Readable names of dofs, and the limbs to which they belong.
+The frames and dofs that are shown in detail are chosen here, and samples of equal weight are drawn in them. Dofs have readable names and belong to
+limbs.
 """
 
 import re

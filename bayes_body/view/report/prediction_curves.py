@@ -1,6 +1,7 @@
-"""Plots of the posterior predictive check over time: a panel for each camera.
+"""Plots and pictures of the posterior predictive check.
 
-Pictures of the posterior predictive check: one frame of each camera, with what was seen there and what the draws predict.
+The plots are over time, with a panel for each camera. The pictures show one frame of each camera, with what was seen there and what the draws
+predict.
 """
 
 from collections.abc import Iterator, Sequence

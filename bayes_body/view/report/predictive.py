@@ -1,11 +1,10 @@
-"""What the draws of a run predict in each camera, against what was seen there, at a few frames: the numbers of the posterior predictive check.
+"""The numbers of the posterior predictive check: what the draws of a run predict in each camera, compared with what was seen there, at a few frames.
 
 The check uses at most FRAMES frames and DRAWS draws of equal weight, so that its cost does not grow with the run.
 
-Posterior predictive check of keypoints: the pixels that draws of the pose and of the likelihood's noise predict, against those that were seen.
-
-With z the seen pixels, s a draw of the pose and z' a draw of the keypoints given s, the predictive distribution is that of z' over both
-(Gelman, Meng & Stern 1996). The error of a keypoint is its distance from the mean of the pixels that the draws expect.
+For keypoints, the pixels that draws of the pose and of the likelihood's noise predict are compared with those that were seen. With z the seen pixels,
+s a draw of the pose and z' a draw of the keypoints given s, the predictive distribution is that of z' over both (Gelman, Meng & Stern 1996). The
+error of a keypoint is its distance from the mean of the pixels that the draws expect.
 """
 
 from collections.abc import Callable

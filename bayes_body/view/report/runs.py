@@ -1,6 +1,6 @@
 """The section on the agreement of the runs: R-hat of every dof and frame, and plots of the frames and dofs that agree least.
 
-R-hat of every dof and frame as a map: one row for each dof, frames from left to right.
+The map of R-hat has one row for each dof, with frames from left to right.
 """
 
 from collections.abc import Iterator, Sequence

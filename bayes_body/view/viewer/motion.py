@@ -3,7 +3,7 @@
 The draws of a frame are made by systematic resampling over all runs, with the same random offset in every frame. Draws of equal weight are therefore
 the same draws in every frame, so that the paths of a smoother stay whole.
 
-How many frames a page shows, and how large their images are, so that it stays small.
+The number of frames on a page and the size of their images are limited, so that the page stays small.
 """
 
 import math

@@ -1,8 +1,8 @@
 """The nodes of a run's scene in viser: the floor, the mean body (or the medoid), draws, cameras, points, and the time.
 
-The first frame makes a node, and each later frame changes it. The names of the nodes are what the page lists as layers.
+The first frame makes a node, and each later frame changes it. The page lists the names of the nodes as layers.
 
-viser records a scene through its server. Here it is a server that never listens: no port of this machine is opened, and nothing is printed.
+viser records a scene through its server. The server used here never listens: no port of this machine is opened, and nothing is printed.
 """
 
 import io

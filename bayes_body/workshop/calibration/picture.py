@@ -3,7 +3,7 @@
 POT-C (Tesso & Vehtari 2026) combines a test of each sorted value by Cauchy's distribution, and marks in purple the values that contribute most to a
 deviation. It shows where ranks deviate. The verdict rests on the bands (workshop/calibration/bands.py), whose p-values are exact.
 
-The ranks of a check for ArviZ: a tree with the group `prior_sbc`, which `arviz.plot_ecdf_pit` reads, and its NetCDF file.
+For ArviZ, the ranks of a check are a tree with the group `prior_sbc`, which `arviz.plot_ecdf_pit` reads; it is also stored as a NetCDF file.
 
 ArviZ's test of uniformity (POT-C) is for continuous values. It counts the many equal ones among plain ranks as a deviation: 400 uniform ranks in 20
 bins have a p-value near 0.01. Therefore each rank is spread evenly over its bin, `(rank + u) / bins` with u uniform on 0 ... 1. If the ranks are

@@ -1,6 +1,6 @@
-r"""For a model that cannot be simulated: compare a kernel's posterior over independent runs with grid quadrature, on a session's first frame.
+r"""Compare a kernel's posterior over independent runs with grid quadrature, on a session's first frame, for a model that cannot be simulated.
 
-Integrate a posterior of few dimensions by summation over a grid. Samplers are compared with the result if data cannot be simulated.
+The quadrature integrates a posterior of few dimensions by summation over a grid,
 
 $$\hat\mu = \frac{\sum_g s_g\, e^{\ell(s_g)}}{\sum_g e^{\ell(s_g)}},$$
 

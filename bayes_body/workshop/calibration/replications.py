@@ -3,7 +3,7 @@
 A replication's key depends on its experiment and its number, and each process computes on one device. Its figures are therefore bit-identical
 whatever the number of processes, and wherever a check was interrupted.
 
-Replications on disk: one line of JSON per block, the settings in the first line. A truncated line is computed again.
+A file of replications has the settings in its first line, then one line of JSON per block. A truncated line is computed again.
 """
 
 import json

@@ -1,10 +1,10 @@
-"""A room for checking a model without a recording: the shipped rig of four cameras, aimed at the body.
+"""A room for checking a model without a recording: the shipped rig of four cameras, aimed at the body; and a first call of a user's plugins.
 
 The body appears small in the images, a quarter as large as it could be. Then the posterior is about as wide as the motion prior, and a few thousand
 particles are enough. With nearer cameras the check would be equally valid, but a sampler from the prior would need millions. The cameras of a rig
 that the user gives are not moved.
 
-A first call of each term of a user's plugins, before many replications in other processes: its faults are sentences that name its line.
+Each term of a user's plugins is called once before many replications run in other processes. Its faults become sentences that name its line.
 """
 
 from dataclasses import replace

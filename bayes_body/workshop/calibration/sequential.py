@@ -1,6 +1,6 @@
-"""Run a check until its verdict is clear: looks at more and more replications (workshop/calibration/looks.py).
+"""Run a check until its verdict is clear, by looking at more and more replications (workshop/calibration/looks.py).
 
-Find how many particles a kernel needs for nearly independent draws: a few replications with increasing numbers of particles.
+A few replications with increasing numbers of particles find how many particles a kernel needs for nearly independent draws.
 """
 
 from collections.abc import Callable

@@ -1,6 +1,6 @@
 """Convert the figures of a check to a verdict and sentences: ranks of each quantity, coverage, the Markov move, effective sizes.
 
-The coverage of the posterior's weighted, equal-tailed intervals: how often they contain the truth. Each coverage has a binomial interval.
+Coverage is how often the posterior's weighted, equal-tailed intervals contain the truth. Each coverage has a binomial interval.
 """
 
 from collections.abc import Mapping

@@ -4,7 +4,7 @@ Each motion is retargeted to a body. Its angles, without the root's and the head
 pose is subtracted. The first principal components are the features. A model with Gaussian emissions says how they change from frame to frame. With
 several activities there is one model for each, and a small probability of changing from one to another.
 
-Motion and an activity's model: how well a motion fits it, and motion that is drawn from it.
+The learned model tells how well a motion fits an activity, and motion can be drawn from it.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,13 +1,12 @@
-r"""One stride as numbers that fit any person: landmarks relative to the pelvis, along the walking direction, in body heights, as a Fourier series.
+r"""Strides as numbers that fit any person, and a walking cycle: a walker's mean stride and the main modes of variation between strides.
 
+A stride is a Fourier series of the landmarks relative to the pelvis, along the walking direction, in body heights:
 $x(\varphi) = a_0 + \sum_{k=1}^{8} a_k \cos 2\pi k\varphi + b_k \sin 2\pi k\varphi$, with the phase $\varphi$ from one strike of the left heel (0) to
 the next (1). A strike is when the ankle is farthest in front of the pelvis (Zeni et al. 2008, Two simple methods for determining gait events). A
 stride of the right foot is the mirrored stride of a left one, so every walk counts twice.
 
-A walking cycle: a walker's mean stride and the main modes of variation between strides, $x = \bar x + \sum_k c_k m_k$ with $c_k \sim N(0, 1)$.
-
-Strides are those of `bayes_body.workshop.learning.gait`. Modes are the first singular vectors of the centred strides, enough to explain 95 % of the
-variance.
+The walking cycle is $x = \bar x + \sum_k c_k m_k$ with $c_k \sim N(0, 1)$. Its modes are the first singular vectors of the centred strides, enough to
+explain 95 % of the variance.
 """
 
 from collections.abc import Mapping, Sequence

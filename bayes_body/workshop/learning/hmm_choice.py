@@ -1,10 +1,10 @@
-"""Which of several starts of Baum and Welch's algorithm is used: the one whose models explain best the motion that they were not learned from.
+"""Choose among several starts of Baum and Welch's algorithm, and join several activities in one hidden Markov model.
 
-For each person, a model is learned from the motion of the others, and the log-likelihood of this person's motion is taken. With one person, or if the
-others have fewer frames than there are states, the last fifth of each motion is held out instead. The model itself is then learned from all motion,
-from the same seed.
+The chosen start is the one whose models best explain the motion that they were not learned from. For each person, a model is learned from the motion
+of the others, and the log-likelihood of this person's motion is taken. With one person, or if the others have fewer frames than there are states, the
+last fifth of each motion is held out instead. The model itself is then learned from all motion, from the same seed.
 
-Several activities in one hidden Markov model: how many states each has, and how one changes to another.
+The joint model records how many states each activity has, and how one activity changes to another.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,11 +1,11 @@
 r"""Learn the kinematic potentials of a loose-limbed body (Sigal et al. 2011, (5), (6)) from captured motion of several people.
 
-Each motion is retargeted to the body. Of all angles that place the markers alike those nearest to rest are taken, as for a walking cycle. The pose of
-each part in its parent's frame follows, in the body with the person's own lengths. Its position is counted from where the joint is when all angles
+Each motion is retargeted to the body. Of all angles that place the markers alike, those nearest to rest are used, as for a walking cycle. They give
+the pose of each part in its parent's frame, in the body with the person's own lengths. The position is relative to where the joint is when all angles
 are 0, so that people of different size agree. An equal number of frames of each motion is used. All motions of one person together have the same
-weight as those of any other.
+weight as those of any other person.
 
-Fit of a Gaussian mixture to relative poses, in the tangent spaces at the components' own means (Sigal et al. 2011, (6)), by EM.
+A Gaussian mixture is fitted to the relative poses, in the tangent spaces at the components' own means (Sigal et al. 2011, (6)), by EM,
 
 $$r_{nm} \propto \delta_m\, g_m(Y_n), \qquad \bar Y_m = \arg\min_Y \sum_n w_n r_{nm}\, d(Y, Y_n)^2, \qquad
 \Sigma_m = \frac{\sum_n w_n r_{nm}\, \xi_{nm} \xi_{nm}^T}{\sum_n w_n r_{nm}}, \quad \xi_{nm} = \mathrm{Exp}^{-1}(\bar Y_m^{-1} Y_n)$$

@@ -1,6 +1,6 @@
 """Film a person: for each camera and frame, combine the empty scene, the person's shadow on the floor and the person, and apply the sensor.
 
-What a camera sees without the person: a drawn room, or a user's picture of an empty scene.
+The empty scene is a drawn room, or a user's picture.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,8 +1,7 @@
-r"""From a motion's landmarks to the chains of bones that carry a person's tubes.
+r"""From a motion's landmarks to the chains of bones that carry a person's tubes, and the orientations of these bones.
 
-The orientation of a person's bones: each bone has a *lateral* (towards the person's left); its *ahead* is direction x lateral.
-
-A bent knee or elbow gives it by its plane. A straight one takes it from the trunk, rotated by the smallest rotation onto the bone:
+Each bone has a *lateral* (towards the person's left); its *ahead* is direction x lateral. At a bent knee or elbow, the joint's plane determines the
+lateral. At a straight one, it is that of the trunk, rotated by the smallest rotation onto the bone:
 $R(a \to b)\,v = v - \frac{(a + b) \cdot v}{1 + a \cdot b}\,(a + b) + 2 (a \cdot v)\,b$.
 """
 

@@ -1,6 +1,6 @@
-"""A person's tubes: their rings, the garment on each ring, and how they follow a motion's bones.
+"""A person's tubes: their rings, the garment on each ring, how they follow a motion's bones, and their colours.
 
-Colours: skin, hair and patterned cloth, one for each triangle, as reflectances of blue, green, red.
+Skin, hair and patterned cloth give each triangle one colour: reflectances of blue, green, red.
 """
 
 from collections.abc import Mapping

@@ -1,11 +1,11 @@
-r"""A person's measurements: half widths of the body's sections at selected stations, for a man of 1.75 m, in metres.
+r"""A person's measurements and clothes.
 
-Circumferences follow the US Army's survey of 1988 (Gordon et al. 1989, ANSUR), medians of men: thigh 0.59, calf 0.38, ankle 0.22, chest 0.99,
-waist 0.86, hips 0.98, upper arm 0.33, forearm 0.30, wrist 0.17, head 0.57, neck 0.38. A monotone cubic interpolates between the stations.
+The measurements are half widths of the body's sections at selected stations, for a man of 1.75 m, in metres. Circumferences follow the US Army's
+survey of 1988 (Gordon et al. 1989, ANSUR), medians of men: thigh 0.59, calf 0.38, ankle 0.22, chest 0.99, waist 0.86, hips 0.98, upper arm 0.33,
+forearm 0.30, wrist 0.17, head 0.57, neck 0.38. A monotone cubic interpolates between the stations.
 
-A person's clothes: sections outside the limbs' sections, and cloth that lags behind the limbs.
-
-Cloth on a limb is a mass on a damped spring, subject to gravity and to the limb's own acceleration $a$, both perpendicular to the limb only:
+Clothes have sections outside the limbs' sections, and their cloth lags behind the limbs. Cloth on a limb is a mass on a damped spring, subject to
+gravity and to the limb's own acceleration $a$, both perpendicular to the limb only:
 $\ddot x = (g - a) - 2 \zeta \omega \dot x - \omega^2 x$. Its displacement is limited by the room r: $d = r \tanh(|x| / r)\,x / |x|$.
 Folds are waves around the limb that grow and move with the bend of the nearest joint.
 """

@@ -1,10 +1,9 @@
-r"""From triangles to samples of a picture: runs of samples, row by row, and the triangle in front at each.
+r"""From triangles to samples of a picture: the projection to the image, runs of samples, row by row, and the triangle in front at each.
 
 Where a run starts or ends is computed from the two ends of an edge, with the same arithmetic for both triangles that share it, so no crack opens
 between neighbours. Samples lie at whole numbers. A triangle owns the samples from its left edge (included) to its right edge (excluded).
 
-Projection of world points to an image, implemented independently of the model: Bouguet's pinhole with radial and tangential distortion.
-
+The projection is implemented independently of the model. It is Bouguet's pinhole with radial and tangential distortion:
 $x = X/Z,\ y = Y/Z,\ r^2 = x^2 + y^2$; $d = 1 + k_1 r^2 + k_2 r^4 + k_3 r^6$;
 $x' = d x + 2 p_1 x y + p_2 (r^2 + 2 x^2)$, $y' = d y + p_1 (r^2 + 2 y^2) + 2 p_2 x y$;
 column $= f_x (x' + \alpha y') + c_x$, row $= f_y y' + c_y$ (Brown 1966; Bouguet's Camera Calibration Toolbox).

@@ -1,10 +1,8 @@
-r"""From light to grey levels: lens blur, exposure, noise, eight bits.
+r"""From light to grey levels (lens blur, exposure, noise, eight bits), and silhouettes with the errors of a segmenter.
 
 A pixel of mean level I reads $g(t)\,I + \epsilon$ with $\epsilon \sim N(0, r^2 + s\,g\,I)$: read noise and photon shot noise. The gain g is the
 product of the camera's own gain, its white balance, and an exposure that drifts slowly by up to 12 grey levels at mid grey, like an automatic
 exposure on a cloudy day.
-
-Simulated errors of a segmenter's silhouettes.
 
 A good segmenter errs by a pixel or two along the outline. A poor one leaves holes, includes shadows and adds blobs in empty regions.
 """

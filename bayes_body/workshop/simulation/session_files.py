@@ -1,6 +1,6 @@
-"""Further files of a simulated session: the calibration in Pose2Sim's format, moving cameras' extrinsics, and the truth.
+"""Write files of a simulated session: videos, silhouettes, the calibration in Pose2Sim's format, moving cameras' extrinsics, and the truth.
 
-Write videos (MPEG-4 in .mp4, which every OpenCV can write) and numbered silhouettes. Failures raise an InputError.
+Videos are MPEG-4 in .mp4, which every OpenCV can write; silhouettes are numbered. Failures raise an InputError.
 """
 
 from collections.abc import Mapping, Sequence

@@ -3,7 +3,7 @@
 A ring's station is measured in bones: 1.25 is a quarter of the way along the second bone. Near a joint the path is a parabola and the rings turn with
 it, so the skin continues smoothly across bent knees and elbows.
 
-A surface as triangles, with one colour each.
+A surface is made of triangles, with one colour each.
 """
 
 from typing import NamedTuple

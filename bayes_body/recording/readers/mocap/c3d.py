@@ -2,9 +2,8 @@
 
 Files of `bayes-body export` also hold each marker's spread as further points (`_sd`, `_q05`, `_q95`). These are not markers and are left out.
 
-The parameters of a C3D file (c3d.org, user guide): groups of named arrays, in the byte order of the processor that wrote them.
-
-They are not read with ezc3d: a damaged file can make it loop forever or crash.
+The parameters of a C3D file (c3d.org, user guide) are groups of named arrays, in the byte order of the processor that wrote them. They are not read
+with ezc3d: a damaged file can make it loop forever or crash.
 """
 
 import re

@@ -4,7 +4,7 @@ Pelvis and thorax are the midpoints of the hips and of the shoulders, unless a f
 crown. Skeletons of the CMU database end at eye height, 0.064 of the height H below the crown (Drillis & Contini 1966: 0.936 H). With thigh and shank
 together 0.491 H (0.245 + 0.246), the crown is $0.13\,(thigh + shank)$ further along the head's bone.
 
-The names of a person's joints in motion capture files, and which of a file's names mean which landmark.
+A table of the names of joints in motion capture files tells which of a file's names mean which landmark.
 """
 
 import re
