@@ -1,9 +1,11 @@
-"""`bayes-body import`: make a session from a laboratory's files."""
+"""`bayes-body import`: make a session from a laboratory's files. A laboratory has a verb; the verbs share their options and one body."""
 
 import sys
 from collections.abc import Callable
+from importlib import import_module
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -11,124 +13,74 @@ from bayes_body.base.errors import input_error
 from bayes_body.cli.terminal import say
 
 if TYPE_CHECKING:
-    from bayes_body.recording.readers.options import Options
     from bayes_body.recording.session.session import Session
 
-    type Importer = Callable[[Path, Path, Options], tuple[Session, list[str]]]
-
-app = typer.Typer(help="Make a session from a laboratory's files.", no_args_is_help=True)
-
-FILES, SUBJECT, TIME, SPACE = "Further files", "Subject and picture", "Time", "Space"
+DEFAULT_MODEL = "deutscher_2005"
 
 Target = Annotated[Path, typer.Argument(help="Folder to write session.toml and check.png into.", show_default=False)]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing session.toml, including your edits in it.")]
-Masks = Annotated[
-    Path | None,
-    typer.Option("--masks", help="Folder with silhouettes in CAMERA/, numbered like the frames.", rich_help_panel=FILES),
-]
-Background = Annotated[Path | None, typer.Option("--background", help="Folder with CAMERA.mp4, .png ... of the empty scene.", rich_help_panel=FILES)]
-Truth = Annotated[
-    Path | None, typer.Option("--truth", help="An .npz with true `markers` (frame, 15, 3), metres, and their `names`.", rich_help_panel=FILES)
-]
-Height = Annotated[float | None, typer.Option("--height", help="The subject's height, metres.", rich_help_panel=SUBJECT)]
-Model = Annotated[str, typer.Option("--model", help="Definition whose body is drawn in check.png.", rich_help_panel=SUBJECT)]
-Fps = Annotated[float | None, typer.Option("--fps", help="Frames a second, if the recording does not state it or is wrong.", rich_help_panel=TIME)]
-Offset = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--offset", metavar="CAMERA=FRAMES", help="Frame k + FRAMES of this camera is frame k of the others; may be repeated.", rich_help_panel=TIME
-    ),
-]
-Unit = Annotated[str | None, typer.Option("--unit", help="Unit of the calibration's translations: m, cm or mm.", rich_help_panel=SPACE)]
-Up = Annotated[str | None, typer.Option("--up", help="The axis of the calibration's world that points up: x, y or z.", rich_help_panel=SPACE)]
+Masks = Annotated[Path | None, typer.Option("--masks", help="Folder with silhouettes in CAMERA/, numbered like the frames.")]
+Background = Annotated[Path | None, typer.Option("--background", help="Folder with CAMERA.mp4, .png ... of the empty scene.")]
+Truth = Annotated[Path | None, typer.Option("--truth", help="An .npz with true `markers` (frame, 15, 3), metres, and their `names`.")]
+Keypoints = Annotated[Path | None, typer.Option("--keypoints", help="Folder with OpenPose's files in CAMERA_json/, numbered like the frames.")]
 Layout = Annotated[
     str | None,
-    typer.Option(
-        "--layout", help="Order of the keypoints: BODY_25, BODY_25B, COCO_17, COCO_18 or HALPE_26; detected by default.", rich_help_panel=FILES
-    ),
+    typer.Option("--layout", help="Order of the keypoints: BODY_25, BODY_25B, COCO_17, COCO_18 or HALPE_26; detected by default."),
 ]
-Keypoints = Annotated[
-    Path | None,
-    typer.Option("--keypoints", help="Folder with OpenPose's files in CAMERA_json/, numbered like the frames.", rich_help_panel=FILES),
+Height = Annotated[float | None, typer.Option("--height", help="The subject's height, metres.")]
+Model = Annotated[str, typer.Option("--model", help="Definition whose body is drawn in check.png.")]
+Fps = Annotated[float | None, typer.Option("--fps", help="Frames a second, if the recording does not state it or is wrong.")]
+Offset = Annotated[
+    list[str] | None,
+    typer.Option("--offset", metavar="CAMERA=FRAMES", help="Frame k + FRAMES of this camera is frame k of the others; may be repeated."),
 ]
 FirstFrame = Annotated[
-    int | None,
-    typer.Option(
-        "--first-frame", help="Number of the first frame to import, as in the file names; in a video they count from 0.", rich_help_panel=TIME
-    ),
+    int | None, typer.Option("--first-frame", help="Number of the first frame to import, as in the file names; in a video they count from 0.")
 ]
-Frames = Annotated[int | None, typer.Option("--frames", help="Number of frames to import from the first on; all by default.", rich_help_panel=TIME)]
-DEFAULT_MODEL = "deutscher_2005"
+Frames = Annotated[int | None, typer.Option("--frames", help="Number of frames to import from the first on; all by default.")]
+Unit = Annotated[str | None, typer.Option("--unit", help="Unit of the calibration's translations: m, cm or mm.")]
+Up = Annotated[str | None, typer.Option("--up", help="The axis of the calibration's world that points up: x, y or z.")]
 
 
-@app.command(short_help="A recording of PARSEC's bodytrack.")
-def parsec(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            help="Folder of the PARSEC suite's bodytrack: CALIB, CAM1.., FG1.., BodyShapeParameters.txt, InitialPose.txt.", show_default=False
-        ),
-    ],
-    session: Target,
-    overwrite: Overwrite = False,
-    masks: Masks = None,
-    background: Background = None,
-    truth: Truth = None,
-    keypoints: Keypoints = None,
-    layout: Layout = None,
-    height: Height = None,
-    model: Model = DEFAULT_MODEL,
-    fps: Fps = None,
-    offset: Offset = None,
-    first_frame: FirstFrame = None,
-    frames: Frames = None,
-) -> None:
-    """Import cameras, images, masks, body shape and initial pose of the PARSEC suite's bodytrack."""
-    from bayes_body.recording.readers.options import Options
-    from bayes_body.recording.readers.parsec import import_parsec
+class Laboratory(NamedTuple):
+    """What the list of verbs, a verb's help and the help of its SOURCE say, and the options that it does not have."""
 
-    options = Options(None, None, fps, height, masks, background, truth, _offsets(offset), layout, keypoints, first_frame, frames)
-    _import(import_parsec, source, session, options, model, overwrite)
+    line: str
+    help: str
+    source: str
+    omitted_options: tuple[str, ...] = ()
 
 
-@app.command(short_help="A Pose2Sim project: videos or images, and keypoints.")
-def pose2sim(
-    source: Annotated[
-        Path, typer.Argument(help="A Pose2Sim project: calibration/*.toml or *.qca.txt, videos/CAMERA.mp4, pose/CAMERA_json.", show_default=False)
-    ],
-    session: Target,
-    overwrite: Overwrite = False,
-    masks: Masks = None,
-    background: Background = None,
-    truth: Truth = None,
-    keypoints: Keypoints = None,
-    layout: Layout = None,
-    height: Height = None,
-    model: Model = DEFAULT_MODEL,
-    fps: Fps = None,
-    offset: Offset = None,
-    first_frame: FirstFrame = None,
-    frames: Frames = None,
-    unit: Unit = None,
-    up: Up = None,
-) -> None:
-    """Import a Pose2Sim project: cameras, videos or images, and keypoints if there are any."""
-    from bayes_body.recording.readers.options import Options
-    from bayes_body.recording.readers.pose2sim import import_pose2sim
-
-    options = Options(unit, up, fps, height, masks, background, truth, _offsets(offset), layout, keypoints, first_frame, frames)
-    _import(import_pose2sim, source, session, options, model, overwrite)
+# The reader of a verb is `import_VERB` in `recording/readers/VERB.py`.
+LABORATORIES = {
+    "parsec": Laboratory(
+        "A recording of PARSEC's bodytrack.",
+        "Import cameras, images, masks, body shape and initial pose of the PARSEC suite's bodytrack.",
+        "Folder of the PARSEC suite's bodytrack: CALIB, CAM1.., FG1.., BodyShapeParameters.txt, InitialPose.txt.",
+        omitted_options=("unit", "up"),
+    ),
+    "pose2sim": Laboratory(
+        "A Pose2Sim project: videos or images, and keypoints.",
+        "Import a Pose2Sim project: cameras, videos or images, and keypoints if there are any.",
+        "A Pose2Sim project: calibration/*.toml or *.qca.txt, videos/CAMERA.mp4, pose/CAMERA_json.",
+    ),
+    "opencv": Laboratory(
+        "Cameras calibrated with OpenCV, EasyMocap or Anipose.",
+        "Import cameras calibrated with OpenCV, EasyMocap or Anipose, and their videos or images; --unit and --up must be given.",
+        "Folder with CAMERA.yml (xml, json) of each camera, or intri.yml and extri.yml, or Anipose's toml; and CAMERA.mp4 or CAMERA/.",
+    ),
+    "qualisys": Laboratory(
+        "Video cameras of Qualisys Track Manager.",
+        "Import video cameras of Qualisys Track Manager; z points up unless --up gives another axis.",
+        "Folder with one *.qca.txt (or xml) of Qualisys Track Manager, and a video of each camera.",
+        omitted_options=("unit",),
+    ),
+}
 
 
-@app.command(short_help="Cameras calibrated with OpenCV, EasyMocap or Anipose.")
-def opencv(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            help="Folder with CAMERA.yml (xml, json) of each camera, or intri.yml and extri.yml, or Anipose's toml; and CAMERA.mp4 or CAMERA/.",
-            show_default=False,
-        ),
-    ],
+def _import(
+    verb: str,
+    source: Path,
     session: Target,
     overwrite: Overwrite = False,
     masks: Masks = None,
@@ -145,40 +97,47 @@ def opencv(
     unit: Unit = None,
     up: Up = None,
 ) -> None:
-    """Import cameras calibrated with OpenCV, EasyMocap or Anipose, and their videos or images; --unit and --up must be given."""
-    from bayes_body.recording.readers.opencv import import_opencv
+    """Import a recording, print the remarks, and draw the picture for checking the session."""
+    from bayes_body.base.config import configure
+    from bayes_body.cli.models import checked_definition
     from bayes_body.recording.readers.options import Options
+    from bayes_body.recording.session.read import FILE_NAME
 
     options = Options(unit, up, fps, height, masks, background, truth, _offsets(offset), layout, keypoints, first_frame, frames)
-    _import(import_opencv, source, session, options, model, overwrite)
+    if (session / FILE_NAME).exists() and not overwrite:
+        raise input_error(session, f"already holds a {FILE_NAME}", "a folder without one", "name another, or replace it with --overwrite")
+    if model != DEFAULT_MODEL:
+        # A wrong model is reported before anything is written.
+        configure()
+        checked_definition(model)
+    reader = import_module(f"bayes_body.recording.readers.{verb}")
+    recording, remarks = getattr(reader, f"import_{verb}")(source, session, options)
+    for remark in remarks:
+        say(f"note: {remark}")
+    _warn_of_nobody(recording)
+    picture = draw_first_frame(recording, model, session / "check.png")
+    say(f"{size_of(recording)}: {session / FILE_NAME}")
+    say(f"Look at {picture}: the body should cover the person in every view, and the axes should stand where the world's origin is.")
 
 
-@app.command(short_help="Video cameras of Qualisys Track Manager.")
-def qualisys(
-    source: Annotated[
-        Path, typer.Argument(help="Folder with one *.qca.txt (or xml) of Qualisys Track Manager, and a video of each camera.", show_default=False)
-    ],
-    session: Target,
-    overwrite: Overwrite = False,
-    masks: Masks = None,
-    background: Background = None,
-    truth: Truth = None,
-    keypoints: Keypoints = None,
-    layout: Layout = None,
-    height: Height = None,
-    model: Model = DEFAULT_MODEL,
-    fps: Fps = None,
-    offset: Offset = None,
-    first_frame: FirstFrame = None,
-    frames: Frames = None,
-    up: Up = None,
-) -> None:
-    """Import video cameras of Qualisys Track Manager; z points up unless --up gives another axis."""
-    from bayes_body.recording.readers.options import Options
-    from bayes_body.recording.readers.qualisys import import_qualisys
+def _command(verb: str, laboratory: Laboratory) -> Callable[..., None]:
+    """Return the function of a verb. Typer reads from its signature the arguments: those of `_import`, less the omitted ones."""
+    written = signature(_import)
+    source = Annotated[Path, typer.Argument(help=laboratory.source, show_default=False)]
+    parameters = written.parameters | {"source": written.parameters["source"].replace(annotation=source)}
+    omitted = ("verb", *laboratory.omitted_options)
 
-    options = Options(None, up, fps, height, masks, background, truth, _offsets(offset), layout, keypoints, first_frame, frames)
-    _import(import_qualisys, source, session, options, model, overwrite)
+    def command(**arguments: Any) -> None:
+        _import(verb, **arguments)
+
+    shown: Any = command
+    shown.__signature__ = written.replace(parameters=[parameter for name, parameter in parameters.items() if name not in omitted])
+    return command
+
+
+app = typer.Typer(help="Make a session from a laboratory's files.", no_args_is_help=True)
+for name, laboratory in LABORATORIES.items():
+    app.command(name, help=laboratory.help, short_help=laboratory.line)(_command(name, laboratory))
 
 
 def _offsets(texts: list[str] | None) -> dict[str, int]:
@@ -195,27 +154,6 @@ def _offsets(texts: list[str] | None) -> dict[str, int]:
             raise input_error("--offset", f"camera '{name}' twice", "an offset for each camera", "leave one of them out")
         offsets[name] = frames
     return offsets
-
-
-def _import(importer: "Importer", source: Path, folder: Path, options: "Options", model: str, overwrite: bool) -> None:
-    """Run an importer, print its remarks, and draw the picture for checking the session."""
-    from bayes_body.base.config import configure
-    from bayes_body.cli.models import checked_definition
-    from bayes_body.recording.session.read import FILE_NAME
-
-    if (folder / FILE_NAME).exists() and not overwrite:
-        raise input_error(folder, f"already holds a {FILE_NAME}", "a folder without one", "name another, or replace it with --overwrite")
-    if model != DEFAULT_MODEL:
-        # A wrong model is reported before anything is written.
-        configure()
-        checked_definition(model)
-    session, remarks = importer(source, folder, options)
-    for remark in remarks:
-        say(f"note: {remark}")
-    _warn_of_nobody(session)
-    picture = draw_first_frame(session, model, folder / "check.png")
-    say(f"{size_of(session)}: {folder / FILE_NAME}")
-    say(f"Look at {picture}: the body should cover the person in every view, and the axes should stand where the world's origin is.")
 
 
 def _warn_of_nobody(session: "Session") -> None:

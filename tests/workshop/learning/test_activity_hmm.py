@@ -7,7 +7,7 @@ import tomlkit
 
 from bayes_body.base.errors import InputError
 from bayes_body.base.files.shipped import definitions_folder
-from bayes_body.cli.activity_hmm import labelled
+from bayes_body.cli.learn_motion import labelled
 from bayes_body.cli.main import main
 from bayes_body.model.body.build import build_body
 from bayes_body.model.definition import load_body

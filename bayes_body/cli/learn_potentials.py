@@ -1,12 +1,14 @@
 """`bayes-body learn kinematic-potentials`: learn densities of the joints of a loose-limbed body, for the potential `kinematic`."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bayes_body.cli.learned_files import check_out, motion_files, portable
+from bayes_body.base.errors import input_error
+from bayes_body.cli.learned_files import BODY, Out, Overwrite, Source, check_out, command_line, motion_files, portable, write_record
 from bayes_body.cli.terminal import say, show
 
 if TYPE_CHECKING:
@@ -16,30 +18,25 @@ if TYPE_CHECKING:
 
 
 def kinematic_potentials(
-    motions: list[Path] = typer.Argument(help="Captured motions, or folders of them, one folder a person."),
-    out: Path = typer.Option(..., "--out", help="The .npz to write; a .toml beside it records its source."),
-    body: str = typer.Option("person_31", "--body", help="The body whose joints are learned: its name or the path of your own .toml file."),
+    motions: Annotated[list[Path], typer.Argument(help="Captured motions, or folders of them, one folder a person.")],
+    out: Out,
+    body: str = typer.Option(BODY, "--body", help="The body whose joints are learned: its name or the path of your own .toml file."),
     components: int = typer.Option(4, "--components", min=1, help="Components of the mixture of each joint."),
     floor_mm: float = typer.Option(10.0, "--floor-mm", help="Smallest standard deviation of a joint's position, millimetres."),
     floor_deg: float = typer.Option(2.0, "--floor-deg", help="Smallest standard deviation of a joint's rotation, degrees."),
     frames: int = typer.Option(60, "--frames", min=2, help="Frames that are used of each motion."),
     test: list[Path] = typer.Option([], "--held-out", help="Motions of other people, or a folder of them, for the table; may be repeated."),
-    source: str = typer.Option("", "--source", help="The source of the data, for the .toml."),
-    overwrite: bool = typer.Option(False, "--overwrite", help="Replace existing files."),
+    source: Source = "",
+    overwrite: Overwrite = False,
 ) -> None:
     """Learn a Gaussian mixture of the pose of each part relative to its parent, and compare it with one Gaussian."""
-    import math
-
     from bayes_body.base.config import configure
-    from bayes_body.base.errors import input_error
 
-    table = out.with_suffix(".toml")
-    check_out(out, table, overwrite)
+    check_out(out, overwrite)
     for option, value in (("--floor-mm", floor_mm), ("--floor-deg", floor_deg)):
         if not (math.isfinite(value) and value > 0):
             raise input_error(option, f"{value:g}", "a finite number above 0", "correct it")
     configure()
-    from bayes_body.base.files.atomic import write_text
     from bayes_body.model.definition import load_body
     from bayes_body.model.potentials.joint_mixture import save_joint_mixtures
     from bayes_body.workshop.learning.kinematic_potentials import Floors, held_out, joints_of, learn_joints
@@ -52,12 +49,11 @@ def kinematic_potentials(
     save_joint_mixtures(joints, out)
     compared = _poses(test, body, schema, frames) if test else train
     results = held_out(joints, compared), held_out(single, compared)
-    options = {"--body": (body, "person_31"), "--components": (components, 4), "--floor-mm": (floor_mm, 10.0), "--floor-deg": (floor_deg, 2.0)}
-    option_words = [
-        word for option, (value, default) in (options | {"--frames": (frames, 60)}).items() if value != default for word in (option, f"{value}")
-    ]
-    words = [*map(portable, motions), *option_words, *(word for path in test for word in ("--held-out", portable(path))), "--out", portable(out)]
-    write_text(table, _source_text(joints, source, words, train, compared if test else [], results))
+    options = {"--components": (components, 4), "--floor-mm": (floor_mm, 10.0), "--floor-deg": (floor_deg, 2.0), "--frames": (frames, 60)}
+    words = [word for option, (value, default) in options.items() if value != default for word in (option, f"{value}")]
+    words += [word for path in test for word in ("--held-out", portable(path))]
+    command = command_line("kinematic-potentials", map(portable, motions), out, body, words)
+    _record(joints, out, source, command, train, compared if test else [], results)
     _show(joints, f"{len(compared)} motions" + (" held out" if test else ", the same that were learned from"), *results)
     say(f"{out}: {len(joints.parts)} joints, {components} components each, from {len(train)} motions of {_people(train)} people.")
 
@@ -90,29 +86,26 @@ def _show(joints: "JointMixtures", what: str, mixture: "HeldOut", single: "HeldO
     show(f"log-density of {what}, nats a frame, mean of {len(mixture.subjects)} people", table)
 
 
-def _source_text(
+def _record(
     joints: "JointMixtures",
+    out: Path,
     source: str,
-    words: list[str],
+    command: str,
     train: "Sequence[JointPoses]",
     test: "Sequence[JointPoses]",
     results: "tuple[HeldOut, HeldOut]",
-) -> str:
-    """Return the text of the file beside the arrays, with their source and the command that makes them."""
-    import tomlkit
-
-    document = tomlkit.document()
-    document.add(tomlkit.comment("Arrays: for each joint the means, covariances and weights of a Gaussian mixture of relative poses."))
-    document["title"] = "Poses of the parts of a loose-limbed body relative to their parents"
-    document["source"] = source
-    document["body"] = joints.body
-    document["parts"] = list(joints.parts)
-    document["motions"] = [motion.name for motion in train]
-    document["command"] = " ".join(["bayes-body learn kinematic-potentials", *words])
-    document["frames"] = sum(len(motion.poses) for motion in train)
-    document["components"] = joints.weight.shape[1]
+) -> None:
+    entries = {
+        "title": "Poses of the parts of a loose-limbed body relative to their parents",
+        "source": source,
+        "body": joints.body,
+        "parts": list(joints.parts),
+        "motions": [motion.name for motion in train],
+        "command": command,
+        "frames": sum(len(motion.poses) for motion in train),
+        "components": joints.weight.shape[1],
+    }
     if test:
-        document["held_out"] = [motion.name for motion in test]
-        document["held_out_nats"] = round(float(results[0].values.sum(axis=1).mean()), 2)
-        document["held_out_nats_of_one_gaussian"] = round(float(results[1].values.sum(axis=1).mean()), 2)
-    return tomlkit.dumps(document)
+        mixture, single = (round(float(result.values.sum(axis=1).mean()), 2) for result in results)
+        entries |= {"held_out": [motion.name for motion in test], "held_out_nats": mixture, "held_out_nats_of_one_gaussian": single}
+    write_record(out, "Arrays: for each joint the means, covariances and weights of a Gaussian mixture of relative poses.", entries)
