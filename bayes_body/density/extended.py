@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from bayes_body.base.inverse_cdf import inverse_cdf
 from bayes_body.base.shapes import Index, Key, Scalar
 from bayes_body.density.chart import Chart
 from bayes_body.density.density import Density
@@ -80,8 +81,8 @@ class Extended(NamedTuple):
         if candidates == 1 or count == 1:
             return ancestor
         draw_key, choose_key = jax.random.split(key)
-        levels = self.cumulative_weights[-1] * jax.random.uniform(draw_key, (candidates - 1,), self.cumulative_weights.dtype)
-        others = jnp.minimum(jnp.searchsorted(self.cumulative_weights, levels, side="right"), count - 1)
+        levels = jax.random.uniform(draw_key, (candidates - 1,), self.cumulative_weights.dtype)
+        others = inverse_cdf(self.cumulative_weights, levels)
         competing = jnp.concatenate([ancestor[None], others.astype(ancestor.dtype)])
         log_probs = jax.vmap(lambda candidate: self._given_ancestor(candidate, position, inverse_temperature, potential_power))(competing)
         # NaN marks an ancestor from which the state cannot come.

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from bayes_body.base.inverse_cdf import inverse_cdf
 from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.graph import Graph, Term
 from bayes_body.kernels.batching import ROWS, over_particles
@@ -157,8 +158,7 @@ def _pick(key: Key, log_weights: Float[Array, "draw sample"]) -> Int[Array, " dr
     cumulative = jnp.cumsum(weights, axis=1)
     within, order = jax.random.split(key)
     levels = jax.random.permutation(order, (jnp.arange(count) + jax.random.uniform(within, (count,))) / count)
-    indices = jax.vmap(lambda sums, level: jnp.searchsorted(sums, level * sums[-1], side="right"))(cumulative, levels)
-    return jnp.minimum(indices, log_weights.shape[1] - 1)
+    return jax.vmap(inverse_cdf)(cumulative, levels)
 
 
 class Forest(NamedTuple):

@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from bayes_body.base.inverse_cdf import inverse_cdf
 from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.graph import Graph
 from bayes_body.density.tangent_normal import TangentNormal
@@ -51,8 +52,8 @@ class KernelEstimate:
         """Draw a point."""
         choice, draw = jax.random.split(key)
         cumulative = jnp.cumsum(jnp.exp(self.log_weights))
-        index = jnp.searchsorted(cumulative, jax.random.uniform(choice) * cumulative[-1], side="right")
-        return self._component(self.points[jnp.minimum(index, len(cumulative) - 1)]).sample(draw)
+        index = inverse_cdf(cumulative, jax.random.uniform(choice))
+        return self._component(self.points[index]).sample(draw)
 
     def log_prob(self, x: Array) -> Scalar:
         """Return the log-density at a point."""

@@ -24,6 +24,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from bayes_body.base.errors import input_error
+from bayes_body.base.inverse_cdf import inverse_cdf
 from bayes_body.base.shapes import Flag, Key, Scalar
 from bayes_body.density.graph import Graph, Term
 from bayes_body.density.tempering import LogTerms
@@ -313,13 +314,13 @@ def _unary(graph: Graph, tables: Sequence[tuple[Any, Any]], values: Float[Array,
 def _systematic(uniform: Scalar, log_weights: Float[Array, " sample"]) -> Int[Array, " sample"]:
     """Return ancestors by systematic resampling. All pairs are compared: that needs no loop."""
     count = len(log_weights)
-    return _inverse_cdf(log_weights, (jnp.arange(count) + uniform) / count)
+    return _by_weight(log_weights, (jnp.arange(count) + uniform) / count)
 
 
 def _draw_index(uniform: Scalar, log_weights: Float[Array, " sample"]) -> Int[Array, ""]:
-    return _inverse_cdf(log_weights, uniform[None])[0]
+    return _by_weight(log_weights, uniform[None])[0]
 
 
-def _inverse_cdf(log_weights: Float[Array, " sample"], levels: Float[Array, " level"]) -> Int[Array, " level"]:
+def _by_weight(log_weights: Float[Array, " sample"], levels: Float[Array, " level"]) -> Int[Array, " level"]:
     cumulative = jnp.cumsum(jnp.exp(log_weights - jnp.max(log_weights)))
-    return jnp.sum(cumulative[:-1] <= levels[:, None] * cumulative[-1], axis=1)
+    return inverse_cdf(cumulative, levels, "compare_all")

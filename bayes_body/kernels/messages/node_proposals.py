@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from bayes_body.base.inverse_cdf import inverse_cdf
 from bayes_body.base.shapes import Key
 from bayes_body.density.graph import Graph, Term
 from bayes_body.kernels.messages.messages import Beliefs, Directed, NodeValues, ends
@@ -133,8 +134,8 @@ def _from_messages(key: Key, graph: Graph, proposal: Proposals, count: int) -> F
     def pick(key: Key, node: Array) -> tuple[Array, Array]:
         within, order = jax.random.split(key)
         cumulative = jnp.cumsum((weights * (target == node)[:, None]).ravel())
-        levels = (jnp.arange(count) + jax.random.uniform(within, (count,))) / count * cumulative[-1]
-        index = jnp.minimum(jnp.searchsorted(cumulative, jax.random.permutation(order, levels), side="right"), len(cumulative) - 1)
+        levels = (jnp.arange(count) + jax.random.uniform(within, (count,))) / count
+        index = inverse_cdf(cumulative, jax.random.permutation(order, levels))
         return index // samples, index % samples
 
     edge, particle = jax.vmap(pick)(jax.random.split(pick_key, graph.count), jnp.arange(graph.count))

@@ -30,6 +30,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 from pydantic import Field
 
+from bayes_body.base.inverse_cdf import inverse_cdf
 from bayes_body.base.shapes import Index, Key, Scalar
 from bayes_body.base.toml.read import validate
 from bayes_body.base.toml.schema import Count, Schema
@@ -193,10 +194,9 @@ class Smoother:
 
 
 def _drawn(key: Key, log_probs: LogWeights, count: int) -> Int[Array, " drawn"]:
-    """Return independent indices by inversion: one random number each, where Gumbel noise would need one for every particle."""
-    levels = jnp.cumsum(jnp.exp(log_probs - jnp.max(log_probs)))
-    chosen = jnp.searchsorted(levels, levels[-1] * jax.random.uniform(key, (count,), levels.dtype), side="right")
-    return jnp.minimum(chosen, log_probs.shape[0] - 1)
+    """Return independent indices."""
+    cumulative = jnp.cumsum(jnp.exp(log_probs - jnp.max(log_probs)))
+    return inverse_cdf(cumulative, jax.random.uniform(key, (count,), cumulative.dtype))
 
 
 def build_smoother(**options: int | str) -> Smoother:
