@@ -214,7 +214,7 @@ def _option_words(options: "LearnOptions") -> list[str]:
     for name, value in options._asdict().items():
         if value != LearnOptions._field_defaults[name]:
             option = f"--{name.replace('_', '-')}"
-            words += [option] if value is True else [option, f"{value:g}"]
+            words += [option] if value is True else [option, f"{value:.15g}"]
     return words
 
 
