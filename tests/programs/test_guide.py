@@ -4,6 +4,7 @@ import json
 import re
 import runpy
 import types
+from importlib import import_module
 
 import pytest
 from programs.pages import FIRST_RUN, README, ROOT, blocks, page, sections
@@ -132,6 +133,16 @@ def test_public_names_mean_the_same_whatever_was_imported_before():
 
     members = set(bb.__all__) - {"compare", "kernels", "metrics", "posterior"}
     assert {name for name in members if isinstance(getattr(bb, name), types.ModuleType)} == set()
+
+
+def test_the_api_page_shows_every_public_name():
+    import bayes_body as bb
+
+    text = page("docs/api.md")
+    shown = re.findall(r"^::: ([\w.]+)\.(\w+)\n    options:\n      heading: bb\.(\w+)$", text, re.MULTILINE)
+    modules = re.findall(r"^\| `bb\.(\w+)` \|", text, re.MULTILINE)
+    assert sorted([name for _, _, name in shown] + modules) == bb.__all__
+    assert [name for module, name, heading in shown if getattr(import_module(module), name) is not getattr(bb, heading)] == []
 
 
 def test_the_tests_that_the_map_of_statistics_names_exist():

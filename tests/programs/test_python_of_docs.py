@@ -28,9 +28,8 @@ BLOCKS = python_blocks()
 EXTERNAL = {"Pose2Sim"}
 # What the text above a block names, such as a session.
 GIVEN = {
-    "docs/contributing.md #0": {"states", "log_weights"},
     "docs/guide/accuracy.md #0": {"session", "draws"},
-    "docs/api/terms.md #0": {"weights", "points"},
+    "docs/internals/terms.md #0": {"weights", "points"},
 }
 # Blocks with tests of their own (the plugins: test_plugins_guide.py), and a fragment.
 ELSEWHERE = {"README.md #0", "docs/guide/sources.md #0", *(name for name in BLOCKS if name.startswith("docs/guide/plugins.md"))}
@@ -42,7 +41,7 @@ SMALLER = {
     "docs/gallery.md #0": ("range(0, 120, 3)", "range(0, 9, 3)"),
 }
 # These search for a person, fit a motion, or compile messages.
-LONG = {"docs/api/initial.md #1", "docs/guide/mocap.md #0", "docs/guide/mocap.md #2", "docs/guide/message_passing.md #0"}
+LONG = {"docs/internals/initial.md #1", "docs/guide/mocap.md #0", "docs/guide/mocap.md #2", "docs/guide/message_passing.md #0"}
 RUN = [pytest.param(name, marks=pytest.mark.long if name in LONG else pytest.mark.slow) for name in BLOCKS if name not in ELSEWHERE]
 
 
@@ -149,7 +148,7 @@ def space_names(folder: Path) -> dict[str, object]:
     return {"weights": np.full(50, 0.02), "points": points}
 
 
-NAMES = {"docs/guide/accuracy.md #0": accuracy_names, "docs/api/terms.md #0": space_names}
+NAMES = {"docs/guide/accuracy.md #0": accuracy_names, "docs/internals/terms.md #0": space_names}
 
 
 @pytest.mark.usefixtures("optimised")
