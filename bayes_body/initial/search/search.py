@@ -30,7 +30,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
 from bayes_body.base.shapes import Flag, Key, Scalar
 from bayes_body.density.density import Density
@@ -114,7 +114,9 @@ def _roots(key: Key, roots: Mixture) -> Float[Array, "body 7"]:
     return jax.vmap(lambda component, steps: jnp.asarray(component.space.retract(component.mean, component.root @ steps)))(chosen, normals)
 
 
-def _stage(graph: Graph, tree: Tree, state: _Stage, keys: Key, power: Scalar, is_first: Flag) -> tuple[_Stage, tuple[Array, Array]]:
+def _stage(
+    graph: Graph, tree: Tree, state: _Stage, keys: Shaped[PRNGKeyArray, "2"], power: Scalar, is_first: Flag
+) -> tuple[_Stage, tuple[Array, Array]]:
     """Draw limbs with a power of the likelihood. Return the trunks that are drawn by weight, and the bodies with the weights of their trunks."""
     limbs_key, resample_key = keys
     drawn = nested_draws(limbs_key, graph, tree, state.trunks.values, power, ~is_first)
