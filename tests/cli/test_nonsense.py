@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bench.compile import search_program
 from shared_fixtures import loose_limbed
 
 from bayes_body.base.geometry.camera import project
@@ -241,6 +242,14 @@ def test_whatever_the_case_each_kernel_tells_it(cli, person, changed, tmp_path, 
         out = tmp_path / case
         assert _said_off(_track(cli, changed(change), out, kernel, WHOLE[kernel]), out), case
         shutil.rmtree(tmp_path / "session")
+
+
+@pytest.mark.slow
+def test_the_search_for_a_first_pose_obeys_its_annotations(person):
+    # Traced, not compiled, which takes longer than all else. Whole searches are long tests.
+    search, arguments = search_program("person search", person.folder)
+    drawn = jax.eval_shape(search, *arguments)
+    assert drawn.log_evidence.shape == () and drawn.parts.shape[0] == drawn.log_weights.shape[0]
 
 
 @pytest.mark.long
