@@ -11,8 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayes_body.density.density import Density
-from bayes_body.kernels import hmc
-from bayes_body.kernels.messages import particle_bp
+from bayes_body.kernels import hmc, particle_bp
 from bayes_body.model.body.placed_body import placed_markers
 from bayes_body.model.definition import load_definition, parse_definition
 from bayes_body.workshop.calibration.problem import point_mass
