@@ -15,23 +15,23 @@ from bayes_body.view.report.markup import Markup, details, figures, tag
 LEGEND = "The probability of each activity in each frame, given the images so far. Each activity is a block of states of the motion prior."
 
 
-def activity_details(it: Inspection) -> Markup | None:
+def activity_details(inspection: Inspection) -> Markup | None:
     """Return a panel for each activity; None if there are not several, or if the spread of the particles means nothing."""
-    posterior, stats = (it.run.tree[group].to_dataset() for group in ("posterior", "sample_stats"))
-    if BELIEF not in posterior or it.diagnosis.mode_seeker:
+    posterior, stats = (inspection.run.tree[group].to_dataset() for group in ("posterior", "sample_stats"))
+    if BELIEF not in posterior or inspection.diagnosis.mode_seeker:
         return None
     belief = posterior[BELIEF]
     labels = [escaped(str(name)).rpartition("_")[0] for name in belief.coords[str(belief.dims[-1])].values]
     if len(set(labels)) < 2:
         return None
-    frames = np.arange(0, it.run.frames, frames_a_point(it.run.frames))
+    frames = np.arange(0, inspection.run.frames, frames_a_point(inspection.run.frames))
     weights = weights_of_runs(stats["log_weight"].isel(frame=frames).values)
     probabilities = activity_probabilities(belief.isel(frame=frames).values, weights, labels)
     panels = []
     for label, values in probabilities.items():
-        figure, axes = new_panel(label, time_label(it.fps), "probability")
+        figure, axes = new_panel(label, time_label(inspection.fps), "probability")
         draw_runs(axes, frames, values)
-        time_axis(axes, it.run.frames, it.fps)
+        time_axis(axes, inspection.run.frames, inspection.fps)
         axes.set_ylim(-0.03, 1.03)
         panels.append(encoded(figure, f"Probability of the activity {label} over the frames; {values.mean():.2f} in the mean."))
     return details("Activities", tag("p", LEGEND), figures(panels))

@@ -31,21 +31,21 @@ SIDES = " The left side is blue, the right side orange, the middle of the body g
 LEAST_SPAN = {"°": 5.0, "m": 0.02}
 
 
-def band_section(it: Inspection) -> Markup:
+def band_section(inspection: Inspection) -> Markup:
     """Return the section on angles and positions over time, grouped by limb."""
-    legend = SEEKER if it.diagnosis.mode_seeker else BANDS
-    parts: list[str] = [tag("p", f"{legend}{SIDES}{_remarks(it)}")]
-    for limb, places in by_limb(it.dofs).items():
-        parts.append(details(limb, figures(_panel(it, place) for place in places), shown=True))
-    parts += [panel for panel in (density_details(it), activity_details(it)) if panel is not None]
+    legend = SEEKER if inspection.diagnosis.mode_seeker else BANDS
+    parts: list[str] = [tag("p", f"{legend}{SIDES}{_remarks(inspection)}")]
+    for limb, places in by_limb(inspection.dofs).items():
+        parts.append(details(limb, figures(_panel(inspection, place) for place in places), shown=True))
+    parts += [panel for panel in (density_details(inspection), activity_details(inspection)) if panel is not None]
     return section("angles", "Angles and positions", *parts)
 
 
-def _remarks(it: Inspection) -> str:
-    lost = " Lost frames are shaded purple." if it.lost.any() else ""
-    turned = ROTATIONS if any(dof.endswith("_rx") for dof in it.dofs) else ""
-    sparse = sparse_frames(it.frames.step)
-    return f"{LEGEND if it.filtered else ''}{lost}{turned}{f' The plots show {sparse} frame of {it.run.frames:,}.' if sparse else ''}"
+def _remarks(inspection: Inspection) -> str:
+    lost = " Lost frames are shaded purple." if inspection.lost.any() else ""
+    turned = ROTATIONS if any(dof.endswith("_rx") for dof in inspection.dofs) else ""
+    sparse = sparse_frames(inspection.frames.step)
+    return f"{LEGEND if inspection.filtered else ''}{lost}{turned}{f' The plots show {sparse} frame of {inspection.run.frames:,}.' if sparse else ''}"
 
 
 def sparse_frames(step: int) -> str:
@@ -58,21 +58,21 @@ def _ordinal(number: int) -> str:
     return f"{number}{ending}"
 
 
-def _panel(it: Inspection, place: int) -> Picture:
+def _panel(inspection: Inspection, place: int) -> Picture:
     """Return the plot of a dof over time: the mean and, unless the kernel is a mode seeker, the band."""
-    name, unit, bands = spoken(it.dofs[place]), it.units[place], not it.diagnosis.mode_seeker
-    sparse = sparse_frames(it.frames.step)
-    label = time_label(it.fps, f"{sparse} frame" if sparse else "")
+    name, unit, bands = spoken(inspection.dofs[place]), inspection.units[place], not inspection.diagnosis.mode_seeker
+    sparse = sparse_frames(inspection.frames.step)
+    label = time_label(inspection.fps, f"{sparse} frame" if sparse else "")
     figure, axes = new_panel(name, label, "angle, degrees" if unit == "°" else "position, m", (3.6, 2.1))
-    mean, low, high = (values[:, place] for values in (it.curves.mean, it.curves.q05, it.curves.q95))
-    frames = np.asarray(it.frames)
-    shade_lost(axes, it.lost)
-    if it.filtered:
-        draw_filter(axes, frames, it.filtered.dofs, place, bands)
-    draw_band(axes, frames, mean, (low, high) if bands else None, paper(it.dofs[place]))
-    time_axis(axes, it.run.frames, it.fps)
+    mean, low, high = (values[:, place] for values in (inspection.curves.mean, inspection.curves.q05, inspection.curves.q95))
+    frames = np.asarray(inspection.frames)
+    shade_lost(axes, inspection.lost)
+    if inspection.filtered:
+        draw_filter(axes, frames, inspection.filtered.dofs, place, bands)
+    draw_band(axes, frames, mean, (low, high) if bands else None, paper(inspection.dofs[place]))
+    time_axis(axes, inspection.run.frames, inspection.fps)
     shown = [mean, low, high] if bands else [mean]
-    shown += drawn_filter(it.filtered.dofs, place, bands) if it.filtered else []
+    shown += drawn_filter(inspection.filtered.dofs, place, bands) if inspection.filtered else []
     axes.set_ylim(*limits(np.concatenate(shown), LEAST_SPAN[unit]))
     widest = f", widest 90 % band {float(np.max(high - low)):.3g} {unit}" if bands else ""
     return encoded(figure, f"{name} over the frames: mean {value_range(mean)} {unit}{widest}.")

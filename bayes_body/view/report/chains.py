@@ -31,19 +31,23 @@ PATH = (
 STATES, SHOWN, WIDEST, QUALITY = 24, 3, 960, 75
 
 
-def chain_section(it: Inspection) -> Markup:
+def chain_section(inspection: Inspection) -> Markup:
     """Return the section: figures over the frames, and autocorrelations and a path at the frame with the worst mixing."""
-    mixing = it.diagnosis.mixing
+    mixing = inspection.diagnosis.mixing
     if mixing is None:
         return section("chains", "Markov chains", tag("p", "The kernel runs no Markov chains."))
     frame = worst_mixed(mixing)
-    draws = _draws(it, mixing, frame)
+    draws = _draws(inspection, mixing, frame)
     known = bool(np.isfinite(mixing.rhat).any())
-    parts = [tag("p", ABOUT), figures(_panels(it, mixing))]
-    parts += [figures([_rhat_map(it, mixing)], "wide")] if known else [tag("p", "There is no R-hat: each frame has a single chain or too few draws.")]
-    parts += [tag("h3", f"Frame {it.number(frame)}, with the worst mixing"), figures([_autocorrelations(it, mixing, draws, frame)])]
+    parts = [tag("p", ABOUT), figures(_panels(inspection, mixing))]
+    parts += (
+        [figures([_rhat_map(inspection, mixing)], "wide")]
+        if known
+        else [tag("p", "There is no R-hat: each frame has a single chain or too few draws.")]
+    )
+    parts += [tag("h3", f"Frame {inspection.number(frame)}, with the worst mixing"), figures([_autocorrelations(inspection, mixing, draws, frame)])]
     try:
-        pictures = [_path(it, mixing, frame)]
+        pictures = [_path(inspection, mixing, frame)]
     except InputError as error:
         return section("chains", "Markov chains", *parts, tag("p", f"No path is drawn: {error}"))
     return section("chains", "Markov chains", *parts, tag("p", PATH), figures(pictures, "stills"))
@@ -56,69 +60,71 @@ def worst_mixed(mixing: Mixing) -> int:
     return int(mixing.ess.min(axis=(0, 2)).argmin())
 
 
-def _draws(it: Inspection, mixing: Mixing, frame: int) -> Float[np.ndarray, "chain step dof"]:
+def _draws(inspection: Inspection, mixing: Mixing, frame: int) -> Float[np.ndarray, "chain step dof"]:
     """Return the draws of the first run, radians and metres."""
-    (block,) = coordinate_blocks(it.run.tree, range(frame, frame + 1), spaces=it.run.spaces)
+    (block,) = coordinate_blocks(inspection.run.tree, range(frame, frame + 1), spaces=inspection.run.spaces)
     return by_chain(block.poses[:1], mixing.length)[0, :, :, 0]
 
 
-def _panels(it: Inspection, mixing: Mixing) -> Iterator[Picture]:
+def _panels(inspection: Inspection, mixing: Mixing) -> Iterator[Picture]:
     chains = mixing.acceptance.shape[-1]
     average = f"mean of {chains} chains" if chains > 1 else "of the chain"
-    yield _panel(it, mixing.acceptance.mean(axis=-1), "Acceptance", f"probability, {average}", it.limits.acceptance, (-0.03, 1.03))
-    yield _panel(it, mixing.divergences.sum(axis=-1).astype(float), "Divergences", "trajectories per frame", (), (0.0, None))
-    yield _panel(it, mixing.ess.min(axis=-1), "Effective draws", f"of {it.diagnosis.particles:,}, minimum over dofs", (), (0.0, None))
-    yield _panel(it, mixing.energy_fraction.mean(axis=-1), "Energy", f"E-BFMI, {average}", (it.limits.energy_fraction,), (0.0, None))
-    yield _panel(it, mixing.step.mean(axis=-1), "Step", f"factor, {average}", (), (0.0, None))
+    yield _panel(inspection, mixing.acceptance.mean(axis=-1), "Acceptance", f"probability, {average}", inspection.limits.acceptance, (-0.03, 1.03))
+    yield _panel(inspection, mixing.divergences.sum(axis=-1).astype(float), "Divergences", "trajectories per frame", (), (0.0, None))
+    yield _panel(inspection, mixing.ess.min(axis=-1), "Effective draws", f"of {inspection.diagnosis.particles:,}, minimum over dofs", (), (0.0, None))
+    yield _panel(inspection, mixing.energy_fraction.mean(axis=-1), "Energy", f"E-BFMI, {average}", (inspection.limits.energy_fraction,), (0.0, None))
+    yield _panel(inspection, mixing.step.mean(axis=-1), "Step", f"factor, {average}", (), (0.0, None))
 
 
 def _panel(
-    it: Inspection,
+    inspection: Inspection,
     values: Float[np.ndarray, "run frame"],
     title: str,
     label: str,
     limits: tuple[float, ...],
     span: tuple[float, float | None],
 ) -> Picture:
-    figure, axes = new_panel(title, it.x_label, label)
-    shade_lost(axes, it.lost)
+    figure, axes = new_panel(title, inspection.x_label, label)
+    shade_lost(axes, inspection.lost)
     draw_runs(axes, np.arange(values.shape[1]), values)
     for limit in limits:
         draw_limit(axes, limit)
     axes.set_ylim(*span)
-    time_axis(axes, values.shape[1], it.fps)
+    time_axis(axes, values.shape[1], inspection.fps)
     return encoded(figure, f"{title} over the frames: median {np.nanmedian(values):.3g}, from {np.nanmin(values):.3g} to {np.nanmax(values):.3g}.")
 
 
-def _rhat_map(it: Inspection, mixing: Mixing) -> Picture:
+def _rhat_map(inspection: Inspection, mixing: Mixing) -> Picture:
     worst = np.where(np.isnan(mixing.rhat), -np.inf, mixing.rhat).max(axis=0)
     worst = np.where(np.isneginf(worst), np.nan, worst)
-    limit = it.limits.markov_rhat
+    limit = inspection.limits.markov_rhat
     alt = f"R-hat over the chains of every dof and frame, at most {np.nanmax(worst):.2f}."
-    return dof_map(it, worst, "R-hat over the chains", limit, alt, f"Darker is larger. The line on the colour scale is the limit {limit:g}.")
+    return dof_map(inspection, worst, "R-hat over the chains", limit, alt, f"Darker is larger. The line on the colour scale is the limit {limit:g}.")
 
 
-def _autocorrelations(it: Inspection, mixing: Mixing, draws: Float[np.ndarray, "chain step dof"], frame: int) -> Picture:
+def _autocorrelations(inspection: Inspection, mixing: Mixing, draws: Float[np.ndarray, "chain step dof"], frame: int) -> Picture:
     """Return the plot of the autocorrelations of the dofs with the fewest effective draws."""
     figure, axes = new_panel("Autocorrelation", "lag, draws", "correlation")
     order = np.argsort(mixing.ess[0, frame], kind="stable")[:SHOWN].tolist()
     for number, dof in enumerate(order):
         # Dofs of one side have one colour: here the line tells them apart.
-        axes.plot(autocorrelation(draws[:, :, dof]), color=paper(it.dofs[dof]), linestyle=run_line(number), label=spoken(it.dofs[dof]))
+        axes.plot(
+            autocorrelation(draws[:, :, dof]), color=paper(inspection.dofs[dof]), linestyle=run_line(number), label=spoken(inspection.dofs[dof])
+        )
     axes.axhline(0, color=GREY, linewidth=0.8)
     axes.set_ylim(-0.4, 1.05)
-    named = ", ".join(f"{spoken(it.dofs[dof])} {mixing.ess[0, frame, dof]:.0f}" for dof in order)
-    return encoded(figure, f"Autocorrelation within the chains of frame {it.number(frame)}; effective draws of the slowest dofs: {named}.")
+    named = ", ".join(f"{spoken(inspection.dofs[dof])} {mixing.ess[0, frame, dof]:.0f}" for dof in order)
+    return encoded(figure, f"Autocorrelation within the chains of frame {inspection.number(frame)}; effective draws of the slowest dofs: {named}.")
 
 
-def _path(it: Inspection, mixing: Mixing, frame: int) -> Picture:
+def _path(inspection: Inspection, mixing: Mixing, frame: int) -> Picture:
     """Return the picture of a chain's path: outlines of evenly spaced states over the image of the first camera that saw the frame."""
-    session = it.run.session
-    model = seen_in(it.run.model, session, frame)
-    (block,) = pose_blocks(it.run.tree, range(frame, frame + 1), variable=model.body.variable)
+    session = inspection.run.session
+    model = seen_in(inspection.run.model, session, frame)
+    (block,) = pose_blocks(inspection.run.tree, range(frame, frame + 1), variable=model.body.variable)
     chain = by_chain(block.poses[:1], mixing.length)[0, 0, :, 0]
-    shown = _camera(it, frame)
-    image, _ = run_backdrop(it.run, frame, shown)
+    shown = _camera(inspection, frame)
+    image, _ = run_backdrop(inspection.run, frame, shown)
     chosen = np.unique(np.linspace(0, len(chain) - 1, STATES).round().astype(int))
     thin = max(1, round(image.shape[1] / 900))
     inks = cv2.applyColorMap(np.linspace(255, 60, len(chosen)).astype(np.uint8)[:, None], cv2.COLORMAP_PLASMA)[:, 0]
@@ -132,10 +138,12 @@ def _path(it: Inspection, mixing: Mixing, frame: int) -> Picture:
     picture = crop_about(corners, (image.shape[1], image.shape[0]), WIDEST).cut(image)
     name = session.views[shown].camera.name
     encoded = cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])[1].tobytes()
-    caption = f"Camera {name}, frame {it.number(frame)}: {len(chosen)} of {len(chain)} states of a chain."
-    return Picture(data_uri("image/webp", encoded), f"Path of a chain over frame {it.number(frame)} of camera {name}.", caption, inverts=False)
+    caption = f"Camera {name}, frame {inspection.number(frame)}: {len(chosen)} of {len(chain)} states of a chain."
+    return Picture(
+        data_uri("image/webp", encoded), f"Path of a chain over frame {inspection.number(frame)} of camera {name}.", caption, inverts=False
+    )
 
 
-def _camera(it: Inspection, frame: int) -> int:
-    visibility = it.diagnosis.seen
+def _camera(inspection: Inspection, frame: int) -> int:
+    visibility = inspection.diagnosis.seen
     return int(visibility[frame].argmax()) if visibility is not None and visibility[frame].any() else 0

@@ -26,36 +26,36 @@ HANGING = "Plane and rotation of the shoulder are undetermined while the arm han
 FOLDED = ("shoulder",)
 
 
-def clinical_section(it: Inspection) -> Markup:
+def clinical_section(inspection: Inspection) -> Markup:
     """Return the section, one group of panels for each joint."""
-    parts: list[str] = [tag("p", f"{SEEKER if it.diagnosis.mode_seeker else BANDS}{LEGEND if it.filtered else ''}")]
-    sparse = sparse_frames(it.frames.step)
+    parts: list[str] = [tag("p", f"{SEEKER if inspection.diagnosis.mode_seeker else BANDS}{LEGEND if inspection.filtered else ''}")]
+    sparse = sparse_frames(inspection.frames.step)
     if sparse:
-        parts.append(tag("p", f"The plots show {sparse} frame of {it.run.frames:,}.", class_="note"))
+        parts.append(tag("p", f"The plots show {sparse} frame of {inspection.run.frames:,}.", class_="note"))
     for convention in CLINICAL:
-        panels = [panel for place, angle in enumerate(convention.angles) if (panel := _panel(it, convention, angle, place)) is not None]
+        panels = [panel for place, angle in enumerate(convention.angles) if (panel := _panel(inspection, convention, angle, place)) is not None]
         if panels:
             note = [tag("p", HANGING, class_="note")] if convention.joint in FOLDED else []
             parts.append(details(convention.joint.capitalize(), *note, figures(panels), shown=convention.joint not in FOLDED))
     return section("clinical", "Clinical angles", *parts)
 
 
-def _panel(it: Inspection, convention: Convention, angle: Angle, place: int) -> Picture | None:
+def _panel(inspection: Inspection, convention: Convention, angle: Angle, place: int) -> Picture | None:
     """Return the plot of an angle on its sides; None if the body does not have it."""
-    names, moments = it.clinical
+    names, moments = inspection.clinical
     sides = {side: names.index(convention.names(side)[place]) for side in convention.sides if convention.names(side)[place] in names}
     if not sides:
         return None
     curves = {side: Moments(*(values[:, column] for values in moments)) for side, column in sides.items()}
     title = angle.name.replace("_", " ").capitalize()
     figure, axes = new_panel(title, "time, s", "degrees", (3.6, 2.1))
-    seconds, bands = np.asarray(it.frames) / it.run.fps, not it.diagnosis.mode_seeker
-    shade_lost(axes, it.lost, 1 / it.run.fps)
+    seconds, bands = np.asarray(inspection.frames) / inspection.run.fps, not inspection.diagnosis.mode_seeker
+    shade_lost(axes, inspection.lost, 1 / inspection.run.fps)
     shown: list[np.ndarray] = []
     for side, curve in curves.items():
-        if it.filtered and names == it.filtered.clinical.names:
-            draw_filter(axes, seconds, it.filtered.clinical.moments, sides[side], bands)
-            shown += drawn_filter(it.filtered.clinical.moments, sides[side], bands)
+        if inspection.filtered and names == inspection.filtered.clinical.names:
+            draw_filter(axes, seconds, inspection.filtered.clinical.moments, sides[side], bands)
+            shown += drawn_filter(inspection.filtered.clinical.moments, sides[side], bands)
         draw_band(axes, seconds, curve.mean, (curve.q05, curve.q95) if bands else None, COLOURS[side], SIDES[side] or None)
         shown += [curve.mean, curve.q05, curve.q95] if bands else [curve.mean]
     if len(seconds) > 1:

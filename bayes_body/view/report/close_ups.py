@@ -58,9 +58,9 @@ def _tree(values: Float[np.ndarray, "run draw"]) -> "xr.DataTree":
     return xr.DataTree.from_dict({"posterior": xr.Dataset({"value": (("chain", "draw"), values)}, places)})
 
 
-def _named(it: Inspection, sample: Sample, dof: int) -> tuple[str, str]:
+def _named(inspection: Inspection, sample: Sample, dof: int) -> tuple[str, str]:
     """Return the title of a panel and the dof's unit."""
-    return f"{spoken(it.dofs[dof])}, frame {it.number(sample.frame)}", it.units[dof]
+    return f"{spoken(inspection.dofs[dof])}, frame {inspection.number(sample.frame)}", inspection.units[dof]
 
 
 def _label(figure: "Figure", title: str, x: str, y: str) -> "Axes":
@@ -75,22 +75,22 @@ def _label(figure: "Figure", title: str, x: str, y: str) -> "Axes":
     return axes
 
 
-def _draw_as_runs(axes: "Axes", it: Inspection, dof: int) -> None:
+def _draw_as_runs(axes: "Axes", inspection: Inspection, dof: int) -> None:
     """Give the first lines, one of each run in order, the colour of the dof's side, the run's line style and its name."""
-    for run, line in enumerate(axes.get_lines()[: it.runs]):
-        line.set(color=paper(it.dofs[dof]), linestyle=run_line(run), label=run_label(run, it.runs))
+    for run, line in enumerate(axes.get_lines()[: inspection.runs]):
+        line.set(color=paper(inspection.dofs[dof]), linestyle=run_line(run), label=run_label(run, inspection.runs))
 
 
-def rank_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
+def rank_plot(inspection: Inspection, sample: Sample, dof: int) -> Picture:
     """Return the rank plot: the ranks of each run's draws among all draws, as the difference from uniform (Säilynoja, Bürkner & Vehtari 2022)."""
     import arviz as az
 
-    title, _ = _named(it, sample, dof)
-    values, rhat = sample.poses[..., dof], it.diagnosis.rhat[sample.frame, dof]
+    title, _ = _named(inspection, sample, dof)
+    values, rhat = sample.poses[..., dof], inspection.diagnosis.rhat[sample.frame, dof]
     figure = _taken(az.plot_rank, PANEL, dt=_tree(values), visuals={"remove_axis": False})
-    rank = f"rank among all draws of frame {it.number(sample.frame)}"
-    axes = _label(figure, f"{spoken(it.dofs[dof])}: R-hat {rhat:.2f}", rank, "difference from uniform")
-    _draw_as_runs(axes, it, dof)
+    rank = f"rank among all draws of frame {inspection.number(sample.frame)}"
+    axes = _label(figure, f"{spoken(inspection.dofs[dof])}: R-hat {rhat:.2f}", rank, "difference from uniform")
+    _draw_as_runs(axes, inspection, dof)
     # Remove the p-value and the points of ArviZ's test: it assumes independent draws, and no option turns it off.
     for artist in (*axes.texts, *axes.collections):
         artist.remove()
@@ -104,48 +104,48 @@ def rank_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
     return encoded(figure, f"Rank plot of {title}: R-hat {rhat:.2f}.")
 
 
-def distribution_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
+def distribution_plot(inspection: Inspection, sample: Sample, dof: int) -> Picture:
     """Return the distribution plot: for each run, the fraction of its draws below each value."""
     import arviz as az
 
-    title, unit = _named(it, sample, dof)
+    title, unit = _named(inspection, sample, dof)
     values = sample.poses[..., dof]
     hidden = dict.fromkeys(("point_estimate", "point_estimate_text", "credible_interval", "remove_axis"), False)
     by_run = {"sample_dims": ["draw"], "cols": [], "aes": {"color": ["chain"]}}
     figure = _taken(az.plot_dist, PANEL, dt=_tree(values), kind="ecdf", visuals=hidden, **by_run)
     axes = _label(figure, title, "angle, degrees" if unit == "°" else "position, m", "fraction of draws below")
-    _draw_as_runs(axes, it, dof)
+    _draw_as_runs(axes, inspection, dof)
     return encoded(figure, f"Distribution of {title}, by run: means {', '.join(f'{mean:.3g} {unit}' for mean in values.mean(axis=1))}.")
 
 
-def growth_plot(it: Inspection, sample: Sample, dof: int) -> Picture:
+def growth_plot(inspection: Inspection, sample: Sample, dof: int) -> Picture:
     """Return the plot of ArviZ's effective sample size as draws are added."""
     import arviz as az
 
-    title, _ = _named(it, sample, dof)
+    title, _ = _named(inspection, sample, dof)
     values = sample.poses[..., dof]
     figure = _taken(az.plot_ess_evolution, PANEL, dt=_tree(values), n_points=10, visuals={"min_ess": values.size >= ENOUGH})
     axes = _label(figure, title, "draws of all runs", "effective draws")
     axes.set_ylim(bottom=0)
     bulk, tails, *enough = axes.get_lines()
     for line, name, style in ((bulk, "bulk", run_line(0)), (tails, "tails", run_line(1))):
-        line.set(color=paper(it.dofs[dof]), linestyle=style, label=name)
+        line.set(color=paper(inspection.dofs[dof]), linestyle=style, label=name)
     for points in axes.collections:
-        points.set_color(paper(it.dofs[dof]))
+        points.set_color(paper(inspection.dofs[dof]))
     for line in enough:
         line.set(color=WARNING, linestyle="-")
     return encoded(figure, f"Effective sample size of {title} as draws are added.")
 
 
-def forest_plot(it: Inspection, sample: Sample) -> Picture:
+def forest_plot(inspection: Inspection, sample: Sample) -> Picture:
     """Return the plot of the median and intervals of every angle, by run, relative to the median of all runs."""
     import arviz as az
     import xarray as xr
 
-    angular = np.array(it.units) == "°"
-    angles, together = sample.poses[..., angular], it.runs > FOREST_RUNS
+    angular = np.array(inspection.units) == "°"
+    angles, together = sample.poses[..., angular], inspection.runs > FOREST_RUNS
     middle = np.median(angles, axis=(0, 1))
-    names = [spoken(name) for name, angle in zip(it.dofs, angular, strict=True) if angle]
+    names = [spoken(name) for name, angle in zip(inspection.dofs, angular, strict=True) if angle]
     labels = [f"{name} {value:z.0f}°" for name, value in zip(names, middle, strict=True)]
     coordinates = {"dof": labels, "chain": np.arange(len(angles)), "draw": np.arange(angles.shape[1])}
     tree = xr.DataTree.from_dict({"posterior": xr.Dataset({"angle": (("chain", "draw", "dof"), angles - middle)}, coordinates)})
@@ -157,9 +157,9 @@ def forest_plot(it: Inspection, sample: Sample) -> Picture:
         "aes": {} if together else {"color": ["chain"]},
     }
     figure = _taken(az.plot_forest, (3.8, 0.8 + 0.3 * len(names)), dt=tree, visuals={"point_estimate": {"width": 2}}, **form)
-    _set_forest(figure, f"Frame {it.number(sample.frame)}")
-    _draw_sides(figure.axes[1], [paper(name) for name, angle in zip(it.dofs, angular, strict=True) if angle])
-    return encoded(figure, f"Medians and intervals of {len(names)} joint angles at frame {it.number(sample.frame)}, by run.")
+    _set_forest(figure, f"Frame {inspection.number(sample.frame)}")
+    _draw_sides(figure.axes[1], [paper(name) for name, angle in zip(inspection.dofs, angular, strict=True) if angle])
+    return encoded(figure, f"Medians and intervals of {len(names)} joint angles at frame {inspection.number(sample.frame)}, by run.")
 
 
 def _draw_sides(axes: "Axes", inks: list[str]) -> None:

@@ -46,11 +46,11 @@ class Dependence(NamedTuple):
     place: int
 
 
-def dependence(it: Inspection) -> Dependence:
+def dependence(inspection: Inspection) -> Dependence:
     """Return the strongest dependence of a run's posterior; without pairs if there is none."""
-    blocks = coordinate_blocks(it.run.tree, it.frames, spaces=it.run.spaces)
+    blocks = coordinate_blocks(inspection.run.tree, inspection.frames, spaces=inspection.run.spaces)
     matrices = np.concatenate([correlations(block.poses, weights_of_runs(block.log_weights)) for block in blocks])
-    effective = it.diagnosis.ess[:, list(it.frames)].sum(axis=0)
+    effective = inspection.diagnosis.ess[:, list(inspection.frames)].sum(axis=0)
     upper = np.triu_indices(matrices.shape[1], 1)
     squares = np.nan_to_num(adjusted(matrices[:, *upper], effective[:, None]), nan=-np.inf)
     place = chosen_place(squares, effective)
@@ -58,7 +58,7 @@ def dependence(it: Inspection) -> Dependence:
     strong = [
         (int(upper[0][k]), int(upper[1][k])) for k in order if squares[place, k] > 0 and abs(matrices[place, upper[0][k], upper[1][k]]) >= LEAST
     ]
-    return Dependence(it.frames[place], strong[:PAIRS], chosen_dofs(strong), matrices, place)
+    return Dependence(inspection.frames[place], strong[:PAIRS], chosen_dofs(strong), matrices, place)
 
 
 def correlations(poses: Float[np.ndarray, "run draw frame dof"], weights: Float[np.ndarray, "run draw frame"]) -> Float[np.ndarray, "frame dof dof"]:
@@ -105,17 +105,19 @@ FAINTEST = 6.0
 LEGEND = "How probable each angle is in each frame: the natural logarithm of the posterior, relative to the most probable angle. All runs together."
 
 
-def density_details(it: Inspection) -> Markup | None:
+def density_details(inspection: Inspection) -> Markup | None:
     """Return the panels of every shoulder's angles; None if the body has none, or if the spread of the particles means nothing."""
-    places = [place for place, name in enumerate(it.dofs) if SHOULDER in name and it.units[place] == "°"]
-    if not places or it.diagnosis.mode_seeker:
+    places = [place for place, name in enumerate(inspection.dofs) if SHOULDER in name and inspection.units[place] == "°"]
+    if not places or inspection.diagnosis.mode_seeker:
         return None
-    frames = range(0, it.run.frames, frames_a_point(it.run.frames))
-    blocks = list(coordinate_blocks(it.run.tree, frames, spaces=it.run.spaces))
+    frames = range(0, inspection.run.frames, frames_a_point(inspection.run.frames))
+    blocks = list(coordinate_blocks(inspection.run.tree, frames, spaces=inspection.run.spaces))
     weights = np.concatenate([pooled(weights_of_runs(piece.log_weights)) / piece.poses.shape[0] for piece in blocks])
     angles = np.degrees(np.concatenate([pooled(piece.poses)[..., places] for piece in blocks]))
-    label = time_label(it.fps)
-    panels = figures(_panel(it, it.dofs[place], frames, log_density(angles[..., k], weights), label) for k, place in enumerate(places))
+    label = time_label(inspection.fps)
+    panels = figures(
+        _panel(inspection, inspection.dofs[place], frames, log_density(angles[..., k], weights), label) for k, place in enumerate(places)
+    )
     return details("Log posterior of the shoulders' angles", tag("p", LEGEND), panels)
 
 
@@ -139,7 +141,7 @@ def log_density(angles: Float[np.ndarray, "frame draw"], weights: Float[np.ndarr
         return LogDensity(np.log(mass) - np.log(mass.max(axis=0)), low, high)
 
 
-def _panel(it: Inspection, name: str, frames: range, density: LogDensity, label: str) -> Picture:
+def _panel(inspection: Inspection, name: str, frames: range, density: LogDensity, label: str) -> Picture:
     values, low, high = density
     figure, axes = new_panel(spoken(name), label, "angle, degrees", (3.6, 2.3))
     set_margins(figure, 0.66, 0.42)
@@ -155,6 +157,6 @@ def _panel(it: Inspection, name: str, frames: range, density: LogDensity, label:
         vmin=-FAINTEST,
         vmax=0,
     )
-    time_axis(axes, it.run.frames, it.fps)
+    time_axis(axes, inspection.run.frames, inspection.fps)
     figure.colorbar(shown, ax=axes, pad=0.03, ticks=[-FAINTEST, -FAINTEST / 2, 0])
     return encoded(figure, f"Log posterior of {spoken(name)} over the frames, angles from {low:.0f} to {high:.0f} degrees.")

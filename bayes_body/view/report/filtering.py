@@ -27,88 +27,90 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def filter_section(it: Inspection) -> Markup:
+def filter_section(inspection: Inspection) -> Markup:
     """Return the section with all panels for which the kernel has data."""
-    panels = [panel for part in (_weights, _ancestry, _evidence, _layers, _cameras) for panel in part(it)]
-    lines = "Each line is a run." if it.runs > 1 else "There is a single run."
-    lost = " Lost frames are shaded purple." if it.lost.any() else ""
+    panels = [panel for part in (_weights, _ancestry, _evidence, _layers, _cameras) for panel in part(inspection)]
+    lines = "Each line is a run." if inspection.runs > 1 else "There is a single run."
+    lost = " Lost frames are shaded purple." if inspection.lost.any() else ""
     parts = [tag("p", f"{lines} Purple lines are the limits beyond which there is a warning.{lost}")]
-    if it.diagnosis.mode_seeker:
-        parts.append(tag("p", f"The kernel {it.diagnosis.kernel} estimates no evidence, so there is no panel for it."))
+    if inspection.diagnosis.mode_seeker:
+        parts.append(tag("p", f"The kernel {inspection.diagnosis.kernel} estimates no evidence, so there is no panel for it."))
     return section("filter", "Filter", *parts, figures(panels))
 
 
-def _weights(it: Inspection) -> Iterator[Picture]:
-    diagnosis, count = it.diagnosis, it.diagnosis.particles
-    least = max(it.limits.ess, it.limits.ess_share * count)
-    figure, axes = new_panel("Effective particles", it.x_label, f"of {count:,} (log scale)")
-    _draw(axes, it, diagnosis.ess)
+def _weights(inspection: Inspection) -> Iterator[Picture]:
+    diagnosis, count = inspection.diagnosis, inspection.diagnosis.particles
+    least = max(inspection.limits.ess, inspection.limits.ess_share * count)
+    figure, axes = new_panel("Effective particles", inspection.x_label, f"of {count:,} (log scale)")
+    _draw(axes, inspection, diagnosis.ess)
     log_counts(axes, count)
     if not diagnosis.mode_seeker:
         draw_limit(axes, least)
     yield encoded(figure, f"Effective sample size over the frames, median {np.median(diagnosis.ess):.0f} of {count} particles.")
     # The weights of a mode seeker are not importance weights.
     if np.isfinite(diagnosis.pareto_k).any() and not diagnosis.mode_seeker:
-        figure, axes = new_panel("Tail of the weights", it.x_label, "Pareto k")
-        _draw(axes, it, np.where(np.isfinite(diagnosis.pareto_k), diagnosis.pareto_k, np.nan))
-        draw_limit(axes, it.limits.pareto_k)
+        figure, axes = new_panel("Tail of the weights", inspection.x_label, "Pareto k")
+        _draw(axes, inspection, np.where(np.isfinite(diagnosis.pareto_k), diagnosis.pareto_k, np.nan))
+        draw_limit(axes, inspection.limits.pareto_k)
         worst = np.max(diagnosis.pareto_k[np.isfinite(diagnosis.pareto_k)])
-        yield encoded(figure, f"Pareto k of the weights over the frames, at most {worst:.2f}; the limit is {it.limits.pareto_k}.")
+        yield encoded(figure, f"Pareto k of the weights over the frames, at most {worst:.2f}; the limit is {inspection.limits.pareto_k}.")
 
 
-def _ancestry(it: Inspection) -> Iterator[Picture]:
-    diagnosis = it.diagnosis
+def _ancestry(inspection: Inspection) -> Iterator[Picture]:
+    diagnosis = inspection.diagnosis
     for lag, counts in zip(diagnosis.lags, diagnosis.ancestors, strict=True):
         if not np.isfinite(counts).any():
             continue
         back = "1 frame back" if lag == 1 else f"{lag} frames back"
-        figure, axes = new_panel(f"Ancestors {back}", it.x_label, "particles (log scale)")
-        _draw(axes, it, counts)
+        figure, axes = new_panel(f"Ancestors {back}", inspection.x_label, "particles (log scale)")
+        _draw(axes, inspection, counts)
         log_counts(axes, diagnosis.particles)
         if lag == 1:
-            draw_limit(axes, it.limits.ancestors)
+            draw_limit(axes, inspection.limits.ancestors)
         yield encoded(figure, f"Number of particles {back} that have descendants, at least {np.nanmin(counts):.0f}.")
 
 
-def _evidence(it: Inspection) -> Iterator[Picture]:
-    diagnosis = it.diagnosis
+def _evidence(inspection: Inspection) -> Iterator[Picture]:
+    diagnosis = inspection.diagnosis
     if not np.isfinite(diagnosis.log_evidence).any():
         return
-    figure, axes = new_panel("Log-evidence of a frame", it.x_label, "nats")
-    _draw(axes, it, np.where(np.isfinite(diagnosis.log_evidence), diagnosis.log_evidence, np.nan))
+    figure, axes = new_panel("Log-evidence of a frame", inspection.x_label, "nats")
+    _draw(axes, inspection, np.where(np.isfinite(diagnosis.log_evidence), diagnosis.log_evidence, np.nan))
     yield encoded(figure, "Log-evidence of each frame given the frames before it.")
     spread = diagnosis.evidence_sd_frames
     if np.isfinite(spread).any():
-        figure, axes = new_panel("Spread of the log-evidence", it.x_label, "sd over the runs, nats")
-        _draw(axes, it, spread[None])
+        figure, axes = new_panel("Spread of the log-evidence", inspection.x_label, "sd over the runs, nats")
+        _draw(axes, inspection, spread[None])
         axes.set_ylim(bottom=0)
         yield encoded(figure, f"Standard deviation over the runs of the log-evidence of a frame, at most {np.nanmax(spread):.2f} nats.")
 
 
-def _layers(it: Inspection) -> Iterator[Picture]:
+def _layers(inspection: Inspection) -> Iterator[Picture]:
     """Yield plots of survival rates, inverse temperatures and acceptance of each layer, as medians of the runs; none for kernels without layers."""
     from matplotlib.ticker import MaxNLocator
 
-    group = it.run.tree["filter"]
+    group = inspection.run.tree["filter"]
     if "survival_rate" not in group:
         return
     rates, powers = (np.asarray(group[name], float) for name in ("survival_rate", "inverse_temperature"))
     if rates.shape[-1] > 1:
         numbers = np.isfinite(rates).sum(axis=-1).astype(float)
         if np.ptp(numbers):
-            figure, axes = new_panel("Layers", it.x_label, "layers per frame")
-            _draw(axes, it, numbers)
+            figure, axes = new_panel("Layers", inspection.x_label, "layers per frame")
+            _draw(axes, inspection, numbers)
             axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
             yield encoded(figure, f"Number of layers in each frame, from {numbers.min():.0f} to {numbers.max():.0f}.")
-        yield _by_layer(it, rates, "Survival rate of a layer", "fraction of particles", False)
-        yield _by_layer(it, powers, "Inverse temperature of a layer", "power of the likelihood", True)
+        yield _by_layer(inspection, rates, "Survival rate of a layer", "fraction of particles", False)
+        yield _by_layer(inspection, powers, "Inverse temperature of a layer", "power of the likelihood", True)
     # The acceptance of Markov chains is shown in their own section.
-    if np.isfinite(it.diagnosis.acceptance_rate).any() and it.diagnosis.mixing is None:
-        yield _by_layer(it, it.diagnosis.acceptance_rate, "Acceptance of a layer", "fraction of moves", False, it.limits.acceptance)
+    if np.isfinite(inspection.diagnosis.acceptance_rate).any() and inspection.diagnosis.mixing is None:
+        yield _by_layer(
+            inspection, inspection.diagnosis.acceptance_rate, "Acceptance of a layer", "fraction of moves", False, inspection.limits.acceptance
+        )
 
 
 def _by_layer(
-    it: Inspection,
+    inspection: Inspection,
     values: Float[np.ndarray, "run frame layer"],
     title: str,
     y_label: str,
@@ -121,8 +123,8 @@ def _by_layer(
     layers = np.flatnonzero(known)
     binned = bins(values.shape[1])
     colours = mpl.colormaps[SEQUENTIAL](np.linspace(0.35, 1, max(len(layers), 2)))
-    figure, axes = new_panel(title, it.x_label, y_label)
-    shade_lost(axes, it.lost)
+    figure, axes = new_panel(title, inspection.x_label, y_label)
+    shade_lost(axes, inspection.lost)
     for number, (layer, colour) in enumerate(zip(layers, colours[: len(layers)], strict=True)):
         line = [_median(values[:, piece, layer]) for piece in binned]
         named = len(layers) > 1 and number in (0, len(layers) - 1)
@@ -140,7 +142,7 @@ def _by_layer(
         axes.set_ylim(-0.03, 1.03)
     for limit in limits:
         draw_limit(axes, limit)
-    time_axis(axes, values.shape[1], it.fps)
+    time_axis(axes, values.shape[1], inspection.fps)
     return encoded(figure, f"{title} over the frames, the median of the runs, from {np.nanmin(values):.3g} to {np.nanmax(values):.3g}.")
 
 
@@ -149,19 +151,19 @@ def _median(values: Float[np.ndarray, "run some"]) -> float:
     return float(np.median(finite)) if finite.size else float("nan")
 
 
-def _cameras(it: Inspection) -> Iterator[Picture]:
+def _cameras(inspection: Inspection) -> Iterator[Picture]:
     """Yield a plot with one strip for each camera, coloured in the frames in which its image was used."""
-    diagnosis = it.diagnosis
+    diagnosis = inspection.diagnosis
     if diagnosis.seen is None:
         return
     count = diagnosis.seen.shape[1]
-    figure, axes = new_panel("Cameras in use", time_label(it.fps), "camera", (3.6, max(1.6, 0.9 + 0.25 * count)))
+    figure, axes = new_panel("Cameras in use", time_label(inspection.fps), "camera", (3.6, max(1.6, 0.9 + 0.25 * count)))
     for camera in range(count):
         axes.broken_barh(_stretches(diagnosis.seen[:, camera]), (camera - 0.35, 0.7), color=INK, linewidth=0)
     axes.set_yticks(range(count), [_short(name) for name in diagnosis.cameras])
     axes.set_ylim(count - 0.5, -0.5)
     axes.grid(visible=False)
-    time_axis(axes, diagnosis.seen.shape[0], it.fps)
+    time_axis(axes, diagnosis.seen.shape[0], inspection.fps)
     axes.set_xlim(-0.5, diagnosis.seen.shape[0] - 0.5)
     alone = "; ".join(f"{name} in {share:.0%}" for name, share in zip(diagnosis.cameras, diagnosis.seen.mean(axis=0), strict=True))
     yield encoded(figure, f"Fraction of frames in which each camera was used: {alone}.")
@@ -178,7 +180,7 @@ def _short(name: str) -> str:
     return name if len(name) <= 9 else f"{name[:8]}…"
 
 
-def _draw(axes: "Axes", it: Inspection, values: Float[np.ndarray, "run frame"]) -> None:
-    shade_lost(axes, it.lost)
+def _draw(axes: "Axes", inspection: Inspection, values: Float[np.ndarray, "run frame"]) -> None:
+    shade_lost(axes, inspection.lost)
     draw_runs(axes, np.arange(values.shape[1]), values)
-    time_axis(axes, values.shape[1], it.fps)
+    time_axis(axes, values.shape[1], inspection.fps)

@@ -16,18 +16,18 @@ DOT = "display: inline-block; width: .7em; height: .7em; margin-right: .4em; bor
 SIDES = {side: Markup(f"{tag('i', style=DOT + SIDE_COLOURS[side])}{NAMES[side]}") for side in ("r", "l")} | {"": ""}
 
 
-def has_gait(it: Inspection) -> bool:
+def has_gait(inspection: Inspection) -> bool:
     """Whether the run's draws are paths, and its body has the markers of a gait."""
     try:
-        return it.run.smoothed and set(POINTS) <= set(it.run.model.body.markers.names)
+        return inspection.run.smoothed and set(POINTS) <= set(inspection.run.model.body.markers.names)
     except InputError:
         return False
 
 
-def gait_section(it: Inspection) -> Markup:
+def gait_section(inspection: Inspection) -> Markup:
     """Return the section; a sentence if nobody walks."""
     try:
-        gait = gait_of(marker_paths(it.run, POINTS), it.run.fps, "xyz".index(it.run.session.up))
+        gait = gait_of(marker_paths(inspection.run, POINTS), inspection.run.fps, "xyz".index(inspection.run.session.up))
     except InputError as error:
         return section("gait", "Gait", tag("p", f"{error}"))
     if not gait.events:

@@ -62,10 +62,10 @@ def subtitle(run: "SavedRun") -> str:
     return f"Model {run.settings['model']}, {how}; {run.texts.get('title', 'no title')}."
 
 
-def scales(it: "Inspection") -> str:
+def scales(inspection: "Inspection") -> str:
     """Return what holds for the whole page: how wide its intervals are, and where its time begins."""
-    wide = "" if it.diagnosis.mode_seeker else "Every interval and band of this page holds 90 % of the posterior (5 to 95 %). "
-    return f"{wide}Time is in seconds from frame {it.number(0)}; there are {it.fps:g} frames per second." if it.fps else wide
+    wide = "" if inspection.diagnosis.mode_seeker else "Every interval and band of this page holds 90 % of the posterior (5 to 95 %). "
+    return f"{wide}Time is in seconds from frame {inspection.number(0)}; there are {inspection.fps:g} frames per second." if inspection.fps else wide
 
 
 def verdict(summary: Mapping[str, Any], warnings: Sequence[str], agreement_known: bool) -> Markup:

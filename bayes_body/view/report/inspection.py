@@ -145,44 +145,44 @@ class Sample(NamedTuple):
     poses: Float[np.ndarray, "run draw dof"]
 
 
-def worst_frame(it: Inspection) -> int:
+def worst_frame(inspection: Inspection) -> int:
     """Return the frame with the largest R-hat; if there is no R-hat, the frame with the fewest effective particles."""
-    if it.agreement_known:
-        return int(np.nan_to_num(it.diagnosis.rhat, nan=-np.inf).max(axis=1).argmax())
-    return int(it.diagnosis.ess.min(axis=0).argmin())
+    if inspection.agreement_known:
+        return int(np.nan_to_num(inspection.diagnosis.rhat, nan=-np.inf).max(axis=1).argmax())
+    return int(inspection.diagnosis.ess.min(axis=0).argmin())
 
 
-def chosen_frames(it: Inspection) -> list[int]:
+def chosen_frames(inspection: Inspection) -> list[int]:
     """Return the first, the worst and the last frame, without repetition."""
-    return sorted({0, worst_frame(it), len(it.diagnosis.lost[0]) - 1})
+    return sorted({0, worst_frame(inspection), len(inspection.diagnosis.lost[0]) - 1})
 
 
-def chosen_dofs(it: Inspection) -> list[int]:
+def chosen_dofs(inspection: Inspection) -> list[int]:
     """Return the dofs with the largest R-hat in some frame.
 
     If there is no R-hat, return those with the largest spread in the worst frame, in degrees or metres: angles come before positions.
     """
-    if it.agreement_known:
-        figures_of = np.nan_to_num(it.diagnosis.rhat, nan=-np.inf).max(axis=0)
+    if inspection.agreement_known:
+        figures_of = np.nan_to_num(inspection.diagnosis.rhat, nan=-np.inf).max(axis=0)
     else:
-        figures_of = equal_weight_sample(it, worst_frame(it)).poses.std(axis=(0, 1))
+        figures_of = equal_weight_sample(inspection, worst_frame(inspection)).poses.std(axis=(0, 1))
     ordered = np.argsort(-figures_of, kind="stable")[:DOFS].tolist()
     # A dof that never moves has no R-hat and no spread: there is nothing to plot.
     return [dof for dof in ordered if figures_of[dof] > 0]
 
 
-def equal_weight_sample(it: Inspection, frame: int) -> Sample:
+def equal_weight_sample(inspection: Inspection, frame: int) -> Sample:
     """Return systematic draws in random order. Their number is the smallest effective sample size of the runs, within FEWEST_DRAWS and MOST_DRAWS."""
-    ess = float(np.nanmin(it.diagnosis.ess[:, frame]))
+    ess = float(np.nanmin(inspection.diagnosis.ess[:, frame]))
     count = round(np.clip(ess, FEWEST_DRAWS, MOST_DRAWS))
-    (block,) = coordinate_blocks(it.run.tree, range(frame, frame + 1), spaces=it.run.spaces)
+    (block,) = coordinate_blocks(inspection.run.tree, range(frame, frame + 1), spaces=inspection.run.spaces)
     rng = np.random.default_rng([RESAMPLING_SEED, frame])
     out = []
     for weights, poses in zip(weights_of_runs(block.log_weights)[..., 0], block.poses[:, :, 0], strict=True):
         levels = (np.arange(count) + rng.random()) / count
         places = np.minimum(np.searchsorted(np.cumsum(weights), levels), len(weights) - 1)
         out.append(poses[rng.permutation(places)])
-    return Sample(frame, np.stack(out) * dof_scale(it.units))
+    return Sample(frame, np.stack(out) * dof_scale(inspection.units))
 
 
 SIDES = {"l": "left", "r": "right"}

@@ -34,15 +34,15 @@ SHOWN = 3
 MILLIMETRES = 1000.0
 
 
-def message_section(it: Inspection) -> Markup:
+def message_section(inspection: Inspection) -> Markup:
     """Return the section: figures over the frames, and the iterations of a few frames."""
-    passing = it.diagnosis.messages
+    passing = inspection.diagnosis.messages
     if passing is None:
         return section("messages", "Message passing", tag("p", "The kernel passes no messages."))
-    parts = [tag("p", ABOUT), figures(_panels(it, passing)), tag("p", SHARES), figures([_shares(it, passing)])]
+    parts = [tag("p", ABOUT), figures(_panels(inspection, passing)), tag("p", SHARES), figures([_shares(inspection, passing)])]
     if passing.change.shape[2] > 1:
-        parts += [tag("h3", "Convergence by iteration"), tag("p", CONVERGENCE), figures(_changes(it, passing))]
-        parts += [figures(_spreads(it, passing))] if "m" in passing.units else []
+        parts += [tag("h3", "Convergence by iteration"), tag("p", CONVERGENCE), figures(_changes(inspection, passing))]
+        parts += [figures(_spreads(inspection, passing))] if "m" in passing.units else []
     return section("messages", "Message passing", *parts)
 
 
@@ -52,73 +52,73 @@ def chosen_frames(passing: MessagePassing) -> list[int]:
     return sorted({0, int(worst.argmax()), len(worst) - 1})
 
 
-def _panels(it: Inspection, passing: MessagePassing) -> Iterator[Picture]:
-    limits, samples = it.limits, passing.samples
+def _panels(inspection: Inspection, passing: MessagePassing) -> Iterator[Picture]:
+    limits, samples = inspection.limits, passing.samples
     counted = f"of {samples:,} (log scale)"
-    yield _panel(it, passing.belief_ess.min(axis=-1), "Effective particles of a belief", counted, limits.belief_ess_share * samples, samples)
-    yield _panel(it, passing.message_ess, "Effective particles of a message", counted, limits.message_ess_share * samples, samples)
+    yield _panel(inspection, passing.belief_ess.min(axis=-1), "Effective particles of a belief", counted, limits.belief_ess_share * samples, samples)
+    yield _panel(inspection, passing.message_ess, "Effective particles of a message", counted, limits.message_ess_share * samples, samples)
     if np.isfinite(passing.last_change).any():
-        yield _panel(it, passing.last_change.max(axis=-1), "Change in the last iteration", "sd of the belief", limits.message_change)
+        yield _panel(inspection, passing.last_change.max(axis=-1), "Change in the last iteration", "sd of the belief", limits.message_change)
     if np.isfinite(passing.oscillation).any():
-        yield _panel(it, passing.oscillation.max(axis=-1), "Oscillation", "sd of the belief", limits.oscillation)
+        yield _panel(inspection, passing.oscillation.max(axis=-1), "Oscillation", "sd of the belief", limits.oscillation)
 
 
-def _panel(it: Inspection, values: Float[np.ndarray, "run frame"], title: str, label: str, limit: float, most: int | None = None) -> Picture:
+def _panel(inspection: Inspection, values: Float[np.ndarray, "run frame"], title: str, label: str, limit: float, most: int | None = None) -> Picture:
     """Return the worst part of every frame; with `most`, as a count up to it."""
-    figure, axes = new_panel(title, it.x_label, label)
-    shade_lost(axes, it.lost)
+    figure, axes = new_panel(title, inspection.x_label, label)
+    shade_lost(axes, inspection.lost)
     draw_runs(axes, np.arange(values.shape[1]), values)
     draw_limit(axes, limit)
     if most is None:
         axes.set_ylim(0, 1.15 * max(limit, float(np.nanmax(values))))
     else:
         log_counts(axes, most)
-    time_axis(axes, values.shape[1], it.fps)
+    time_axis(axes, values.shape[1], inspection.fps)
     span = f"median {np.nanmedian(values):.3g}, from {np.nanmin(values):.3g} to {np.nanmax(values):.3g}"
     return encoded(figure, f"{title} over the frames, the worst part of each: {span}; the limit is {limit:g}.")
 
 
-def _shares(it: Inspection, passing: MessagePassing) -> Picture:
+def _shares(inspection: Inspection, passing: MessagePassing) -> Picture:
     mean = passing.proposal_shares.mean(axis=(0, 2))
-    figure, axes = new_panel("Parts of the proposal", it.x_label, "share of the weight")
-    shade_lost(axes, it.lost)
+    figure, axes = new_panel("Parts of the proposal", inspection.x_label, "share of the weight")
+    shade_lost(axes, inspection.lost)
     brought = [number for number in range(len(PARTS)) if np.nanmax(mean[:, number]) > 0]
     mark = {"marker": "o", "markersize": 3.5} if len(mean) <= 12 else {}
     for number in brought:
         axes.plot(mean[:, number], color=INK, linestyle=run_line(number), label=PARTS[number], **mark)
     axes.set_ylim(-0.03, 1.03)
-    time_axis(axes, len(mean), it.fps)
+    time_axis(axes, len(mean), inspection.fps)
     named = ", ".join(f"{PARTS[number]} {np.nanmean(mean[:, number]):.2f}" for number in brought)
     return encoded(figure, f"Share of each part of the proposal in the weight of the particles, mean over the frames: {named}.")
 
 
-def _changes(it: Inspection, passing: MessagePassing) -> Iterator[Picture]:
+def _changes(inspection: Inspection, passing: MessagePassing) -> Iterator[Picture]:
     """Yield the changes of the beliefs by iteration, mean of the runs, at each chosen frame."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     for frame in chosen_frames(passing):
         change = passing.change[:, frame].mean(axis=0)
-        figure, axes = new_panel(f"Change, frame {it.number(frame)}", "iteration", "sd of the belief (log scale)")
+        figure, axes = new_panel(f"Change, frame {inspection.number(frame)}", "iteration", "sd of the belief (log scale)")
         worst = _by_part(axes, change, passing, _moved_most(passing, frame))
-        draw_limit(axes, it.limits.message_change)
+        draw_limit(axes, inspection.limits.message_change)
         axes.axhline(float(np.sqrt(2 / np.median(passing.belief_ess[:, frame]))), color=INK, linestyle=":", linewidth=1.1)
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter(NullFormatter())
-        yield encoded(figure, f"Change of the beliefs in each iteration of frame {it.number(frame)}; in the last one most of {worst}.")
+        yield encoded(figure, f"Change of the beliefs in each iteration of frame {inspection.number(frame)}; in the last one most of {worst}.")
 
 
-def _spreads(it: Inspection, passing: MessagePassing) -> Iterator[Picture]:
+def _spreads(inspection: Inspection, passing: MessagePassing) -> Iterator[Picture]:
     """Yield the spread of the positions by iteration, mean of the runs, at each chosen frame."""
     metres = np.array([unit == "m" for unit in passing.units])
     for frame in chosen_frames(passing):
         spread = MILLIMETRES * np.sqrt(np.mean(passing.sd[:, frame][..., metres] ** 2, axis=(0, -1)))
-        figure, axes = new_panel(f"Spread of the positions, frame {it.number(frame)}", "iteration", "sd, mm")
+        figure, axes = new_panel(f"Spread of the positions, frame {inspection.number(frame)}", "iteration", "sd, mm")
         _by_part(axes, spread, passing, _moved_most(passing, frame))
         span = f"from {spread.min():.0f} to {spread.max():.0f} mm"
         axes.set_ylim(0, 1.05 * spread.max())
-        yield encoded(figure, f"Standard deviation of each part's position in frame {it.number(frame)}, {span}.")
+        yield encoded(figure, f"Standard deviation of each part's position in frame {inspection.number(frame)}, {span}.")
 
 
 def _moved_most(passing: MessagePassing, frame: int) -> list[int]:

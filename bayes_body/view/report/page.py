@@ -34,8 +34,8 @@ LARGEST = 10_000_000
 # What tells a report from other files (`has_mark`).
 MARK = b'<meta name="generator" content="bayes-body report">'
 SECTIONS: Sequence[tuple[str, str, Callable[[Inspection], Markup]]] = (
-    ("warnings", "Warnings", lambda it: findings(it.warnings)),
-    ("pictures", "Pictures", lambda it: picture_section(it.run.folder, QUALITIES[0])),
+    ("warnings", "Warnings", lambda inspection: findings(inspection.warnings)),
+    ("pictures", "Pictures", lambda inspection: picture_section(inspection.run.folder, QUALITIES[0])),
     ("truth", "Comparison with the truth", truth_section),
     ("prediction", "Posterior predictive check", prediction_section),
     ("clinical", "Clinical angles", clinical_section),
@@ -46,7 +46,7 @@ SECTIONS: Sequence[tuple[str, str, Callable[[Inspection], Markup]]] = (
     ("chains", "Markov chains", chain_section),
     ("messages", "Message passing", message_section),
     ("runs", "Agreement of the runs", run_section),
-    ("made", "How it was made", lambda it: provenance_section(it.run)),
+    ("made", "How it was made", lambda inspection: provenance_section(inspection.run)),
 )
 PICTURES = 1
 
@@ -72,56 +72,56 @@ def write_report(run: "SavedRun", out: Path | None = None, watch: Watch = unwatc
 
 def page(run: "SavedRun", watch: Watch = unwatched) -> str:
     """Return the page's HTML, in less than LARGEST bytes; for arguments and errors see `write_report`."""
-    it = Inspection(run, watch=watch)
+    inspection = Inspection(run, watch=watch)
     with style():
-        made = sections_of(it)
+        made = sections_of(inspection)
         # Before the sections, because it has a bar of its own, and two bars cannot be shown at once.
-        _ = it.prediction
-        sections = [made[part][2](it) for part in watch(range(len(made)))]
-    return fitted(it, sections, LARGEST)
+        _ = inspection.prediction
+        sections = [made[part][2](inspection) for part in watch(range(len(made)))]
+    return fitted(inspection, sections, LARGEST)
 
 
-def sections_of(it: Inspection) -> Sequence[tuple[str, str, Callable[[Inspection], Markup]]]:
+def sections_of(inspection: Inspection) -> Sequence[tuple[str, str, Callable[[Inspection], Markup]]]:
     """Return SECTIONS, without those about which the run says nothing: the truth, clinical angles, gait, the filter, Markov chains, messages."""
     missing = {
-        "truth": not it.has_truth,
-        "clinical": not it.clinical.names,
-        "gait": not has_gait(it),
-        "filter": it.run.smoothed,
-        "chains": it.diagnosis.mixing is None,
-        "messages": it.diagnosis.messages is None,
+        "truth": not inspection.has_truth,
+        "clinical": not inspection.clinical.names,
+        "gait": not has_gait(inspection),
+        "filter": inspection.run.smoothed,
+        "chains": inspection.diagnosis.mixing is None,
+        "messages": inspection.diagnosis.messages is None,
     }
     return [entry for entry in SECTIONS if not missing.get(entry[0], False)]
 
 
-def fitted(it: Inspection, sections: Sequence[Markup], largest: int) -> str:
+def fitted(inspection: Inspection, sections: Sequence[Markup], largest: int) -> str:
     """Return the page of these sections, with pictures in the best quality for which it has less than `largest` bytes.
 
     Raises:
         InputError: the page is too large even without pictures.
     """
-    text = _filled(it, sections)
+    text = _filled(inspection, sections)
     for quality in (*QUALITIES[1:], None):
         if len(text.encode()) < largest:
             return text
-        pictures = picture_section(it.run.folder, quality)
-        text = _filled(it, [*sections[:PICTURES], pictures, *sections[PICTURES + 1 :]])
+        pictures = picture_section(inspection.run.folder, quality)
+        text = _filled(inspection, [*sections[:PICTURES], pictures, *sections[PICTURES + 1 :]])
     if len(text.encode()) < largest:
         return text
     problem, remedy = f"{len(text.encode()) / 1e6:.1f} MB without pictures", "this run has too many dofs for a report: read posterior.nc instead"
     raise input_error("the report", problem, f"less than {largest / 1e6:g} MB", remedy)
 
 
-def _filled(it: Inspection, sections: Sequence[Markup]) -> str:
+def _filled(inspection: Inspection, sections: Sequence[Markup]) -> str:
     template = Template(files(__package__).joinpath("page.html").read_text(encoding="utf-8"))
-    version = it.run.versions.get("bayes-body", "of unknown version")
+    version = inspection.run.versions.get("bayes-body", "of unknown version")
     values = {
-        "title": f"Posterior of {it.run.folder.resolve().name}",
-        "subtitle": subtitle(it.run),
-        "verdict": verdict(it.run.summary, it.warnings, it.agreement_known),
-        "scales": scales(it),
-        "contents": joined(tag("li", tag("a", title, href=f"#{name}")) for name, title, _ in sections_of(it)),
-        "figures": key_figures(it.run.summary, it.diagnosis, it.run.smoothed),
+        "title": f"Posterior of {inspection.run.folder.resolve().name}",
+        "subtitle": subtitle(inspection.run),
+        "verdict": verdict(inspection.run.summary, inspection.warnings, inspection.agreement_known),
+        "scales": scales(inspection),
+        "contents": joined(tag("li", tag("a", title, href=f"#{name}")) for name, title, _ in sections_of(inspection)),
+        "figures": key_figures(inspection.run.summary, inspection.diagnosis, inspection.run.smoothed),
         "sections": joined(sections),
         "footer": f"Made by bayes-body report from a run of bayes-body {version}. This file is complete in itself and needs no network.",
     }

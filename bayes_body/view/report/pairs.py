@@ -36,30 +36,30 @@ SIDE, GAP, EDGES = 1.42, 0.1, (0.95, 0.1, 0.72, 0.36)
 BINS = 14
 
 
-def pair_section(it: Inspection) -> Markup:
+def pair_section(inspection: Inspection) -> Markup:
     """Return the section; a sentence if the draws measure no uncertainty, or if no dofs depend on each other."""
-    if it.diagnosis.mode_seeker:
+    if inspection.diagnosis.mode_seeker:
         return section("pairs", TITLE, tag("p", SEEKER))
-    dependency = dependence(it)
+    dependency = dependence(inspection)
     if not dependency.pairs:
         return section("pairs", TITLE, tag("p", NONE.format(least=LEAST)))
-    time = f" (at {dependency.frame / it.fps:.2f} s)" if it.fps else ""
-    parts = [tag("p", ABOUT), tag("p", FRAME.format(frame=it.number(dependency.frame), time=time)), _pair_table(it, dependency)]
-    return section("pairs", TITLE, *parts, figures([_matrix(it, dependency)], "matrix"))
+    time = f" (at {dependency.frame / inspection.fps:.2f} s)" if inspection.fps else ""
+    parts = [tag("p", ABOUT), tag("p", FRAME.format(frame=inspection.number(dependency.frame), time=time)), _pair_table(inspection, dependency)]
+    return section("pairs", TITLE, *parts, figures([_matrix(inspection, dependency)], "matrix"))
 
 
-def _pair_table(it: Inspection, dependency: Dependence) -> Markup:
+def _pair_table(inspection: Inspection, dependency: Dependence) -> Markup:
     """Return the strongest pairs with their correlation in the shown frame and over all frames."""
     rows = []
     for first, second in dependency.pairs:
         values = dependency.correlations[:, first, second]
         low, middle, high = np.nanpercentile(values, (5, 50, 95))
-        name = f"{spoken(it.dofs[first])} and {spoken(it.dofs[second])}"
+        name = f"{spoken(inspection.dofs[first])} and {spoken(inspection.dofs[second])}"
         over = [f"{_signed(middle)} ({_signed(low)} to {_signed(high)})"] if len(values) > 1 else []
         rows.append([name, _signed(float(values[dependency.place])), *over])
     head = [
         "pair",
-        f"r in frame {it.number(dependency.frame)}",
+        f"r in frame {inspection.number(dependency.frame)}",
         *(["r over the frames: median (5 to 95 %)"] if len(dependency.correlations) > 1 else []),
     ]
     return table(head, rows)
@@ -70,7 +70,7 @@ def _signed(r: float) -> str:
     return f"{r:+.2f}".replace("-", "−")
 
 
-def _matrix(it: Inspection, dependency: Dependence) -> Picture:
+def _matrix(inspection: Inspection, dependency: Dependence) -> Picture:
     """Return the scatter matrix."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -80,32 +80,33 @@ def _matrix(it: Inspection, dependency: Dependence) -> Picture:
     figure = Figure(figsize=(width, height))
     FigureCanvasAgg(figure)
     figure.subplots_adjust(left / width, bottom / height, 1 - right / width, 1 - top / height, GAP, GAP)
-    values, labels = _values(it, dependency)
+    values, labels = _values(inspection, dependency)
     grid = figure.subplots(count, count, squeeze=False)
     for row in range(count):
         for column in range(count):
             axes, r = grid[row, column], dependency.correlations[dependency.place, dependency.dofs[row], dependency.dofs[column]]
             if row == column:
-                _distribution(axes, values[..., row], paper(it.dofs[dependency.dofs[row]]))
+                _distribution(axes, values[..., row], paper(inspection.dofs[dependency.dofs[row]]))
             elif row > column:
                 _cloud(axes, values[..., column], values[..., row])
             else:
                 _coefficient(axes, float(r))
             _ticks(axes, labels, row, column, count)
-    _legend(figure, it.runs)
+    _legend(figure, inspection.runs)
     pairs = "; ".join(
-        f"{spoken(it.dofs[j])} and {spoken(it.dofs[k])} {_signed(dependency.correlations[dependency.place, j, k])}" for j, k in dependency.pairs
+        f"{spoken(inspection.dofs[j])} and {spoken(inspection.dofs[k])} {_signed(dependency.correlations[dependency.place, j, k])}"
+        for j, k in dependency.pairs
     )
     caption = POINTS.format(count=values.shape[1]) + (METRES if any(label.endswith("mm") for label in labels) else "")
-    return encoded(figure, f"Scatter matrix of {count} dofs at frame {it.number(dependency.frame)}. Correlations: {pairs}.", caption)
+    return encoded(figure, f"Scatter matrix of {count} dofs at frame {inspection.number(dependency.frame)}. Correlations: {pairs}.", caption)
 
 
-def _values(it: Inspection, dependency: Dependence) -> tuple[Float[np.ndarray, "run draw dof"], list[str]]:
+def _values(inspection: Inspection, dependency: Dependence) -> tuple[Float[np.ndarray, "run draw dof"], list[str]]:
     """Return draws of equal weight, degrees and millimetres from the mean, and the labels of their axes."""
-    poses = equal_weight_sample(it, dependency.frame).poses[..., list(dependency.dofs)]
-    long = np.array([it.units[dof] == "m" for dof in dependency.dofs])
+    poses = equal_weight_sample(inspection, dependency.frame).poses[..., list(dependency.dofs)]
+    long = np.array([inspection.units[dof] == "m" for dof in dependency.dofs])
     values = np.where(long, 1000 * (poses - poses.mean(axis=(0, 1))), poses)
-    return values, [f"{spoken(it.dofs[dof])},\n{'mm' if metres else 'degrees'}" for dof, metres in zip(dependency.dofs, long, strict=True)]
+    return values, [f"{spoken(inspection.dofs[dof])},\n{'mm' if metres else 'degrees'}" for dof, metres in zip(dependency.dofs, long, strict=True)]
 
 
 def _distribution(axes: "Axes", values: Float[np.ndarray, "run draw"], colour: str) -> None:

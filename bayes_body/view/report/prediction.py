@@ -56,34 +56,34 @@ BARE = (
 COVER = "Green is the share of the draws whose body covers a pixel (strongest: all). The black line is the outline of the seen silhouette."
 
 
-def prediction_section(it: Inspection) -> Markup:
+def prediction_section(inspection: Inspection) -> Markup:
     """Return the section: a table by camera, curves over time and a picture of each camera; a sentence if nothing can be compared."""
-    prediction = it.prediction
+    prediction = inspection.prediction
     if isinstance(prediction, str):
         return section("prediction", TITLE, tag("p", prediction))
-    seeker = it.diagnosis.mode_seeker
-    frames = "the only frame" if it.run.frames == 1 else f"{len(prediction.frames)} evenly spaced frames"
+    seeker = inspection.diagnosis.mode_seeker
+    frames = "the only frame" if inspection.run.frames == 1 else f"{len(prediction.frames)} evenly spaced frames"
     parts = [tag("p", (SEEKER if seeker else ABOUT).format(frames=frames, draws=f"{prediction.draws} draws of the pose"))]
     if prediction.keypoints is not None:
-        parts += _keypoint_parts(it, prediction.frames, prediction.keypoints)
+        parts += _keypoint_parts(inspection, prediction.frames, prediction.keypoints)
     if prediction.silhouettes is not None:
-        parts += _silhouette_parts(it, prediction.frames, prediction.silhouettes)
+        parts += _silhouette_parts(inspection, prediction.frames, prediction.silhouettes)
     return section("prediction", TITLE, *parts)
 
 
-def _keypoint_parts(it: Inspection, frames: Int[np.ndarray, " frame"], check: KeypointCheck) -> Iterator[Markup]:
-    likelihood, seeker = marker_likelihood(it.run.model), it.diagnosis.mode_seeker
+def _keypoint_parts(inspection: Inspection, frames: Int[np.ndarray, " frame"], check: KeypointCheck) -> Iterator[Markup]:
+    likelihood, seeker = marker_likelihood(inspection.run.model), inspection.diagnosis.mode_seeker
     assert likelihood is not None
     yield tag("h3", "Keypoints")
     if not np.isfinite(check.error).any():
         yield tag("p", "No camera sees a keypoint in the compared frames.")
         return
     yield tag("p", ERROR if seeker else f"{KEYPOINTS.format(noise=noise_in_words(likelihood[1].detections))} {SHARE}")
-    yield _keypoint_table(cameras(it), check, seeker)
-    yield figures(error_panels(it, frames, check))
+    yield _keypoint_table(cameras(inspection), check, seeker)
+    yield figures(error_panels(inspection, frames, check))
     worst = _worst(frames, np.array([median(errors) for errors in check.error]))
-    yield tag("p", f"Of the compared frames, frame {it.number(worst)} has the largest errors. {MARKS}{'' if seeker else f' {CLOUD}'}")
-    yield figures(keypoint_pictures(it.run, worst))
+    yield tag("p", f"Of the compared frames, frame {inspection.number(worst)} has the largest errors. {MARKS}{'' if seeker else f' {CLOUD}'}")
+    yield figures(keypoint_pictures(inspection.run, worst))
 
 
 def _keypoint_table(names: list[str], check: KeypointCheck, seeker: bool) -> Markup:
@@ -99,19 +99,19 @@ def _keypoint_table(names: list[str], check: KeypointCheck, seeker: bool) -> Mar
     return table(head, rows)
 
 
-def _silhouette_parts(it: Inspection, frames: Int[np.ndarray, " frame"], check: SilhouetteCheck) -> Iterator[Markup]:
+def _silhouette_parts(inspection: Inspection, frames: Int[np.ndarray, " frame"], check: SilhouetteCheck) -> Iterator[Markup]:
     yield tag("h3", "Silhouettes")
     if not np.isfinite(check.overlap).any():
         yield tag("p", "No camera sees a silhouette in the compared frames.")
         return
-    spread = "" if it.diagnosis.mode_seeker else SPREAD + (BARE if silhouette_likelihood(it.run.model) is None else DRAWN)
+    spread = "" if inspection.diagnosis.mode_seeker else SPREAD + (BARE if silhouette_likelihood(inspection.run.model) is None else DRAWN)
     yield tag("p", f"{SILHOUETTES}{spread}")
-    yield _silhouette_table(cameras(it), check)
-    yield figures(silhouette_panels(it, frames, "overlap", "overlap (IoU)", check.overlap, check.expected_overlap))
-    yield figures(silhouette_panels(it, frames, "area", "difference, % of the seen", 100 * check.area, 100 * check.expected_area))
+    yield _silhouette_table(cameras(inspection), check)
+    yield figures(silhouette_panels(inspection, frames, "overlap", "overlap (IoU)", check.overlap, check.expected_overlap))
+    yield figures(silhouette_panels(inspection, frames, "area", "difference, % of the seen", 100 * check.area, 100 * check.expected_area))
     worst = _worst(frames, -np.array([median(overlaps) for overlaps in check.overlap]))
-    yield tag("p", f"Of the compared frames, frame {it.number(worst)} has the smallest overlap. {COVER}")
-    yield figures(silhouette_pictures(it.run, worst))
+    yield tag("p", f"Of the compared frames, frame {inspection.number(worst)} has the smallest overlap. {COVER}")
+    yield figures(silhouette_pictures(inspection.run, worst))
 
 
 def _silhouette_table(names: list[str], check: SilhouetteCheck) -> Markup:

@@ -31,27 +31,27 @@ SIZE = (3.6, 2.3)
 LINE = {"marker": "o", "markersize": 3}
 
 
-def error_panels(it: Inspection, frames: Int[np.ndarray, " frame"], check: KeypointCheck) -> Iterator[Picture]:
+def error_panels(inspection: Inspection, frames: Int[np.ndarray, " frame"], check: KeypointCheck) -> Iterator[Picture]:
     """Yield for each camera the errors of the keypoints, over a band of the errors that are predicted."""
-    seeker = it.diagnosis.mode_seeker
+    seeker = inspection.diagnosis.mode_seeker
     middle, high = (percentiles(check.error, share) for share in (50, 90))
     top = 1.08 * max(float(np.nanmax(high)), 1.0, 0.0 if seeker else float(np.nanmax(check.expected[..., 1])))
-    for c, name in enumerate(cameras(it)):
+    for c, name in enumerate(cameras(inspection)):
         if not np.isfinite(check.error[:, c]).any():
             continue
-        figure, axes = new_panel(f"Camera {escaped(name)}", time_label(it.fps), "reprojection error, px", SIZE)
-        shade_lost(axes, it.lost)
+        figure, axes = new_panel(f"Camera {escaped(name)}", time_label(inspection.fps), "reprojection error, px", SIZE)
+        shade_lost(axes, inspection.lost)
         if not seeker:
             _band(axes, frames, np.zeros(len(frames)), check.expected[:, c, 1])
         axes.plot(frames, middle[:, c], color=INK, label="median", **LINE)
         axes.plot(frames, high[:, c], color=INK, linestyle=run_line(2), label="90 % quantile", **LINE)
         axes.set_ylim(0, top)
-        _finish(it, axes)
+        _finish(inspection, axes)
         yield encoded(figure, f"Reprojection error in camera {name} over time: median {median(check.error[:, c]):.1f} px.")
 
 
 def silhouette_panels(
-    it: Inspection,
+    inspection: Inspection,
     frames: Int[np.ndarray, " frame"],
     what: str,
     label: str,
@@ -61,7 +61,7 @@ def silhouette_panels(
     """Yield for each camera a figure of the silhouettes, over a band of what is predicted, if anything is.
 
     Args:
-        it: the run.
+        inspection: the run.
         frames: the compared frames.
         what: `overlap` or `area`.
         label: of the vertical axis.
@@ -71,20 +71,20 @@ def silhouette_panels(
     # The worst value.
     reach = max(1.1 * float(np.nanmax(np.abs(np.append(values, expected)))), 10.0)
     low, middle, high = (percentiles(values, share) for share in (5, 50, 95))
-    for c, name in enumerate(cameras(it)):
+    for c, name in enumerate(cameras(inspection)):
         if not np.isfinite(values[:, c]).any():
             continue
-        figure, axes = new_panel(f"Camera {escaped(name)}: {what}", time_label(it.fps), label, SIZE)
-        shade_lost(axes, it.lost)
+        figure, axes = new_panel(f"Camera {escaped(name)}: {what}", time_label(inspection.fps), label, SIZE)
+        shade_lost(axes, inspection.lost)
         if np.isfinite(expected[:, c]).any():
             _band(axes, frames, expected[:, c, 0], expected[:, c, 1])
-        if not it.diagnosis.mode_seeker:
+        if not inspection.diagnosis.mode_seeker:
             axes.vlines(frames, low[:, c], high[:, c], color=INK, alpha=0.3, linewidth=5)
         axes.plot(frames, middle[:, c], color=INK, **LINE)
         if what == "area":
             axes.axhline(0, color=GREY, linewidth=0.9)
         axes.set_ylim(*((-reach, reach) if what == "area" else (0, 1.02)))
-        _finish(it, axes)
+        _finish(inspection, axes)
         yield encoded(figure, f"Silhouettes of camera {name} over time, {label}: median {median(values[:, c]):.3g}.")
 
 
@@ -95,17 +95,17 @@ def _band(axes: "Axes", frames: Int[np.ndarray, " frame"], low: Float[np.ndarray
         axes.vlines(frames, low, high, color=GREY, alpha=0.4, linewidth=9)
 
 
-def _finish(it: Inspection, axes: "Axes") -> None:
-    time_axis(axes, it.run.frames, it.fps)
-    if it.run.frames > 12:
+def _finish(inspection: Inspection, axes: "Axes") -> None:
+    time_axis(axes, inspection.run.frames, inspection.fps)
+    if inspection.run.frames > 12:
         # The first and the last compared frame are the recording's: their marks must not be cut.
         axes.margins(x=0.02)
-        axes.set_xlim(-0.02 * it.run.frames, 1.02 * (it.run.frames - 1))
+        axes.set_xlim(-0.02 * inspection.run.frames, 1.02 * (inspection.run.frames - 1))
 
 
-def cameras(it: Inspection) -> list[str]:
+def cameras(inspection: Inspection) -> list[str]:
     """Return the names of the cameras."""
-    return [view.camera.name for view in it.run.session.views]
+    return [view.camera.name for view in inspection.run.session.views]
 
 
 def median(values: Float[np.ndarray, "..."]) -> float:
@@ -135,16 +135,16 @@ BITS = 4
 
 def keypoint_pictures(run: "SavedRun", index: int) -> Iterator[Picture]:
     """Yield for each camera that sees keypoints in a frame a picture of them and of the predicted ones; the model reads keypoints."""
-    it, run_likelihood = moment(run, index), marker_likelihood(run.model)
+    inspection, run_likelihood = moment(run, index), marker_likelihood(run.model)
     assert run_likelihood is not None
-    keypoints, points = seen_keypoints(it)
-    likelihood = marker_likelihood(it.model)
+    keypoints, points = seen_keypoints(inspection)
+    likelihood = marker_likelihood(inspection.model)
     assert likelihood is not None
-    detections, marker_names = likelihood[1].detections, [it.model.body.markers.names[place] for place in likelihood[1].markers]
+    detections, marker_names = likelihood[1].detections, [inspection.model.body.markers.names[place] for place in likelihood[1].markers]
     present = keypoints[..., 2] > float(detections.least_confidence)
     middle = expected_pixels(detections, points).mean(axis=0)
     # The first noise of each draw.
-    drawn = predicted_pixels(detections, points, np.where(present, keypoints[..., 2], 1.0), it.key)[: len(points)]
+    drawn = predicted_pixels(detections, points, np.where(present, keypoints[..., 2], 1.0), inspection.key)[: len(points)]
     for c, view in enumerate(run.session.views):
         mask = present[c]
         if not mask.any():
@@ -162,9 +162,9 @@ def keypoint_pictures(run: "SavedRun", index: int) -> Iterator[Picture]:
 
 def silhouette_pictures(run: "SavedRun", index: int) -> Iterator[Picture]:
     """Yield for each camera that sees a silhouette in a frame a picture of its outline over the predicted ones."""
-    it = moment(run, index)
-    for c, (view, bodies) in enumerate(zip(run.session.views, body_masks(it.model, run.session, it.poses), strict=True)):
-        silhouette, size = seen_mask(it.frame, c), view.camera.size_px
+    inspection = moment(run, index)
+    for c, (view, bodies) in enumerate(zip(run.session.views, body_masks(inspection.model, run.session, inspection.poses), strict=True)):
+        silhouette, size = seen_mask(inspection.frame, c), view.camera.size_px
         if silhouette is None:
             continue
         image = backdrop(run.session, index, view)[0]

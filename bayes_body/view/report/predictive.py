@@ -192,12 +192,12 @@ def _predicted(run: "SavedRun", watch: Watch) -> Predicted:
     frames = np.unique(np.linspace(0, run.frames - 1, FRAMES).round().astype(int))
     keypoints, silhouettes, draws = [], [], 0
     for index in watch(frames.tolist()):
-        it = moment(run, index)
-        draws = len(it.poses)
-        if marker_likelihood(it.model) is not None:
-            keypoints.append(_keypoints(it))
-        if reads_silhouettes(it.model):
-            silhouettes.append(silhouette_check(it.model, run.session, it.frame, it.poses, it.key))
+        inspection = moment(run, index)
+        draws = len(inspection.poses)
+        if marker_likelihood(inspection.model) is not None:
+            keypoints.append(_keypoints(inspection))
+        if reads_silhouettes(inspection.model):
+            silhouettes.append(silhouette_check(inspection.model, run.session, inspection.frame, inspection.poses, inspection.key))
     return Predicted(frames, draws, _stacked(KeypointCheck, keypoints), _stacked(SilhouetteCheck, silhouettes))
 
 
@@ -218,18 +218,18 @@ def moment(run: "SavedRun", index: int) -> Moment:
     return Moment(model, read_frame(run.session, index), drawn, key)
 
 
-def seen_keypoints(it: Moment) -> tuple[Float[np.ndarray, "camera marker 3"], Float[np.ndarray, "draw marker 3"]]:
+def seen_keypoints(moment: Moment) -> tuple[Float[np.ndarray, "camera marker 3"], Float[np.ndarray, "draw marker 3"]]:
     """Return column, row and confidence of the keypoints, and the markers that the draws place, metres; for a model that reads keypoints."""
-    named_likelihood = marker_likelihood(it.model)
+    named_likelihood = marker_likelihood(moment.model)
     assert named_likelihood is not None
     name, likelihood = named_likelihood
-    evidence = it.model.observers[name](it.frame)
+    evidence = moment.model.observers[name](moment.frame)
     keypoints = np.concatenate([evidence.pixels, evidence.confidence[..., None]], axis=-1)[:, list(likelihood.places)]
-    return keypoints.astype(float), markers(it.model, it.poses.astype(np.float32))[:, list(likelihood.markers)]
+    return keypoints.astype(float), markers(moment.model, moment.poses.astype(np.float32))[:, list(likelihood.markers)]
 
 
-def _keypoints(it: Moment) -> KeypointCheck:
-    named_likelihood = marker_likelihood(it.model)
+def _keypoints(moment: Moment) -> KeypointCheck:
+    named_likelihood = marker_likelihood(moment.model)
     assert named_likelihood is not None
-    keypoints, points = seen_keypoints(it)
-    return keypoint_check(named_likelihood[1].detections, points, keypoints, it.key)
+    keypoints, points = seen_keypoints(moment)
+    return keypoint_check(named_likelihood[1].detections, points, keypoints, moment.key)

@@ -16,12 +16,12 @@ from bayes_body.view.report.inspection import Inspection, Sample, chosen_dofs, c
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
 
 
-def dof_map(it: Inspection, rhat: Float[np.ndarray, "frame dof"], title: str, limit: float, alt: str, caption: str) -> Picture:
+def dof_map(inspection: Inspection, rhat: Float[np.ndarray, "frame dof"], title: str, limit: float, alt: str, caption: str) -> Picture:
     """Return the map; a line on the colour scale marks the limit."""
     from matplotlib.ticker import MaxNLocator
 
     frames, count = rhat.shape
-    figure, axes = new_panel(title, it.x_label, "", (4.2, 0.9 + 0.17 * count))
+    figure, axes = new_panel(title, inspection.x_label, "", (4.2, 0.9 + 0.17 * count))
     set_margins(figure, 1.2, 0.42)
     axes.grid(visible=False)
     shown = axes.imshow(
@@ -33,8 +33,8 @@ def dof_map(it: Inspection, rhat: Float[np.ndarray, "frame dof"], title: str, li
         vmin=1,
         vmax=max(2 * limit - 1, 1.2),
     )
-    axes.set_yticks(range(count), [spoken(name) for name in it.diagnosis.dofs], fontsize=8.5)
-    time_axis(axes, frames, it.fps)
+    axes.set_yticks(range(count), [spoken(name) for name in inspection.diagnosis.dofs], fontsize=8.5)
+    time_axis(axes, frames, inspection.fps)
     axes.set_xlim(-0.5, frames - 0.5)
     bar = figure.colorbar(shown, ax=axes, extend="max", pad=0.03, ticks=MaxNLocator(5, steps=[1, 2, 5, 10]), format="%.2f")
     bar.ax.axhline(limit, color=INK, linewidth=1.2)
@@ -69,66 +69,70 @@ FOREST = (
 )
 
 
-def run_section(it: Inspection) -> Markup:
+def run_section(inspection: Inspection) -> Markup:
     """Return the section: R-hat if there are several runs, and ArviZ's plots of the first, the worst and the last frame."""
-    frames, dofs = chosen_frames(it), chosen_dofs(it)
-    samples = [equal_weight_sample(it, frame) for frame in frames]
-    worst = samples[frames.index(worst_frame(it))]
+    frames, dofs = chosen_frames(inspection), chosen_dofs(inspection)
+    samples = [equal_weight_sample(inspection, frame) for frame in frames]
+    worst = samples[frames.index(worst_frame(inspection))]
     with arviz_plots():
-        parts = [*_agreement(it, samples, dofs)]
-        if it.diagnosis.mode_seeker:
+        parts = [*_agreement(inspection, samples, dofs)]
+        if inspection.diagnosis.mode_seeker:
             return section("runs", "Agreement of the runs", tag("p", SEEKER), *parts)
-        parts += _close_ups(it, worst, dofs)
-        parts += [tag("h3", "All angles"), tag("p", FOREST), figures(forest_plot(it, sample) for sample in samples)] if "°" in it.units else []
-    draws = ", ".join(f"{sample.poses.shape[1]} at frame {it.number(sample.frame)}" for sample in samples)
+        parts += _close_ups(inspection, worst, dofs)
+        parts += (
+            [tag("h3", "All angles"), tag("p", FOREST), figures(forest_plot(inspection, sample) for sample in samples)]
+            if "°" in inspection.units
+            else []
+        )
+    draws = ", ".join(f"{sample.poses.shape[1]} at frame {inspection.number(sample.frame)}" for sample in samples)
     about = f"Made by ArviZ from draws of equal weight. Their number per run follows from the effective sample size: {draws}."
     return section("runs", "Agreement of the runs", *parts, tag("p", about, class_="note"))
 
 
-def _agreement(it: Inspection, samples: Sequence[Sample], dofs: Sequence[int]) -> Iterator[Markup]:
-    if it.agreement_known:
-        yield tag("p", _largest_rhat(it))
-        yield figures([_rhat_map(it)], "wide")
+def _agreement(inspection: Inspection, samples: Sequence[Sample], dofs: Sequence[int]) -> Iterator[Markup]:
+    if inspection.agreement_known:
+        yield tag("p", _largest_rhat(inspection))
+        yield figures([_rhat_map(inspection)], "wide")
         yield tag("h3", "Rank plots")
         yield tag("p", RANKS)
-        yield figures(rank_plot(it, sample, dof) for sample in samples for dof in dofs)
+        yield figures(rank_plot(inspection, sample, dof) for sample in samples for dof in dofs)
     else:
-        yield tag("p", sentence(_no_agreement(it)))
+        yield tag("p", sentence(_no_agreement(inspection)))
 
 
-def _close_ups(it: Inspection, worst: Sample, dofs: Sequence[int]) -> Iterator[Markup]:
+def _close_ups(inspection: Inspection, worst: Sample, dofs: Sequence[int]) -> Iterator[Markup]:
     if not dofs:
         return
-    which = "on which the runs disagree most" if it.agreement_known else "with the widest distributions"
-    yield tag("h3", f"Posterior of frame {it.number(worst.frame)}")
+    which = "on which the runs disagree most" if inspection.agreement_known else "with the widest distributions"
+    yield tag("h3", f"Posterior of frame {inspection.number(worst.frame)}")
     about = "Each line is a run, and shows the fraction of its draws below each value. If the runs agree, their lines coincide."
     yield tag("p", f"The dofs {which}. {about}")
-    yield figures(distribution_plot(it, worst, dof) for dof in dofs)
+    yield figures(distribution_plot(inspection, worst, dof) for dof in dofs)
     yield tag("h3", "Growth of the effective sample size")
     yield tag("p", GROWTH)
-    yield figures(growth_plot(it, worst, dof) for dof in dofs)
+    yield figures(growth_plot(inspection, worst, dof) for dof in dofs)
 
 
-def _largest_rhat(it: Inspection) -> str:
-    worst = worst_frame(it)
-    values = np.nan_to_num(it.diagnosis.rhat[worst], nan=-np.inf)
-    named = spoken(it.diagnosis.dofs[int(values.argmax())])
-    largest = f"The largest is {values.max():.2f}: {named} at frame {it.number(worst)}."
+def _largest_rhat(inspection: Inspection) -> str:
+    worst = worst_frame(inspection)
+    values = np.nan_to_num(inspection.diagnosis.rhat[worst], nan=-np.inf)
+    named = spoken(inspection.diagnosis.dofs[int(values.argmax())])
+    largest = f"The largest is {values.max():.2f}: {named} at frame {inspection.number(worst)}."
     return f"R-hat compares the distance between the runs with the width of each run's posterior; 1 means agreement. {largest}"
 
 
-def _no_agreement(it: Inspection) -> str:
-    if it.runs > 1:
+def _no_agreement(inspection: Inspection) -> str:
+    if inspection.runs > 1:
         return "There is no R-hat: there are too few draws, or no dof moves."
     return "With a single run there is no R-hat and there are no rank plots: it is unknown whether another run would agree. Use --runs 2 or more."
 
 
-def _rhat_map(it: Inspection) -> Picture:
+def _rhat_map(inspection: Inspection) -> Picture:
     return dof_map(
-        it,
-        it.diagnosis.rhat,
+        inspection,
+        inspection.diagnosis.rhat,
         "R-hat",
-        it.limits.rhat,
-        f"R-hat of every dof and frame, at most {np.nanmax(it.diagnosis.rhat):.2f}.",
-        f"Darker is larger. The line on the colour scale is the limit {it.limits.rhat:g}.",
+        inspection.limits.rhat,
+        f"R-hat of every dof and frame, at most {np.nanmax(inspection.diagnosis.rhat):.2f}.",
+        f"Darker is larger. The line on the colour scale is the limit {inspection.limits.rhat:g}.",
     )

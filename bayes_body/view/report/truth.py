@@ -37,24 +37,28 @@ OFFSET = (
 DETAILS = (("error_mm_relative", "relative to the pelvis"), ("error_mm_optimistic", "for the best particle of each frame"))
 
 
-def truth_section(it: Inspection) -> Markup:
+def truth_section(inspection: Inspection) -> Markup:
     """Return the section: sentences, the error over the frames, coverage, and a table of markers; a sentence if the truth can no longer be read."""
     title = "Comparison with the truth"
     try:
-        comparison = measured(it.run)
+        comparison = measured(inspection.run)
     except InputError as error:
         return section("truth", title, tag("p", f"The run can no longer be compared with the truth: {error}."))
     if comparison is None or not comparison.plain.known.any():
         return section("truth", title, tag("p", "None of the body's markers has a true position in the frames of this run."))
-    seeker, step = it.diagnosis.mode_seeker, frames_a_point(it.run.frames)
-    pictures = [_error(it, comparison), *([] if seeker else [_calibration(comparison)])]
+    seeker, step = inspection.diagnosis.mode_seeker, frames_a_point(inspection.run.frames)
+    pictures = [_error(inspection, comparison), *([] if seeker else [_calibration(comparison)])]
     parts = [
         *(tag("p", sentence) for sentence in told(comparison, seeker)),
         figures(pictures),
         tag("h3", "Error of each marker"),
         *([tag("p", OFFSET)] if comparison.fitted else []),
         _by_marker(comparison, seeker),
-        *([tag("p", f"Measured in {sparse_frames(step)} frame of {it.run.frames:,}; summary.json has all.", class_="note")] if step > 1 else []),
+        *(
+            [tag("p", f"Measured in {sparse_frames(step)} frame of {inspection.run.frames:,}; summary.json has all.", class_="note")]
+            if step > 1
+            else []
+        ),
     ]
     return section("truth", title, *parts)
 
@@ -89,37 +93,39 @@ def told(comparison: AgainstTruth, mode_seeker: bool) -> list[str]:
         comparison: the run compared with the truth; at least some of the truth is known.
         mode_seeker: whether the kernel is a mode seeker.
     """
-    it = accuracy_figures(comparison, mode_seeker)
-    details = [f"{what} {it[key]:.0f} mm" for key, what in DETAILS if it[key] is not None]
-    spread = "" if it["error_mm_std"] is None else f" (standard deviation over the frames {it['error_mm_std']:.0f} mm)"
-    sentences = [f"The mean markers are {it['error_mm_mean']:.0f} mm from the true ones{spread}; {', '.join(details)}."]
+    inspection = accuracy_figures(comparison, mode_seeker)
+    details = [f"{what} {inspection[key]:.0f} mm" for key, what in DETAILS if inspection[key] is not None]
+    spread = "" if inspection["error_mm_std"] is None else f" (standard deviation over the frames {inspection['error_mm_std']:.0f} mm)"
+    sentences = [f"The mean markers are {inspection['error_mm_mean']:.0f} mm from the true ones{spread}; {', '.join(details)}."]
     if mode_seeker:
         sentences.append(SEEKER)
     else:
-        most = it["coverage_90"]
+        most = inspection["coverage_90"]
         sentences.append(f"The 90 % intervals contain the truth in {percent(most)} of cases: {width(most)}.")
-    if it["error_mm_mean_fitted_offset"] is not None:
-        coverage = "" if mode_seeker else f", and the 90 % intervals contain the truth in {percent(it['coverage_90_fitted_offset'])} of cases"
-        sentences.append(f"With the offset between the two skeletons fitted, the error is {it['error_mm_mean_fitted_offset']:.0f} mm{coverage}.")
+    if inspection["error_mm_mean_fitted_offset"] is not None:
+        coverage = "" if mode_seeker else f", and the 90 % intervals contain the truth in {percent(inspection['coverage_90_fitted_offset'])} of cases"
+        sentences.append(
+            f"With the offset between the two skeletons fitted, the error is {inspection['error_mm_mean_fitted_offset']:.0f} mm{coverage}."
+        )
     return sentences
 
 
-def _error(it: Inspection, comparison: AgainstTruth) -> Picture:
+def _error(inspection: Inspection, comparison: AgainstTruth) -> Picture:
     """Return the plot of the error: one line for each run, over a band of the error that the runs expect."""
-    step = frames_a_point(it.run.frames)
-    figure, axes = new_panel("Error", time_label(it.fps, f"{sparse_frames(step)} frame" if step > 1 else ""), "mean over the markers, mm")
-    frames, error = np.arange(0, it.run.frames, step), 1000 * comparison.plain.frame_error.T
+    step = frames_a_point(inspection.run.frames)
+    figure, axes = new_panel("Error", time_label(inspection.fps, f"{sparse_frames(step)} frame" if step > 1 else ""), "mean over the markers, mm")
+    frames, error = np.arange(0, inspection.run.frames, step), 1000 * comparison.plain.frame_error.T
     mark = {"marker": "o", "markersize": 3.5} if len(frames) <= 12 else {}
-    shade_lost(axes, it.lost)
-    if not it.diagnosis.mode_seeker:
+    shade_lost(axes, inspection.lost)
+    if not inspection.diagnosis.mode_seeker:
         low, *_, high = 1000 * comparison.plain.expected.T
         axes.fill_between(frames, low, high, color=GREY, alpha=0.25, linewidth=0)
     for run, line in enumerate(error):
         axes.plot(frames, line, color=INK, linestyle=run_line(run), label=run_label(run, len(error)), **mark)
-    time_axis(axes, it.run.frames, it.fps)
+    time_axis(axes, inspection.run.frames, inspection.fps)
     axes.set_ylim(bottom=0)
     alt = f"Error of the mean markers over the frames, from {np.nanmin(error):.0f} to {np.nanmax(error):.0f} mm."
-    return encoded(figure, alt, ERROR if it.diagnosis.mode_seeker else f"{ERROR} {EXPECTED}")
+    return encoded(figure, alt, ERROR if inspection.diagnosis.mode_seeker else f"{ERROR} {EXPECTED}")
 
 
 def _calibration(comparison: AgainstTruth) -> Picture:
